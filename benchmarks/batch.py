@@ -20,7 +20,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from edit3r.io.images import packaged_pair
+from edit3r.kit.photos.images import packaged_pair
 
 COLOURS = ("red", "blue", "green", "yellow", "orange", "purple", "pink", "teal")
 PROGRAM = [sys.executable, "-m", "edit3r"]

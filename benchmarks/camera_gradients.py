@@ -21,7 +21,7 @@ from rasterizers import front_camera, pixel_aligned
 
 import edit3r
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.geometry.rotations import cross_matrix
+from edit3r.kit.geometry.rotations import cross_matrix
 
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests" / "plugins" / "edit3r_rasterizers"))

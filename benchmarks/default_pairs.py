@@ -18,8 +18,8 @@ from held_out import for_tuning
 
 import edit3r
 from edit3r import Reconstruction, Views
-from edit3r.plugins.registry import default_registry
-from edit3r.reporting import Report
+from edit3r.contract.reporting import Report
+from edit3r.loading.registry import default_registry
 
 
 class DefaultRun:

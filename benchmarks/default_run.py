@@ -16,9 +16,9 @@ from pathlib import Path
 import torch
 
 import edit3r
-from edit3r.geometry.cameras import median_scale, relative_to_first, scale_poses
-from edit3r.io.posed_folder import read_posed_folder
-from edit3r.pipeline.rendering import path_around, render_one
+from edit3r.kit.geometry.cameras import median_scale, relative_to_first, scale_poses
+from edit3r.kit.photos.posed_folder import read_posed_folder
+from edit3r.running.rendering import path_around, render_one
 
 FRAMES, DRAWN, FULL = 36, 6, 512
 

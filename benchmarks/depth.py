@@ -25,12 +25,12 @@ from edit3r_matching.cameras import Pose, project, rays_through, triangulate
 from edit3r_matching.features import Keypoints, detect, match
 
 import edit3r
+from edit3r.contract.errors import Edit3rError
 from edit3r.contract.interfaces import MatchedGeometry
 from edit3r.contract.types import Views
-from edit3r.errors import Edit3rError
-from edit3r.geometry.rotations import rotation_angle
-from edit3r.io.images import evenly
-from edit3r.io.posed_folder import PosedFolder, PosedPhoto, read_posed_folder
+from edit3r.kit.geometry.rotations import rotation_angle
+from edit3r.kit.photos.images import evenly
+from edit3r.kit.photos.posed_folder import PosedFolder, PosedPhoto, read_posed_folder
 
 CLASSES = ((5, 15), (15, 30), (30, 60))
 """Angles between the two photos [degrees]."""

@@ -23,8 +23,8 @@ from clicks import contact_sheet, filled
 from PIL import Image
 
 import edit3r
+from edit3r.contract.errors import Edit3rError
 from edit3r.contract.interfaces import Editor
-from edit3r.errors import Edit3rError
 
 SIZE = 256
 COLOURS = {"red": (0.8, 0.1, 0.1), "blue": (0.1, 0.2, 0.8), "green": (0.1, 0.6, 0.2)}

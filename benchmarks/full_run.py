@@ -20,10 +20,10 @@ from pathlib import Path
 import torch
 from PIL import Image
 
-from edit3r.io.images import packaged_pair
+from edit3r.kit.photos.images import packaged_pair
 
 ROOT = Path(__file__).parents[1]
-MASKS = sorted((ROOT / "edit3r/io").glob("motorcycle_mask*.png"))
+MASKS = sorted((ROOT / "edit3r/kit/photos").glob("motorcycle_mask*.png"))
 sys.path.insert(0, str(ROOT / "tests/plugins/edit3r_model"))
 from noposplat_reference import FULL, random_state  # noqa: E402  (shares no code with the plugin)
 

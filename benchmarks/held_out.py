@@ -15,8 +15,8 @@ from itertools import combinations
 from pathlib import Path
 
 import edit3r
-from edit3r.errors import Edit3rError
-from edit3r.io.images import find_photos
+from edit3r.contract.errors import Edit3rError
+from edit3r.kit.photos.images import find_photos
 
 HELD_OUT = ("berlin", "leuven_pair")
 """Of the sets at our disposal those that the notes name least: one pair of `berlin` was one of 28

@@ -20,7 +20,7 @@ from edit3r_diffusers.consistency import disagreement
 
 import edit3r
 from edit3r.contract.types import EditRequest, Views
-from edit3r.io.images import find_photos, packaged_pair
+from edit3r.kit.photos.images import find_photos, packaged_pair
 
 WORST = ("night", "winter")
 

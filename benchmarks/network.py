@@ -74,7 +74,7 @@ def main() -> None:
     table = _table(rows, args)
     print(table)
     if args.write:
-        from edit3r.io.atomic import write_between
+        from edit3r.kit.files.atomic import write_between
 
         write_between(args.write, START, END, f"{table}\n")
     if args.json:
@@ -135,7 +135,7 @@ def _measure(args: argparse.Namespace) -> dict:
     """Runs in the fresh process."""
     import torch
 
-    from edit3r.reporting import peak_memory_mb
+    from edit3r.contract.reporting import peak_memory_mb
 
     torch.set_num_threads(args.threads)
     mode = args.modes[0]
@@ -220,7 +220,7 @@ def _plain(size: str) -> Callable:
 def _inputs(args: argparse.Namespace):
     import torch
 
-    from edit3r.geometry.cameras import intrinsics_from_fov
+    from edit3r.kit.geometry.cameras import intrinsics_from_fov
 
     height, width = SIZES[args.size][2]
     images = torch.rand(

@@ -27,9 +27,9 @@ from torch import Tensor
 import edit3r
 from edit3r import Cameras, Gaussians, build
 from edit3r.cli.main import main as program
-from edit3r.errors import Edit3rError, InputError
-from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.contract.errors import Edit3rError, InputError
+from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
+from edit3r.kit.geometry.harmonics import colour_to_dc
 
 EDITS = (
     "remove thing",

@@ -24,9 +24,9 @@ from edit3r_matching.features import FeatureSettings, find_features
 from edit3r_matching.registration import register
 from held_out import for_tuning
 
-from edit3r.errors import MatchingError
-from edit3r.io.cameras import PosedCamera
-from edit3r.io.posed_folder import read_posed_folder
+from edit3r.contract.errors import MatchingError
+from edit3r.kit.photos.cameras import PosedCamera
+from edit3r.kit.photos.posed_folder import read_posed_folder
 
 CLASSES = ((5, 15), (15, 30), (30, 60))
 """Angles between two cameras [degrees]."""

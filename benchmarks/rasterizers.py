@@ -28,7 +28,7 @@ import torch
 import edit3r
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.geometry.cameras import intrinsics_from_fov, unproject
+from edit3r.kit.geometry.cameras import intrinsics_from_fov, unproject
 
 FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 COUNTS = (1_000, 10_000, 131_072, 1_000_000, 4_000_000)

@@ -17,11 +17,11 @@ import torch
 from edit3r_editors.retouch import behind
 
 import edit3r
+from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import MatchedGeometry
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import MatchingError
-from edit3r.geometry.cameras import project, unproject
-from edit3r.geometry.maps import dilate
+from edit3r.kit.geometry.cameras import project, unproject
+from edit3r.kit.geometry.maps import dilate
 
 RING = 5  # width of the ring around a mask [pixels]
 

@@ -20,8 +20,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from edit3r.io.atomic import atomic_folder
-from edit3r.workers import Workers, read_rows, run_resumable, write_rows
+from edit3r.kit.files.atomic import atomic_folder
+from edit3r.kit.workers import Workers, read_rows, run_resumable, write_rows
 
 FAILS, DIES = 0.01, 0.001  # shares of the jobs
 WORK = 0.002  # seconds of a fake job, so that kills come in the middle of some

@@ -26,8 +26,8 @@ import torch
 from held_out import for_tuning
 
 import edit3r
-from edit3r.errors import Edit3rError
-from edit3r.io.posed_folder import read_posed_folder
+from edit3r.contract.errors import Edit3rError
+from edit3r.kit.photos.posed_folder import read_posed_folder
 
 SETS = (
     (2, 2),

@@ -22,10 +22,10 @@ import torch
 from held_out import for_tuning
 
 import edit3r
-from edit3r.errors import MatchingError
-from edit3r.geometry.cameras import intrinsics_from_fov
-from edit3r.io.cameras import CAMERA_FILES, PosedCamera
-from edit3r.io.posed_folder import read_posed_folder
+from edit3r.contract.errors import MatchingError
+from edit3r.kit.geometry.cameras import intrinsics_from_fov
+from edit3r.kit.photos.cameras import CAMERA_FILES, PosedCamera
+from edit3r.kit.photos.posed_folder import read_posed_folder
 
 STEP = (33.0, 47.0)  # between neighbours [degrees]
 PHOTOS = 4

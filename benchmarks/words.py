@@ -19,8 +19,8 @@ from clicks import SAID, filled, iou
 from PIL import Image
 
 from edit3r import build
-from edit3r.errors import InputError
-from edit3r.selection.select import SURE, Selection, select_masks
+from edit3r.contract.errors import InputError
+from edit3r.running.selecting.select import SURE, Selection, select_masks
 from edit3r.wishes.things import read_thing
 
 ABSENT = (

@@ -4,7 +4,7 @@ The reference (hooks, components with their settings, commands, Python) is built
 never checked in: mkdocs calls `on_files`. The examples stand in the pages, between markers, so that
 they can be read anywhere:
 
-    # rewrite the marked parts: of docs/plugins/*.md from edit3r/cli/templates, of
+    # rewrite the marked parts: of docs/plugins/*.md from plugins/edit3r_develop/templates, of
     # docs/combinations.md from what components declare and a benchmark measured
     python docs/generate.py
     python docs/generate.py DIR        also write the reference pages into DIR
@@ -22,11 +22,10 @@ from pathlib import Path
 import edit3r
 from edit3r.cli import COMMANDS
 from edit3r.cli.main import find_command
-from edit3r.contract.component import KINDS, Component, hook_name
-from edit3r.errors import Edit3rError
-from edit3r.plugins.describe import metadata_lines, settings_lines, yaml_example
-from edit3r.plugins.load import Offer
-from edit3r.plugins.registry import Registry, default_registry
+from edit3r.contract.component import KINDS, Component, Offer, hook_name
+from edit3r.contract.errors import Edit3rError
+from edit3r.loading.describe import metadata_lines, settings_lines, yaml_example
+from edit3r.loading.registry import Registry, default_registry
 
 DOCS = Path(__file__).parent
 MARKED = re.compile(
@@ -36,14 +35,14 @@ PYTHON_MODULES = (
     "edit3r.contract.types",
     "edit3r.contract.interfaces",
     "edit3r.contract.component",
-    "edit3r.config",
-    "edit3r.plugins.registry",
-    "edit3r.reporting",
-    "edit3r.errors",
-    "edit3r.geometry.cameras",
-    "edit3r.geometry.rotations",
-    "edit3r.geometry.harmonics",
-    "edit3r.geometry.maps",
+    "edit3r.contract.settings",
+    "edit3r.loading.registry",
+    "edit3r.contract.reporting",
+    "edit3r.contract.errors",
+    "edit3r.kit.geometry.cameras",
+    "edit3r.kit.geometry.rotations",
+    "edit3r.kit.geometry.harmonics",
+    "edit3r.kit.geometry.maps",
     "edit3r_testing",
 )
 """Modules a plugin author or a script may import from."""
@@ -127,7 +126,7 @@ def settings_table(settings: type) -> str:
 
 def run_page() -> str:
     """The top-level keys of a run's configuration."""
-    from edit3r.pipeline.config import RunConfig
+    from edit3r.running.config import RunConfig
 
     return f"# Run configuration\n\n{inspect.getdoc(RunConfig)}\n\n{settings_table(RunConfig)}\n"
 
@@ -250,7 +249,7 @@ def refreshed(page: str) -> str:
 
 def example_part(kind: str, name: str) -> str:
     """The files of a new plugin, as `edit3r new-plugin KIND NAME` writes them."""
-    from edit3r.cli.new_plugin import package_files
+    from edit3r_develop.new_plugin import package_files
 
     files = {
         path: text

@@ -6,16 +6,17 @@ declaration module can import `Component` and `hookimpl` without paying for anyt
 
 from importlib import import_module
 
+from edit3r.version import __version__
+
 TYPE_CHECKING = False  # as in typing, which takes a while to import
 
-__version__ = "0.1.0"
 
 _HOME = {
     "Component": "edit3r.contract.component",
     "hookimpl": "edit3r.contract.hookspecs",
-    "Settings": "edit3r.config",
-    "PartChoice": "edit3r.config",
-    "Edit3rError": "edit3r.errors",
+    "Settings": "edit3r.contract.settings",
+    "PartChoice": "edit3r.contract.settings",
+    "Edit3rError": "edit3r.contract.errors",
     "Views": "edit3r.contract.types",
     "EditRequest": "edit3r.contract.types",
     "Cameras": "edit3r.contract.types",
@@ -23,16 +24,16 @@ _HOME = {
     "Features": "edit3r.contract.types",
     "Reconstruction": "edit3r.contract.types",
     "Rendering": "edit3r.contract.types",
-    "build": "edit3r.plugins.registry",
-    "components": "edit3r.plugins.registry",
-    "load_views": "edit3r.io.images",
-    "save_ply": "edit3r.io.ply",
-    "load_ply": "edit3r.io.ply",
+    "build": "edit3r.loading.registry",
+    "components": "edit3r.loading.registry",
+    "load_views": "edit3r.kit.photos.images",
+    "save_ply": "edit3r.kit.scenes.ply",
+    "load_ply": "edit3r.kit.scenes.ply",
     "run": "edit3r.api",
-    "RunResult": "edit3r.pipeline.run",
-    "RunConfig": "edit3r.pipeline.config",
-    "Selection": "edit3r.selection.select",
-    "Cache": "edit3r.cache",
+    "RunResult": "edit3r.running.run",
+    "RunConfig": "edit3r.running.config",
+    "Selection": "edit3r.running.selecting.select",
+    "Cache": "edit3r.kit.cache",
     "Command": "edit3r.contract.command",
 }
 
@@ -78,11 +79,11 @@ def __dir__() -> list[str]:
 
 if TYPE_CHECKING:
     from edit3r.api import run
-    from edit3r.cache import Cache
-    from edit3r.config import PartChoice, Settings
     from edit3r.contract.command import Command
     from edit3r.contract.component import Component
+    from edit3r.contract.errors import Edit3rError
     from edit3r.contract.hookspecs import hookimpl
+    from edit3r.contract.settings import PartChoice, Settings
     from edit3r.contract.types import (
         Cameras,
         EditRequest,
@@ -92,10 +93,10 @@ if TYPE_CHECKING:
         Rendering,
         Views,
     )
-    from edit3r.errors import Edit3rError
-    from edit3r.io.images import load_views
-    from edit3r.io.ply import load_ply, save_ply
-    from edit3r.pipeline.config import RunConfig
-    from edit3r.pipeline.run import RunResult
-    from edit3r.plugins.registry import build, components
-    from edit3r.selection.select import Selection
+    from edit3r.kit.cache import Cache
+    from edit3r.kit.photos.images import load_views
+    from edit3r.kit.scenes.ply import load_ply, save_ply
+    from edit3r.loading.registry import build, components
+    from edit3r.running.config import RunConfig
+    from edit3r.running.run import RunResult
+    from edit3r.running.selecting.select import Selection

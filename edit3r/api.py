@@ -12,19 +12,19 @@ from typing import Any, Literal
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.cache import Cache
-from edit3r.config import PartChoice
 from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor, Segmenter
+from edit3r.contract.reporting import Report
+from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Cameras, Views
-from edit3r.pipeline.config import PART_KEYS, make_run_config
-from edit3r.pipeline.earlier import EarlierRun, read_earlier_run
-from edit3r.pipeline.job import RunJob, inherited, with_cameras
-from edit3r.pipeline.run import RunResult
-from edit3r.pipeline.run import run as run_job
-from edit3r.plugins.registry import Registry
-from edit3r.reporting import Report
-from edit3r.selection.marks import MarkTexts
-from edit3r.selection.select import Selection
+from edit3r.kit.cache import Cache
+from edit3r.loading.registry import Registry
+from edit3r.running.config import PART_KEYS, make_run_config
+from edit3r.running.earlier import EarlierRun, read_earlier_run
+from edit3r.running.job import RunJob, inherited, with_cameras
+from edit3r.running.run import RunResult
+from edit3r.running.run import run as run_job
+from edit3r.running.selecting.marks import MarkTexts
+from edit3r.running.selecting.select import Selection
 
 Files = str | Path | Sequence[str | Path]
 Choice = str | Mapping[str, Any] | PartChoice
@@ -148,7 +148,7 @@ def run(
     )
     listener: Any = nullcontext()
     if progress:
-        from edit3r.cli.console import StageConsole
+        from edit3r.kit.command.console import StageConsole
 
         listener = StageConsole()
     with listener as console:

@@ -6,12 +6,12 @@ import io
 
 from edit3r.cli.main import Parser, parse
 from edit3r.contract.command import Command
-from edit3r.errors import Edit3rError
+from edit3r.contract.errors import Edit3rError
 from edit3r_testing.contract import Contract
 
 DECLARE = """
 from edit3r.cli.main import Parser
-from edit3r.plugins.registry import default_registry
+from edit3r.loading.registry import default_registry
 default_registry({files!r}).build("command", {name!r}).add_arguments(Parser(prog="edit3r"))
 """
 

@@ -15,13 +15,13 @@ from typing import Any, ClassVar
 import torch
 from torch import Tensor
 
+from edit3r.contract.component import Offer
+from edit3r.contract.errors import PluginError
 from edit3r.contract.hookspecs import API_VERSION
 from edit3r.contract.types import PER_GAUSSIAN, Gaussians
-from edit3r.errors import PluginError
-from edit3r.io.children import PYTHON
-from edit3r.plugins.check import check_offer
-from edit3r.plugins.load import Offer
-from edit3r.plugins.registry import (
+from edit3r.kit.children import PYTHON
+from edit3r.loading.check import check_offer
+from edit3r.loading.registry import (
     Registry,
     absent_device,
     default_registry,
@@ -109,7 +109,7 @@ class Contract:
             raise ContractViolation(f"{self.kind} {who!r}: {change}")
 
     def keeps(self, check: Callable[..., None], *answer: Any) -> None:
-        """Hold the component to a function of `edit3r.pipeline.checks`, as every run does."""
+        """Hold the component to a function of `edit3r.running.checks`, as every run does."""
         __tracebackhide__ = True
         try:
             check(self.subject, *answer)

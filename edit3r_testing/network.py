@@ -7,7 +7,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from edit3r.config import Settings
 from edit3r.contract.interfaces import (
     Backbone,
     GaussianHead,
@@ -15,8 +14,9 @@ from edit3r.contract.interfaces import (
     GeometryHead,
     MatchedGeometry,
 )
+from edit3r.contract.settings import Settings
 from edit3r.contract.types import PER_GAUSSIAN, Features, Gaussians, Views
-from edit3r.pipeline.checks import check_gaussians
+from edit3r.running.checks import check_gaussians
 from edit3r_testing.contract import Contract, require_of_views
 from edit3r_testing.scenes import photograph
 

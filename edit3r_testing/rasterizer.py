@@ -9,9 +9,9 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import PER_GAUSSIAN, Cameras, Gaussians, Rendering
-from edit3r.pipeline.checks import check_rendering
-from edit3r.pipeline.config import DEFAULTS
-from edit3r.plugins.registry import default_registry
+from edit3r.loading.registry import default_registry
+from edit3r.running.checks import check_rendering
+from edit3r.running.config import DEFAULTS
 from edit3r_testing.contract import Contract
 from edit3r_testing.scenes import cameras_around, gaussian_cloud
 

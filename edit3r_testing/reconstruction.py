@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.errors import Edit3rError, MatchingError
 from edit3r.contract.interfaces import (
     Backbone,
     MatchedGeometry,
@@ -20,11 +21,10 @@ from edit3r.contract.interfaces import (
     Refiner,
 )
 from edit3r.contract.types import PER_GAUSSIAN, Gaussians, Reconstruction, Views
-from edit3r.errors import Edit3rError, MatchingError
-from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.geometry.rotations import rotation_angle
-from edit3r.io.weight_files import WEIGHTS, save_weights
-from edit3r.pipeline.checks import check_reconstruction, check_refinement
+from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
+from edit3r.kit.geometry.rotations import rotation_angle
+from edit3r.kit.weights.files import WEIGHTS, save_weights
+from edit3r.running.checks import check_reconstruction, check_refinement
 from edit3r_testing.contract import Contract, require_of_views
 from edit3r_testing.network import require_gradients
 from edit3r_testing.rasterizer import reference_rasterizer
@@ -84,8 +84,8 @@ class MatcherContract(Contract):
         matched = _of_grey(self, views, self.subject.match, MatchingError)
         self.require(
             matched is None,
-            "grey photos were matched; raise edit3r.errors.MatchingError instead of inventing a "
-            "pose.",
+            "grey photos were matched; raise edit3r.contract.errors.MatchingError instead of "
+            "inventing a pose.",
         )
 
     def _match(self, views: Views) -> MatchedGeometry:
@@ -126,7 +126,7 @@ def _of_grey(
         contract.require(
             False,
             f"grey photos raised {type(error).__name__}: {error}; raise "
-            "edit3r.errors.MatchingError.",
+            "edit3r.contract.errors.MatchingError.",
         )
 
 
@@ -248,7 +248,7 @@ class ReconstructorContract(Contract):
         known = self.registry.settings_class(self.offer).model_fields
         fix = (
             "give its class a setting `weights` and fill the network by "
-            "edit3r.io.weight_files.load_weights"
+            "edit3r.kit.weights.files.load_weights"
         )
         self.require(
             "weights" in known, f"what is trained of it cannot be used; {fix}."

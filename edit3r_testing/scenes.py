@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from edit3r.contract.types import Cameras, Gaussians, Views
-from edit3r.geometry.cameras import intrinsics_from_fov, pixel_rays
+from edit3r.kit.geometry.cameras import intrinsics_from_fov, pixel_rays
 
 FOV_X = 0.9  # [radians]
 BASELINE = (

@@ -10,7 +10,6 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from edit3r.config import Settings
 from edit3r.contract.interfaces import (
     Dataset,
     Loss,
@@ -20,8 +19,9 @@ from edit3r.contract.interfaces import (
     Trainer,
     TrainingJob,
 )
+from edit3r.contract.settings import Settings
 from edit3r.contract.types import PER_GAUSSIAN, Cameras, Reconstruction, Views
-from edit3r.geometry.cameras import pixels_to_gaussians
+from edit3r.kit.geometry.cameras import pixels_to_gaussians
 from edit3r_testing.contract import Contract
 from edit3r_testing.rasterizer import reference_rasterizer
 from edit3r_testing.reconstruction import FRAME

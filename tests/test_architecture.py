@@ -18,7 +18,7 @@ from pathlib import Path
 
 import pytest
 
-from edit3r.plugins.registry import default_registry
+from edit3r.loading.registry import default_registry
 
 ROOT = Path(__file__).parents[1]
 CORE = "edit3r"
@@ -71,7 +71,7 @@ meant.
 class Module:
     """One source file."""
 
-    name: str  # "edit3r.io.ply"; a package's is that of its folder
+    name: str  # "edit3r.kit.scenes.ply"; a package's is that of its folder
     path: Path
 
     @cached_property
@@ -247,7 +247,7 @@ def test_plugins_talk_through_the_registry_and_the_core():
     assert not private, "\n".join(private)
 
 
-STEPS = "edit3r.pipeline.steps"
+STEPS = "edit3r.running.steps"
 
 
 def test_nothing_but_the_loop_assembles_a_run():
@@ -255,7 +255,7 @@ def test_nothing_but_the_loop_assembles_a_run():
     wrong = [
         str(arrow)
         for arrow in arrows()
-        if arrow.target.startswith(STEPS) and arrow.source.name != "edit3r.pipeline.run"
+        if arrow.target.startswith(STEPS) and arrow.source.name != "edit3r.running.run"
     ]
     assert not wrong, "\n".join(wrong)
 
@@ -269,7 +269,7 @@ WORDS_OF_SENTENCES = "edit3r.wishes.vocabulary"
 
 def test_the_core_names_no_plugin_and_no_component():
     """Docstrings may give examples; the names a run begins with are in
-    edit3r/pipeline/defaults.yaml.
+    edit3r/running/defaults.yaml.
     """
     components = {offer.component.name for offer in default_registry().offers()}
     qualified = {offer.qualified_name for offer in default_registry().offers()}

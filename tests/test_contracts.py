@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from edit3r.plugins.load import Offer
-from edit3r.plugins.registry import default_registry
+from edit3r.contract.component import Offer
+from edit3r.loading.registry import default_registry
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 SMALL_VIT = {

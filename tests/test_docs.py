@@ -15,9 +15,9 @@ from markdown.extensions.toc import slugify
 import edit3r
 from edit3r.contract import hookspecs
 from edit3r.contract.component import KINDS, hook_name
-from edit3r.pipeline.config import RunConfig
-from edit3r.plugins.describe import settings_lines
-from edit3r.plugins.registry import default_registry
+from edit3r.loading.describe import settings_lines
+from edit3r.loading.registry import default_registry
+from edit3r.running.config import RunConfig
 from edit3r_testing import CONTRACTS, claims, contract_for
 
 ROOT = Path(__file__).parents[1]
@@ -319,7 +319,7 @@ def test_the_one_file_plugins_of_the_pages_keep_their_contracts(page, tmp_path):
 
 @pytest.mark.parametrize("page", ["quickstart.md", "concepts.md"])
 def test_configurations_shown_are_accepted(page):
-    from edit3r.pipeline.config import make_run_config
+    from edit3r.running.config import make_run_config
 
     blocks = re.findall(r"```yaml\n(.*?)```", PAGES[page], re.DOTALL)
     assert blocks

@@ -4,8 +4,9 @@ paste.
 
 import argparse
 
-from edit3r.contract.command import Command, add_plugin_option
+from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS
+from edit3r.kit.command.flags import add_plugin_option
 
 
 class DescribeCommand(Command):
@@ -19,9 +20,9 @@ class DescribeCommand(Command):
         add_plugin_option(parser)
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.errors import MissingDependencyError
-        from edit3r.plugins.describe import metadata_lines
-        from edit3r.plugins.registry import default_registry
+        from edit3r.contract.errors import MissingDependencyError
+        from edit3r.loading.describe import metadata_lines
+        from edit3r.loading.registry import default_registry
 
         registry = default_registry(tuple(args.plugin))
         offer = registry.find(args.kind, args.name)
@@ -35,7 +36,7 @@ class DescribeCommand(Command):
 
 def _use(offer, settings) -> str:
     """Settings and how to give them; a command has arguments instead."""
-    from edit3r.plugins.describe import settings_lines, yaml_example
+    from edit3r.loading.describe import settings_lines, yaml_example
 
     if offer.kind == "command":
         return f"Its arguments: edit3r {offer.component.name} --help"
@@ -74,7 +75,7 @@ def _settings(lines) -> str:
 
 
 def _flag(offer, lines) -> str:
-    from edit3r.plugins.describe import PART_KINDS
+    from edit3r.loading.describe import PART_KINDS
 
     if not lines:
         return "there is none to set"

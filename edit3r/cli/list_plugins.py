@@ -5,8 +5,9 @@ import json
 import sys
 from collections.abc import Sequence
 
-from edit3r.contract.command import Command, add_plugin_option
+from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS
+from edit3r.kit.command.flags import add_plugin_option
 
 COLUMNS = ("kind", "name", "plugin", "version", "licence", "summary")
 PIPED_WIDTH = 400  # piped output is not wrapped, so that grep finds what it looks for
@@ -35,8 +36,8 @@ class ListPluginsCommand(Command):
         add_plugin_option(parser)
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.plugins.check import check_offer
-        from edit3r.plugins.registry import default_registry
+        from edit3r.loading.check import check_offer
+        from edit3r.loading.registry import default_registry
 
         registry = default_registry(tuple(args.plugin))
         offers = registry.offers(args.kind)
@@ -61,8 +62,8 @@ class ListPluginsCommand(Command):
 
 
 def _row(registry, offer, problem: str) -> dict[str, str]:
-    from edit3r.plugins.registry import install_hint
-    from edit3r.plugins.weights import at_hand
+    from edit3r.kit.weights.find import at_hand
+    from edit3r.loading.registry import install_hint
 
     missing = registry.missing(offer)
     return {

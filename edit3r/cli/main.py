@@ -9,16 +9,13 @@ import traceback
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NoReturn
 
-import edit3r
-from edit3r.__main__ import program
 from edit3r.cli import COMMANDS
-from edit3r.errors import Edit3rError, as_known, suggest
-from edit3r.reporting import printable
+from edit3r.contract.errors import Edit3rError, as_known, suggest
+from edit3r.kit.command.console import printable
+from edit3r.version import __version__
 
 if TYPE_CHECKING:
     from edit3r.contract.command import Command
-
-__all__ = ["main", "program"]
 
 MAX_SENTENCE = 4000  # characters of an error: what was given may be megabytes
 
@@ -82,7 +79,7 @@ def _dispatch(argv: list[str]) -> int:
         print(_overview())
         return 0 if argv else 2
     if argv[0] in ("-V", "--version"):
-        print(f"edit3r {edit3r.__version__}")
+        print(f"edit3r {__version__}")
         return 0
     name, *rest = argv
     command = find_command(name)
@@ -96,8 +93,8 @@ def _dispatch(argv: list[str]) -> int:
 
 def find_command(name: str) -> "Command":
     """Build the command called `name`; plugins are loaded only for one that the core lacks."""
-    from edit3r.config import Settings
-    from edit3r.plugins.registry import default_registry
+    from edit3r.contract.settings import Settings
+    from edit3r.loading.registry import default_registry
 
     own = {component.name: component for component in COMMANDS}
     if name in own:
@@ -124,7 +121,7 @@ def parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Nam
 def _overview() -> str:
     """The text of `edit3r --help`: every command with its summary."""
     # Not the registry, whose settings take a tenth of a second to load.
-    from edit3r.plugins.load import load_plugins
+    from edit3r.loading.load import load_plugins
 
     summaries = {one.name: one.summary for one in COMMANDS}
     for offer in load_plugins().offers:
@@ -134,7 +131,7 @@ def _overview() -> str:
     listed = [f"  {name:<{width}}  {text}" for name, text in sorted(summaries.items())]
     return "\n".join(
         [
-            f"edit3r {edit3r.__version__}: edit 3D scenes from a few photos.",
+            f"edit3r {__version__}: edit 3D scenes from a few photos.",
             "",
             "usage: edit3r COMMAND [options]",
             "",
@@ -144,7 +141,3 @@ def _overview() -> str:
             "Each command explains itself: edit3r run --help",
         ]
     )
-
-
-if __name__ == "__main__":
-    sys.exit(program())

@@ -6,15 +6,16 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from edit3r.cli.flags import INPUTS, REPEATED, add_flags, add_mark_flags, given_flags
-from edit3r.contract.command import Command, add_plugin_option, add_trust_flag
-from edit3r.errors import RunError
-from edit3r.pipeline.config import PART_KEYS, JobInputs, RunConfig
+from edit3r.contract.command import Command
+from edit3r.contract.errors import RunError
+from edit3r.kit.command.flags import REPEATED, add_plugin_option, add_trust_flag
+from edit3r.running.config import PART_KEYS, JobInputs, RunConfig
+from edit3r.running.flags import INPUTS, add_flags, add_mark_flags, given_flags
 
 if TYPE_CHECKING:
-    from edit3r.pipeline.job import RunJob
-    from edit3r.pipeline.run import RunResult
-    from edit3r.reporting import Report
+    from edit3r.contract.reporting import Report
+    from edit3r.running.job import RunJob
+    from edit3r.running.run import RunResult
 
 
 PREVIEW = "edit3r-preview.png"
@@ -82,8 +83,8 @@ class RunCommand(Command):
         )
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.cli.console import StageConsole, print_json
-        from edit3r.reporting import Report
+        from edit3r.contract.reporting import Report
+        from edit3r.kit.command.console import StageConsole, print_json
 
         # As usual, half a second goes into looking through what modules made.
         gc.set_threshold(100_000, 50, 100)
@@ -95,7 +96,7 @@ class RunCommand(Command):
                 return self._preview(args, report)
             result = self._run(args, report)
         if not args.quiet:
-            from edit3r.pipeline.summary import summary
+            from edit3r.running.summary import summary
 
             print(summary(Path(args.out), result))
         if args.strict and result.verdict.label == "failed":
@@ -104,16 +105,16 @@ class RunCommand(Command):
 
     def _preview(self, args: argparse.Namespace, report: "Report") -> int:
         """Write the sheet of the 2D edit."""
-        from edit3r.reporting import collecting
+        from edit3r.contract.reporting import collecting
 
         with collecting(report), report.stage("start"):
             import numpy as np
 
-            from edit3r.io.atomic import check_new_file
-            from edit3r.io.images import save_pixels
-            from edit3r.pipeline.run import preview
-            from edit3r.pipeline.write import preview_sheet
-            from edit3r.plugins.registry import default_registry
+            from edit3r.kit.files.atomic import check_new_file
+            from edit3r.kit.photos.images import save_pixels
+            from edit3r.loading.registry import default_registry
+            from edit3r.running.run import preview
+            from edit3r.running.write import preview_sheet
 
             # `--preview a.jpg b.jpg` would take the first photo for the file to write.
             check_new_file(args.preview, args.overwrite or args.preview == PREVIEW)
@@ -129,16 +130,16 @@ class RunCommand(Command):
 
     def _run(self, args: argparse.Namespace, report: "Report") -> "RunResult":
         """Run and write the results, telling `report` from the first second."""
-        from edit3r.reporting import collecting
+        from edit3r.contract.reporting import collecting
 
         with (
             collecting(report),
             report.stage("start"),
         ):  # most of it goes into importing torch
-            from edit3r.io.atomic import atomic_folder, check_apart
-            from edit3r.pipeline.run import run
-            from edit3r.pipeline.write import write
-            from edit3r.plugins.registry import default_registry
+            from edit3r.kit.files.atomic import atomic_folder, check_apart
+            from edit3r.loading.registry import default_registry
+            from edit3r.running.run import run
+            from edit3r.running.write import write
 
             check_apart(args.out, *map(Path, (*args.photos, *args.mask)))
             job = _job(args)
@@ -151,8 +152,9 @@ class RunCommand(Command):
 
 def _job(args: argparse.Namespace) -> "RunJob":
     """The job that the arguments describe: file, `--set` and flags, later over earlier."""
-    from edit3r.config import make_settings, parse_assignments, read_config
-    from edit3r.pipeline.job import job_from
+    from edit3r.contract.settings import make_settings
+    from edit3r.kit.files.configs import parse_assignments, read_config
+    from edit3r.running.job import job_from
 
     layers: list[dict[str, Any]] = []
     if args.config:

@@ -5,7 +5,8 @@ import json
 import sys
 from typing import TYPE_CHECKING
 
-from edit3r.contract.command import Command, add_plugin_option
+from edit3r.contract.command import Command
+from edit3r.kit.command.flags import add_plugin_option
 
 if TYPE_CHECKING:
     from edit3r.contract.weights import Weights
@@ -57,8 +58,9 @@ class WeightsCommand(Command):
             add_plugin_option(step)
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.io.fetching import fetch
-        from edit3r.plugins.weights import declared, find, named
+        from edit3r.kit.weights.fetch import fetch
+        from edit3r.kit.weights.find import find
+        from edit3r.loading.weights import declared, named
 
         known = declared(tuple(args.plugin))
         if args.step == "list":
@@ -84,9 +86,9 @@ def _accept(chosen: list["Weights"], args: argparse.Namespace) -> None:
     """Show licences of what is not here and ask once; raises InputError where the user does not
     accept them.
     """
-    from edit3r.errors import InputError
-    from edit3r.io.fetching import unfinished
-    from edit3r.plugins.weights import at_hand
+    from edit3r.contract.errors import InputError
+    from edit3r.kit.weights.fetch import unfinished
+    from edit3r.kit.weights.find import at_hand
 
     if args.offline:
         return
@@ -118,7 +120,7 @@ def _accept(chosen: list["Weights"], args: argparse.Namespace) -> None:
 
 def _list(known, args: argparse.Namespace) -> None:
     from edit3r.cli.list_plugins import table
-    from edit3r.plugins.weights import at_hand, folder
+    from edit3r.kit.weights.find import at_hand, folder
 
     places = {weights.name: at_hand(weights, args.folder) for weights in known}
     if args.json:

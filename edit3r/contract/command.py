@@ -2,26 +2,8 @@
 
 import argparse
 from abc import ABC, abstractmethod
-from pathlib import Path
 
-from edit3r.config import Settings
-
-
-def scene_file(text: str) -> Path:
-    """Argument type of a saved scene: its file, or the run folder that holds a `scene.ply`."""
-    path = Path(text)
-    return path / "scene.ply" if path.is_dir() else path
-
-
-def add_plugin_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--plugin FILE`, whose values a registry takes as local files."""
-    parser.add_argument(
-        "--plugin",
-        action="append",
-        default=[],
-        metavar="FILE",
-        help="also load this local plugin file",
-    )
+from edit3r.contract.settings import Settings
 
 
 class Command(ABC):
@@ -40,14 +22,5 @@ class Command(ABC):
     @abstractmethod
     def main(self, args: argparse.Namespace) -> int | None:
         """Do the work and return the exit code; None means 0. What the user can mend is raised from
-        `edit3r.errors`.
+        `edit3r.contract.errors`.
         """
-
-
-def add_trust_flag(parser: argparse.ArgumentParser) -> None:
-    """Add the consent to programs and addresses that a file of settings names."""
-    parser.add_argument(
-        "--trust-config",
-        action="store_true",
-        help="let files of settings name programs to run and addresses to send data to",
-    )

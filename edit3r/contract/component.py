@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from edit3r.contract.weights import NAME, Weights
 
@@ -110,3 +111,24 @@ def _texts(who: str, field: str, value: object) -> tuple[str, ...]:
             f'{who}: {field} must be a tuple of names such as ("name",), got {value!r}'
         )
     return tuple(value)
+
+
+@dataclass(frozen=True)
+class Offer:
+    """A component together with the plugin that offers it."""
+
+    kind: str
+    component: Component
+    plugin: str  # entry point name
+    version: str  # of the distribution; "" for a local file
+    module: str = ""  # the one that declares it
+
+    @property
+    def qualified_name(self) -> str:
+        return f"{self.plugin}:{self.component.name}"
+
+
+def component_name(component: Any) -> str:
+    """The name it was asked for by, or its class's for an object that no plugin offers."""
+    offer = getattr(component, "offer", None)
+    return offer.component.name if offer is not None else type(component).__name__

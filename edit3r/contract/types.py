@@ -10,7 +10,7 @@
 | world      | the frame of view 0's camera                                                  |
 
 B scenes, V input views, C cameras, G Gaussians, K = (degree + 1)^2 harmonics per colour. Files and
-foreign libraries are converted at the door (`edit3r.io`); everything inside trusts this page. All
+foreign libraries are converted at the door (`edit3r.kit`); everything inside trusts this page. All
 classes are frozen; change one with `dataclasses.replace`.
 """
 
@@ -26,6 +26,10 @@ from torch.nn.functional import interpolate
 from edit3r.contract.wishes import Wish
 
 MAX_DEGREE = 4
+
+DC = 0.28209479177387814
+"""The constant basis function Y_00; a Gaussian of plain colour c has the harmonic (c - 0.5) / DC.
+"""
 Moved = TypeVar("Moved", bound="_Tensors")
 
 

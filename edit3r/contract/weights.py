@@ -1,6 +1,6 @@
 """Learned weights that a component declares: where they come from and what a user should know.
 
-The files are found and fetched by `edit3r.plugins.weights` and `edit3r weights get`.
+The files are found and fetched by `edit3r.kit.weights.find` and `edit3r weights get`.
 """
 
 import re

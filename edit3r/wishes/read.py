@@ -13,8 +13,8 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
+from edit3r.contract.errors import PromptError
 from edit3r.contract.wishes import Action, Change, Colour, Thing, Wish
-from edit3r.errors import PromptError
 from edit3r.wishes import vocabulary as words
 from edit3r.wishes.things import read_thing
 

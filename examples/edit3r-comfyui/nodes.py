@@ -10,10 +10,11 @@ import folder_paths  # of ComfyUI
 import torch
 
 import edit3r
-from edit3r.config import of_file, parse_yaml
-from edit3r.io.cameras import read_scene_cameras
-from edit3r.io.images import save_image
-from edit3r.pipeline.rendering import path_around, render_each
+from edit3r.contract.settings import of_file
+from edit3r.kit.files.yaml import parse_yaml
+from edit3r.kit.photos.cameras import read_scene_cameras
+from edit3r.kit.photos.images import save_image
+from edit3r.running.rendering import path_around, render_each
 
 
 class Edit3rEdit:

@@ -9,7 +9,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from edit3r.contract.command import Command
-from edit3r.errors import InputError
+from edit3r.contract.errors import InputError
 
 LOCAL = ("127.0.0.1", "::1")
 
@@ -58,7 +58,7 @@ class AppCommand(Command):
         )
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.io.images import find_photos
+        from edit3r.kit.photos.images import find_photos
         from edit3r_app.jobs import JobsFolder
 
         if not 8 <= args.size <= 8192 or not 0 <= (args.port or 0) < 65536:

@@ -5,10 +5,11 @@ import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from edit3r.errors import InputError
-from edit3r.io.atomic import atomic_write
-from edit3r.io.export import FORMATS, export_scene
-from edit3r.io.ply import load_ply
+from edit3r.contract.errors import InputError
+from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.scenes.export import export_scene
+from edit3r.kit.scenes.formats import FORMATS
+from edit3r.kit.scenes.ply import load_ply
 from edit3r_app.jobs import JobsFolder
 
 ARCHIVE = "all.zip"

@@ -23,9 +23,14 @@ from jaxtyping import Float
 from pydantic import NonNegativeInt, TypeAdapter
 from torch import Tensor
 
-from edit3r.errors import InputError
-from edit3r.io.atomic import atomic_write
-from edit3r.io.images import find_photos, is_plain_name, save_image, unique_names
+from edit3r.contract.errors import InputError
+from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.photos.images import (
+    find_photos,
+    is_plain_name,
+    save_image,
+    unique_names,
+)
 
 PRIVATE = ".edit3r-app"
 PREVIEW = "preview"

@@ -20,24 +20,24 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from edit3r.cache import Cache, using
-from edit3r.config import PartChoice
+from edit3r.contract.errors import Edit3rError, InputError
 from edit3r.contract.interfaces import Marks, MatchedGeometry
+from edit3r.contract.reporting import Report, collecting
+from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
-from edit3r.errors import Edit3rError, InputError
-from edit3r.io.atomic import atomic_folder, atomic_write
-from edit3r.io.images import load_photos, save_image, to_bytes
-from edit3r.io.outline import outlined
-from edit3r.pipeline.config import DEFAULTS, RunConfig, make_run_config
-from edit3r.pipeline.earlier import CACHE, read_views_of_run
-from edit3r.pipeline.edit_verdict import EditVerdict
-from edit3r.pipeline.job import RunJob
-from edit3r.pipeline.parts import Parts
-from edit3r.pipeline.run import preview
-from edit3r.pipeline.scene import Scene
-from edit3r.plugins.registry import Registry
-from edit3r.reporting import Report, collecting
-from edit3r.selection.select import Selection, geometry_of, select_masks
+from edit3r.kit.cache import Cache, using
+from edit3r.kit.files.atomic import atomic_folder, atomic_write
+from edit3r.kit.photos.images import load_photos, save_image, to_bytes
+from edit3r.kit.photos.outline import outlined
+from edit3r.loading.registry import Registry
+from edit3r.running.config import DEFAULTS, RunConfig, make_run_config
+from edit3r.running.earlier import CACHE, read_views_of_run
+from edit3r.running.job import RunJob
+from edit3r.running.judging.edit_verdict import EditVerdict
+from edit3r.running.parts import Parts
+from edit3r.running.run import preview
+from edit3r.running.scene import Scene
+from edit3r.running.selecting.select import Selection, geometry_of, select_masks
 from edit3r_app.draft import DRAFT, Draft
 from edit3r_app.forms import run_settings
 from edit3r_app.jobs import PREVIEW, JobsFolder

@@ -16,9 +16,9 @@ from typing import IO
 
 import yaml
 
-from edit3r.errors import InputError
-from edit3r.io.atomic import remove_abandoned
-from edit3r.io.children import PYTHON
+from edit3r.contract.errors import InputError
+from edit3r.kit.children import PYTHON
+from edit3r.kit.files.atomic import remove_abandoned
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.progress import read_progress
 from edit3r_app.uploads import DRAFT

@@ -1,5 +1,5 @@
 """`edit3r batch`: a file of jobs (`jobs`), each a run folder (`scenes`), spread over workers
-(`edit3r.workers`).
+(`edit3r.kit.workers`).
 """
 
 import argparse
@@ -10,11 +10,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from edit3r.contract.command import Command, add_trust_flag
-from edit3r.errors import InputError, RunError, SettingsError
+from edit3r.contract.command import Command
+from edit3r.contract.errors import InputError, RunError, SettingsError
+from edit3r.kit.command.flags import add_trust_flag
 
 if TYPE_CHECKING:
-    from edit3r.workers import Progress, Workers
+    from edit3r.kit.workers import Progress, Workers
     from edit3r_batch.jobs import BatchJob
 
 NO_RESULT = "no result"
@@ -91,10 +92,11 @@ class BatchCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from filelock import FileLock, Timeout
 
-        from edit3r.config import merge, parse_assignments, read_config
-        from edit3r.pipeline.verdict import LABELS
-        from edit3r.plugins.registry import default_registry
-        from edit3r.workers import Workers
+        from edit3r.contract.settings import merge
+        from edit3r.kit.files.configs import parse_assignments, read_config
+        from edit3r.kit.workers import Workers
+        from edit3r.loading.registry import default_registry
+        from edit3r.running.judging.verdict import LABELS
         from edit3r_batch.jobs import read_jobs
 
         for option in ("workers", "threads"):
@@ -149,7 +151,7 @@ def _done(
     """Ids of finished jobs. Raises InputError where a job's folder holds anything else that may not
     be replaced.
     """
-    from edit3r.io.atomic import check_replaceable
+    from edit3r.kit.files.atomic import check_replaceable
     from edit3r_batch.scenes import record_of
 
     done, changed = set(), []
@@ -184,8 +186,8 @@ def _run(
     workers: "Workers",
 ) -> list[dict[str, Any]]:
     """Do the jobs that are left and return the rows of all."""
-    from edit3r.io.atomic import remove_abandoned
-    from edit3r.workers import read_rows, run_resumable, write_rows
+    from edit3r.kit.files.atomic import remove_abandoned
+    from edit3r.kit.workers import read_rows, run_resumable, write_rows
     from edit3r_batch.scenes import SceneRunner
 
     path = out / "results.jsonl"
@@ -250,7 +252,7 @@ def _table(rows: list[dict[str, Any]], longest: int | None = None) -> str:
 
 def _write_summary(out: Path, rows: list[dict[str, Any]], counts: Counter) -> None:
     """Write `summary.json` and `summary.md`, the same whoever did the jobs."""
-    from edit3r.io.atomic import atomic_write
+    from edit3r.kit.files.atomic import atomic_write
 
     content = {
         "jobs": len(rows),

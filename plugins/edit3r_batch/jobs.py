@@ -9,19 +9,19 @@ from typing import Any
 
 from pydantic import Field
 
-from edit3r.config import make_settings, merge, of_file
-from edit3r.errors import Edit3rError, InputError, SettingsError, suggest
-from edit3r.io.coverage import VIDEO_SUFFIXES
-from edit3r.io.images import find_photos, unique_names
-from edit3r.io.run_folder import recorded
-from edit3r.pipeline.config import (
+from edit3r.contract.errors import Edit3rError, InputError, SettingsError, suggest
+from edit3r.contract.settings import make_settings, merge, of_file
+from edit3r.kit.photos.coverage import VIDEO_SUFFIXES
+from edit3r.kit.photos.images import find_photos, unique_names
+from edit3r.kit.run_folder import recorded
+from edit3r.loading.registry import Registry
+from edit3r.running.config import (
     PART_KEYS,
     JobInputs,
     RunConfig,
     check_components,
     make_run_config,
 )
-from edit3r.plugins.registry import Registry
 
 MAX_BYTES = 1_000_000  # of a line
 RESERVED = ("results.jsonl", "summary.json", "summary.md")

@@ -138,6 +138,14 @@ _PRESETS = (
     ),
 )
 
+WEIGHTS = (
+    _INSTRUCT_PIX2PIX,
+    _STABLE_DIFFUSION,
+    _CONTROLNET,
+    *(weights for preset in _PRESETS for weights in preset.weights),
+)
+"""All that the editors here declare."""
+
 
 @hookimpl
 def register_editors():

@@ -11,10 +11,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.errors import SettingsError
+from edit3r.contract.reporting import note
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import SettingsError
-from edit3r.io.images import to_bytes
-from edit3r.reporting import note
+from edit3r.kit.photos.images import to_bytes
 
 Consistency = Literal["independent", "reference-first", "grid"]
 References = tuple[Float[Tensor, "3 height width"], ...]

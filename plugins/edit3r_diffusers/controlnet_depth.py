@@ -14,14 +14,14 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.cache import remembered
-from edit3r.config import PartChoice
+from edit3r.contract.errors import InputError, PromptError
 from edit3r.contract.interfaces import ConditionedOnDepth, Editor, Matcher
+from edit3r.contract.reporting import warn
+from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import InputError, PromptError
-from edit3r.io.pretrained import ChosenWeights, foreign, load_pretrained, pick_device
-from edit3r.reporting import warn
-from edit3r_diffusers import images, latents, loading
+from edit3r.kit.cache import remembered
+from edit3r.kit.weights.load import ChosenWeights, foreign, load_pretrained, pick_device
+from edit3r_diffusers import WEIGHTS, images, latents, loading
 from edit3r_diffusers.attention import look_across_views
 from edit3r_diffusers.loading import DiffusionSettings
 
@@ -114,6 +114,7 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
                 chosen.controlnet,
                 "editor.controlnet",
                 local_files_only=chosen.local_files_only,
+                known=WEIGHTS,
             )
             controlnet = load_pretrained(
                 foreign("diffusers", "ControlNetModel"), weights, dtype=dtype

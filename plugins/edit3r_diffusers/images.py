@@ -11,8 +11,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.errors import RunError
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import RunError
 from edit3r_diffusers import loading
 
 

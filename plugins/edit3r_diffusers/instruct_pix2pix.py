@@ -10,10 +10,10 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.cache import remembered
+from edit3r.contract.errors import PromptError
 from edit3r.contract.interfaces import Editor, GivesAttention, StartsFromImages
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import PromptError
+from edit3r.kit.cache import remembered
 from edit3r_diffusers import attention, latents, loading
 from edit3r_diffusers.consistency import References, edit_consistently
 from edit3r_diffusers.images import ViewJob, edit_one_by_one

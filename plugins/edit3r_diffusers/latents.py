@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float, Num
 from torch import Tensor
 
-from edit3r.reporting import progress
+from edit3r.contract.reporting import progress
 from edit3r_diffusers.images import resize_mask
 from edit3r_diffusers.loading import NO_SAFETY_CHECKER
 

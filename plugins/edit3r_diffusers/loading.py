@@ -10,11 +10,12 @@ from typing import Any, Literal
 import torch
 from pydantic import Field
 
-from edit3r.config import Settings
-from edit3r.errors import SettingsError
-from edit3r.io import pretrained
-from edit3r.io.pretrained import ChosenWeights
-from edit3r.reporting import note
+from edit3r.contract.errors import SettingsError
+from edit3r.contract.reporting import note
+from edit3r.contract.settings import Settings
+from edit3r.kit.weights import load as pretrained
+from edit3r.kit.weights.load import ChosenWeights
+from edit3r_diffusers import WEIGHTS
 
 NO_SAFETY_CHECKER = {"safety_checker": None, "requires_safety_checker": False}
 """For Stable Diffusion 1.x pipelines: theirs turns a photo black on a false alarm, and a black view
@@ -167,6 +168,7 @@ def main_weights(settings: DiffusionSettings) -> ChosenWeights:
         settings.revision,
         settings.variant,
         settings.local_files_only,
+        WEIGHTS,
     )
 
 

@@ -13,13 +13,13 @@ from pydantic import Field, create_model, model_validator
 from pydantic.fields import FieldInfo
 from torch import Tensor
 
-from edit3r.cache import remembered
+from edit3r.contract.errors import PromptError, RunError, SettingsError
 from edit3r.contract.interfaces import Editor
+from edit3r.contract.reporting import note
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import PromptError, RunError, SettingsError
-from edit3r.io.images import to_bytes
-from edit3r.io.pretrained import foreign
-from edit3r.reporting import note
+from edit3r.kit.cache import remembered
+from edit3r.kit.photos.images import to_bytes
+from edit3r.kit.weights.load import foreign
 from edit3r_diffusers import loading
 from edit3r_diffusers.consistency import Consistency, References, edit_consistently
 from edit3r_diffusers.images import ViewJob, edit_one_by_one, mask_on_grid

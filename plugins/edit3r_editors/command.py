@@ -23,12 +23,12 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r import reporting
-from edit3r.config import USER_ONLY, Settings
+from edit3r.contract import reporting
+from edit3r.contract.errors import RunError, SettingsError
 from edit3r.contract.interfaces import Editor
+from edit3r.contract.settings import USER_ONLY, Settings
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import RunError, SettingsError
-from edit3r.io.images import save_image
+from edit3r.kit.photos.images import save_image
 from edit3r_editors.folder import read_edit, view_names
 
 PER_VIEW, TOGETHER = (

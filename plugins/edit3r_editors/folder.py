@@ -11,13 +11,13 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r import reporting
-from edit3r.config import Settings
+from edit3r.contract import reporting
+from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Editor
+from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import InputError, SettingsError
-from edit3r.io.framing import frame_for
-from edit3r.io.images import find_photos, read_image
+from edit3r.kit.photos.framing import frame_for
+from edit3r.kit.photos.images import find_photos, read_image
 
 
 class FolderEditor(Editor):

@@ -20,13 +20,13 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.compute.layers import one_thread
-from edit3r.config import Settings
+from edit3r.contract.errors import PromptError, suggest
 from edit3r.contract.interfaces import Editor, EditsRegions
+from edit3r.contract.reporting import say
+from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.wishes import Thing, Wish
-from edit3r.errors import PromptError, suggest
-from edit3r.reporting import say
+from edit3r.kit.compute.layers import one_thread
 
 Images = Float[Tensor, "view 3 height width"]
 Grey = Float[Tensor, "view 1 height width"]

@@ -18,12 +18,12 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r import reporting
-from edit3r.config import Settings
+from edit3r.contract import reporting
 from edit3r.contract.interfaces import Editor
+from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
-from edit3r.geometry.cameras import pixel_grid
-from edit3r.geometry.warping import warp
+from edit3r.kit.geometry.cameras import pixel_grid
+from edit3r.kit.geometry.warping import warp
 
 SHOWN = (
     7.5 / 10.5

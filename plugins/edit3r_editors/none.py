@@ -1,6 +1,6 @@
 """The editor that changes nothing."""
 
-from edit3r import reporting
+from edit3r.contract import reporting
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.types import EditRequest, Views
 

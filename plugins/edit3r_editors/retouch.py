@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.config import PartChoice, Settings
+from edit3r.contract.errors import MatchingError, PromptError
 from edit3r.contract.interfaces import (
     ChangesShape,
     Editor,
@@ -22,13 +22,13 @@ from edit3r.contract.interfaces import (
     MatchedGeometry,
     Matcher,
 )
+from edit3r.contract.reporting import note, warn
+from edit3r.contract.settings import PartChoice, Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.wishes import Thing, Wish
-from edit3r.errors import MatchingError, PromptError
-from edit3r.geometry.cameras import project, unproject
-from edit3r.geometry.maps import dilate
-from edit3r.geometry.warping import warp
-from edit3r.reporting import note, warn
+from edit3r.kit.geometry.cameras import project, unproject
+from edit3r.kit.geometry.maps import dilate
+from edit3r.kit.geometry.warping import warp
 
 # relative difference in depth within which a surface is taken to be the one that is looked for
 NEAR = 0.1

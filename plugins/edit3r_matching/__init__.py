@@ -47,6 +47,9 @@ _PAIR_NETWORKS = (
     ),
 )
 
+OF_FEATURES = (_ALIKED, *_PAIR_NETWORKS)
+"""Weights of learned matches."""
+
 _DEPTH_ANYTHING_3 = (
     Weights(
         "da3-small",
@@ -95,7 +98,7 @@ def register_matchers():
             "relative poses by rootSIFT and essential matrices, depths by plane sweep and "
             "semi-global aggregation",
             min_views=2,
-            weights=(_ALIKED, *_PAIR_NETWORKS),
+            weights=OF_FEATURES,
         ),
         Component(
             "posed",

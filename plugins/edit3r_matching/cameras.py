@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from edit3r.contract.types import Views
-from edit3r.geometry.cameras import to_pixels
+from edit3r.kit.geometry.cameras import to_pixels
 
 __all__ = [
     "CalibratedImage",

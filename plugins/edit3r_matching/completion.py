@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from edit3r.compute.compiling import compiled
-from edit3r.compute.smoothing import weighted_smooth
+from edit3r.kit.compute.compiling import compiled
+from edit3r.kit.compute.smoothing import weighted_smooth
 from edit3r_matching.cameras import CalibratedImage, pixel_rays, project
 from edit3r_matching.plane_sweep import Neighbour, RawDepth
 

@@ -15,8 +15,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
-from edit3r import config
-from edit3r.plugins import weights
+from edit3r.contract import settings as config
+from edit3r.kit.weights import find as weights
+from edit3r_matching import OF_FEATURES
 from edit3r_matching.cameras import CalibratedImage, rays_through
 from edit3r_matching.relative_pose import Matches
 
@@ -39,7 +40,7 @@ LEARNED = {
     "efficientloftr": ("efficientloftr", "EfficientLoFTR"),
     "superpoint": ("superpoint-lightglue", "SuperPoint + LightGlue"),
 }
-"""Learned sources of matches: the name of their weights, see `edit3r.plugins.weights`, and what to
+"""Learned sources of matches: the name of their weights, see `edit3r.kit.weights.find`, and what to
 call them.
 """
 LEARNED_NOISE = 4.0
@@ -184,7 +185,8 @@ def find_features(
     ]
     if settings.matches == "sift" or not few:
         return found
-    declared = weights.named(LEARNED[settings.matches if asked else "learned"][0])
+    name = LEARNED[settings.matches if asked else "learned"][0]
+    declared = next(one for one in OF_FEATURES if one.name == name)
     folder = weights.find(declared) if asked else weights.at_hand(declared)
     return (
         found if folder is None else _with_learned(found, few, images, folder, settings)

@@ -17,8 +17,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from edit3r.errors import InputError
-from edit3r.io.pretrained import ChosenWeights, foreign, load_whole_network
+from edit3r.contract.errors import InputError
+from edit3r.kit.weights.load import ChosenWeights, foreign, load_whole_network
 from edit3r_matching.features import Keypoints
 
 __all__ = ["LearnedFeatures", "PairNetwork", "load"]

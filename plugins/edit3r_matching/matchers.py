@@ -12,16 +12,18 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from edit3r import config, reporting
-from edit3r.cache import fingerprint, identity, remembered
-from edit3r.config import PartChoice
+from edit3r.contract import reporting
+from edit3r.contract import settings as config
+from edit3r.contract.component import component_name
+from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import MatchedGeometry, Matcher
+from edit3r.contract.lens import Lens
+from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
-from edit3r.errors import MatchingError
-from edit3r.geometry.cameras import from_pixels, relative_to_first
-from edit3r.io.framing import Lens
-from edit3r.pipeline.checks import component_name, require_matchable
-from edit3r.plugins.registry import build, default_registry
+from edit3r.kit.cache import fingerprint, identity, remembered
+from edit3r.kit.geometry.cameras import from_pixels, relative_to_first
+from edit3r.loading.registry import build, default_registry
+from edit3r.running.checks import require_matchable
 from edit3r_matching.calibration import (
     PREFERENCE,
     WIDE_PREFERENCE,

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from edit3r.compute.compiling import compiled
+from edit3r.kit.compute.compiling import compiled
 from edit3r_matching.cameras import CalibratedImage, Pose, pixel_rays, project
 
 __all__ = ["Neighbour", "RawDepth", "matching_cost", "plane_inverse_depths"]

@@ -3,13 +3,13 @@
 import torch
 from pydantic import Field
 
-from edit3r import config
-from edit3r.config import PartChoice
+from edit3r.contract import settings as config
 from edit3r.contract.interfaces import Matcher, Reconstructor
+from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
-from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.geometry.surroundings import background_layer, rim
-from edit3r.geometry.warping import contradicted, seen_by_others
+from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
+from edit3r.kit.geometry.surroundings import background_layer, rim
+from edit3r.kit.geometry.warping import contradicted, seen_by_others
 
 __all__ = ["ClassicalReconstructor"]
 

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from edit3r.errors import MatchingError
+from edit3r.contract.errors import MatchingError
 from edit3r_matching.cameras import CalibratedImage, Pose, triangulate
 from edit3r_matching.features import FoundFeatures
 from edit3r_matching.pairs import (

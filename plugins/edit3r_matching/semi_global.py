@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from edit3r.compute.compiling import compiled
+from edit3r.kit.compute.compiling import compiled
 
 __all__ = ["aggregate", "best_plane"]
 

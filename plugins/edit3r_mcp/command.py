@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from edit3r.contract.command import Command
-from edit3r.errors import InputError
+from edit3r.contract.errors import InputError
 
 
 class McpCommand(Command):

@@ -14,9 +14,9 @@ from mcp.server.mcpserver import Image, MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
 from pydantic import BaseModel, Field
 
-from edit3r.io.children import PYTHON
-from edit3r.io.decode import read_image
-from edit3r.pipeline.config import CAMERA_FORMATS, FORMATS
+from edit3r.kit.children import PYTHON
+from edit3r.kit.photos.decode import read_image
+from edit3r.kit.scenes.formats import CAMERA_FORMATS, FORMATS
 
 MAX_SIDE = 1600  # of an image that is sent [pixels]: assistants reduce larger ones
 INSTRUCTIONS = (

@@ -21,18 +21,18 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.config import Settings, make_settings
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import SceneSample
+from edit3r.contract.settings import Settings, make_settings
 from edit3r.contract.types import Cameras, Views
-from edit3r.errors import InputError
-from edit3r.geometry.cameras import relative_to_first
-from edit3r.geometry.maps import dilate
-from edit3r.io.atomic import sha256_of
-from edit3r.io.images import is_plain_name, load_photos, read_image
-from edit3r.io.masks import load_masks
-from edit3r.io.run_folder import installed_versions
-from edit3r.pipeline.config import MAX_PROMPT
-from edit3r.plugins.registry import Registry
+from edit3r.kit.files.atomic import sha256_of
+from edit3r.kit.geometry.cameras import relative_to_first
+from edit3r.kit.geometry.maps import dilate
+from edit3r.kit.photos.images import is_plain_name, load_photos, read_image
+from edit3r.kit.photos.masks import load_masks
+from edit3r.kit.run_folder import installed_versions
+from edit3r.loading.registry import Registry
+from edit3r.running.config import MAX_PROMPT
 from edit3r_measure.report import read_json, write_json
 
 Images = Float[Tensor, "frame 3 height width"]

@@ -6,8 +6,8 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from edit3r.config import PartChoice, Settings, make_settings, merge
-from edit3r.errors import SettingsError
+from edit3r.contract.errors import SettingsError
+from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
 from edit3r_measure.oracle import ORACLE
 
 LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]*")

@@ -2,7 +2,7 @@
 
 from pydantic import Field
 
-from edit3r.config import PartChoice, Settings
+from edit3r.contract.settings import PartChoice, Settings
 
 
 class BuildOptions(Settings):

@@ -26,11 +26,12 @@ from PIL import Image
 from pydantic import Field, ValidationError
 from torch import Tensor
 
-from edit3r.config import Settings, make_settings, read_yaml
+from edit3r.contract.errors import InputError, MissingDependencyError, RunError
 from edit3r.contract.interfaces import Detection, Detector, Segmenter
-from edit3r.errors import InputError, MissingDependencyError, RunError
-from edit3r.geometry.maps import dilate_softly
-from edit3r.io.images import to_bytes
+from edit3r.contract.settings import Settings, make_settings
+from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.geometry.maps import dilate_softly
+from edit3r.kit.photos.images import to_bytes
 from edit3r_measure.bench_manifest import EDIT_TYPES, EDITS_PER_SCENE, EditType
 from edit3r_measure.report import write_text
 

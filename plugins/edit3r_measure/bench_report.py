@@ -7,8 +7,8 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from edit3r.errors import InputError
-from edit3r.io.images import evenly
+from edit3r.contract.errors import InputError
+from edit3r.kit.photos.images import evenly
 from edit3r_measure.bench_manifest import EDIT_TYPES
 from edit3r_measure.bench_method import Method
 from edit3r_measure.bench_metrics import BY_REGION, METRICS

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from edit3r.errors import (
+from edit3r.contract.errors import (
     Edit3rError,
     InputError,
     MatchingError,
@@ -17,10 +17,10 @@ from edit3r.errors import (
     PromptError,
     RunError,
 )
-from edit3r.io.run_folder import installed_versions
-from edit3r.plugins.registry import Registry, default_registry
-from edit3r.reporting import Report, StageRecord, collecting
-from edit3r.workers import Progress, Workers, read_rows, run_resumable
+from edit3r.contract.reporting import Report, StageRecord, collecting
+from edit3r.kit.run_folder import installed_versions
+from edit3r.kit.workers import Progress, Workers, read_rows, run_resumable
+from edit3r.loading.registry import Registry, default_registry
 from edit3r_measure.bench_item import ItemRunner, save_sheet
 from edit3r_measure.bench_manifest import (
     ItemRecord,

@@ -6,17 +6,12 @@ from typing import Any
 
 from pydantic import Field
 
-from edit3r.cli.flags import add_flags, given_flags
-from edit3r.config import (
-    PartChoice,
-    Settings,
-    make_settings,
-    merge,
-    parse_assignments,
-)
 from edit3r.contract.command import Command
-from edit3r.errors import SettingsError
-from edit3r.io.atomic import check_new_file
+from edit3r.contract.errors import SettingsError
+from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
+from edit3r.kit.files.atomic import check_new_file
+from edit3r.kit.files.configs import parse_assignments
+from edit3r.running.flags import add_flags, given_flags
 from edit3r_measure.report import add_common, shown_stages, write_json, write_text
 
 PARTS = {"reconstructor": "edit3r", "rasterizer": "auto"}
@@ -81,7 +76,7 @@ class EvaluateCommand(Command):
 
     def main(self, args: argparse.Namespace) -> int:
         # Heavy modules load now, so that the command line is parsed without them.
-        from edit3r.plugins.registry import default_registry
+        from edit3r.loading.registry import default_registry
         from edit3r_measure.evaluate_scenes import measure
         from edit3r_measure.evaluate_tables import as_markdown, as_records
 

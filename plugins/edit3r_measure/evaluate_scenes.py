@@ -3,9 +3,9 @@
 from functools import partial
 from pathlib import Path
 
-from edit3r.errors import InputError
-from edit3r.plugins.registry import Registry
-from edit3r.reporting import Report, track
+from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import Report, track
+from edit3r.loading.registry import Registry
 from edit3r_measure.evaluate import PARTS, Evaluation
 from edit3r_measure.novel_view import (
     SceneScore,

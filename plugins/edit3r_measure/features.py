@@ -14,9 +14,9 @@ from jaxtyping import Float
 from kornia.enhance import normalize
 from torch import Tensor
 
-from edit3r.compute.perceptual import efficientnet_input, frozen_efficientnet
-from edit3r.errors import InputError
-from edit3r.io.pretrained import ChosenWeights, foreign, load_pretrained
+from edit3r.contract.errors import InputError
+from edit3r.kit.compute.perceptual import efficientnet_input, frozen_efficientnet
+from edit3r.kit.weights.load import ChosenWeights, foreign, load_pretrained
 from edit3r_measure.metrics import Features
 
 Images = Float[Tensor, "n 3 height width"]

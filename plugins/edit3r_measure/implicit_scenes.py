@@ -15,10 +15,10 @@ import torch
 from jaxtyping import Float
 from pydantic import Field
 
-from edit3r import config
+from edit3r.contract import settings as config
 from edit3r.contract.interfaces import Dataset, SceneSample
 from edit3r.contract.types import Cameras
-from edit3r.geometry.cameras import intrinsics_from_fov, relative_to_first
+from edit3r.kit.geometry.cameras import intrinsics_from_fov, relative_to_first
 
 MAX_STEPS = 72  # of a ray
 NEAR_ENOUGH = 1e-3  # distance that counts as a hit

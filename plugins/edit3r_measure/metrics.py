@@ -19,11 +19,11 @@ from skimage.measure import blur_effect
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torch import Tensor
 
-from edit3r.compute.changes import change_uptake
 from edit3r.contract.types import Cameras
-from edit3r.geometry.cameras import invert_rigid, to_pixels
-from edit3r.geometry.maps import dilate
-from edit3r.geometry.warping import find_correspondences, warp
+from edit3r.kit.compute.changes import change_uptake
+from edit3r.kit.geometry.cameras import invert_rigid, to_pixels
+from edit3r.kit.geometry.maps import dilate
+from edit3r.kit.geometry.warping import find_correspondences, warp
 
 Image = Float[np.ndarray, "height width 3"]
 Images = Float[np.ndarray, "view height width 3"]

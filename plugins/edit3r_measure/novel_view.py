@@ -13,12 +13,12 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from edit3r.compute.changes import change_error, change_uptake
+from edit3r.contract.errors import MatchingError, PluginError
 from edit3r.contract.interfaces import Rasterizer, Reconstructor
 from edit3r.contract.types import Cameras, Reconstruction, Views
-from edit3r.errors import MatchingError, PluginError
-from edit3r.geometry.cameras import project
-from edit3r.io.posed_folder import PosedPhoto
+from edit3r.kit.compute.changes import change_error, change_uptake
+from edit3r.kit.geometry.cameras import project
+from edit3r.kit.photos.posed_folder import PosedPhoto
 from edit3r_measure.metrics import best_blurred_copy, psnr, ssim
 from edit3r_measure.scene_sources import EvaluationScene, Pose, rotation_degrees
 

@@ -19,11 +19,11 @@ from pydantic import Field
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from edit3r.config import Settings
 from edit3r.contract.interfaces import Editor
+from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
-from edit3r.geometry.cameras import pixel_grid
-from edit3r.geometry.warping import warp
+from edit3r.kit.geometry.cameras import pixel_grid
+from edit3r.kit.geometry.warping import warp
 
 Image = Float[Tensor, "3 height width"]
 

@@ -23,7 +23,7 @@ from kornia.filters import gaussian_blur2d
 from pydantic import Field, NonNegativeInt
 from torch import Tensor
 
-from edit3r.config import Settings, make_settings
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
     Dataset,
     Loss,
@@ -31,10 +31,10 @@ from edit3r.contract.interfaces import (
     Rasterizer,
     Reconstructor,
 )
+from edit3r.contract.settings import Settings, make_settings
 from edit3r.contract.types import Cameras
-from edit3r.errors import InputError
-from edit3r.geometry.rotations import cross_matrix
-from edit3r.io.posed_folder import PosedPhoto, read_posed_folder
+from edit3r.kit.geometry.rotations import cross_matrix
+from edit3r.kit.photos.posed_folder import PosedPhoto, read_posed_folder
 from edit3r_measure.metrics import psnr, ssim
 from edit3r_measure.novel_view import PredictedScene, pose_errors, views_of
 from edit3r_measure.report import read_json

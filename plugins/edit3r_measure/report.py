@@ -10,10 +10,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
-from edit3r.cli.flags import REPEATED
-from edit3r.errors import InputError
-from edit3r.io.atomic import atomic_write
-from edit3r.reporting import Report, collecting
+from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import Report, collecting
+from edit3r.kit.command.flags import REPEATED
+from edit3r.kit.files.atomic import atomic_write
 
 Item = TypeVar("Item")
 
@@ -31,7 +31,7 @@ def add_common(parser: argparse.ArgumentParser, settings: str = "") -> None:
 @contextmanager
 def shown_stages(quiet: bool) -> Iterator[Report]:
     """Show stages and progress inside the block on the terminal, unless `quiet`."""
-    from edit3r.cli.console import StageConsole
+    from edit3r.kit.command.console import StageConsole
 
     with (
         StageConsole(quiet=quiet) as console,

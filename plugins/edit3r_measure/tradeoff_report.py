@@ -10,9 +10,9 @@ from typing import Any
 
 import yaml
 
-from edit3r.errors import Edit3rError, RunError
-from edit3r.io.run_folder import installed_versions
-from edit3r.pipeline.quality import (
+from edit3r.contract.errors import Edit3rError, RunError
+from edit3r.kit.run_folder import installed_versions
+from edit3r.running.quality import (
     PRESETS,
     Expected,
     MeasuredPoint,

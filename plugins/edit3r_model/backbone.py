@@ -12,10 +12,10 @@ from jaxtyping import Float, Int
 from pydantic import Field
 from torch import Tensor, nn
 
-from edit3r.config import Count, Settings
+from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Backbone
+from edit3r.contract.settings import Count, Settings
 from edit3r.contract.types import Features
-from edit3r.errors import InputError, SettingsError
 from edit3r_model.memory import construct
 from edit3r_model.transformer import (
     DecoderBlock,

@@ -15,11 +15,11 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
-from edit3r.config import PartChoice
-from edit3r.errors import InputError, SettingsError
-from edit3r.io.weight_files import WEIGHTS as TRAINED
-from edit3r.plugins.weights import find
-from edit3r.reporting import say
+from edit3r.contract.errors import InputError, SettingsError
+from edit3r.contract.reporting import say
+from edit3r.contract.settings import PartChoice
+from edit3r.kit.weights.files import WEIGHTS as TRAINED
+from edit3r.kit.weights.find import find
 from edit3r_model import OFFICIAL, OFFICIAL_RESOLUTION
 from edit3r_model.hub import download, is_hub_id
 from edit3r_model.memory import draw_leaf, leaf_names, release_pages

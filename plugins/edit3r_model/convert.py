@@ -90,10 +90,10 @@ def convert(
     # Imported here so that listing commands stays free of torch.
     import torch
 
-    from edit3r.config import PartChoice
-    from edit3r.errors import InputError
-    from edit3r.io.fetching import sha256_of
-    from edit3r.io.weight_files import save_weights, whole_file
+    from edit3r.contract.errors import InputError
+    from edit3r.contract.settings import PartChoice
+    from edit3r.kit.weights.fetch import sha256_of
+    from edit3r.kit.weights.files import save_weights, whole_file
     from edit3r_model.checkpoints import (
         CONFIG,
         WEIGHTS,

@@ -15,10 +15,10 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
-from edit3r.config import Count, Settings
+from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import Backbone, GaussianHead
+from edit3r.contract.settings import Count, Settings
 from edit3r.contract.types import Features, Gaussians
-from edit3r.errors import SettingsError
 from edit3r_model.backbone import ROLES
 from edit3r_model.gaussian_adapter import adapt, attribute_channels
 from edit3r_model.memory import construct

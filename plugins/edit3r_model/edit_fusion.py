@@ -9,8 +9,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from edit3r.compute.layers import Conv2d, bilinear
-from edit3r.geometry.cameras import pixel_grid
+from edit3r.kit.compute.layers import Conv2d, bilinear
+from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r_model.colour_maps import CHANNELS, change_of
 from edit3r_model.small_backbone import (
     STRIDE,

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.geometry.warping import Correspondences, warp
+from edit3r.kit.geometry.warping import Correspondences, warp
 
 CHANGE = 2 / 255
 """A change below this [sRGB] counts in proportion."""

@@ -14,8 +14,8 @@ from typing import Literal
 import torch
 from torch import nn
 
-from edit3r.errors import SettingsError
-from edit3r.reporting import note, warn
+from edit3r.contract.errors import SettingsError
+from edit3r.contract.reporting import note, warn
 from edit3r_model.int8_layers import Int8Conv, Int8Linear
 
 Precision = Literal["float32", "bfloat16", "float16", "int8"]

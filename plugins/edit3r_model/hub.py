@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from edit3r.errors import InputError, MissingDependencyError
+from edit3r.contract.errors import InputError, MissingDependencyError
 
 SUFFIXES = (".ckpt", ".pth", ".pt", ".safetensors")
 FILES = ["config.json", "model.safetensors"]

@@ -15,15 +15,15 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r import config
-from edit3r.compute.layers import one_thread
-from edit3r.config import Share
+from edit3r.contract import settings as config
 from edit3r.contract.interfaces import GeometryBackbone, MatchedGeometry, Matcher
+from edit3r.contract.settings import Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
-from edit3r.geometry.cameras import scale_poses
-from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.geometry.maps import resize
-from edit3r.geometry.surroundings import background_layer, rim, second_layer
+from edit3r.kit.compute.layers import one_thread
+from edit3r.kit.geometry.cameras import scale_poses
+from edit3r.kit.geometry.harmonics import dc_to_colour
+from edit3r.kit.geometry.maps import resize
+from edit3r.kit.geometry.surroundings import background_layer, rim, second_layer
 from edit3r_model.network import GaussianNetwork
 from edit3r_model.small_backbone import averaged
 

@@ -11,9 +11,9 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
+from edit3r.contract.errors import RunError
 from edit3r.contract.interfaces import Backbone
-from edit3r.errors import RunError
-from edit3r.reporting import available_memory
+from edit3r.contract.reporting import available_memory
 
 ADVICE = (
     "lower reconstructor.resolution, use fewer views, or set reconstructor.precision to bfloat16 "

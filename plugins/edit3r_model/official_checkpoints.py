@@ -16,8 +16,8 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from edit3r.config import PartChoice
-from edit3r.errors import InputError
+from edit3r.contract.errors import InputError
+from edit3r.contract.settings import PartChoice
 
 PREFIX = "encoder."
 DRAWN = {"mast3r": ("backbone.intrinsics_embed.", "head.attributes.")}

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from pydantic import Field, model_validator
 
-from edit3r.config import PartChoice
+from edit3r.contract.errors import MissingDependencyError, SettingsError
 from edit3r.contract.interfaces import (
     Backbone,
     GaussianHead,
@@ -17,9 +17,9 @@ from edit3r.contract.interfaces import (
     Reconstructor,
     TakesGeometry,
 )
+from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Reconstruction, Views
-from edit3r.errors import MissingDependencyError, SettingsError
-from edit3r.io.pretrained import pick_device
+from edit3r.kit.weights.load import pick_device
 from edit3r_model.checkpoints import load_weights, with_parts_of
 from edit3r_model.engine import EnginePlan, make_plan
 from edit3r_model.matched_form import MatchedForm, MatchedSettings

@@ -2,7 +2,7 @@
 
 Ye et al., No Pose, No Problem (ICLR 2025), and Edit3r, which trains the same network on edits. The
 Gaussians come in the frame of view 0 without cameras: the caller finds these from the centres
-(`edit3r.geometry.pose`).
+(`edit3r.kit.geometry.pose`).
 """
 
 from typing import Literal
@@ -10,11 +10,11 @@ from typing import Literal
 import torch
 from pydantic import Field
 
-from edit3r import config
+from edit3r.contract import settings as config
+from edit3r.contract.errors import RunError, SettingsError
+from edit3r.contract.reporting import note
 from edit3r.contract.types import Gaussians, Reconstruction, Views
-from edit3r.errors import RunError, SettingsError
-from edit3r.io.pretrained import out_of_memory_told
-from edit3r.reporting import note
+from edit3r.kit.weights.load import out_of_memory_told
 from edit3r_model.engine import Precision
 from edit3r_model.memory import ADVICE, check_fits, estimate_bytes
 from edit3r_model.network import GaussianNetwork

@@ -12,13 +12,13 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
-from edit3r.compute.layers import Conv2d, GroupNorm, bilinear
-from edit3r.config import Index, Settings
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import GeometryBackbone, MatchedGeometry
+from edit3r.contract.settings import Index, Settings
 from edit3r.contract.types import Features
-from edit3r.errors import InputError
-from edit3r.geometry.maps import resize
-from edit3r.geometry.warping import (
+from edit3r.kit.compute.layers import Conv2d, GroupNorm, bilinear
+from edit3r.kit.geometry.maps import resize
+from edit3r.kit.geometry.warping import (
     Correspondences,
     find_correspondences,
     partner_views,

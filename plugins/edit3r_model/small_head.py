@@ -17,14 +17,14 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
-from edit3r.compute.layers import bilinear
-from edit3r.config import Index, Settings, Share
+from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import Backbone, GeometryHead, MatchedGeometry
+from edit3r.contract.settings import Index, Settings, Share
 from edit3r.contract.types import Cameras, Features, Gaussians, Views
-from edit3r.errors import SettingsError
-from edit3r.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.geometry.maps import guided_upsample, resize
-from edit3r.geometry.warping import contradicted, find_correspondences, warp
+from edit3r.kit.compute.layers import bilinear
+from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
+from edit3r.kit.geometry.maps import guided_upsample, resize
+from edit3r.kit.geometry.warping import contradicted, find_correspondences, warp
 from edit3r_model.colour_maps import CHANNELS, blur_maps, change_of, fit_colour_maps
 from edit3r_model.disagreement import (
     edits_conflict,

@@ -8,9 +8,9 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.types import Gaussians, Views
-from edit3r.errors import InputError
-from edit3r.geometry.harmonics import DC
+from edit3r.kit.geometry.harmonics import DC
 
 MIN_VIEWS = 2
 

@@ -6,11 +6,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.contract.errors import PromptError
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.types import EditRequest, Gaussians, Views
-from edit3r.errors import PromptError
-from edit3r.geometry.harmonics import basis, colour_to_dc, dc_to_colour
-from edit3r.geometry.rotations import matrices_to_quats, quats_to_matrices
+from edit3r.kit.geometry.harmonics import basis, colour_to_dc, dc_to_colour
+from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
 
 FOOT = 0.98  # quantile of y (down) at which a thing stands
 

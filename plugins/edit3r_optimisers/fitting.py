@@ -14,11 +14,11 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.config import Settings
 from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.reporting import progress
+from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.geometry.rotations import normalise_quats
-from edit3r.reporting import progress
+from edit3r.kit.geometry.rotations import normalise_quats
 
 WINDOW, SIGMA = 11, 1.5  # of the Gaussian window of SSIM [pixels] (Wang et al. 2004)
 C1, C2 = 0.01**2, 0.03**2  # for images in [0, 1]

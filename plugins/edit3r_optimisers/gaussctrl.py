@@ -9,6 +9,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.contract.component import component_name
 from edit3r.contract.interfaces import (
     ConditionedOnDepth,
     Editor,
@@ -17,9 +18,8 @@ from edit3r.contract.interfaces import (
     Rasterizer,
     Reconstructor,
 )
+from edit3r.contract.reporting import note, warn
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
-from edit3r.pipeline.checks import component_name
-from edit3r.reporting import note, warn
 from edit3r_optimisers.fitting import TargetImages
 from edit3r_optimisers.method import (
     EditJob,

@@ -13,8 +13,8 @@ import torch
 from pydantic import Field, model_validator
 
 from edit3r.contract.interfaces import Editor, Rasterizer
+from edit3r.contract.reporting import note
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
-from edit3r.reporting import note
 from edit3r_optimisers.fitting import TargetImages, view_at
 from edit3r_optimisers.method import EditJob, FittingMethod, MethodSettings, edited_from
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.config import PartChoice
+from edit3r.contract.component import component_name
 from edit3r.contract.interfaces import (
     Editor,
     EditsViews,
@@ -18,16 +18,12 @@ from edit3r.contract.interfaces import (
     Reconstructor,
     StartsFromImages,
 )
+from edit3r.contract.reporting import note, warn
+from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
-from edit3r.geometry.maps import composite
-from edit3r.geometry.pose import estimate_cameras
-from edit3r.pipeline.checks import (
-    check_edit,
-    check_reconstruction,
-    component_name,
-    errors_named_after,
-)
-from edit3r.reporting import note, warn
+from edit3r.kit.geometry.maps import composite
+from edit3r.kit.geometry.pose import estimate_cameras
+from edit3r.running.checks import check_edit, check_reconstruction, errors_named_after
 from edit3r_optimisers.fitting import FitSettings, TargetImages, fit
 
 # a fainter first Gaussian has next to no gradient and would never show what it is worth

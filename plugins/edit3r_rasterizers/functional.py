@@ -4,10 +4,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.errors import InputError
-from edit3r.geometry.cameras import from_pixels, invert_rigid
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.kit.geometry.cameras import from_pixels, invert_rigid
+from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r_rasterizers.numba_rasterizer import NumbaRasterizer, NumbaSettings
 
 RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")

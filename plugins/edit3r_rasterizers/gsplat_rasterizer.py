@@ -6,11 +6,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.errors import InputError, MissingDependencyError, SettingsError
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians, Rendering
-from edit3r.errors import InputError, MissingDependencyError, SettingsError
-from edit3r.geometry.cameras import invert_rigid, to_pixels
-from edit3r.geometry.rotations import normalise_quats
+from edit3r.kit.geometry.cameras import invert_rigid, to_pixels
+from edit3r.kit.geometry.rotations import normalise_quats
 from edit3r_rasterizers.settings import (
     RasterizerSettings,
     check_scene,

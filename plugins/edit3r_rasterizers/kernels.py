@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from edit3r.compute.compiling import compiled, numba
+from edit3r.kit.compute.compiling import compiled, numba
 
 _pools: dict[int, ThreadPoolExecutor] = {}
 

@@ -12,12 +12,12 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.compute.compiling import is_kept
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.reporting import say
 from edit3r.contract.types import Cameras, Gaussians, Rendering
-from edit3r.errors import InputError
-from edit3r.io.children import PYTHON
-from edit3r.reporting import say
+from edit3r.kit.children import PYTHON
+from edit3r.kit.compute.compiling import is_kept
 from edit3r_rasterizers.compositing import (
     BACKWARD_SCRATCH,
     FORWARD_SCRATCH,

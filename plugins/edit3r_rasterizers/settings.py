@@ -7,9 +7,9 @@ from jaxtyping import Float, Shaped
 from pydantic import Field, model_validator
 from torch import Tensor
 
-from edit3r.config import Settings
+from edit3r.contract.errors import InputError
+from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.errors import InputError
 
 BORDER = 0.3
 """Tangents in the projection's Jacobian are clamped this far beyond the image's border [half image

@@ -1,8 +1,8 @@
 """Spherical harmonics of one direction inside numba kernels; basis and signs as in
-`edit3r.geometry.harmonics`.
+`edit3r.kit.geometry.harmonics`.
 """
 
-from edit3r.geometry.harmonics import C1, C2, C3, C4, DC
+from edit3r.kit.geometry.harmonics import C1, C2, C3, C4, DC
 from edit3r_rasterizers.kernels import inlined
 
 

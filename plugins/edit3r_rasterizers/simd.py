@@ -13,7 +13,7 @@ import operator
 import numpy as np
 from llvmlite import ir
 
-from edit3r.compute.compiling import numba
+from edit3r.kit.compute.compiling import numba
 
 cgutils = numba.core.cgutils
 types = numba.types

@@ -8,7 +8,7 @@ be freed too early: scratch memory is an argument too.
 
 from llvmlite import ir
 
-from edit3r.compute.compiling import numba
+from edit3r.kit.compute.compiling import numba
 from edit3r_rasterizers.simd import DOUBLES, FLOATS, INT32, INT64, constant
 
 types = numba.types

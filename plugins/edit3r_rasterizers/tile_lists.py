@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from edit3r.errors import RunError
+from edit3r.contract.errors import RunError
 from edit3r_rasterizers import layout
 from edit3r_rasterizers.kernels import even_bounds, inlined, kernel, run_slices
 from edit3r_rasterizers.simd_memory import flat, prefetch, shifted

@@ -14,8 +14,8 @@ from torch.utils.checkpoint import checkpoint
 
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians, Rendering
-from edit3r.geometry.harmonics import basis
-from edit3r.geometry.rotations import quats_to_matrices
+from edit3r.kit.geometry.harmonics import basis
+from edit3r.kit.geometry.rotations import quats_to_matrices
 from edit3r_rasterizers.settings import (
     BORDER,
     MAX_COLOUR,

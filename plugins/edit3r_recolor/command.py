@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from edit3r.contract.command import Command
 
 if TYPE_CHECKING:
-    from edit3r.io.images import LoadedPhotos
+    from edit3r.kit.photos.images import LoadedPhotos
     from edit3r_recolor.scene import Masks, SceneRecipe
 
     Finder = Callable[[LoadedPhotos], tuple[Masks, SceneRecipe]]
@@ -78,10 +78,10 @@ class RecolorCommand(Command):
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.cli.console import StageConsole
-        from edit3r.io.atomic import atomic_folder, check_apart
-        from edit3r.io.images import load_photos
-        from edit3r.reporting import Report, collecting, warn
+        from edit3r.contract.reporting import Report, collecting, warn
+        from edit3r.kit.command.console import StageConsole
+        from edit3r.kit.files.atomic import atomic_folder, check_apart
+        from edit3r.kit.photos.images import load_photos
         from edit3r_recolor.folder import write_folder
         from edit3r_recolor.scene import carry_out
 
@@ -122,7 +122,7 @@ class RecolorCommand(Command):
 
 def _check(args: argparse.Namespace) -> None:
     """Refuse what can be refused before any photo is read."""
-    from edit3r.errors import InputError, SettingsError
+    from edit3r.contract.errors import InputError, SettingsError
 
     if args.seed < 0:
         raise SettingsError(f"--seed: must be at least 0, got {args.seed}.")
@@ -142,7 +142,7 @@ def _replayed(args: argparse.Namespace) -> "Finder":
     """Return a function from photos to the masks beside the recipe and the recipe; it is read and
     checked first.
     """
-    from edit3r.errors import InputError
+    from edit3r.contract.errors import InputError
     from edit3r_recolor.folder import MASKS, read_masks_of
     from edit3r_recolor.scene import SceneRecipe
 
@@ -170,8 +170,9 @@ def _found(args: argparse.Namespace) -> "Finder":
     """Return a function from photos to masks and a new recipe; everything it needs is built and
     checked first.
     """
-    from edit3r.config import make_settings, parse_assignments
-    from edit3r.plugins.registry import default_registry
+    from edit3r.contract.settings import make_settings
+    from edit3r.kit.files.configs import parse_assignments
+    from edit3r.loading.registry import default_registry
     from edit3r_recolor.folder import read_masks
     from edit3r_recolor.scene import (
         RecoloringSettings,

@@ -7,13 +7,13 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r import reporting
-from edit3r.compute.layers import one_thread
-from edit3r.config import Settings
+from edit3r.contract import reporting
+from edit3r.contract.errors import PromptError
 from edit3r.contract.interfaces import Editor, EditsRegions
+from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.wishes import Wish
-from edit3r.errors import PromptError
+from edit3r.kit.compute.layers import one_thread
 from edit3r_recolor.paint import paint
 from edit3r_recolor.recoloring import (
     RecolorParameters,

@@ -19,12 +19,18 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.types import Cameras
-from edit3r.errors import InputError
-from edit3r.io.cameras import posed_cameras, write_cameras
-from edit3r.io.images import LoadedPhotos, Photo, evenly, save_image, save_pixels
-from edit3r.io.masks import read_mask
-from edit3r.io.sheet import draw_sheet
+from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.images import (
+    LoadedPhotos,
+    Photo,
+    evenly,
+    save_image,
+    save_pixels,
+)
+from edit3r.kit.photos.masks import read_mask
+from edit3r.kit.sheet import draw_sheet
 from edit3r_recolor.scene import Images, Masks, SceneRecipe
 
 RECIPE = "recolor.json"

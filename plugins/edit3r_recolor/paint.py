@@ -13,8 +13,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.compute.colour import oklab_to_rgb, rgb_to_oklab
-from edit3r.reporting import say
+from edit3r.contract.reporting import say
+from edit3r.kit.compute.colour import oklab_to_rgb, rgb_to_oklab
 
 Images = Float[Tensor, "view 3 height width"]
 Masks = Float[Tensor, "view height width"]

@@ -18,8 +18,8 @@ from jaxtyping import Float
 from pydantic import ConfigDict, Field
 from torch import Tensor
 
-from edit3r.config import Settings
-from edit3r.geometry.maps import dilate
+from edit3r.contract.settings import Settings
+from edit3r.kit.geometry.maps import dilate
 
 Image = Float[Tensor, "*batch 3 height width"]
 Masks = Float[Tensor, "*batch height width"]

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 from pydantic import Field, field_validator
 from torch import Tensor
 
-from edit3r.config import Settings
 from edit3r.contract.interfaces import Proposal, Tracks
+from edit3r.contract.settings import Settings
 
 FAINT = 0.01
 """A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value."""

@@ -16,11 +16,11 @@ from jaxtyping import Bool, Float
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from torch import Tensor
 
-from edit3r.config import Settings
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
-from edit3r.errors import InputError
-from edit3r.io.atomic import atomic_write
-from edit3r.reporting import progress, track
+from edit3r.contract.reporting import progress, track
+from edit3r.contract.settings import Settings
+from edit3r.kit.files.atomic import atomic_write
 from edit3r_recolor import recoloring
 from edit3r_recolor.recoloring import Outline, RecolorParameters, RecolorRanges
 from edit3r_recolor.regions import (

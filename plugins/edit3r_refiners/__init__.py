@@ -36,9 +36,4 @@ def register_commands() -> list[Component]:
             "edit3r_refiners.command:SimplifyCommand",
             "a saved scene (3DGS PLY) with only the Gaussians it requires",
         ),
-        Component(
-            "export",
-            "edit3r_refiners.export:ExportCommand",
-            "a saved scene as SPZ, SOG, splat, compressed PLY or GLB, for other programs",
-        ),
     ]

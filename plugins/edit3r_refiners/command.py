@@ -4,7 +4,8 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from edit3r.contract.command import Command, scene_file
+from edit3r.contract.command import Command
+from edit3r.kit.scenes.files import scene_file
 
 if TYPE_CHECKING:
     from edit3r_refiners.settings import SimplifySettings
@@ -62,12 +63,12 @@ class SimplifyCommand(Command):
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.cli.console import StageConsole
-        from edit3r.io.atomic import check_new_file
-        from edit3r.io.cameras import read_scene_cameras
-        from edit3r.io.ply import load_ply, save_ply
-        from edit3r.plugins.registry import default_registry
-        from edit3r.reporting import Report, collecting
+        from edit3r.contract.reporting import Report, collecting
+        from edit3r.kit.command.console import StageConsole
+        from edit3r.kit.files.atomic import check_new_file
+        from edit3r.kit.photos.cameras import read_scene_cameras
+        from edit3r.kit.scenes.ply import load_ply, save_ply
+        from edit3r.loading.registry import default_registry
         from edit3r_refiners.simplify import simplify
 
         check_new_file(args.out, args.overwrite, source=args.scene)
@@ -104,8 +105,9 @@ def _budget_and_settings(
     """Read the most Gaussians that may be left (None: as the scene requires) and the settings of
     `simplify`.
     """
-    from edit3r.config import make_settings, parse_assignments
-    from edit3r.errors import SettingsError
+    from edit3r.contract.errors import SettingsError
+    from edit3r.contract.settings import make_settings
+    from edit3r.kit.files.configs import parse_assignments
     from edit3r_refiners.settings import SimplifySettings, parse_budget
 
     try:

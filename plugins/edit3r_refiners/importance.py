@@ -9,8 +9,8 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.geometry.cameras import to_pixels
-from edit3r.geometry.paths import between_and_around
+from edit3r.kit.geometry.cameras import to_pixels
+from edit3r.kit.geometry.paths import between_and_around
 
 PATH_CAMERAS = 2  # cameras between and around, per input view
 PATH_REDUCTION = 2  # of the sides of their images

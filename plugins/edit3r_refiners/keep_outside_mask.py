@@ -19,9 +19,9 @@ from edit3r.contract.interfaces import (
     RefineInputs,
     Refiner,
 )
+from edit3r.contract.reporting import note, warn
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.geometry.cameras import median_scale
-from edit3r.reporting import note, warn
+from edit3r.kit.geometry.cameras import median_scale
 from edit3r_refiners.merging import Region, own_pixel_inside
 
 SHAPE = ("means", "scales", "quats", "opacities")

@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.geometry.cameras import project
-from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.geometry.rotations import covariances, matrices_to_quats
+from edit3r.kit.geometry.cameras import project
+from edit3r.kit.geometry.harmonics import dc_to_colour
+from edit3r.kit.geometry.rotations import covariances, matrices_to_quats
 from edit3r_refiners.settings import SimplifySettings
 
 Region = Bool[Tensor, "view height width"]

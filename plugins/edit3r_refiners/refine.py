@@ -15,11 +15,11 @@ from pydantic import Field
 from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 
-from edit3r.compute.layers import one_thread
-from edit3r.config import Settings
 from edit3r.contract.interfaces import Rasterizer, RefineInputs, Refiner
+from edit3r.contract.reporting import note, progress
+from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.reporting import note, progress
+from edit3r.kit.compute.layers import one_thread
 
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient

@@ -4,7 +4,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from edit3r.config import Settings
+from edit3r.contract.settings import Settings
 
 Budget = Literal["auto", "all"] | int
 """How many Gaussians may be left: those the scene requires, all of them, or a number."""

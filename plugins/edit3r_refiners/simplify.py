@@ -9,12 +9,12 @@ from typing import Any
 import torch
 from pydantic import Field, field_validator
 
-from edit3r.compute.layers import one_thread
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Rasterizer, RefineInputs, Refiner
+from edit3r.contract.reporting import note
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.errors import InputError
-from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.reporting import note
+from edit3r.kit.compute.layers import one_thread
+from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r_refiners.importance import (
     drop_unneeded_harmonics,
     first_focal,

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from edit3r.io.atomic import atomic_write
+from edit3r.kit.files.atomic import atomic_write
 from edit3r_remote.service import Answer, Request
 
 

@@ -10,10 +10,10 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.errors import Edit3rError, InputError, PromptError, RunError
+from edit3r.contract.reporting import note, progress, warn
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import Edit3rError, InputError, PromptError, RunError
-from edit3r.io.service import within
-from edit3r.reporting import note, progress, warn
+from edit3r.kit.service import within
 from edit3r_remote.cache import AnswerCache
 from edit3r_remote.frames import ServiceFrame, decode, encode_mask, encode_png
 from edit3r_remote.service import Answer, ImageService, Request

@@ -18,8 +18,8 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from edit3r.errors import RunError
-from edit3r.io.decode import FORMATS, MAX_PIXELS
+from edit3r.contract.errors import RunError
+from edit3r.kit.photos.decode import FORMATS, MAX_PIXELS
 
 # relative difference in width / height up to which an answer of another size is scaled back
 SHAPE_TOLERANCE = 0.05

@@ -5,11 +5,11 @@ from typing import Any, Literal
 
 from pydantic import Field
 
+from edit3r.contract.errors import Edit3rError, PromptError, RunError
 from edit3r.contract.interfaces import Editor
+from edit3r.contract.reporting import note
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import Edit3rError, PromptError, RunError
-from edit3r.io.service import bounded_client
-from edit3r.reporting import note
+from edit3r.kit.service import bounded_client
 from edit3r_remote.dispatch import Dispatcher
 from edit3r_remote.service import Answer, ImageService, RemoteSettings, Request
 

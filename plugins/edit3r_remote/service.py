@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 from pydantic import Field
 
-from edit3r.config import USER_ONLY, Settings
-from edit3r.errors import Edit3rError, MissingDependencyError, RunError
+from edit3r.contract.errors import Edit3rError, MissingDependencyError, RunError
+from edit3r.contract.settings import USER_ONLY, Settings
 
 MAX_TOKENS = 10**12
 MAX_QUOTE = 300  # characters of a service's words that an error repeats

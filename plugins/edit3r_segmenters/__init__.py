@@ -88,7 +88,7 @@ EFFICIENTNET = Weights(
     essential=True,
 )
 
-_SAM2 = Weights(
+SAM2 = Weights(
     "sam2",
     "masks and tracks of objects (SAM 2.1, large)",
     897_903_121,
@@ -107,7 +107,7 @@ _SAM2 = Weights(
         ),
     ),
 )
-_SAM2_TINY = Weights(
+SAM2_TINY = Weights(
     "sam2-tiny",
     "masks and tracks of objects (SAM 2.1, tiny)",
     155_908_064,
@@ -117,7 +117,7 @@ _SAM2_TINY = Weights(
     "de431c4043854a71d8101e17995dfe596bf101a5",
     (("config.json", ""), ("model.safetensors", "")),
 )
-_EDGETAM = Weights(
+EDGETAM = Weights(
     "edgetam",
     "masks and tracks of objects on small devices (EdgeTAM)",
     56_000_000,
@@ -126,7 +126,7 @@ _EDGETAM = Weights(
     "hub:yonigozlan/EdgeTAM-hf",
     files=(("config.json", ""), ("model.safetensors", "")),
 )
-_SAM3 = Weights(
+SAM3 = Weights(
     "sam3",
     "masks of what words name, masks and tracks of objects (SAM 3)",
     3_450_000_000,
@@ -137,7 +137,7 @@ _SAM3 = Weights(
     (("*.json", ""), ("merges.txt", ""), ("model.safetensors", "")),
     gated=True,
 )
-_GROUNDING_DINO = Weights(
+GROUNDING_DINO = Weights(
     "grounding-dino",
     "boxes of what words name (Grounding DINO, base)",
     934_000_000,
@@ -154,7 +154,7 @@ _GROUNDING_DINO = Weights(
         ),
     ),
 )
-_GROUNDING_DINO_TINY = Weights(
+GROUNDING_DINO_TINY = Weights(
     "grounding-dino-tiny",
     "boxes of what words name (Grounding DINO, tiny)",
     689_359_096,
@@ -168,6 +168,10 @@ _GROUNDING_DINO_TINY = Weights(
 _network = partial(
     Component, requires=("transformers",), extra="transformers", needs_network=True
 )
+
+
+OF_HUB = (SAM2, SAM2_TINY, EDGETAM, SAM3, GROUNDING_DINO, GROUNDING_DINO_TINY)
+"""Weights of networks that transformers loads."""
 
 
 @hookimpl
@@ -186,7 +190,7 @@ def register_segmenters():
         "(0.2 to 0.9 GB)",
         parts=("detector",),
         licence="Apache-2.0, default weights too",
-        weights=(_SAM2, _SAM2_TINY),
+        weights=(SAM2, SAM2_TINY),
         citation="Ravi et al., SAM 2: Segment Anything in Images and Videos, 2024",
     )
     edgetam = _network(
@@ -198,7 +202,7 @@ def register_segmenters():
         extra="",
         parts=("detector",),
         licence="Apache-2.0, default weights too",
-        weights=(_EDGETAM,),
+        weights=(EDGETAM,),
         citation="Zhou et al., EdgeTAM: On-Device Track Anything Model, CVPR 2025",
     )
     sam3 = _network(
@@ -207,7 +211,7 @@ def register_segmenters():
         summary="SAM3: all that words name without a detector, points, boxes, tracking; gated "
         "weights (3.5 GB)",
         licence="Apache-2.0; default weights under the SAM License",
-        weights=(_SAM3,),
+        weights=(SAM3,),
         citation="Carion et al., SAM 3: Segment Anything with Concepts, 2025",
     )
     sam_onnx = Component(
@@ -262,7 +266,7 @@ def register_detectors():
         target="edit3r_segmenters.grounding_dino:GroundingDinoDetector",
         summary="Grounding DINO: boxes of what a text names; needs weights (0.7 GB)",
         licence="Apache-2.0, default weights too",
-        weights=(_GROUNDING_DINO, _GROUNDING_DINO_TINY),
+        weights=(GROUNDING_DINO, GROUNDING_DINO_TINY),
         citation="Liu et al., Grounding DINO, ECCV 2024",
     )
     return (coco, imagenet, grounding_dino)

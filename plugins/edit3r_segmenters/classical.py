@@ -18,12 +18,12 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.cache import fingerprint, remembered
-from edit3r.config import Settings
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
-from edit3r.errors import InputError
-from edit3r.plugins.weights import at_hand
-from edit3r.reporting import warn
+from edit3r.contract.reporting import warn
+from edit3r.contract.settings import Settings
+from edit3r.kit.cache import fingerprint, remembered
+from edit3r.kit.weights.find import at_hand
 from edit3r_segmenters import U2NETP, tracking
 from edit3r_segmenters.candidates import (
     Box,

@@ -7,9 +7,9 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.config import Settings
 from edit3r.contract.interfaces import Detection, Detector
-from edit3r.plugins.weights import find
+from edit3r.contract.settings import Settings
+from edit3r.kit.weights.find import find
 from edit3r_segmenters import NANODET
 from edit3r_segmenters.sam import best_boxes
 from edit3r_segmenters.tfjs import TfjsGraph

@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from edit3r.cli.flags import add_mark_flags
 from edit3r.contract.command import Command
+from edit3r.running.flags import add_mark_flags
 
 
 class MaskCommand(Command):
@@ -69,14 +69,14 @@ class MaskCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from dataclasses import replace
 
-        from edit3r.cli.console import StageConsole
-        from edit3r.config import parse_assignments
-        from edit3r.io.atomic import atomic_folder, check_apart
-        from edit3r.io.images import load_photos, save_image
-        from edit3r.plugins.registry import default_registry
-        from edit3r.reporting import Report, collecting
-        from edit3r.selection.marks import MarkTexts
-        from edit3r.selection.select import geometry_of, select_masks
+        from edit3r.contract.reporting import Report, collecting
+        from edit3r.kit.command.console import StageConsole
+        from edit3r.kit.files.atomic import atomic_folder, check_apart
+        from edit3r.kit.files.configs import parse_assignments
+        from edit3r.kit.photos.images import load_photos, save_image
+        from edit3r.loading.registry import default_registry
+        from edit3r.running.selecting.marks import MarkTexts
+        from edit3r.running.selecting.select import geometry_of, select_masks
 
         check_apart(args.out, *map(Path, (*args.images, *args.mask)))
         given = parse_assignments(args.set)

@@ -9,10 +9,11 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.config import Settings
+from edit3r.contract.errors import PromptError
 from edit3r.contract.interfaces import Detection, Detector
-from edit3r.errors import PromptError
-from edit3r.io.pretrained import (
+from edit3r.contract.reporting import note
+from edit3r.contract.settings import Settings
+from edit3r.kit.weights.load import (
     ChosenWeights,
     foreign,
     identity,
@@ -21,7 +22,7 @@ from edit3r.io.pretrained import (
     pick_device,
     sized,
 )
-from edit3r.reporting import note
+from edit3r_segmenters import GROUNDING_DINO, GROUNDING_DINO_TINY, OF_HUB
 
 
 class GroundingDinoDetector(Detector):
@@ -31,8 +32,8 @@ class GroundingDinoDetector(Detector):
         model: str = Field(
             default_factory=partial(
                 sized,
-                "IDEA-Research/grounding-dino-base",
-                "IDEA-Research/grounding-dino-tiny",
+                GROUNDING_DINO,
+                GROUNDING_DINO_TINY,
             ),
             description="model id on the hub, or a saved folder; where none is given the tiny "
             "one for a CPU, the base one for a GPU or where only that was fetched",
@@ -99,6 +100,7 @@ class GroundingDinoDetector(Detector):
                 "detector.model",
                 chosen.revision,
                 local_files_only=chosen.local_files_only,
+                known=OF_HUB,
             )
             model = load_pretrained(
                 foreign("transformers", "GroundingDinoForObjectDetection"),

@@ -11,12 +11,12 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.compute.perceptual import efficientnet_input
-from edit3r.config import Settings
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Detection, Detector
-from edit3r.errors import InputError
-from edit3r.io.pretrained import foreign
-from edit3r.plugins.weights import find
+from edit3r.contract.settings import Settings
+from edit3r.kit.compute.perceptual import efficientnet_input
+from edit3r.kit.weights.find import find
+from edit3r.kit.weights.load import foreign
 from edit3r_segmenters import EFFICIENTNET
 from edit3r_segmenters.words import imagenet_classes, imagenet_names
 

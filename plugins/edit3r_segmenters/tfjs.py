@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from edit3r.errors import InputError
+from edit3r.contract.errors import InputError
 
 DAMAGE = (
     KeyError,

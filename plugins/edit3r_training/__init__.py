@@ -5,7 +5,7 @@ from edit3r.contract.weights import Weights
 
 EDIT3R_API = 1
 
-_CLIP = Weights(
+CLIP = Weights(
     "clip",
     "likeness of images (CLIP ViT-B/32), for loss clip",
     608_000_000,
@@ -85,7 +85,7 @@ def register_losses() -> list[Component]:
             requires=("transformers",),
             extra="transformers",
             needs_network=True,
-            weights=(_CLIP,),
+            weights=(CLIP,),
         ),
     ]
 

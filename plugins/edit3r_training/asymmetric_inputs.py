@@ -22,8 +22,8 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.config import NonNegative, Settings, Share
 from edit3r.contract.interfaces import SceneSample
+from edit3r.contract.settings import NonNegative, Settings, Share
 
 REGIMES = ("reference", "disagreeing", "agreeing", "unedited", "viewwise")
 DISAGREEMENT = 0.5

@@ -12,8 +12,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from edit3r.errors import InputError
-from edit3r.io.weight_files import whole_file
+from edit3r.contract.errors import InputError
+from edit3r.kit.weights.files import whole_file
 
 LAST = "last.pt"
 _PARTS = {

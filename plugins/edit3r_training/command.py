@@ -4,7 +4,8 @@ stopped.
 
 import argparse
 
-from edit3r.contract.command import Command, add_trust_flag
+from edit3r.contract.command import Command
+from edit3r.kit.command.flags import add_trust_flag
 
 
 class TrainCommand(Command):
@@ -46,10 +47,11 @@ class TrainCommand(Command):
         add_trust_flag(parser)
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.cli.console import StageConsole
-        from edit3r.config import merge, parse_assignments, read_config
-        from edit3r.plugins.registry import default_registry
-        from edit3r.reporting import Report, collecting
+        from edit3r.contract.reporting import Report, collecting
+        from edit3r.contract.settings import merge
+        from edit3r.kit.command.console import StageConsole
+        from edit3r.kit.files.configs import parse_assignments, read_config
+        from edit3r.loading.registry import default_registry
         from edit3r_training.job import prepare
         from edit3r_training.processes import is_first_process
 

@@ -5,7 +5,7 @@ import time
 from collections.abc import Mapping
 from pathlib import Path
 
-from edit3r.errors import RunError
+from edit3r.contract.errors import RunError
 
 
 class Journal:

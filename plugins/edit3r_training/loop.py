@@ -18,11 +18,11 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
-from edit3r import reporting
-from edit3r.config import Count, Index, Settings, Share
+from edit3r.contract import reporting
+from edit3r.contract.errors import MatchingError, PluginError, SettingsError
 from edit3r.contract.interfaces import TrainingJob
-from edit3r.errors import MatchingError, PluginError, SettingsError
-from edit3r.io.weight_files import WEIGHTS, save_weights
+from edit3r.contract.settings import Count, Index, Settings, Share
+from edit3r.kit.weights.files import WEIGHTS, save_weights
 from edit3r_training.checkpoint import LAST, TrainingState, copied_weights
 from edit3r_training.journal import Journal
 from edit3r_training.processes import Processes, joined_processes, own_device

@@ -12,11 +12,12 @@ from jaxtyping import Float, Int
 from pydantic import Field
 from torch import Tensor, nn
 
-from edit3r.compute.perceptual import efficientnet_input, frozen_efficientnet
-from edit3r.config import Settings
+from edit3r.contract.errors import MissingDependencyError, SettingsError
 from edit3r.contract.interfaces import Loss, LossInputs
-from edit3r.errors import MissingDependencyError, SettingsError
-from edit3r.io.pretrained import ChosenWeights, foreign, load_pretrained
+from edit3r.contract.settings import Settings
+from edit3r.kit.compute.perceptual import efficientnet_input, frozen_efficientnet
+from edit3r.kit.weights.load import ChosenWeights, foreign, load_pretrained
+from edit3r_training import CLIP
 
 COMPARED_BLOCKS = (0, 2, 4, 10)
 """Blocks of EfficientNet-lite0 whose outputs `PerceptualLoss` compares: strides 2, 4, 8 and 16."""
@@ -249,7 +250,9 @@ def _lpips_vgg() -> nn.Module:
 
 def _frozen_clip(name: str) -> nn.Module:
     vision = foreign("transformers", "CLIPVisionModelWithProjection")
-    network = load_pretrained(vision, ChosenWeights(name, "losses.clip.model"))
+    network = load_pretrained(
+        vision, ChosenWeights(name, "losses.clip.model", known=(CLIP,))
+    )
     return network.eval().requires_grad_(False)
 
 

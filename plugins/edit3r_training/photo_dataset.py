@@ -13,12 +13,13 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r import config, reporting
-from edit3r.config import Count, Index, Share
+from edit3r.contract import reporting
+from edit3r.contract import settings as config
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Dataset, SceneSample
+from edit3r.contract.settings import Count, Index, Share
 from edit3r.contract.types import Cameras
-from edit3r.errors import InputError
-from edit3r.geometry.cameras import relative_to_first
+from edit3r.kit.geometry.cameras import relative_to_first
 
 Images = Float[Tensor, "view 3 height width"]
 

@@ -9,11 +9,11 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.compute.changes import change_error, change_uptake, mean_change
+from edit3r.contract.errors import SettingsError
 from edit3r.contract.types import Cameras, Reconstruction
-from edit3r.errors import SettingsError
-from edit3r.geometry.cameras import invert_rigid, transform_points
-from edit3r.geometry.harmonics import dc_to_colour
+from edit3r.kit.compute.changes import change_error, change_uptake, mean_change
+from edit3r.kit.geometry.cameras import invert_rigid, transform_points
+from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r_training.batches import TrainingBatch
 
 CHANGED = 0.02

@@ -12,11 +12,11 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r import config
-from edit3r.config import Count, Index, Share
+from edit3r.contract import settings as config
 from edit3r.contract.interfaces import Dataset, SceneSample
+from edit3r.contract.settings import Count, Index, Share
 from edit3r.contract.types import Cameras
-from edit3r.geometry.cameras import intrinsics_from_fov
+from edit3r.kit.geometry.cameras import intrinsics_from_fov
 from edit3r_training.procedural_scenes import (
     ProceduralScene,
     random_cameras,

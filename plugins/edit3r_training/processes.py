@@ -18,7 +18,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-from edit3r.errors import SettingsError
+from edit3r.contract.errors import SettingsError
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from edit3r.compute.compiling import compiled
+from edit3r.kit.compute.compiling import compiled
 from edit3r_training.procedural_scenes import (
     CYLINDER,
     ELLIPSOID,

@@ -17,11 +17,11 @@ from PIL import Image, UnidentifiedImageError
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.errors import InputError
-from edit3r.geometry.cameras import invert_rigid
-from edit3r.io.decode import FORMATS
-from edit3r.io.framing import frame_for
-from edit3r.io.posed_folder import PosedPhoto
+from edit3r.contract.errors import InputError
+from edit3r.kit.geometry.cameras import invert_rigid
+from edit3r.kit.photos.decode import FORMATS
+from edit3r.kit.photos.framing import frame_for
+from edit3r.kit.photos.posed_folder import PosedPhoto
 from edit3r_training.photo_dataset import (
     DrawnPhotos,
     PhotoDataset,

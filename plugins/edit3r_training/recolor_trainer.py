@@ -22,7 +22,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.config import Index, NonNegative, Share
+from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import (
     LossInputs,
     Reconstructor,
@@ -30,8 +30,8 @@ from edit3r.contract.interfaces import (
     Trainer,
     TrainingJob,
 )
+from edit3r.contract.settings import Index, NonNegative, Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction
-from edit3r.errors import SettingsError
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import TrainingBatch, Unit, make_batch
 from edit3r_training.loop import LoopSettings, Recipe, StepLoss, train

@@ -16,11 +16,11 @@ from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
-from edit3r.compute.smoothing import weighted_smooth
+from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import MatchedGeometry, Matcher, SceneSample
 from edit3r.contract.types import Views
-from edit3r.errors import MatchingError
-from edit3r.geometry.cameras import project, unproject
+from edit3r.kit.compute.smoothing import weighted_smooth
+from edit3r.kit.geometry.cameras import project, unproject
 
 Map = Float[np.ndarray, "height width"]
 Where = Bool[np.ndarray, "height width"]

@@ -16,12 +16,12 @@ from PIL import Image
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.config import Count
-from edit3r.errors import InputError
-from edit3r.io.cameras import CAMERA_FILES, PosedCamera
-from edit3r.io.decode import read_image
-from edit3r.io.framing import frame_for
-from edit3r.io.posed_folder import PosedFolder, read_posed_folder
+from edit3r.contract.errors import InputError
+from edit3r.contract.settings import Count
+from edit3r.kit.photos.cameras import CAMERA_FILES, PosedCamera
+from edit3r.kit.photos.decode import read_image
+from edit3r.kit.photos.framing import frame_for
+from edit3r.kit.photos.posed_folder import PosedFolder, read_posed_folder
 from edit3r_training.photo_dataset import (
     DrawnPhotos,
     PhotoDataset,

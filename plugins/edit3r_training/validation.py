@@ -5,11 +5,11 @@ from pathlib import Path
 
 import torch
 
-from edit3r import reporting
+from edit3r.contract import reporting
+from edit3r.contract.errors import MatchingError, SettingsError
 from edit3r.contract.interfaces import Dataset, TakesGeometry, TrainingJob
 from edit3r.contract.types import Reconstruction
-from edit3r.errors import MatchingError, SettingsError
-from edit3r.io.images import save_image
+from edit3r.kit.photos.images import save_image
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import Match, TrainingBatch, Unit, make_batch
 from edit3r_training.pixel_losses import (

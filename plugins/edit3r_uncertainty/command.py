@@ -3,8 +3,8 @@
 import argparse
 from pathlib import Path
 
-from edit3r.cli.flags import add_output_flags
 from edit3r.contract.command import Command
+from edit3r.kit.command.flags import add_output_flags
 
 
 class UncertaintyCommand(Command):
@@ -29,8 +29,8 @@ class UncertaintyCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         import torch
 
-        from edit3r.io.atomic import atomic_folder, check_apart
-        from edit3r.plugins.registry import default_registry
+        from edit3r.kit.files.atomic import atomic_folder, check_apart
+        from edit3r.loading.registry import default_registry
         from edit3r_uncertainty.run import judge, read_run, write_run
 
         rasterizer = default_registry().build("rasterizer", "auto")

@@ -10,8 +10,8 @@ import torch
 
 import edit3r
 from edit3r.contract.types import EditRequest, Views
-from edit3r.plugins.load import load_plugins
-from edit3r.plugins.registry import Registry, default_registry
+from edit3r.loading.load import load_plugins
+from edit3r.loading.registry import Registry, default_registry
 
 PAGES = Path(__file__).parents[2] / "docs" / "editors"
 PLUGINS = ("diffusers", "remote")

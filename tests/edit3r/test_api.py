@@ -10,11 +10,11 @@ import pytest
 import torch
 
 import edit3r
+from edit3r.contract.errors import InputError
 from edit3r.contract.types import Cameras
-from edit3r.errors import InputError
-from edit3r.io.cameras import posed_cameras, write_cameras
-from edit3r.io.images import save_image
-from edit3r.pipeline.config import RunConfig
+from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.images import save_image
+from edit3r.running.config import RunConfig
 
 QUICK = {"gaussians": "all", "refine": 0, "frames": 2, "size": 96}
 

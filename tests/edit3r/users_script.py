@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import edit3r
-from edit3r.io.export import export_scene
+from edit3r.kit.scenes.export import export_scene
 
 
 def edit(folder: Path) -> str:

@@ -7,17 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from edit3r_develop.new_plugin import new_package
 
-from edit3r.cli.new_plugin import new_package
 from edit3r.contract.component import KINDS
-from edit3r.plugins.registry import Registry
+from edit3r.loading.registry import Registry
 from edit3r_testing import Contract, ContractViolation
 
 
 @pytest.fixture(scope="session")
 def examples(tmp_path_factory) -> Registry:
     """A registry with a generated plugin `worked-KIND` of every kind."""
-    from edit3r.plugins.registry import default_registry
+    from edit3r.loading.registry import default_registry
 
     parent = tmp_path_factory.mktemp("examples")
     for kind in KINDS:

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import MatchedGeometry, Matcher
-from edit3r.errors import MatchingError
 from edit3r_testing import MatcherContract, photograph
 
 
@@ -77,7 +77,7 @@ CASES = {
     "a traceback": (
         {"refuse": ZeroDivisionError},
         GREY,
-        "raise edit3r.errors.MatchingError",
+        "raise edit3r.contract.errors.MatchingError",
     ),
 }
 

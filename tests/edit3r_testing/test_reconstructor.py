@@ -8,8 +8,8 @@ from torch import nn
 
 from edit3r.contract.interfaces import Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction
-from edit3r.geometry.cameras import unproject
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.kit.geometry.cameras import unproject
+from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r_testing import ContractViolation, ReconstructorContract
 from edit3r_testing.network import TinyBackbone
 
@@ -185,7 +185,7 @@ CASES = {
     "falls over grey photos": (
         {"before": divide_by_contrast},
         "test_photos_without_texture_end_in_a_result_or_a_sentence",
-        "raise edit3r.errors.MatchingError",
+        "raise edit3r.contract.errors.MatchingError",
     ),
 }
 
@@ -242,9 +242,9 @@ from pydantic import Field
 from torch import nn
 
 from edit3r import Component, Settings, hookimpl
-from edit3r.geometry.cameras import pixels_to_gaussians
+from edit3r.kit.geometry.cameras import pixels_to_gaussians
 from edit3r.contract.interfaces import Reconstructor
-from edit3r.io.weight_files import load_weights
+from edit3r.kit.weights.files import load_weights
 from edit3r.contract.types import Cameras, Reconstruction
 
 EDIT3R_API = 1

@@ -11,8 +11,8 @@ import pytest
 import torch
 from PIL import Image
 
-from edit3r.errors import SettingsError
-from edit3r.io.images import packaged_pair
+from edit3r.contract.errors import SettingsError
+from edit3r.kit.photos.images import packaged_pair
 
 FOLDER = Path(__file__).parents[2] / "examples" / "edit3r-comfyui"
 QUICK = "{size: 64, gaussians: all, refine: 2, frames: 2, outputs: [scene]}"

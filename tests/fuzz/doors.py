@@ -27,28 +27,29 @@ from edit3r_training.checkpoint import TrainingState, copied_weights
 from mangling import TEXTS, json_bytes, mangled_bytes, mangled_text, nasty
 from PIL import Image
 
-from edit3r.cache import Cache
-from edit3r.config import parse_assignments, read_yaml
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
-from edit3r.geometry.harmonics import colour_to_dc
-from edit3r.io.atomic import atomic_folder
-from edit3r.io.cameras import (
+from edit3r.kit.cache import Cache
+from edit3r.kit.files.atomic import atomic_folder
+from edit3r.kit.files.configs import parse_assignments
+from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.geometry.harmonics import colour_to_dc
+from edit3r.kit.photos.cameras import (
     posed_cameras,
     read_cameras,
     read_scene_cameras,
     write_cameras,
 )
-from edit3r.io.coverage import take_frames
-from edit3r.io.export import FORMATS, export_scene, load_scene
-from edit3r.io.images import load_photos, save_image, unique_names
-from edit3r.io.masks import load_masks
-from edit3r.io.ply import load_ply, save_ply
-from edit3r.io.run_folder import recorded
-from edit3r.io.viewer import save_viewer
-from edit3r.io.weight_files import load_weights as load_trained
-from edit3r.pipeline.config import make_run_config
-from edit3r.pipeline.earlier import read_earlier_run
-from edit3r.plugins.registry import default_registry
+from edit3r.kit.photos.coverage import take_frames
+from edit3r.kit.photos.images import load_photos, save_image, unique_names
+from edit3r.kit.photos.masks import load_masks
+from edit3r.kit.run_folder import recorded
+from edit3r.kit.scenes.export import FORMATS, export_scene, load_scene
+from edit3r.kit.scenes.ply import load_ply, save_ply
+from edit3r.kit.scenes.viewer import save_viewer
+from edit3r.kit.weights.files import load_weights as load_trained
+from edit3r.loading.registry import default_registry
+from edit3r.running.config import make_run_config
+from edit3r.running.earlier import read_earlier_run
 
 SIZE = (24, 32)
 

@@ -17,9 +17,9 @@ from doors import DOORS, _scene, make_originals
 from mangling import TEXTS, json_bytes, mangled_bytes
 
 from edit3r.cli.main import main
-from edit3r.errors import Edit3rError
-from edit3r.io.ply import save_ply
-from edit3r.reporting import Report, collecting
+from edit3r.contract.errors import Edit3rError
+from edit3r.contract.reporting import Report, collecting
+from edit3r.kit.scenes.ply import save_ply
 
 CASES = int(os.environ.get("EDIT3R_FUZZ_CASES", "1040"))
 ONLY = os.environ.get("EDIT3R_FUZZ_ONLY", "")

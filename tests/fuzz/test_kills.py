@@ -17,16 +17,16 @@ from edit3r_app.runner import Runner
 from edit3r_app.uploads import receive
 from edit3r_training.loop import LoopSettings, Recipe, StepLoss, train
 
-from edit3r.cache import Cache
 from edit3r.cli.main import main
 from edit3r.contract.weights import Weights
-from edit3r.io import atomic
-from edit3r.io.cameras import posed_cameras, write_cameras
-from edit3r.io.fetching import fetch
-from edit3r.io.images import packaged_pair
-from edit3r.io.ply import save_ply
-from edit3r.plugins.weights import find
-from edit3r.workers import run_resumable
+from edit3r.kit.cache import Cache
+from edit3r.kit.files import atomic
+from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.images import packaged_pair
+from edit3r.kit.scenes.ply import save_ply
+from edit3r.kit.weights.fetch import fetch
+from edit3r.kit.weights.find import find
+from edit3r.kit.workers import run_resumable
 from edit3r_testing import cameras_around, gaussian_cloud
 from edit3r_testing.training import tiny_job
 

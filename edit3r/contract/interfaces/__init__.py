@@ -3,7 +3,7 @@
 Each concrete class has a nested `Settings` (a subclass of `edit3r.Settings`, every field with
 default, range and description) and is constructed by the registry as `Class(settings, **parts)`.
 Interfaces are abstract, concrete classes are final: compose, do not subclass. Progress, facts for
-the manifest and warnings go through `edit3r.reporting` (`track`, `note`, `warn`).
+the manifest and warnings go through `edit3r.contract.reporting` (`track`, `note`, `warn`).
 """
 
 import torch

@@ -3,10 +3,10 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from edit3r.config import Settings
+from edit3r.contract.settings import Settings
 
 if TYPE_CHECKING:
-    from edit3r.plugins.load import Offer
+    from edit3r.contract.component import Offer
 
 
 class Configured:

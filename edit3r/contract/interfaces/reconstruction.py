@@ -18,7 +18,7 @@ from edit3r.contract.types import (
 )
 
 if TYPE_CHECKING:
-    from edit3r.io.framing import Lens
+    from edit3r.contract.lens import Lens
 
 
 class Reconstructor(Configured, ABC):

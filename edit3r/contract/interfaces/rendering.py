@@ -8,8 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.interfaces.base import Configured
-from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
-from edit3r.geometry.harmonics import DC
+from edit3r.contract.types import DC, Cameras, Gaussians, Rendering, Views
 
 
 class Rasterizer(Configured, ABC):

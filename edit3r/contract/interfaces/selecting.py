@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces.base import Configured
-from edit3r.errors import InputError
-from edit3r.reporting import warn
+from edit3r.contract.reporting import warn
 
 
 @dataclass(frozen=True)

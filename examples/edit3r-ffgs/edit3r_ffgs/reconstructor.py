@@ -8,11 +8,11 @@ from ffgs.registry import get_model_spec
 from pydantic import Field
 from safetensors.torch import load_file
 
-from edit3r.config import Settings
 from edit3r.contract.interfaces import Reconstructor
+from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
-from edit3r.geometry.cameras import invert_rigid, relative_to_first
-from edit3r.plugins.weights import find
+from edit3r.kit.geometry.cameras import invert_rigid, relative_to_first
+from edit3r.kit.weights.find import find
 from edit3r_ffgs import ANYSPLAT
 
 

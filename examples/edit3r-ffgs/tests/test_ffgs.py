@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import edit3r
-from edit3r.errors import MissingDependencyError
-from edit3r.geometry.cameras import invert_rigid, project
+from edit3r.contract.errors import MissingDependencyError
+from edit3r.kit.geometry.cameras import invert_rigid, project
 from edit3r_testing import ReconstructorContract
 from edit3r_testing.scenes import photograph
 

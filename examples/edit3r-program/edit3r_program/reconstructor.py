@@ -8,13 +8,13 @@ from pathlib import Path
 import torch
 from pydantic import Field
 
-from edit3r import config
+from edit3r.contract import settings as config
+from edit3r.contract.errors import RunError
 from edit3r.contract.interfaces import Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
-from edit3r.errors import RunError
-from edit3r.io.cameras import read_scene_cameras
-from edit3r.io.images import save_image
-from edit3r.io.ply import load_ply
+from edit3r.kit.photos.cameras import read_scene_cameras
+from edit3r.kit.photos.images import save_image
+from edit3r.kit.scenes.ply import load_ply
 
 
 class ProgramReconstructor(Reconstructor):

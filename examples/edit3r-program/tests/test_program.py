@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import edit3r
-from edit3r.errors import RunError
+from edit3r.contract.errors import RunError
 from edit3r_testing import ReconstructorContract
 from edit3r_testing.scenes import photograph
 

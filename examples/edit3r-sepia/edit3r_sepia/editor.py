@@ -6,8 +6,8 @@ import kornia
 import torch
 from pydantic import Field
 
-from edit3r.config import Settings
 from edit3r.contract.interfaces import Editor
+from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 
 

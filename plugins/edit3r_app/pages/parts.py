@@ -9,7 +9,7 @@ from urllib.parse import quote
 
 from nicegui import ui
 
-from edit3r.errors import Edit3rError
+from edit3r.contract.errors import Edit3rError
 from edit3r_app.draft import Draft, read_draft, write_draft
 from edit3r_app.jobs import PREVIEW, AppJob, JobsFolder, manifest_of
 from edit3r_app.looking import Looker

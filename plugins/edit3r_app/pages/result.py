@@ -7,7 +7,7 @@ from urllib.parse import quote
 
 from nicegui import run, ui
 
-from edit3r.errors import InputError
+from edit3r.contract.errors import InputError
 from edit3r_app.downloads import DOWNLOADS, prepared
 from edit3r_app.pages.parts import (
     Tab,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from nicegui import ui
 
-from edit3r.errors import InputError
+from edit3r.contract.errors import InputError
 from edit3r_app.jobs import tree
 from edit3r_app.pages.editing import Editing
 from edit3r_app.pages.parts import Tab, address, badge, card, html, judgements, quiet

@@ -5,8 +5,8 @@ from pathlib import Path
 from pydantic import Field
 
 from edit3r import Component, hookimpl
-from edit3r.config import USER_ONLY, Settings
-from edit3r.errors import RunError
+from edit3r.contract.errors import RunError
+from edit3r.contract.settings import USER_ONLY, Settings
 
 
 @hookimpl

@@ -7,10 +7,10 @@ import yaml
 from pydantic import Field
 
 from edit3r.cli.main import main
-from edit3r.config import PartChoice, Settings
-from edit3r.pipeline.config import PART_KEYS, make_run_config
-from edit3r.plugins.describe import settings_lines, type_in_words, yaml_example
-from edit3r.plugins.registry import default_registry
+from edit3r.contract.settings import PartChoice, Settings
+from edit3r.loading.describe import settings_lines, type_in_words, yaml_example
+from edit3r.loading.registry import default_registry
+from edit3r.running.config import PART_KEYS, make_run_config
 
 LOCAL = """
 from pydantic import Field
@@ -134,7 +134,7 @@ def test_all_there_is_to_know_is_shown(local, capsys):
 
 
 def test_a_refiner_is_one_of_a_list_and_a_command_has_arguments(tmp_path, capsys):
-    from edit3r.cli.new_plugin import new_package
+    from edit3r_develop.new_plugin import new_package
 
     package = str(
         new_package("refiner", "described-refiner", tmp_path)

@@ -9,9 +9,9 @@ import sys
 
 import pytest
 
-from edit3r.cli.console import StageConsole
 from edit3r.cli.main import main
-from edit3r.plugins.registry import default_registry
+from edit3r.kit.command.console import StageConsole
+from edit3r.loading.registry import default_registry
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_no_command_shows_the_overview_and_says_it_was_wrong(capsys):
 
 def program(code, *arguments):
     """A process that runs Python code, with `program` at its disposal."""
-    start = "import gc, sys, signal; from edit3r.__main__ import program\n"
+    start = "import gc, sys, signal; from edit3r.cli.program import program\n"
     return subprocess.Popen(
         [sys.executable, "-c", start + code, *arguments],
         stdout=subprocess.PIPE,
@@ -131,7 +131,7 @@ def test_what_a_default_run_is_made_of_loads_no_library_that_it_does_not_use():
     process = program(
         "import edit3r_recolor.editor, edit3r_segmenters.auto, edit3r_matching.matchers\n"
         "import edit3r_refiners.refine\n"
-        "from edit3r.pipeline import run, write\n"
+        "from edit3r.running import run, write\n"
         "heavy = {'kornia', 'skimage', 'scipy.optimize', 'scipy.spatial', 'scipy.ndimage'}\n"
         f"{HEAVY}"
     )

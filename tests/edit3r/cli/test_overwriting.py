@@ -3,7 +3,7 @@
 import pytest
 
 from edit3r.cli.main import main
-from edit3r.io.atomic import atomic_folder
+from edit3r.kit.files.atomic import atomic_folder
 
 COMMANDS = [
     "simplify scene.ply --out theirs.ply",

@@ -7,9 +7,9 @@ import subprocess
 import sys
 
 import pytest
+from edit3r_develop.new_plugin import new_package
 
 from edit3r import save_ply
-from edit3r.cli.new_plugin import new_package
 from edit3r_testing import gaussian_cloud
 
 

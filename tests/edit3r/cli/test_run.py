@@ -8,8 +8,8 @@ import torch
 
 import edit3r
 from edit3r.cli.main import main
-from edit3r.io.cameras import posed_cameras, read_cameras, write_cameras
-from edit3r.io.images import save_image
+from edit3r.kit.photos.cameras import posed_cameras, read_cameras, write_cameras
+from edit3r.kit.photos.images import save_image
 
 
 @pytest.fixture(scope="module")

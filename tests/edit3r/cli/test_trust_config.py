@@ -8,9 +8,9 @@ import yaml
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.config import is_user_only
-from edit3r.io.images import packaged_pair
-from edit3r.plugins.registry import default_registry
+from edit3r.contract.settings import is_user_only
+from edit3r.kit.photos.images import packaged_pair
+from edit3r.loading.registry import default_registry
 
 PLUGIN = str(Path(__file__).with_name("calling.py"))
 FLAT = str(Path(__file__).parents[2] / "plugins" / "flat_scene.py")

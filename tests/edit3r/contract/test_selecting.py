@@ -2,8 +2,8 @@
 
 import pytest
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Marks
-from edit3r.errors import InputError
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ from itertools import count
 
 import pytest
 
-from edit3r.io import atomic
-from edit3r.io.atomic import MARKER, atomic_folder, atomic_write
+from edit3r.kit.files import atomic
+from edit3r.kit.files.atomic import MARKER, atomic_folder, atomic_write
 
 pytestmark = pytest.mark.skipif(atomic.fcntl is None, reason="no file locks here")
 
@@ -73,7 +73,7 @@ def test_the_next_writer_removes_what_a_killed_one_left(tmp_path, killed_at, wri
 
 MANY = """
 import sys
-from edit3r.io.atomic import atomic_folder
+from edit3r.kit.files.atomic import atomic_folder
 for round in range(40):
     with atomic_folder(sys.argv[1]) as folder:
         for name in ("a.txt", "c.txt"):

@@ -10,9 +10,9 @@ import torch
 from PIL import Image
 
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.geometry.harmonics import colour_to_dc
-from edit3r.io.viewer import NamedObjects, save_viewer
-from edit3r.plugins.registry import build
+from edit3r.kit.geometry.harmonics import colour_to_dc
+from edit3r.kit.scenes.viewer import NamedObjects, save_viewer
+from edit3r.loading.registry import build
 
 playwright = pytest.importorskip(
     "playwright.sync_api", reason="needs playwright: pip install playwright"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edit3r.errors import PromptError
+from edit3r.contract.errors import PromptError
 from edit3r.wishes.read import read, spelling_hint
 
 PAINT = {

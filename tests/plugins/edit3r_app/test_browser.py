@@ -20,7 +20,7 @@ import pytest
 from edit3r_app.draft import read_draft
 from edit3r_app.jobs import JobsFolder
 
-from edit3r.io.images import packaged_pair
+from edit3r.kit.photos.images import packaged_pair
 
 playwright = pytest.importorskip(
     "playwright.sync_api", reason="needs playwright, see this file's docstring"

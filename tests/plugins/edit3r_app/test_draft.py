@@ -5,8 +5,8 @@ import torch
 from edit3r_app.draft import Draft, Mark, Step, read_draft, write_draft
 from edit3r_app.jobs import JobsFolder
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.types import Views
-from edit3r.errors import InputError
 
 
 @pytest.fixture

@@ -13,10 +13,10 @@ from edit3r_app.forms import (
     run_settings,
 )
 
-from edit3r.config import is_user_only
-from edit3r.errors import SettingsError
-from edit3r.pipeline.config import RunConfig, make_run_config
-from edit3r.plugins.registry import default_registry
+from edit3r.contract.errors import SettingsError
+from edit3r.contract.settings import is_user_only
+from edit3r.loading.registry import default_registry
+from edit3r.running.config import RunConfig, make_run_config
 
 REGISTRY = default_registry()
 

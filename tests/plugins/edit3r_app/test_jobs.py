@@ -8,7 +8,7 @@ import pytest
 from edit3r_app.jobs import AppJob, JobsFolder, manifest_of, tree
 from PIL import Image
 
-from edit3r.errors import InputError
+from edit3r.contract.errors import InputError
 
 DAMAGED_PID = '{"name": "bear-1", "scene": "bear", "state": "running", "pid": "x"}'
 

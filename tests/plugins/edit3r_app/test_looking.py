@@ -12,12 +12,12 @@ from edit3r_app.jobs import PREVIEW, JobsFolder, manifest_of
 from edit3r_app.looking import Looker
 from PIL import Image
 
-from edit3r.errors import InputError
-from edit3r.io.images import packaged_pair
-from edit3r.pipeline.config import RunConfig
-from edit3r.pipeline.earlier import CACHE
-from edit3r.plugins.registry import default_registry
-from edit3r.reporting import Report, collecting
+from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import Report, collecting
+from edit3r.kit.photos.images import packaged_pair
+from edit3r.loading.registry import default_registry
+from edit3r.running.config import RunConfig
+from edit3r.running.earlier import CACHE
 
 SIZE = 96
 

@@ -15,7 +15,7 @@ from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.progress import read_progress
 from edit3r_app.runner import EDIT3R, Runner, command_of
 
-from edit3r.errors import InputError
+from edit3r.contract.errors import InputError
 
 QUICK = """
 import pathlib, sys

@@ -12,7 +12,7 @@ from edit3r_app import uploads
 from edit3r_app.jobs import JobsFolder
 from PIL import Image
 
-from edit3r.errors import InputError
+from edit3r.contract.errors import InputError
 
 
 def picture(form="PNG", size=(32, 24), seed=0, **options):
@@ -217,7 +217,7 @@ def test_a_set_that_holds_no_photo_can_be_discarded_and_no_other(folder, scene):
 
 
 def test_of_a_video_frames_are_kept_as_photos(folder, scene, tmp_path):
-    from edit3r.io.video import save_video
+    from edit3r.kit.video import save_video
 
     wide = (
         np.random.default_rng(0)

@@ -8,8 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from edit3r import Component, hookimpl
+from edit3r.contract.errors import RunError
 from edit3r.contract.interfaces import Editor
-from edit3r.errors import RunError
 
 
 @hookimpl

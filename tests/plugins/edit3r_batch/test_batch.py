@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.io.images import packaged_pair
+from edit3r.kit.photos.images import packaged_pair
 
 HERE = Path(__file__).parent
 QUICK = [

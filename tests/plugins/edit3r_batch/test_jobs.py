@@ -10,8 +10,8 @@ from edit3r_batch.jobs import MAX_BYTES, read_jobs
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.errors import InputError
-from edit3r.plugins.registry import default_registry
+from edit3r.contract.errors import InputError
+from edit3r.loading.registry import default_registry
 
 GOOD = {"photos": ["a.png", "b.png"], "prompt": "paint it red"}
 

@@ -9,8 +9,8 @@ import torch
 from edit3r_diffusers.consistency import disagreement, edit_consistently
 
 import edit3r
-from edit3r.errors import SettingsError
-from edit3r.reporting import Report, collecting
+from edit3r.contract.errors import SettingsError
+from edit3r.contract.reporting import Report, collecting
 
 SIDE, SHIFT = 160, 24
 TINTS = (0.2, -0.1)  # of the two views, which hence disagree by 0.3

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import edit3r
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import MatchedGeometry, Matcher
-from edit3r.errors import InputError
 
 ASK = edit3r.EditRequest("a red bike", seed=3)
 

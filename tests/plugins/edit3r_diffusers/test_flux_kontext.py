@@ -6,7 +6,7 @@ import pytest
 import torch
 
 import edit3r
-from edit3r.errors import SettingsError
+from edit3r.contract.errors import SettingsError
 
 ASK = edit3r.EditRequest("paint it red", seed=3)
 

@@ -5,8 +5,13 @@ import torch
 from edit3r_diffusers import loading
 
 import edit3r
-from edit3r.errors import InputError, MissingDependencyError, RunError, SettingsError
-from edit3r.io import pretrained
+from edit3r.contract.errors import (
+    InputError,
+    MissingDependencyError,
+    RunError,
+    SettingsError,
+)
+from edit3r.kit.weights import load as pretrained
 
 ASK = edit3r.EditRequest("paint it red")
 

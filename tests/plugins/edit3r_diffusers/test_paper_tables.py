@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.plugins.registry import build
+from edit3r.loading.registry import build
 
 SIDE = 64
 

@@ -11,7 +11,7 @@ from edit3r_diffusers.latents import skipping, steps_left
 
 import edit3r
 from edit3r.contract.interfaces import Matcher
-from edit3r.reporting import Report, collecting
+from edit3r.contract.reporting import Report, collecting
 from edit3r_testing.scenes import photograph
 
 ASK = edit3r.EditRequest("paint it red", seed=3)

@@ -9,9 +9,9 @@ import pytest
 import torch
 from edit3r_editors.command import parse_command
 
+from edit3r.contract.errors import RunError, SettingsError
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import RunError, SettingsError
-from edit3r.plugins.registry import build
+from edit3r.loading.registry import build
 from edit3r_testing import EditorContract
 
 VIEWS = Views(

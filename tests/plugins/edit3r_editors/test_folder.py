@@ -3,11 +3,11 @@ from pathlib import Path
 import pytest
 import torch
 
+from edit3r.contract.errors import InputError, SettingsError
+from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import InputError, SettingsError
-from edit3r.io.images import save_image
-from edit3r.plugins.registry import build
-from edit3r.reporting import Report, collecting
+from edit3r.kit.photos.images import save_image
+from edit3r.loading.registry import build
 from edit3r_testing import Contract, EditorContract, claims
 
 VIEWS = Views(

@@ -9,11 +9,11 @@ from edit3r_editors.looks import LOOKS, look_of
 from skimage import data
 
 from edit3r.cli.main import main
+from edit3r.contract.errors import PromptError, SettingsError
+from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import PromptError, SettingsError
-from edit3r.io.images import packaged_pair
-from edit3r.plugins.registry import build
-from edit3r.reporting import Report, collecting
+from edit3r.kit.photos.images import packaged_pair
+from edit3r.loading.registry import build
 from edit3r.wishes.read import read
 
 PHOTO = torch.from_numpy(

@@ -1,9 +1,9 @@
 import pytest
 import torch
 
+from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest, Views
-from edit3r.plugins.registry import build
-from edit3r.reporting import Report, collecting
+from edit3r.loading.registry import build
 
 
 def photos() -> Views:

@@ -1,8 +1,8 @@
 import torch
 
+from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest, Views
-from edit3r.plugins.registry import build
-from edit3r.reporting import Report, collecting
+from edit3r.loading.registry import build
 
 VIEWS = Views(torch.rand(1, 2, 3, 4, 5), torch.eye(3).expand(1, 2, 3, 3))
 

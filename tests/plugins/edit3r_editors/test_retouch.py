@@ -7,12 +7,12 @@ import torch
 from edit3r_editors.retouch import RetouchEditor, _spanned
 
 import edit3r
+from edit3r.contract.errors import InputError, MatchingError
 from edit3r.contract.interfaces import MatchedGeometry, Matcher, Reconstructor
+from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import InputError, MatchingError
-from edit3r.geometry.cameras import intrinsics_from_fov
-from edit3r.geometry.maps import dilate
-from edit3r.reporting import Report, collecting
+from edit3r.kit.geometry.cameras import intrinsics_from_fov
+from edit3r.kit.geometry.maps import dilate
 
 SIZE, WALL, BOARD, STEP = 64, 4.0, 2.0, 0.5
 """A striped wall, a board before it, and a second camera that stands to the right of the first."""

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from edit3r.contract.types import EditRequest, Views
-from edit3r.plugins.registry import build
+from edit3r.loading.registry import build
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from edit3r_matching.features import FoundFeatures, Keypoints
 from edit3r_matching.pairs import PairView, agreeing_pairs
 from edit3r_matching.relative_pose import Matches
 
-from edit3r.errors import MatchingError
+from edit3r.contract.errors import MatchingError
 
 VIEWS, POINTS, FOCAL, SIZE = 4, 120, 300.0, (240, 320)
 ASIDE = Pose(cv2.Rodrigues(np.array([0.0, 0.3, 0]))[0], np.array([-1.5, 0.1, 0.2]))

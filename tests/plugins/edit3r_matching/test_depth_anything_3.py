@@ -17,17 +17,17 @@ from torch import nn
 
 import edit3r
 from edit3r import Views
-from edit3r.errors import InputError, MatchingError, MissingDependencyError
-from edit3r.geometry.cameras import (
+from edit3r.contract.errors import InputError, MatchingError, MissingDependencyError
+from edit3r.contract.reporting import Report, collecting
+from edit3r.kit.geometry.cameras import (
     invert_rigid,
     project,
     scale_poses,
     to_pixels,
     unproject,
 )
-from edit3r.geometry.maps import resize
-from edit3r.plugins.registry import default_registry, install_hint
-from edit3r.reporting import Report, collecting
+from edit3r.kit.geometry.maps import resize
+from edit3r.loading.registry import default_registry, install_hint
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 from edit3r_testing.scenes import photograph
 

@@ -10,7 +10,7 @@ from edit3r_matching.cameras import calibrated_images
 from edit3r_matching.features import FeatureSettings, Keypoints, find_features
 from edit3r_matching.learned import LearnedFeatures
 
-from edit3r.errors import InputError, MissingDependencyError
+from edit3r.contract.errors import InputError, MissingDependencyError
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ from edit3r_measure.scene_sources import rotation_degrees
 
 import edit3r
 from edit3r import Views
-from edit3r.errors import MatchingError
-from edit3r.io.images import packaged_pair
-from edit3r.reporting import Report, collecting
+from edit3r.contract.errors import MatchingError
+from edit3r.contract.reporting import Report, collecting
+from edit3r.kit.photos.images import packaged_pair
 
 
 def within_share(depth, truth, tolerance=0.1):

@@ -12,8 +12,8 @@ from edit3r_matching.features import FeatureSettings, find_features
 from edit3r_matching.learned import PairNetwork, load
 
 import edit3r
-from edit3r.errors import InputError, MissingDependencyError
-from edit3r.plugins.weights import named
+from edit3r.contract.errors import InputError, MissingDependencyError
+from edit3r.loading.weights import named
 
 WEIGHTS = {"efficientloftr": "efficientloftr", "superpoint": "superpoint-lightglue"}
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 import edit3r
+from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import Matcher
-from edit3r.errors import MatchingError
 from edit3r_testing import Contract, MatcherContract, claims, contract_for
 from edit3r_testing.scenes import photograph
 

@@ -6,12 +6,12 @@ from edit3r_measure.metrics import best_blurred_copy, psnr
 
 import edit3r
 from edit3r import Cameras, Views
+from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import MatchedGeometry, Matcher
-from edit3r.errors import MatchingError
-from edit3r.geometry.cameras import project
-from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.geometry.surroundings import background_layer
-from edit3r.geometry.warping import contradicted, seen_by_others
+from edit3r.kit.geometry.cameras import project
+from edit3r.kit.geometry.harmonics import dc_to_colour
+from edit3r.kit.geometry.surroundings import background_layer
+from edit3r.kit.geometry.warping import contradicted, seen_by_others
 
 
 class KnownGeometry(Matcher):

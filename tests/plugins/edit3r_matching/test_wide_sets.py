@@ -7,7 +7,7 @@ from edit3r_matching import registration
 from edit3r_matching.cameras import CalibratedImage, Pose, project
 from edit3r_matching.features import FoundFeatures, Keypoints
 
-from edit3r.errors import MatchingError
+from edit3r.contract.errors import MatchingError
 
 FOCAL, SIZE = 300.0, (240, 320)
 LENS = np.array([[FOCAL, 0, SIZE[1] / 2], [0, FOCAL, SIZE[0] / 2], [0, 0, 1]])

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.io.images import packaged_pair
+from edit3r.kit.photos.images import packaged_pair
 
 pytest.importorskip("mcp", reason='needs the server: pip install "edit3r[mcp]"')
 from edit3r_mcp.tools import server

@@ -7,8 +7,8 @@ import torch
 from edit3r_measure.features import ClipSimilarity, central_square, direction_similarity
 
 import edit3r
+from edit3r.contract.errors import MissingDependencyError
 from edit3r.contract.interfaces import LossInputs
-from edit3r.errors import MissingDependencyError
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 transformers = pytest.importorskip("transformers")

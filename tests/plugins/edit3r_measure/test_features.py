@@ -6,7 +6,7 @@ import torch
 from edit3r_measure.features import CROPS, EffnetFeatures, InceptionFeatures, crops
 from edit3r_measure.metrics import kernel_distance
 
-from edit3r.errors import InputError
+from edit3r.contract.errors import InputError
 
 
 @pytest.fixture

@@ -28,7 +28,7 @@ from scipy.linalg import sqrtm
 from scipy.ndimage import gaussian_filter
 
 from edit3r.contract.types import Cameras
-from edit3r.geometry.cameras import project
+from edit3r.kit.geometry.cameras import project
 
 
 @pytest.fixture

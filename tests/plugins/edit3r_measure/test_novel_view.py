@@ -23,10 +23,10 @@ from edit3r_measure.scene_sources import (
 )
 
 from edit3r.cli.main import main
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Reconstructor
-from edit3r.errors import InputError
-from edit3r.io.posed_folder import read_posed_folder
-from edit3r.plugins.registry import build, default_registry
+from edit3r.kit.photos.posed_folder import read_posed_folder
+from edit3r.loading.registry import build, default_registry
 
 
 def test_photos_without_a_pose_are_left_out(folder):

@@ -27,11 +27,11 @@ from edit3r_measure.scene_sources import photo_scene
 from PIL import Image
 
 from edit3r.cli.main import main
+from edit3r.contract.errors import InputError
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.errors import InputError
-from edit3r.geometry.rotations import matrices_to_quats, quats_to_matrices
-from edit3r.io.posed_folder import PosedPhoto
-from edit3r.plugins.registry import build
+from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
+from edit3r.kit.photos.posed_folder import PosedPhoto
+from edit3r.loading.registry import build
 
 SCRIPT = Path(__file__).parents[3] / "benchmarks" / "overlap_index.py"
 indexing = SourceFileLoader("overlap_index_script", str(SCRIPT)).load_module()

@@ -15,11 +15,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from edit3r.cli.main import main
-from edit3r.errors import InputError, SettingsError
-from edit3r.pipeline.config import PART_KEYS, RunConfig, make_run_config
-from edit3r.pipeline.quality import PRESETS, Expected, MeasuredPoint, read_quality
-from edit3r.plugins.registry import default_registry
-from edit3r.workers import read_rows
+from edit3r.contract.errors import InputError, SettingsError
+from edit3r.kit.workers import read_rows
+from edit3r.loading.registry import default_registry
+from edit3r.running.config import PART_KEYS, RunConfig, make_run_config
+from edit3r.running.quality import PRESETS, Expected, MeasuredPoint, read_quality
 
 SHIPPED = read_quality().points
 FEW = st.integers(0, 6)  # few values, so that ties happen

@@ -3,11 +3,11 @@
 import torch
 
 from edit3r import Component, hookimpl
-from edit3r.config import Settings
 from edit3r.contract.interfaces import GaussianHead
+from edit3r.contract.settings import Settings
 from edit3r.contract.types import Gaussians
-from edit3r.geometry.cameras import pixel_grid
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.kit.geometry.cameras import pixel_grid
+from edit3r.kit.geometry.harmonics import colour_to_dc
 
 EDIT3R_API = 1
 

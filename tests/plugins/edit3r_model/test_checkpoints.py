@@ -20,8 +20,8 @@ from safetensors.torch import save_file
 
 import edit3r
 from edit3r.cli.main import main
-from edit3r.errors import InputError, MissingDependencyError, SettingsError
-from edit3r.reporting import Report, collecting
+from edit3r.contract.errors import InputError, MissingDependencyError, SettingsError
+from edit3r.contract.reporting import Report, collecting
 from edit3r_testing import photograph
 
 HEADS = {"heads": 2, "decoder_heads": 3}

@@ -6,8 +6,8 @@ from edit3r_model.edited_views import EditedViews
 from edit3r_model.small_backbone import convex_upsample
 from edit3r_model.small_head import Decisions, fuse_colours
 
-from edit3r.geometry.cameras import pixel_grid
-from edit3r.geometry.warping import Correspondences
+from edit3r.kit.geometry.cameras import pixel_grid
+from edit3r.kit.geometry.warping import Correspondences
 
 ROWS, COLUMNS, WIDTH = 6, 8, 16
 GRID = (2, WIDTH, ROWS, COLUMNS)

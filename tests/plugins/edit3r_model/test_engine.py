@@ -17,8 +17,8 @@ from edit3r_model.int8_layers import (
 from torch import nn
 
 import edit3r
-from edit3r.errors import SettingsError
-from edit3r.reporting import Report, collecting
+from edit3r.contract.errors import SettingsError
+from edit3r.contract.reporting import Report, collecting
 
 CPU = torch.device("cpu")
 

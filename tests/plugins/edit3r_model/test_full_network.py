@@ -9,9 +9,9 @@ from edit3r_model.network import built
 from edit3r_model.transformer import NORM_EPS, Mlp, layer_norm
 from noposplat_reference import Reference, to_gaussians
 
-from edit3r.config import PartChoice
-from edit3r.errors import InputError
-from edit3r.geometry.rotations import covariances
+from edit3r.contract.errors import InputError
+from edit3r.contract.settings import PartChoice
+from edit3r.kit.geometry.rotations import covariances
 
 CASES = {
     "two views, square": (1, 2, 32, 32),

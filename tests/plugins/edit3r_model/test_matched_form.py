@@ -18,8 +18,8 @@ from edit3r_recolor.paint import paint
 
 from edit3r.contract.interfaces import MatchedGeometry, Matcher
 from edit3r.contract.types import Views
-from edit3r.geometry.harmonics import dc_to_colour
-from edit3r.plugins.registry import build
+from edit3r.kit.geometry.harmonics import dc_to_colour
+from edit3r.loading.registry import build
 from edit3r_testing import photograph
 
 SIZE = (64, 80)

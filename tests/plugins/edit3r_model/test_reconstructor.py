@@ -12,15 +12,15 @@ from edit3r_model.small_backbone import MatchedUNet
 
 import edit3r
 from edit3r.cli.main import main
-from edit3r.config import parse_assignments
+from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Editor
+from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
-from edit3r.errors import InputError, SettingsError
-from edit3r.io.run_folder import WeightsRecord
-from edit3r.io.weight_files import WEIGHTS, save_weights
-from edit3r.plugins.load import load_plugins
-from edit3r.plugins.registry import Registry, build
-from edit3r.reporting import Report, collecting
+from edit3r.kit.files.configs import parse_assignments
+from edit3r.kit.run_folder import WeightsRecord
+from edit3r.kit.weights.files import WEIGHTS, save_weights
+from edit3r.loading.load import load_plugins
+from edit3r.loading.registry import Registry, build
 from edit3r_testing import photograph
 
 SIZES = {"width": 32, "depth": 1, "heads": 2}

@@ -8,11 +8,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import edit3r
+from edit3r.contract.errors import (
+    InputError,
+    MissingDependencyError,
+    RunError,
+    SettingsError,
+)
+from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Gaussians, Views
-from edit3r.errors import InputError, MissingDependencyError, RunError, SettingsError
-from edit3r.geometry.cameras import intrinsics_from_fov
-from edit3r.geometry.rotations import covariances, quats_to_matrices
-from edit3r.reporting import Report, collecting
+from edit3r.kit.geometry.cameras import intrinsics_from_fov
+from edit3r.kit.geometry.rotations import covariances, quats_to_matrices
 
 SIZES = {"width": 32, "depth": 1, "heads": 2}
 SIZES |= {f"decoder_{name}": value for name, value in SIZES.items()}

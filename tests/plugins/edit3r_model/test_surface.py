@@ -2,8 +2,8 @@ import torch
 from edit3r_model.surface import discs, surface_normals
 
 from edit3r.contract.types import Cameras
-from edit3r.geometry.cameras import pixels_to_gaussians, unproject
-from edit3r.geometry.rotations import quats_to_matrices
+from edit3r.kit.geometry.cameras import pixels_to_gaussians, unproject
+from edit3r.kit.geometry.rotations import quats_to_matrices
 
 SIZE = (24, 32)
 K = torch.tensor([[1.1, 0, 0.5], [0, 1.4, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 import edit3r
-from edit3r.io.images import load_views, packaged_pair
+from edit3r.kit.photos.images import load_views, packaged_pair
 
 
 @pytest.mark.parametrize(("size", "grid"), [(128, None), (64, (42, 42))])

@@ -6,8 +6,8 @@ import torch.nn.functional as F
 from edit3r_model.view_fitting import finer_grid, fit_views, regrid
 
 from edit3r.contract.types import Gaussians, Views
-from edit3r.geometry.cameras import intrinsics_from_fov, pixel_rays
-from edit3r.geometry.harmonics import colour_to_dc, dc_to_colour
+from edit3r.kit.geometry.cameras import intrinsics_from_fov, pixel_rays
+from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
 
 
 def views_of(*size: int) -> Views:

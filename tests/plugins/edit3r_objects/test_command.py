@@ -10,8 +10,8 @@ import torch
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.io.images import packaged_pair
-from edit3r.io.ply import load_ply
+from edit3r.kit.photos.images import packaged_pair
+from edit3r.kit.scenes.ply import load_ply
 from edit3r_testing import CommandContract
 
 FLAT = Path(__file__).parents[1] / "flat_scene.py"

@@ -7,8 +7,8 @@ import torch
 from edit3r_objects import edits
 
 from edit3r import Gaussians, build
-from edit3r.geometry.harmonics import basis, colour_to_dc, dc_to_colour
-from edit3r.geometry.rotations import covariances, quats_to_matrices
+from edit3r.kit.geometry.harmonics import basis, colour_to_dc, dc_to_colour
+from edit3r.kit.geometry.rotations import covariances, quats_to_matrices
 
 CHOSEN = torch.arange(40) < 15
 

@@ -8,8 +8,8 @@ import torch
 import edit3r
 from edit3r.contract.interfaces import Editor, Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
-from edit3r.geometry.cameras import unproject
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.kit.geometry.cameras import unproject
+from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r_testing.scenes import Photographed, photograph
 
 SIZE = (32, 40)

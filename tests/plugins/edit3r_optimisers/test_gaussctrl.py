@@ -5,8 +5,8 @@ import torch
 from edit3r_optimisers.gaussctrl import chunks, reference_views
 
 from edit3r.contract.interfaces import ConditionedOnDepth, Editor
+from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest
-from edit3r.reporting import Report, collecting
 
 
 def test_reference_views_are_spread_evenly():

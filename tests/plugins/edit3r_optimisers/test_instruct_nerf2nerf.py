@@ -10,8 +10,8 @@ from edit3r_optimisers.instruct_nerf2nerf import (
 )
 
 from edit3r.contract.interfaces import StartsFromImages
+from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest
-from edit3r.reporting import Report, collecting
 from edit3r_testing.scenes import gaussian_cloud
 
 SCHEDULE = InstructNerf2NerfReconstructor.Settings(

@@ -10,10 +10,10 @@ from edit3r_optimisers.method import VISIBLE_OPACITY, begin, thinned
 from pydantic import ValidationError
 
 import edit3r
+from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import StartsFromImages
+from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest, Reconstruction
-from edit3r.errors import SettingsError
-from edit3r.reporting import Report, collecting
 from edit3r_testing import ReconstructorContract
 
 METHODS = ("refit", "instruct-nerf2nerf", "gaussctrl", "editsplat")

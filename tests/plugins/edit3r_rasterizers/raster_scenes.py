@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from edit3r.contract.types import Cameras, Gaussians, Rendering
-from edit3r.geometry.cameras import intrinsics_from_fov
+from edit3r.kit.geometry.cameras import intrinsics_from_fov
 
 FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 

@@ -8,11 +8,11 @@ from edit3r_rasterizers.gsplat_rasterizer import GsplatRasterizer
 from raster_scenes import cameras, cloud
 
 import edit3r
-from edit3r.contract.component import Component
-from edit3r.errors import InputError, MissingDependencyError, SettingsError
-from edit3r.plugins.load import LoadedPlugins, Offer
-from edit3r.plugins.registry import Registry
-from edit3r.reporting import Report, collecting
+from edit3r.contract.component import Component, Offer
+from edit3r.contract.errors import InputError, MissingDependencyError, SettingsError
+from edit3r.contract.reporting import Report, collecting
+from edit3r.loading.load import LoadedPlugins
+from edit3r.loading.registry import Registry
 
 
 def made_for(name, *devices, requires=()):

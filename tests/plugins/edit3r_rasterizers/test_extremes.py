@@ -18,8 +18,8 @@ from raster_scenes import (
 )
 
 import edit3r
+from edit3r.contract.errors import InputError
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.errors import InputError
 
 RASTERIZERS = {name: edit3r.build("rasterizer", name) for name in ("numba", "torch")}
 NUMBA = RASTERIZERS["numba"]

@@ -8,8 +8,8 @@ from edit3r_rasterizers.functional import RENDER_MODES, rasterization
 from raster_scenes import cameras, cloud
 
 import edit3r
-from edit3r.errors import InputError
-from edit3r.geometry.cameras import invert_rigid, to_pixels
+from edit3r.contract.errors import InputError
+from edit3r.kit.geometry.cameras import invert_rigid, to_pixels
 
 WIDTH, HEIGHT = 31, 21
 K = torch.tensor([[30.0, 0.0, 15.5], [0.0, 40.0, 10.5], [0.0, 0.0, 1.0]])

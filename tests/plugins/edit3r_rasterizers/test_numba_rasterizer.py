@@ -14,8 +14,8 @@ from edit3r_rasterizers.settings import RasterizerSettings
 from raster_scenes import cameras, cloud, gradients
 
 import edit3r
-from edit3r.errors import InputError
-from edit3r.reporting import Report, collecting
+from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import Report, collecting
 
 WHITE = torch.ones(3)
 

@@ -4,9 +4,9 @@ import pytest
 import torch
 from edit3r_recolor.editor import RecolorEditor
 
+from edit3r.contract.errors import PromptError
+from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest, Views
-from edit3r.errors import PromptError
-from edit3r.reporting import Report, collecting
 from edit3r.wishes.read import read
 
 HEIGHT, WIDTH = 12, 16

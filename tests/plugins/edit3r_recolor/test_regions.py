@@ -11,9 +11,9 @@ from edit3r_recolor.regions import (
     tracks_of_masks,
 )
 
-from edit3r.config import make_settings
+from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import Proposal, Tracks
-from edit3r.errors import SettingsError
+from edit3r.contract.settings import make_settings
 
 CRITERIA = ProposalFilter(
     min_area=0.1, min_stability=0.9, min_predicted_iou=0.8, aspect=(0.5, 2.0), margin=3

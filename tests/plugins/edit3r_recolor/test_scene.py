@@ -13,8 +13,8 @@ from edit3r_recolor.scene import (
     make_recipe,
 )
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
-from edit3r.errors import InputError
 
 HEIGHT, WIDTH, VIEWS = 24, 32, 4
 NAMES = ("a", "b", "c", "d")

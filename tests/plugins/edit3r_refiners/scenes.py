@@ -5,8 +5,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.geometry.cameras import intrinsics_from_fov, unproject
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.kit.geometry.cameras import intrinsics_from_fov, unproject
+from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r_testing.scenes import FOV_X, photograph
 
 OPACITY = 0.9

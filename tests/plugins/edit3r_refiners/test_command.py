@@ -3,8 +3,8 @@
 import pytest
 
 from edit3r.cli.main import main
-from edit3r.io.cameras import posed_cameras, write_cameras
-from edit3r.io.ply import load_ply, save_ply
+from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.scenes.ply import load_ply, save_ply
 
 from .scenes import textured
 

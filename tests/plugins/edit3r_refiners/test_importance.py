@@ -12,7 +12,7 @@ from edit3r_refiners.settings import SimplifySettings
 from edit3r_refiners.simplify import simplify
 
 from edit3r.contract.types import Gaussians
-from edit3r.io.ply import load_ply, save_ply
+from edit3r.kit.scenes.ply import load_ply, save_ply
 
 from .scenes import textured
 

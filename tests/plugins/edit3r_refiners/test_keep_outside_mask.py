@@ -7,7 +7,7 @@ import torch
 from edit3r_refiners.keep_outside_mask import FIELDS, differing, insert_edit
 
 from edit3r.contract.types import Gaussians
-from edit3r.geometry.paths import between_and_around
+from edit3r.kit.geometry.paths import between_and_around
 from edit3r_testing.scenes import photograph
 
 from .scenes import gaussian_per_pixel

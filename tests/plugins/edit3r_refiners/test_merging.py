@@ -7,7 +7,7 @@ import torch
 from edit3r_refiners.merging import duplicates, merge_groups, place
 from edit3r_refiners.settings import SimplifySettings
 
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.kit.geometry.harmonics import colour_to_dc
 
 from .scenes import cameras_side_by_side, flat_wall, gaussian_per_pixel
 

@@ -11,8 +11,8 @@ import torch
 from edit3r_refiners.refine import BETAS, Adam, RefineRefiner, RefineSettings, refine
 
 from edit3r.contract.interfaces import RefineInputs
+from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
-from edit3r.reporting import Report, collecting
 from edit3r_testing.scenes import cameras_around, gaussian_cloud
 
 FIELDS = ("means", "scales", "quats", "opacities", "harmonics")

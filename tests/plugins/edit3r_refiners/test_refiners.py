@@ -6,10 +6,10 @@ import pytest
 import torch
 
 import edit3r
+from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import ComparesWithBefore, Rasterizer, RefineInputs
+from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
-from edit3r.errors import SettingsError
-from edit3r.reporting import Report, collecting
 from edit3r_testing.scenes import cameras_around, gaussian_cloud
 
 from .scenes import textured

@@ -3,7 +3,7 @@
 import torch
 
 import edit3r
-from edit3r.io.images import load_views, packaged_pair
+from edit3r.kit.photos.images import load_views, packaged_pair
 
 
 def test_the_refined_scene_does_not_depend_on_the_number_of_threads():

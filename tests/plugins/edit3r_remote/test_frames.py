@@ -6,7 +6,7 @@ from edit3r_remote.frames import ServiceFrame, decode, encode_mask, encode_png
 from hypothesis import given
 from hypothesis import strategies as st
 
-from edit3r.errors import RunError
+from edit3r.contract.errors import RunError
 
 OFFERED = ((1024, 1024), (1024, 1536), (1536, 1024))
 

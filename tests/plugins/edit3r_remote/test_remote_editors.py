@@ -6,8 +6,13 @@ import pytest
 import torch
 
 import edit3r
-from edit3r.errors import Edit3rError, MissingDependencyError, PromptError, RunError
-from edit3r.reporting import Report, collecting
+from edit3r.contract.errors import (
+    Edit3rError,
+    MissingDependencyError,
+    PromptError,
+    RunError,
+)
+from edit3r.contract.reporting import Report, collecting
 
 ASK = edit3r.EditRequest("paint it red", seed=3)
 SECRET = "sk-very-secret"

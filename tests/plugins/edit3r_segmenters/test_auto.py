@@ -6,10 +6,10 @@ import pytest
 import torch
 
 import edit3r
-from edit3r.cache import identity
 from edit3r.contract.interfaces import Marks
-from edit3r.pipeline.config import DEFAULTS
-from edit3r.reporting import Report, collecting
+from edit3r.contract.reporting import Report, collecting
+from edit3r.kit.cache import identity
+from edit3r.running.config import DEFAULTS
 
 CLICK = Marks(positive=((0.3, 0.5),))
 

@@ -9,10 +9,10 @@ import torch
 from edit3r_segmenters.candidates import Evidence, Salience, choose
 from edit3r_segmenters.classical import _analyse
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Marks
-from edit3r.errors import InputError
-from edit3r.io.images import load_views, packaged_pair
-from edit3r.plugins.registry import build
+from edit3r.kit.photos.images import load_views, packaged_pair
+from edit3r.loading.registry import build
 
 sys.path.insert(
     0, str(Path(__file__).parent)

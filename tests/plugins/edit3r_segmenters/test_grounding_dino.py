@@ -5,7 +5,7 @@ import torch
 from edit3r_segmenters.grounding_dino import as_question, ranked
 
 import edit3r
-from edit3r.errors import MissingDependencyError, PromptError
+from edit3r.contract.errors import MissingDependencyError, PromptError
 
 
 @pytest.fixture(scope="module")

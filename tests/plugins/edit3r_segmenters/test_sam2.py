@@ -8,10 +8,15 @@ from edit3r_segmenters import sam
 from edit3r_segmenters.sam import is_present
 
 import edit3r
+from edit3r.contract.errors import (
+    InputError,
+    MissingDependencyError,
+    PromptError,
+    RunError,
+)
 from edit3r.contract.interfaces import Detection, Detector
-from edit3r.errors import InputError, MissingDependencyError, PromptError, RunError
-from edit3r.plugins.registry import default_registry
-from edit3r.reporting import Report, collecting
+from edit3r.contract.reporting import Report, collecting
+from edit3r.loading.registry import default_registry
 
 
 class Boxes(Detector):

@@ -9,8 +9,8 @@ import torch
 from safetensors.torch import load_file, save_file
 
 import edit3r
-from edit3r.errors import InputError, MissingDependencyError
-from edit3r.reporting import Report, collecting
+from edit3r.contract.errors import InputError, MissingDependencyError
+from edit3r.contract.reporting import Report, collecting
 
 
 def test_words_become_masks_of_the_photo_size_best_first(build_sam3, photo):

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from edit3r import cache
+from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.interfaces import Marks
-from edit3r.errors import InputError, MissingDependencyError
+from edit3r.kit import cache
 
 pytest.importorskip("onnxruntime")
 CLICK = Marks(positive=((0.75, 0.5),))

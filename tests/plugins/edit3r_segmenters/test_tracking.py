@@ -7,7 +7,7 @@ import pytest
 import torch
 from edit3r_segmenters import tracking
 
-from edit3r.plugins.registry import build
+from edit3r.loading.registry import build
 
 sys.path.insert(
     0, str(Path(__file__).parent)

@@ -10,8 +10,8 @@ from edit3r_segmenters.coco import LEVELS, SIDE
 from edit3r_segmenters.tfjs import TfjsGraph
 
 import edit3r
+from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.interfaces import Detection, Detector
-from edit3r.errors import InputError, MissingDependencyError
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 IMAGE = torch.rand(3, 48, 96)
@@ -218,7 +218,7 @@ def test_things_of_one_name_are_found_without_parts_of_them(monkeypatch):
 
 
 def test_an_unknown_word_names_the_weights_that_are_missing(tmp_path, monkeypatch):
-    from edit3r.selection.select import Selection, select_masks
+    from edit3r.running.selecting.select import Selection, select_masks
 
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
     segmenter = edit3r.build("segmenter", "auto")

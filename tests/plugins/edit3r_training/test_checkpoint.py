@@ -6,8 +6,8 @@ import torch
 from edit3r_training.checkpoint import TrainingState, copied_weights
 from torch import nn
 
-from edit3r.errors import InputError, RunError
-from edit3r.io.weight_files import WEIGHTS, load_weights, save_weights
+from edit3r.contract.errors import InputError, RunError
+from edit3r.kit.weights.files import WEIGHTS, load_weights, save_weights
 
 
 def _state(width: int = 3) -> TrainingState:

@@ -7,7 +7,7 @@ from edit3r_training.recolor_trainer import GeometricReference, RecolorTrainer
 from edit3r_training.schedule import step_generator
 
 from edit3r.contract.interfaces import Dataset, Reconstructor
-from edit3r.plugins.registry import build
+from edit3r.loading.registry import build
 from edit3r_testing.training import tiny_job
 
 

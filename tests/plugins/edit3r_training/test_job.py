@@ -1,8 +1,8 @@
 import pytest
 from edit3r_training.job import prepare
 
-from edit3r.errors import InputError, SettingsError, UnknownComponentError
-from edit3r.plugins.registry import default_registry
+from edit3r.contract.errors import InputError, SettingsError, UnknownComponentError
+from edit3r.loading.registry import default_registry
 
 SMALL = {
     "trainer": {"name": "recolor", "steps": 3},

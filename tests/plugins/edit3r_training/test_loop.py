@@ -15,8 +15,8 @@ from edit3r_training.loop import LoopSettings, Recipe, StepLoss, train
 from edit3r_training.stopping import StopRequest
 from torch import nn
 
+from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import TrainingJob
-from edit3r.errors import SettingsError
 from edit3r_testing.training import tiny_job
 
 

@@ -14,9 +14,9 @@ from edit3r_training.losses import (
 )
 
 import edit3r
+from edit3r.contract.errors import MissingDependencyError, SettingsError
 from edit3r.contract.interfaces import LossInputs
 from edit3r.contract.types import Gaussians
-from edit3r.errors import MissingDependencyError, SettingsError
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 
@@ -224,7 +224,7 @@ def test_a_backbone_that_cannot_be_downloaded_is_a_sentence(install_lpips):
 
 def test_without_the_package_the_install_command_is_named(monkeypatch):
     monkeypatch.setattr(
-        "edit3r.plugins.registry._installed", lambda module: module != "lpips"
+        "edit3r.loading.registry._installed", lambda module: module != "lpips"
     )
     with pytest.raises(MissingDependencyError, match=r'pip install "edit3r\[lpips\]"'):
         edit3r.build("loss", "lpips")

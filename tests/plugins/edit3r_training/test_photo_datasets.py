@@ -19,9 +19,9 @@ from edit3r_training.re10k_dataset import Re10kDataset
 from edit3r_training.transforms_dataset import TransformsDataset
 from PIL import Image
 
-from edit3r.errors import InputError
-from edit3r.geometry.cameras import invert_rigid, project, unproject
-from edit3r.reporting import Report, collecting
+from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import Report, collecting
+from edit3r.kit.geometry.cameras import invert_rigid, project, unproject
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 VIEWS = 5

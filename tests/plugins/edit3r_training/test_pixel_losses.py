@@ -11,9 +11,9 @@ from edit3r_training.pixel_losses import (
     pixel_maps,
 )
 
+from edit3r.contract.errors import SettingsError
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
-from edit3r.errors import SettingsError
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.kit.geometry.harmonics import colour_to_dc
 
 VIEWS, HEIGHT, WIDTH = 2, 3, 4
 PIXELS = VIEWS * HEIGHT * WIDTH

@@ -4,7 +4,7 @@ import pytest
 import torch
 from edit3r_training.procedural_dataset import ProceduralDataset
 
-from edit3r.geometry.cameras import project, unproject
+from edit3r.kit.geometry.cameras import project, unproject
 
 
 def _dataset(**settings) -> ProceduralDataset:

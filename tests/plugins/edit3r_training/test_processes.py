@@ -9,7 +9,7 @@ from edit3r_training.processes import (
     own_device,
 )
 
-from edit3r.errors import SettingsError
+from edit3r.contract.errors import SettingsError
 
 
 def test_alone_nothing_is_sent_or_changed(monkeypatch):

@@ -21,16 +21,10 @@ from edit3r_training.recolor_trainer import RecolorRecipe
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.config import (
-    PartChoice,
-    Settings,
-    find_config,
-    make_settings,
-    merge,
-    parse_assignments,
-    read_yaml,
-)
-from edit3r.plugins.registry import build, default_registry
+from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
+from edit3r.kit.files.configs import find_config, parse_assignments
+from edit3r.kit.files.yaml import read_yaml
+from edit3r.loading.registry import build, default_registry
 
 QUICK = (
     "trainer.steps=2",

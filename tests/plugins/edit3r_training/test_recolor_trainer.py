@@ -16,6 +16,7 @@ from edit3r_training.recolor_trainer import RecolorRecipe, RecolorTrainer
 from edit3r_training.schedule import step_generator
 from edit3r_training.validation import held_out_batches, held_out_measures
 
+from edit3r.contract.errors import MatchingError, PluginError, SettingsError
 from edit3r.contract.interfaces import (
     Dataset,
     MatchedGeometry,
@@ -23,10 +24,9 @@ from edit3r.contract.interfaces import (
     Reconstructor,
     TrainingJob,
 )
-from edit3r.errors import MatchingError, PluginError, SettingsError
-from edit3r.geometry.cameras import scale_poses
-from edit3r.plugins.registry import build
-from edit3r.reporting import Report, collecting, warn
+from edit3r.contract.reporting import Report, collecting, warn
+from edit3r.kit.geometry.cameras import scale_poses
+from edit3r.loading.registry import build
 from edit3r_testing import TrainerContract
 from edit3r_testing.training import tiny_job
 

@@ -3,7 +3,7 @@ import torch
 from edit3r_training.procedural_dataset import ProceduralDataset
 from edit3r_training.simulated_matching import seen_by_partner, simulate_match
 
-from edit3r.geometry.rotations import rotation_angle
+from edit3r.kit.geometry.rotations import rotation_angle
 
 DATA = ProceduralDataset(ProceduralDataset.Settings(image_size=48, scenes=4))
 

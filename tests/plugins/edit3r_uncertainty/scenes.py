@@ -3,7 +3,7 @@
 import torch
 
 from edit3r import Cameras, Gaussians
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.kit.geometry.harmonics import colour_to_dc
 
 
 def eyes():

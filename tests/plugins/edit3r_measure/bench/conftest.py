@@ -6,7 +6,7 @@ import pytest
 from edit3r_measure.bench_generated import GeneratedSettings, build_generated
 from edit3r_measure.bench_manifest import write_bench_manifest
 
-from edit3r.plugins.registry import default_registry
+from edit3r.loading.registry import default_registry
 
 CARDS = '''
 """Local plugin: every view a flat card of Gaussians at the known poses. Quick, and wrong."""
@@ -14,10 +14,10 @@ CARDS = '''
 import torch
 
 from edit3r import Component, hookimpl
-from edit3r.config import Settings
-from edit3r.errors import MatchingError
-from edit3r.geometry.cameras import unproject
-from edit3r.geometry.harmonics import colour_to_dc
+from edit3r.contract.settings import Settings
+from edit3r.contract.errors import MatchingError
+from edit3r.kit.geometry.cameras import unproject
+from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.contract.interfaces import Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction
 

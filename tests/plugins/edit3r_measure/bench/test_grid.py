@@ -8,8 +8,8 @@ from edit3r_measure.bench_options import RunOptions
 from edit3r_measure.oracle import ORACLE
 
 from edit3r.cli.main import main
-from edit3r.errors import SettingsError
-from edit3r.plugins.registry import default_registry
+from edit3r.contract.errors import SettingsError
+from edit3r.loading.registry import default_registry
 
 
 def test_every_pair_is_a_row_and_failures_say_why(manifest_file, cards, tmp_path):

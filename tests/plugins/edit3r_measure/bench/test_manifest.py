@@ -14,8 +14,8 @@ from edit3r_measure.bench_manifest import (
     write_bench_manifest,
 )
 
-from edit3r.errors import Edit3rError, InputError
-from edit3r.plugins.registry import default_registry
+from edit3r.contract.errors import Edit3rError, InputError
+from edit3r.loading.registry import default_registry
 
 
 def test_a_generated_scene_has_five_visible_edits_of_the_four_types(manifest, small):

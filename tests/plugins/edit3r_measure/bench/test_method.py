@@ -6,9 +6,10 @@ import pytest
 from edit3r_measure.bench_method import Method, read_methods
 from edit3r_measure.oracle import ORACLE, OracleSettings
 
-from edit3r.config import PartChoice, make_settings, read_yaml
-from edit3r.errors import SettingsError
-from edit3r.plugins.registry import default_registry
+from edit3r.contract.errors import SettingsError
+from edit3r.contract.settings import PartChoice, make_settings
+from edit3r.kit.files.yaml import read_yaml
+from edit3r.loading.registry import default_registry
 
 SHIPPED = sorted((Path(__file__).parents[4] / "configs" / "bench").glob("*.yaml"))
 

@@ -12,8 +12,8 @@ from edit3r_measure.bench_manifest import load_item
 from edit3r_measure.bench_method import Method
 from edit3r_measure.bench_metrics import measure, remark
 
-from edit3r.plugins.registry import default_registry
-from edit3r.reporting import Report
+from edit3r.contract.reporting import Report
+from edit3r.loading.registry import default_registry
 
 EXACT = {"name": "oracle", "disagreement": 0.0}
 NO_NETWORKS = SimpleNamespace(features=[], clip=None, distances={})

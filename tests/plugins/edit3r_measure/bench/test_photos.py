@@ -22,8 +22,8 @@ from edit3r_measure.bench_proposals import (
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.errors import InputError, SettingsError
-from edit3r.plugins.registry import default_registry
+from edit3r.contract.errors import InputError, SettingsError
+from edit3r.loading.registry import default_registry
 
 DETECTOR = '''
 """Local plugin: finds a cup in the middle of every picture, and nothing else."""

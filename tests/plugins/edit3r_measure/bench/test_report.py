@@ -18,7 +18,7 @@ from edit3r_measure.bench_report import (
 )
 from edit3r_measure.bench_run import BenchRun, ItemResult, run_bench
 
-from edit3r.errors import InputError
+from edit3r.contract.errors import InputError
 
 
 @pytest.fixture(scope="module")

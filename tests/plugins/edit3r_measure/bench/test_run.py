@@ -26,11 +26,12 @@ from edit3r_measure.bench_run import (
 from edit3r_measure.report import alone_in
 
 import edit3r
-from edit3r.config import find_config, read_yaml
-from edit3r.errors import InputError
-from edit3r.io.images import packaged_pair
-from edit3r.io.weight_files import WEIGHTS, save_weights
-from edit3r.reporting import Report, StageRecord
+from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import Report, StageRecord
+from edit3r.kit.files.configs import find_config
+from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.photos.images import packaged_pair
+from edit3r.kit.weights.files import WEIGHTS, save_weights
 
 ROOT = Path(__file__).parents[4]
 

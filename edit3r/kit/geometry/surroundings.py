@@ -1,0 +1,235 @@
+"""Coarse, blurred layers for what no photo shows: around images, behind depth edges and surfaces.
+
+The rim continues each image beyond its border, so that a camera that moved a little does not look
+past the edge. The background layer continues the surface behind each depth edge a short way under
+what stands before it, so that a gap shows what surrounds it instead of nothing. The second layer
+repeats measured surfaces right behind themselves, so that no black shows through where they are
+faint. All are made of large soft Gaussians, and none stands before what a photo shows.
+"""
+
+import math
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.types import Cameras, Gaussians, Views
+from edit3r.kit.geometry.cameras import (
+    from_pixels,
+    pixel_scales,
+    pixels_to_gaussians,
+    to_pixels,
+    unproject,
+)
+from edit3r.kit.geometry.warping import seen_by, stands_before_others
+
+__all__ = ["background_layer", "rim", "second_layer"]
+
+# Side of the square of pixels that one Gaussian stands for.
+RIM_BLOCK = 4
+BACKGROUND_BLOCK = 6
+SECOND_BLOCK = 4
+
+# Standard deviation in blocks: neighbours close up without gaps.
+RIM_FOOTPRINT = 0.6
+BACKGROUND_FOOTPRINT = 0.8
+SECOND_FOOTPRINT = 0.6
+
+REACH = 0.1  # how far a surface goes on behind what stands before it [long sides]
+EDGE = 1.02  # ratio of depths above which one surface stands before another
+BEHIND = 1.01  # relative depth at which the background layer lies behind its surface
+UNDER = 1.1  # relative depth at which the second layer lies behind its surface
+# Ratio of depths among neighbouring blocks below which they are one surface: thin things are none.
+SMOOTH = 1.15
+FAINT = 0.9  # mean opacity of a block's Gaussians below which it gets a second layer
+SURE = 0.9  # share of a block that was measured, above which it counts as measured
+BLURS = 3  # passes of a 3x3 mean, in blocks
+# Share of a rim's width; a fade over all of it costs 0.6 dB where a new view looks past the photos.
+FADING = 0.3
+
+
+def rim(
+    views: Views, geometry: MatchedGeometry, width: float, opacity: float
+) -> Gaussians:
+    """Rims `width` (of the long side) wide around every registered view, in the colours of `views`.
+
+    They fade to nothing outwards, so that the scene ends softly.
+    """
+    pad = RIM_BLOCK * math.ceil(width * max(views.image_size) / RIM_BLOCK)
+    wide, depths = _widened(views, geometry.depths, pad)
+    outside = _outside_all(wide, depths, views, geometry)
+    height, width = depths.shape[-2:]
+    fading = _fading(views.image_size, pad, (height, width)).to(depths)
+    return _layer(wide, depths, geometry, opacity * fading * outside, RIM_FOOTPRINT)
+
+
+def background_layer(
+    views: Views, geometry: MatchedGeometry, opacity: float
+) -> Gaussians:
+    """What lies behind depth edges and guessed depths of registered views, in `views`' colours.
+
+    A guess in front of it may be faint without letting the empty background through.
+    """
+    shape = geometry.depths.shape[:2]
+    colour, inverse, sure = _block_means(
+        BACKGROUND_BLOCK, views, 1 / geometry.depths, geometry.confidence
+    )
+    reach = max(1, round(REACH * max(views.image_size) / BACKGROUND_BLOCK))
+    farthest, where = F.max_pool2d(
+        -inverse, 2 * reach + 1, 1, reach, return_indices=True
+    )
+    behind = colour.flatten(2).gather(2, where.flatten(2).expand(-1, 3, -1))
+    needed = (inverse > EDGE * -farthest) | (sure < SURE)
+    smooth = torch.cat((behind.view_as(colour), -farthest), 1)
+    for _ in range(BLURS):
+        smooth = F.avg_pool2d(smooth, 3, 1, 1, count_include_pad=False)
+    return _hidden_layer(
+        views,
+        geometry,
+        opacity,
+        BACKGROUND_FOOTPRINT,
+        depths=(BEHIND / smooth[:, 3]).unflatten(0, shape),
+        colours=smooth[:, :3].unflatten(0, shape),
+        needed=needed[:, 0].unflatten(0, shape),
+    )
+
+
+def second_layer(
+    views: Views,
+    geometry: MatchedGeometry,
+    opacities: Float[Tensor, "batch view height width"],
+    opacity: float,
+) -> Gaussians:
+    """Measured smooth surfaces of registered views, where faint, once more right behind themselves.
+
+    Nothing but what other photos show there shines through then. Guesses stay as faint as they are:
+    something behind a wrong one hides what others show. `opacities` are those of the pixels'
+    Gaussians.
+    """
+    shape = geometry.depths.shape[:2]
+    inverse_depths = 1 / geometry.depths
+    colour, inverse, opaque, sure = _block_means(
+        SECOND_BLOCK, views, inverse_depths, opacities.detach(), geometry.confidence
+    )
+    farthest = -F.adaptive_max_pool2d(
+        -inverse_depths.flatten(0, 1)[:, None], colour.shape[-2:]
+    )
+    highest, lowest = (
+        F.max_pool2d(inverse, 3, 1, 1),
+        -F.max_pool2d(-inverse, 3, 1, 1),
+    )
+    needed = (highest < SMOOTH * lowest) & (sure >= SURE) & (opaque < FAINT)
+    return _hidden_layer(
+        views,
+        geometry,
+        opacity,
+        SECOND_FOOTPRINT,
+        depths=(UNDER / farthest[:, 0]).unflatten(0, shape),
+        colours=colour.unflatten(0, shape),
+        needed=needed[:, 0].unflatten(0, shape),
+    )
+
+
+def _block_means(
+    block: int, views: Views, *maps: Float[Tensor, "batch view height width"]
+) -> tuple[Tensor, ...]:
+    """Mean colour, then the mean of each map, in blocks of pixels; scenes and views in one axis."""
+    height, width = (math.ceil(side / block) for side in views.image_size)
+    stacked = torch.cat((views.images, torch.stack(maps, 2)), 2).flatten(0, 1)
+    return F.adaptive_avg_pool2d(stacked, (height, width)).split(
+        (3, *(1 for _ in maps)), 1
+    )
+
+
+def _hidden_layer(
+    views: Views,
+    geometry: MatchedGeometry,
+    opacity: float,
+    footprint: float,
+    depths: Float[Tensor, "batch view rows columns"],
+    colours: Float[Tensor, "batch view 3 rows columns"],
+    needed: Bool[Tensor, "batch view rows columns"],
+) -> Gaussians:
+    """A Gaussian for each block that is `needed` and stands before nothing that a registered view
+    shows.
+    """
+    placed = geometry.registered[..., None, None]
+    points = unproject(depths, views.intrinsics, geometry.c2w)
+    hiding = stands_before_others(
+        points, geometry.depths * placed, views.intrinsics, geometry.c2w
+    )
+    opacities = opacity * (needed & placed & ~hiding).to(depths.dtype)
+    coarse = Views(colours, views.intrinsics)
+    return _layer(coarse, depths, geometry, opacities, footprint)
+
+
+def _layer(
+    coarse: Views,
+    depths: Float[Tensor, "batch view rows columns"],
+    geometry: MatchedGeometry,
+    opacities: Float[Tensor, "batch view rows columns"],
+    footprint: float,
+) -> Gaussians:
+    """One Gaussian for each pixel of `coarse` that is not transparent in every scene."""
+    cameras = Cameras(geometry.c2w, coarse.intrinsics, coarse.image_size)
+    scales = pixel_scales(depths, coarse.intrinsics, footprint)
+    gaussians = pixels_to_gaussians(coarse.images, depths, cameras, scales, opacities)
+    return gaussians.select((gaussians.opacities > 0).any(dim=0))
+
+
+def _widened(
+    views: Views, depths: Float[Tensor, "batch view height width"], pad: int
+) -> tuple[Views, Float[Tensor, "batch view rows columns"]]:
+    """Images and depths with their borders continued by `pad` pixels, in blocks."""
+    colour, inverse = _block_means(RIM_BLOCK, views, 1 / depths)
+    # The mean over a quarter of the rim goes on, not one row.
+    reach = max(1, min(pad, *views.image_size) // (2 * RIM_BLOCK) - 1)
+    smooth = F.avg_pool2d(
+        torch.cat((colour, inverse), 1),
+        2 * reach + 1,
+        1,
+        reach,
+        count_include_pad=False,
+    )
+    coarse = F.pad(smooth, (pad // RIM_BLOCK,) * 4, mode="replicate")
+    coarse = coarse.unflatten(0, depths.shape[:2])
+    intrinsics = to_pixels(views.intrinsics, views.image_size)
+    intrinsics[..., :2, 2] += pad
+    height, width = (side + 2 * pad for side in views.image_size)
+    return Views(
+        coarse[:, :, :3], from_pixels(intrinsics, (height, width))
+    ), 1 / coarse[:, :, 3]
+
+
+def _fading(
+    image_size: tuple[int, int], pad: int, blocks: tuple[int, int]
+) -> Float[Tensor, "rows columns"]:
+    """How much of the rim is left in each block: 1 near the image, falling to 0 in the outer
+    share `FADING`.
+    """
+    beyond = []
+    for side, count in zip(image_size, blocks):
+        wide = side + 2 * pad
+        # [pixels] from the image's first one.
+        centre = (torch.arange(count) + 0.5) * wide / count - pad
+        beyond.append(torch.maximum(-centre, centre - side).clamp(min=0) / pad)
+    rows, columns = beyond
+    return ((1 - torch.maximum(rows[:, None], columns)) / FADING).clamp(0, 1)
+
+
+def _outside_all(
+    wide: Views,
+    depths: Float[Tensor, "batch view rows columns"],
+    views: Views,
+    geometry: MatchedGeometry,
+) -> Bool[Tensor, "batch view rows columns"]:
+    """Blocks of registered views whose centre no registered view shows, their own among them."""
+    points = unproject(depths, wide.intrinsics, geometry.c2w).flatten(2, 3)
+    outside = geometry.registered[..., None].expand(points.shape[:3]).clone()
+    for other in range(views.count):
+        for view in range(views.count):
+            seen = seen_by(points[:, view], geometry, views.intrinsics, other)
+            outside[:, view] &= ~seen
+    return outside.view(depths.shape)

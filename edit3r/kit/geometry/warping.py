@@ -1,0 +1,217 @@
+"""Where the points of a view lie in the other views: correspondences, warped images, and what hides
+what.
+"""
+
+from dataclasses import dataclass
+from itertools import permutations
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.kit.geometry.cameras import project, unproject
+from edit3r.kit.geometry.maps import dilate
+
+__all__ = [
+    "Correspondences",
+    "contradicted",
+    "find_correspondences",
+    "partner_views",
+    "seen_by",
+    "seen_by_others",
+    "shared_surface",
+    "stands_before_others",
+    "warp",
+]
+
+TOLERANCE = 0.03
+"""Relative difference in depth by which a pixel must stand before a surface to hide it; below, it
+shows it too.
+"""
+
+
+@dataclass(frozen=True)
+class Correspondences:
+    """Where each pixel of each view lies in the view's partner (see `partner_views`)."""
+
+    coordinates: Float[
+        Tensor, "batch view height width 2"
+    ]  # normalised (x, y) in the partner's image
+    inside: Float[
+        Tensor, "batch view height width"
+    ]  # 1: in front of the partner and within its image, else 0
+    depth_ratio: Float[
+        Tensor, "batch view height width"
+    ]  # log(own depth there / partner's depth), in [-1, 1]
+    # < 0: floats in front of what the partner sees; > 0: hidden behind it
+
+
+def partner_views(views: int) -> list[int]:
+    """The view that each of `views` views is compared with: view 0, and view 1 for view 0
+    itself.
+    """
+    return [1] + [0] * (views - 1)
+
+
+def find_correspondences(
+    depths: Float[Tensor, "batch view height width"],
+    intrinsics: Float[Tensor, "batch view 3 3"],
+    c2w: Float[Tensor, "batch view 4 4"],
+) -> Correspondences:
+    """Project each view's depth map into the view's partner; `depths` are camera z, `intrinsics`
+    normalised.
+    """
+    batch, views, height, width = depths.shape
+    partners = partner_views(views)
+    points = unproject(depths, intrinsics, c2w).reshape(batch, views, height * width, 3)
+    coordinates, z = project(points, intrinsics[:, partners], c2w[:, partners])
+    coordinates = coordinates.unflatten(2, (height, width))
+    z = z.view_as(depths)
+    inside = ((z > 1e-6) & (coordinates > 0).all(-1) & (coordinates < 1).all(-1)).to(
+        depths.dtype
+    )
+    coordinates = torch.where(
+        (z > 1e-6)[..., None], coordinates, torch.full_like(coordinates, -1)
+    ).clamp(-1, 2)
+    seen = warp(depths[:, partners, None], coordinates, mode="nearest")[:, :, 0]
+    ratio = torch.log(z.clamp(min=1e-6) / seen.clamp(min=1e-6)).clamp(-1, 1)
+    return Correspondences(coordinates, inside, ratio * inside)
+
+
+def warp(
+    images: Float[Tensor, "*batch channel height width"],
+    coordinates: Float[Tensor, "*batch height2 width2 2"],
+    mode: str = "bilinear",
+    padding: str = "border",
+) -> Float[Tensor, "*batch channel height2 width2"]:
+    """Sample `images` at normalised `coordinates` (x, y); pixel centres as in `cameras.pixel_grid`.
+
+    `mode` (such as 'nearest') and `padding` (such as 'border', which repeats the edge) are those of
+    `F.grid_sample`.
+    """
+    flat, grid = (
+        images.reshape(-1, *images.shape[-3:]),
+        coordinates.reshape(-1, *coordinates.shape[-3:]) * 2 - 1,
+    )
+    sampled = F.grid_sample(
+        flat, grid, mode=mode, padding_mode=padding, align_corners=False
+    )
+    return sampled.reshape(*images.shape[:-2], *coordinates.shape[-3:-1])
+
+
+def contradicted(
+    geometry: MatchedGeometry, intrinsics: Float[Tensor, "batch view 3 3"]
+) -> Bool[Tensor, "batch view height width"]:
+    """Pixels that other registered views show better or see through.
+
+    Guesses (confidence below 0.5) on or before a surface that another view measured, and measured
+    pixels that more views see through than confirm.
+    """
+    points = unproject(geometry.depths, intrinsics, geometry.c2w)
+    guessed = geometry.confidence < 0.5
+    surfaces = geometry.depths * (~guessed & geometry.registered[..., None, None])
+    nearest = -dilate(
+        -surfaces, 1
+    )  # at a depth edge neither of two surfaces is seen through
+    through, confirmed = (
+        torch.zeros_like(guessed, dtype=torch.int16) for _ in range(2)
+    )
+    for view, other in permutations(range(points.shape[1]), 2):
+        _, seen, z = _seen_there(
+            points[:, view],
+            surfaces[:, other],
+            intrinsics[:, other],
+            geometry.c2w[:, other],
+        )
+        _, close, _ = _seen_there(
+            points[:, view],
+            nearest[:, other],
+            intrinsics[:, other],
+            geometry.c2w[:, other],
+        )
+        edge = torch.where(guessed[:, view], seen, close)
+        through[:, view] += (z > 0) & (z < (1 - TOLERANCE) * edge)
+        confirmed[:, view] += (z > 0) & ((z - seen).abs() <= TOLERANCE * seen)
+    return torch.where(guessed, through + confirmed > 0, through > confirmed)
+
+
+def stands_before_others(
+    points: Float[Tensor, "batch view rows columns 3"],
+    surfaces: Float[Tensor, "batch view height width"],
+    intrinsics: Float[Tensor, "batch view 3 3"],
+    c2w: Float[Tensor, "batch view 4 4"],
+) -> Bool[Tensor, "batch view rows columns"]:
+    """World points of each view that would hide what another view shows; a view shows nothing where
+    its camera z is 0.
+
+    `surfaces` are the camera z of what each view shows.
+    """
+    hides = torch.zeros(points.shape[:4], dtype=torch.bool, device=points.device)
+    for view, other in permutations(range(points.shape[1]), 2):
+        _, seen, z = _seen_there(
+            points[:, view], surfaces[:, other], intrinsics[:, other], c2w[:, other]
+        )
+        hides[:, view] |= (z > 0) & (z < seen)
+    return hides
+
+
+def shared_surface(
+    depths: Float[Tensor, "2 height width"],
+    intrinsics: Float[Tensor, "2 3 3"],
+    c2w: Float[Tensor, "2 4 4"],
+    tolerance: float,
+) -> tuple[Float[Tensor, "height width 2"], Bool[Tensor, "height width"]]:
+    """Where the pixels of the first view lie in the second; whether both show one surface.
+
+    `depths` are camera z (0: none); `tolerance` is the relative difference in depth within which
+    it is one surface.
+    """
+    points = unproject(depths[:1], intrinsics[:1], c2w[:1])
+    coordinates, seen, z = _seen_there(points, depths[1:], intrinsics[1:], c2w[1:])
+    near = (z / seen.clamp(min=1e-9) - 1).abs() < tolerance
+    return coordinates[0], ((z > 0) & (seen > 0) & near)[0]
+
+
+def _seen_there(
+    points: Float[Tensor, "batch rows columns 3"],
+    surface: Float[Tensor, "batch height width"],
+    intrinsics: Float[Tensor, "batch 3 3"],
+    c2w: Float[Tensor, "batch 4 4"],
+) -> tuple[Tensor, Float[Tensor, "batch rows columns"], Tensor]:
+    """Where world points lie in a view, the camera z it shows there (0: none), and theirs."""
+    coordinates, z = project(points.flatten(1, 2), intrinsics, c2w)
+    grid = coordinates.unflatten(1, points.shape[1:3])
+    seen = warp(surface[:, None], grid, mode="nearest", padding="zeros")[:, 0]
+    return grid, seen, z.view_as(seen)
+
+
+def seen_by_others(
+    geometry: MatchedGeometry, intrinsics: Float[Tensor, "batch view 3 3"]
+) -> Bool[Tensor, "batch view height width"]:
+    """Pixels whose point lies within the image of another registered view, whether hidden there or
+    not.
+    """
+    points = unproject(geometry.depths, intrinsics, geometry.c2w).flatten(2, 3)
+    seen = torch.zeros(points.shape[:3], dtype=torch.bool, device=points.device)
+    for view, other in permutations(range(points.shape[1]), 2):
+        seen[:, view] |= seen_by(points[:, view], geometry, intrinsics, other)
+    return seen.view(geometry.depths.shape)
+
+
+def seen_by(
+    points: Float[Tensor, "batch point 3"],
+    geometry: MatchedGeometry,
+    intrinsics: Float[Tensor, "batch view 3 3"],
+    view: int,
+) -> Bool[Tensor, "batch point"]:
+    """World points that lie within the image of `view`, whether hidden there or not; none if it is
+    not registered.
+    """
+    coordinates, depth = project(points, intrinsics[:, view], geometry.c2w[:, view])
+    return (
+        ((coordinates > 0) & (coordinates < 1)).all(-1)
+        & (depth > 0)
+        & geometry.registered[:, view, None]
+    )

@@ -1,0 +1,327 @@
+"""Read one image file of any usual format as upright 8-bit sRGB pixels.
+
+With the focal length that its EXIF data state. Whatever is wrong with a file becomes one sentence
+that names it.
+"""
+
+import contextlib
+import io
+import math
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import ExifTags, Image, ImageCms, ImageOps, UnidentifiedImageError
+
+from edit3r.contract.errors import InputError, MissingDependencyError
+from edit3r.contract.reporting import warn
+
+MAX_PIXELS = 1 << 27
+"""Largest image that is read, 134 megapixels: beyond every phone and camera, well below what fills
+the memory.
+"""
+
+MAX_LAYERS = 8
+"""How often the pieces of a file may cover its image: once, or once per channel and mask."""
+
+READABLE = "JPEG, PNG, WebP, TIFF, AVIF, or HEIC with the extra edit3r[heic]"
+
+FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF", "JPEG2000")
+"""What Pillow may take a file for: for EPS, for one, it would start another program. `Image.open`
+always gets these.
+"""
+
+# [mm]; CIPA DCG-001 defines the 35 mm equivalent by the diagonal.
+_FULL_FRAME_DIAGONAL = math.hypot(36, 24)
+
+# FocalPlaneResolutionUnit: inch, cm, mm, um.
+_UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
+
+_HEIC_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
+
+
+@dataclass(frozen=True)
+class DecodedImage:
+    """A decoded file: pixels as a viewer would show them, and the focal length its EXIF states."""
+
+    pixels: Image.Image  # mode RGB, upright, sRGB
+    focal: float | None  # [pixels of `pixels`], same in x and y; None: EXIF has none
+    focal_source: (
+        str  # such as "EXIF 35 mm equivalent (26 mm)"; "" without a focal length
+    )
+    transparent: bool = False  # some of it was see-through and now shows white
+
+
+def decode(path: str | Path) -> DecodedImage:
+    """Read an image file.
+
+    EXIF orientation is applied, a colour profile converted to sRGB, alpha laid over white, 16 bits
+    cut to 8, and of several images the first is taken. Raises InputError, or MissingDependencyError
+    for HEIC without the extra.
+    """
+    path = Path(path)
+    with _opened(path) as image:
+        _check_size(image, path)
+        try:
+            stored = _loaded(image, path)
+            pixels, transparent = _to_srgb(stored, path)
+            upright = _upright(pixels, _orientation(image, path))
+        except InputError:
+            raise
+        except Exception as error:  # Pillow's decoders raise almost anything
+            raise InputError(
+                f"{path}: the image is damaged or cut off ({_reason(error)}); copy it again."
+            ) from None
+        focal, source = _exif_focal(image, path)
+    return DecodedImage(upright, focal, source, transparent)
+
+
+def read_image(path: str | Path) -> Image.Image:
+    """The upright sRGB pixels of an image file (mode RGB); see `decode`."""
+    return decode(path).pixels
+
+
+def image_size(path: str | Path) -> tuple[int, int]:
+    """(height, width) of the upright image from its header, without decoding the pixels."""
+    path = Path(path)
+    with _opened(path) as image:
+        turned = _orientation(image, path) in (5, 6, 7, 8)
+        return image.size if turned else image.size[::-1]
+
+
+# Opening
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """The image with its header read. Raises InputError."""
+    _check_is_file(path)
+    with warnings.catch_warnings():
+        # Pillow's own remarks; what matters is raised or said by the callers.
+        warnings.simplefilter("ignore")
+        try:
+            image = Image.open(path, formats=_formats(path))
+        except Image.DecompressionBombError:
+            raise _too_large(path, "far too many pixels") from None
+        except UnidentifiedImageError:
+            raise InputError(
+                f"{path}: not an image that can be read; expected {READABLE}."
+            ) from None
+        except PermissionError:
+            raise InputError(f"{path}: no permission to read it.") from None
+        except (InputError, MissingDependencyError):
+            raise
+        except Exception as error:  # a damaged header, see decode
+            raise InputError(
+                f"{path}: the image is damaged ({_reason(error)}); copy it again."
+            ) from None
+        with image:
+            yield image
+
+
+def _check_is_file(path: Path) -> None:
+    if path.is_dir():
+        raise InputError(f"{path}: expected an image file, got a folder.")
+    if not path.exists():
+        raise InputError(f"{path}: no such file.")
+    if not path.is_file():
+        raise InputError(f"{path}: not a regular file.")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the file is empty (0 bytes).")
+
+
+def _formats(path: Path) -> tuple[str, ...]:
+    """What Pillow may take the file for; never one that starts another program.
+
+    EPS is such a one, whatever the file is called.
+    """
+    with path.open("rb") as file:
+        head = file.read(12)
+    if head[4:8] != b"ftyp":
+        return FORMATS
+    if head[8:12] in _HEIC_BRANDS:
+        _register_heic(path)
+    Image.init()  # an older Pillow has no AVIF, and HEIF is there once it is registered
+    return tuple(name for name in ("AVIF", "HEIF") if name in Image.OPEN)
+
+
+def _register_heic(path: Path) -> None:
+    try:
+        # Decoder only, without the GPL encoder.
+        from pi_heif import register_heif_opener
+    except ImportError:
+        raise MissingDependencyError(
+            f'{path}: a HEIC photo needs one more package: pip install "edit3r[heic]", or export '
+            "the photo as JPEG."
+        ) from None
+    register_heif_opener()
+
+
+def _check_size(image: Image.Image, path: Path) -> None:
+    """Raise InputError for an image, or pieces of it, that would take too long to decode."""
+    width, height = image.size
+    if width * height > MAX_PIXELS:
+        raise _too_large(path, f"{width}x{height}")
+    boxes = [piece[1] or (0, 0, 0, 0) for piece in getattr(image, "tile", ())]
+    pieces = sum((right - left) * (low - top) for left, top, right, low in boxes)
+    if pieces > MAX_LAYERS * width * height:
+        raise InputError(
+            f"{path}: the image is damaged ({len(boxes)} pieces that cover each other); copy it "
+            "again."
+        )
+
+
+def _too_large(path: Path, found: str) -> InputError:
+    return InputError(
+        f"{path}: {found}; images of at most {MAX_PIXELS // 10**6} megapixels are read. Scale it "
+        "down first."
+    )
+
+
+def _reason(error: Exception) -> str:
+    text = " ".join(str(error).split())
+    return text[:120] or type(error).__name__
+
+
+# Pixels
+
+
+def _loaded(image: Image.Image, path: Path) -> Image.Image:
+    """The first image of the file, decoded, with 8 bits per channel."""
+    # MPO: phones keep a preview behind the photo. The number of images is not asked for, because
+    # counting those of a TIFF can take minutes.
+    if getattr(image, "is_animated", False) and image.format != "MPO":
+        warn(f"{path}: holds several images; the first is used.")
+    is_16_bit = any(";16" in str(piece[3]) for piece in getattr(image, "tile", ()))
+    image.load()
+    if image.mode.startswith("I;16") or image.mode in ("I", "F"):
+        return _from_deep_grey(image, path)
+    # Pillow keeps the high byte of 16-bit colour.
+    if is_16_bit and image.convert("RGB").getbbox() is None:
+        _warn_of_small_values(path)
+        return _low_bytes(path)
+    return image
+
+
+def _from_deep_grey(image: Image.Image, path: Path) -> Image.Image:
+    """Grey of more than 8 bits: 16-bit values keep their high byte, as those of colour do."""
+    values = np.asarray(image)
+    low, high = float(values.min()), float(values.max())
+    if image.mode == "F" or low < 0 or high > 65535:
+        raise InputError(
+            f"{path}: grey values of mode {image.mode} from {low:g} to {high:g}; expected 8 or "
+            "16 bits per channel."
+        )
+    if 0 < high < 256:
+        _warn_of_small_values(path)
+    else:
+        values = values >> 8
+    return Image.fromarray(values.astype(np.uint8))
+
+
+def _low_bytes(path: Path) -> Image.Image:
+    """16-bit colour by its low bytes, without its colour profile."""
+    coded = np.fromfile(path, np.uint8)
+    pixels = np.asarray(cv2.imdecode(coded, cv2.IMREAD_UNCHANGED))
+    pixels = pixels.clip(0, 255).astype(np.uint8)
+    channels = [2, 1, 0, 3][: pixels.shape[2]]  # OpenCV's order is BGR
+    return Image.fromarray(np.ascontiguousarray(pixels[..., channels]))
+
+
+def _warn_of_small_values(path: Path) -> None:
+    warn(f"{path}: holds 16-bit values of 255 at most; they are taken as 8-bit ones.")
+
+
+def _to_srgb(image: Image.Image, path: Path) -> tuple[Image.Image, bool]:
+    """Any Pillow mode of 8 bits to RGB in sRGB, and whether some of it was see-through."""
+    profile = image.info.get("icc_profile")
+    if not image.has_transparency_data:
+        return _through_profile(image, profile, path), False
+    image = image.convert("RGBA")
+    alpha = image.getchannel("A")
+    opaque = _through_profile(image.convert("RGB"), profile, path)
+    white = Image.new("RGB", image.size, "white")
+    white.paste(opaque, mask=alpha)
+    return white, bool((np.asarray(alpha) < 255).any())
+
+
+def _through_profile(
+    image: Image.Image, profile: bytes | None, path: Path
+) -> Image.Image:
+    if image.mode not in ("RGB", "CMYK", "L"):
+        image = image.convert("RGB")
+    if not profile:
+        return image.convert("RGB")
+    try:
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        if image.mode == "RGB" and "sRGB" in ImageCms.getProfileDescription(source):
+            return image  # as most cameras say; converting would round twice
+        target = ImageCms.createProfile("sRGB")
+        changed = ImageCms.profileToProfile(image, source, target, outputMode="RGB")
+        assert changed is not None  # since it is not changed in place
+        return changed
+    except (ImageCms.PyCMSError, OSError, ValueError):
+        warn(f"{path}: its colour profile cannot be used; colours are taken as sRGB.")
+        return image.convert("RGB")
+
+
+# EXIF
+
+
+def _orientation(image: Image.Image, path: Path) -> int:
+    """Value of tag 274; 1 (upright) without one. Warns where EXIF cannot be read."""
+    try:
+        turn = int(image.getexif().get(ExifTags.Base.Orientation, 1))
+        return turn if turn in range(1, 9) else 1
+    except Exception:  # EXIF is a foreign format inside a foreign format
+        warn(f"{path}: its EXIF data cannot be read; the image is taken as upright.")
+        return 1
+
+
+def _upright(pixels: Image.Image, orientation: int) -> Image.Image:
+    tagged = pixels.copy()
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    tagged.info["exif"] = exif.tobytes()
+    return ImageOps.exif_transpose(tagged)
+
+
+def _exif_focal(image: Image.Image, path: Path) -> tuple[float | None, str]:
+    """Focal length [pixels of the stored image] and who says so; (None, "") when nobody does.
+
+    From the 35 mm equivalent, else from focal length and sensor resolution (whose unit may be
+    inches or metric).
+    """
+    try:
+        tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
+        equivalent = _positive(tags.get(ExifTags.Base.FocalLengthIn35mmFilm))
+        millimetres = _positive(tags.get(ExifTags.Base.FocalLength))
+        density = _positive(tags.get(ExifTags.Base.FocalPlaneXResolution))
+        unit = _UNIT_MM.get(int(tags.get(ExifTags.Base.FocalPlaneResolutionUnit, 2)))
+        recorded = _positive(tags.get(ExifTags.Base.ExifImageWidth)) or image.width
+    except Exception:  # see _orientation
+        return None, ""
+    if equivalent:
+        focal = equivalent * math.hypot(*image.size) / _FULL_FRAME_DIAGONAL
+        source = f"EXIF 35 mm equivalent ({equivalent:g} mm)"
+    elif millimetres and density and unit:
+        focal = millimetres * density / unit * image.width / recorded
+        source = f"EXIF focal length and sensor resolution ({millimetres:g} mm)"
+    else:
+        return None, ""
+    if not 0.1 < focal / max(image.size) < 50:
+        warn(f"{path}: EXIF states an impossible focal length; it is ignored.")
+        return None, ""
+    return focal, source
+
+
+def _positive(value: object) -> float | None:
+    """An EXIF number if it is one and says something (0, 0/0 and text do not)."""
+    try:
+        number = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, ZeroDivisionError):
+        return None
+    return number if math.isfinite(number) and number > 0 else None

@@ -1,0 +1,428 @@
+"""Photos in and images out: files and folders to `Views`, with a record of each photo.
+
+Photos of one run may differ in size, shape and camera. Each is scaled to cover a common size and
+cropped around its middle; intrinsics follow exactly.
+"""
+
+import itertools
+import re
+import unicodedata
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TypeVar
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from PIL import Image
+from torch import Tensor
+
+from edit3r.contract.errors import InputError
+from edit3r.contract.lens import Lens
+from edit3r.contract.reporting import say, track, warn
+from edit3r.contract.types import Views
+from edit3r.kit.files.atomic import atomic_write, sha256_of
+from edit3r.kit.photos.coverage import (
+    USUAL_FRAMES,
+    VIDEO_SUFFIXES,
+    choose_photos,
+    origin,
+    take_frames,
+)
+from edit3r.kit.photos.decode import decode, image_size, read_image
+from edit3r.kit.photos.framing import Frame, common_size, frame_for
+from edit3r.kit.photos.intrinsics import (
+    DEFAULT_FOV,
+    Intrinsics,
+    IntrinsicsFinder,
+    known_poses,
+)
+
+__all__ = [
+    "SUFFIXES",
+    "LoadedPhotos",
+    "Photo",
+    "Pixels",
+    "encode_png",
+    "evenly",
+    "find_photos",
+    "is_plain_name",
+    "load_photos",
+    "load_views",
+    "packaged_pair",
+    "read_image",
+    "save_image",
+    "save_pixels",
+    "to_bytes",
+    "unique_names",
+]
+
+Pixels = UInt8[np.ndarray, "height width 3"]
+Item = TypeVar("Item")
+
+SUFFIXES = (
+    *(".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".webp", ".tif", ".tiff"),
+    *(".heic", ".heif", ".avif", ".bmp", ".ppm", ".pgm", ".jp2"),
+)
+"""Files taken from a folder; a file given by itself may be called anything."""
+
+MAX_CHARACTERS = 100  # of a name from `unique_names`
+MAX_BYTES = 200  # file systems allow 255 with the suffix
+
+# Surrogates stand for the bytes of a file name that is no UTF-8.
+_UNSAFE = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|\ud800-\udfff]|\.\.+')
+# Names that Windows reserves, and those of the video's frames.
+_RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?|path_\d+", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Photo:
+    """How one photo became one view."""
+
+    name: str
+    file: str
+    sha256: str  # of the file
+    size: tuple[int, int]  # (height, width) of the upright original [pixels]
+    frame: Frame  # the part of it that is used, and its size as a view
+    # such as "camera file cameras.json", "--fov 60", "EXIF 35 mm equivalent (26 mm)"
+    intrinsics_source: str
+    focal: tuple[float, float]  # fx, fy [pixels of the original]
+
+
+@dataclass(frozen=True)
+class LoadedPhotos:
+    """Views (batch 1) and the record of each."""
+
+    views: Views
+    photos: tuple[Photo, ...]
+
+
+def load_views(
+    paths: str | Path | Sequence[str | Path],
+    *,
+    fov: float | None = None,
+    cameras: str | Path | None = None,
+    size: int | None = 512,
+    names: Sequence[str] | None = None,
+    most: int | None = None,
+) -> Views:
+    """The views of `load_photos`, without the record."""
+    return load_photos(
+        paths, fov=fov, cameras=cameras, size=size, names=names, most=most
+    ).views
+
+
+def load_photos(
+    paths: str | Path | Sequence[str | Path],
+    *,
+    fov: float | None = None,
+    cameras: str | Path | None = None,
+    size: int | None = 512,
+    names: Sequence[str] | None = None,
+    most: int | None = None,
+    read_lens: Callable[[Views], Lens | None] | None = None,
+) -> LoadedPhotos:
+    """Read photos, given as files and folders (a folder's images come in natural order).
+
+    Intrinsics of each photo: from `cameras` (or a camera file that lies beside it), else `fov`
+    (horizontal [degrees]), else EXIF, else a stated default. Poses come along where one camera file
+    has them for all photos. `size` bounds the longer side [pixels]; None keeps the photos' own. At
+    most `most` are used, those that cover the scene. Photos of one size whose lens nobody knows are
+    straightened where `read_lens` tells from them that it bends straight lines. Raises InputError
+    for anything that cannot be used, in one sentence that names the file.
+    """
+    _check_arguments(fov, size)
+    files = choose_photos(find_photos(paths, max(USUAL_FRAMES, most or 0)), most)
+    finder = IntrinsicsFinder(cameras, fov)
+    finder.check_all_used(files)
+    names = _names(files, names)
+    # Headers first, so that no more than one photo is ever in memory at full size.
+    sizes = [image_size(file) for file in files]
+    target = common_size(sizes, size)
+    images, photos, found = [], [], []
+    for name, file, photo_size in track(list(zip(names, files, sizes)), "read photos"):
+        decoded = decode(file)
+        intrinsics = finder.find(file, decoded)
+        frame = frame_for(photo_size, target).through(intrinsics.lens)
+        images.append(_to_tensor(frame.cut(decoded.pixels)))
+        photos.append(_record(name, file, frame, intrinsics))
+        found.append(intrinsics)
+    assumed = tuple(intrinsics.assumed for intrinsics in found)
+    _warn_of_losses(photos, assumed)
+    normalised = [
+        photo.frame.follow(intrinsics.normalised)
+        for photo, intrinsics in zip(photos, found)
+    ]
+    poses = known_poses(found)
+    views = Views(
+        images=torch.stack(images)[None],
+        intrinsics=torch.stack(normalised)[None].float(),
+        names=names,
+        c2w=None if poses is None else poses[None].float(),
+        assumed=assumed,
+    )
+    loaded = LoadedPhotos(views, tuple(photos))
+    if len(set(sizes)) > 1 or not all(assumed) or read_lens is None:
+        return loaded
+    lens = read_lens(views)
+    return loaded if lens is None else _straightened(loaded, files, lens)
+
+
+def _straightened(
+    loaded: LoadedPhotos, files: Sequence[Path], lens: Lens
+) -> LoadedPhotos:
+    """Photos of one size and lens as a plain pinhole would have taken them."""
+    say(
+        "lens.straightened",
+        f"it bends straight lines (k1 {lens.distortion[0]:.3f}); the photos are straightened",
+    )
+    views = loaded.views
+    # Photos of one size: the frame of each is all of it.
+    frame = loaded.photos[0].frame.through(lens)
+    images = [_to_tensor(frame.cut(decode(file).pixels)) for file in files]
+    intrinsics = frame.follow(views.intrinsics[0, 0].double()).to(views.intrinsics)
+    views = replace(
+        views,
+        images=torch.stack(images)[None],
+        intrinsics=intrinsics.expand_as(views.intrinsics),
+    )
+    photos = tuple(replace(photo, frame=frame) for photo in loaded.photos)
+    return LoadedPhotos(views, photos)
+
+
+def find_photos(
+    paths: str | Path | Sequence[str | Path], frames: int = USUAL_FRAMES
+) -> list[Path]:
+    """The image files named by `paths`.
+
+    A folder stands for its images in natural order (img2 before img10), or for those of its
+    `images` folder when it has none itself; a video for at most `frames` of its frames. Raises
+    InputError when a path is not there.
+    """
+    paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    files: list[Path] = []
+    for path in map(Path, paths):
+        if path.is_dir():
+            files += _images_in(path)
+        elif path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():
+            files += take_frames(path, frames)
+        elif path.exists():
+            files.append(path)
+        else:
+            raise InputError(f"{path}: no such file or folder.")
+    if not files:
+        raise InputError(
+            "No photos given: name two or more image files, or a folder of them."
+        )
+    return files
+
+
+def packaged_pair() -> tuple[list[str], Path]:
+    """The photo pair that scikit-image ships (Middlebury 2014, Motorcycle), and its calibration."""
+    import skimage
+
+    folder = Path(skimage.__file__).parent / "data"
+    photos = [str(folder / f"motorcycle_{side}.png") for side in ("left", "right")]
+    return photos, Path(__file__).with_name("motorcycle_cameras.json")
+
+
+def evenly(items: Sequence[Item], most: int | None) -> list[Item]:
+    """At most `most` of the items, spread evenly from the first to the last; all for None."""
+    if most is None or len(items) <= most:
+        return list(items)
+    places = np.linspace(0, len(items) - 1, most).round().astype(int)
+    return [items[place] for place in places]
+
+
+# Names that become files
+
+
+def unique_names(names: Sequence[str]) -> list[str]:
+    """File names without suffix from any texts: valid on every system, no two alike.
+
+    A safe name that nobody else has is kept. Otherwise characters that a file system may refuse
+    become "_", names that Windows or the frames of the video use get "_" in front, names above 100
+    characters are cut, and equal names are numbered ("-1", "-2", ...). Names that differ only in
+    case count as equal, as some file systems take them.
+    """
+    safe = [_safe_name(name) for name in names]
+    counts = Counter(map(_same_file, safe))
+    alone = {folded for folded, count in counts.items() if count == 1}
+    taken = set(alone)
+    result = []
+    for name in safe:
+        if _same_file(name) not in alone:
+            name = _numbered(name, taken)
+            taken.add(_same_file(name))
+        result.append(name)
+    return result
+
+
+def is_plain_name(name: object) -> bool:
+    """Whether a name from a stranger's file names a file or folder, and is no path elsewhere."""
+    return (
+        isinstance(name, str)
+        and 0 < len(name) <= 120
+        and not _UNSAFE.search(name)
+        and name.strip(". ") != ""
+    )
+
+
+def _safe_name(name: str) -> str:
+    name = _UNSAFE.sub("_", name).strip(". ") or "photo"
+    return _cut(f"_{name}" if _RESERVED.fullmatch(name) else name)
+
+
+def _numbered(name: str, taken: set[str]) -> str:
+    for number in itertools.count(1):
+        ending = f"-{number}"
+        unique = _cut(name, len(ending)) + ending
+        if _same_file(unique) not in taken:
+            return unique
+    raise AssertionError
+
+
+def _cut(name: str, room: int = 0) -> str:
+    """The name without what is too long for a file name that ends with `room` more characters."""
+    name = name[: MAX_CHARACTERS - room]
+    while len(name.encode()) + room > MAX_BYTES:
+        name = name[:-1]
+    return name.rstrip(". ")
+
+
+def _same_file(name: str) -> str:
+    """Equal for two names that a file system may take for one."""
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+# Images out
+
+
+def save_image(image: Float[Tensor, "3 height width"], path: str | Path) -> None:
+    """Write an image as 8-bit PNG (by suffix also JPEG or WebP).
+
+    It is clipped to [0, 1], times 255, to nearest, half to even. An image read at its own size
+    comes back as the very same bytes per pixel.
+    """
+    if image.dim() != 3 or image.shape[0] != 3:
+        raise ValueError(
+            f"save_image: expected shape [3, height, width], got {list(image.shape)}"
+        )
+    if not torch.isfinite(image).all():
+        raise ValueError(
+            f"save_image: the image for {path} holds values that are not finite"
+        )
+    save_pixels(to_bytes(image), path)
+
+
+def save_pixels(pixels: Pixels, path: str | Path) -> None:
+    """`save_image` for an image that is bytes already."""
+    with atomic_write(path) as partial:
+        if partial.suffix.lower() == ".png":
+            partial.write_bytes(encode_png(pixels))
+        else:
+            Image.fromarray(pixels).save(partial, quality=95)  # of JPEG and WebP
+
+
+def to_bytes(image: Float[Tensor, "3 height width"]) -> Pixels:
+    """uint8 `[height, width, 3]` of an sRGB image, rounded as `save_image` states."""
+    levels = image.detach().cpu().float().clamp(0, 1).mul_(255).round_()
+    return levels.to(torch.uint8).permute(1, 2, 0).contiguous().numpy()
+
+
+def encode_png(pixels: Pixels) -> bytes:
+    """The content of a PNG file; the same pixels give the same bytes.
+
+    By OpenCV, whose filter and strategy (SUB, RLE) take half the time of Pillow's level 1.
+    """
+    good, content = cv2.imencode(".png", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))
+    if not good:
+        raise ValueError(
+            f"an image of shape {list(pixels.shape)} cannot be coded as PNG"
+        )
+    return content.tobytes()
+
+
+def _to_tensor(image: Image.Image) -> Float[Tensor, "3 height width"]:
+    pixels = np.array(image, dtype=np.float32) / 255
+    return torch.from_numpy(pixels).permute(2, 0, 1).contiguous()
+
+
+# Photos in
+
+
+def _check_arguments(fov: float | None, size: int | None) -> None:
+    if fov is not None and not 0 < fov < 180:
+        raise InputError(f"--fov: expected degrees above 0 and below 180, got {fov:g}.")
+    if size is not None and size < 1:
+        raise InputError(f"--size: expected at least 1 pixel, got {size}.")
+
+
+def _images_in(folder: Path) -> list[Path]:
+    for place in (folder, folder / "images"):
+        found = []
+        for path in place.iterdir() if place.is_dir() else ():
+            hidden = path.name.startswith(".")  # such as macOS's ._IMG_0001.jpg
+            if path.suffix.lower() in SUFFIXES and not hidden and path.is_file():
+                found.append(path)
+        if found:
+            return sorted(found, key=_natural)
+    raise InputError(f"{folder}: no images in this folder.")
+
+
+def _natural(path: Path) -> tuple:
+    """Sort key in which digits count as numbers; the plain name decides between equals."""
+    key = []
+    for part in re.split(r"(\d+)", path.name.casefold()):
+        is_number = part.isdecimal()
+        key.append((is_number, int(part) if is_number else part))
+    return key, path.name
+
+
+def _names(files: Sequence[Path], names: Sequence[str] | None) -> tuple[str, ...]:
+    """The given names, or the files' own without suffix, each usable as a file name."""
+    if names is None:
+        names = [file.stem for file in files]
+    if len(names) != len(files):
+        raise InputError(
+            f"names: expected one per photo ({len(files)}), got {len(names)}."
+        )
+    return tuple(unique_names(names))
+
+
+def _record(name: str, file: Path, frame: Frame, intrinsics: Intrinsics) -> Photo:
+    height, width = frame.source
+    fx, fy = intrinsics.normalised.diagonal()[:2].tolist()
+    return Photo(
+        name=name,
+        file=origin(file),
+        sha256=sha256_of(file),
+        size=frame.source,
+        frame=frame,
+        intrinsics_source=intrinsics.source,
+        focal=(fx * width, fy * height),
+    )
+
+
+def _warn_of_losses(photos: Sequence[Photo], assumed: Sequence[bool]) -> None:
+    guessed = [photo.name for photo, unknown in zip(photos, assumed) if unknown]
+    if guessed:
+        warn(
+            f"No focal length is known for {', '.join(guessed)}: {DEFAULT_FOV:g} degrees across "
+            "the longer side are assumed unless the photos themselves tell; --fov or --cameras "
+            "tells better."
+        )
+    first: dict[str, str] = {}
+    for photo in photos:
+        height, width = photo.frame.target
+        so_that = f"so that all photos are {width}x{height}."
+        if photo.frame.cropped > 0.02:
+            warn(f"{photo.file}: {photo.frame.cropped:.0%} is cropped away, {so_that}")
+        if photo.frame.scale > 1.05:
+            warn(f"{photo.file}: enlarged {photo.frame.scale:.1f} times, {so_that}")
+        twin = first.setdefault(photo.sha256, photo.file)
+        if twin != photo.file:
+            warn(f"{twin} and {photo.file} are the same image.")

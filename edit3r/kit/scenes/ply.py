@@ -1,0 +1,429 @@
+"""Gaussians as the PLY of 3D Gaussian Splatting, which every splat viewer opens.
+
+One `vertex` element of little-endian float32: x y z, nx ny nz (zero), f_dc_0..2, f_rest_*
+(channel-major: all of red, then green, then blue), opacity (logit), scale_0..2 (log), rot_0..3
+(wxyz). A scene with objects has one more: object_index (-1: none); one whose uncertainty was
+estimated has uncertainty (in [0, 1]). The header's comments say in which frame.
+"""
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64, Int64
+from torch import Tensor
+
+from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import warn
+from edit3r.contract.types import MAX_DEGREE, Gaussians
+from edit3r.kit.files.atomic import atomic_write
+
+__all__ = ["load_ply", "save_ply"]
+
+OPACITY_MARGIN = 1e-7  # keeps the logits of 0 and 1 finite, within +-16.2
+SMALLEST_SCALE = float(np.finfo(np.float32).tiny)  # keeps the logarithm of 0 finite
+VIEWER_DEGREE = 3  # common viewers read harmonics up to here
+OBJECT = "object_index"  # property of scenes with objects
+UNCERTAINTY = "uncertainty"  # property of scenes in which it was estimated
+MAX_OBJECT = 1 << 24  # whole numbers up to here are exact in float32
+MOST_RUNS = 256  # of equal view_index that the header keeps
+
+_FRAME = "frame: camera of view 0, OpenCV axes (x right, y down, z forward), camera at the origin"
+_VIEWS = "view_index runs (view:count)"
+_RUN = re.compile(r"(-1|[0-9]{1,9}):([0-9]{1,12})")
+_REQUIRED = (
+    *("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
+    *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+)
+
+MOST_HEADER_BYTES = 1 << 20
+# characters of one comment: a header beyond `MOST_HEADER_BYTES` is not read again
+MOST_COMMENT = 1000
+LEAST_OPACITY = 1 / 255  # below it a Gaussian is never drawn
+_TYPES = {
+    **{
+        "char": "i1",
+        "int8": "i1",
+        "uchar": "u1",
+        "uint8": "u1",
+        "short": "i2",
+        "int16": "i2",
+        "ushort": "u2",
+    },
+    **{
+        "uint16": "u2",
+        "int": "i4",
+        "int32": "i4",
+        "uint": "u4",
+        "uint32": "u4",
+        "float": "f4",
+        "float32": "f4",
+    },
+    **{"double": "f8", "float64": "f8"},
+}
+_BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+
+
+def save_ply(
+    path: str | Path,
+    gaussians: Gaussians,
+    *,
+    degree: int | None = None,
+    comment_lines: Sequence[str] = (),
+) -> None:
+    """Write one scene (batch 1); the same Gaussians give the same bytes.
+
+    All harmonics are written. Common viewers stop at degree 3 (some refuse more): `degree` cuts to
+    that many, which loses the finest change of colour with direction. `view_index` goes into the
+    header as runs of equal values, where no viewer stumbles over it; more than 256 runs are not
+    kept. Opacities 0 and 1 come back as 1e-7 and 1 - 1e-7.
+    """
+    if gaussians.means.shape[0] != 1:
+        raise ValueError(
+            f"save_ply writes one scene, got a batch of {gaussians.means.shape[0]}"
+        )
+    degree = gaussians.degree if degree is None else min(degree, gaussians.degree)
+    if degree > VIEWER_DEGREE:
+        warn(
+            f"{path}: harmonics of degree {degree}; many viewers read {VIEWER_DEGREE} at most."
+        )
+    table = _to_table(gaussians, degree)
+    comments = [
+        "3D Gaussians by edit3r",
+        _FRAME,
+        *_view_runs(gaussians.view_index.cpu().numpy()),
+        *comment_lines,
+    ]
+    with atomic_write(path) as partial, partial.open("wb") as file:
+        file.write(_header(table, comments))
+        file.write(table.data)
+
+
+def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
+    """Read a binary 3DGS PLY (any number type, extra properties ignored) as one scene on the CPU.
+
+    Degree 0 to 4; quaternions come back normalised; Gaussians with values that are not finite are
+    left out with a warning. Raises InputError for a file that is no such PLY, or is cut off; with
+    `visible` also for a scene in which nothing can be drawn.
+    """
+    path = Path(path)
+    header = read_header(path)
+    missing = [name for name in _REQUIRED if name not in header.names]
+    if missing:
+        raise InputError(
+            f"{path}: this PLY does not hold 3D Gaussians, it lacks {', '.join(missing)}."
+        )
+    gaussians = _from_table(header.read_vertices(), header)
+    if visible and not (gaussians.opacities >= LEAST_OPACITY).any():
+        raise InputError(
+            f"{path}: shows nothing; it has no Gaussian with an opacity of at least 1/255."
+        )
+    return gaussians
+
+
+def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
+    """Structured array of the vertex element; logits and logarithms are taken in double
+    precision.
+    """
+    coefficients = (degree + 1) ** 2
+    quats = gaussians.quats[0].detach().double()
+    opacities = (
+        gaussians.opacities[0]
+        .detach()
+        .double()
+        .clamp(OPACITY_MARGIN, 1 - OPACITY_MARGIN)
+    )
+    harmonics = gaussians.harmonics[0, :, :coefficients].detach()
+    columns = [
+        gaussians.means[0].detach(),
+        torch.zeros(1, 3).expand(gaussians.count, -1),
+        harmonics[:, 0],
+        harmonics[:, 1:].transpose(1, 2).flatten(1),  # [G, 3 * (K - 1)]
+        torch.logit(opacities)[:, None],
+        gaussians.scales[0].detach().double().clamp(min=SMALLEST_SCALE).log(),
+        torch.from_numpy(_unit(quats.cpu().numpy())),
+    ]
+    further = {}
+    if gaussians.object_index is not None:
+        further[OBJECT] = gaussians.object_index
+    if gaussians.uncertainty is not None:
+        further[UNCERTAINTY] = gaussians.uncertainty[0].detach()
+    columns += [values[:, None] for values in further.values()]
+    table = torch.empty(
+        gaussians.count, sum(column.shape[1] for column in columns), dtype=torch.float32
+    )
+    for part, column in zip(
+        table.split([column.shape[1] for column in columns], 1), columns
+    ):
+        part.copy_(column)
+    if not torch.isfinite(table).all():
+        raise ValueError("save_ply: the Gaussians hold values that are not finite")
+    names = [
+        *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"),
+        *(f"f_rest_{i}" for i in range(3 * (coefficients - 1))),
+        *(
+            "opacity",
+            "scale_0",
+            "scale_1",
+            "scale_2",
+            "rot_0",
+            "rot_1",
+            "rot_2",
+            "rot_3",
+        ),
+    ]
+    names += further
+    return (
+        table.numpy()
+        .astype("<f4", copy=False)
+        .view([(name, "<f4") for name in names])[:, 0]
+    )
+
+
+def _header(table: np.ndarray, comments: Sequence[str]) -> bytes:
+    lines = ["ply", "format binary_little_endian 1.0"]
+    lines += [f"comment {_one_line(comment)}" for comment in comments]
+    lines += [
+        f"element vertex {len(table)}",
+        *(f"property float {name}" for name in table.dtype.names or ()),
+        "end_header",
+    ]
+    return "".join(f"{line}\n" for line in lines).encode("ascii", "backslashreplace")
+
+
+def _one_line(comment: str) -> str:
+    line = " ".join(comment.split())
+    return (
+        line
+        if len(line) <= MOST_COMMENT or comment.startswith(_VIEWS)
+        else f"{line[:MOST_COMMENT]}..."
+    )
+
+
+def _view_runs(view_index: np.ndarray) -> list[str]:
+    if not len(view_index) or (view_index == -1).all():
+        return []
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(view_index)) + 1))
+    if len(starts) > MOST_RUNS:
+        return []
+    counts = np.diff(np.append(starts, len(view_index)))
+    runs = " ".join(
+        f"{view}:{count}" for view, count in zip(view_index[starts], counts)
+    )
+    return [f"{_VIEWS} {runs}"]
+
+
+def _read_view_runs(header: "PlyHeader") -> Int64[np.ndarray, "gaussian"]:
+    """`view_index` from the header's comment, -1 where it says nothing that fits the number of
+    Gaussians.
+    """
+    for comment in header.comments:
+        if comment.startswith(_VIEWS):
+            runs = [_RUN.fullmatch(run) for run in comment.removeprefix(_VIEWS).split()]
+            pairs = [(int(run[1]), int(run[2])) for run in runs if run is not None]
+            views = np.array([view for view, _ in pairs], dtype=np.int64)
+            counts = np.array([count for _, count in pairs], dtype=np.int64)
+            if len(pairs) == len(runs) and counts.sum() == header.count:
+                return np.repeat(views, counts)
+    return np.full(header.count, -1, dtype=np.int64)
+
+
+def _from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
+    degree = _degree(header)
+    rest = (degree + 1) ** 2 - 1  # coefficients per colour above degree 0
+    dc = _columns(table, ("f_dc_0", "f_dc_1", "f_dc_2"))[:, None]
+    higher = _columns(table, [f"f_rest_{i}" for i in range(3 * rest)]).reshape(
+        header.count, 3, rest
+    )
+    with np.errstate(over="ignore", invalid="ignore"):
+        quats = _columns(table, ("rot_0", "rot_1", "rot_2", "rot_3"))
+        columns = {
+            "means": _columns(table, ("x", "y", "z")),
+            "scales": np.exp(_columns(table, ("scale_0", "scale_1", "scale_2"))),
+            "quats": _unit(quats),
+            "opacities": 1 / (1 + np.exp(-_columns(table, ("opacity",))[:, 0])),
+            "harmonics": np.concatenate((dc, higher.transpose(0, 2, 1)), 1),
+        }
+        # Through float32 first: what is finite in double may not be afterwards.
+        tensors = {
+            name: torch.from_numpy(values.astype(np.float32))
+            for name, values in columns.items()
+        }
+    finite = torch.ones(header.count, dtype=torch.bool)
+    for values in tensors.values():
+        finite &= torch.isfinite(values[:, None].flatten(1)).all(1)
+    if not finite.all():
+        warn(
+            f"{header.path}: {int((~finite).sum())} of {header.count} Gaussians are not finite "
+            "and left out."
+        )
+    view_index = torch.from_numpy(_read_view_runs(header))[finite]
+    return Gaussians(
+        **{name: values[finite][None] for name, values in tensors.items()},
+        view_index=view_index,
+        object_index=_read_objects(table, header, finite),
+        uncertainty=_read_uncertainty(table, header, finite),
+    )
+
+
+def _read_objects(
+    table: np.ndarray, header: "PlyHeader", finite: Tensor
+) -> Int64[Tensor, "gaussian"] | None:
+    """`object_index` of the Gaussians kept; what is no index of an object is -1."""
+    if OBJECT not in header.names:
+        return None
+    values = table[OBJECT].astype(np.float64)
+    index = np.where((values >= 0) & (values <= MAX_OBJECT), values, -1)
+    return torch.from_numpy(index.astype(np.int64))[finite]
+
+
+def _read_uncertainty(
+    table: np.ndarray, header: "PlyHeader", finite: Tensor
+) -> Float[Tensor, "1 gaussian"] | None:
+    """`uncertainty` of the Gaussians kept; what is no number is 1."""
+    if UNCERTAINTY not in header.names:
+        return None
+    values = np.nan_to_num(table[UNCERTAINTY].astype(np.float32), nan=1.0).clip(0, 1)
+    return torch.from_numpy(values)[finite][None]
+
+
+def _unit(quats: np.ndarray) -> np.ndarray:
+    """Quaternions [gaussian, 4] of unit length; those that have it already keep their bits, so
+    files can go round.
+    """
+    norms = np.linalg.norm(quats, axis=-1, keepdims=True)
+    return np.where(np.abs(norms - 1) < 1e-6, quats, quats / np.maximum(norms, 1e-12))
+
+
+def _degree(header: "PlyHeader") -> int:
+    rest = {name for name in header.names if name.startswith("f_rest_")}
+    for degree in range(MAX_DEGREE + 1):
+        if rest == {f"f_rest_{i}" for i in range(3 * ((degree + 1) ** 2 - 1))}:
+            return degree
+    raise InputError(
+        f"{header.path}: {len(rest)} f_rest properties; expected 0, 9, 24, 45 or 72 in a row "
+        "(degree 0 to 4)."
+    )
+
+
+def _columns(
+    table: np.ndarray, names: Sequence[str]
+) -> Float64[np.ndarray, "gaussian column"]:
+    """The columns called `names`, in double precision."""
+    if not names:
+        return np.zeros((len(table), 0))
+    return np.stack([table[name].astype(np.float64) for name in names], -1)
+
+
+@dataclass(frozen=True)
+class PlyHeader:
+    """Where a PLY's vertices lie and what columns they have."""
+
+    path: Path
+    format: str  # binary_little_endian or binary_big_endian
+    comments: tuple[str, ...]
+    count: int  # of vertices
+    columns: tuple[tuple[str, str], ...]  # (name, numpy type without byte order)
+    offset: int  # of the first vertex [bytes]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(name for name, _ in self.columns)
+
+    def read_vertices(self) -> np.ndarray:
+        """Structured array of `count` vertices. Raises InputError when the file ends too soon."""
+        order = _BYTE_ORDERS[self.format]
+        dtype = np.dtype([(name, order + kind) for name, kind in self.columns])
+        available = max(0, os.path.getsize(self.path) - self.offset) // dtype.itemsize
+        if available < self.count:
+            raise InputError(
+                f"{self.path}: cut off, the header promises {self.count} Gaussians, {available} "
+                "are there."
+            )
+        return np.fromfile(self.path, dtype, self.count, offset=self.offset)
+
+
+def read_header(path: Path) -> PlyHeader:
+    """Read up to `end_header`. The vertex element must come first and hold no lists. Raises
+    InputError.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such file.")
+    try:
+        with path.open("rb") as file:
+            start = file.read(MOST_HEADER_BYTES)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from None
+    if not start.startswith((b"ply\n", b"ply\r")):
+        raise InputError(f"{path}: not a PLY file.")
+    for end in (b"\nend_header\n", b"\nend_header\r\n"):
+        if end in start:
+            text, _, _ = start.partition(end)
+            return _parse(
+                path,
+                text.decode("utf-8", "replace").splitlines()[1:],
+                len(text) + len(end),
+            )
+    raise InputError(
+        f"{path}: a PLY without the end of its header; it is cut off or damaged."
+    )
+
+
+def _parse(path: Path, lines: list[str], offset: int) -> PlyHeader:
+    layout = ""
+    element = ""
+    comments: list[str] = []
+    counts: dict[str, int] = {}
+    columns: list[tuple[str, str]] = []
+    for line in lines:
+        word, _, rest = line.strip().partition(" ")
+        fields = rest.split()
+        if word == "comment":
+            comments.append(rest)
+        elif word == "format" and fields:
+            layout = fields[0]
+        elif word == "element" and len(fields) == 2:
+            element = fields[0]
+            counts.setdefault(element, _count(path, counts, *fields))
+        elif word == "property" and element == "vertex":
+            columns.append(_column(path, fields))
+    if layout == "ascii":
+        raise InputError(
+            f"{path}: a PLY in ASCII; save it as binary PLY, as splat viewers do."
+        )
+    if layout not in _BYTE_ORDERS or not counts or not columns:
+        raise InputError(
+            f"{path}: a PLY header without a known format or without vertices."
+        )
+    if len({name for name, _ in columns}) < len(columns):
+        raise InputError(f"{path}: two vertex properties have the same name.")
+    return PlyHeader(
+        path, layout, tuple(comments), counts["vertex"], tuple(columns), offset
+    )
+
+
+def _count(path: Path, before: Mapping[str, int], element: str, count: str) -> int:
+    """How many of an element follow; only the vertices, which come first, are ever read."""
+    if not before and element != "vertex":
+        raise InputError(
+            f"{path}: its first element is {element!r}, expected 'vertex'."
+        )
+    if element != "vertex":
+        return 0
+    if not re.fullmatch("[0-9]{1,15}", count):
+        raise InputError(f"{path}: expected a number of vertices, got {count[:60]!r}.")
+    return int(count)
+
+
+def _column(path: Path, fields: list[str]) -> tuple[str, str]:
+    """Name and numpy type of a vertex property."""
+    if len(fields) != 2 or fields[0] not in _TYPES:
+        raise InputError(
+            f"{path}: a vertex property of an unknown type: {' '.join(fields)!r}."
+        )
+    kind, name = fields
+    return name, _TYPES[kind]

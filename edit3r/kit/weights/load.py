@@ -1,0 +1,248 @@
+"""Weights in the layout of `save_pretrained`, and where they run: for every plugin that loads a
+foreign network.
+
+Nothing here imports a foreign library; the plugin brings the class. Whatever goes wrong is one
+sentence that names the setting and the way out.
+"""
+
+import importlib
+import importlib.util
+import logging
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from edit3r.contract.devices import require_device
+from edit3r.contract.errors import (
+    Edit3rError,
+    InputError,
+    MissingDependencyError,
+    RunError,
+    is_out_of_memory,
+)
+from edit3r.contract.weights import Weights
+from edit3r.kit.weights.find import at_hand, find, record_of
+
+LIBRARIES = ("diffusers", "transformers")
+LOGS_OF = {"diffusers": LIBRARIES, "transformers": ("transformers",)}
+"""Libraries that speak up while one's classes are imported."""
+
+
+@dataclass(frozen=True)
+class ChosenWeights:
+    """Which weights to load, and under which setting the user names them."""
+
+    model: str  # id on the Hugging Face hub, or a folder
+    key: str  # the setting, such as 'editor.model'
+    # branch, tag or commit; '': the declared one, or the newest of what nobody declares
+    revision: str = ""
+    variant: str = ""  # such as 'fp16'; '': the full-precision files
+    local_files_only: bool = False  # never download
+    # what the plugin declares: those of the hub are looked for where `weights get` puts them
+    known: tuple[Weights, ...] = ()
+
+
+def foreign(library: str, name: str) -> Any:
+    """A class of an optional library. Raises MissingDependencyError where the library is there but
+    does not import.
+
+    Most often a torchvision that was built for another torch is to blame: its mere presence breaks
+    both libraries.
+    """
+    try:
+        for module in LOGS_OF.get(
+            library, ()
+        ):  # light; what `quiet` turns down must be there first
+            importlib.import_module(f"{module}.utils.logging")
+        with quiet():
+            return getattr(importlib.import_module(library), name)
+    except (ImportError, RuntimeError, OSError, AttributeError) as error:
+        reason = " ".join(str(error).split())[:300].rstrip(".")
+        cure = f"pip install --upgrade {library}"
+        if "torchvision" in reason or "torchvision" in str(error.__cause__):
+            cure = (
+                "pip uninstall torchvision (edit3r does not need it), or install the one for "
+                "your torch"
+            )
+        raise MissingDependencyError(
+            f"{library}.{name} does not import here ({reason}); try: {cure}"
+        ) from error
+
+
+def load_pretrained(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
+    """`cls.from_pretrained`. Raises InputError for a folder that does not hold it, else
+    MissingDependencyError.
+
+    Weights that a component declares are read from where `edit3r weights get` puts them and never
+    downloaded here.
+    """
+    _check_folder(weights)
+    declared = _declared(weights)
+    chosen = (
+        {"revision": weights.revision, "variant": weights.variant}
+        if declared is None
+        else {}
+    )
+    given.update({name: value for name, value in chosen.items() if value})
+    model = str(
+        Path(weights.model).expanduser() if declared is None else find(declared)
+    )
+    with quiet():
+        try:
+            return cls.from_pretrained(
+                model, local_files_only=weights.local_files_only, **given
+            )
+        except (
+            OSError,
+            ValueError,
+            KeyError,
+            TypeError,
+            AttributeError,
+            RuntimeError,
+        ) as error:
+            raise loading_error(error, cls, weights) from error
+
+
+def load_whole_network(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
+    """A network of transformers by `load_pretrained`, refused where weights that it needs are not
+    in the files.
+    """
+    network, told = load_pretrained(cls, weights, output_loading_info=True, **given)
+    lacking = sorted(told["missing_keys"] or told["mismatched_keys"])
+    if lacking:
+        raise InputError(
+            f"{weights.key}: {weights.model!r} lacks {len(lacking)} weights of {cls.__name__}, "
+            f"such as {lacking[0]}; "
+            "with random ones in their place its answers would mean nothing."
+        )
+    return network
+
+
+def require_at_hand(weights: ChosenWeights) -> None:
+    """Raise MissingDependencyError, with licence and the command that fetches them, for declared
+    weights not here.
+    """
+    if declared := _declared(weights):
+        find(declared)
+
+
+def sized(large: Weights, small: Weights) -> str:
+    """The model of the hub that is here; else the large one for a GPU, the small one for a CPU."""
+    chosen = large if torch.cuda.is_available() else small
+    here = next((weights for weights in (large, small) if at_hand(weights)), chosen)
+    return here.source.removeprefix("hub:")
+
+
+def identity(weights: ChosenWeights) -> dict[str, str]:
+    """What to note in a run's manifest: model, revision asked for, and for a downloaded one the
+    commit it is at.
+    """
+    told = {"model": weights.model, "revision": weights.revision or "newest"}
+    if declared := _declared(weights):
+        fetched = record_of(find(declared)).get("revision", declared.revision)
+        return {**told, "revision": fetched or "newest", "name": declared.name}
+    if not Path(weights.model).expanduser().is_dir() and importlib.util.find_spec(
+        "huggingface_hub"
+    ):
+        from huggingface_hub import try_to_load_from_cache
+
+        for file in ("model_index.json", "config.json"):
+            found = try_to_load_from_cache(
+                weights.model, file, revision=weights.revision or None
+            )
+            if isinstance(found, str):
+                return {**told, "commit": Path(found).parent.name}
+    return told
+
+
+def _declared(weights: ChosenWeights) -> Weights | None:
+    """The declared weights that are meant; None for a folder, and for another revision or variant
+    of them.
+    """
+    if weights.variant or Path(weights.model).expanduser().is_dir():
+        return None
+    source = f"hub:{weights.model}"
+    meant = (known for known in weights.known if known.source == source)
+    return next(
+        (known for known in meant if weights.revision in ("", known.revision)), None
+    )
+
+
+def _check_folder(weights: ChosenWeights) -> None:
+    """Something that can only be meant as a folder must be one."""
+    model = weights.model
+    looks_local = (
+        model.startswith(("/", "~", ".")) or model.count("/") > 1 or "\\" in model
+    )
+    if looks_local and not Path(model).expanduser().is_dir():
+        raise InputError(
+            f"{weights.key}: no folder {model!r}; give one written by save_pretrained, or a "
+            "model id."
+        )
+
+
+def loading_error(error: Exception, cls: type, weights: ChosenWeights) -> Edit3rError:
+    """The sentence for what `from_pretrained` raised."""
+    reason = " ".join(str(error).split())[:300].rstrip(".")
+    model, key = weights.model, weights.key
+    if "gated" in f"{type(error).__name__} {reason}".lower():
+        return MissingDependencyError(
+            f"{key}: {model!r} is gated; accept its licence on its model page and log in with: "
+            "hf auth login"
+        )
+    if Path(model).expanduser().is_dir():
+        return InputError(
+            f"{key}: {model!r} does not hold a {cls.__name__} ({reason})."
+        )
+    return MissingDependencyError(
+        f"{key}: {model!r} is not on this machine and could not be downloaded ({reason}); fetch "
+        "it where there is a "
+        f"network with `hf download {model}`, or give a folder with --set {key}=FOLDER."
+    )
+
+
+def pick_device(name: str, photos_on: torch.device, key: str) -> torch.device:
+    """The device called `name`, 'auto' being where the photos are. Raises SettingsError when it is
+    not there.
+    """
+    return photos_on if name == "auto" else require_device(name, key)
+
+
+@contextmanager
+def out_of_memory_told(doing: str, advice: str) -> Iterator[None]:
+    """Turn running out of memory while `doing` something into a sentence with `advice`."""
+    try:
+        yield
+    except (
+        RuntimeError
+    ) as error:  # torch.OutOfMemoryError is one; a CPU raises the plain class
+        if not is_out_of_memory(error):
+            raise
+        raise RunError(f"out of memory while {doing}; {advice}.") from error
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Hold back the libraries' own loading bars and warnings (about torchvision, and failures we
+    tell better).
+    """
+    imported = [name for name in LIBRARIES if f"{name}.utils.logging" in sys.modules]
+    loggers = [logging.getLogger(name) for name in imported]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.ERROR)
+    bars = [sys.modules[f"{name}.utils.logging"] for name in imported]
+    for bar in bars:
+        bar.disable_progress_bar()
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels):
+            logger.setLevel(level)
+        for bar in bars:
+            bar.enable_progress_bar()

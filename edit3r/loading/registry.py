@@ -1,0 +1,312 @@
+"""Look components up by name, explain misses and clashes, and build them with their parts.
+
+A component's class has a nested `Settings` (see `edit3r.contract.settings`) and is constructed as
+`Class(settings, **parts)`. For a component declared with `parts=("backbone", "head")` the registry
+builds those first and passes them in; which component fills a part is a setting of the same name (a
+`PartChoice`), so any backbone goes with any head and no plugin looks anything up. A part that
+itself names a part already built beside it (a head that needs the backbone's widths) is given that
+same object.
+"""
+
+import importlib
+import importlib.util
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from edit3r.contract.component import KINDS, Component, Offer
+from edit3r.contract.errors import (
+    Edit3rError,
+    MissingDependencyError,
+    PluginError,
+    UnknownComponentError,
+    is_out_of_memory,
+    suggest,
+)
+from edit3r.contract.settings import PartChoice, Settings, make_settings
+from edit3r.kit.weights.find import at_hand
+from edit3r.loading.load import LoadedPlugins, PluginFailure, load_plugins
+
+
+class Registry:
+    """All components on offer."""
+
+    def __init__(self, plugins: LoadedPlugins) -> None:
+        self.plugins = plugins
+
+    @property
+    def failures(self) -> tuple[PluginFailure, ...]:
+        return self.plugins.failures
+
+    def offers(self, kind: str | None = None) -> list[Offer]:
+        """Offers of one kind (all kinds by default), sorted by kind, name and plugin."""
+        if kind not in (None, *KINDS):
+            raise UnknownComponentError(
+                f"no kind {kind!r}.{suggest(kind, KINDS)} Kinds: {', '.join(KINDS)}."
+            )
+        chosen = [offer for offer in self.plugins.offers if kind in (None, offer.kind)]
+        return sorted(
+            chosen, key=lambda o: (KINDS.index(o.kind), o.component.name, o.plugin)
+        )
+
+    def clashes(self) -> list[str]:
+        """A sentence for each kind and name that several plugins offer: it must be asked for as
+        `plugin:name`.
+        """
+        groups: dict[tuple[str, str], list[Offer]] = {}
+        for offer in self.offers():
+            groups.setdefault((offer.kind, offer.component.name), []).append(offer)
+        return [
+            f"{kind} {name!r} is offered by {' and '.join(offer.plugin for offer in group)}; "
+            f"ask for {' or '.join(offer.qualified_name for offer in group)}"
+            for (kind, name), group in groups.items()
+            if len(group) > 1
+        ]
+
+    def find(self, kind: str, name: str) -> Offer:
+        """The offer called `name` or `plugin:name`; raises UnknownComponentError with what to
+        do.
+        """
+        offers = self.offers(kind)
+        found = [
+            offer
+            for offer in offers
+            if name in (offer.component.name, offer.qualified_name)
+        ]
+        if len(found) == 1:
+            return found[0]
+        if found:
+            ways = " or ".join(repr(offer.qualified_name) for offer in found)
+            raise UnknownComponentError(
+                f"{kind} {name!r} is offered by {len(found)} plugins; ask for {ways}."
+            )
+        known = [offer.component.name for offer in offers]
+        listed = ", ".join(dict.fromkeys(known)) or "none"
+        raise UnknownComponentError(
+            f"no {kind} named {name!r}.{suggest(name, known)} Installed: {listed}.{self.failed()}"
+        )
+
+    def failed(self) -> str:
+        """A sentence for each plugin that did not load, as the end of an error."""
+        sentences = (
+            f" Plugin {failure.plugin!r} did not load: {failure.reason}."
+            for failure in self.failures
+        )
+        return "".join(sentences)
+
+    def missing(self, offer: Offer) -> tuple[str, ...]:
+        """The modules the component requires that are not installed."""
+        return tuple(
+            module for module in offer.component.requires if not _installed(module)
+        )
+
+    def ready(self, kind: str, name: str, *weights: str) -> bool:
+        """Whether a component can be used here and now: installed, and any of its weights called
+        so at hand.
+        """
+        offer = self.find(kind, name)
+        return not self.missing(offer) and any(
+            at_hand(w) for w in offer.component.weights if w.name in weights
+        )
+
+    def load_class(self, offer: Offer) -> type:
+        """Import the component's class; raises MissingDependencyError or PluginError with the way
+        out.
+        """
+        missing = self.missing(offer)
+        absent = absent_device(offer.component) if missing else ""
+        if absent:
+            raise MissingDependencyError(
+                f"{offer.kind} {offer.component.name!r} runs on {absent}, and this machine has no "
+                f"such device; choose another (edit3r list-plugins --kind {offer.kind})."
+            )
+        if missing:
+            raise MissingDependencyError(
+                f"{offer.kind} {offer.component.name!r} needs {', '.join(missing)}; "
+                f"{install_hint(offer)}"
+            )
+        module, _, attribute = offer.component.target.partition(":")
+        try:
+            return getattr(importlib.import_module(module), attribute)
+        except (Exception, SystemExit) as error:
+            reason = " ".join(str(error).split())
+            lacking = error.name if isinstance(error, ModuleNotFoundError) else None
+            advice = (
+                f" Install {lacking!r}; the plugin should list it in requires."
+                if lacking
+                else ""
+            )
+            raise PluginError(
+                f"{offer.kind} {offer.component.name!r} of plugin {offer.plugin!r} could not be "
+                "imported from "
+                f"{offer.component.target!r} ({type(error).__name__}: {reason}).{advice}"
+            ) from error
+
+    def settings_class(self, offer: Offer) -> type[Settings]:
+        """The component's settings class; one without any gets an empty one."""
+        cls = getattr(self.load_class(offer), "Settings", Settings)
+        if not (isinstance(cls, type) and issubclass(cls, Settings)):
+            raise PluginError(
+                f"{offer.kind} {offer.component.name!r}: its Settings must subclass "
+                "edit3r.Settings."
+            )
+        return cls
+
+    def build(
+        self,
+        kind: str,
+        name: str,
+        /,
+        parts: Mapping[str, Any] | None = None,
+        **settings: Any,
+    ) -> Any:
+        """Build a component by name from settings.
+
+        `parts` fills parts with objects already built, or with names or `PartChoice`s that override
+        the settings'. The result carries what it was built from as `.settings`, `.offer` and
+        `.parts`.
+        """
+        return self._build(
+            kind, name, settings, dict(parts or {}), built={}, where=kind
+        )
+
+    def build_choice(
+        self, kind: str, choice: PartChoice, parts: Mapping[str, Any] | None = None
+    ) -> Any:
+        """Build the component that a configuration chose; its settings may have any names."""
+        return self._build(
+            kind,
+            choice.name,
+            dict(choice.settings),
+            dict(parts or {}),
+            built={},
+            where=kind,
+        )
+
+    def check(self, kind: str, choice: PartChoice) -> Settings:
+        """The settings; raises what building the component would raise about its name, its packages
+        and them.
+        """
+        return self._settings(self.find(kind, choice.name), choice.settings, kind)
+
+    def _settings(
+        self, offer: Offer, values: Mapping[str, Any], where: str
+    ) -> Settings:
+        cls = self.settings_class(offer)
+        return make_settings(cls, values, where)
+
+    def _build(
+        self,
+        kind: str,
+        name: str,
+        values: dict,
+        given: dict,
+        built: dict[str, Any],
+        where: str,
+    ) -> Any:
+        """`where` is the key of this component in a configuration, such as
+        'reconstructor.backbone'.
+        """
+        offer = self.find(kind, name)
+        cls, settings = self.load_class(offer), self._settings(offer, values, where)
+        siblings = dict(built)
+        parts: dict[str, Any] = {}
+        for part in offer.component.parts:
+            parts[part] = siblings[part] = self._part(
+                offer, settings, part, given, siblings, f"{where}.{part}"
+            )
+        try:
+            component = cls(settings, **parts)
+        except Edit3rError:
+            raise
+        except Exception as error:
+            if is_out_of_memory(error):
+                raise
+            call = ", ".join(["settings", *(f"{part}=..." for part in parts)])
+            raise PluginError(
+                f"{kind} {offer.component.name!r} of plugin {offer.plugin!r} could not be "
+                "constructed as "
+                f"{cls.__name__}({call}) ({type(error).__name__}: {error})."
+            ) from error
+        component.settings, component.offer, component.parts = settings, offer, parts
+        return component
+
+    def _part(
+        self,
+        offer: Offer,
+        settings: Settings,
+        part: str,
+        given: dict,
+        siblings: dict[str, Any],
+        where: str,
+    ) -> Any:
+        choice = given.get(part, siblings.get(part, getattr(settings, part, None)))
+        if choice is None:
+            raise PluginError(
+                f"{offer.kind} {offer.component.name!r} needs a {part}; neither its settings nor "
+                "the caller name one."
+            )
+        if isinstance(choice, str | Mapping):
+            choice = PartChoice.model_validate(choice)
+        if not isinstance(choice, PartChoice):
+            return choice
+        return self._build(
+            part, choice.name, dict(choice.settings), given, siblings, where
+        )
+
+
+def absent_device(component: Component) -> str:
+    """The types of device that a component needs, where this machine has none of them; else ""."""
+    import torch
+
+    here = {"cpu"}
+    if torch.cuda.is_available():
+        here.add("cuda")
+    if torch.backends.mps.is_available():
+        here.add("mps")
+    needed = component.devices
+    return " or ".join(needed) if needed and not here & set(needed) else ""
+
+
+def install_hint(offer: Offer) -> str:
+    """The command that brings what the component requires."""
+    if not offer.component.extra:
+        return f"install with: pip install {' '.join(offer.component.requires)}"
+    name = offer.component.extra
+    if name.startswith("-"):
+        return f"install with: pip install {name}"
+    return (
+        f"install with: pip install {name!r}"
+        if "[" in name
+        else f'install with: pip install "edit3r[{name}]"'
+    )
+
+
+def _installed(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except Exception:  # looking for a.b imports a, which may be broken in its own way
+        return False
+
+
+def default_registry(local_files: Iterable[str | Path] = ()) -> Registry:
+    """The registry of everything installed and of local files, loaded once per process."""
+    return _loaded(tuple(local_files))
+
+
+@cache
+def _loaded(local_files: tuple[str | Path, ...]) -> Registry:
+    return Registry(load_plugins(local_files))
+
+
+def build(
+    kind: str, name: str, /, parts: Mapping[str, Any] | None = None, **settings: Any
+) -> Any:
+    """Build an installed component: `edit3r.build("rasterizer", "numba", near=0.01)`."""
+    return default_registry().build(kind, name, parts, **settings)
+
+
+def components(kind: str | None = None) -> list[Offer]:
+    """What is available of one kind, or of all, without importing any of it."""
+    return default_registry().offers(kind)

@@ -1,0 +1,301 @@
+"""What one run is asked to do, merged from a preset, a YAML file, `--set` and the command line's
+own flags.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
+from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.scenes.formats import FORMATS
+from edit3r.loading.registry import Registry
+from edit3r.running.quality import read_quality, with_quality
+
+DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
+
+MAX_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
+MAX_STEPS = 9  # from one reading of what was meant to the next
+MAX_GROWTH = 200.0  # of an outline [pixels]
+Output = Literal["scene", "images", "sheet", "video", "viewer", "cache", "frames"]
+OUTPUTS: tuple[Output, ...] = get_args(Output)
+PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
+
+
+class RunConfig(Settings):
+    """Settings of a run, outside those of the components themselves. Each is also a flag of `edit3r
+    run`.
+    """
+
+    prompt: str = Field(
+        "",
+        max_length=MAX_PROMPT,
+        description="what to change, such as 'paint the bike red'",
+    )
+    editor: PartChoice | None = Field(
+        None,
+        description="2D editor and its settings; default: the one that can do what the prompt asks",
+    )
+    reconstructor: PartChoice = Field(
+        PartChoice(name=DEFAULTS["reconstructor"]),
+        description="reconstructor and its settings",
+    )
+    rasterizer: PartChoice = Field(
+        PartChoice(name=DEFAULTS["rasterizer"]),
+        description="rasterizer and its settings",
+    )
+    segmenter: PartChoice | None = Field(
+        None,
+        description="finds what the prompt is about, if it reads words; default: the editor's own",
+    )
+    guess: bool = Field(
+        False,
+        description="take what was found unsurely, and what stands out most where the words for "
+        "the object are not known",
+    )
+    larger: int = Field(
+        0,
+        ge=-MAX_STEPS,
+        le=MAX_STEPS,
+        description="take a larger part of what was meant; repeatable",
+    )
+    grow: float = Field(
+        0.0,
+        ge=-MAX_GROWTH,
+        le=MAX_GROWTH,
+        description="move the outline of what is selected outwards [pixels]; inwards if negative",
+    )
+    invert: bool = Field(False, description="change all but what is selected")
+    refiners: tuple[PartChoice, ...] = Field(
+        tuple(PartChoice(name=name) for name in DEFAULTS["refiners"]),
+        description="steps after reconstruction, in order; --gaussians and --refine add theirs "
+        "before them",
+    )
+    edit_views: Literal["all", "first"] = Field(
+        "all",
+        description="edit every view, or the first only (as in training) and let the "
+        "reconstructor carry it over",
+    )
+    seed: int = Field(0, ge=0, lt=2**31, description="one seed for all views")
+    size: int = Field(
+        512,
+        ge=8,
+        le=8192,
+        description="longer side that photos are reduced to [pixels]",
+    )
+    fov: float | None = Field(
+        None,
+        gt=1,
+        lt=170,
+        description="horizontal field of view [degrees] of photos that do not tell their own",
+    )
+    views: int | None = Field(
+        None,
+        ge=2,
+        description="most photos that are used: those that together show most; default: all (of "
+        "a video, 8 frames)",
+    )
+    device: str = Field(
+        "cpu", description="torch device of the learned parts, such as cpu or cuda"
+    )
+    frames: int = Field(
+        36,
+        ge=2,
+        le=2000,
+        description="frames of the camera path between and around the input views",
+    )
+    outputs: tuple[Output, ...] = Field(
+        OUTPUTS[:-1],
+        description=f"what is written beside run.json: all, or some of {','.join(OUTPUTS)}",
+    )
+    export: tuple[str, ...] = Field(
+        (),
+        description="further formats of the scene, such as spz,glb (see edit3r export)",
+    )
+    gaussians: int | Literal["all", "auto"] = Field(
+        "auto",
+        description="all, auto (only what the scene requires), or the most there may be (see "
+        "docs/simplify.md)",
+    )
+    max_gaussians: int | None = Field(
+        None,
+        ge=1,
+        description="never leave more Gaussians than this",
+    )
+    refine: int = Field(
+        28,
+        ge=0,
+        le=10000,
+        description="most photometric steps, each towards one edited view",
+    )
+    grid: float = Field(
+        0.67,
+        gt=0,
+        le=1,
+        description="share of the photos' sides at which Gaussians are made, one a pixel, where "
+        "--refine follows, "
+        "which brings the detail of the photos themselves; 1: at the photos' own",
+    )
+    light: Literal["one", "own"] = Field(
+        "one",
+        description="one: photos of other exposure or white balance are brought to the light of "
+        "the first; own: each is taken as it is",
+    )
+    quality: Literal["fast", "balanced", "best"] | None = Field(
+        None,
+        description="measured preset that lies under all other settings (see docs/tradeoff.md)",
+    )
+
+    @field_validator("outputs", "export", mode="before")
+    @classmethod
+    def _read_list(cls, value: Any, info: ValidationInfo) -> Any:
+        """Accept names in one text with commas, and refuse formats that nobody writes."""
+        if isinstance(value, str):
+            value = [name.strip() for name in value.split(",") if name.strip()]
+        if info.field_name == "outputs":
+            return OUTPUTS if value == ["all"] else value
+        known = isinstance(value, list | tuple) and all(
+            name in FORMATS for name in value
+        )
+        if not known:
+            raise ValueError(f"expected some of {','.join(FORMATS)}")
+        return value
+
+    @field_validator("larger", mode="before")
+    @classmethod
+    def _read_steps(cls, value: Any) -> Any:
+        """Accept the steps of --larger and --smaller one by one."""
+        steps = isinstance(value, list) and all(isinstance(one, int) for one in value)
+        return sum(value) if steps else value
+
+    @field_validator("gaussians", mode="before")
+    @classmethod
+    def _read_gaussians(cls, value: Any) -> Any:
+        """Accept a number given as text, and refuse one below 1."""
+        if isinstance(value, str) and value.lstrip("-").isdigit():
+            value = int(value)
+        is_count = isinstance(value, int) and not isinstance(value, bool) and value >= 1
+        if value not in ("all", "auto") and not is_count:
+            raise ValueError("expected all, auto, or a number of at least 1")
+        return value
+
+    def all_refiners(self, by_default: bool = True) -> tuple[PartChoice, ...]:
+        """The refiners in order: what `gaussians` and `refine` stand for, then those listed.
+
+        A refiner that is listed as well keeps its place in the list. Not `by_default`: `gaussians`
+        and `refine` count only where the user set them.
+        """
+        implied = self._implied_refiners(by_default)
+        listed = [
+            PartChoice(
+                name=choice.name,
+                settings={**implied.pop(choice.name, {}), **choice.settings},
+            )
+            for choice in self.refiners
+        ]
+        first = [
+            PartChoice(name=name, settings=values) for name, values in implied.items()
+        ]
+        return (*first, *listed)
+
+    def _implied_refiners(self, by_default: bool) -> dict[str, dict[str, Any]]:
+        """Name and settings of the refiners that `gaussians` and `refine` stand for."""
+        names = DEFAULTS["shorthands"]
+        implied: dict[str, dict[str, Any]] = {}
+        asked = self._set_by_the_user()
+        fewer_asked = by_default or asked & {"gaussians", "max_gaussians"}
+        if fewer_asked and (self.gaussians != "all" or self.max_gaussians is not None):
+            fewer: dict[str, Any] = {"gaussians": self.gaussians}
+            if self.max_gaussians is not None:
+                fewer["max_gaussians"] = self.max_gaussians
+            if self.refine:
+                fewer |= names["gaussians_before_refine"]
+            implied[names["gaussians"]] = fewer
+        if self.refine and (by_default or "refine" in asked):
+            implied[names["refine"]] = {"steps": self.refine}
+        return implied
+
+    def _set_by_the_user(self) -> set[str]:
+        """Names of the settings that were given, other than by the preset."""
+        preset = read_quality().preset(self.quality).settings if self.quality else {}
+        given = self.model_fields_set
+        return {name for name in given if getattr(self, name) != preset.get(name)}
+
+
+class JobInputs(Settings):
+    """What a run works on, in words: flags of `edit3r run`, keys of a line of `edit3r batch`."""
+
+    photos: tuple[str, ...] = Field(
+        (), description="photos, folders or videos of one scene"
+    )
+    earlier: str | None = Field(
+        None, description="edit the scene of an earlier run again (its --out folder)"
+    )
+    cameras: str | None = Field(
+        None, description="cameras.json or transforms.json with the photos' intrinsics"
+    )
+    refine_poses: bool = Field(
+        False, description="refine the given poses by bundle adjustment"
+    )
+    mask: tuple[str, ...] = Field(
+        (),
+        description="a mask for each photo, or for one, which is carried to the rest; white "
+        "is the object",
+    )
+    point: tuple[str, ...] = Field(
+        (),
+        description="a point on the object, on the first photo or photo N; repeatable",
+    )
+    not_point: tuple[str, ...] = Field(
+        (), description="a point on what is not the object; repeatable"
+    )
+    box: tuple[str, ...] = Field(
+        (), description="a box around the object, on the first photo or photo N"
+    )
+
+    thing: str = Field(
+        "", description="the object in words, such as 'the left cup', instead of marks"
+    )
+
+    @field_validator("photos", "mask", "point", "not_point", "box", mode="before")
+    @classmethod
+    def _one_is_a_list(cls, value: Any) -> Any:
+        return [value] if isinstance(value, str) else value
+
+
+def make_run_config(*layers: Mapping[str, Any]) -> RunConfig:
+    """Merge layers, later over earlier, and validate.
+
+    A component may be given by name alone in any layer. The settings of a preset (`quality`) lie
+    under all layers.
+    """
+    merged: dict[str, Any] = {}
+    for layer in layers:
+        merged = merge(
+            merged, {key: _named(key, value) for key, value in layer.items()}
+        )
+    merged = with_quality(merged)
+    for key in PART_KEYS:
+        default = RunConfig.model_fields[key].default
+        given = merged.get(key)
+        if isinstance(given, dict) and "name" not in given and default is not None:
+            merged[key] = {"name": default.name, **given}
+    return make_settings(RunConfig, merged, where="run")
+
+
+def _named(key: str, value: Any) -> Any:
+    return {"name": value} if key in PART_KEYS and isinstance(value, str) else value
+
+
+def check_components(
+    config: RunConfig, registry: Registry, given: Mapping[str, Any] | None = None
+) -> None:
+    """Raise for unknown names and settings and for missing packages; `given` ones are built."""
+    for kind in PART_KEYS:
+        choice = getattr(config, kind)
+        if choice is not None and kind not in (given or {}):
+            registry.check(kind, choice)
+    for choice in config.all_refiners():
+        registry.check("refiner", choice)

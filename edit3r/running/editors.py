@@ -1,0 +1,141 @@
+"""Which editor carries out which wish of the prompt."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import groupby
+
+from edit3r.contract.component import Offer, component_name
+from edit3r.contract.errors import PromptError
+from edit3r.contract.interfaces import Editor, EditsRegions
+from edit3r.contract.reporting import say
+from edit3r.contract.settings import PartChoice
+from edit3r.contract.types import EditRequest
+from edit3r.contract.wishes import Wish
+from edit3r.kit.weights.find import at_hand
+from edit3r.loading.registry import Registry
+from edit3r.running.scene import Scene
+from edit3r.wishes.read import ABILITIES, read, spelling_hint
+
+
+@dataclass(frozen=True)
+class EditorTask:
+    """One editor and what it has to do, in the order of the sentence."""
+
+    editor: Editor
+    prompt: str  # the sentence, or the part of it that is this editor's
+    wishes: tuple[Wish, ...] = ()  # () where the sentence could not be read
+
+
+def request_of(task: EditorTask, scene: Scene, seed: int, wishes: range) -> EditRequest:
+    """What one editor is asked; its wishes are those at `wishes` of the whole sentence."""
+    regions = None
+    if scene.regions is not None:
+        regions = scene.regions[wishes.start : wishes.stop]
+    if task.wishes:
+        say("edit.understood", "; ".join(map(str, task.wishes)))
+    return EditRequest(task.prompt, seed, scene.masks, task.wishes, regions)
+
+
+def tasks_for_editor(
+    editor: Editor, prompt: str, registry: Registry
+) -> tuple[EditorTask, ...]:
+    """The whole prompt as the task of an editor that the user chose.
+
+    Raises PromptError for a wish that it cannot carry out, with the editors that can.
+    """
+    regional = isinstance(editor, EditsRegions)
+    if not prompt.strip():
+        wish = editor.wish_of_nothing() if isinstance(editor, EditsRegions) else None
+        return (EditorTask(editor, prompt, () if wish is None else (wish,)),)
+    try:
+        wishes = read(prompt)
+    except PromptError:
+        if regional:
+            raise
+        wishes = ()
+    for wish in wishes:
+        if not editor.understands(wish):
+            raise PromptError(_refusal(editor, wish, registry))
+    return (EditorTask(editor, prompt, wishes),)
+
+
+def tasks_without_editor(prompt: str, registry: Registry) -> tuple[EditorTask, ...]:
+    """For each wish of the prompt the installed editor that can carry it out.
+
+    Editors without learned weights come first; others only where their weights are on this machine.
+    Raises PromptError for a wish that none can carry out.
+    """
+    built: dict[str, Editor] = {}
+    chosen: list[tuple[str, Wish]] = []
+    for wish in read(prompt):
+        for offer in _able(wish, registry):
+            name = offer.qualified_name
+            if name not in built:
+                built[name] = registry.build_choice("editor", PartChoice(name=name))
+            if built[name].understands(wish):
+                chosen.append((name, wish))
+                break
+        else:
+            raise PromptError(_nobody(wish, registry))
+    tasks = []
+    for name, group in groupby(chosen, key=lambda pair: pair[0]):
+        wishes = tuple(wish for _, wish in group)
+        whole = len(wishes) == len(chosen)
+        text = prompt if whole else ", ".join(wish.text for wish in wishes)
+        tasks.append(EditorTask(built[name], text, wishes))
+    return tuple(tasks)
+
+
+def _able(wish: Wish, registry: Registry) -> Iterator[Offer]:
+    """Editors that declare the wish's action and can be used here.
+
+    Those without weights come first, then those that declare the action before others.
+    """
+    offers = [
+        one for one in registry.offers("editor") if wish.action in one.component.actions
+    ]
+    for offer in sorted(
+        offers,
+        key=lambda one: (
+            bool(one.component.weights),
+            one.component.actions.index(wish.action),
+        ),
+    ):
+        component = offer.component
+        ready = all(at_hand(weights) is not None for weights in component.weights)
+        service = component.needs_network and not component.weights  # never unasked
+        if ready and not service and not registry.missing(offer):
+            yield offer
+
+
+def _refusal(editor: Editor, wish: Wish, registry: Registry) -> str:
+    name = component_name(editor)
+    others = [offer.component.name for offer in _able(wish, registry)]
+    others = [other for other in others if other != name]
+    if not others:
+        return f"editor {name!r}: {_nobody(wish, registry)}"
+    return (
+        f"editor {name!r} cannot carry out {wish.text!r}; {' or '.join(map(repr, others))} can: "
+        f"--editor {others[0]}, or leave --editor out."
+    )
+
+
+def _nobody(wish: Wish, registry: Registry) -> str:
+    """That no installed editor can do it, which words are to blame, and which others might."""
+    unread = ", ".join(repr(word) for word in wish.unread)
+    verb = "are" if len(wish.unread) > 1 else "is"
+    reason = f"no editor here can carry out {wish.text!r}"
+    if unread:
+        reason = f"{unread} in {wish.text!r} {verb} not understood"
+    learned = [
+        offer.component.name
+        for offer in registry.offers("editor")
+        if "other" in offer.component.actions
+    ]
+    more = ""
+    if learned:
+        more = (
+            f" Editors with a model of their own may do it: {', '.join(learned)} (edit3r "
+            "list-plugins --kind editor says what each needs)."
+        )
+    return f"{reason}.{spelling_hint(wish)} {ABILITIES}{more}"

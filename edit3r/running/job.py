@@ -1,0 +1,115 @@
+"""What a run is asked to do. Everything that starts a run builds a `RunJob`, and nothing else.
+
+`job_from` makes one from words: flags of the command line, or a line of a batch. The call from
+Python (`edit3r.api`) makes one from objects.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.reporting import note
+from edit3r.contract.types import Cameras, Views
+from edit3r.kit.cache import Cache
+from edit3r.kit.photos.images import packaged_pair
+from edit3r.running.config import DEFAULTS, JobInputs, RunConfig, make_run_config
+from edit3r.running.earlier import CACHE, EarlierRun, read_earlier_run
+from edit3r.running.selecting.marks import MarkTexts
+from edit3r.running.selecting.select import Selection
+
+
+@dataclass(frozen=True)
+class RunJob:
+    """One run: settings, photos, what may change on them, and what is known about them."""
+
+    config: RunConfig
+    # files, folders and videos, or loaded views; () where an earlier run brings them
+    photos: Views | tuple[Path, ...] = ()
+    # of loaded photos: a camera file, or the cameras of all of them
+    cameras: Path | Cameras | None = None
+    refine_poses: bool = False  # the given poses may move to where the photos want them
+    # where pixels may change, in [0, 1]; or what was marked, from which a segmenter finds that
+    masks: Float[Tensor, "batch view height width"] | Selection | MarkTexts | None = (
+        None
+    )
+    earlier: EarlierRun | None = None  # the run whose scene is edited again
+    cache: Cache | None = None  # answers of earlier runs on the same photos
+    components: Mapping[str, Any] = field(default_factory=dict)  # built ones, by kind
+
+
+def job_from(
+    inputs: JobInputs, *layers: Mapping[str, Any], trusted: bool = False
+) -> RunJob:
+    """The job that `inputs` and layers of run settings describe, later layers over earlier.
+
+    Without photos and without an earlier run it is the packaged pair. Raises InputError for an
+    earlier run that cannot be read, SettingsError for wrong settings. `trusted`: its run.json is.
+    """
+    earlier = read_earlier_run(inputs.earlier, trusted) if inputs.earlier else None
+    cache = Cache(Path(inputs.earlier) / CACHE) if inputs.earlier else None
+    if earlier is not None:
+        layers = (inherited(earlier, layers), *layers)
+    elif not inputs.photos:
+        layers = ({"prompt": DEFAULTS["prompt"]}, *layers)
+    config = make_run_config(*layers)
+    if earlier is None and not inputs.photos:
+        inputs = _packaged(inputs, config)
+    texts = MarkTexts(
+        inputs.point, inputs.not_point, inputs.box, inputs.mask, inputs.thing
+    )
+    return RunJob(
+        config=config,
+        photos=tuple(map(Path, inputs.photos)),
+        cameras=Path(inputs.cameras) if inputs.cameras else None,
+        refine_poses=inputs.refine_poses,
+        masks=texts if texts.given else None,
+        # Photos that are given are edited from the start.
+        earlier=None if inputs.photos else earlier,
+        cache=cache,
+    )
+
+
+def inherited(
+    earlier: EarlierRun, layers: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
+    """The earlier run's frames and, unless another is asked for, its reconstructor."""
+    inherited: dict[str, Any] = {"frames": earlier.frames}
+    named = [layer["reconstructor"] for layer in layers if "reconstructor" in layer]
+    names = [
+        choice.get("name") if isinstance(choice, Mapping) else choice
+        for choice in named
+    ]
+    another = any(name not in (None, earlier.reconstructor["name"]) for name in names)
+    has_preset = any("quality" in layer for layer in layers)
+    if not another and not has_preset:
+        inherited["reconstructor"] = earlier.reconstructor
+    return inherited
+
+
+def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:
+    """The packaged pair, with masks of its subject where only the prompt names it."""
+    photos, cameras = packaged_pair()
+    found: dict[str, Any] = {
+        "photos": tuple(photos),
+        "cameras": inputs.cameras or str(cameras),
+    }
+    marks = (inputs.mask, inputs.point, inputs.not_point, inputs.box, inputs.thing)
+    marked = any(marks)
+    subject = DEFAULTS["subject"]
+    usual = config.editor is None or config.editor.name == DEFAULTS["editor"]
+    if usual and not marked and subject in config.prompt.lower():
+        note("selection.mask", f"the packaged pair brings masks of its {subject}")
+        folder = Path(cameras).parent
+        found["mask"] = tuple(
+            str(folder / f"motorcycle_mask{side}.png") for side in ("", "_right")
+        )
+    return inputs.model_copy(update=found)
+
+
+def with_cameras(views: Views, cameras: Cameras) -> Views:
+    """Views whose intrinsics and poses somebody knows."""
+    return replace(views, intrinsics=cameras.intrinsics, c2w=cameras.c2w, assumed=())

@@ -1,0 +1,286 @@
+"""What can be measured of an edit without knowing what was meant: figures for the verdict on it."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import permutations
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from edit3r.contract.types import Cameras
+from edit3r.contract.wishes import Change, Wish
+from edit3r.kit.compute.changes import change_uptake
+from edit3r.kit.compute.colour import rgb_to_lab
+from edit3r.kit.geometry.warping import shared_surface, warp
+from edit3r.running.judging.edit_verdict import EditMeasures
+from edit3r.running.scene import Scene
+
+SIDE = 256  # pixels of the longer side at which signs are read, for which limits hold
+VISIBLE = 8 / 255  # change of a channel that one sees
+REACH = 3  # pixels between an outline and the edge that it follows
+MAX_CHANCE = 0.85  # share of a photo near edges, above which an outline tells nothing
+EDGE = 6.0  # difference of colours across an edge [CIE Lab, over two pixels]
+NEAR = 4.0  # pixels about an outline whose colours are compared
+SAME_COLOURS = 5.0  # difference of mean colours below which they are alike [CIE Lab]
+SAME_SURFACE = (
+    0.05  # relative difference in depth within which two views show one surface
+)
+HUE_TOLERANCE = 25.0  # degrees
+GREY = 8.0  # chroma below which a colour is grey [CIE Lab]
+
+Masks = Float[Tensor, "view height width"]
+
+
+def measure_edit(
+    scene: Scene, wishes: Sequence[Wish], views: Sequence[int]
+) -> EditMeasures:
+    """Return the figures of the 2D edit of these views; of several scenes the first counts."""
+    before = _small(scene.start.images[0, views])
+    after = _small(scene.edited.images[0, views])
+    visibly = (after - before).abs().amax(1) > VISIBLE
+    regions = None
+    if scene.regions is not None:
+        regions = _small(scene.regions[:, 0, views])
+    reached = _reached(before, after, visibly, wishes, regions)
+    if scene.masks is None:
+        shares = (1.0,) * len(before)
+        return EditMeasures(shares, float(visibly.double().mean()), reached=reached)
+    masks = _small(scene.masks[0, views])
+    inside = masks > 0.5
+    changed = (visibly & inside).sum() / inside.sum().clamp(min=1)
+    ghost = None
+    if any(wish.action == "remove" for wish in wishes):
+        ghost = ghost_of(before, after, masks)
+    return EditMeasures(
+        shares=tuple(inside.double().mean((1, 2)).tolist()),
+        changed=float(changed),
+        outline=outline_on_edges(before, masks),
+        open_outline=open_outline(before, masks),
+        ghost=ghost,
+        reached=reached,
+    )
+
+
+def _small(images: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch h w"]:
+    """The images with SIDE pixels on the longer side, at most."""
+    height, width = images.shape[-2:]
+    scale = min(1.0, SIDE / max(height, width))
+    size = (round(scale * height), round(scale * width))
+    flat = images.reshape(-1, 1, height, width)
+    return F.adaptive_avg_pool2d(flat, size).view(*images.shape[:-2], *size)
+
+
+def measure_edit_in_3d(
+    measures: EditMeasures, scene: Scene, views: Sequence[int]
+) -> EditMeasures:
+    """Add what the reconstructed scene tells of the edit."""
+    agreement = None
+    if scene.masks is not None and scene.confined:
+        depths = scene.rendered.depths[0, :, 0]
+        agreement = masks_agree(scene.masks[0], depths, scene.cameras)
+    return replace(measures, agreement=agreement, shown=change_shown(scene, views))
+
+
+def outline_on_edges(
+    images: Float[Tensor, "view 3 height width"], masks: Masks
+) -> float | None:
+    """Return how much more of the masks' outlines lies on edges than chance would put there.
+
+    1: all of it; 0: as much as of any line. None where no mask has an outline inside its photo, or
+    where edges are everywhere.
+    """
+    shares = []
+    chances = []
+    for image, mask in zip(images, masks):
+        near_edge = _near_edges(image)
+        outline = _outline(mask)
+        if outline.any():
+            shares.append(float(near_edge[outline].mean()))
+            chances.append(float(near_edge.mean()))
+    chance = float(np.mean(chances)) if chances else 1.0
+    if chance > MAX_CHANCE:
+        return None
+    return (float(np.mean(shares)) - chance) / (1 - chance)
+
+
+def open_outline(images: Float[Tensor, "view 3 height width"], masks: Masks) -> float:
+    """Return the longest stretch of an outline with the same colours on both sides, as its share.
+
+    Mean over the views; such a stretch is a cut through one surface.
+    """
+    stretches = []
+    for image, mask in zip(images, masks):
+        outline = _outline(mask)
+        if not outline.any():
+            continue
+        alike = outline & (_contrast(image, mask) < SAME_COLOURS)
+        joined = cv2.dilate(alike.astype(np.uint8), np.ones((3, 3), np.uint8))
+        _, labels = cv2.connectedComponents(joined)
+        lengths = np.bincount(labels[alike], minlength=1)
+        stretches.append(lengths[1:].max(initial=0) / outline.sum())
+    return float(np.mean(stretches)) if stretches else 0.0
+
+
+def _contrast(
+    image: Float[Tensor, "3 height width"], mask: Float[Tensor, "height width"]
+) -> Float[np.ndarray, "height width"]:
+    """Difference between the mean colours inside and outside, about each pixel [CIE Lab]."""
+    lab = rgb_to_lab(image).movedim(0, -1).numpy(force=True).astype(np.float32)
+    inside = (mask > 0.5).numpy(force=True).astype(np.float32)[..., None]
+
+    def mean(weight: np.ndarray) -> np.ndarray:
+        total = cv2.GaussianBlur(weight, (0, 0), NEAR)[..., None]
+        return cv2.GaussianBlur(lab * weight, (0, 0), NEAR) / (total + 1e-6)
+
+    return np.linalg.norm(mean(inside) - mean(1 - inside), axis=-1)
+
+
+def ghost_of(
+    before: Float[Tensor, "view 3 height width"],
+    after: Float[Tensor, "view 3 height width"],
+    masks: Masks,
+) -> float | None:
+    """Return the share of what was edge on a removed thing's outline that is edge still, in [0, 1].
+
+    None where no outline lay on an edge.
+    """
+    was = 0
+    stays = 0
+    for old, new, mask in zip(before, after, masks):
+        edge = _near_edges(old) & _outline(mask)
+        was += int(edge.sum())
+        stays += int((edge & _near_edges(new)).sum())
+    return stays / was if was else None
+
+
+def _near_edges(
+    image: Float[Tensor, "3 height width"],
+) -> Bool[np.ndarray, "height width"]:
+    """Pixels within REACH of a place where the colour changes."""
+    lab = rgb_to_lab(image).movedim(0, -1).numpy(force=True).astype(np.float32)
+    smooth = cv2.GaussianBlur(lab, (0, 0), 1.0)
+    across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0) / 4
+    down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1) / 4
+    strength = np.sqrt((across**2 + down**2).sum(-1))
+    kernel = cv2.getStructuringElement(
+        cv2.MORPH_ELLIPSE, (2 * REACH + 1, 2 * REACH + 1)
+    )
+    return cv2.dilate((strength > EDGE).astype(np.uint8), kernel) > 0
+
+
+def _outline(mask: Float[Tensor, "height width"]) -> Bool[np.ndarray, "height width"]:
+    """The inner pixels of a mask's outline, without the photo's border."""
+    inside = (mask > 0.5).numpy(force=True).astype(np.uint8)
+    inner = cv2.erode(inside, np.ones((3, 3), np.uint8), borderValue=1)
+    return (inside > 0) & (inner == 0)
+
+
+# ---- between photos ----
+
+
+def masks_agree(masks: Masks, depths: Masks, cameras: Cameras) -> float | None:
+    """Overlap of the masks of all pairs of views, on the surfaces that both show, in [0, 1].
+
+    `depths` are camera z of the scene from the views' places, `cameras` theirs (batch 1). None
+    where no two views show the selected surface.
+    """
+    overlaps = [
+        overlap
+        for first, second in permutations(range(len(masks)), 2)
+        if (overlap := _overlap(masks, depths, cameras, first, second)) is not None
+    ]
+    return float(np.mean(overlaps)) if overlaps else None
+
+
+def _overlap(
+    masks: Masks, depths: Masks, cameras: Cameras, first: int, second: int
+) -> float | None:
+    """Overlap of the first view's mask with the second's, where the second sees the surface."""
+    pair = [first, second]
+    grid, same = shared_surface(
+        depths[pair], cameras.intrinsics[0, pair], cameras.c2w[0, pair], SAME_SURFACE
+    )
+    other = warp(masks[second, None], grid, padding="zeros")[0]
+    own = masks[first] * same
+    other = other * same
+    either = float(torch.maximum(own, other).sum())
+    return float(torch.minimum(own, other).sum()) / either if either > 50 else None
+
+
+def change_shown(scene: Scene, views: Sequence[int]) -> float | None:
+    """Share of the 2D change that the scene shows; None where nothing was changed."""
+    height, width = scene.rendered.images.shape[-2:]
+    size = (height, width)
+    before = scene.start.at(size).images[:, views]
+    wanted = scene.edited.at(size).images[:, views] - before
+    if float(wanted.abs().amax()) < VISIBLE:
+        return None
+    weight = torch.ones_like(wanted)
+    if scene.masks is not None:
+        weight *= (scene.masks[:, views] > 0.5)[:, :, None]
+    return change_uptake(
+        scene.rendered.images[:, views].clamp(0, 1) - before, wanted, weight
+    )
+
+
+# ---- what was asked for ----
+
+
+def _reached(
+    before: Float[Tensor, "view 3 height width"],
+    after: Float[Tensor, "view 3 height width"],
+    visibly: Bool[Tensor, "view height width"],
+    wishes: Sequence[Wish],
+    regions: Float[Tensor, "wish view height width"] | None,
+) -> float | None:
+    """Share of the visibly changed pixels that look as their wish asks; None where none can be
+    checked.
+    """
+    shares = []
+    colours_before = rgb_to_lab(before).movedim(1, -1)
+    colours_after = rgb_to_lab(after).movedim(1, -1)
+    for number, wish in enumerate(wishes):
+        place = visibly
+        if regions is not None:
+            place = visibly & (regions[number] > 0.5)
+        if not place.any():
+            continue
+        shares += list(
+            _shares(wish.changes, colours_before[place], colours_after[place])
+        )
+    return min(shares, default=None)
+
+
+def _shares(
+    changes: Sequence[Change],
+    old: Float[Tensor, "pixel 3"],
+    new: Float[Tensor, "pixel 3"],
+) -> Iterator[float]:
+    chroma = new[:, 1:].norm(dim=1)
+    for change in changes:
+        if change.kind == "paint" and change.colour is not None:
+            wanted = rgb_to_lab(new.new_tensor(change.colour.rgb)[:, None, None])[
+                :, 0, 0
+            ]
+            if float(wanted[1:].norm()) < 2 * GREY:
+                yield float((chroma < 2 * GREY).double().mean())
+            else:
+                yield float((_hue_apart(new, wanted) < HUE_TOLERANCE).double().mean())
+        elif change.kind == "greyscale":
+            yield float((chroma < GREY).double().mean())
+        elif change.kind == "brightness":
+            moved = (new[:, 0] - old[:, 0]).mean() * change.amount
+            yield float(moved > 0)
+
+
+def _hue_apart(
+    colours: Float[Tensor, "pixel 3"], wanted: Float[Tensor, "3"]
+) -> Float[Tensor, "pixel"]:
+    """Angle between hues [degrees]."""
+    hue = torch.atan2(colours[:, 2], colours[:, 1])
+    apart = hue - torch.atan2(wanted[2], wanted[1])
+    return torch.rad2deg(torch.atan2(apart.sin(), apart.cos()).abs())

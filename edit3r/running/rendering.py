@@ -1,0 +1,80 @@
+"""Rendering many cameras, one by one, held to the rasterizer's contract; numbers of Gaussians as
+maps; and the camera path of a run.
+"""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.reporting import track
+from edit3r.contract.types import Cameras, Gaussians, Rendering
+from edit3r.kit.geometry.harmonics import colour_to_dc
+from edit3r.kit.geometry.paths import between_and_around
+from edit3r.running.checks import check_rendering, errors_named_after
+
+
+def render_each(
+    rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras, text: str
+) -> Rendering:
+    """Render camera by camera, showing progress under `text`."""
+    parts = [
+        render_one(rasterizer, gaussians, cameras.select([i]))
+        for i in track(range(cameras.count), text)
+    ]
+    return Rendering(
+        *(
+            torch.cat([getattr(p, name) for p in parts], 1)
+            for name in ("images", "alphas", "depths")
+        )
+    )
+
+
+def render_one(
+    rasterizer: Rasterizer, gaussians: Gaussians, camera: Cameras
+) -> Rendering:
+    """Render one camera and check the answer."""
+    with errors_named_after(rasterizer):
+        rendering = rasterizer.render(gaussians, camera)
+    check_rendering(rasterizer, gaussians, camera, rendering)
+    return rendering
+
+
+def render_numbers(
+    rasterizer: Rasterizer,
+    gaussians: Gaussians,
+    numbers: Float[Tensor, "batch gaussian"],
+    cameras: Cameras,
+) -> Rendering:
+    """Render with a number >= 0 of each Gaussian, in all three channels, in place of its colour."""
+    colours = numbers.to(gaussians.means)[..., None, None].expand(-1, -1, 1, 3)
+    grey = replace(gaussians, harmonics=colour_to_dc(colours).contiguous())
+    return rasterizer.render(grey, cameras)
+
+
+def render_uncertainty(
+    rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras
+) -> Float[Tensor, "batch camera height width"]:
+    """The probability, for each pixel, that its colour is wrong; 1 where the scene shows nothing.
+
+    Raises ValueError for a scene without `uncertainty`.
+    """
+    if gaussians.uncertainty is None:
+        raise ValueError(
+            "render_uncertainty: nobody estimated this scene's uncertainty"
+        )
+    shown = render_numbers(rasterizer, gaussians, gaussians.uncertainty, cameras)
+    missing = 1 - shown.alphas[:, :, 0]
+    return (shown.images[:, :, 0] + missing).clamp(0, 1)
+
+
+def path_around(cameras: Cameras, rendered: Rendering, frames: int) -> Cameras:
+    """A camera path between and around `cameras`, whose swing is bounded by the depth of what they
+    show.
+    """
+    seen = rendered.depths[rendered.alphas > 0.5]
+    return between_and_around(
+        cameras, frames, float(seen.median()) if seen.numel() else None
+    )

@@ -1,0 +1,170 @@
+"""Marks as people type them: --point, --not-point, --box and --mask, read into a Selection."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from edit3r.contract.errors import InputError
+from edit3r.contract.lens import Lens
+from edit3r.kit.photos.framing import Frame
+from edit3r.kit.photos.images import LoadedPhotos
+from edit3r.kit.photos.masks import load_masks, read_mask
+from edit3r.running.config import MAX_PROMPT
+from edit3r.running.selecting.select import Box, Selection
+from edit3r.wishes.things import read_thing
+
+
+@dataclass(frozen=True)
+class MarkTexts:
+    """What is marked, in words and files. Places are `[N:]X,Y` and boxes `[N:]X,Y,W,H`.
+
+    N is the number of the photo, from 1. Numbers are pixels of the original photo or, where none is
+    above 1, shares of its sides.
+    """
+
+    points: tuple[str, ...] = ()
+    not_points: tuple[str, ...] = ()
+    boxes: tuple[str, ...] = ()
+    mask_files: tuple[str, ...] = ()
+    thing: str = ""  # in words, such as "the left cup"
+
+    @property
+    def given(self) -> bool:
+        return any(
+            (self.points, self.not_points, self.boxes, self.mask_files, self.thing)
+        )
+
+    def read(self, photos: LoadedPhotos) -> Selection:
+        """The marks on these photos. Raises InputError for a mark that fits no photo."""
+        if len(self.thing) > MAX_PROMPT:
+            raise InputError(
+                f"--thing: expected at most {MAX_PROMPT} characters, got {len(self.thing)}."
+            )
+        frames = [photo.frame for photo in photos.photos]
+        positive = tuple(_point("--point", text, frames) for text in self.points)
+        negative = tuple(
+            _point("--not-point", text, frames) for text in self.not_points
+        )
+        boxes = dict(_box("--box", text, frames) for text in self.boxes)
+        if len(self.mask_files) == len(frames):
+            masks = dict(enumerate(load_masks(self.mask_files, photos)[0]))
+        else:
+            masks = {}
+            for path in map(Path, self.mask_files):
+                view = self._view_of_mask(path, photos)
+                masks[view] = read_mask(path, frames[view])
+        thing = read_thing(self.thing.lower().split())
+        words = thing.name
+        if self.thing and not words:
+            words = {"whole": "everything"}.get(thing.scope, thing.scope)
+        return Selection(
+            positive, negative, boxes, masks=masks, words=words, which=thing.which
+        )
+
+    def for_photos(self, found: list[str], used: list[str]) -> "MarkTexts":
+        """The same marks where only some of the photos that were found are used."""
+        if len(self.mask_files) != len(found):
+            return self
+        kept = tuple(
+            mask for mask, photo in zip(self.mask_files, found) if photo in used
+        )
+        return replace(self, mask_files=kept)
+
+    def _view_of_mask(self, path: Path, photos: LoadedPhotos) -> int:
+        """The photo that a mask's name begins with; the first for a single mask of another name."""
+        named = [
+            view
+            for view, photo in enumerate(photos.photos)
+            if path.stem.startswith(Path(photo.file).stem)
+        ]
+        if len(named) == 1:
+            return named[0]
+        if len(self.mask_files) == 1 and not named:
+            return 0
+        raise InputError(
+            f"--mask {path}: {len(self.mask_files)} masks for {len(photos.photos)} photos; give "
+            "one per photo, or name each after its photo, such as left_mask.png for left.jpg."
+        )
+
+
+def _point(flag: str, text: str, frames: list[Frame]) -> tuple[int, float, float]:
+    """View, x and y [shares of the view] of `[N:]X,Y`."""
+    view, (x, y) = _numbers(flag, text, frames, "X,Y")
+    frame = frames[view]
+    x, y = _as_shares((x, y), frame)
+    if frame.lens is not None:
+        x, y = frame.lens.straightened_place(x, y)
+    place = _in_crop(x, y, frame)
+    if min(place) < 0 or max(place) > 1:
+        raise _outside(flag, text, view)
+    return (view, *place)
+
+
+def _box(flag: str, text: str, frames: list[Frame]) -> tuple[int, Box]:
+    """View and box [shares of the view] of `[N:]X,Y,W,H`, cut to the part that is used."""
+    view, numbers = _numbers(flag, text, frames, "X,Y,W,H")
+    frame = frames[view]
+    x, y, width, height = _as_shares(numbers, frame)
+    if min(width, height) < 0:
+        raise InputError(f"{flag} {text}: width and height must not be below 0.")
+    corners = ((x, y), (x + width, y + height))
+    if frame.lens is not None:
+        corners = _straightened(corners, frame.lens)
+    (left, top), (right, bottom) = (_in_crop(*corner, frame) for corner in corners)
+    left, top = max(0.0, left), max(0.0, top)
+    if left >= min(1.0, right) or top >= min(1.0, bottom):
+        raise _outside(flag, text, view)
+    return view, (left, top, min(1.0, right) - left, min(1.0, bottom) - top)
+
+
+def _numbers(
+    flag: str, text: str, frames: list[Frame], shape: str
+) -> tuple[int, list[float]]:
+    """View and numbers of a mark; `shape` is how it must read."""
+    where, _, listed = text.rpartition(":")
+    try:
+        view = int(where) - 1 if where else 0
+        values = [float(number) for number in listed.split(",")]
+    except ValueError:
+        view, values = -1, []
+    if len(values) != len(shape.split(",")) or not 0 <= view < len(frames):
+        raise InputError(
+            f"{flag} {text}: expected {shape} on the first photo or N:{shape} on photo N (1 to "
+            f"{len(frames)}), in pixels of the original photo or, where no number is above 1, in "
+            "shares of its sides."
+        )
+    if not all(-1e9 < value < 1e9 for value in values):  # NaN is in no range
+        raise InputError(f"{flag} {text}: expected finite numbers.")
+    return view, values
+
+
+def _outside(flag: str, text: str, view: int) -> InputError:
+    return InputError(
+        f"{flag} {text}: lies outside of what is used of photo {view + 1}."
+    )
+
+
+def _as_shares(values: tuple[float, ...] | list[float], frame: Frame) -> list[float]:
+    """The numbers as shares of the original photo's sides."""
+    if max(values) <= 1:
+        return list(values)
+    height, width = frame.source
+    return [value / side for value, side in zip(values, (width, height) * 2)]
+
+
+def _in_crop(x: float, y: float, frame: Frame) -> tuple[float, float]:
+    """A place on the original photo [shares] as shares of the part that is used."""
+    height, width = frame.source
+    left, top, right, bottom = frame.box
+    return (x * width - left) / (right - left), (y * height - top) / (bottom - top)
+
+
+def _straightened(
+    corners: tuple[tuple[float, float], tuple[float, float]], lens: Lens
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """The box around the four corners of a box, on the straightened photo."""
+    (left, top), (right, bottom) = corners
+    places = [
+        lens.straightened_place(x, y) for x in (left, right) for y in (top, bottom)
+    ]
+    columns, rows = zip(*places)
+    return (min(columns), min(rows)), (max(columns), max(rows))

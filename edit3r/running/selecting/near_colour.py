@@ -1,0 +1,69 @@
+"""The part of a region that has a colour: "only the red parts", "from grey to brown"."""
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.errors import PromptError
+from edit3r.contract.wishes import Colour
+from edit3r.kit.compute.colour import rgb_to_lab
+
+NEAR, FAR = 13.0, 20.0
+"""Differences up to which a pixel has the colour, and from which it has not."""
+LIGHTNESS_WEIGHT, HUE_WEIGHT = 0.5, 1.7
+"""Shade changes lightness, and names are about hue: the weights of both in the difference."""
+MIN_CHROMA_SHARE = 0.2
+"""Share of the named colour's chroma that there must be: grey is never red."""
+
+
+def near_colour(
+    masks: Float[Tensor, "view height width"],
+    images: Float[Tensor, "view 3 height width"],
+    colour: Colour,
+) -> Float[Tensor, "view height width"]:
+    """The part of soft `masks` whose pixels are near a named colour.
+
+    By CIE94 around the named colour, which allows the more difference in chroma the more chroma the
+    name has, since things are duller than the names of their colours. Raises PromptError where
+    nothing is near.
+    """
+    lab = rgb_to_lab(_smoothed(images)).double()
+    named = rgb_to_lab(lab.new_tensor(colour.rgb)[:, None, None])
+    near = ((FAR - _difference(lab, named)) / (FAR - NEAR)).clamp(0, 1)
+    least = MIN_CHROMA_SHARE * named[1:].norm()
+    chroma = lab[:, 1:].norm(dim=1)
+    coloured = (4 * (chroma - least) / least.clamp(min=4) + 1).clamp(0, 1)
+    found = masks * (near * coloured).to(masks)
+    if not found.any():
+        raise PromptError(
+            f"nothing there is near {colour.name}, so nothing would change; name the colour it has."
+        )
+    return found
+
+
+def _smoothed(
+    images: Float[Tensor, "view 3 height width"],
+) -> Float[Tensor, "view 3 height width"]:
+    """The median of 3 x 3 pixels, so that noise does not decide."""
+    pixels = (images.movedim(1, -1) * 255).round().to(torch.uint8).numpy(force=True)
+    smooth = np.stack([cv2.medianBlur(np.ascontiguousarray(one), 3) for one in pixels])
+    return torch.from_numpy(smooth).movedim(-1, 1).to(images) / 255
+
+
+def _difference(
+    lab: Float[Tensor, "view 3 height width"], named: Float[Tensor, "3 1 1"]
+) -> Float[Tensor, "view height width"]:
+    """CIE94 (McDonald and Smith 1995) with weights for lightness and hue; reference is the name."""
+    lightness = lab[:, 0] - named[0]
+    chroma_named = named[1:].norm()
+    chroma = lab[:, 1:].norm(dim=1) - chroma_named
+    hue_squared = ((lab[:, 1:] - named[1:]).square().sum(1) - chroma.square()).clamp(
+        min=0
+    )
+    return torch.sqrt(
+        (LIGHTNESS_WEIGHT * lightness).square()
+        + (chroma / (1 + 0.045 * chroma_named)).square()
+        + hue_squared * (HUE_WEIGHT / (1 + 0.015 * chroma_named)).square()
+    )

@@ -1,0 +1,221 @@
+"""Where each wish of a sentence applies: masks of its thing in every view.
+
+Marks (clicks, boxes, masks) stand for the thing that the sentence names, and its name tells how far
+it goes around a click. In "the background" and "everything except the fox" they stand for what is
+left out. What is not marked is looked up by its name.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.errors import InputError, PromptError
+from edit3r.contract.interfaces import MatchedGeometry, Segmenter
+from edit3r.contract.reporting import say
+from edit3r.contract.types import Views
+from edit3r.contract.wishes import Thing, Wish
+from edit3r.running.selecting.near_colour import near_colour
+from edit3r.running.selecting.select import (
+    ASK,
+    Selected,
+    Selection,
+    select_masks,
+    shown,
+)
+
+PLAIN = Selection()
+Masks = Float[Tensor, "view height width"]
+
+
+@dataclass(frozen=True)
+class Regions:
+    """Soft masks of the wishes of one scene, and how each was found."""
+
+    masks: Float[Tensor, "wish view height width"]  # in [0, 1]; 1: the wish applies
+    selected: tuple[Selected, ...]  # every thing that was looked for, in order
+    things: Mapping[str, Masks] = field(
+        default_factory=dict
+    )  # masks of what has a name
+
+
+class RegionFinder:
+    """Finds the things of wishes in the views of one scene; a thing is looked for once."""
+
+    def __init__(
+        self,
+        views: Views,
+        segmenter: Callable[[], Segmenter],
+        geometry: Callable[[], MatchedGeometry | None],
+        marked: Selection | None = None,
+        defaults: Selection = PLAIN,
+        known: Mapping[str, Masks] | None = None,
+    ) -> None:
+        """`views` hold one scene; segmenter and geometry are asked for only where needed.
+
+        `defaults` say whether to guess and what to do with outlines; `known` are masks of things
+        that were named before.
+        """
+        self._views = views
+        self._segmenter = segmenter
+        self._geometry = geometry
+        self._marked = marked
+        self._defaults = defaults
+        self._known = dict(known or {})
+        self._found: dict[Thing | None, Selected] = {}
+
+    def find(self, wishes: Sequence[Wish]) -> Regions:
+        """Where each wish applies. Raises InputError for what cannot be found."""
+        marked_thing = self._thing_of_marks(wishes)
+        self._name_marks(marked_thing)
+        masks = [self._region(wish, marked_thing) for wish in wishes]
+        found = tuple(self._found.values())
+        return Regions(torch.stack(masks), found, self._things(marked_thing))
+
+    def _things(self, marked_thing: Thing | None) -> dict[str, Masks]:
+        """Masks of everything that has a name, those of earlier runs first."""
+        things = dict(self._known)
+        marked = self._marked or PLAIN
+        if self._defaults.inverted != marked.inverted:  # the masks are of all else
+            return things
+        for thing, selected in self._found.items():
+            thing = thing or marked_thing
+            if thing is not None and thing.scope == "named":
+                name = _name(thing)
+                things.pop(name, None)  # the newest is the last
+                things[name] = selected.masks[:, 0]
+        return things
+
+    def _thing_of_marks(self, wishes: Sequence[Wish]) -> Thing | None:
+        """The one thing that the marks stand for; None for one that has no name."""
+        if self._marked is None:
+            return None
+        wanted = [
+            wish.thing for wish in wishes if wish.thing.scope in ("named", "marked")
+        ]
+        if not wanted:
+            wanted = [thing for wish in wishes for thing in wish.without]
+        names = {thing.name: thing for thing in wanted}
+        if len(names) > 1:
+            listed = " and ".join(repr(name) for name in names)
+            raise PromptError(
+                f"the sentence names {listed}, and clicks, boxes or masks say one place; ask for "
+                "one, then for the next with --from the first run's folder."
+            )
+        return next(iter(names.values()), None)
+
+    def _name_marks(self, thing: Thing | None) -> None:
+        """Clicks on a whole thing are helped by its name; a part's name is seldom known."""
+        marked = self._marked
+        if (
+            marked is not None
+            and marked.positive
+            and thing is not None
+            and not thing.of
+        ):
+            self._marked = replace(marked, words=marked.words or thing.name)
+
+    def _region(self, wish: Wish, marked_thing: Thing | None) -> Masks:
+        thing = wish.thing
+        mask = self._base(wish, marked_thing)
+        for kept in wish.without:
+            mask = mask * self._all_but(kept, marked_thing)
+        if thing.part is not None:
+            mask = near_colour(mask, self._views.images[0], thing.part)
+        return mask
+
+    def _base(self, wish: Wish, marked_thing: Thing | None) -> Masks:
+        """The wish's thing before anything is taken out of it."""
+        thing, whole = wish.thing, torch.ones_like(self._views.images[0, :, 0])
+        if thing.scope == "named":
+            return self._mask(thing, marked_thing)
+        if thing.scope == "whole":
+            confined = self._marked is not None and not wish.without
+            return self._mask(None, None) if confined else whole
+        if thing.scope == "marked":
+            return self._mask(thing, thing)
+        if wish.without:  # the background of what is named beside it
+            return whole
+        return self._background()
+
+    def _background(self) -> Masks:
+        """All but what is marked, or what the segmenter takes for the background."""
+        if self._marked is not None:
+            return self._inverse(self._look_for(None, self._marked))
+        asked = Selection(words="background")
+        selected = self._look_for(Thing("background"), asked)
+        masks = selected.masks[:, 0]
+        return self._inverse(selected) if "guess" in selected.how else masks
+
+    def _inverse(self, selected: Selected) -> Masks:
+        masks = selected.masks[:, 0]
+        return (1 - masks) * shown(masks)
+
+    def _all_but(self, thing: Thing, marked_thing: Thing | None) -> Masks:
+        """All but a thing; a view that lost it stays as it is."""
+        masks = 1 - self._mask(thing, marked_thing)
+        selected = self._found.get(replace(thing, part=None), self._found.get(None))
+        return masks if selected is None else masks * shown(selected.masks[:, 0])
+
+    def _mask(self, thing: Thing | None, marked_thing: Thing | None) -> Masks:
+        """Masks of a thing: what is marked where the marks stand for it, else by its name."""
+        stands_for = (
+            thing is None or marked_thing is None or thing.name == marked_thing.name
+        )
+        if self._marked is not None and stands_for:
+            return self._look_for(None, self._marked).masks[:, 0]
+        if thing is None or (thing.scope != "named" and thing.part is None):
+            if thing is not None and self._known:  # "paint it red"
+                return self._look_for(thing, self._as_known([*self._known][-1])).masks[
+                    :, 0
+                ]
+            if not self._defaults.guess:
+                raise InputError(f"nothing says which object is meant; {ASK}.")
+            return self._look_for(None, Selection()).masks[:, 0]
+        if thing.scope == "whole" and thing.part is not None:  # "except the red parts"
+            whole = torch.ones_like(self._views.images[0, :, 0])
+            return near_colour(whole, self._views.images[0], thing.part)
+        asked = Selection(words=thing.name, which=thing.which)
+        if _name(thing) in self._known:
+            asked = self._as_known(_name(thing))
+        mask = self._look_for(thing, asked).masks[:, 0]
+        if thing.part is not None:
+            mask = near_colour(mask, self._views.images[0], thing.part)
+        return mask
+
+    def _as_known(self, name: str) -> Selection:
+        """The masks that an earlier run has of a thing."""
+        say("selection.known", f"{name} is what the earlier run took for it")
+        return Selection(masks=dict(enumerate(self._known[name])))
+
+    def _look_for(self, thing: Thing | None, selection: Selection) -> Selected:
+        key = None if thing is None else replace(thing, part=None)
+        if key not in self._found:
+            selection = _with_defaults(selection, self._defaults)
+            carried = len(selection.masks) < self._views.count
+            self._found[key] = select_masks(
+                self._views.images[0],
+                selection,
+                self._segmenter(),
+                self._geometry() if carried else None,
+                self._views.intrinsics,
+            )
+        return self._found[key]
+
+
+def _name(thing: Thing) -> str:
+    """The words that name a thing, such as "left cup"."""
+    return " ".join((*thing.which, thing.name))
+
+
+def _with_defaults(selection: Selection, defaults: Selection) -> Selection:
+    """A selection with what the run says of guesses and outlines beside its own."""
+    return replace(
+        selection,
+        guess=selection.guess or defaults.guess,
+        larger=selection.larger + defaults.larger,
+        grow=selection.grow + defaults.grow,
+        inverted=selection.inverted != defaults.inverted,
+    )

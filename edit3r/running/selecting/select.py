@@ -1,0 +1,506 @@
+"""What a user chose on the photos, by clicks, boxes, brushes, masks or words, and the masks that
+come of it.
+
+Marks on one view are enough: the mask found there is carried to the other views by the scene's own
+geometry where it is at hand, else by what the pictures show. The command line, the app and
+`edit3r.run` share this.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.component import component_name
+from edit3r.contract.errors import InputError, MatchingError
+from edit3r.contract.interfaces import (
+    Marks,
+    MatchedGeometry,
+    Matcher,
+    Proposal,
+    Segmenter,
+    Tracks,
+)
+from edit3r.contract.reporting import note, say, warn
+from edit3r.contract.types import Views
+from edit3r.kit.geometry.warping import shared_surface, warp
+from edit3r.running.selecting.which import pick
+
+Box = tuple[float, float, float, float]
+SAME_SURFACE = (
+    0.04  # relative difference in depth within which two views show the same surface
+)
+# of an object's pixels that must lie in another view for geometry to say where it is there
+MIN_SHARE = 0.2
+FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
+MIN_AREA = 2e-4  # share of a view under which a carried mask shows nothing
+SURE = 0.6  # surety under which what words found is not taken unasked
+CLICKED_SURE = 0.25  # the same where a click lies on what they found
+SAME_THING = 0.6  # overlap from which a click and words mean one thing
+SHARES = "expected shares of its sides, 0 to 1 (x / width, y / height)"
+ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Everything a user marked; places are x and y in [0, 1] of a view, x to the right and y
+    down.
+    """
+
+    positive: tuple[
+        tuple[int, float, float], ...
+    ] = ()  # clicks on the object: view, x, y
+    negative: tuple[
+        tuple[int, float, float], ...
+    ] = ()  # clicks on what is not the object
+    boxes: Mapping[int, Box] = field(default_factory=dict)  # view: x, y, width, height
+    added: Mapping[int, Float[Tensor, "height width"]] = field(
+        default_factory=dict
+    )  # brush in [0, 1], by view
+    removed: Mapping[int, Float[Tensor, "height width"]] = field(
+        default_factory=dict
+    )  # eraser, likewise
+    masks: Mapping[int, Float[Tensor, "height width"]] = field(
+        default_factory=dict
+    )  # finished masks, by view
+    words: str = (
+        ""  # what is meant, such as "bike"; looked up where no mark says it all
+    )
+    which: tuple[str, ...] = ()  # picks among several: "left", "big", "red", "all"
+    # True: what was found unsurely is taken, else what stands out most
+    guess: bool = False
+    # steps to a larger reading of clicks, boxes and words (> 0), or to a smaller one (< 0)
+    larger: int = 0
+    grow: float = 0.0  # moves the outline outwards [pixels], inwards where negative
+    inverted: bool = False  # True: all but the object is meant
+
+    def __post_init__(self) -> None:
+        """Raise InputError for marks that lie on no photo."""
+        for place in (*self.positive, *self.negative):
+            view, x, y = _numbers_of(place, "a point is (view, x, y)", 3)
+            if not (0 <= x <= 1 and 0 <= y <= 1):
+                raise InputError(
+                    f"a point lies outside photo {view + 1}: ({x:.3g}, {y:.3g}); {SHARES}."
+                )
+        for view, box in self.boxes.items():
+            x, y, width, height = _numbers_of(box, "a box is (x, y, width, height)", 4)
+            # a comparison with what is no number is False
+            if not (0 <= x < x + width <= 1.001 and 0 <= y < y + height <= 1.001):
+                raise InputError(
+                    f"the box on photo {view + 1} must lie within the photo and have a size above "
+                    f"0; {SHARES}."
+                )
+
+    @property
+    def views(self) -> tuple[int, ...]:
+        """Views that carry any mark, in the order in which they say where the object is."""
+        clicked = [place[0] for place in (*self.positive, *self.negative)]
+        return tuple(
+            dict.fromkeys(
+                (*self.masks, *self.boxes, *self.added, *clicked, *self.removed)
+            )
+        )
+
+
+@dataclass(frozen=True)
+class Selected:
+    """The answer of `select_masks`."""
+
+    masks: Float[
+        Tensor, "view 1 height width"
+    ]  # soft, in [0, 1]; 0 everywhere in a view where nothing was found
+    how: tuple[
+        str, ...
+    ]  # per view: "given", "marked", "words", "guess", "geometry", "pictures" or "not found"
+    warnings: tuple[
+        str, ...
+    ] = ()  # sentences for the user, also sent to `edit3r.contract.reporting`
+    surety: float | None = None  # of what words named, in [0, 1]
+
+
+def select_masks(
+    images: Float[Tensor, "view 3 height width"],
+    selection: Selection,
+    segmenter: Segmenter,
+    geometry: MatchedGeometry | None = None,
+    intrinsics: Float[Tensor, "1 view 3 3"] | None = None,
+) -> Selected:
+    """Find the chosen object on every view.
+
+    `geometry` (batch 1) and `intrinsics` are those of the same views; without them masks are
+    carried by pictures alone. Raises InputError for marks outside the photos, and for words that
+    `segmenter` cannot look up unless `selection.guess` allows a guess.
+    """
+    _check(selection, len(images))
+    work = _Work(images, selection, segmenter, geometry, intrinsics)
+    if not (
+        selection.positive or selection.boxes or selection.masks or selection.added
+    ):
+        work.look_up(selection.views[0] if selection.views else 0)
+    for view in selection.views:
+        work.mark(view)
+    for view in range(len(images)):
+        if view not in work.masks:
+            work.carry(view)
+    how = tuple(work.how[view] for view in range(len(images)))
+    masks = torch.stack([work.masks[view] for view in range(len(images))])[:, None]
+    note(
+        "selection",
+        {
+            "points": selection.positive,
+            "not": selection.negative,
+            "boxes": selection.boxes,
+            "how": how,
+        },
+    )
+    masks = grown(masks, selection.grow)
+    if selection.inverted:
+        work.tell_empty(masks)
+        masks = (1 - masks) * shown(masks)
+    for text in work.warnings:
+        warn(text)
+    return Selected(masks, how, tuple(work.warnings), work.surety)
+
+
+def shown(masks: Float[Tensor, "view *_ height width"]) -> Tensor:
+    """1 for a view where anything is selected, else 0: all but nothing is nothing."""
+    return (masks > 0.5).any(-1, keepdim=True).any(-2, keepdim=True).to(masks)
+
+
+def grown(
+    masks: Float[Tensor, "view 1 height width"], pixels: float
+) -> Float[Tensor, "view 1 height width"]:
+    """Soft masks with their outline moved outwards, inwards where `pixels` is negative; the soft
+    edge moves along.
+    """
+    if not pixels:
+        return masks
+    reach = int(np.ceil(abs(pixels)))
+    rows, columns = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    disc = (np.hypot(rows, columns) <= abs(pixels) + 0.25).astype(np.uint8)
+    move = cv2.dilate if pixels > 0 else cv2.erode
+    moved = [move(mask.numpy(force=True), disc) for mask in masks[:, 0]]
+    return torch.from_numpy(np.stack(moved))[:, None].to(masks)
+
+
+def geometry_of(matcher: Matcher | None, views: Views) -> MatchedGeometry | None:
+    """What `matcher` reads from the photos; None without one, for a single photo, and, said so,
+    where it fails.
+    """
+    try:
+        return None if matcher is None or views.count < 2 else matcher.match(views)
+    except MatchingError as error:
+        warn(f"masks are carried by what the photos show, not by geometry: {error}")
+        return None
+
+
+def _numbers_of(value: Any, meaning: str, count: int) -> tuple[Any, ...]:
+    if not hasattr(value, "__len__") or len(value) != count:
+        raise InputError(f"{meaning}, got {value!r}.")
+    return tuple(value)
+
+
+def _check(selection: Selection, count: int) -> None:
+    """Marks lie on views that exist, and masks are made of numbers."""
+    for view, mask in selection.masks.items():
+        if not torch.isfinite(mask).all():
+            raise InputError(
+                f"the mask of photo {view + 1} has values that are no numbers."
+            )
+    outside = [view for view in selection.views if not 0 <= view < count]
+    if outside:
+        raise InputError(
+            f"photo {outside[0] + 1} is marked, but there are {count} photos."
+        )
+
+
+class _Work:
+    """One call of `select_masks`: masks found so far, and where each comes from."""
+
+    def __init__(
+        self,
+        images: Float[Tensor, "view 3 height width"],
+        selection: Selection,
+        segmenter: Segmenter,
+        geometry: MatchedGeometry | None,
+        intrinsics: Float[Tensor, "1 view 3 3"] | None,
+    ) -> None:
+        self.images, self.selection, self.segmenter = images, selection, segmenter
+        self.geometry = geometry
+        self.intrinsics = (
+            intrinsics
+            if geometry is None or geometry.intrinsics is None
+            else geometry.intrinsics
+        )
+        self.masks: dict[int, Tensor] = {}
+        self.how: dict[int, str] = {}
+        self.tracks: dict[
+            tuple[int, int], Tracks
+        ] = {}  # by view of the mask and direction
+        self.warnings: list[str] = []
+        self.surety: float | None = None  # of what the words named
+
+    def look_up(self, view: int) -> None:
+        """The mask of what the words name, or of what stands out where a guess is allowed."""
+        words, guess = self.selection.words, self.selection.guess
+        image, found = self.images[view], None
+        if words:
+            found = self.segmenter.segment_text(image, words)
+        elif self.selection.which:  # "the big one" may be one of anything
+            proposals = self.segmenter.propose(image)
+            found = tuple(replace(one, surety=SURE / 2) for one in proposals)
+        if found:
+            self._take_named(view, found)
+            return
+        if not guess:
+            raise InputError(self._why_not(view, known=found is not None))
+        proposals = self.segmenter.propose(self.images[view])
+        if not proposals:
+            raise InputError(f"nothing stands out on photo {view + 1}; {ASK}.")
+        self._keep(view, proposals[0].soft_mask, "guess")
+        self.warnings.append(
+            f"what stands out most on photo {view + 1} is taken, which is a guess; to be sure, "
+            f"{ASK}."
+        )
+
+    def _take_named(self, view: int, found: tuple[Proposal, ...]) -> None:
+        """The mask of those of `found` that are meant. Raises InputError for an unsure one."""
+        words, which = self.selection.words, self.selection.which
+        picked = pick(found, which, self.images[view])
+        self.surety = min(proposal.surety for proposal in picked)
+        sure = f"{self.surety:.0%} sure"
+        if self.surety < SURE and not self.selection.guess:
+            named = " ".join((*which, words)).strip()
+            raise InputError(
+                f"{named!r} was found on photo {view + 1}, but it may be something else ({sure}, "
+                f"{SURE:.0%} are needed); {ASK}, or add --guess to take what was found (--preview "
+                "shows it)."
+            )
+        if self.surety < 1:
+            say("selection.words", f"{' '.join((*which, words))}: found, {sure}")
+        masks = [self._stepped(view, proposal) for proposal in picked]
+        self._keep(view, torch.stack(masks).amax(0), "words")
+
+    def _stepped(self, view: int, proposal: Proposal) -> Float[Tensor, "height width"]:
+        """The mask of a named thing; a larger or smaller reading of its box where that is asked."""
+        if not self.selection.larger:
+            return proposal.soft_mask
+        height, width = self.images.shape[-2:]
+        x, y, across, down = proposal.box
+        box = (x / width, y / height, across / width, down / height)
+        marks = Marks(box=box, larger=self.selection.larger)
+        return self.segmenter.segment_marks(self.images[view], marks).soft_mask
+
+    def _why_not(self, view: int, known: bool) -> str:
+        """Why the words found nothing, and what to do."""
+        words = self.selection.words
+        if not words:
+            return f"nothing says which object is meant; {ASK}."
+        guess = "add --guess to take what stands out most"
+        if known:
+            return f"{words!r} was not found on photo {view + 1}; {ASK}, or {guess}."
+        name = component_name(self.segmenter)
+        more = self.segmenter.words_help() or (
+            "use a segmenter that reads words (edit3r list-plugins --kind segmenter)"
+        )
+        return f"{words!r} is not a word that segmenter {name!r} knows; {ASK}, {more}, or {guess}."
+
+    def mark(self, view: int) -> None:
+        """The mask of a view that carries marks; what other views showed so far is where it is
+        expected.
+        """
+        chosen = self.selection
+        if view in chosen.masks:
+            self._keep(view, chosen.masks[view], "given")
+        else:
+            if view not in self.masks and self.masks:
+                told = len(self.warnings)
+                self.carry(view)
+                del self.warnings[
+                    told:
+                ]  # that it was not found here is what the marks are for
+            prior = self.masks.get(view)
+            expected = (
+                prior is not None
+                and view not in chosen.boxes
+                and bool((prior > 0.5).any())
+            )
+            marks = Marks(
+                positive=_places(chosen.positive, view),
+                negative=_places(chosen.negative, view),
+                box=chosen.boxes.get(view),
+                prior=prior if expected else None,
+                larger=chosen.larger,
+            )
+            if marks.positive or marks.box is not None or (marks.negative and expected):
+                self._keep(view, self._described(view, marks), "marked")
+            elif view in chosen.added or expected:  # what is painted is taken exactly
+                self._keep(
+                    view,
+                    torch.zeros_like(self.images[view, 0]) if prior is None else prior,
+                    "marked",
+                )
+            else:
+                raise InputError(
+                    f"photo {view + 1} is only told what is not the object; {ASK} on it."
+                )
+        if view in chosen.added:
+            self.masks[view] = torch.maximum(
+                self.masks[view], chosen.added[view].to(self.masks[view])
+            )
+        if view in chosen.removed:
+            self.masks[view] = self.masks[view] * (
+                1 - chosen.removed[view].to(self.masks[view])
+            )
+
+    def _described(self, view: int, marks: Marks) -> Float[Tensor, "height width"]:
+        """The object that marks describe.
+
+        A click says where, and words say how far: a click on a wheel beside the word "bike" means
+        the bike.
+        """
+        found = self.segmenter.segment_marks(self.images[view], marks).soft_mask
+        named = self._named_at(view, marks)
+        if named is None or _overlap(found, named) >= SAME_THING:
+            return found
+        say("selection.clicked", f"what is clicked on is {self.selection.words}")
+        places = (*marks.positive, *marks.negative)
+        inside = [bool(_at(named, place) > 0.5) for place in places]
+        if inside == [True] * len(marks.positive) + [False] * len(marks.negative):
+            return named
+        marks = replace(marks, prior=named)
+        return self.segmenter.segment_marks(self.images[view], marks).soft_mask
+
+    def _named_at(
+        self, view: int, marks: Marks
+    ) -> Float[Tensor, "height width"] | None:
+        """What the words name where the first click lies; None without words, or where a box,
+        another view or the user's steps say more.
+        """
+        words = self.selection.words
+        more = marks.box is not None or marks.prior is not None or marks.larger != 0
+        if not words or not marks.positive or more:
+            return None
+        for one in self.segmenter.segment_text(self.images[view], words) or ():
+            clicked = _at(one.soft_mask, marks.positive[0]) > 0.5
+            if clicked and one.surety >= CLICKED_SURE:
+                return one.soft_mask
+        return None
+
+    def carry(self, view: int) -> None:
+        """The mask of a view without marks, from the nearest view that has one of its own."""
+        source = min(self._own(), key=lambda other: abs(other - view))
+        if not (self.masks[source] > 0.5).any():  # an empty mask is carried as it is
+            self._keep(view, self.masks[source], "pictures")
+            return
+        expected = self._by_geometry(view)
+        if expected is not None:
+            found = self.segmenter.segment_marks(self.images[view], expected).soft_mask
+            self._keep(view, found, "geometry")
+            return
+        logits = self._followed(source, view)
+        there = bool((logits > 0).any())
+        self._keep(view, logits.sigmoid() * there, "pictures" if there else "not found")
+        if not there:
+            self.warnings.append(
+                f"the object was not found again on photo {view + 1}, which stays as it is; "
+                "click on it there."
+            )
+
+    def _own(self) -> list[int]:
+        """Views whose masks were not carried from another one."""
+        carried = ("geometry", "pictures", "not found")
+        return [view for view, how in self.how.items() if how not in carried]
+
+    def tell_empty(self, masks: Float[Tensor, "view 1 height width"]) -> None:
+        """Say which photos stay as they are because nothing is selected there."""
+        for view, some in enumerate(shown(masks).flatten().tolist()):
+            if not some and self.how[view] != "not found":  # that was said
+                self.warnings.append(
+                    f"nothing is selected on photo {view + 1}, so all but that is nothing: it "
+                    "stays as it is."
+                )
+
+    def _followed(self, source: int, view: int) -> Float[Tensor, "height width"]:
+        """Logits of the object of `source`, followed through all views on the way to `view`."""
+        step = 1 if view > source else -1
+        if (source, step) not in self.tracks:
+            way = list(range(source, len(self.images) if step > 0 else -1, step))
+            self.tracks[source, step] = self.segmenter.track(
+                self.images[way], self.masks[source][None]
+            )
+        tracks, place = self.tracks[source, step], abs(view - source)
+        logits = tracks.logits[place, 0]
+        there = bool(tracks.present[place, 0])
+        return logits if there else logits.clamp(max=-1e-3)
+
+    def _by_geometry(self, view: int) -> Marks | None:
+        """Where the views with masks say that the object is; None where geometry cannot tell.
+
+        The views with own masks are asked first, then those that geometry carried it to: of what
+        they all do not see, nothing is known.
+        """
+        carried = [other for other, how in self.how.items() if how == "geometry"]
+        expected = torch.zeros_like(self.images[view, 0])
+        known = torch.zeros_like(expected, dtype=torch.bool)
+        needed = float("inf")
+        for source in (*self._own(), *carried):
+            surface = self._shared(view, source)
+            if surface is None or not (self.masks[source] > 0.5).any():
+                continue
+            grid, same = surface
+            moved = warp(self.masks[source][None], grid, padding="zeros")[0]
+            expected = torch.where(same & ~known, moved, expected)
+            known |= same
+            needed = min(needed, MIN_SHARE * float((self.masks[source] > 0.5).sum()))
+        least = max(needed, MIN_AREA * expected.numel())
+        if float((expected > 0.5).sum()) < least:
+            return None
+        return Marks(prior=expected, known=known)
+
+    def _shared(self, view: int, source: int) -> tuple[Tensor, Tensor] | None:
+        """Where the pixels of `view` lie in `source`, and whether both show one surface."""
+        geometry, pair = self.geometry, [view, source]
+        if geometry is None or self.intrinsics is None:
+            return None
+        if not geometry.registered[0, pair].all():
+            return None
+        return shared_surface(
+            geometry.depths[0, pair],
+            self.intrinsics[0, pair],
+            geometry.c2w[0, pair],
+            SAME_SURFACE,
+        )
+
+    def _keep(self, view: int, mask: Tensor, how: str) -> None:
+        mask = mask.to(self.images).clamp(0, 1)
+        self.masks[view], self.how[view] = torch.where(mask < FAINT, 0, mask), how
+
+
+def _at(
+    mask: Float[Tensor, "height width"], place: tuple[float, float]
+) -> Float[Tensor, ""]:
+    """The value of a mask at x and y in [0, 1]."""
+    height, width = mask.shape
+    column, row = int(place[0] * width), int(place[1] * height)
+    return mask[min(row, height - 1), min(column, width - 1)]
+
+
+def _overlap(
+    one: Float[Tensor, "height width"], other: Float[Tensor, "height width"]
+) -> float:
+    """Intersection over union of two soft masks."""
+    one, other = one > 0.5, other > 0.5
+    return float((one & other).sum() / (one | other).sum().clamp(min=1))
+
+
+def _places(
+    points: tuple[tuple[int, float, float], ...], view: int
+) -> tuple[tuple[float, float], ...]:
+    """x and y of the points on one view."""
+    return tuple((x, y) for on, x, y in points if on == view)

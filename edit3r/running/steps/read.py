@@ -1,0 +1,80 @@
+"""Step 1: the photos, as views, and what is marked on them."""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from torch import Tensor
+
+from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import stage
+from edit3r.contract.types import Views
+from edit3r.kit.files.atomic import sha256_of
+from edit3r.kit.photos.coverage import USUAL_FRAMES, choose_photos, origin
+from edit3r.kit.photos.images import LoadedPhotos, find_photos, load_photos
+from edit3r.loading.registry import Registry
+from edit3r.running.earlier import EarlierRun
+from edit3r.running.job import RunJob
+from edit3r.running.parts import read_lens
+from edit3r.running.scene import Scene
+from edit3r.running.selecting.marks import MarkTexts
+from edit3r.running.selecting.select import Selection
+
+
+def read(job: RunJob, registry: Registry) -> Scene:
+    """The photos of the job, or of the earlier run that it goes on from, and their marks."""
+    with stage("read photos"):
+        masks = job.masks
+        if job.earlier is not None:
+            scene = _read_earlier(job.earlier)
+        elif isinstance(job.photos, Views):
+            scene = Scene(photos=job.photos, start=job.photos)
+        else:
+            found, scene = _read_files(job.photos, job, registry)
+            if isinstance(masks, MarkTexts):
+                used = [record.file for record in scene.records]
+                masks = masks.for_photos([origin(path) for path in found], used)
+        scene = replace(scene, prompts=(*scene.prompts, job.config.prompt))
+        return _with_marks(scene, masks)
+
+
+def _read_earlier(earlier: EarlierRun) -> Scene:
+    return Scene(
+        photos=earlier.photos,
+        start=earlier.edited,
+        records=earlier.records,
+        prompts=earlier.prompts,
+        things=earlier.things,
+        before=earlier.scene,
+    )
+
+
+def _read_files(
+    photos: tuple[Path, ...], job: RunJob, registry: Registry
+) -> tuple[list[Path], Scene]:
+    """All photos that were found, and the scene of those that are used."""
+    config = job.config
+    found = find_photos(photos, max(USUAL_FRAMES, config.views or 0))
+    loaded = load_photos(
+        choose_photos(found, config.views),
+        fov=config.fov,
+        size=config.size,
+        cameras=job.cameras if isinstance(job.cameras, Path) else None,
+        read_lens=partial(read_lens, config, registry),
+    )
+    return found, Scene(photos=loaded.views, start=loaded.views, records=loaded.photos)
+
+
+def _with_marks(scene: Scene, masks: Tensor | Selection | MarkTexts | None) -> Scene:
+    """The scene with given masks, or with what is marked on its photos."""
+    if masks is None:
+        return scene
+    if isinstance(masks, Tensor):
+        return replace(scene, masks=masks)
+    if isinstance(masks, Selection):
+        return replace(scene, marked=masks)
+    if not scene.records:
+        raise InputError("marks in words need photos that were read from files.")
+    marked = masks.read(LoadedPhotos(scene.start, scene.records))
+    hashes = {file: sha256_of(Path(file)) for file in masks.mask_files}
+    return replace(scene, marked=marked, mask_files=hashes)

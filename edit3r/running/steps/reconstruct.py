@@ -1,0 +1,185 @@
+"""Step 4: Gaussians and cameras of the edited views, and the scene before the edit."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.component import component_name
+from edit3r.contract.errors import MatchingError
+from edit3r.contract.interfaces import ComparesWithBefore, EditsViews, Reconstructor
+from edit3r.contract.reporting import note, say, stage, warn
+from edit3r.contract.types import Cameras, Reconstruction, Views
+from edit3r.kit.cache import recall
+from edit3r.kit.geometry.gravity import quarter_turns
+from edit3r.kit.geometry.light import estimate_light
+from edit3r.kit.geometry.pose import estimate_cameras
+from edit3r.running.checks import check_reconstruction, errors_named_after
+from edit3r.running.editors import request_of
+from edit3r.running.parts import Parts
+from edit3r.running.scene import Scene, known_cameras
+
+
+@torch.no_grad()
+def reconstruct(scene: Scene, parts: Parts) -> Scene:
+    """Gaussians and cameras of the edited views, and the scene as it was before the edit."""
+    with stage(f"reconstruct ({component_name(parts.reconstructor)})"):
+        scene = _with_light(scene, parts)
+        reconstruction = _reconstructed(scene, parts)
+        scene = replace(scene, masks=_masks_of_change(scene, parts))
+        before = _before(scene, parts)
+    if before is not None:
+        size = known_cameras(reconstruction).image_size
+        cameras = known_cameras(before).at(size)
+        reconstruction = replace(reconstruction, cameras=cameras)
+    placed = _placed(reconstruction, scene.start.count)
+    used = [view for view, there in enumerate(placed) if there]
+    lost = [view for view, there in enumerate(placed) if not there]
+    _tell_of_turned(scene.photos.select(used), known_cameras(reconstruction))
+    return replace(
+        scene.select(used),
+        before=before,
+        reconstruction=reconstruction,
+        gaussians=reconstruction.gaussians,
+        placed=placed,
+        left_out=scene.photos.select(lost) if lost else None,
+    )
+
+
+def _tell_of_turned(photos: Views, cameras: Cameras) -> None:
+    """Warn of photos that lie on their side beside the others: what was wide there was cut off."""
+    turns = quarter_turns(cameras.c2w[0])
+    for quarters, way in enumerate(("to the left", "by a half", "to the right"), 1):
+        turned = photos.select((turns == quarters).nonzero()[:, 0].tolist())
+        if turned.count:
+            warn(
+                f"{', '.join(turned.names) or 'A photo'}: not held as the other photos are, so a "
+                f"part may be cut off and things are hard to name. Turn the file {way}, run again."
+            )
+
+
+def _with_light(scene: Scene, parts: Parts) -> Scene:
+    """The scene with the photos' light, where a matcher can tell what they share."""
+    if parts.config.light == "own" or parts.matcher is None or scene.photos.count < 2:
+        return scene
+    try:
+        geometry = parts.matcher.match(scene.photos)
+    except MatchingError:  # told by the reconstructor, if it needs what was not found
+        return scene
+    light = estimate_light(scene.photos, geometry)
+    if light is not None:
+        for name, value in (("gain", light.gain), ("offset", light.offset)):
+            note(f"light.{name}", value[0, ..., 0, 0].tolist())
+        say(
+            "light",
+            f"the photos differ by up to {255 * light.change:.0f} of 255; the scene has the light "
+            "of the first (--light own: each its own)",
+        )
+    return replace(scene, light=light)
+
+
+def _reconstructed(scene: Scene, parts: Parts) -> Reconstruction:
+    """The edited views in 3D; their geometry is that of the photos, unless things come or go."""
+    recon, edited = parts.reconstructor, scene.in_one_light(scene.edited)
+    source = edited if parts.changes_shape else scene.in_one_light(scene.photos)
+    if not isinstance(recon, EditsViews):
+        return _checked(
+            recon, edited, lambda: recon(edited, source, _grid(parts, edited))
+        )
+    task = parts.only_task
+    request = request_of(task, scene, parts.config.seed, range(len(task.wishes)))
+    return _checked(
+        recon, edited, lambda: recon.edit_and_reconstruct(edited, source, request)
+    )
+
+
+def _grid(parts: Parts, views: Views) -> tuple[int, int]:
+    """(height, width) of the grid of Gaussians: coarser than the views where refining follows."""
+    refined = parts.config.refine and not parts.reconstructor.fuses_by_itself
+    share = parts.config.grid if refined else 1.0
+    height, width = views.image_size
+    return max(1, round(share * height)), max(1, round(share * width))
+
+
+def _checked(
+    recon: Reconstructor, views: Views, compute: Callable[[], Reconstruction]
+) -> Reconstruction:
+    """The answer, held to the contract, with cameras by PnP where it predicts none, and without
+    what could not be placed.
+    """
+    with errors_named_after(recon):
+        reconstruction = compute()
+    check_reconstruction(recon, views, reconstruction)
+    if reconstruction.cameras is None:
+        note("cameras", "PnP on the predicted Gaussian centres")
+        cameras = estimate_cameras(reconstruction.gaussians, views)
+        reconstruction = replace(reconstruction, cameras=cameras)
+    return _only_placed(reconstruction)
+
+
+def _placed(reconstruction: Reconstruction, views: int) -> tuple[bool, ...]:
+    """For each view whether it was placed in every scene of the batch."""
+    if reconstruction.placed is None:
+        return (True,) * views
+    return tuple(reconstruction.placed.all(0).tolist())
+
+
+def _only_placed(reconstruction: Reconstruction) -> Reconstruction:
+    """The reconstruction without the Gaussians and cameras of views that could not be placed."""
+    if reconstruction.placed is None or bool(reconstruction.placed.all()):
+        return reconstruction
+    count = reconstruction.placed.shape[1]
+    placed = _placed(reconstruction, count)
+    used = [view for view, there in enumerate(placed) if there]
+    gaussians, cameras = reconstruction.gaussians, known_cameras(reconstruction)
+    measured, fusion = reconstruction.measured, reconstruction.fusion
+    # The new index of each view; the last entry is for Gaussians of no view, whose index is -1.
+    new_index = torch.full((count + 1,), -1, device=gaussians.means.device)
+    new_index[used] = torch.arange(len(used), device=new_index.device)
+    kept = gaussians.select(
+        (new_index[gaussians.view_index] >= 0) | (gaussians.view_index < 0)
+    )
+    return replace(
+        reconstruction,
+        gaussians=replace(kept, view_index=new_index[kept.view_index]),
+        cameras=cameras.select(used),
+        measured=measured[:, used] if measured is not None else None,
+        fusion=fusion[:, used] if fusion is not None else None,
+    )
+
+
+def _masks_of_change(
+    scene: Scene, parts: Parts
+) -> Float[Tensor, "batch view height width"] | None:
+    """Where the scene may change: the masks, else, after an earlier run, where the images did.
+
+    Views that were not edited hold nothing back.
+    """
+    if scene.masks is not None or scene.before is None:
+        return scene.masks
+    changed = (scene.edited.images != scene.start.images).any(2).to(scene.start.images)
+    if parts.config.edit_views == "first":
+        changed[:, 1:] = 1
+    return changed
+
+
+def _before(scene: Scene, parts: Parts) -> Reconstruction | None:
+    """The scene as it was before the edit, where a refiner needs it and some of it must stay."""
+    needed = any(isinstance(refiner, ComparesWithBefore) for refiner in parts.refiners)
+    if not needed or parts.changes_shape or not scene.confined:
+        return None
+    if scene.before is not None:  # an earlier run's
+        return scene.before
+    recon, photos = parts.reconstructor, scene.in_one_light(scene.photos)
+    if isinstance(
+        recon, EditsViews
+    ):  # it has no answer for photos that are not to be edited
+        return None
+    grid = _grid(parts, photos)
+
+    def compute() -> Reconstruction:
+        return _checked(recon, photos, lambda: recon(photos, photos, grid))
+
+    return recall("before", recon, (photos, grid), compute)

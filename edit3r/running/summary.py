@@ -1,0 +1,60 @@
+"""What the command line says at the end of a run."""
+
+import math
+from pathlib import Path
+
+from edit3r.kit.run_folder import RunFolder
+from edit3r.running.config import RunConfig
+from edit3r.running.run import RunResult
+
+MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "guess"}
+"""Settings that may differ from the defaults without the run being another kind of run."""
+
+
+def summary(out: Path, result: RunResult) -> str:
+    """The verdict, what was made with which settings, and where to look first."""
+    seconds = sum(stage.seconds for stage in result.report.stages)
+    height, width = result.cameras.image_size
+    lines = [
+        f"scene: {result.verdict.label}, {result.verdict.reason}",
+        f"{_named_settings(result)} settings, {width}x{height}: "
+        f"{result.gaussians.count:,} Gaussians from {result.photos.count} photos in "
+        f"{seconds:.1f} s; {_field_of_view(result)}",
+    ]
+    if result.edit_verdict is not None:
+        lines.insert(1, f"edit: {result.edit_verdict}.")
+    folder = RunFolder(out)
+    places = (
+        (folder.before_after, "look first   {}"),
+        (folder.viewer, "walk around  {} (opens in a browser, no network needed)"),
+        (folder.scene, "scene        {}"),
+        (folder.manifest, "how it was   {}"),
+    )
+    lines += [f"  {text.format(place)}" for place, text in places if place.exists()]
+    return "\n".join(lines)
+
+
+def _named_settings(result: RunResult) -> str:
+    """The preset; else "default" where nothing was set that makes another scene."""
+    asked = result.parts.job.config
+    if asked.quality is not None:
+        return asked.quality
+    usual = RunConfig()
+    names = set(RunConfig.model_fields) - MAKES_NO_OTHER_SCENE
+    changed = sorted(
+        name for name in names if getattr(asked, name) != getattr(usual, name)
+    )
+    return f"own ({', '.join(changed)})" if changed else "default"
+
+
+def _field_of_view(result: RunResult) -> str:
+    """The horizontal field of view that view 0 was used with, and who said so."""
+    focal = float(result.cameras.intrinsics[0, 0, 0, 0])  # [image widths]
+    degrees = math.degrees(2 * math.atan(0.5 / focal))
+    if not any(result.photos.assumed):
+        source = "known"
+    elif "matcher.fov" in result.report.notes:
+        source = "read from the photos"
+    else:
+        source = "assumed"
+    return f"field of view {degrees:.0f} degrees ({source})"

@@ -1,0 +1,3 @@
+"""The version of edit3r."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,21 @@
+"""Commands for those who develop: the state of this machine, and a plugin to start from."""
+
+from edit3r import Component, hookimpl
+
+EDIT3R_API = 1
+
+
+@hookimpl
+def register_commands() -> list[Component]:
+    return [
+        Component(
+            "doctor",
+            "edit3r_develop.doctor:DoctorCommand",
+            "check versions, devices, memory, plugins and rasterizers, and run a tiny job",
+        ),
+        Component(
+            "new-plugin",
+            "edit3r_develop.new_plugin:NewPluginCommand",
+            "write a working plugin package to start from",
+        ),
+    ]

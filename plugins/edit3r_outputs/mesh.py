@@ -1,0 +1,209 @@
+"""A scene as one surface of triangles, for programs that know no Gaussians."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from edit3r.contract.errors import InputError
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.types import Cameras, Gaussians
+from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.geometry.cameras import project
+from edit3r.kit.geometry.warping import warp
+from edit3r.kit.photos.cameras import read_scene_cameras
+from edit3r.running.rendering import render_each
+
+CELLS = (216, 288, 160)  # of the grid: rows, columns, steps of inverse depth
+WIDER = 1.3  # the grid's field of view than that of view 0
+ROOM = 0.05  # of the range of inverse depths, before and behind it
+OUTER = 0.005  # share of the pixels that may lie nearer or farther than the range
+REACH = 8.0  # steps behind a surface up to which a view knows that it is solid
+SMOOTH = 0.7  # standard deviation over which views' distances are averaged [cells]
+KNOWN = 0.1  # smoothed number of views from which a cell is known
+SOLID = 0.8  # alpha from which a view shows a surface
+UPRIGHT = (1.0, -1.0, -1.0)  # from the frame of view 0 to y up, z backward, as in GLB
+
+Volume = Float[Tensor, "row column step"]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles in the frame of view 0."""
+
+    vertices: Float[np.ndarray, "vertex 3"]
+    faces: Int[np.ndarray, "face 3"]
+    colours: Float[np.ndarray, "vertex 3"]  # sRGB in [0, 1]
+
+
+@dataclass(frozen=True)
+class Frustum:
+    """A grid of rays through view 0's image and steps of inverse depth along them."""
+
+    rays: Float[Tensor, "row column 3"]  # in world axes, camera z 1
+    centre: Float[Tensor, "3"]
+    inverse_depths: Float[Tensor, "step"]
+
+    @property
+    def step(self) -> float:
+        return float(self.inverse_depths[1] - self.inverse_depths[0])
+
+
+def mesh_of(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> Mesh:
+    """The surface that a scene (batch 1) shows its cameras.
+
+    Rendered depths become a truncated signed distance (Curless and Levoy 1996) on a grid that is as
+    fine as the photos near and far: inverse depth along the rays of view 0. Marching cubes cut
+    it. What lies beyond 1.3 times view 0's field of view is left out.
+    """
+    from scipy.ndimage import gaussian_filter
+    from skimage.measure import marching_cubes
+
+    shown = render_each(rasterizer, gaussians, cameras, "looking at the scene")
+    solid = shown.alphas[0, :, 0] > SOLID
+    depths = torch.where(solid, shown.depths[0, :, 0], 0)
+    if not solid.any():
+        raise InputError("mesh: the scene shows no surface to any of its cameras.")
+    frustum = _frustum(cameras, depths)
+    distance, weight = _distances(frustum, cameras, depths)
+    distance, weight = (
+        gaussian_filter(each.numpy(), SMOOTH) for each in (distance, weight)
+    )
+    known = weight > KNOWN
+    field = distance / weight.clip(KNOWN)
+    if not (field[known].min() < 0 < field[known].max()):
+        raise InputError("mesh: the cameras see no surface from outside.")
+    places, faces, _, _ = marching_cubes(field, 0.0, mask=known)
+    vertices = _in_world(frustum, torch.from_numpy(places.copy()))
+    colours = _colours(vertices, cameras, shown.images[0], depths, frustum.step)
+    return Mesh(vertices.numpy(), faces, colours.numpy())
+
+
+def _frustum(cameras: Cameras, depths: Float[Tensor, "view height width"]) -> Frustum:
+    """The grid that holds what `depths` (0: none) show."""
+    inverse = 1 / depths[depths > 0].sort().values
+    outer = int(OUTER * (len(inverse) - 1))
+    near, far = float(inverse[outer]), float(inverse[-1 - outer])
+    room = ROOM * max(near - far, 1e-3 * near)
+    rows, columns, steps = CELLS
+    y, x = torch.meshgrid(
+        torch.linspace(-0.5, 0.5, rows) * WIDER + 0.5,
+        torch.linspace(-0.5, 0.5, columns) * WIDER + 0.5,
+        indexing="ij",
+    )
+    pixels = torch.stack((x, y, torch.ones_like(x)), -1)
+    c2w = cameras.c2w[0, 0]
+    to_rays = c2w[:3, :3] @ torch.linalg.inv(cameras.intrinsics[0, 0])
+    return Frustum(
+        torch.einsum("ij,hwj->hwi", to_rays, pixels),
+        c2w[:3, 3],
+        torch.linspace(max(far - room, 0.5 * far), near + room, steps),
+    )
+
+
+def _distances(
+    frustum: Frustum, cameras: Cameras, depths: Float[Tensor, "view height width"]
+) -> tuple[Volume, Volume]:
+    """Sums over the views of the distance before the surface [steps]; how many views know it."""
+    total = torch.zeros(CELLS)
+    weight = torch.zeros(CELLS)
+    for index, inverse in enumerate(frustum.inverse_depths):
+        points = frustum.centre + frustum.rays / inverse
+        for view, depth in enumerate(depths):
+            camera = cameras.select([view])
+            z, seen = _read(points, camera, depth[None])
+            distance = (
+                1 / z.clamp(min=1e-9) - 1 / seen[0].clamp(min=1e-9)
+            ) / frustum.step
+            known = (z > 0) & (seen[0] > 0) & (distance > -REACH)
+            total[:, :, index] += known * distance.clamp(max=REACH)
+            weight[:, :, index] += known
+    return total, weight
+
+
+def _read(
+    points: Float[Tensor, "row column 3"],
+    camera: Cameras,
+    maps: Float[Tensor, "channel height width"],
+) -> tuple[Float[Tensor, "row column"], Float[Tensor, "channel row column"]]:
+    """Camera z of points, and what maps of that camera show there (0 outside)."""
+    grid, z = project(points.flatten(0, 1), camera.intrinsics[0, 0], camera.c2w[0, 0])
+    shape = points.shape[:2]
+    grid = grid.view(*shape, 2)
+    return z.view(shape), warp(maps, grid, mode="nearest", padding="zeros")
+
+
+def _in_world(
+    frustum: Frustum, places: Float[Tensor, "vertex 3"]
+) -> Float[Tensor, "vertex 3"]:
+    """World points at places between the cells of the grid."""
+    rows, columns = frustum.rays.shape[:2]
+    corner = frustum.rays[0, 0]
+    down = (frustum.rays[-1, 0] - corner) / (rows - 1)
+    right = (frustum.rays[0, -1] - corner) / (columns - 1)
+    row, column, step = places.to(corner).unbind(-1)
+    rays = corner + row[:, None] * down + column[:, None] * right
+    inverse = frustum.inverse_depths[0] + frustum.step * step
+    return frustum.centre + rays / inverse[:, None]
+
+
+def _colours(
+    vertices: Float[Tensor, "vertex 3"],
+    cameras: Cameras,
+    images: Float[Tensor, "view 3 height width"],
+    depths: Float[Tensor, "view height width"],
+    step: float,
+) -> Float[Tensor, "vertex 3"]:
+    """The mean of what the views show of each vertex that lies on their surface."""
+    total = torch.full((len(vertices), 4), 1e-6)
+    for view, image in enumerate(images):
+        maps = torch.cat((image, depths[view][None]))
+        z, seen = _read(vertices[:, None], cameras.select([view]), maps)
+        near = (
+            1 / z.clamp(min=1e-9) - 1 / seen[3].clamp(min=1e-9)
+        ).abs() < REACH * step
+        weight = (near & (seen[3] > 0))[:, 0].float()
+        total[:, :3] += weight[:, None] * seen[:3, :, 0].T
+        total[:, 3] += weight
+    return (total[:, :3] / total[:, 3:]).clamp(0, 1)
+
+
+@torch.no_grad()
+def export_mesh(
+    path: Path, run: Path, gaussians: Gaussians, rasterizer: Rasterizer
+) -> None:
+    """Write the mesh of the run in folder `run` as binary PLY with colours, y up.
+
+    Raises InputError where the run has no cameras.
+    """
+    file = run / "cameras.json"
+    if not file.is_file():
+        raise InputError(
+            f"{run}: holds no cameras.json; mesh is written of the folder of a run."
+        )
+    mesh = mesh_of(gaussians, read_scene_cameras(file)[0], rasterizer)
+    names = ("x", "y", "z", "red", "green", "blue")
+    types = ("<f4",) * 3 + ("u1",) * 3
+    vertices = np.zeros(len(mesh.vertices), list(zip(names, types)))
+    values = *(mesh.vertices * np.array(UPRIGHT)).T, *(mesh.colours * 255).round().T
+    for name, column in zip(names, values):
+        vertices[name] = column
+    faces = np.zeros(len(mesh.faces), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"] = 3
+    faces["corners"] = mesh.faces
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        f"element vertex {len(vertices)}",
+        *(f"property {'float' if name in 'xyz' else 'uchar'} {name}" for name in names),
+        f"element face {len(faces)}",
+        "property list uchar int vertex_indices",
+        "end_header",
+        "",
+    ]
+    with atomic_write(path) as partial:
+        text = "\n".join(header).encode()
+        partial.write_bytes(text + vertices.tobytes() + faces.tobytes())

@@ -1,0 +1,190 @@
+"""`edit3r render`: images, a video or a viewer page from a saved scene."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from edit3r.contract.command import Command
+from edit3r.contract.errors import InputError, SettingsError
+from edit3r.kit.command.flags import add_output_flags, add_plugin_option
+from edit3r.kit.scenes.files import scene_file
+
+if TYPE_CHECKING:
+    from edit3r.contract.interfaces import Rasterizer
+    from edit3r.contract.types import Cameras, Gaussians
+    from edit3r.kit.run_folder import RunFolder
+
+MADE = ("pictures", "video", "viewer")
+
+
+class RenderCommand(Command):
+    """`edit3r render`."""
+
+    def add_arguments(self, parser: argparse.ArgumentParser) -> None:
+        add = parser.add_argument
+        add(
+            "scene",
+            type=scene_file,
+            metavar="SCENE",
+            help="folder of a run, or Gaussians as 3DGS PLY",
+        )
+        add(
+            "--cameras",
+            metavar="FILE",
+            help="cameras.json or transforms.json; default: cameras.json beside the scene",
+        )
+        add(
+            "--make",
+            nargs="+",
+            choices=MADE,
+            default=list(MADE),
+            help="what to write (default: all three)",
+        )
+        add(
+            "--only-view",
+            type=int,
+            metavar="I",
+            help="only the Gaussians that come from photo I; the first is 0",
+        )
+        add(
+            "--size",
+            type=int,
+            metavar="PIXELS",
+            help="longer side of the images (default: as in the camera file)",
+        )
+        add(
+            "--frames",
+            type=int,
+            default=36,
+            metavar="N",
+            help="frames of the video's camera path (default 36)",
+        )
+        add(
+            "--rasterizer",
+            metavar="NAME",
+            help="rasterizer (default: that of edit3r run)",
+        )
+        add(
+            "--set",
+            action="append",
+            default=[],
+            metavar="KEY=VALUE",
+            help="such as rasterizer.background=[1,1,1]",
+        )
+        add_plugin_option(parser)
+        add(
+            "--out",
+            metavar="DIR",
+            default="edit3r-render",
+            help="folder for the results (default edit3r-render)",
+        )
+        add_output_flags(parser)
+
+    def main(self, args: argparse.Namespace) -> int:
+        import torch
+
+        from edit3r.contract.reporting import Report, collecting
+        from edit3r.kit.command.console import StageConsole
+        from edit3r.kit.files.atomic import atomic_folder, check_apart
+        from edit3r.kit.run_folder import RunFolder
+
+        if not 2 <= args.frames <= 2000:
+            raise SettingsError(
+                f"--frames: expected 2 to 2000 frames, got {args.frames}."
+            )
+        check_apart(args.out, args.scene)
+        rasterizer = _rasterizer(args)
+        with (
+            StageConsole(quiet=args.quiet) as console,
+            collecting(Report(on_event=console)),
+            torch.no_grad(),
+            atomic_folder(args.out, args.overwrite) as folder,
+        ):
+            _render(RunFolder(folder), rasterizer, args)
+        if not args.quiet:
+            print(f"wrote {args.out}")
+        return 0
+
+
+def _render(
+    folder: "RunFolder", rasterizer: "Rasterizer", args: argparse.Namespace
+) -> None:
+    """Write what `--make` names."""
+    from edit3r.contract.reporting import stage, warn
+    from edit3r.kit.photos.images import save_image
+    from edit3r.kit.scenes.viewer import save_viewer
+    from edit3r.kit.video import save_video
+    from edit3r.running.rendering import path_around, render_each
+    from edit3r.running.write import VIDEO_FPS
+
+    with stage("read scene"):
+        gaussians = _gaussians(args)
+        cameras, names = _cameras(args)
+    with stage("render input views"):
+        views = render_each(rasterizer, gaussians, cameras, "views")
+        if not views.alphas.any():
+            warn(
+                f"{args.scene}: nothing of it can be seen from the cameras; the images are blank."
+            )
+        for name, image in zip(names, views.images[0]):
+            if "pictures" in args.make:
+                save_image(image.clamp(0, 1), folder.renders / f"{name}.png")
+    if "video" in args.make:
+        with stage("render camera path"):
+            path = path_around(cameras, views, args.frames)
+            frames = render_each(rasterizer, gaussians, path, "path").images[0]
+            save_video(folder.video, frames.clamp(0, 1), VIDEO_FPS)
+    if "viewer" in args.make:
+        with stage("write viewer"):
+            title = Path(args.scene).stem
+            save_viewer(folder.viewer, gaussians, cameras, title=title)
+
+
+def _rasterizer(args: argparse.Namespace) -> "Rasterizer":
+    from edit3r.kit.files.configs import parse_assignments
+    from edit3r.loading.registry import default_registry
+    from edit3r.running.config import make_run_config
+
+    settings = parse_assignments(args.set)
+    for other in sorted(set(settings) - {"rasterizer"}):
+        raise SettingsError(
+            f"--set {other}: render has settings of the rasterizer only (rasterizer.KEY)."
+        )
+    flag = {"rasterizer": args.rasterizer} if args.rasterizer else {}
+    choice = make_run_config(settings, flag).rasterizer
+    return default_registry(tuple(args.plugin)).build_choice("rasterizer", choice)
+
+
+def _gaussians(args: argparse.Namespace) -> "Gaussians":
+    """The file's Gaussians, those of one view alone where that is asked for."""
+    from edit3r.kit.scenes.ply import load_ply
+
+    gaussians = load_ply(args.scene, visible=True)
+    if args.only_view is None:
+        return gaussians
+    known = [view for view in gaussians.view_index.unique().tolist() if view >= 0]
+    if args.only_view not in known:
+        listed = ", ".join(map(str, known))
+        none = "none: the file does not say where its Gaussians come from"
+        raise InputError(
+            f"--only-view: {args.scene} has no Gaussians of photo {args.only_view}; it has "
+            f"{listed or none}."
+        )
+    return gaussians.from_view(args.only_view)
+
+
+def _cameras(args: argparse.Namespace) -> "tuple[Cameras, list[str]]":
+    """The file's cameras as one scene, at one image size, and a name for each."""
+    from edit3r.kit.photos.cameras import read_scene_cameras
+    from edit3r.kit.photos.images import unique_names
+
+    beside = Path(args.scene).parent / "cameras.json"
+    cameras, posed = read_scene_cameras(args.cameras or beside)
+    if args.size is not None:
+        if not 1 <= args.size <= 8192:
+            raise InputError(f"--size: expected 1 to 8192 pixels, got {args.size}.")
+        height, width = cameras.image_size
+        scale = args.size / max(height, width)
+        size = (max(1, round(height * scale)), max(1, round(width * scale)))
+        cameras = cameras.at(size)
+    return cameras, unique_names([Path(camera.file).stem for camera in posed])

@@ -1,0 +1,147 @@
+import os
+import time
+
+import pytest
+
+from edit3r.contract.errors import InputError, RunError
+from edit3r.kit.files import atomic
+from edit3r.kit.files.atomic import MARKER, atomic_folder, atomic_write
+
+
+def make_run(out, text="old", **options):
+    with atomic_folder(out, **options) as folder:
+        (folder / "inputs").mkdir()
+        (folder / "inputs" / "a.png").write_text(text)
+        (folder / "scene.ply").write_text(text)
+
+
+def left_in(folder):
+    return sorted(path.name for path in folder.iterdir())
+
+
+@pytest.fixture(params=["one step", "renames"])
+def way(request, monkeypatch):
+    """Both ways of replacing a folder."""
+    if request.param == "renames":
+        monkeypatch.setattr(atomic, "_swap_in_one_step", lambda new, old: False)
+
+
+def test_results_appear_only_when_whole(tmp_path):
+    out = tmp_path / "new" / "out"
+    with atomic_folder(out) as folder:
+        (folder / "scene.ply").write_text("x")
+        assert not out.exists()
+    assert left_in(out) == [MARKER, "scene.ply"] and left_in(out.parent) == ["out"]
+
+
+def test_a_run_that_raises_leaves_nothing_and_keeps_the_earlier_one(tmp_path):
+    make_run(tmp_path / "out")
+    with pytest.raises(KeyboardInterrupt), atomic_folder(tmp_path / "out") as folder:
+        (folder / "scene.ply").write_text("new")
+        raise KeyboardInterrupt
+    assert left_in(tmp_path) == ["out"]
+    assert (tmp_path / "out" / "scene.ply").read_text() == "old"
+
+
+def test_an_earlier_run_is_replaced_as_a_whole(tmp_path, way):
+    make_run(tmp_path / "out")
+    with atomic_folder(tmp_path / "out") as folder:
+        (folder / "run.json").write_text("new")
+    assert left_in(tmp_path / "out") == [MARKER, "run.json"]
+    assert left_in(tmp_path) == ["out"]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_folders_of_others_are_refused_at_once_and_untouched(tmp_path, overwrite):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "thesis.tex").write_text("precious")
+    with pytest.raises(InputError, match=r"not from an earlier run .*thesis.tex"):
+        make_run(tmp_path / "out", overwrite=overwrite)
+    assert left_in(tmp_path) == ["out"] and left_in(tmp_path / "out") == ["thesis.tex"]
+
+
+CHANGES = {
+    "inputs/note.txt": lambda path: path.write_text("mine"),
+    "notes": lambda path: path.mkdir(),
+    "scene.ply": lambda path: path.write_text("longer"),
+    "inputs/a.png": lambda path: path.write_text("own"),  # of the same size
+    "./scene.ply": lambda path: (path.write_text("own"), os.utime(path, (1, 1))),
+}
+
+
+@pytest.mark.parametrize("name", CHANGES)
+def test_a_run_that_was_changed_by_hand_is_replaced_only_when_asked(tmp_path, name):
+    out = tmp_path / "out"
+    make_run(out)
+    time.sleep(0.01)  # coarser than the clock of file times
+    CHANGES[name](out / name)
+    expected = rf"{name.strip('./')} was added or changed by hand.*--overwrite"
+    with pytest.raises(InputError, match=expected):
+        make_run(out, "new")
+    assert (out / name).exists() and left_in(tmp_path) == ["out"]
+    make_run(out, "new", overwrite=True)
+    assert left_in(out) == [MARKER, "inputs", "scene.ply"]
+    assert left_in(tmp_path) == ["out"]
+
+
+def test_the_old_result_stays_when_the_new_one_is_gone(tmp_path, way):
+    make_run(tmp_path / "out")
+    with (
+        pytest.raises(RunError, match="another program took"),
+        atomic_folder(tmp_path / "out") as folder,
+    ):
+        folder.rmdir()
+    assert left_in(tmp_path) == ["out"]
+    assert (tmp_path / "out" / "scene.ply").read_text() == "old"
+
+
+def test_an_empty_folder_is_used_and_a_file_refused(tmp_path):
+    (tmp_path / "out").mkdir()
+    make_run(tmp_path / "out")
+    assert (tmp_path / "out" / "scene.ply").exists()
+    (tmp_path / "file").touch()
+    for name, expected in (
+        ("file", "file of that name exists"),
+        ("file/out", "cannot be created"),
+    ):
+        with pytest.raises(InputError, match=expected):
+            make_run(tmp_path / name)
+
+
+def test_finished_results_are_kept_when_the_place_was_taken_meanwhile(tmp_path):
+    with (
+        pytest.raises(RunError, match=r"The finished results are in .*out-finished-"),
+        atomic_folder(tmp_path / "out") as folder,
+    ):
+        (folder / "scene.ply").write_text("new")
+        (tmp_path / "out").mkdir()
+        (tmp_path / "out" / "other.txt").touch()
+    assert left_in(tmp_path / "out") == ["other.txt"]
+    make_run(tmp_path / "out2")  # no later run takes it for left over
+    (kept,) = tmp_path.glob("out-finished-*")
+    assert (kept / "scene.ply").read_text() == "new"
+
+
+def test_atomic_write_replaces_only_when_it_ends_well(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+    with pytest.raises(ZeroDivisionError), atomic_write(path) as partial:
+        partial.write_text("half")
+        raise ZeroDivisionError
+    assert path.read_text() == "old" and left_in(tmp_path) == ["a.txt"]
+    with atomic_write(path) as partial:
+        assert partial.suffix == ".txt"
+        partial.write_text("new")
+    assert path.read_text() == "new" and left_in(tmp_path) == ["a.txt"]
+
+
+def test_what_cannot_be_written_is_one_sentence(tmp_path):
+    places = {
+        tmp_path / "none" / "a.txt": "there is no folder",
+        tmp_path: "it is a folder",
+    }
+    if os.path.isdir("/proc/self"):
+        places["/proc/self/a.txt"] = "no permission"
+    for path, expected in places.items():
+        with pytest.raises(InputError, match=expected), atomic_write(path):
+            pass

@@ -1,0 +1,98 @@
+"""The light of photos is read from what they share, and only where it explains their difference."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.types import Views
+from edit3r.kit.geometry.light import estimate_light
+from edit3r_testing import photograph
+
+SCENE = photograph(3, (96, 128))
+GAINS = torch.tensor([[1.0, 1.0, 1.0], [0.7, 0.65, 0.75], [0.8, 0.9, 0.85]])
+OFFSETS = torch.tensor([[0.0, 0.0, 0.0], [0.05, 0.04, 0.05], [0.1, 0.02, 0.0]])
+
+
+def _geometry(registered: tuple[bool, ...] = (True, True, True)) -> MatchedGeometry:
+    return MatchedGeometry(
+        SCENE.cameras.c2w,
+        SCENE.depths,
+        torch.ones_like(SCENE.depths),
+        torch.tensor([registered]),
+    )
+
+
+def _relit() -> Views:
+    """The photos as others would expose and balance them."""
+    gain, offset = GAINS[None, ..., None, None], OFFSETS[None, ..., None, None]
+    images = (SCENE.views.images * gain + offset).clamp(0, 1)
+    return replace(SCENE.views, images=images)
+
+
+def test_photos_of_other_light_become_those_of_the_first():
+    light = estimate_light(_relit(), _geometry())
+    found = light.to_reference(_relit().images)
+    assert (found - SCENE.views.images).abs().mean() < 0.01
+    assert (_relit().images - SCENE.views.images).abs().mean() > 0.05
+    assert torch.equal(found[:, 0], _relit().images[:, 0])
+
+
+def test_its_own_light_is_given_back_to_every_photo():
+    relit = _relit().images
+    light = estimate_light(_relit(), _geometry())
+    again = light.to_own(light.gain * relit + light.offset)
+    assert torch.allclose(again, relit, atol=1e-6)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.02])
+def test_photos_of_one_light_stay_as_they_are(noise):
+    generator = torch.Generator().manual_seed(0)
+    images = SCENE.views.images
+    images = images + noise * torch.randn(images.shape, generator=generator)
+    views = replace(SCENE.views, images=images.clamp(0, 1))
+    assert estimate_light(views, _geometry()) is None
+
+
+def test_photos_of_other_things_keep_their_light():
+    generator = torch.Generator().manual_seed(1)
+    other = 0.3 * torch.rand(SCENE.views.images.shape, generator=generator)
+    other[:, 0] = SCENE.views.images[:, 0]
+    assert estimate_light(replace(SCENE.views, images=other), _geometry()) is None
+
+
+def test_a_photo_that_was_not_placed_keeps_its_light():
+    light = estimate_light(_relit(), _geometry((True, True, False)))
+    assert bool((light.gain[:, 2] == 1).all()) and bool((light.gain[:, 1] != 1).all())
+
+
+def test_a_photo_that_shares_nothing_with_the_first_is_settled_through_another():
+    """The third is linked with the second only."""
+    views, geometry = _relit(), _geometry()
+    apart = geometry.depths.clone()
+    height = apart.shape[-2]
+    apart[:, 0, : height // 2] = 0  # the first shows the lower half only
+    apart[:, 2, height // 2 :] = 0  # the third the upper half only
+    confidence = (apart > 0).to(apart)
+    known = replace(geometry, depths=apart.clamp(min=1e-3), confidence=confidence)
+    light = estimate_light(views, known)
+    found = light.to_reference(views.images)
+    assert (found[:, 2] - SCENE.views.images[:, 2]).abs().mean() < 0.03
+    assert (views.images[:, 2] - SCENE.views.images[:, 2]).abs().mean() > 0.04
+
+
+def test_each_scene_of_a_batch_has_its_own_light():
+    both = replace(
+        SCENE.views,
+        images=torch.cat((SCENE.views.images, _relit().images)),
+        intrinsics=SCENE.views.intrinsics.expand(2, -1, -1, -1),
+    )
+    geometry = _geometry()
+    twice = {
+        name: torch.cat((value, value))
+        for name in ("c2w", "depths", "confidence", "registered")
+        if (value := getattr(geometry, name)) is not None
+    }
+    light = estimate_light(both, MatchedGeometry(**twice))
+    assert bool((light.gain[0] == 1).all()) and bool((light.gain[1, 1:] != 1).all())

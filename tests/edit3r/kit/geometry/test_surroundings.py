@@ -1,0 +1,136 @@
+"""The layers around the images and behind their depth edges, in a scene whose geometry is known."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.kit.geometry.cameras import project
+from edit3r.kit.geometry.harmonics import dc_to_colour
+from edit3r.kit.geometry.surroundings import background_layer, rim, second_layer
+from edit3r_testing import photograph
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return photograph(2, (96, 128))
+
+
+@pytest.fixture
+def truth(pair):
+    confidence = torch.ones_like(pair.depths)
+    return MatchedGeometry(
+        pair.cameras.c2w, pair.depths, confidence, torch.ones(1, 2, dtype=torch.bool)
+    )
+
+
+def test_the_rim_stays_out_of_every_photo(pair, truth):
+    made = rim(pair.views, truth, 0.2, 0.6)
+    assert made.count > 100
+    for view in (0, 1):
+        places, depth = project(
+            made.means, pair.views.intrinsics[:, view], truth.c2w[:, view]
+        )
+        shown = ((places > 0) & (places < 1)).all(-1) & (depth > 0)
+        assert not shown.any()
+
+
+def test_the_rim_fades_outwards_to_nothing(pair, truth):
+    made = rim(
+        pair.views.select([0]), dataclasses.replace(truth, **_first(truth)), 0.2, 0.6
+    )
+    places, _ = project(made.means, pair.views.intrinsics[:, 0], truth.c2w[:, 0])
+    height, width = pair.views.image_size
+    beyond = (torch.maximum(-places, places - 1) * torch.tensor([width, height])).amax(
+        -1
+    )[0]
+    near, far = (
+        made.opacities[0][part]
+        for part in (beyond < beyond.quantile(0.2), beyond > beyond.quantile(0.8))
+    )
+    assert near.min() > far.max() and far.min() < 0.15 and near.max() > 0.5
+
+
+def _first(truth):
+    return {
+        name: getattr(truth, name)[:, :1]
+        for name in ("c2w", "depths", "confidence", "registered")
+    }
+
+
+def test_the_rim_of_a_grey_photo_is_grey(pair, truth):
+    grey = dataclasses.replace(
+        pair.views, images=torch.full_like(pair.views.images, 0.25)
+    )
+    made = rim(grey, truth, 0.1, 0.6)
+    assert torch.allclose(dc_to_colour(made.harmonics), torch.tensor(0.25), atol=1e-6)
+
+
+@pytest.mark.parametrize("layers", ["background_layer", "second_layer"])
+def test_no_layer_stands_before_a_photo(pair, truth, layers):
+    layer = (
+        background_layer(pair.views, truth, 0.9)
+        if layers == "background_layer"
+        else _lined(pair, truth)
+    )
+    assert layer.count > 50
+    height, width = pair.views.image_size
+    for view in (0, 1):
+        places, depth = project(
+            layer.means, pair.views.intrinsics[:, view], truth.c2w[:, view]
+        )
+        pixel = (places[0] * torch.tensor([width, height])).floor().long()
+        inside = (
+            ((places[0] > 0) & (places[0] < 1)).all(-1)
+            & (depth[0] > 0)
+            & (layer.view_index != view)
+        )
+        surface = truth.depths[0, view][pixel[inside, 1], pixel[inside, 0]]
+        assert (depth[0][inside] >= surface * (1 - 1e-4)).all()
+
+
+def test_a_flat_measured_wall_needs_no_background_layer(pair, truth):
+    wall = dataclasses.replace(truth, depths=torch.full_like(truth.depths, 3.0))
+    assert background_layer(pair.views, wall, 0.9).count == 0
+    guessed = dataclasses.replace(wall, confidence=torch.zeros_like(wall.confidence))
+    assert background_layer(pair.views, guessed, 0.9).count > 0
+
+
+def _lined(pair, geometry, faint=0.5):
+    return second_layer(
+        pair.views, geometry, torch.full_like(geometry.depths, faint), 0.9
+    )
+
+
+def test_a_second_layer_follows_right_behind_a_faint_measured_surface_and_ends_before_its_edges(
+    pair, truth
+):
+    here = truth.c2w[:, :1]
+    wall = dataclasses.replace(
+        truth, depths=torch.full_like(truth.depths, 3.0), c2w=here.expand(-1, 2, -1, -1)
+    )
+    assert _lined(pair, wall, faint=0.99).count == 0
+    assert (
+        _lined(
+            pair,
+            dataclasses.replace(wall, confidence=torch.zeros_like(wall.confidence)),
+        ).count
+        == 0
+    )
+    layer = _lined(pair, wall)
+    places, depth = project(layer.means, pair.views.intrinsics[:, 0], here[:, 0])
+    assert layer.count == 2 * 24 * 32
+    assert ((depth > 3) & (depth < 3.6)).all() and ((places > 0) & (places < 1)).all()
+    # A post before the wall, two pixels wide: what is lined beside it would show on both of its
+    # sides.
+    wall.depths[..., 40:42] = 2.0
+    beside = _lined(pair, wall)
+    places, _ = project(beside.means, pair.views.intrinsics[:, 0], here[:, 0])
+    assert layer.count > beside.count > 0.8 * layer.count
+    assert ((places[..., 0] - 41 / 128).abs() > 3 / 128).all()
+
+
+def test_a_view_that_was_not_placed_is_not_lined(pair, truth):
+    first = dataclasses.replace(truth, registered=torch.tensor([[True, False]]))
+    assert set(_lined(pair, first).view_index.tolist()) == {0}

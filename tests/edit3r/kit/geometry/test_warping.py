@@ -1,0 +1,98 @@
+import dataclasses
+
+import pytest
+import torch
+
+from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.kit.geometry.cameras import unproject
+from edit3r.kit.geometry.warping import (
+    contradicted,
+    find_correspondences,
+    partner_views,
+    seen_by,
+    seen_by_others,
+    warp,
+)
+from edit3r_testing import photograph
+
+SCENE = photograph(2, (48, 64))
+INTRINSICS = SCENE.views.intrinsics
+
+
+def test_partner_of_every_view_is_the_reference_and_of_the_reference_view_1():
+    assert partner_views(2) == [1, 0]
+    assert partner_views(4) == [1, 0, 0, 0]
+
+
+def test_true_geometry_pulls_the_same_colours_where_both_views_see_the_surface():
+    scene = photograph(3, (48, 64))
+    matches = find_correspondences(
+        scene.depths, scene.views.intrinsics, scene.cameras.c2w
+    )
+    warped = warp(scene.views.images[:, partner_views(3)], matches.coordinates)
+    both = (matches.inside > 0.5) & (matches.depth_ratio.abs() < 0.02)
+    gap = (warped - scene.views.images).abs().mean(2)
+    assert both.float().mean() > 0.5
+    assert gap[both].mean() < 0.03 < gap[~both].mean()
+
+
+def test_points_in_front_of_what_the_partner_sees_have_a_negative_ratio():
+    scene = photograph(2, (48, 64))
+    depths = scene.depths.clone()
+    depths[:, 0] *= 0.7
+    matches = find_correspondences(depths, scene.views.intrinsics, scene.cameras.c2w)
+    inside = matches.inside[:, 0] > 0.5
+    assert matches.depth_ratio[:, 0][inside].median() < -0.2
+
+
+def test_points_behind_the_partner_are_outside_and_finite():
+    c2w = torch.eye(4).repeat(1, 2, 1, 1)
+    c2w[0, 1] = torch.diag(torch.tensor([-1.0, 1, -1, 1]))  # looks the other way
+    k = torch.tensor([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
+    matches = find_correspondences(torch.ones(1, 2, 4, 4), k, c2w)
+    assert (matches.inside == 0).all() and matches.coordinates.isfinite().all()
+
+
+@pytest.fixture
+def truth():
+    registered = torch.ones(1, 2, dtype=torch.bool)
+    return MatchedGeometry(
+        SCENE.cameras.c2w, SCENE.depths, torch.ones_like(SCENE.depths), registered
+    )
+
+
+def test_guesses_before_or_on_what_another_view_measured_are_contradicted(truth):
+    depths, confidence = truth.depths.clone(), truth.confidence.clone()
+    depths[0, 0, 20:24, 30:32] *= 0.5
+    confidence[0, 0, 20:24, 30:34] = 0
+    found = contradicted(
+        dataclasses.replace(truth, depths=depths, confidence=confidence), INTRINSICS
+    )
+    assert found[0, 0, 20:24, 30:32].all() and 12 <= found.sum() <= 16
+    assert not contradicted(truth, INTRINSICS).any()
+
+
+def test_what_was_measured_falls_only_where_more_views_see_through_it_than_confirm_it():
+    scene = photograph(3, (48, 64))
+    depths = scene.depths.clone()
+    depths[0, 0, 20:26, 30:36] *= 0.5
+    geometry = MatchedGeometry(
+        scene.cameras.c2w,
+        depths,
+        torch.ones_like(depths),
+        torch.ones(1, 3, dtype=torch.bool),
+    )
+    found = contradicted(geometry, scene.views.intrinsics)
+    assert found[0, 0, 21:25, 31:35].all() and found.sum() < 60
+
+
+def test_views_see_their_own_points_and_most_of_the_others(truth):
+    points = unproject(truth.depths, INTRINSICS, truth.c2w).flatten(2, 3)
+    assert seen_by(points[:, 1], truth, INTRINSICS, 1).all()
+    assert 0.5 < seen_by_others(truth, INTRINSICS).float().mean() < 1
+
+
+def test_a_view_that_is_not_registered_sees_nothing(truth):
+    alone = dataclasses.replace(truth, registered=torch.tensor([[True, False]]))
+    assert not seen_by_others(alone, INTRINSICS)[:, 0].any()
+    assert seen_by_others(alone, INTRINSICS)[:, 1].any()

@@ -1,0 +1,121 @@
+"""Which photos of many are used, and which frames of a video."""
+
+import warnings
+
+import cv2
+import numpy as np
+import pytest
+
+from edit3r.contract.errors import InputError
+from edit3r.kit.photos.coverage import choose_photos, covering, take_frames
+from edit3r.kit.photos.images import load_photos
+
+SIDE = 240
+
+
+def wall(width=1200):
+    """A long wall full of corners."""
+    rng = np.random.default_rng(0)
+    pixels = np.full((SIDE, width, 3), 120, np.uint8)
+    for _ in range(1200):
+        x, y, size = rng.integers(0, width), rng.integers(0, SIDE), rng.integers(4, 18)
+        cv2.rectangle(
+            pixels,
+            (int(x), int(y)),
+            (int(x + size), int(y + size)),
+            rng.integers(0, 255, 3).tolist(),
+            -1,
+        )
+    return pixels
+
+
+def video(path, places, blurred=()):
+    """A camera that looks at the wall from `places` [pixels], out of focus in some frames."""
+    pixels = wall()
+    writer = cv2.VideoWriter(
+        str(path), cv2.VideoWriter_fourcc(*"mp4v"), 12, (320, SIDE)
+    )
+    for number, x in enumerate(places):
+        frame = np.ascontiguousarray(pixels[:, x : x + 320])
+        writer.write(cv2.GaussianBlur(frame, (0, 0), 4) if number in blurred else frame)
+    writer.release()
+    return path
+
+
+def test_photos_are_chosen_that_cover_what_all_show():
+    """Four photos in a row, one of them taken five times: by counting, copies of that one would be
+    used.
+    """
+    place = np.array([0, 0.02, 0.01, 0.03, 0.04, 1, 2, 3])
+    common = np.maximum(0, 1 - abs(place[:, None] - place) / 1.5)
+    chosen = covering(common, 4)
+    assert len(chosen) == 4 and {5, 6, 7} < set(chosen)
+
+
+def test_a_photo_that_shares_nothing_is_not_chosen_before_those_that_do():
+    place = np.array([0, 1, 2, 90])
+    assert covering(np.maximum(0, 1 - abs(place[:, None] - place) / 1.5), 3) == [
+        0,
+        1,
+        2,
+    ]
+
+
+def test_views_n_takes_the_photos_that_differ(tmp_path):
+    pixels, files = wall(), []
+    for index, x in enumerate((0, 2, 4, 6, 8, 150, 300)):
+        files.append(tmp_path / f"{index}.png")
+        cv2.imwrite(str(files[-1]), pixels[:, x : x + 320])
+    assert {file.name for file in choose_photos(files, 3)} > {
+        "5.png",
+        "6.png",
+    } or choose_photos(files, 3)[1:] == files[5:]
+    assert choose_photos(files, None) == files == choose_photos(files, 7)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert load_photos(tmp_path, size=64, most=3).views.count == 3
+
+
+def test_of_a_video_the_sharp_frames_are_taken(tmp_path):
+    blurred = {
+        number for number in range(24) if number % 2
+    }  # of each stretch of two frames one
+    taken = take_frames(video(tmp_path / "clip.mp4", range(0, 480, 20), blurred), 4)
+    numbers = [int(file.stem.split("_")[1]) for file in taken]
+    assert len(taken) == 4 and numbers == sorted(numbers) and not blurred & set(numbers)
+
+
+def test_frames_in_which_nothing_moved_are_left_out(tmp_path):
+    with pytest.warns(UserWarning, match="nothing has moved"):
+        taken = take_frames(
+            video(tmp_path / "clip.mp4", [0] * 20 + [60] * 20 + [120] * 20), 8
+        )
+    assert len(taken) == 3
+
+
+def test_a_video_from_one_place_is_an_error(tmp_path):
+    with pytest.raises(
+        InputError, match=r"clip\.mp4: shows the scene from one place only"
+    ):
+        take_frames(video(tmp_path / "clip.mp4", [0] * 12))
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"no video", b"\0\0\0\x18ftypmp42" + bytes(100)]
+)
+def test_what_is_no_video_is_one_sentence(tmp_path, content):
+    (tmp_path / "clip.mp4").write_bytes(content)
+    with pytest.raises(InputError, match=r"clip\.mp4: not a video"):
+        load_photos(tmp_path / "clip.mp4")
+
+
+def test_a_video_is_loaded_as_its_frames_and_the_record_says_which(tmp_path):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        loaded = load_photos(video(tmp_path / "clip.mp4", range(0, 480, 20)), size=64)
+    assert loaded.views.count == 8
+    for photo in loaded.photos:
+        assert (
+            photo.file
+            == f"{tmp_path / 'clip.mp4'}, frame {int(photo.name.removeprefix('clip_'))}"
+        )

@@ -1,0 +1,151 @@
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from pydantic import Field, SecretStr
+
+import edit3r
+from edit3r.contract.reporting import StageRecord
+from edit3r.contract.settings import Settings
+from edit3r.kit.photos.images import load_photos
+from edit3r.kit.run_folder import (
+    PluginRecord,
+    RunManifest,
+    WeightsRecord,
+    continue_run,
+    installed_versions,
+    write_manifest,
+)
+from edit3r.running.judging.verdict import Verdict
+
+
+class RemoteSettings(Settings):
+    api_key: SecretStr = Field(SecretStr("sk-live-123"), description="key")
+    strength: float = Field(0.5, description="how much")
+
+
+@pytest.fixture
+def manifest(tmp_path):
+    Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(tmp_path / "a.png")
+    return RunManifest(
+        prompt="paint it grün",
+        seed=3,
+        device="cpu",
+        settings={
+            "editor": RemoteSettings(),
+            "alpha": {"token": "hf_456", "tokens": 7, "key_frames": "all"},
+        },
+        plugins=[PluginRecord("editor", "recolor", "recolor", "0.1.0", "Apache-2.0")],
+        inputs=load_photos(tmp_path / "a.png", fov=60).photos,
+        masks={},
+        weights=[WeightsRecord("small.safetensors", "ab" * 32, "Apache-2.0")],
+        verdict=Verdict(
+            "good",
+            "well",
+            (30.0, None),
+            (25.0, None),
+            (True, False),
+            (1.0, None),
+            (0.1, None),
+        ),
+        edit_verdict=None,
+        gaussians=131072,
+        harmonics_degree=0,
+        stages=[StageRecord("edit", 1.5, 1.25, 300.0)],
+        warnings=["a warning"],
+        notes={"z": float("inf"), "a": np.float32(0.5), "b": [1, (2, 3)]},
+    )
+
+
+def written(tmp_path, manifest):
+    write_manifest(tmp_path / "run.json", manifest)
+    return (tmp_path / "run.json").read_text(encoding="utf-8")
+
+
+def test_manifest_says_what_was_run(tmp_path, manifest):
+    content = json.loads(written(tmp_path, manifest))
+    assert (
+        content["prompt"] == "paint it grün"
+        and content["seed"] == 3
+        and content["gaussians"] == 131072
+    )
+    assert content["plugins"][0]["licence"] == "Apache-2.0"
+    photo = content["inputs"][0]
+    assert (
+        photo["intrinsics_source"] == "--fov 60"
+        and photo["size"] == [30, 40]
+        and len(photo["sha256"]) == 64
+    )
+    assert photo["frame"]["target"] == [30, 40]
+    assert content["stages"][0] == {
+        "name": "edit",
+        "seconds": 1.5,
+        "cpu_seconds": 1.25,
+        "peak_memory_mb": 300.0,
+    }
+    assert (
+        content["versions"]["torch"]
+        and content["versions"]["python"]
+        and content["versions"]["edit3r"]
+    )
+
+
+def test_secrets_are_never_written(tmp_path, manifest):
+    text = written(tmp_path, manifest)
+    assert "sk-live-123" not in text and "hf_456" not in text
+    settings = json.loads(text)["settings"]
+    assert settings["editor"]["strength"] == 0.5
+    assert settings["alpha"]["tokens"] == 7 and settings["alpha"]["key_frames"] == "all"
+
+
+def test_manifest_is_strict_json_in_a_stable_order(tmp_path, manifest):
+    text = written(tmp_path, manifest)
+    content = json.loads(
+        text, parse_constant=lambda name: pytest.fail(f"{name} is no JSON")
+    )
+    assert content["notes"] == {"a": 0.5, "b": [1, [2, 3]], "z": None}
+    assert list(content)[:3] == ["prompt", "seed", "device"] and list(
+        content["notes"]
+    ) == ["a", "b", "z"]
+    assert text == written(tmp_path, manifest)
+
+
+def test_versions_name_only_what_is_installed():
+    versions = installed_versions()
+    assert all(isinstance(version, str) and version for version in versions.values())
+
+
+@pytest.mark.parametrize("head", ["ref: refs/heads/main", "0123abcd"])
+def test_the_commit_of_a_checkout_is_told_and_an_installed_package_has_none(
+    head, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(edit3r, "__file__", str(tmp_path / "edit3r" / "__init__.py"))
+    assert "commit" not in installed_versions()
+    branch = tmp_path / ".git" / "refs" / "heads" / "main"
+    branch.parent.mkdir(parents=True)
+    branch.write_text("0123abcd\n")
+    (tmp_path / ".git" / "HEAD").write_text(f"{head}\n")
+    assert installed_versions()["commit"] == "0123abcd"
+
+
+def test_what_stays_true_of_a_run_goes_on_without_what_lies_behind_its_links(tmp_path):
+    before = tmp_path / "run"
+    before.mkdir()
+    (before / "cameras.json").write_text("[]")
+    (before / "inputs").mkdir()
+    (before / "inputs" / "a.png").write_bytes(b"photo")
+    private = tmp_path / "private"
+    private.mkdir()
+    (private / "secret.txt").write_bytes(b"secret")
+    (before / "inputs" / "b.png").symlink_to(private / "secret.txt")
+    (before / "edited").symlink_to(private)
+    after = tmp_path / "after"
+    after.mkdir()
+    continue_run(before, after, ("inputs", "edited", "masks"), {"objects": {"ä": 1}})
+    assert (after / "inputs" / "a.png").read_bytes() == b"photo"
+    assert (after / "inputs" / "b.png").is_symlink()
+    assert not (after / "edited").exists()
+    assert not (after / "masks").exists()
+    assert json.loads((after / "run.json").read_text("utf-8")) == {"objects": {"ä": 1}}
+    assert (after / "cameras.json").read_text() == "[]"

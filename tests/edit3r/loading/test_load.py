@@ -1,0 +1,197 @@
+"""Guarded loading: whatever one plugin does, it is one line, and every other plugin still works."""
+
+import sys
+from importlib import metadata
+from types import SimpleNamespace
+
+import pytest
+
+from edit3r.contract.errors import InputError
+from edit3r.loading import load as plugins
+from edit3r.loading.load import load_plugins
+
+DECLARATION = """
+from edit3r import Component, hookimpl
+
+EDIT3R_API = 1
+
+
+@hookimpl
+def register_editors():
+    return [Component("{name}", "{module}:Thing", "an editor")]
+"""
+
+BROKEN = {
+    "raises on import": ("raise RuntimeError('no luck')", "RuntimeError: no luck"),
+    "has a syntax error": ("def", "SyntaxError"),
+    "needs what is not installed": ("import surely_not_there", "list it in requires"),
+    "calls sys.exit": ("import sys; sys.exit(3)", "called sys.exit(3) while loading"),
+    "skips like a test": (
+        "import pytest; pytest.skip('no', allow_module_level=True)",
+        "Skipped",
+    ),
+    "offers nothing": ("x = 1", "offers nothing"),
+    "misspells a hook": (
+        "from edit3r import hookimpl\n@hookimpl\ndef register_editor():\n    return []",
+        "'register_editor' is not an edit3r hook. Did you mean 'register_editors'?",
+    ),
+    "forgets to mark a hook": (
+        "def register_editors():\n    return []",
+        "put @edit3r.hookimpl above it",
+    ),
+    "gives a hook an argument": (
+        "from edit3r import hookimpl\n@hookimpl\ndef register_editors(registry):\n    return []",
+        "registry",
+    ),
+    "raises in a hook": (
+        "from edit3r import hookimpl\n@hookimpl\ndef register_editors():\n    return 1 / 0",
+        "ZeroDivisionError",
+    ),
+    "exits in a hook": (
+        "from edit3r import hookimpl\n@hookimpl\ndef register_editors():\n    raise SystemExit",
+        "called sys.exit(None)",
+    ),
+    "offers a class": (
+        "from edit3r import hookimpl\n@hookimpl\ndef register_editors():\n    return [dict]",
+        "expected edit3r.Component",
+    ),
+    "offers a number": (
+        "from edit3r import hookimpl\n@hookimpl\ndef register_editors():\n    return 7",
+        "expected a list of edit3r.Component",
+    ),
+    "offers one name twice": (
+        "from edit3r import Component, hookimpl\n@hookimpl\ndef register_editors():\n"
+        "    return [Component('a', 'm:A', 's'), Component('a', 'm:B', 's')]",
+        "offers 'a' twice",
+    ),
+    "names a component badly": (
+        "from edit3r import Component, hookimpl\n@hookimpl\ndef register_editors():\n"
+        "    return [Component('My Editor', 'm:A', 's')]",
+        "must be lower-case letters",
+    ),
+    "is of a later API": (
+        "EDIT3R_API = 2",
+        "written for edit3r API 2, this edit3r has API 1; install a newer edit3r",
+    ),
+    "is of an older API": ("EDIT3R_API = 0", "install a newer version of the plugin"),
+    "states a strange API": (
+        "EDIT3R_API = '1.0'",
+        "EDIT3R_API must be a whole number such as 1, got '1.0'",
+    ),
+}
+
+
+@pytest.fixture
+def installed(monkeypatch, tmp_path):
+    """A function that 'installs' plugin modules, given as entry point name to source, for this test
+    only.
+    """
+    points = []
+    monkeypatch.setattr(plugins.metadata, "entry_points", lambda group: list(points))
+    monkeypatch.syspath_prepend(tmp_path)
+    before = set(sys.modules)
+
+    def install(distribution: str = "", **sources: str) -> None:
+        for name, source in sources.items():
+            module = f"{distribution.replace('-', '_')}{name}_declaration"
+            (tmp_path / f"{module}.py").write_text(
+                source.format(name=name, module=module)
+            )
+            point = metadata.EntryPoint(name, module, plugins.ENTRY_POINT_GROUP)
+            if distribution:
+                object.__setattr__(
+                    point, "dist", SimpleNamespace(name=distribution, version="1.5")
+                )
+            points.append(point)
+
+    yield install
+    for module in set(sys.modules) - before:
+        del sys.modules[module]
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_a_plugin_that(case, installed):
+    source, reason = BROKEN[case]
+    installed(broken=source.replace("{", "{{").replace("}", "}}"), good=DECLARATION)
+    loaded = load_plugins()
+    assert [offer.component.name for offer in loaded.offers] == ["good"]
+    assert [failure.plugin for failure in loaded.failures] == ["broken"]
+    assert reason in loaded.failures[0].reason
+    assert "\n" not in loaded.failures[0].reason
+
+
+def test_ctrl_c_while_loading_is_not_swallowed(installed):
+    installed(broken="raise KeyboardInterrupt")
+    with pytest.raises(KeyboardInterrupt):
+        load_plugins()
+
+
+def test_two_packages_with_one_entry_point_name_both_load_under_names_that_differ(
+    installed,
+):
+    source = DECLARATION.replace("{name}", "from-{module}").replace("_declaration", "")
+    installed(distribution="edit3r-one", sepia=source.replace("from-{module}", "one"))
+    installed(distribution="edit3r-two", sepia=source.replace("from-{module}", "two"))
+    offers = load_plugins().offers
+    assert {offer.qualified_name for offer in offers} == {"sepia:one", "edit3r-two:two"}
+
+
+def test_a_plugin_that_states_no_api_is_taken_for_the_current_one(installed):
+    installed(silent=DECLARATION.replace("EDIT3R_API = 1", ""))
+    assert not load_plugins().failures
+
+
+def test_a_helper_that_only_looks_like_a_hook_is_left_alone(installed):
+    installed(
+        helpful=DECLARATION + "\n\ndef register_with_the_tax_office():\n    pass\n"
+    )
+    assert not load_plugins().failures
+
+
+def test_a_local_file_loads_only_when_named(installed, tmp_path):
+    installed(good=DECLARATION)
+    file = tmp_path / "local_thing.py"
+    file.write_text(DECLARATION.format(name="local", module="local_thing"))
+    assert {offer.component.name for offer in load_plugins().offers} == {"good"}
+    offers = {offer.component.name: offer for offer in load_plugins([file]).offers}
+    assert set(offers) == {"good", "local"}
+    assert offers["local"].plugin == "local_thing"
+    assert offers["local"].version == ""
+
+
+def test_a_local_folder_loads_as_a_package_with_its_modules(installed, tmp_path):
+    folder = tmp_path / "elsewhere" / "local_package"
+    folder.mkdir(parents=True)
+    (folder / "__init__.py").write_text(
+        DECLARATION.format(name="packed", module="local_package.editor")
+    )
+    (folder / "editor.py").write_text("class Thing:\n    pass\n")
+    (offer,) = load_plugins([folder]).offers
+    from local_package.editor import Thing
+
+    assert offer.component.target == f"{Thing.__module__}:{Thing.__name__}"
+
+
+def test_naming_an_installed_plugin_s_file_changes_nothing(installed, tmp_path):
+    installed(good=DECLARATION)
+    loaded = load_plugins([tmp_path / "good_declaration.py"])
+    assert [offer.component.name for offer in loaded.offers] == ["good"]
+    assert not loaded.failures
+
+
+def test_a_local_file_that_fails_leaves_no_half_module_behind(installed, tmp_path):
+    file = tmp_path / "half_way.py"
+    file.write_text("x = 1\nraise ValueError('stopped half-way')")
+    assert load_plugins([file]).failures[0].reason == "stopped half-way"
+    assert "half_way" not in sys.modules
+
+
+def test_a_local_file_may_not_take_the_name_of_another_module(installed, tmp_path):
+    file = tmp_path / "json.py"
+    file.write_text(DECLARATION.format(name="json", module="json"))
+    assert "rename json.py" in load_plugins([file]).failures[0].reason
+
+
+def test_a_local_file_that_is_not_there_is_the_user_s_error(installed, tmp_path):
+    with pytest.raises(InputError, match="no such file"):
+        load_plugins([tmp_path / "absent.py"])

@@ -1,0 +1,147 @@
+"""Every way in which an edit goes wrong moves its figure, and only that."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from edit3r.contract.types import Cameras, Rendering, Views
+from edit3r.contract.wishes import Change, Colour, Thing, Wish
+from edit3r.running.judging.edit_measures import measure_edit, measure_edit_in_3d
+from edit3r.running.scene import Scene
+
+SIZE = 48
+RED = (0.8, 0.1, 0.1)
+PAINT_RED = Wish("paint", Thing("marked"), (Change("paint", Colour("red", RED)),))
+REMOVE = Wish("remove", Thing("marked"))
+DEPTH = 2.0
+SHIFT = 8  # pixels that the thing lies further left in the second photo
+
+
+def square(left: int) -> torch.Tensor:
+    mask = torch.zeros(SIZE, SIZE)
+    mask[14:34, left : left + 20] = 1
+    return mask
+
+
+def views(images: torch.Tensor) -> Views:
+    return Views(images[None], torch.eye(3).expand(1, len(images), 3, 3))
+
+
+@pytest.fixture
+def scene() -> Scene:
+    """A light square on grey in two photos, painted red."""
+    masks = torch.stack([square(20), square(20 - SHIFT)])
+    photos = 0.3 + 0.4 * masks[:, None].expand(-1, 3, -1, -1)
+    red = torch.tensor(RED)[:, None, None].expand(2, 3, SIZE, SIZE)
+    edited = torch.where(masks[:, None] > 0, red, photos)
+    return Scene(
+        photos=views(photos),
+        start=views(photos),
+        edited=views(edited),
+        masks=masks[None],
+    )
+
+
+def figures(scene: Scene, wish: Wish = PAINT_RED):
+    return measure_edit(replace(scene, regions=scene.masks[None]), [wish], range(2))
+
+
+def test_a_clean_edit_has_full_marks(scene):
+    found = figures(scene)
+    assert found.changed == 1 and found.reached == 1
+    assert found.outline == pytest.approx(1)
+    assert found.shares == pytest.approx((400 / SIZE**2,) * 2)
+    assert found.ghost is None  # nothing was to be removed
+
+
+def test_what_did_not_change_counts_against_the_edit(scene):
+    images = scene.edited.images.clone()
+    images[:, 1] = scene.start.images[:, 1]
+    assert figures(replace(scene, edited=views(images[0]))).changed == pytest.approx(
+        0.5
+    )
+
+
+def test_an_outline_through_an_even_area_follows_no_edges(scene):
+    masks = scene.masks.clone()
+    masks[..., 4:12, 4:44] = 1  # a leak into the grey
+    found = figures(replace(scene, masks=masks))
+    assert found.outline < 0.75 < figures(scene).outline
+
+
+def test_where_edges_are_everywhere_an_outline_tells_nothing(scene):
+    noise = torch.rand(2, 3, SIZE, SIZE, generator=torch.Generator().manual_seed(0))
+    assert figures(replace(scene, start=views(noise))).outline is None
+
+
+def test_another_colour_than_was_asked_for_is_not_reached(scene):
+    blue = Change("paint", Colour("blue", (0.1, 0.2, 0.8)))
+    assert figures(scene, replace(PAINT_RED, changes=(blue,))).reached == 0
+
+
+@pytest.mark.parametrize(("amount", "reached"), [(1.0, 0.0), (-1.0, 1.0)])
+def test_darker_is_not_brighter(scene, amount, reached):
+    darker = torch.where(scene.masks[0, :, None] > 0, 0.2, scene.start.images[0])
+    wish = replace(PAINT_RED, changes=(Change("brightness", amount=amount),))
+    assert figures(replace(scene, edited=views(darker)), wish).reached == reached
+
+
+def test_a_removed_things_outline_that_stays_is_a_ghost(scene):
+    gone = torch.full_like(scene.start.images[0], 0.3)
+    assert figures(replace(scene, edited=views(gone)), REMOVE).ghost == 0
+    ring = gone.clone()
+    for view, left in enumerate((20, 20 - SHIFT)):
+        ring[view, :, 14:34, left] = ring[view, :, 14, left : left + 20] = 0.7
+    ghost = figures(replace(scene, edited=views(ring)), REMOVE).ghost
+    assert ghost == pytest.approx(0.5, abs=0.15)
+
+
+# ---- in 3D ----
+
+
+@pytest.fixture
+def in_3d(scene) -> Scene:
+    """The scene with a wall's depth, seen by two cameras beside each other that see it `SHIFT`
+    pixels apart.
+    """
+    c2w = torch.eye(4).repeat(1, 2, 1, 1)
+    c2w[0, 1, 0, 3] = SHIFT / SIZE * DEPTH
+    k = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
+    cameras = Cameras(c2w, k, (SIZE, SIZE))
+    depths = torch.full((1, 2, 1, SIZE, SIZE), DEPTH)
+    rendered = Rendering(scene.edited.images, torch.ones_like(depths), depths)
+
+    class Known:
+        """As a reconstruction, with its cameras alone."""
+
+    known = Known()
+    known.cameras = cameras
+    return replace(scene, rendered=rendered, reconstruction=known)
+
+
+def test_masks_of_one_thing_agree_and_others_do_not(in_3d):
+    first = figures(in_3d)
+    assert measure_edit_in_3d(first, in_3d, range(2)).agreement == pytest.approx(
+        1, abs=0.02
+    )
+    elsewhere = torch.stack([square(20), square(28)])[None]
+    moved = replace(in_3d, masks=elsewhere)
+    assert measure_edit_in_3d(first, moved, range(2)).agreement < 0.3
+
+
+def test_the_share_of_the_change_that_the_scene_shows(in_3d):
+    first = figures(in_3d)
+    assert measure_edit_in_3d(first, in_3d, range(2)).shown == pytest.approx(1)
+    half = (in_3d.start.images + in_3d.edited.images) / 2
+    faint = replace(in_3d, rendered=replace(in_3d.rendered, images=half))
+    assert measure_edit_in_3d(first, faint, range(2)).shown == pytest.approx(0.5)
+    unchanged = replace(in_3d, edited=in_3d.start)
+    assert measure_edit_in_3d(first, unchanged, range(2)).shown is None
+
+
+def test_masks_that_show_no_common_surface_tell_nothing(in_3d):
+    far = replace(in_3d.rendered, depths=in_3d.rendered.depths * math.nan)
+    blind = replace(in_3d, rendered=replace(far, depths=torch.nan_to_num(far.depths)))
+    assert measure_edit_in_3d(figures(in_3d), blind, range(2)).agreement is None

@@ -1,0 +1,150 @@
+"""The verdict follows the renderings of the input views, names the worst photo, and hides none that
+was left out.
+"""
+
+import pytest
+import torch
+
+from edit3r.contract.types import Rendering, Views
+from edit3r.running.judging.verdict import MEAN_PSNR, WORST_PSNR, judge
+
+EDITED = Views(
+    torch.full((1, 3, 3, 8, 8), 0.5), torch.eye(3).expand(1, 3, 3, 3), ("a", "b", "c")
+)
+
+
+def rendered(*psnr: float) -> Rendering:
+    """Renderings that differ from EDITED by exactly so much [dB]."""
+    off = torch.tensor([10 ** (-value / 20) for value in psnr])
+    images = 0.5 + off[None, :, None, None, None].expand(1, len(psnr), 3, 8, 8)
+    alphas = torch.full((1, len(psnr), 1, 8, 8), 0.75)
+    return Rendering(images, alphas, alphas)
+
+
+MEASURED_SHARES = ([0.4, 0.52, 0.52], [0.4, 0.5, 0.4])
+
+
+def shown(edited, rendering, placed, measured):
+    """The verdict on a scene that no refiner touched."""
+    return judge(edited, rendering, rendering, placed, measured)
+
+
+def test_the_figures_are_those_of_the_renderings():
+    verdict = shown(
+        EDITED, rendered(30.0, 20.0, 10.0), [True] * 3, torch.tensor([[0.9, 0.5, 1.0]])
+    )
+    assert verdict.input_psnr == pytest.approx((30, 20, 10), abs=1e-3)
+    assert verdict.coverage == pytest.approx(
+        (0.75,) * 3
+    ) and verdict.filled == pytest.approx((0.1, 0.5, 0.0))
+
+
+@pytest.mark.parametrize("label", ["good", "fair", "poor"])
+def test_a_label_needs_both_its_mean_and_its_worst(label):
+    mean, worst = MEAN_PSNR[label], WORST_PSNR[label]
+    enough = shown(EDITED, rendered(mean + 3, mean + 3, worst + 0.1), [True] * 3, None)
+    assert enough.label == label or mean > (2 * (mean + 3) + worst) / 3
+    low_worst = shown(EDITED, rendered(45.0, 45.0, worst - 0.1), [True] * 3, None)
+    low_mean = shown(EDITED, rendered(*[mean - 0.1] * 3), [True] * 3, None)
+    assert label not in (low_worst.label, low_mean.label)
+
+
+def test_what_is_bad_is_said_with_the_photo_and_the_way_out():
+    verdict = shown(EDITED, rendered(30.0, 10.0, 30.0), [True] * 3, None)
+    assert (
+        verdict.label == "failed"
+        and "the worst (b) at 10.0 dB; leave b out, or" in verdict.reason
+    )
+
+
+def test_a_photo_that_was_left_out_has_no_figures_and_the_run_is_not_good():
+    verdict = shown(
+        EDITED.select([0, 2]),
+        rendered(40.0, 41.0),
+        [True, False, True],
+        torch.ones(1, 2),
+    )
+    assert (
+        verdict.label == "fair"
+        and "1 of 3 photos could not be placed" in verdict.reason
+    )
+    assert (
+        verdict.placed == (True, False, True)
+        and verdict.input_psnr[1] is verdict.filled[1] is None
+    )
+    assert verdict.input_psnr[2] == pytest.approx(41, abs=1e-3)
+
+
+def test_a_run_without_most_of_its_photos_failed():
+    verdict = shown(
+        EDITED.select([0]), rendered(40.0), [True, False, False, False], None
+    )
+    assert verdict.label == "failed"
+    assert "3 of 4 photos could not be placed" in verdict.reason
+    half = shown(EDITED.select([0, 1]), rendered(40.0, 40.0), [True, False] * 2, None)
+    assert half.label == "fair"
+
+
+def test_much_guessed_depth_is_never_good_and_more_is_poor():
+    fair, poor = (
+        shown(EDITED, rendered(40.0, 40.0, 40.0), [True] * 3, torch.tensor([m]))
+        for m in MEASURED_SHARES
+    )
+    assert (
+        fair.label == "fair" and "52% of the depth is guessed, 60% in a" in fair.reason
+    )
+    assert poor.label == "poor"
+
+
+@pytest.mark.parametrize(
+    ("most", "label"), [(0.49, "good"), (0.51, "fair"), (0.66, "poor")]
+)
+def test_one_photo_of_guessed_depth_counts_where_the_mean_would_not(most, label):
+    measured = torch.tensor([[0.9, 0.9, 1 - most]])
+    assert (
+        shown(EDITED, rendered(40.0, 40.0, 40.0), [True] * 3, measured).label == label
+    )
+
+
+def test_a_rendering_equal_to_the_photo_has_a_finite_figure():
+    assert (
+        shown(
+            EDITED,
+            Rendering(EDITED.images, EDITED.images[:, :, :1], EDITED.images[:, :, :1]),
+            [True] * 3,
+            None,
+        ).input_psnr[0]
+        == 100
+    )
+
+
+def test_steps_towards_the_photos_make_no_bad_scene_good():
+    verdict = judge(
+        EDITED, rendered(30.0, 10.0, 30.0), rendered(30.0, 30.0, 30.0), [True] * 3, None
+    )
+    assert verdict.label == "failed" and verdict.input_psnr[1] == pytest.approx(
+        30, abs=1e-3
+    )
+    assert (
+        verdict.agreement[1] == pytest.approx(10, abs=1e-3)
+        and "(b) at 10.0 dB" in verdict.reason
+    )
+
+
+def test_a_scene_that_refiners_made_worse_is_judged_by_what_is_left():
+    assert (
+        judge(
+            EDITED, rendered(40.0, 40.0, 40.0), rendered(*[10.0] * 3), [True] * 3, None
+        ).label
+        == "failed"
+    )
+
+
+def test_where_most_photos_do_not_find_to_the_first_it_is_to_blame():
+    verdict = shown(
+        EDITED.select([0, 1]),
+        rendered(15.0, 15.0),
+        [True, True, False, False, False],
+        None,
+    )
+    assert "share with a: begin with another photo" in verdict.reason

@@ -1,0 +1,114 @@
+"""--point, --box and --mask, read into a selection."""
+
+import argparse
+import json
+
+import pytest
+import torch
+from PIL import Image
+
+from edit3r.contract.errors import InputError
+from edit3r.kit.photos.images import load_photos
+from edit3r.running.flags import add_mark_flags
+from edit3r.running.selecting.marks import MarkTexts
+
+
+@pytest.fixture
+def photos(tmp_path):
+    for name in ("left", "right"):
+        Image.new("RGB", (80, 60), (90, 120, 40)).save(tmp_path / f"{name}.png")
+    return load_photos([tmp_path / "left.png", tmp_path / "right.png"])
+
+
+def read(photos, *words):
+    parser = argparse.ArgumentParser()
+    add_mark_flags(parser)
+    args = parser.parse_args(words)
+    texts = MarkTexts(args.point, args.not_point, args.box, args.mask)
+    return texts.read(photos) if texts.given else None
+
+
+def test_no_flag_marks_nothing(photos):
+    assert read(photos) is None
+
+
+def test_pixels_and_shares_mean_the_same_place(photos):
+    expected = ((0, 0.25, 0.5),)
+    assert read(photos, "--point", "20,30").positive == expected
+    assert read(photos, "--point", "0.25,0.5").positive == expected
+
+
+def test_a_number_names_the_photo(photos):
+    marked = read(
+        photos, "--point", "2:20,30", "--not-point", "8,6", "--box", "2:8,6,40,30"
+    )
+    assert marked.positive == ((1, 0.25, 0.5),) and marked.negative == ((0, 0.1, 0.1),)
+    assert marked.boxes[1] == pytest.approx((0.1, 0.1, 0.5, 0.5))
+
+
+def test_one_mask_belongs_to_the_photo_in_its_name_else_to_the_first(photos, tmp_path):
+    for name in ("right_mask", "thing"):
+        Image.new("L", (80, 60), 255).save(tmp_path / f"{name}.png")
+    assert list(read(photos, "--mask", str(tmp_path / "right_mask.png")).masks) == [1]
+    marked = read(photos, "--mask", str(tmp_path / "thing.png"))
+    assert list(marked.masks) == [0] and torch.equal(
+        marked.masks[0], torch.ones(60, 80)
+    )
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("--point", "20"), ("--point", "3:2,2"), ("--point", "x,y"), ("--box", "1,2,3")],
+)
+def test_what_cannot_be_read_says_what_was_expected(photos, words):
+    with pytest.raises(InputError, match=r"expected X,Y.*pixels of the original photo"):
+        read(photos, *words)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("--point", "200,30"), ("--box", "100,30,9,9"), ("--box=-15,30,9,9",)],
+)
+def test_a_place_outside_the_photo_is_an_error(photos, words):
+    with pytest.raises(InputError, match="outside"):
+        read(photos, *words)
+
+
+@pytest.mark.parametrize("words", [("--point", "nan,3"), ("--box", "1,2,inf,4")])
+def test_places_are_finite_numbers(photos, words):
+    with pytest.raises(InputError, match="finite"):
+        read(photos, *words)
+
+
+def test_words_are_no_book(photos):
+    with pytest.raises(InputError, match="at most 10000 characters, got 500000"):
+        MarkTexts(thing="bike " * 100_000).read(photos)
+
+
+def test_a_box_is_cut_to_the_photo(photos):
+    assert read(photos, "--box", "40,30,99,99").boxes[0] == pytest.approx(
+        (0.5, 0.5, 0.5, 0.5)
+    )
+
+
+def test_places_and_masks_on_photos_of_a_bent_lens_follow_them(tmp_path):
+    lens = {"w": 60, "h": 40, "fl_x": 45.0, "k1": -0.3}
+    Image.new("RGB", (240, 160)).save(tmp_path / "a.png")
+    Image.new("RGB", (240, 160), "red").save(tmp_path / "b.png")
+    frames = [{"file_path": name} for name in ("a.png", "b.png")]
+    (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+    bent = load_photos([tmp_path / "a.png", tmp_path / "b.png"], size=60)
+    ((_, x, y),) = read(bent, "--point", "0.1,0.15").positive
+    assert (
+        x < 0.1 - 0.01 and y < 0.15 - 0.01
+    )  # barrel distortion had drawn it to the middle
+    left, _, width, _ = read(bent, "--box", "0.1,0.15,0.8,0.7").boxes[0]
+    assert left == pytest.approx(x, abs=1e-3) and width == pytest.approx(
+        1 - 2 * x, abs=2e-3
+    )
+    mask = Image.new("L", (240, 160))
+    mask.paste(255, (16, 16, 32, 32))  # around the place
+    mask.save(tmp_path / "a_mask.png")
+    (found,) = read(bent, "--mask", str(tmp_path / "a_mask.png")).masks.values()
+    _, columns = (found > 0.5).nonzero(as_tuple=True)
+    assert float(columns.float().mean() + 0.5) / 60 == pytest.approx(x, abs=0.02)

@@ -1,0 +1,220 @@
+"""Where each wish applies: what is marked, named, left out, or near a colour."""
+
+import pytest
+import torch
+
+from edit3r.contract.errors import InputError, PromptError
+from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
+from edit3r.contract.reporting import Report, collecting
+from edit3r.contract.types import Views
+from edit3r.running.selecting.regions import RegionFinder
+from edit3r.running.selecting.select import Selection
+from edit3r.wishes.read import read
+
+HEIGHT, WIDTH = 12, 16
+LEFT = slice(0, WIDTH // 2)
+RIGHT = slice(WIDTH // 2, None)
+
+
+class Halves(Segmenter):
+    """Knows the left half as "door" and the right half as "wall"; follows into `found_in`."""
+
+    def __init__(self, found_in=(0, 1)):
+        self.found_in = found_in
+        self.looked_up = []
+
+    def _half(self, image, columns):
+        mask = torch.zeros(image.shape[-2:])
+        mask[:, columns] = 1
+        box = (float(columns.start), 0.0, WIDTH / 2, float(HEIGHT))
+        return Proposal(mask, 0.5, 1.0, 1.0, box)
+
+    def propose(self, image):
+        return (self._half(image, LEFT),)
+
+    def segment(self, image, points=(), box=None):
+        return self._half(image, LEFT)
+
+    def track(self, images, masks):
+        logits = (20 * masks - 10).expand(len(images), -1, -1, -1).clone()
+        present = torch.tensor([[view in self.found_in] for view in range(len(images))])
+        hidden = logits.clamp(max=-1)
+        return Tracks(torch.where(present[..., None, None], logits, hidden), present)
+
+    def segment_text(self, image, text):
+        self.looked_up.append(text)
+        known = {
+            "door": (LEFT,),
+            "wall": (RIGHT,),
+            "half": (LEFT, RIGHT),
+            "house": (slice(0, WIDTH),),
+        }
+        columns = known.get(text, ())
+        return tuple(self._half(image, one) for one in columns)
+
+
+def photos() -> Views:
+    """Left third grey of several tones, middle third dull red, right third blue."""
+    images = torch.empty(1, 2, 3, HEIGHT, WIDTH)
+    images[..., :5] = torch.linspace(0.35, 0.65, HEIGHT)[:, None]
+    images[..., 5:10] = torch.tensor([0.55, 0.16, 0.14])[:, None, None]
+    images[..., 10:] = torch.tensor([0.1, 0.25, 0.8])[:, None, None]
+    return Views(images, torch.eye(3).expand(1, 2, 3, 3), ("a", "b"))
+
+
+def regions(prompt, marked=None, segmenter=None, known=None, **defaults):
+    """Masks [wish, view, height, width]."""
+    segmenter = segmenter or Halves()
+    return finder(marked, segmenter, known, **defaults).find(read(prompt)).masks
+
+
+def finder(marked=None, segmenter=None, known=None, **defaults):
+    chosen = segmenter or Halves()
+    defaults = Selection(**defaults)
+    return RegionFinder(photos(), lambda: chosen, lambda: None, marked, defaults, known)
+
+
+def columns(mask) -> list[bool]:
+    """Which columns of the first view are in a mask."""
+    return (mask[0] > 0.5).all(0).tolist()
+
+
+IN_LEFT = [True] * 8 + [False] * 8
+IN_RIGHT = [False] * 8 + [True] * 8
+EVERYWHERE = [True] * 16
+CLICK = Selection(positive=((0, 0.2, 0.5),))
+
+
+@pytest.mark.parametrize(
+    ("prompt", "expected"),
+    [
+        ("paint the door red", IN_LEFT),
+        ("make it darker", EVERYWHERE),
+        ("make everything darker", EVERYWHERE),
+        ("paint everything except the door red", IN_RIGHT),
+        ("paint the right half red", IN_RIGHT),
+        ("paint all halfs red".replace("halfs", "half"), EVERYWHERE),
+        ("make the background darker, but not the door", IN_RIGHT),
+    ],
+)
+def test_things_are_looked_up_by_name(prompt, expected):
+    assert columns(regions(prompt)[0]) == expected
+
+
+@pytest.mark.parametrize(
+    ("prompt", "expected"),
+    [
+        ("paint it red", IN_LEFT),
+        ("paint the fox red", IN_LEFT),
+        ("make it darker", IN_LEFT),
+        ("the background in black and white", IN_RIGHT),
+        ("everything black and white except the fox", IN_RIGHT),
+        ("paint the fox red but not the door", [False] * 16),
+        ("paint the house red", EVERYWHERE),  # its name says how far it goes
+        ("paint the house of the street red", IN_LEFT),  # a part's name does not
+        ("paint the wall red", IN_LEFT),  # what has this name is elsewhere
+    ],
+)
+def test_marks_stand_for_what_the_sentence_names(prompt, expected):
+    assert columns(regions(prompt, CLICK)[0]) == expected
+
+
+def test_two_wishes_have_their_own_regions_and_a_thing_is_looked_for_once():
+    segmenter = Halves()
+    found = regions(
+        "paint the door red, the wall green and the door darker", None, segmenter
+    )
+    assert [columns(mask) for mask in found][:2] == [IN_LEFT, IN_RIGHT]
+    assert segmenter.looked_up == ["door", "wall"]
+
+
+def test_the_rest_is_all_but_what_is_named_beside_it():
+    found = regions("turn the door blue and the background grey")
+    assert [columns(mask) for mask in found] == [IN_LEFT, IN_RIGHT]
+
+
+def test_marks_cannot_stand_for_two_things():
+    with pytest.raises(PromptError, match=r"'door' and 'wall'.*--from"):
+        regions("paint the door green and the wall white", CLICK)
+
+
+def test_an_unknown_thing_is_an_error_with_the_way_out_unless_a_guess_is_allowed():
+    with pytest.raises(InputError, match=r"'fox' was not found.*--point"):
+        regions("paint the fox red")
+    with collecting(Report()) as report:
+        assert columns(regions("paint the fox red", guess=True)[0]) == IN_LEFT
+    assert "guess" in report.warnings[0]
+
+
+def test_nothing_named_and_nothing_marked_is_an_error():
+    with pytest.raises(InputError, match="nothing says which object is meant"):
+        regions("paint it red")
+
+
+def test_a_view_that_lost_what_is_left_out_stays_as_it_is():
+    lost = Halves(found_in=(0,))
+    with collecting(Report()) as report:
+        found = regions("paint everything except the door red", None, lost)[0]
+    assert found[0].any() and not found[1].any()
+    assert any("photo 2" in text for text in report.warnings)
+
+
+@pytest.mark.parametrize("rest", ["the background", "everything except the door"])
+def test_all_but_a_given_mask_is_nothing_where_that_is_empty(rest):
+    door = torch.zeros(HEIGHT, WIDTH)
+    given = Selection(masks={0: (door + 1).tril(), 1: door})
+    found = regions(f"paint {rest} red", given)[0]
+    assert found[0].any() and not found[1].any()
+
+
+@pytest.mark.parametrize(("near", "third"), [("grey", 0), ("red", 1), ("blue", 2)])
+def test_only_pixels_near_a_colour_are_meant(near, third):
+    found = regions(f"from {near} to brown")[0][0].mean(0)
+    thirds = [
+        float(found[part].mean()) for part in (slice(0, 5), slice(5, 10), slice(10, 16))
+    ]
+    assert [round(share) for share in thirds] == [int(i == third) for i in range(3)]
+
+
+def test_the_red_parts_of_a_thing_are_inside_it():
+    assert columns(regions("make the red parts of the door blue")[0]) == [
+        5 <= column < 8 for column in range(WIDTH)
+    ]
+
+
+def test_colours_can_change_places():
+    red, blue = regions("turn red into blue and blue into red")
+    assert not (red * blue).any()
+
+
+def test_a_colour_that_is_not_there_is_an_error():
+    with pytest.raises(PromptError, match="nothing there is near green"):
+        regions("from green to brown")
+
+
+def test_what_was_named_in_an_earlier_run_is_known():
+    fox = torch.zeros(2, HEIGHT, WIDTH)
+    fox[..., RIGHT] = 1
+    known = {"fox": fox}
+    assert columns(regions("paint the fox red", known=known)[0]) == IN_RIGHT
+    assert columns(regions("paint it red", known=known)[0]) == IN_RIGHT
+    with pytest.raises(InputError, match="'cat' was not found"):
+        regions("paint the cat red", known=known)
+
+
+def test_names_of_what_was_marked_and_found_are_kept_the_newest_last():
+    known = {"door": torch.ones(2, HEIGHT, WIDTH), "wall": torch.ones(2, HEIGHT, WIDTH)}
+    marked = Selection(positive=((0, 0.1, 0.5),))
+    things = finder(marked, known=known).find(read("paint the door red")).things
+    assert list(things) == ["wall", "door"]
+    assert columns(things["door"]) == IN_LEFT
+    kept = finder(marked, known=known, inverted=True).find(read("paint the door red"))
+    assert columns(kept.things["door"]) == EVERYWHERE
+
+
+def test_inverted_is_all_else_and_a_grown_outline_moves():
+    assert columns(regions("paint the door red", inverted=True)[0]) == IN_RIGHT
+    grown = columns(regions("paint the door red", grow=2.0)[0])
+    assert grown == [True] * 10 + [False] * 6
+    shrunk = columns(regions("paint the door red", grow=-1.0)[0])
+    assert shrunk == [True] * 7 + [False] * 9

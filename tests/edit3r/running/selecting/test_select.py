@@ -1,0 +1,335 @@
+"""What a user marks becomes masks on every view."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from edit3r.contract.errors import InputError
+from edit3r.contract.interfaces import MatchedGeometry, Proposal, Segmenter, Tracks
+from edit3r.running.selecting.select import Selection, select_masks
+from edit3r_testing.scenes import photograph
+
+IMAGES = torch.rand(3, 3, 24, 32)
+
+
+def square(row, column, size=6):
+    mask = torch.zeros(24, 32)
+    mask[row : row + size, column : column + size] = 1
+    return mask
+
+
+class Squares(Segmenter):
+    """A square where one points; a prior, less the squares of negative points; knows the word
+    'box'.
+    """
+
+    def __init__(self, lost=False):
+        self.lost = lost
+
+    def segment(self, image, points=(), box=None):
+        x, y = points[0] if points else box[:2]
+        return self._proposal(square(int(y * 24), int(x * 32)))
+
+    def segment_marks(self, image, marks):
+        mask = (
+            marks.prior
+            if marks.prior is not None
+            else self.segment(image, marks.positive, marks.box).soft_mask
+        )
+        for x, y in marks.negative:
+            mask = mask * (1 - square(int(y * 24), int(x * 32)))
+        return self._proposal(mask)
+
+    def propose(self, image):
+        return (self._proposal(square(1, 1)),)
+
+    def segment_text(self, image, text):
+        return (self._proposal(square(2, 2)),) if text == "box" else None
+
+    def track(self, images, masks):
+        logits = torch.stack(
+            [masks.roll(3 * view, -1) * 8 - 4 for view in range(len(images))]
+        )
+        present = torch.tensor(
+            [[view == 0 or not self.lost] for view in range(len(images))]
+        )
+        return Tracks(logits, present)
+
+    def _proposal(self, mask):
+        return Proposal(mask, float(mask.mean()), 1.0, 1.0, (0, 0, 1, 1))
+
+
+def inside(selected, view):
+    return selected.masks[view, 0] > 0.5
+
+
+def test_a_click_on_one_view_marks_all_views():
+    selected = select_masks(IMAGES, Selection(positive=((0, 0.25, 0.5),)), Squares())
+    assert selected.masks.shape == (3, 1, 24, 32)
+    assert selected.how == ("marked", "pictures", "pictures")
+    assert (inside(selected, 0) == square(12, 8).bool()).all()
+    assert (inside(selected, 1) == square(12, 11).bool()).all()
+
+
+def test_a_mask_of_any_one_photo_is_carried_to_the_rest():
+    selected = select_masks(IMAGES, Selection(masks={1: square(4, 4)}), Squares())
+    assert selected.how == ("pictures", "given", "pictures")
+    assert (selected.masks[1, 0] == square(4, 4)).all()
+    assert (inside(selected, 0) == square(4, 7).bool()).all()
+
+
+def test_a_correction_on_another_photo_keeps_what_was_carried_there():
+    marks = Selection(positive=((0, 0.25, 0.5),), negative=((1, 0.5, 0.5),))
+    selected = select_masks(IMAGES, marks, Squares())
+    assert selected.how == ("marked", "marked", "pictures")
+    expected = square(12, 11) * (1 - square(12, 16))
+    assert (inside(selected, 1) == expected.bool()).all()
+
+
+def test_brush_and_eraser_have_the_last_word():
+    stroke, wiped = square(0, 20, 3), square(12, 8, 2)
+    selected = select_masks(
+        IMAGES,
+        Selection(positive=((0, 0.25, 0.5),), added={0: stroke}, removed={0: wiped}),
+        Squares(),
+    )
+    assert (selected.masks[0, 0][stroke > 0] == 1).all()
+    assert (selected.masks[0, 0][wiped > 0] == 0).all()
+
+
+def test_unknown_words_are_an_error_unless_a_guess_is_allowed():
+    assert select_masks(IMAGES, Selection(words="box"), Squares()).how[0] == "words"
+    with pytest.raises(InputError, match="--point"):
+        select_masks(IMAGES, Selection(words="the teapot"), Squares())
+    guessed = select_masks(IMAGES, Selection(words="the teapot", guess=True), Squares())
+    assert guessed.how[0] == "guess" and "guess" in guessed.warnings[0]
+
+
+def test_a_lost_object_is_told():
+    selected = select_masks(
+        IMAGES, Selection(positive=((0, 0.25, 0.5),)), Squares(lost=True)
+    )
+    assert selected.how[1] == "not found" and not inside(selected, 1).any()
+    assert any("photo 2" in text for text in selected.warnings)
+
+
+def test_geometry_carries_before_pictures_do():
+    scene = photograph(2, (48, 64))
+    views = scene.views
+    geometry = MatchedGeometry(
+        scene.cameras.c2w,
+        scene.depths,
+        torch.ones_like(scene.depths),
+        torch.ones(1, 2, dtype=torch.bool),
+    )
+    truth = scene.objects[:, 0]
+    segmenter = Squares()
+    given = Selection(masks={0: truth[0, 0]})
+    selected = select_masks(
+        views.images[0], given, segmenter, geometry, views.intrinsics
+    )
+    assert selected.how == ("given", "geometry")
+    both = (inside(selected, 1) & (truth[0, 1] > 0.5)).sum() / (
+        inside(selected, 1) | (truth[0, 1] > 0.5)
+    ).sum()
+    assert both > 0.7
+
+
+class Told(Squares):
+    """Keeps the marks that it was given, and takes the whole photo for the object."""
+
+    def __init__(self):
+        super().__init__()
+        self.marks = []
+
+    def segment_marks(self, image, marks):
+        self.marks.append(marks)
+        return self._proposal(torch.ones_like(image[0]))
+
+
+def told_by_half_a_photo(count):
+    """The marks for photos 1 and on, where photo 0 has depth on its left half; what they show."""
+    scene = photograph(3, (48, 64))
+    depths = scene.depths[:, :count].clone()
+    depths[:, 0, :, 32:] = 0
+    geometry = MatchedGeometry(
+        scene.cameras.c2w[:, :count],
+        depths,
+        torch.ones_like(depths),
+        torch.ones(1, count, dtype=torch.bool),
+    )
+    truth = scene.objects[0, 0]
+    told = Told()
+    views = scene.views.select(range(count))
+    select_masks(
+        views.images[0],
+        Selection(masks={0: truth[0]}),
+        told,
+        geometry,
+        views.intrinsics,
+    )
+    return told.marks, truth > 0.5
+
+
+def test_a_photo_without_marks_is_told_what_the_marked_one_shows_of_it():
+    (marks,), truth = told_by_half_a_photo(2)
+    assert 0.2 < marks.known.float().mean() < 0.7
+    wrong = (marks.prior > 0.5) != truth[1]
+    assert wrong[marks.known].float().mean() < 0.1
+    assert not marks.prior[~marks.known].any()
+
+
+def test_of_the_rest_it_is_told_by_photos_to_which_it_was_carried():
+    (second, third), truth = told_by_half_a_photo(3)
+    by_both, by_second = third.known, third.known & (third.prior == 1)
+    assert by_both.float().mean() > second.known.float().mean() + 0.1
+    # The second photo says "object" everywhere: where the marked one says otherwise, it holds.
+    denied = by_both & (third.prior < 0.5)
+    assert denied.sum() > 0.2 * by_both.sum() and by_second.any()
+    assert (denied & truth[2]).sum() < 0.1 * denied.sum()
+
+
+@pytest.mark.parametrize(
+    "marks",
+    [
+        {},
+        {"positive": ((0, 1.2, 0.5),)},
+        {"positive": ((7, 0.2, 0.5),)},
+        {"boxes": {0: (0.5, 0.5, 0.8, 0.2)}},
+        {"boxes": {0: (0.5, 0.5, 0.2, float("nan"))}},
+        {"boxes": {0: (float("nan"), 0.5, 0.2, 0.2)}},
+        {"positive": ((0, 0.5, float("nan")),)},
+        {"masks": {0: torch.full((24, 32), float("nan"))}},
+        {"negative": ((0, 0.2, 0.5),)},
+    ],
+)
+def test_marks_that_say_nothing_are_an_error(marks):
+    with pytest.raises(InputError):
+        select_masks(IMAGES, Selection(**marks), Squares())
+
+
+def test_a_click_where_it_was_lost_starts_anew_and_ends_the_warning():
+    marks = Selection(positive=((0, 0.25, 0.5), (1, 0.5, 0.25)))
+    selected = select_masks(IMAGES[:2], marks, Squares(lost=True))
+    assert (inside(selected, 1) == square(6, 16).bool()).all() and not selected.warnings
+
+
+@pytest.mark.parametrize("grow", [0, -30])
+def test_all_but_an_empty_mask_is_nothing_and_said(grow):
+    given = {0: square(4, 4), 1: torch.zeros(24, 32) if not grow else square(4, 4)}
+    marks = Selection(masks=given, inverted=True, grow=grow)
+    selected = select_masks(IMAGES[:2], marks, Squares())
+    assert not selected.masks[1].any() and bool(selected.masks[0].any()) != bool(grow)
+    assert "nothing is selected on photo 2" in selected.warnings[-1]
+
+
+class Unsure(Squares):
+    """Finds a box, but does not believe in it; a larger reading of a box is its own."""
+
+    def segment_text(self, image, text):
+        return (replace(self._proposal(square(2, 2)), surety=0.3),)
+
+    def segment_marks(self, image, marks):
+        assert marks.box is not None and marks.larger == 2
+        return self._proposal(square(1, 1))
+
+
+def test_what_words_found_unsurely_is_taken_only_when_a_guess_is_allowed():
+    words = Selection(words="box")
+    with pytest.raises(InputError, match=r"30% sure.*--guess"):
+        select_masks(IMAGES, words, Unsure())
+    found = select_masks(IMAGES, replace(words, guess=True), Unsure())
+    assert found.how[0] == "words" and found.surety == 0.3
+    assert (inside(found, 0) == square(2, 2).bool()).all()
+
+
+class Whole(Squares):
+    """Knows the word 'bike': large, and as sure as told; a click alone finds a small part."""
+
+    def __init__(self, surety=0.3):
+        super().__init__()
+        self.surety = surety
+
+    def segment_text(self, image, text):
+        found = replace(self._proposal(square(4, 4, 16)), surety=self.surety)
+        return (found,) if text == "bike" else None
+
+
+@pytest.mark.parametrize(
+    "place, surety, expected",
+    [
+        ((0.4, 0.4), 0.3, square(4, 4, 16)),  # the bike, of which a click finds a part
+        ((0.4, 0.4), 0.2, square(9, 12)),  # too unsure to be believed
+        ((0.7, 0.7), 0.3, square(16, 22)),  # not on what is called a bike
+    ],
+)
+def test_words_say_how_far_goes_what_is_clicked_on(place, surety, expected):
+    marks = Selection(positive=((0, *place),), words="bike")
+    selected = select_masks(IMAGES, marks, Whole(surety))
+    assert selected.how[0] == "marked"
+    assert (inside(selected, 0) == expected.bool()).all()
+
+
+def test_further_clicks_correct_what_the_words_say():
+    marks = Selection(
+        positive=((0, 0.4, 0.4),), negative=((0, 0.5, 0.7),), words="bike"
+    )
+    selected = select_masks(IMAGES, marks, Whole())
+    expected = square(4, 4, 16) * (1 - square(16, 16))
+    assert (inside(selected, 0) == expected.bool()).all()
+
+
+@pytest.mark.parametrize(
+    "more", [{"larger": -1}, {"boxes": {0: (0.4, 0.4, 0.2, 0.2)}}, {"words": ""}]
+)
+def test_a_box_a_step_or_no_words_leave_a_click_alone(more):
+    asked = {"positive": ((0, 0.4, 0.4),), "words": "bike", **more}
+    selected = select_masks(IMAGES, Selection(**asked), Whole())
+    assert (inside(selected, 0) == square(9, 12).bool()).all()
+
+
+def test_a_click_that_means_what_the_words_mean_keeps_its_own_outline():
+    class Agreeing(Whole):
+        def segment(self, image, points=(), box=None):
+            return self._proposal(square(4, 4, 15))
+
+    marks = Selection(positive=((0, 0.4, 0.4),), words="bike")
+    selected = select_masks(IMAGES, marks, Agreeing())
+    assert (inside(selected, 0) == square(4, 4, 15).bool()).all()
+
+
+def test_a_larger_reading_of_words_is_one_of_their_box():
+    words = Selection(words="box", guess=True, larger=2)
+    found = select_masks(IMAGES, words, Unsure())
+    assert (inside(found, 0) == square(1, 1).bool()).all()
+
+
+def test_steps_to_a_larger_reading_reach_the_segmenter_with_the_click():
+    asked = []
+
+    class Listening(Squares):
+        def segment_marks(self, image, marks):
+            asked.append(marks.larger)
+            return self._proposal(square(2, 2))
+
+    click = Selection(positive=((0, 0.25, 0.5),), larger=-1)
+    select_masks(IMAGES[:1], click, Listening())
+    assert asked == [-1]
+
+
+@pytest.mark.parametrize(
+    ("marks", "told"),
+    [
+        ({"positive": ((0, 320, 240),)}, r"outside photo 1: \(320, 240\); .*x / width"),
+        ({"negative": ((1, 0.5, -0.1),)}, "outside photo 2"),
+        ({"positive": (0, 0.5, 0.4)}, r"a point is \(view, x, y\), got 0"),
+        ({"positive": ((0.5, 0.4),)}, r"a point is \(view, x, y\), got \(0.5, 0.4\)"),
+        ({"boxes": {0: (10, 10, 200, 100)}}, "box on photo 1 .*x / width"),
+        ({"boxes": {0: (0.1, 0.1, 0.0, 0.2)}}, "a size above 0"),
+        ({"boxes": {0: (0.1, 0.1, 0.2)}}, "a box is .*x, y, width, height"),
+    ],
+)
+def test_wrong_marks_are_an_error_where_they_are_written(marks, told):
+    with pytest.raises(InputError, match=told):
+        Selection(**marks)

@@ -1,0 +1,192 @@
+"""A component that returns something else than it promised is named where it happened."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from edit3r.contract.component import Component, Offer, component_name
+from edit3r.contract.devices import require_device
+from edit3r.contract.errors import InputError, PluginError, SettingsError
+from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor
+from edit3r.contract.types import Reconstruction, Rendering
+from edit3r.running.checks import (
+    check_edit,
+    check_reconstruction,
+    check_rendering,
+    errors_named_after,
+)
+from edit3r_testing import cameras_around, gaussian_cloud, photograph
+
+
+class Sepia(Editor):
+    def edit(self, views, request):
+        raise NotImplementedError
+
+
+class Lifted(Reconstructor):
+    def __call__(self, views, source=None, grid=None):
+        raise NotImplementedError
+
+
+class Dense(Rasterizer):
+    def render(self, gaussians, cameras):
+        raise NotImplementedError
+
+
+VIEWS = photograph(2, (8, 12)).views
+GOOD = Reconstruction(gaussian_cloud(5), cameras_around(2))
+CAMERAS = cameras_around(1, (8, 12))
+DRAWN = Rendering(
+    torch.zeros(1, 1, 3, 8, 12),
+    torch.zeros(1, 1, 1, 8, 12),
+    torch.zeros(1, 1, 1, 8, 12),
+)
+
+
+def gaussians(**fields):
+    return replace(GOOD, gaussians=replace(GOOD.gaussians, **fields))
+
+
+def test_what_keeps_its_promise_passes():
+    check_edit(Sepia(), VIEWS, VIEWS)
+    check_reconstruction(Lifted(), VIEWS, GOOD)
+    check_reconstruction(Lifted(), VIEWS, replace(GOOD, cameras=None))
+    check_rendering(Dense(), GOOD.gaussians, CAMERAS, DRAWN)
+
+
+@pytest.mark.parametrize(
+    "answer, sentence",
+    [
+        (None, "must return edit3r.Views, got NoneType"),
+        (VIEWS.select([0]), "gave it [1, 2, 3, 8, 12], got back [1, 1, 3, 8, 12]"),
+        (
+            replace(VIEWS, images=VIEWS.images.double()),
+            "must return torch.float32 images, got torch.float64",
+        ),
+        (
+            replace(VIEWS, images=VIEWS.images + 1),
+            "must return images in [0, 1], got 1",
+        ),
+        (replace(VIEWS, images=VIEWS.images / 0), "not finite"),
+    ],
+)
+def test_an_edit_that_is_not_one(answer, sentence):
+    with pytest.raises(PluginError) as error:
+        check_edit(Sepia(), VIEWS, answer)
+    assert str(error.value).startswith("editor 'Sepia' ") and sentence in str(
+        error.value
+    )
+
+
+@pytest.mark.parametrize(
+    "answer, sentence",
+    [
+        (GOOD.gaussians, "must return edit3r.Reconstruction, got Gaussians"),
+        (Reconstruction(None), "must return edit3r.Gaussians, got NoneType"),
+        (Reconstruction(gaussian_cloud(5, batch=2)), "gave it 1 scenes, got back 2"),
+        (
+            gaussians(scales=GOOD.gaussians.scales.double()),
+            "got scales in torch.float64",
+        ),
+        (
+            gaussians(means=GOOD.gaussians.means / 0),
+            "Gaussians with means with 15 of 15 values not finite",
+        ),
+        (
+            gaussians(scales=0 * GOOD.gaussians.scales),
+            "must return scales above 0, got 0",
+        ),
+        (
+            gaussians(opacities=2 + GOOD.gaussians.opacities),
+            "must return opacities in [0, 1], got 2",
+        ),
+        (
+            replace(GOOD, cameras=cameras_around(3)),
+            "one camera per view, [1, 2], got [1, 3]",
+        ),
+        (
+            replace(GOOD, placed=torch.ones(1, 3, dtype=torch.bool)),
+            "must return placed for each of its views, [1, 2]",
+        ),
+        (
+            replace(GOOD, measured=torch.ones(2)),
+            "must return measured for each of its views, [1, 2], got [2]",
+        ),
+        (
+            replace(GOOD, fusion=torch.zeros(1, 2, 1, 4, 4)),
+            "must return fusion for each of its views, [1, 2, 3]",
+        ),
+    ],
+)
+def test_a_reconstruction_that_is_not_one(answer, sentence):
+    with pytest.raises(PluginError) as error:
+        check_reconstruction(Lifted(), VIEWS, answer)
+    assert str(error.value).startswith("reconstructor 'Lifted' ") and sentence in str(
+        error.value
+    )
+
+
+@pytest.mark.parametrize(
+    "answer, sentence",
+    [
+        ((1, 2, 3), "must return edit3r.Rendering, got tuple"),
+        (
+            replace(DRAWN, images=DRAWN.images[0]),
+            "must return images of shape [1, 1, 3, 8, 12], got [1, 3, 8, 12]",
+        ),
+        (
+            replace(DRAWN, alphas=DRAWN.images),
+            "must return alphas of shape [1, 1, 1, 8, 12]",
+        ),
+        (
+            DRAWN.to(torch.float64),
+            "must return images in the Gaussians' torch.float32, got torch.float64",
+        ),
+        (
+            replace(DRAWN, depths=DRAWN.depths / 0),
+            "returned depths with 96 of 96 values not finite",
+        ),
+    ],
+)
+def test_a_rendering_that_is_not_one(answer, sentence):
+    with pytest.raises(PluginError) as error:
+        check_rendering(Dense(), GOOD.gaussians, CAMERAS, answer)
+    assert str(error.value).startswith("rasterizer 'Dense' ") and sentence in str(
+        error.value
+    )
+
+
+def test_an_error_of_the_component_s_own_code_names_component_and_plugin():
+    sepia = Sepia()
+    sepia.offer = Offer("editor", Component("sepia", "m:C", ""), "old-photos", "1.0")
+    assert component_name(sepia) == "sepia"
+    with (
+        pytest.raises(
+            PluginError,
+            match="editor 'sepia' of plugin 'old-photos' raised KeyError: 'x'",
+        ),
+        errors_named_after(sepia),
+    ):
+        raise KeyError("x")
+
+
+def test_sentences_for_the_user_and_lack_of_memory_pass_unchanged():
+    with (
+        pytest.raises(InputError, match=r"^as it was$"),
+        errors_named_after(SimpleNamespace()),
+    ):
+        raise InputError("as it was")
+    with (
+        pytest.raises(RuntimeError, match="out of memory"),
+        errors_named_after(SimpleNamespace()),
+    ):
+        raise RuntimeError("CUDA out of memory")
+    with pytest.raises(KeyboardInterrupt), errors_named_after(SimpleNamespace()):
+        raise KeyboardInterrupt
+
+
+def test_a_device_without_numbers_is_refused():
+    with pytest.raises(SettingsError, match="'meta' cannot be used"):
+        require_device("meta")

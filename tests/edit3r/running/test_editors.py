@@ -1,0 +1,75 @@
+"""Which editor is taken for what a sentence asks."""
+
+import pytest
+
+import edit3r
+from edit3r.contract.component import Component, Offer, component_name
+from edit3r.contract.errors import PromptError
+from edit3r.contract.interfaces import Editor
+from edit3r.loading.load import LoadedPlugins
+from edit3r.loading.registry import Registry, default_registry
+from edit3r.running.editors import tasks_for_editor, tasks_without_editor
+
+
+def chosen(prompt, registry=None):
+    tasks = tasks_without_editor(prompt, registry or default_registry())
+    return [(component_name(task.editor), len(task.wishes)) for task in tasks]
+
+
+@pytest.mark.parametrize(
+    ("prompt", "editors"),
+    [
+        ("paint the bike red", [("recolor", 1)]),
+        ("remove the bear", [("retouch", 1)]),
+        ("as a pencil sketch", [("looks", 1)]),
+        ("turn the bear into marble", [("looks", 1)]),
+        ("the background in black and white", [("recolor", 1)]),
+        ("paint the tank gold", [("recolor", 1)]),
+        ("remove the bin and paint the wall white", [("retouch", 1), ("recolor", 1)]),
+        ("paint the door green and the wall white", [("recolor", 2)]),
+    ],
+)
+def test_the_editor_that_can_do_it_is_taken(prompt, editors):
+    assert chosen(prompt) == editors
+
+
+def test_what_none_can_do_names_the_words_and_who_might():
+    with pytest.raises(
+        PromptError, match=r"'polar'.* not understood.*instruct-pix2pix"
+    ):
+        chosen("make it a polar bear")
+
+
+def test_a_chosen_editor_that_cannot_do_it_names_who_can():
+    editor = edit3r.build("editor", "recolor")
+    with pytest.raises(
+        PromptError, match=r"'recolor' cannot.*'remove the bear'.*--editor retouch"
+    ):
+        tasks_for_editor(editor, "remove the bear", default_registry())
+
+
+def test_an_empty_prompt_is_enough_for_an_editor_that_needs_none():
+    (task,) = tasks_for_editor(
+        edit3r.build("editor", "retouch"), "", default_registry()
+    )
+    assert task.wishes[0].action == "remove"
+    with pytest.raises(PromptError, match="nothing is asked for"):
+        chosen("")
+
+
+class Anything(Editor):
+    def edit(self, views, request):
+        return views
+
+
+def test_an_editor_that_takes_any_sentence_gets_it_whole():
+    (task,) = tasks_for_editor(Anything(), "make it a polar bear", default_registry())
+    assert task.prompt == "make it a polar bear"
+
+
+def test_a_strangers_editor_joins_by_its_declared_actions():
+    component = Component(
+        "polar", f"{__name__}:Anything", "polar bears", actions=("other",)
+    )
+    registry = Registry(LoadedPlugins((Offer("editor", component, "polar", "1"),), ()))
+    assert chosen("make it a polar bear", registry) == [("polar", 1)]

@@ -1,0 +1,459 @@
+"""The pipeline's promises, with small editors and reconstructors made here."""
+
+import json
+import sys
+from dataclasses import replace
+
+import pytest
+import torch
+
+from edit3r.api import run
+from edit3r.contract.errors import InputError, PluginError, SettingsError
+from edit3r.contract.interfaces import (
+    Editor,
+    EditsViews,
+    MatchedGeometry,
+    Reconstructor,
+)
+from edit3r.contract.reporting import Report
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
+from edit3r.kit.geometry.maps import composite
+from edit3r.running.config import DEFAULTS, make_run_config
+from edit3r.running.job import JobInputs, job_from
+from edit3r.running.rendering import render_each
+from edit3r.running.run import preview
+from edit3r.running.steps.refine import _as_fused
+from edit3r_testing import photograph
+
+PLAIN = {"gaussians": "all", "refine": 0}  # the reconstructor's own Gaussians
+
+
+class Invert(Editor):
+    def edit(self, views, request):
+        return Views(1 - views.images, views.intrinsics, views.names)
+
+
+class Answer(Editor):
+    """Returns whatever it is told to."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def edit(self, views, request):
+        return self.answer(views)
+
+
+class Flat(Reconstructor):
+    """One Gaussian per pixel on the plane z = 1 with the picture's colours."""
+
+    max_views = 3
+
+    def __init__(self, spoil=None):
+        self.spoil = spoil
+
+    def __call__(self, views, source=None, grid=None):
+        colours = views.images.permute(0, 1, 3, 4, 2).flatten(1, 3)
+        ones = torch.ones_like(colours[..., :1])
+        count = colours.shape[1] // views.count
+        gaussians = Gaussians(
+            means=torch.cat((colours[..., :2], ones), -1),
+            scales=ones.expand_as(colours) * 0.01,
+            quats=torch.cat((ones, 0 * colours), -1),
+            opacities=ones[..., 0],
+            harmonics=colour_to_dc(colours)[:, :, None],
+            view_index=torch.arange(views.count).repeat_interleave(count),
+        )
+        if self.spoil:
+            getattr(gaussians, self.spoil)[0, 0] = float("nan")
+        pose = torch.eye(4).expand(1, views.count, 4, 4)
+        return Reconstruction(
+            gaussians, Cameras(pose, views.intrinsics, views.image_size)
+        )
+
+
+@pytest.fixture
+def views():
+    images = torch.rand(1, 2, 3, 6, 8, generator=torch.Generator().manual_seed(0))
+    intrinsics = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]]).expand(
+        1, 2, 3, 3
+    )
+    return Views(images, intrinsics, ("a", "b"))
+
+
+def test_pixels_outside_the_masks_are_bit_equal_whatever_the_editor_does(views):
+    masks = torch.zeros(1, 2, 6, 8)
+    masks[:, :, :3, :4] = 1
+    result = run(views, "x", editor=Invert(), recon=Flat(), masks=masks)
+    inside = masks[:, :, None].expand_as(views.images) == 1
+    assert torch.equal(result.edited.images[~inside], views.images[~inside])
+    assert torch.equal(result.edited.images[inside], (1 - views.images)[inside])
+    assert result.report.notes["edit.change_outside_mask_before_composite"] > 0.1
+
+
+def test_composite_blends_between_and_is_exact_at_zero_and_one():
+    original, edited = (
+        torch.full((1, 1, 3, 1, 3), 0.1),
+        torch.full((1, 1, 3, 1, 3), 0.7),
+    )
+    blended = composite(original, edited, torch.tensor([[[[0.0, 0.5, 1.0]]]]))
+    assert blended[0, 0, 0, 0].tolist() == pytest.approx([0.1, 0.4, 0.7])
+    assert (
+        blended[0, 0, 0, 0, 0] == original[0, 0, 0, 0, 0]
+        and blended[0, 0, 0, 0, 2] == edited[0, 0, 0, 0, 2]
+    )
+
+
+def test_edit_views_first_leaves_the_other_views_as_they_were(views):
+    result = run(views, "x", editor=Invert(), recon=Flat(), edit_views="first")
+    assert torch.equal(result.edited.images[:, 0], 1 - views.images[:, 0])
+    assert torch.equal(result.edited.images[:, 1], views.images[:, 1])
+
+
+def test_too_few_views_is_an_error_that_names_both_counts(views):
+    with pytest.raises(InputError, match="at least 2 photos of the same scene, got 1"):
+        run(views.select([0]), "x", editor=Invert(), recon=Flat())
+
+
+def test_too_many_views_are_subsampled_evenly_with_a_warning(views):
+    report = Report()
+    result = run(
+        views.select([0, 1, 0, 1, 0]), "x", editor=Invert(), recon=Flat(), report=report
+    )
+    assert result.photos.count == 3
+    assert any("of 5 these are used: [0, 2, 4]" in text for text in report.warnings)
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        (lambda v: v.images, "must return edit3r.Views, got Tensor"),
+        (lambda v: Views(v.images[..., :4], v.intrinsics), "keep number and size"),
+        (
+            lambda v: Views(v.images.double(), v.intrinsics),
+            "torch.float32 images, got torch.float64",
+        ),
+        (lambda v: Views(v.images * 2, v.intrinsics), r"images in \[0, 1\], got"),
+        (lambda v: Views(v.images * float("not finite"), v.intrinsics), "not finite"),
+    ],
+)
+def test_an_editor_that_breaks_its_contract_is_named(views, answer, said):
+    with pytest.raises(PluginError, match=said):
+        run(views, "x", editor=Answer(answer), recon=Flat())
+
+
+@pytest.mark.parametrize(
+    "field", ["means", "scales", "quats", "opacities", "harmonics"]
+)
+def test_a_reconstruction_that_is_not_finite_is_an_error_that_names_the_field(
+    views, field
+):
+    with pytest.raises(PluginError, match=field):
+        run(views, "x", editor=Invert(), recon=Flat(spoil=field))
+
+
+def test_masks_of_the_wrong_size_are_an_error_with_both_sizes(views):
+    with pytest.raises(InputError, match=r"\[1, 2, 6, 8\], got \[1, 2, 3, 3\]"):
+        run(views, "x", editor=Invert(), recon=Flat(), masks=torch.ones(1, 2, 3, 3))
+
+
+def test_an_edit_that_does_nothing_is_reported(views):
+    report = Report()
+    run(views, "x", editor=Answer(lambda v: v), recon=Flat(), report=report)
+    assert any("changed the photos very little" in text for text in report.warnings)
+
+
+def test_the_edit_is_judged_before_and_after_the_3d_part(views):
+    job = job_from(JobInputs(), {"prompt": "paint it red"})
+    job = replace(job, photos=views, components={"editor": Answer(lambda v: v)})
+    report = Report()
+    seen = preview(job, report=report)
+    assert seen.edit_verdict.label == "doubtful"
+    assert seen.edit_verdict.measures.shown is None
+    assert any("the edit is doubtful: only 0%" in text for text in report.warnings)
+    result = run(views, "invert it", editor=Invert(), recon=Flat())
+    assert result.edit_verdict.measures.changed > 0.9
+    assert result.edit_verdict.measures.shown is not None
+
+
+def test_without_a_prompt_there_is_no_edit_to_judge(views):
+    assert run(views, editor="none", recon=Flat()).edit_verdict is None
+
+
+def test_both_verdicts_stand_in_the_manifest(views, tmp_path):
+    result = run(views, "x", editor=Invert(), recon=Flat(), outputs=["sheet"])
+    content = json.loads((result.save(tmp_path / "out") / "run.json").read_text())
+    assert content["verdict"]["label"] == result.verdict.label
+    assert content["edit_verdict"]["reason"] == result.edit_verdict.reason
+    assert set(content["edit_verdict"]["measures"]) >= {"changed", "outline", "shown"}
+
+
+def test_a_reconstructor_that_edits_is_given_the_request(views):
+    class Editing(Flat, EditsViews):
+        def edit_and_reconstruct(self, views, source, request):
+            self.request = request
+            return self(views)
+
+    editing, masks = Editing(), torch.ones(1, 2, 6, 8)
+    run(views, "warmer", editor=Invert(), recon=editing, masks=masks, seed=7)
+    assert (editing.request.prompt, editing.request.seed) == ("warmer", 7)
+    assert torch.equal(editing.request.masks, masks)
+
+
+@pytest.mark.parametrize(("refine", "grid"), [(2, (3, 4)), (0, (6, 8))])
+def test_gaussians_are_made_on_a_grid_only_where_steps_bring_the_detail(
+    views, refine, grid
+):
+    class OnGrid(Flat):
+        def __call__(self, views, source=None, grid=None):
+            self.made = views.at(grid)
+            return super().__call__(self.made)
+
+    recon = OnGrid()
+    result = run(
+        views,
+        editor=Answer(lambda v: v),
+        recon=recon,
+        grid=0.5,
+        refine=refine,
+        gaussians="all",
+    )
+    assert recon.made.image_size == grid
+    assert result.cameras.image_size == (6, 8) and result.rendered.images.shape[
+        -2:
+    ] == (6, 8)
+
+
+class Counting(Flat):
+    """Counts how often it is asked."""
+
+    calls = 0
+
+    def __call__(self, views, source=None, grid=None):
+        self.calls += 1
+        return super().__call__(views, source)
+
+
+class CountingAndEditing(Counting, EditsViews):
+    def edit_and_reconstruct(self, views, source, request):
+        return self(views, source)
+
+
+@pytest.mark.parametrize(
+    ("recon", "mask", "asked"),
+    [
+        (Counting, None, 1),
+        (Counting, 0.0, 2),
+        (Counting, 1.0, 1),
+        (CountingAndEditing, 0.0, 1),
+    ],
+    ids=["no masks", "masks", "masks of everything", "a reconstructor that edits"],
+)
+def test_the_scene_before_the_edit_is_made_only_where_a_mask_keeps_something(
+    views, recon, mask, asked
+):
+    masks = None if mask is None else torch.full((1, 2, 6, 8), mask)
+    if masks is not None:
+        masks[..., :3, :] = 1
+    counting = recon()
+    run(views, "x", editor=Invert(), recon=counting, masks=masks, rasterizer="torch")
+    assert counting.calls == asked
+
+
+class LeavingOut(Flat):
+    """Could not place view 1 of three."""
+
+    def __call__(self, views, source=None, grid=None):
+        placed = torch.tensor([[True, False, True]])
+        return replace(
+            super().__call__(views),
+            placed=placed,
+            measured=torch.tensor([[1.0, 0.0, 0.5]]),
+        )
+
+
+def test_a_view_that_was_not_placed_leaves_the_scene_and_is_told(views):
+    three = Views(
+        torch.rand(1, 3, 3, 6, 8), views.intrinsics[:, [0, 0, 0]], ("a", "b", "c")
+    )
+    masks = torch.ones(1, 3, 6, 8)
+    result = run(
+        three,
+        "x",
+        editor=Invert(),
+        recon=LeavingOut(),
+        masks=masks,
+        rasterizer="torch",
+        **PLAIN,
+    )
+    assert result.photos.names == result.edited.names == (
+        "a",
+        "c",
+    ) and result.scene.left_out.names == ("b",)
+    assert result.cameras.count == 2 and result.scene.masks.shape[1] == 2
+    assert (
+        result.gaussians.view_index.unique().tolist() == [0, 1]
+        and result.gaussians.count == 2 * 6 * 8
+    )
+    colours = dc_to_colour(result.gaussians.from_view(1).harmonics[0, :, 0])
+    assert torch.allclose(colours, (1 - three.images[0, 2]).flatten(1).T, atol=1e-6)
+    assert (
+        result.verdict.placed == (True, False, True)
+        and result.verdict.input_psnr[1] is None
+    )
+    assert result.verdict.filled == (0.0, None, 0.5)
+
+
+class OnItsSide(Flat):
+    """Finds that the last view was turned by a quarter, clockwise."""
+
+    def __call__(self, views, source=None, grid=None):
+        found = super().__call__(views, source)
+        c2w = found.cameras.c2w.clone()
+        clockwise = torch.tensor([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+        c2w[:, -1, :3, :3] = c2w[:, -1, :3, :3] @ clockwise
+        return replace(found, cameras=replace(found.cameras, c2w=c2w))
+
+
+def test_a_photo_that_is_not_held_as_the_others_is_named_with_the_way_to_turn_it(views):
+    three = Views(
+        torch.rand(1, 3, 3, 6, 8), views.intrinsics[:, [0, 0, 0]], ("a", "b", "c")
+    )
+    result = run(
+        three, "x", editor=Invert(), recon=OnItsSide(), rasterizer="torch", **PLAIN
+    )
+    told = [text for text in result.report.warnings if "not held" in text]
+    assert len(told) == 1
+    assert told[0].startswith("c: ") and "to the left" in told[0]
+
+
+class Fused(Flat):
+    """Says that fusing the edits made the second view lighter."""
+
+    def __call__(self, views, source=None, grid=None):
+        fusion = torch.zeros(1, views.count, 3, 4, 5)
+        fusion[:, 1] = 0.25
+        return replace(super().__call__(views, source), fusion=fusion)
+
+
+def test_refiners_follow_the_fused_edits_and_the_verdict_the_2d_edits(
+    views, monkeypatch
+):
+    followed = []
+    monkeypatch.setattr(
+        "edit3r.running.steps.refine._refined",
+        lambda refiner, gaussians, scene, parts: (
+            followed.append(_as_fused(scene)) or gaussians
+        ),
+    )
+    steps = {"gaussians": "all", "refine": 1}
+    result = run(views, editor=Invert(), recon=Fused(), **steps)
+    assert torch.equal(followed[0].images[:, 0], 1 - views.images[:, 0])
+    assert torch.allclose(
+        followed[0].images[:, 1], (1.25 - views.images[:, 1]).clamp(max=1), atol=1e-6
+    )
+    assert torch.equal(result.edited.images, 1 - views.images)
+
+
+def test_the_fused_edit_does_not_count_outside_the_masks(views, monkeypatch):
+    followed = []
+    monkeypatch.setattr(
+        "edit3r.running.steps.refine._refined",
+        lambda refiner, gaussians, scene, parts: (
+            followed.append(_as_fused(scene)) or gaussians
+        ),
+    )
+    masks = torch.zeros(1, views.count, *views.image_size)
+    masks[..., :4] = 1
+    result = run(views, editor=Invert(), recon=Fused(), masks=masks, **PLAIN)
+    assert torch.equal(followed[0].images[..., 4:], result.edited.images[..., 4:])
+    assert not torch.equal(
+        followed[0].images[:, 1, ..., :4], result.edited.images[:, 1, ..., :4]
+    )
+
+
+def test_refiners_are_applied_in_the_order_of_the_list_with_the_shorthands_first(views):
+    config = make_run_config(
+        {"refiners": ["refine", "keep-outside-mask"], "gaussians": 5, "refine": 3}
+    )
+    listed = [(choice.name, choice.settings) for choice in config.all_refiners()]
+    fewer = (
+        "simplify",
+        {"gaussians": 5, **DEFAULTS["shorthands"]["gaussians_before_refine"]},
+    )
+    assert listed == [fewer, ("refine", {"steps": 3}), ("keep-outside-mask", {})]
+
+
+def test_stages_are_timed_in_order(views):
+    result = run(views, "x", editor=Invert(), recon=Flat(), **PLAIN)
+    names = [stage.name for stage in result.report.stages]
+    assert names == [
+        "read photos",
+        "load components",
+        "select",
+        "edit (Invert)",
+        "reconstruct (Flat)",
+        "check",
+    ]
+    assert all(stage.seconds >= 0 for stage in result.report.stages)
+
+
+@pytest.mark.parametrize("device", ["cuda:99", "foo", "mps", "", "meta2"])
+def test_a_device_that_torch_cannot_use_is_one_sentence(views, device):
+    with pytest.raises(
+        SettingsError,
+        match=f"--device: '{device}' cannot be used on this machine .* use --device cpu",
+    ):
+        run(views, "x", editor=Invert(), recon=Flat(), device=device)
+
+
+def test_an_editor_that_leaves_the_program_is_named(views):
+    with pytest.raises(
+        PluginError, match=r"editor 'Answer' ended the program \(sys.exit\(0\)\)"
+    ):
+        run(views, "x", editor=Answer(lambda v: sys.exit(0)), recon=Flat())
+
+
+class Matched(Flat):
+    """Keeps the views that it was given; its matcher knows the true geometry."""
+
+    def __init__(self, scene):
+        super().__init__()
+        self.parts = {"matcher": self}
+        self.scene = scene
+        self.given = []
+
+    def match(self, views):
+        depths = self.scene.depths
+        placed = torch.ones(depths.shape[:2], dtype=torch.bool)
+        sure = torch.ones_like(depths)
+        return MatchedGeometry(self.scene.cameras.c2w, depths, sure, placed)
+
+    def __call__(self, views, source=None, grid=None):
+        self.given.append((views, source))
+        return super().__call__(views)
+
+
+def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_ones_own():
+    scene = photograph(2, (48, 64))
+    images = scene.views.images.clone()
+    images[:, 1] = 0.6 * images[:, 1] + 0.03
+    views = replace(scene.views, images=images)
+    results = {}
+    for light in ("one", "own"):
+        recon = Matched(scene)
+        result = run(views, editor="none", recon=recon, light=light, **PLAIN)
+        results[light] = (recon.given[0], result)
+    (edited, source), one = results["one"]
+    for given in (edited, source):
+        assert (given.images - scene.views.images).abs().mean() < 0.01
+    (edited, _), own = results["own"]
+    assert torch.equal(edited.images, images)
+    assert torch.equal(one.edited.images, images) and torch.equal(
+        one.photos.images, images
+    )
+    drawn = render_each(
+        one.rasterizer, one.gaussians, one.scene.cameras, "again"
+    ).images
+    assert torch.equal(one.rendered.images, one.scene.light.to_own(drawn))
+    assert own.scene.light is None

@@ -1,0 +1,220 @@
+"""What a run leaves: only what was asked for, from the command, a script or a notebook alike."""
+
+import re
+import subprocess
+import sys
+import warnings
+from dataclasses import replace
+
+import pytest
+import torch
+
+import edit3r
+from edit3r.cli.main import main
+from edit3r.contract.interfaces import Reconstructor
+from edit3r.contract.reporting import warn
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r.kit.geometry.harmonics import colour_to_dc
+from edit3r.kit.photos.images import save_image
+from edit3r.running.config import OUTPUTS, make_run_config
+from edit3r.running.earlier import read_earlier_run
+from edit3r.running.summary import summary
+
+ALL = {
+    "scene": {"scene.ply", "cameras.json"},
+    "images": {"inputs", "edited", "renders"},
+    **{
+        "sheet": {"before_after.png"},
+        "video": {"video.webm"},
+        "viewer": {"viewer.html"},
+        "cache": {"cache"},
+    },
+    "frames": {"renders"},
+}
+
+
+class Wall(Reconstructor):
+    """One Gaussian per pixel on the plane z = 1."""
+
+    def __call__(self, views, source=None, grid=None):
+        warn("the wall is flat")
+        height, width = views.image_size
+        ys, xs = torch.meshgrid(
+            (torch.arange(height) + 0.5) / height,
+            (torch.arange(width) + 0.5) / width,
+            indexing="ij",
+        )
+        plane = (
+            torch.stack((xs - 0.5, ys - 0.5, torch.ones_like(xs)), -1)
+            .flatten(0, 1)
+            .repeat(views.count, 1)[None]
+        )
+        colours = views.images.permute(0, 1, 3, 4, 2).flatten(1, 3)
+        count = colours.shape[1]
+        gaussians = Gaussians(
+            plane,
+            torch.full((1, count, 3), 0.5 / width),
+            torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4),
+            torch.full((1, count), 0.9),
+            colour_to_dc(colours)[:, :, None],
+            torch.arange(views.count).repeat_interleave(count // views.count),
+        )
+        pose = torch.eye(4).expand(1, views.count, 4, 4)
+        return Reconstruction(
+            gaussians, Cameras(pose, views.intrinsics, views.image_size)
+        )
+
+
+@pytest.fixture
+def photos(tmp_path):
+    torch.manual_seed(0)
+    (tmp_path / "photos").mkdir()
+    for name in "ab":
+        save_image(torch.rand(3, 24, 32), tmp_path / "photos" / f"{name}.png")
+    return tmp_path / "photos"
+
+
+@pytest.fixture
+def result(photos):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return edit3r.run(
+            [photos / "a.png", photos / "b.png"],
+            recon=Wall(),
+            editor="none",
+            fov=53,
+            frames=3,
+        )
+
+
+def with_settings(result, **settings):
+    """The same result, written with other settings."""
+    result.parts.config = result.config.model_copy(update=settings)
+    return result
+
+
+def names(folder):
+    return {path.name for path in folder.iterdir() if not path.name.startswith(".")}
+
+
+@pytest.mark.parametrize(
+    "asked", [(), ("viewer",), ("scene", "images"), ("frames",), OUTPUTS]
+)
+def test_what_is_not_asked_for_is_not_written(result, tmp_path, asked):
+    asking = with_settings(result, outputs=asked)
+    out = asking.save(tmp_path / "out")
+    assert names(out) == {"run.json"}.union(*(ALL[name] for name in asked))
+    if "renders" in names(out):
+        frames = {path.name for path in (out / "renders").glob("path_*")}
+        assert bool(frames) == ("frames" in asked) and (
+            (out / "renders" / "a.png").exists()
+        ) == ("images" in asked)
+
+
+def test_by_default_the_frames_of_the_video_are_not_left_as_pictures(result, tmp_path):
+    assert names(result.save(tmp_path / "out")) == set().union(
+        {"run.json"}, *ALL.values()
+    )
+    assert not list((tmp_path / "out" / "renders").glob("path_*"))
+
+
+def test_lists_are_read_as_the_command_line_gives_them():
+    assert make_run_config({"outputs": "viewer, scene"}).outputs == ("viewer", "scene")
+    assert make_run_config({"outputs": "all"}).outputs == OUTPUTS
+    assert make_run_config({"export": "glb,ply"}).export == ("glb", "ply")
+
+
+@pytest.mark.parametrize(
+    ("flag", "known"), [("--outputs", "viewer"), ("--export", "spz")]
+)
+def test_an_unknown_output_ends_the_command_before_any_work(
+    capsys, photos, tmp_path, flag, known
+):
+    assert main(["run", str(photos), flag, "film", "--out", str(tmp_path / "out")]) == 2
+    assert known in capsys.readouterr().err and not (tmp_path / "out").exists()
+
+
+def test_a_saved_result_is_a_run_that_can_be_continued(result, tmp_path):
+    earlier = read_earlier_run(result.save(tmp_path / "out"))
+    assert (
+        earlier.photos.names == ("a", "b")
+        and earlier.scene.gaussians.count == result.gaussians.count
+    )
+
+
+def test_a_run_writes_further_formats_of_its_scene(result, tmp_path):
+    exporting = with_settings(result, export=("glb",))
+    assert "scene.glb" in names(exporting.save(tmp_path / "out"))
+
+
+@pytest.mark.parametrize(
+    ("asked", "named"),
+    [
+        ({"seed": 3, "prompt": "warmer"}, "default settings, 32x24:"),
+        ({"quality": "fast"}, "fast settings, 32x24:"),
+        ({"size": 192, "refine": 0}, "own (refine, size) settings, 32x24:"),
+        (
+            {"reconstructor": {"name": "edit3r", "weights": "x"}},
+            "own (reconstructor) settings",
+        ),
+    ],
+)
+def test_the_last_lines_name_the_settings_that_were_asked_for(
+    result, tmp_path, asked, named
+):
+    job = replace(result.parts.job, config=make_run_config(asked))
+    result.parts.job = job
+    assert named in summary(tmp_path, result)
+
+
+def test_a_notebook_shows_the_sheet_and_the_viewer(result):
+    shown = result._repr_html_()
+    assert re.search('<img [^>]*src="data:image/webp;base64,', shown)
+    page = re.search('<iframe [^>]*srcdoc="([^"]*)"', shown)[1]
+    assert "&lt;canvas id=&quot;scene&quot;" in page and "<" not in page
+
+
+def test_view_opens_the_page_in_the_browser(result, monkeypatch):
+    opened = []
+    monkeypatch.setattr("webbrowser.open", opened.append)
+    page = result.view()
+    assert opened == [page.as_uri()] and "<canvas" in page.read_text(encoding="utf-8")
+
+
+def test_what_a_run_warns_of_reaches_python(photos):
+    with pytest.warns(UserWarning, match="the wall is flat") as caught:
+        edit3r.run(photos, recon=Wall(), editor="none")
+    texts = [str(warning.message) for warning in caught]
+    assert len(set(texts)) == len(texts) and any(
+        "No focal length" in text for text in texts
+    )
+    assert {warning.filename for warning in caught} == {__file__}
+
+
+def test_outside_a_run_a_warning_is_one_of_pythons():
+    with pytest.warns(UserWarning, match="alone"):
+        warn("alone")
+
+
+def test_reprs_are_short_and_hold_no_numbers_of_tensors(result):
+    things = (result, result.photos, result.gaussians, result.cameras)
+    for thing in (*things, Reconstruction(result.gaussians)):
+        assert len(repr(thing)) < 300 and "tensor(" not in repr(thing)
+    assert repr(
+        Views(torch.zeros(1, 2, 3, 4, 5), torch.zeros(1, 2, 3, 3), ("a", "b"))
+    ) == (
+        "Views(images=[1, 2, 3, 4, 5], intrinsics=[1, 2, 3, 3], names=('a', 'b'), c2w=None, "
+        "assumed=())"
+    )
+    assert repr(result).startswith("RunResult(")
+    assert f"{result.gaussians.count:,} Gaussians from 2 photos" in repr(result)
+
+
+def test_python_m_edit3r_is_the_command():
+    done = subprocess.run(
+        [sys.executable, "-m", "edit3r", "--version"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert done.stdout == f"edit3r {edit3r.__version__}\n"

@@ -1,0 +1,115 @@
+"""A scene as triangles: where its surfaces are, in their colours, in a file that others read."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from edit3r_outputs.mesh import export_mesh, mesh_of
+from edit3r_outputs import mesh as module
+
+from edit3r import Cameras, Gaussians, build, save_ply
+from edit3r.cli.main import main
+from edit3r.contract.errors import InputError
+from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+
+SIZE = 64
+PLATE, WALL = 1.0, 2.0  # depths
+RED, BLUE = (0.8, 0.1, 0.1), (0.1, 0.1, 0.8)
+RASTERIZER = build("rasterizer", "torch")
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    monkeypatch.setattr(module, "CELLS", (48, 48, 40))
+
+
+def plane(half, depth, count, colour):
+    """Wide Gaussians on a plane that faces view 0."""
+    line = torch.linspace(-half, half, count)
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    means = torch.stack((x, y, torch.full_like(x, depth)), -1).view(1, -1, 3)
+    total = means.shape[1]
+    harmonics = (torch.tensor(colour) - 0.5) / 0.2820948
+    return Gaussians(
+        means,
+        torch.full((1, total, 3), 0.014 * depth),
+        torch.tensor([1.0, 0, 0, 0]).expand(1, total, 4),
+        torch.full((1, total), 0.99),
+        harmonics.expand(1, total, 1, 3).contiguous(),
+    )
+
+
+@pytest.fixture(scope="module")
+def scene():
+    parts = (plane(1.4, WALL, 60, BLUE), plane(0.2, PLATE, 24, RED))
+    c2w = torch.eye(4).repeat(1, 3, 1, 1)
+    c2w[0, :, 0, 3] = torch.tensor([0.0, 0.1, -0.1])
+    lens = torch.tensor([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]).repeat(1, 3, 1, 1)
+    return Gaussians.cat(parts), Cameras(c2w, lens, (SIZE, SIZE))
+
+
+def test_triangles_lie_on_the_surfaces_in_their_colours(scene):
+    mesh = mesh_of(*scene, RASTERIZER)
+    x, y, z = mesh.vertices.T
+    beside = np.maximum(abs(x / z), abs(y / z)) > 0.3  # of the plate and its edge
+    on_plate = np.maximum(abs(x / z), abs(y / z)) < 0.15
+    front = on_plate & (z < 1.5)
+    for there, depth, colour in ((beside, WALL, BLUE), (front, PLATE, RED)):
+        assert there.sum() >= 100
+        assert np.quantile(abs(z[there] / depth - 1), 0.95) < 0.04
+        assert abs(np.median(mesh.colours[there], 0) - colour).max() < 0.05
+    assert mesh.faces.max() < len(mesh.vertices)
+    covered = np.histogram2d(x / z, y / z, 20, [[-0.45, 0.45]] * 2)[0] > 0
+    assert covered.mean() > 0.97
+
+
+def test_a_scene_that_is_turned_with_its_cameras_makes_the_same_mesh(scene):
+    gaussians, cameras = scene
+    pose = torch.tensor([[0.0, 0, 1, 2], [0, 1, 0, -1], [-1, 0, 0, 3], [0, 0, 0, 1]])
+    turn, shift = pose[:3, :3], pose[:3, 3]
+    # Round Gaussians look the same when only their centres turn.
+    turned = replace(gaussians, means=gaussians.means @ turn.T + shift)
+    moved = replace(cameras, c2w=pose @ cameras.c2w)
+    expected = mesh_of(gaussians, cameras, RASTERIZER)
+    found = mesh_of(turned, moved, RASTERIZER)
+    assert len(found.vertices) == pytest.approx(len(expected.vertices), rel=0.02)
+    back = (found.vertices - shift.numpy()) @ turn.numpy()
+    for quantile in (0.1, 0.5, 0.9):
+        np.testing.assert_allclose(
+            np.quantile(back, quantile, 0),
+            np.quantile(expected.vertices, quantile, 0),
+            atol=0.02,
+        )
+
+
+def test_the_file_holds_the_mesh_upright(scene, tmp_path, capsys):
+    gaussians, cameras = scene
+    save_ply(tmp_path / "scene.ply", gaussians)
+    files = ["a.png", "b.png", "c.png"]
+    write_cameras(tmp_path / "cameras.json", posed_cameras(cameras, files))
+    assert main(f"export {tmp_path} --to mesh --quiet".split()) == 0
+    content = (tmp_path / "scene-mesh.ply").read_bytes()
+    head, data = content.split(b"end_header\n", 1)
+    counts = [
+        int(line.split()[2])
+        for line in head.decode().splitlines()
+        if line.startswith("element")
+    ]
+    assert len(data) == 15 * counts[0] + 13 * counts[1]
+    vertices = np.frombuffer(data[: 15 * counts[0]], [("p", "<f4", 3), ("c", "u1", 3)])
+    mesh = mesh_of(gaussians, cameras, RASTERIZER)
+    assert vertices["p"][:, 2].max() < 0  # the viewer looks along -z
+    assert abs(vertices["p"].mean(0) - mesh.vertices.mean(0) * [1, -1, -1]).max() < 0.05
+    corners = np.frombuffer(data[15 * counts[0] :], [("n", "u1"), ("i", "<i4", 3)])
+    assert (corners["n"] == 3).all() and corners["i"].max() < counts[0]
+
+
+def test_a_scene_without_cameras_or_surface_is_told(scene, tmp_path):
+    gaussians, cameras = scene
+    with pytest.raises(InputError, match=r"holds no cameras\.json"):
+        export_mesh(tmp_path / "m.ply", tmp_path, gaussians, RASTERIZER)
+    assert not (tmp_path / "m.ply").exists()
+    behind = gaussians.select(torch.arange(3))
+    with pytest.raises(InputError, match="shows no surface"):
+        mesh_of(behind, cameras, RASTERIZER)
