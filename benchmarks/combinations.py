@@ -27,7 +27,7 @@ import torch
 import edit3r
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.weights.find import at_hand
-from edit3r.running.selecting.select import Selection, select_masks
+from edit3r.running import Selection, select_masks
 
 RESULTS = Path(__file__).with_suffix(".json")
 MASK = Path(edit3r.__file__).parent / "io" / "motorcycle_mask.png"

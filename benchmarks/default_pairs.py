@@ -17,9 +17,8 @@ from edit3r_measure.scene_sources import SceneOptions, find_scenes
 from held_out import for_tuning
 
 import edit3r
-from edit3r import Reconstruction, Views
+from edit3r import Reconstruction, Views, default_registry
 from edit3r.contract.reporting import Report
-from edit3r.loading.registry import default_registry
 
 
 class DefaultRun:

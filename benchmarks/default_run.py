@@ -18,7 +18,7 @@ import torch
 import edit3r
 from edit3r.kit.geometry.cameras import median_scale, relative_to_first, scale_poses
 from edit3r.kit.photos.posed_folder import read_posed_folder
-from edit3r.running.rendering import path_around, render_one
+from edit3r.kit.rendering import path_around, render_one
 
 FRAMES, DRAWN, FULL = 36, 6, 512
 

@@ -39,7 +39,7 @@ def run_once(folder: str, photos: int, size: int) -> dict[str, float]:
     import edit3r
     from edit3r.contract.reporting import peak_memory_mb
     from edit3r.kit.photos.posed_folder import read_posed_folder
-    from edit3r.running.rendering import path_around, render_one
+    from edit3r.kit.rendering import path_around, render_one
 
     torch.set_num_threads(1)
     middle = len(cameras := read_posed_folder(folder).cameras) // 2

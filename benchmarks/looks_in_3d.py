@@ -17,7 +17,7 @@ import edit3r
 from edit3r import Views, build
 from edit3r.contract.types import EditRequest
 from edit3r.kit.compute.colour import rgb_to_lab
-from edit3r.running.rendering import path_around, render_one
+from edit3r.kit.rendering import path_around, render_one
 
 PAIRS = {
     "fox": ("fox/images/0001.jpg", "fox/images/0006.jpg"),

@@ -25,13 +25,13 @@ from edit3r_measure.protocol import CLASSES, IndexEntry
 from edit3r_measure.scene_sources import photos_between, rotation_degrees
 from jaxtyping import Float
 
+from edit3r import build
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import Matcher
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.warping import find_correspondences
 from edit3r.kit.photos.images import evenly
 from edit3r.kit.photos.posed_folder import PosedFolder, PosedPhoto, read_posed_folder
-from edit3r.loading.registry import build
 
 TARGETS, MOST_PHOTOS = 3, 16
 MOST_DEGREES = 60.0  # from farther round, a floor that both photos show looks another

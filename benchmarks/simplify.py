@@ -32,12 +32,12 @@ from edit3r_measure.scene_sources import (
 from held_out import for_tuning
 
 import edit3r
+from edit3r import default_registry
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import RefineInputs
 from edit3r.contract.types import Gaussians, Reconstruction, Views
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.workers import run_resumable
-from edit3r.loading.registry import default_registry
 
 SHARES = (0.1, 0.2, 0.33)
 POLISH = {

@@ -45,7 +45,7 @@ from edit3r import Cameras, Gaussians, build
 from edit3r.contract.errors import Edit3rError
 from edit3r.kit.geometry.cameras import unproject
 from edit3r.kit.photos.posed_folder import read_posed_folder
-from edit3r.running.rendering import render_numbers, render_uncertainty
+from edit3r.kit.rendering import render_numbers, render_uncertainty
 
 SETS = {
     "bear": ((0, 2), (10, 14), (20, 22), (30, 32, 34), (40, 42)),

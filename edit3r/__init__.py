@@ -26,11 +26,13 @@ _HOME = {
     "Rendering": "edit3r.contract.types",
     "build": "edit3r.loading.registry",
     "components": "edit3r.loading.registry",
+    "default_registry": "edit3r.loading.registry",
+    "Registry": "edit3r.loading.registry",
     "load_views": "edit3r.kit.photos.images",
     "save_ply": "edit3r.kit.scenes.ply",
     "load_ply": "edit3r.kit.scenes.ply",
     "run": "edit3r.api",
-    "RunResult": "edit3r.running.run",
+    "RunResult": "edit3r.running.loop",
     "RunConfig": "edit3r.running.config",
     "Selection": "edit3r.running.selecting.select",
     "Cache": "edit3r.kit.cache",
@@ -48,6 +50,7 @@ __all__ = [
     "Gaussians",
     "PartChoice",
     "Reconstruction",
+    "Registry",
     "Rendering",
     "RunConfig",
     "RunResult",
@@ -57,6 +60,7 @@ __all__ = [
     "__version__",
     "build",
     "components",
+    "default_registry",
     "hookimpl",
     "load_ply",
     "load_views",
@@ -96,7 +100,7 @@ if TYPE_CHECKING:
     from edit3r.kit.cache import Cache
     from edit3r.kit.photos.images import load_views
     from edit3r.kit.scenes.ply import load_ply, save_ply
-    from edit3r.loading.registry import build, components
+    from edit3r.loading.registry import Registry, build, components, default_registry
     from edit3r.running.config import RunConfig
-    from edit3r.running.run import RunResult
+    from edit3r.running.loop import RunResult
     from edit3r.running.selecting.select import Selection

@@ -21,8 +21,8 @@ from edit3r.loading.registry import Registry
 from edit3r.running.config import PART_KEYS, make_run_config
 from edit3r.running.earlier import EarlierRun, read_earlier_run
 from edit3r.running.job import RunJob, inherited, with_cameras
-from edit3r.running.run import RunResult
-from edit3r.running.run import run as run_job
+from edit3r.running.loop import RunResult
+from edit3r.running.loop import run as run_job
 from edit3r.running.selecting.marks import MarkTexts
 from edit3r.running.selecting.select import Selection
 

@@ -109,7 +109,7 @@ class Contract:
             raise ContractViolation(f"{self.kind} {who!r}: {change}")
 
     def keeps(self, check: Callable[..., None], *answer: Any) -> None:
-        """Hold the component to a function of `edit3r.running.checks`, as every run does."""
+        """Hold the component to a function of `edit3r.kit.checks`, as every run does."""
         __tracebackhide__ = True
         try:
             check(self.subject, *answer)

@@ -15,8 +15,8 @@ from edit3r.contract.interfaces import (
     Tracks,
 )
 from edit3r.contract.types import EditRequest, Views
+from edit3r.kit.checks import check_edit
 from edit3r.kit.geometry.maps import composite
-from edit3r.running.checks import check_edit
 from edit3r_testing.contract import Contract
 
 

@@ -16,7 +16,7 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import PER_GAUSSIAN, Features, Gaussians, Views
-from edit3r.running.checks import check_gaussians
+from edit3r.kit.checks import check_gaussians
 from edit3r_testing.contract import Contract, require_of_views
 from edit3r_testing.scenes import photograph
 

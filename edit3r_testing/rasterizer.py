@@ -9,8 +9,8 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import PER_GAUSSIAN, Cameras, Gaussians, Rendering
+from edit3r.kit.checks import check_rendering
 from edit3r.loading.registry import default_registry
-from edit3r.running.checks import check_rendering
 from edit3r.running.config import DEFAULTS
 from edit3r_testing.contract import Contract
 from edit3r_testing.scenes import cameras_around, gaussian_cloud

@@ -21,10 +21,10 @@ from edit3r.contract.interfaces import (
     Refiner,
 )
 from edit3r.contract.types import PER_GAUSSIAN, Gaussians, Reconstruction, Views
+from edit3r.kit.checks import check_reconstruction, check_refinement
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.rotations import rotation_angle
 from edit3r.kit.weights.files import WEIGHTS, save_weights
-from edit3r.running.checks import check_reconstruction, check_refinement
 from edit3r_testing.contract import Contract, require_of_views
 from edit3r_testing.network import require_gradients
 from edit3r_testing.rasterizer import reference_rasterizer

@@ -255,7 +255,7 @@ def test_nothing_but_the_loop_assembles_a_run():
     wrong = [
         str(arrow)
         for arrow in arrows()
-        if arrow.target.startswith(STEPS) and arrow.source.name != "edit3r.running.run"
+        if arrow.target.startswith(STEPS) and arrow.source.name != "edit3r.running.loop"
     ]
     assert not wrong, "\n".join(wrong)
 

@@ -15,7 +15,7 @@ from edit3r.running.flags import INPUTS, add_flags, add_mark_flags, given_flags
 if TYPE_CHECKING:
     from edit3r.contract.reporting import Report
     from edit3r.running.job import RunJob
-    from edit3r.running.run import RunResult
+    from edit3r.running.loop import RunResult
 
 
 PREVIEW = "edit3r-preview.png"
@@ -113,7 +113,7 @@ class RunCommand(Command):
             from edit3r.kit.files.atomic import check_new_file
             from edit3r.kit.photos.images import save_pixels
             from edit3r.loading.registry import default_registry
-            from edit3r.running.run import preview
+            from edit3r.running.loop import preview
             from edit3r.running.write import preview_sheet
 
             # `--preview a.jpg b.jpg` would take the first photo for the file to write.
@@ -138,15 +138,15 @@ class RunCommand(Command):
         ):  # most of it goes into importing torch
             from edit3r.kit.files.atomic import atomic_folder, check_apart
             from edit3r.loading.registry import default_registry
-            from edit3r.running.run import run
-            from edit3r.running.write import write
+            from edit3r.running.loop import run
+            from edit3r.running.write import write_result
 
             check_apart(args.out, *map(Path, (*args.photos, *args.mask)))
             job = _job(args)
             registry = default_registry(tuple(args.plugin))
         with atomic_folder(args.out, args.overwrite) as folder:
             result = run(job, registry, report)
-            write(folder, result)
+            write_result(folder, result)
         return result
 
 

@@ -6,14 +6,11 @@ import sys
 from typing import TYPE_CHECKING
 
 from edit3r.contract.command import Command
+from edit3r.contract.weights import ESSENTIALS
 from edit3r.kit.command.flags import add_plugin_option
 
 if TYPE_CHECKING:
     from edit3r.contract.weights import Weights
-
-
-ESSENTIALS = "essentials"
-"""Name that stands for all weights that declare themselves essential."""
 
 
 class WeightsCommand(Command):

@@ -12,6 +12,9 @@ COMMERCIAL = ("yes", "no", "unclear")
 NAME = re.compile(r"[a-z0-9]+([-_][a-z0-9]+)*")
 """Names of components and of weights."""
 
+ESSENTIALS = "essentials"
+"""Name that stands for all weights that declare themselves essential."""
+
 _SOURCE = re.compile(r"hub:[\w.-]+/[\w.-]+|package:[\w.-]+|npm:(@[\w.-]+/)?[\w.-]+")
 
 _SHA256 = re.compile(r"[0-9a-f]{64}")

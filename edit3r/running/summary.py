@@ -5,7 +5,7 @@ from pathlib import Path
 
 from edit3r.kit.run_folder import RunFolder
 from edit3r.running.config import RunConfig
-from edit3r.running.run import RunResult
+from edit3r.running.loop import RunResult
 
 MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "guess"}
 """Settings that may differ from the defaults without the run being another kind of run."""

@@ -28,6 +28,7 @@ from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import Pixels, save_pixels, to_bytes
 from edit3r.kit.photos.outline import outlined
+from edit3r.kit.rendering import path_around, render_one
 from edit3r.kit.run_folder import (
     PluginRecord,
     RunFolder,
@@ -43,16 +44,15 @@ from edit3r.kit.sheet import draw_sheet
 from edit3r.kit.video import save_video
 from edit3r.running.earlier import CACHE, THINGS, note_views
 from edit3r.running.judging.verdict import WORST_PSNR
-from edit3r.running.rendering import path_around, render_one
 from edit3r.running.scene import Scene
 
 if TYPE_CHECKING:
-    from edit3r.running.run import RunResult
+    from edit3r.running.loop import RunResult
 
 VIDEO_FPS = 18
 
 
-def write(root: Path, result: "RunResult") -> None:
+def write_result(root: Path, result: "RunResult") -> None:
     """Render and write what the run's `outputs` ask for into the existing folder `root`, and
     `run.json`.
     """
@@ -251,7 +251,7 @@ def comparison(result: "RunResult", other: "RunResult") -> Image.Image:
 
 
 def preview_sheet(scene: Scene, prompt: str) -> Image.Image:
-    """The sheet of what `edit3r.running.run.preview` returns: photos with the outline of what is
+    """The sheet of what `edit3r.running.loop.preview` returns: photos with the outline of what is
     selected, and the 2D edit.
     """
     columns = {"photo": _outlined_photos(scene), "2D edit": _images(scene.edited)}

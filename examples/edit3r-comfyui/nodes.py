@@ -14,7 +14,7 @@ from edit3r.contract.settings import of_file
 from edit3r.kit.files.yaml import parse_yaml
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import save_image
-from edit3r.running.rendering import path_around, render_each
+from edit3r.kit.rendering import path_around, render_each
 
 
 class Edit3rEdit:

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
+from edit3r import Registry
 from edit3r.contract.errors import Edit3rError, InputError
 from edit3r.contract.interfaces import Marks, MatchedGeometry
 from edit3r.contract.reporting import Report, collecting
@@ -29,15 +30,21 @@ from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.atomic import atomic_folder, atomic_write
 from edit3r.kit.photos.images import load_photos, save_image, to_bytes
 from edit3r.kit.photos.outline import outlined
-from edit3r.loading.registry import Registry
-from edit3r.running.config import DEFAULTS, RunConfig, make_run_config
-from edit3r.running.earlier import CACHE, read_views_of_run
-from edit3r.running.job import RunJob
-from edit3r.running.judging.edit_verdict import EditVerdict
-from edit3r.running.parts import Parts
-from edit3r.running.run import preview
-from edit3r.running.scene import Scene
-from edit3r.running.selecting.select import Selection, geometry_of, select_masks
+from edit3r.running import (
+    CACHE,
+    DEFAULTS,
+    EditVerdict,
+    Parts,
+    RunConfig,
+    RunJob,
+    Scene,
+    Selection,
+    geometry_of,
+    make_run_config,
+    preview,
+    read_views_of_run,
+    select_masks,
+)
 from edit3r_app.draft import DRAFT, Draft
 from edit3r_app.forms import run_settings
 from edit3r_app.jobs import PREVIEW, JobsFolder

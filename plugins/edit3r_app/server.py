@@ -10,9 +10,9 @@ from fastapi import Request
 from fastapi.responses import FileResponse, PlainTextResponse, Response
 from nicegui import app, ui
 
+from edit3r import default_registry
 from edit3r.contract.errors import Edit3rError, InputError
 from edit3r.kit.photos.decode import read_image
-from edit3r.loading.registry import default_registry
 from edit3r_app import downloads, uploads
 from edit3r_app.draft import read_draft
 from edit3r_app.guard import Guard

@@ -92,11 +92,11 @@ class BatchCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from filelock import FileLock, Timeout
 
+        from edit3r import default_registry
         from edit3r.contract.settings import merge
         from edit3r.kit.files.configs import parse_assignments, read_config
         from edit3r.kit.workers import Workers
-        from edit3r.loading.registry import default_registry
-        from edit3r.running.judging.verdict import LABELS
+        from edit3r.running import LABELS
         from edit3r_batch.jobs import read_jobs
 
         for option in ("workers", "threads"):

@@ -8,12 +8,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from edit3r import Registry
 from edit3r.contract.errors import RunError, as_known
 from edit3r.contract.settings import PartChoice
 from edit3r.kit.files.atomic import MARKER, atomic_folder
 from edit3r.kit.photos.coverage import frames_kept_for
-from edit3r.loading.load import load_plugins
-from edit3r.loading.registry import Registry
+from edit3r.loading import load_plugins
 from edit3r_batch.jobs import BatchJob
 
 RECORD = "job.json"
@@ -74,13 +74,11 @@ class SceneRunner:
             return {"failure": " ".join(str(as_known(error)).split())}
 
     def _run(self, job: BatchJob, folder: Path) -> None:
-        from edit3r.running.job import job_from
-        from edit3r.running.run import run
-        from edit3r.running.write import write
+        from edit3r.running import job_from, run, write_result
 
         with frames_kept_for():
             result = run(job_from(job.inputs, job.settings), self.registry)
-            write(folder, result)
+            write_result(folder, result)
         text = json.dumps(job.record, indent=1, ensure_ascii=False)
         (folder / RECORD).write_text(text + "\n", encoding="utf-8")
 

@@ -16,22 +16,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import edit3r
+from edit3r import Registry, __version__, default_registry
 from edit3r.contract.command import Command
 from edit3r.contract.component import Offer
 from edit3r.contract.hookspecs import API_VERSION
 from edit3r.contract.reporting import Report, available_memory
 from edit3r.kit.command.flags import add_plugin_option
-from edit3r.loading.check import check_offer
-from edit3r.loading.registry import (
-    Registry,
-    absent_device,
-    default_registry,
-    install_hint,
-)
-from edit3r.version import __version__
+from edit3r.loading import absent_device, check_offer, install_hint
 
 if TYPE_CHECKING:
-    from edit3r.running.config import RunConfig
+    from edit3r.running import RunConfig
 
 CORE_MODULES = {
     "torch": "torch",
@@ -66,7 +60,7 @@ class DoctorCommand(Command):
         add_plugin_option(parser)
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.running.config import make_run_config
+        from edit3r.running import make_run_config
 
         device = {"device": args.device} if args.device else {}
         config = make_run_config({"prompt": JOB_PROMPT}, device)

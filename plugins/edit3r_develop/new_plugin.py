@@ -14,12 +14,12 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from edit3r import __version__
 from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS, hook_name
 from edit3r.contract.errors import InputError, suggest
 from edit3r.contract.hookspecs import API_VERSION
 from edit3r.kit.files.yaml import read_yaml
-from edit3r.version import __version__
 
 TEMPLATES = Path(__file__).parent / "templates"
 STARTERS: dict[str, dict[str, Any]] = read_yaml(TEMPLATES / "starters.yaml")
@@ -43,7 +43,7 @@ class NewPluginCommand(Command):
         )
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.loading.registry import default_registry
+        from edit3r import default_registry
 
         taken = [
             offer.plugin

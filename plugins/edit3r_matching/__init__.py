@@ -5,7 +5,7 @@ from edit3r.contract.weights import Weights
 
 EDIT3R_API = 1
 
-_ALIKED = Weights(
+ALIKED = Weights(
     "aliked-lightglue",
     "learned local features and their matching",
     50_370_918,
@@ -25,30 +25,6 @@ _ALIKED = Weights(
     ),
     essential=True,
 )
-
-_PAIR_NETWORKS = (
-    Weights(
-        "efficientloftr",
-        "semi-dense matches of two photos (EfficientLoFTR)",
-        64_000_000,
-        "Apache-2.0",
-        "yes",
-        "hub:zju-community/efficientloftr",
-        files=(("config.json", ""), ("model.safetensors", "")),
-    ),
-    Weights(
-        "superpoint-lightglue",
-        "local features and their matching (SuperPoint + LightGlue)",
-        53_000_000,
-        "SuperPoint: Magic Leap, non-commercial research only; LightGlue Apache-2.0",
-        "no",
-        "hub:ETH-CVG/lightglue_superpoint",
-        files=(("config.json", ""), ("model.safetensors", "")),
-    ),
-)
-
-OF_FEATURES = (_ALIKED, *_PAIR_NETWORKS)
-"""Weights of learned matches."""
 
 _DEPTH_ANYTHING_3 = (
     Weights(
@@ -98,7 +74,7 @@ def register_matchers():
             "relative poses by rootSIFT and essential matrices, depths by plane sweep and "
             "semi-global aggregation",
             min_views=2,
-            weights=OF_FEATURES,
+            weights=(ALIKED,),
         ),
         Component(
             "posed",

@@ -20,11 +20,11 @@ from edit3r.contract.errors import InputError, MatchingError
 from edit3r.contract.interfaces import MatchedGeometry, Matcher
 from edit3r.contract.types import Views
 from edit3r.kit.cache import remembered
+from edit3r.kit.checks import require_matchable
 from edit3r.kit.geometry.cameras import from_pixels, invert_rigid, relative_to_first
 from edit3r.kit.geometry.maps import resize, upsample_depth
 from edit3r.kit.weights.find import find, record_of
 from edit3r.kit.weights.load import out_of_memory_told
-from edit3r.running.checks import require_matchable
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 PATCH = 14

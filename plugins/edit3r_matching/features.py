@@ -16,16 +16,16 @@ from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
 from edit3r.contract import settings as config
-from edit3r.kit.weights import find as weights
-from edit3r_matching import OF_FEATURES
+from edit3r.kit.weights.find import at_hand, find
+from edit3r_matching import ALIKED
 from edit3r_matching.cameras import CalibratedImage, rays_through
+from edit3r_matching.keypoints import Keypoints
 from edit3r_matching.relative_pose import Matches
 
 __all__ = [
     "ENOUGH_MATCHES",
     "FeatureSettings",
     "FoundFeatures",
-    "Keypoints",
     "detect",
     "detect_tilted",
     "find_features",
@@ -35,14 +35,8 @@ __all__ = [
     "with_tilted",
 ]
 
-LEARNED = {
-    "learned": ("aliked-lightglue", "ALIKED + LightGlue"),
-    "efficientloftr": ("efficientloftr", "EfficientLoFTR"),
-    "superpoint": ("superpoint-lightglue", "SuperPoint + LightGlue"),
-}
-"""Learned sources of matches: the name of their weights, see `edit3r.kit.weights.find`, and what to
-call them.
-"""
+LEARNED = "ALIKED + LightGlue"
+"""What the learned matches are called."""
 LEARNED_NOISE = 4.0
 """How many times less exact than SIFT's the learned points are taken to be where a pose is refined.
 """
@@ -87,40 +81,16 @@ class FeatureSettings(config.Settings):
         le=1,
         description="a match must be this much nearer than its second choice (Lowe's test)",
     )
-    matches: Literal["auto", "sift", "learned", "efficientloftr", "superpoint"] = Field(
+    matches: Literal["auto", "sift", "learned"] = Field(
         "auto",
         description="'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r "
         "weights get "
         "aliked-lightglue` fetches; 'auto': so for two photos with few matches, where those "
-        "weights are at hand; "
-        "'efficientloftr', 'superpoint': with those of transformers, weights 'efficientloftr', "
-        "'superpoint-lightglue'",
+        "weights are at hand",
     )
     learned_keypoints: int = Field(
         1024, ge=128, le=4096, description="most learned features a photo"
     )
-
-
-@dataclass(frozen=True)
-class Keypoints:
-    """Where the features are and what they look like."""
-
-    points: Float[
-        np.ndarray, "point 2"
-    ]  # x, y [pixels of the image, pixel centres at +0.5], float64
-    descriptors: Float[np.ndarray, "point 128"]  # unit length, float32
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    def followed_by(self, more: "Keypoints") -> "Keypoints":
-        """These features, then `more` of the same image."""
-        return Keypoints(
-            *map(
-                np.concatenate,
-                ((self.points, more.points), (self.descriptors, more.descriptors)),
-            )
-        )
 
 
 @dataclass(frozen=True)
@@ -177,7 +147,7 @@ def find_features(
         keypoints,
         {(a, b): match(keypoints[a], keypoints[b], settings.ratio) for a, b in pairs},
     )
-    asked = settings.matches in LEARNED
+    asked = settings.matches == "learned"
     few = [
         pair
         for pair, indices in found.indices.items()
@@ -185,9 +155,7 @@ def find_features(
     ]
     if settings.matches == "sift" or not few:
         return found
-    name = LEARNED[settings.matches if asked else "learned"][0]
-    declared = next(one for one in OF_FEATURES if one.name == name)
-    folder = weights.find(declared) if asked else weights.at_hand(declared)
+    folder = find(ALIKED) if asked else at_hand(ALIKED)
     return (
         found if folder is None else _with_learned(found, few, images, folder, settings)
     )
@@ -259,12 +227,10 @@ def _with_learned(
     settings: FeatureSettings,
 ) -> FoundFeatures:
     """Add learned matches of `pairs` to those `found`; `folder` holds the weights."""
-    from edit3r_matching import (
-        learned,  # torch's networks, kornia and transformers load only where they are used
-    )
+    # kornia's networks load only where they are used
+    from edit3r_matching.learned import LearnedFeatures
 
-    name, called = LEARNED.get(settings.matches, LEARNED["learned"])
-    networks = learned.load(name, folder, settings.learned_keypoints)
+    networks = LearnedFeatures.load(folder, settings.learned_keypoints)
     views = sorted({view for pair in pairs for view in pair})
     more, own = networks.between(
         {view: images[view].pixels for view in views}, pairs, settings.detection_size
@@ -279,7 +245,7 @@ def _with_learned(
         k.followed_by(more[view]) if view in more else k
         for view, k in enumerate(found.keypoints)
     )
-    return FoundFeatures(keypoints, indices, sift, called)
+    return FoundFeatures(keypoints, indices, sift, LEARNED)
 
 
 def detect(

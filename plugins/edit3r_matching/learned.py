@@ -1,4 +1,4 @@
-"""Learned features and their matches, by kornia or transformers; nothing here downloads anything.
+"""Learned features and their matches, by kornia; nothing here downloads anything.
 
 They find motions between wide views that SIFT misses; where both work SIFT's points are the more
 exact ones.
@@ -7,9 +7,7 @@ exact ones.
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,33 +16,12 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from edit3r.contract.errors import InputError
-from edit3r.kit.weights.load import ChosenWeights, foreign, load_whole_network
-from edit3r_matching.features import Keypoints
-
-__all__ = ["LearnedFeatures", "PairNetwork", "load"]
+from edit3r_matching.keypoints import Keypoints
 
 Between = tuple[dict[int, Keypoints], dict[tuple[int, int], Int[np.ndarray, "match 2"]]]
 """Features of each view, and the indices of those that match of each pair of views."""
 
 _PREFIX = "matcher."
-_CLASSES = {
-    "efficientloftr": "EfficientLoFTRForKeypointMatching",
-    "superpoint-lightglue": "LightGlueForKeypointMatching",
-}
-_STRIDE = (
-    32  # [pixels] sides that every one of these networks takes are multiples of it
-)
-
-
-def load(name: str, folder: Path, limit: int) -> "LearnedFeatures | PairNetwork":
-    """The networks whose weights, called `name`, lie in `folder`; for about `limit` features an
-    image.
-    """
-    return (
-        PairNetwork.load(name, folder, limit)
-        if name in _CLASSES
-        else LearnedFeatures.load(folder, limit)
-    )
 
 
 @dataclass(frozen=True)
@@ -129,133 +106,6 @@ class LearnedFeatures:
                 for i, side in enumerate(zip((a, b), sizes))
             }
             return self.matcher(asked)["matches"][0].numpy()
-
-
-@dataclass(frozen=True)
-class PairNetwork:
-    """EfficientLoFTR (Wang et al. 2024), or SuperPoint (DeTone et al. 2018) with LightGlue, by
-    transformers.
-    """
-
-    network: nn.Module
-    limit: int  # most matches of a pair
-    semi_dense: bool  # EfficientLoFTR: its keypoints come in pairs
-
-    @staticmethod
-    def load(name: str, folder: Path, limit: int) -> "PairNetwork":
-        """Raises MissingDependencyError without transformers, InputError for files that are
-        something else.
-        """
-        weights = ChosenWeights(
-            str(folder), "reconstructor.matcher.matches", local_files_only=True
-        )
-        network = load_whole_network(
-            foreign("transformers", _CLASSES[name]), weights, dtype=torch.float32
-        ).eval()
-        semi_dense = name == "efficientloftr"
-        if semi_dense:
-            network._get_matches_from_scores = partial(_paired, network.config)
-        else:
-            network.keypoint_detector.keypoint_decoder.max_keypoints = limit
-        return PairNetwork(network, limit, semi_dense)
-
-    def between(
-        self,
-        images: Mapping[int, Float[np.ndarray, "height width 3"]],
-        pairs: Sequence[tuple[int, int]],
-        size: int,
-    ) -> Between:
-        """As `LearnedFeatures.between`; what several pairs see within one pixel is one feature."""
-        grey = {view: _grey(image, size) for view, image in images.items()}
-        found = {pair: self._match(grey[pair[0]], grey[pair[1]]) for pair in pairs}
-        points: dict[int, Float[np.ndarray, "feature 2"]] = {}
-        indices = {pair: np.zeros((len(own), 2), int) for pair, own in found.items()}
-        for view, image in images.items():
-            parts = [(pair, pair.index(view)) for pair in pairs if view in pair]
-            every = np.concatenate([found[pair][:, side] for pair, side in parts])
-            _, first, which = np.unique(
-                np.round(every), axis=0, return_index=True, return_inverse=True
-            )
-            for (pair, side), own in zip(
-                parts,
-                np.split(which.ravel(), np.cumsum([len(found[p]) for p, _ in parts])),
-            ):
-                indices[pair][:, side] = own
-            points[view] = (
-                (every[first] + 0.5)
-                * np.array(image.shape[1::-1])
-                / np.array(grey[view].shape[::-1])
-            )
-        none = {
-            view: np.zeros((len(own), 128), np.float32) for view, own in points.items()
-        }
-        return {
-            view: Keypoints(own, none[view]) for view, own in points.items()
-        }, indices
-
-    def _match(
-        self, *pair: Float[np.ndarray, "height width"]
-    ) -> Float[np.ndarray, "match 2 2"]:
-        """Matches of two images of one size, the best first: x, y in each [pixels, whole ones at
-        pixel centres].
-        """
-        with _one_thread(), torch.inference_mode():
-            pixels = torch.from_numpy(np.stack(pair))[None, :, None].expand(
-                -1, -1, 3, -1, -1
-            )
-            told = self.network(pixel_values=pixels)
-        partners, keypoints = told.matches[0, 0].long(), told.keypoints[0].double()
-        matched = (
-            partners >= 0
-            if self.semi_dense
-            else (partners >= 0) & told.mask[0, 0].bool()
-        )
-        other = keypoints[1] if self.semi_dense else keypoints[1][partners]
-        order = told.matching_scores[0, 0][matched].argsort(
-            descending=True, stable=True
-        )[: self.limit]
-        relative = torch.stack((keypoints[0][matched], other[matched]), dim=1)[
-            order
-        ].numpy()
-        return relative * np.array(pair[0].shape[::-1])
-
-
-def _paired(
-    config: Any, scores: Float[Tensor, "1 h0 w0 h1 w1"]
-) -> tuple[Tensor, Tensor]:
-    """Cells of image 0 with their mutual best ones in image 1, both -1 where there is none, and the
-    scores.
-
-    transformers 5.23 lists image 0's cells by those of image 1 and image 1's by those of image 0,
-    so that the fine matching compares windows that have nothing in common.
-    """
-    border, (height, width) = config.coarse_matching_border_removal, scores.shape[-2:]
-    inside = torch.zeros(height, width, dtype=torch.bool)
-    inside[border : height - border, border : width - border] = True
-    flat = scores.flatten(1, 2).flatten(2)[0]
-    best, partner = flat.max(1)
-    mutual = (flat.argmax(0)[partner] == torch.arange(len(flat))) & (
-        best > config.coarse_matching_threshold
-    )
-    kept = mutual & inside.flatten() & inside.flatten()[partner]
-    pairs = torch.stack((torch.arange(len(flat)), partner)).where(kept, -1)
-    return pairs[None], (best * kept).expand(1, 2, -1)
-
-
-def _grey(
-    image: Float[np.ndarray, "height width 3"], size: int
-) -> Float[np.ndarray, "h w"]:
-    """The image in [0, 1] in shades of grey, its long side about `size` [pixels]."""
-    scale = size / max(image.shape[:2])
-    height, width = (
-        max(1, round(side * scale / _STRIDE)) * _STRIDE for side in image.shape[:2]
-    )
-    grey = cv2.cvtColor(np.clip(image, 0, 1).astype(np.float32), cv2.COLOR_RGB2GRAY)
-    return cv2.resize(
-        grey,
-        (width, height),
-        interpolation=cv2.INTER_LINEAR if scale > 1 else cv2.INTER_AREA,
-    )
 
 
 def _as_asked(keypoints: Keypoints, size: tuple[int, int]) -> dict[str, Tensor]:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 from torch import Tensor
 
+from edit3r import build, default_registry
 from edit3r.contract import reporting
 from edit3r.contract import settings as config
 from edit3r.contract.component import component_name
@@ -21,9 +22,8 @@ from edit3r.contract.lens import Lens
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
 from edit3r.kit.cache import fingerprint, identity, remembered
+from edit3r.kit.checks import require_matchable
 from edit3r.kit.geometry.cameras import from_pixels, relative_to_first
-from edit3r.loading.registry import build, default_registry
-from edit3r.running.checks import require_matchable
 from edit3r_matching.calibration import (
     PREFERENCE,
     WIDE_PREFERENCE,

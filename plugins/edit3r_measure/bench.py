@@ -10,7 +10,7 @@ import argparse
 
 from edit3r.contract.command import Command
 from edit3r.kit.command.flags import REPEATED, add_trust_flag
-from edit3r.running.flags import add_flags
+from edit3r.running import add_flags
 from edit3r_measure.bench_options import BuildOptions, RunOptions
 from edit3r_measure.report import add_common
 

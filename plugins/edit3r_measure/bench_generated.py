@@ -2,12 +2,12 @@
 
 from pydantic import Field
 
+from edit3r import Registry
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import SceneSample
 from edit3r.contract.reporting import progress
 from edit3r.contract.settings import Settings
 from edit3r.kit.photos.images import evenly
-from edit3r.loading.registry import Registry
 from edit3r_measure.bench_manifest import (
     EDITS_PER_SCENE,
     VISIBLE,

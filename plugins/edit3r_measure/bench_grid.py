@@ -12,8 +12,8 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
+from edit3r import Registry
 from edit3r.contract.errors import SettingsError
-from edit3r.loading.registry import Registry
 from edit3r_measure.bench_method import Method
 from edit3r_measure.bench_options import RunOptions
 from edit3r_measure.bench_report import (

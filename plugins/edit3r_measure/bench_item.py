@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 import edit3r
+from edit3r import Registry
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.reporting import Report
@@ -21,9 +22,8 @@ from edit3r.contract.types import Cameras, EditRequest
 from edit3r.kit.geometry.cameras import scale_poses
 from edit3r.kit.geometry.maps import composite
 from edit3r.kit.geometry.paths import between_and_around
+from edit3r.kit.rendering import render_each
 from edit3r.kit.sheet import draw_sheet
-from edit3r.loading.registry import Registry
-from edit3r.running.rendering import render_each
 from edit3r_measure.bench_manifest import Images, LoadedItem, Maps
 from edit3r_measure.bench_method import Method
 from edit3r_measure.oracle import ORACLE, OracleEditor, OracleSettings

@@ -21,6 +21,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r import Registry
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import SceneSample
 from edit3r.contract.settings import Settings, make_settings
@@ -31,8 +32,7 @@ from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.photos.images import is_plain_name, load_photos, read_image
 from edit3r.kit.photos.masks import load_masks
 from edit3r.kit.run_folder import installed_versions
-from edit3r.loading.registry import Registry
-from edit3r.running.config import MAX_PROMPT
+from edit3r.running import MAX_PROMPT
 from edit3r_measure.report import read_json, write_json
 
 Images = Float[Tensor, "frame 3 height width"]

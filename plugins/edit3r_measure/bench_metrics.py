@@ -14,11 +14,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r import Registry
 from edit3r.contract.interfaces import LossInputs
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras
 from edit3r.kit.files.yaml import read_yaml
-from edit3r.loading.registry import Registry
 from edit3r_measure import metrics
 from edit3r_measure.bench_item import MethodOutput
 from edit3r_measure.bench_manifest import Images, LoadedItem

@@ -14,15 +14,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r import Registry
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Detection
 from edit3r.contract.reporting import track, warn
 from edit3r.kit.photos.cameras import CAMERA_FILES, read_cameras
 from edit3r.kit.photos.images import evenly, find_photos, load_photos, save_image
-from edit3r.loading.registry import Registry
-from edit3r.running.config import make_run_config
-from edit3r.running.job import RunJob
-from edit3r.running.run import preview
+from edit3r.running import RunJob, make_run_config, preview
 from edit3r_measure import bench_proposals
 from edit3r_measure.bench_manifest import (
     VISIBLE,

@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 
+from edit3r import Registry, default_registry
 from edit3r.contract.errors import (
     Edit3rError,
     InputError,
@@ -20,7 +21,6 @@ from edit3r.contract.errors import (
 from edit3r.contract.reporting import Report, StageRecord, collecting
 from edit3r.kit.run_folder import installed_versions
 from edit3r.kit.workers import Progress, Workers, read_rows, run_resumable
-from edit3r.loading.registry import Registry, default_registry
 from edit3r_measure.bench_item import ItemRunner, save_sheet
 from edit3r_measure.bench_manifest import (
     ItemRecord,

@@ -5,12 +5,12 @@ import sys
 from functools import partial
 from pathlib import Path
 
+from edit3r import default_registry
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.settings import make_settings, merge
 from edit3r.kit.files.configs import parse_assignments, read_config
 from edit3r.kit.workers import Progress
-from edit3r.loading.registry import default_registry
-from edit3r.running.flags import given_flags
+from edit3r.running import given_flags
 from edit3r_measure.bench_generated import GeneratedSettings, build_generated
 from edit3r_measure.bench_grid import pairs_of, write_grid
 from edit3r_measure.bench_manifest import Manifest, write_bench_manifest

@@ -3,10 +3,10 @@
 from functools import partial
 from pathlib import Path
 
+from edit3r import Registry
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, track
-from edit3r.loading.registry import Registry
-from edit3r_measure.evaluate import PARTS, Evaluation
+from edit3r_measure.evaluate_options import PARTS, Evaluation
 from edit3r_measure.novel_view import (
     SceneScore,
     carried_edit,

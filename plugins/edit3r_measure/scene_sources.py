@@ -18,13 +18,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r import Registry
 from edit3r.contract.errors import InputError, UnknownComponentError
 from edit3r.contract.interfaces import SceneSample
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.rotations import rotation_angle
 from edit3r.kit.photos.images import evenly
 from edit3r.kit.photos.posed_folder import PosedFolder, PosedPhoto, read_posed_folder
-from edit3r.loading.registry import Registry
 
 Pose = Float[np.ndarray, "4 4"]  # camera to world
 

@@ -14,7 +14,7 @@ from pydantic import Field
 from edit3r.contract.command import Command
 from edit3r.contract.settings import Settings, make_settings
 from edit3r.kit.command.flags import add_trust_flag
-from edit3r.running.flags import add_flags, given_flags
+from edit3r.running import add_flags, given_flags
 from edit3r_measure.report import add_common, alone_in, shown_stages, write_text
 from edit3r_measure.tradeoff_plan import read_plan
 
@@ -53,7 +53,7 @@ class TradeoffCommand(Command):
 
     def main(self, args: argparse.Namespace) -> int:
         # Heavy modules load now, so that the command line is parsed without them.
-        from edit3r.loading.registry import default_registry
+        from edit3r import default_registry
         from edit3r_measure.scene_sources import SceneOptions, find_scenes
         from edit3r_measure.tradeoff_measure import measure_points
         from edit3r_measure.tradeoff_report import report, summarize, write_presets

@@ -12,13 +12,7 @@ import yaml
 
 from edit3r.contract.errors import Edit3rError, RunError
 from edit3r.kit.run_folder import installed_versions
-from edit3r.running.quality import (
-    PRESETS,
-    Expected,
-    MeasuredPoint,
-    Quality,
-    write_quality,
-)
+from edit3r.running import PRESETS, Expected, MeasuredPoint, Quality, write_quality
 from edit3r_measure.report import grouped
 
 APART = 1.5  # how many times as quick each preset is as the next, at least

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from edit3r.contract.command import Command
 from edit3r.contract.errors import SettingsError
 from edit3r.kit.command.flags import add_output_flags
-from edit3r.running.flags import add_mark_flags
+from edit3r.running import add_mark_flags
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -58,8 +58,8 @@ class ObjectsCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         import torch
 
+        from edit3r import default_registry
         from edit3r.kit.files.atomic import atomic_folder, check_apart
-        from edit3r.loading.registry import default_registry
         from edit3r_objects.run import describe, read_run, write_run
 
         numbers = _numbers(args)
@@ -158,7 +158,7 @@ def _changed(
     numbers: tuple[float, ...],
 ) -> "Gaussians":
     """The scene with the chosen Gaussians painted, moved, turned or scaled."""
-    from edit3r.loading.registry import default_registry
+    from edit3r import default_registry
     from edit3r_objects import edits
 
     if args.action == "recolor":

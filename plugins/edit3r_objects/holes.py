@@ -11,7 +11,7 @@ from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.maps import dilate
-from edit3r.running.rendering import render_numbers
+from edit3r.kit.rendering import render_numbers
 
 RIM = 0.015  # around the object, where colours are mixed with its own [longer sides]
 COVERED = 0.3  # share of a pixel from which the object covers it

@@ -11,20 +11,24 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from edit3r import default_registry
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import LoadedPhotos, save_image, unique_names
+from edit3r.kit.rendering import render_each
 from edit3r.kit.run_folder import RunFolder, continue_run
 from edit3r.kit.scenes.ply import load_ply, save_ply
 from edit3r.kit.scenes.viewer import NamedObjects, save_viewer
 from edit3r.kit.sheet import draw_sheet
-from edit3r.loading.registry import default_registry
-from edit3r.running.earlier import read_earlier_run
-from edit3r.running.rendering import render_each
-from edit3r.running.selecting.marks import MarkTexts
-from edit3r.running.selecting.select import MIN_AREA, geometry_of, select_masks
+from edit3r.running import (
+    MIN_AREA,
+    MarkTexts,
+    geometry_of,
+    read_earlier_run,
+    select_masks,
+)
 from edit3r_objects.lifting import lift
 
 MAX_NAME = 80

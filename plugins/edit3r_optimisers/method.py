@@ -21,9 +21,9 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import note, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.kit.checks import check_edit, check_reconstruction, errors_named_after
 from edit3r.kit.geometry.maps import composite
 from edit3r.kit.geometry.pose import estimate_cameras
-from edit3r.running.checks import check_edit, check_reconstruction, errors_named_after
 from edit3r_optimisers.fitting import FitSettings, TargetImages, fit
 
 # a fainter first Gaussian has next to no gradient and would never show what it is worth

@@ -42,6 +42,7 @@ class ExportCommand(Command):
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
+        from edit3r import default_registry
         from edit3r.contract.errors import InputError
         from edit3r.contract.reporting import Report, collecting
         from edit3r.kit.command.console import StageConsole
@@ -49,7 +50,6 @@ class ExportCommand(Command):
         from edit3r.kit.scenes.export import export_scene, load_scene
         from edit3r.kit.scenes.formats import CAMERA_FORMATS, FORMATS
         from edit3r.kit.scenes.posed_photos import export_cameras
-        from edit3r.loading.registry import default_registry
         from edit3r_outputs.mesh import export_mesh
 
         scene: Path = args.scene

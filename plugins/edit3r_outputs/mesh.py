@@ -15,7 +15,7 @@ from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.warping import warp
 from edit3r.kit.photos.cameras import read_scene_cameras
-from edit3r.running.rendering import render_each
+from edit3r.kit.rendering import render_each
 
 CELLS = (216, 288, 160)  # of the grid: rows, columns, steps of inverse depth
 WIDER = 1.3  # the grid's field of view than that of view 0

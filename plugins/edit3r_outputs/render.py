@@ -112,10 +112,10 @@ def _render(
     """Write what `--make` names."""
     from edit3r.contract.reporting import stage, warn
     from edit3r.kit.photos.images import save_image
+    from edit3r.kit.rendering import path_around, render_each
     from edit3r.kit.scenes.viewer import save_viewer
     from edit3r.kit.video import save_video
-    from edit3r.running.rendering import path_around, render_each
-    from edit3r.running.write import VIDEO_FPS
+    from edit3r.running import VIDEO_FPS
 
     with stage("read scene"):
         gaussians = _gaussians(args)
@@ -141,9 +141,9 @@ def _render(
 
 
 def _rasterizer(args: argparse.Namespace) -> "Rasterizer":
+    from edit3r import default_registry
     from edit3r.kit.files.configs import parse_assignments
-    from edit3r.loading.registry import default_registry
-    from edit3r.running.config import make_run_config
+    from edit3r.running import make_run_config
 
     settings = parse_assignments(args.set)
     for other in sorted(set(settings) - {"rasterizer"}):

@@ -3,11 +3,11 @@
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r import Registry, default_registry
 from edit3r.contract import reporting
 from edit3r.contract.component import Offer
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians, Rendering
-from edit3r.loading.registry import Registry, default_registry
 from edit3r_rasterizers.settings import RasterizerSettings
 
 

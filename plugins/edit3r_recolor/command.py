@@ -170,9 +170,9 @@ def _found(args: argparse.Namespace) -> "Finder":
     """Return a function from photos to masks and a new recipe; everything it needs is built and
     checked first.
     """
+    from edit3r import default_registry
     from edit3r.contract.settings import make_settings
     from edit3r.kit.files.configs import parse_assignments
-    from edit3r.loading.registry import default_registry
     from edit3r_recolor.folder import read_masks
     from edit3r_recolor.scene import (
         RecoloringSettings,

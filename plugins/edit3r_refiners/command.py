@@ -63,12 +63,12 @@ class SimplifyCommand(Command):
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
+        from edit3r import default_registry
         from edit3r.contract.reporting import Report, collecting
         from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.atomic import check_new_file
         from edit3r.kit.photos.cameras import read_scene_cameras
         from edit3r.kit.scenes.ply import load_ply, save_ply
-        from edit3r.loading.registry import default_registry
         from edit3r_refiners.simplify import simplify
 
         check_new_file(args.out, args.overwrite, source=args.scene)

@@ -9,10 +9,10 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 from torch import Tensor
 
+from edit3r import build, default_registry
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import say
 from edit3r.kit.geometry.maps import dilate
-from edit3r.loading.registry import build, default_registry
 from edit3r_segmenters import MINISAM
 from edit3r_segmenters.classical import (
     ESSENTIALS,

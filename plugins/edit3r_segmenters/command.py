@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from edit3r.contract.command import Command
-from edit3r.running.flags import add_mark_flags
+from edit3r.running import add_mark_flags
 
 
 class MaskCommand(Command):
@@ -69,14 +69,13 @@ class MaskCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from dataclasses import replace
 
+        from edit3r import default_registry
         from edit3r.contract.reporting import Report, collecting
         from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.atomic import atomic_folder, check_apart
         from edit3r.kit.files.configs import parse_assignments
         from edit3r.kit.photos.images import load_photos, save_image
-        from edit3r.loading.registry import default_registry
-        from edit3r.running.selecting.marks import MarkTexts
-        from edit3r.running.selecting.select import geometry_of, select_masks
+        from edit3r.running import MarkTexts, geometry_of, select_masks
 
         check_apart(args.out, *map(Path, (*args.images, *args.mask)))
         given = parse_assignments(args.set)

@@ -14,8 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r import build, default_registry
 from edit3r.contract.interfaces import Detection, Marks, Proposal, as_proposal
-from edit3r.loading.registry import build, default_registry
 from edit3r_segmenters.words import coco_classes, imagenet_classes
 
 DETECTORS = {"coco": "nanodet", "imagenet": "efficientnet-lite0"}

@@ -47,11 +47,11 @@ class TrainCommand(Command):
         add_trust_flag(parser)
 
     def main(self, args: argparse.Namespace) -> int:
+        from edit3r import default_registry
         from edit3r.contract.reporting import Report, collecting
         from edit3r.contract.settings import merge
         from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.configs import parse_assignments, read_config
-        from edit3r.loading.registry import default_registry
         from edit3r_training.job import prepare
         from edit3r_training.processes import is_first_process
 

@@ -16,11 +16,11 @@ from typing import Any
 
 from pydantic import Field
 
+from edit3r import Registry
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Trainer, TrainingJob
 from edit3r.contract.settings import PartChoice, Settings, make_settings
-from edit3r.loading.registry import Registry
-from edit3r.running.config import DEFAULTS
+from edit3r.running import DEFAULTS
 from edit3r_training.checkpoint import LAST
 
 

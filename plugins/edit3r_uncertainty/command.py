@@ -29,8 +29,8 @@ class UncertaintyCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         import torch
 
+        from edit3r import default_registry
         from edit3r.kit.files.atomic import atomic_folder, check_apart
-        from edit3r.loading.registry import default_registry
         from edit3r_uncertainty.run import judge, read_run, write_run
 
         rasterizer = default_registry().build("rasterizer", "auto")

@@ -18,12 +18,12 @@ from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import save_image
+from edit3r.kit.rendering import render_each, render_uncertainty
 from edit3r.kit.run_folder import RunFolder, continue_run
 from edit3r.kit.scenes.ply import load_ply, save_ply
 from edit3r.kit.scenes.viewer import save_viewer
 from edit3r.kit.sheet import draw_sheet
-from edit3r.running.earlier import read_views_of_run
-from edit3r.running.rendering import render_each, render_uncertainty
+from edit3r.running import read_views_of_run
 from edit3r_uncertainty.signals import photos_of, uncertainty
 
 CHANGED = (

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.running.rendering import render_each
+from edit3r.kit.rendering import render_each
 
 WRONG = 0.05
 """A colour is wrong when it is off by more than this, in the mean of red, green and blue."""

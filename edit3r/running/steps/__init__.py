@@ -3,6 +3,6 @@
     read --> select --> edit --> reconstruct --> refine --> judge
     photos   masks      edited    Gaussians      Gaussians   verdicts
 
-`edit3r.running.run` is the loop over them. `read` begins, with the job alone; the others get the
+`edit3r.running.loop` is the loop over them. `read` begins, with the job alone; the others get the
 components of the run as `Parts`. One file each, named after its step.
 """

@@ -10,8 +10,8 @@ from torch import Tensor
 from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.reporting import note, stage, warn
 from edit3r.contract.types import EditRequest, Views
+from edit3r.kit.checks import check_edit, errors_named_after
 from edit3r.kit.geometry.maps import composite
-from edit3r.running.checks import check_edit, errors_named_after
 from edit3r.running.editors import request_of
 from edit3r.running.judging.edit_measures import measure_edit
 from edit3r.running.judging.edit_verdict import judge_edit

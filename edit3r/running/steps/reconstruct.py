@@ -13,10 +13,10 @@ from edit3r.contract.interfaces import ComparesWithBefore, EditsViews, Reconstru
 from edit3r.contract.reporting import note, say, stage, warn
 from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.cache import recall
+from edit3r.kit.checks import check_reconstruction, errors_named_after
 from edit3r.kit.geometry.gravity import quarter_turns
 from edit3r.kit.geometry.light import estimate_light
 from edit3r.kit.geometry.pose import estimate_cameras
-from edit3r.running.checks import check_reconstruction, errors_named_after
 from edit3r.running.editors import request_of
 from edit3r.running.parts import Parts
 from edit3r.running.scene import Scene, known_cameras

@@ -6,9 +6,9 @@ from edit3r.contract.component import component_name
 from edit3r.contract.interfaces import ComparesWithBefore, RefineInputs, Refiner
 from edit3r.contract.reporting import say, stage
 from edit3r.contract.types import Gaussians, Views
+from edit3r.kit.checks import check_refinement, errors_named_after
 from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.maps import composite
-from edit3r.running.checks import check_refinement, errors_named_after
 from edit3r.running.parts import Parts
 from edit3r.running.scene import Scene, known_cameras
 

@@ -10,7 +10,7 @@ from nicegui import run, ui
 from pydantic import ValidationError
 
 from edit3r.contract.errors import Edit3rError, InputError
-from edit3r.running.config import MAX_GROWTH
+from edit3r.running import MAX_GROWTH
 from edit3r_app import uploads
 from edit3r_app.draft import MARK, Draft, Mark, Step, read_draft
 from edit3r_app.forms import run_settings

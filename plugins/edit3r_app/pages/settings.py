@@ -5,7 +5,7 @@ from functools import partial
 
 from nicegui import ui
 
-from edit3r.running.quality import PRESETS
+from edit3r.running import PRESETS
 from edit3r_app.draft import Draft
 from edit3r_app.forms import CHOSEN, form_lines, in_words, offered
 from edit3r_app.pages.parts import Event, Tab, quiet

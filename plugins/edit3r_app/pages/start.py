@@ -9,10 +9,10 @@ from urllib.parse import quote
 
 from nicegui import run, ui
 
-from edit3r.cli.weights import ESSENTIALS
+from edit3r.contract.weights import ESSENTIALS
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.weights.find import at_hand
-from edit3r.loading.weights import declared
+from edit3r.loading import declared
 from edit3r_app import uploads
 from edit3r_app.pages.parts import Event, Tab, address, card, html, img, quiet
 from edit3r_app.runner import EDIT3R

@@ -19,10 +19,10 @@ from edit3r.contract.reporting import Report
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
 from edit3r.kit.geometry.maps import composite
+from edit3r.kit.rendering import render_each
 from edit3r.running.config import DEFAULTS, make_run_config
 from edit3r.running.job import JobInputs, job_from
-from edit3r.running.rendering import render_each
-from edit3r.running.run import preview
+from edit3r.running.loop import preview
 from edit3r.running.steps.refine import _as_fused
 from edit3r_testing import photograph
 

@@ -13,7 +13,8 @@ import pytest
 from edit3r_matching import bundle_adjustment, registration
 from edit3r_matching.bundle_adjustment import adjust, fit_distortion, join_tracks
 from edit3r_matching.cameras import CalibratedImage, Pose, project, rays_through
-from edit3r_matching.features import FoundFeatures, Keypoints
+from edit3r_matching.features import FoundFeatures
+from edit3r_matching.keypoints import Keypoints
 from edit3r_matching.pairs import PairView, agreeing_pairs
 from edit3r_matching.relative_pose import Matches
 

@@ -4,13 +4,13 @@ import cv2
 import numpy as np
 import pytest
 from edit3r_matching.features import (
-    Keypoints,
     detect,
     detect_tilted,
     likely_pairs,
     match,
     match_tilted,
 )
+from edit3r_matching.keypoints import Keypoints
 from skimage.data import camera
 
 

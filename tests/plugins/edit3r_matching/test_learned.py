@@ -7,7 +7,8 @@ import pytest
 import torch
 from edit3r_matching import features
 from edit3r_matching.cameras import calibrated_images
-from edit3r_matching.features import FeatureSettings, Keypoints, find_features
+from edit3r_matching.features import FeatureSettings, find_features
+from edit3r_matching.keypoints import Keypoints
 from edit3r_matching.learned import LearnedFeatures
 
 from edit3r.contract.errors import InputError, MissingDependencyError

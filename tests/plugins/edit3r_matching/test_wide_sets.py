@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from edit3r_matching import registration
 from edit3r_matching.cameras import CalibratedImage, Pose, project
-from edit3r_matching.features import FoundFeatures, Keypoints
+from edit3r_matching.features import FoundFeatures
+from edit3r_matching.keypoints import Keypoints
 
 from edit3r.contract.errors import MatchingError
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from edit3r_outputs.mesh import export_mesh, mesh_of
 from edit3r_outputs import mesh as module
+from edit3r_outputs.mesh import export_mesh, mesh_of
 
 from edit3r import Cameras, Gaussians, build, save_ply
 from edit3r.cli.main import main

@@ -11,7 +11,7 @@ from edit3r.contract.devices import require_device
 from edit3r.contract.errors import InputError, PluginError, SettingsError
 from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.contract.types import Reconstruction, Rendering
-from edit3r.running.checks import (
+from edit3r.kit.checks import (
     check_edit,
     check_reconstruction,
     check_rendering,

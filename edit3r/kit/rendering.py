@@ -11,9 +11,9 @@ from torch import Tensor
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.reporting import track
 from edit3r.contract.types import Cameras, Gaussians, Rendering
+from edit3r.kit.checks import check_rendering, errors_named_after
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.geometry.paths import between_and_around
-from edit3r.running.checks import check_rendering, errors_named_after
 
 
 def render_each(

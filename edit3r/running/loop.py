@@ -100,7 +100,7 @@ class RunResult:
         from edit3r.running import write
 
         with atomic_folder(folder, overwrite) as root:
-            write.write(root, self)
+            write.write_result(root, self)
         return Path(folder)
 
     def as_earlier(self) -> EarlierRun:
