@@ -92,7 +92,7 @@ def convert(
 
     from edit3r.contract.errors import InputError
     from edit3r.contract.settings import PartChoice
-    from edit3r.kit.weights.fetch import sha256_of
+    from edit3r.kit.files.atomic import sha256_of
     from edit3r.kit.weights.files import save_weights, whole_file
     from edit3r_model.checkpoints import (
         CONFIG,

@@ -10,7 +10,7 @@ from edit3r.contract.interfaces import Backbone, GaussianHead
 from edit3r.contract.reporting import note, progress, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Gaussians
-from edit3r.kit.weights.fetch import sha256_of
+from edit3r.kit.files.atomic import sha256_of
 from edit3r_model.checkpoints import LoadedWeights, fill, load_weights
 from edit3r_model.engine import EnginePlan, prepare_leaf
 from edit3r_model.memory import draw_leaf, leaf_names

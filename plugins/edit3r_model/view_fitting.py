@@ -9,8 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.types import Gaussians, Views
-from edit3r.kit.geometry.harmonics import DC
+from edit3r.contract.types import DC, Gaussians, Views
 
 MIN_VIEWS = 2
 

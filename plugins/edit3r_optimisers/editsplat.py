@@ -15,9 +15,8 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Editor, GivesAttention, Rasterizer
 from edit3r.contract.reporting import note, track
-from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
+from edit3r.contract.types import DC, Cameras, EditRequest, Gaussians, Views
 from edit3r.kit.geometry.cameras import project, unproject
-from edit3r.kit.geometry.harmonics import DC
 from edit3r.kit.geometry.warping import warp
 from edit3r_optimisers.fitting import TargetImages
 from edit3r_optimisers.method import (

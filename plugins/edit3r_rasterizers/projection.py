@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.contract.types import Cameras
-from edit3r.kit.geometry.harmonics import DC
+from edit3r.contract.types import DC, Cameras
 from edit3r_rasterizers import layout
 from edit3r_rasterizers import projection_maths as maths
 from edit3r_rasterizers.kernels import inlined, kernel

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from edit3r.kit.geometry.harmonics import DC
+from edit3r.contract.types import DC
 from edit3r_rasterizers import layout
 from edit3r_rasterizers import projection_maths as maths
 from edit3r_rasterizers.kernels import inlined, kernel

@@ -2,7 +2,8 @@
 `edit3r.kit.geometry.harmonics`.
 """
 
-from edit3r.kit.geometry.harmonics import C1, C2, C3, C4, DC
+from edit3r.contract.types import DC
+from edit3r.kit.geometry.harmonics import C1, C2, C3, C4
 from edit3r_rasterizers.kernels import inlined
 
 

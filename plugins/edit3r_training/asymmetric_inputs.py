@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from edit3r_editors.mock_diffusion import with_look
+from edit3r_editors.api import with_look
 from edit3r_recolor.api import (
     draw_outline,
     perturbed,

@@ -1,0 +1,77 @@
+"""The names that plugins may use, one `module:name` a line.
+
+    python docs/surface.py           # prints them
+    python docs/surface.py --write   # writes docs/plugins/surface.txt
+
+Read from the sources; nothing is imported.
+"""
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs/plugins/surface.txt"
+
+WHOLE = ("edit3r/contract", "edit3r/kit")
+"""Rooms of which every public name is promised."""
+
+FRONTS = ("edit3r", "edit3r/loading", "edit3r/running")
+"""Packages that promise what their `__all__` lists."""
+
+
+def promised() -> list[str]:
+    """All promised names, in order."""
+    fronts = [ROOT / folder / "__init__.py" for folder in FRONTS]
+    files = [file for folder in WHOLE for file in sorted((ROOT / folder).rglob("*.py"))]
+    return sorted(
+        f"{_module(file)}:{name}"
+        for file in (*fronts, *files)
+        for name in public_names(ast.parse(file.read_text(encoding="utf-8")))
+    )
+
+
+def public_names(tree: ast.Module) -> list[str]:
+    """What a module's `__all__` lists; without one, what it defines without an underscore."""
+    defined = [name for node in tree.body for name in _defined(node)]
+    if "__all__" in defined:
+        return _listed(tree)
+    return [name for name in dict.fromkeys(defined) if not name.startswith("_")]
+
+
+def _listed(tree: ast.Module) -> list[str]:
+    return next(
+        ast.literal_eval(node.value)
+        for node in tree.body
+        if isinstance(node, ast.Assign) and list(_defined(node)) == ["__all__"]
+    )
+
+
+def _defined(node: ast.stmt) -> Iterator[str]:
+    """Names that a statement at the top of a module defines; imports define none."""
+    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+        yield node.name
+    targets = node.targets if isinstance(node, ast.Assign) else []
+    if isinstance(node, ast.AnnAssign):
+        targets = [node.target]
+    for target in targets:
+        if isinstance(target, ast.Name):
+            yield target.id
+
+
+def _module(file: Path) -> str:
+    parts = file.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def main() -> None:
+    text = "\n".join(promised()) + "\n"
+    if "--write" in sys.argv:
+        PAGE.write_text(text, encoding="utf-8")
+    else:
+        print(text, end="")
+
+
+if __name__ == "__main__":
+    main()
