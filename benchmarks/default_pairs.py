@@ -14,7 +14,7 @@ from functools import partial
 import torch
 from edit3r_measure.novel_view import novel_view, score_scene
 from edit3r_measure.scene_sources import SceneOptions, find_scenes
-from held_out import for_tuning
+from scenes import for_tuning
 
 import edit3r
 from edit3r import Reconstruction, Views, default_registry

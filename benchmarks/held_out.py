@@ -14,25 +14,14 @@ import json
 from itertools import combinations
 from pathlib import Path
 
+from scenes import HELD_OUT
+from verdict import measure
+
 import edit3r
 from edit3r.contract.errors import Edit3rError
 from edit3r.kit.photos.images import find_photos
 
-HELD_OUT = ("berlin", "leuven_pair")
-"""Of the sets at our disposal those that the notes name least: one pair of `berlin` was one of 28
-that judged matchers (docs/notes/classical.md), `leuven_pair` was never used. Chosen 2026-11-23."""
 SIZE = 256
-
-
-def for_tuning(folders: list[str]) -> list[str]:
-    """The folders (or names of data sets) as they are; ends the program where one is held out."""
-    kept_apart = [name for name in folders if Path(name).name in HELD_OUT]
-    if kept_apart:
-        raise SystemExit(
-            f"{', '.join(kept_apart)}: held out, no setting may be chosen by it; see "
-            "benchmarks/held_out.py, which reports it apart"
-        )
-    return folders
 
 
 def main() -> None:
@@ -70,8 +59,6 @@ def is_posed(folder: Path) -> bool:
 
 def posed(folder: Path, pair: tuple[int, int]) -> dict:
     """As `benchmarks/verdict.py` measures a set."""
-    from verdict import measure  # which imports this module
-
     return measure(folder, list(pair), SIZE, pairs=False, unseen=[])
 
 

@@ -22,7 +22,7 @@ from edit3r_matching.calibration import calibrate
 from edit3r_matching.cameras import CalibratedImage, Pose
 from edit3r_matching.features import FeatureSettings, find_features
 from edit3r_matching.registration import register
-from held_out import for_tuning
+from scenes import for_tuning
 
 from edit3r.contract.errors import MatchingError
 from edit3r.kit.photos.cameras import PosedCamera

@@ -29,7 +29,7 @@ from edit3r_measure.scene_sources import (
     SceneSource,
     find_scenes,
 )
-from held_out import for_tuning
+from scenes import for_tuning
 
 import edit3r
 from edit3r import default_registry

@@ -35,7 +35,7 @@ from edit3r_uncertainty.signals import (
     probability,
     signals_of,
 )
-from held_out import HELD_OUT
+from scenes import HELD_OUT
 from scipy.stats import spearmanr
 from torch import Tensor
 from verdict import between

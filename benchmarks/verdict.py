@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from held_out import for_tuning
+from scenes import for_tuning
 
 import edit3r
 from edit3r.contract.errors import Edit3rError

@@ -6,6 +6,7 @@ declaration module can import `Component` and `hookimpl` without paying for anyt
 
 from importlib import import_module
 
+import edit3r.moved
 from edit3r.version import __version__
 
 TYPE_CHECKING = False  # as in typing, which takes a while to import

@@ -63,3 +63,26 @@ def killed_at():
             os._exit(0)
 
     return run
+
+
+LIMIT = 1.0
+"""CPU seconds of a test that is not marked `slow`; half of it is the aim."""
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    """Where CI is set, fail a quick test that is not quick."""
+    before = _cpu_seconds()
+    answer = yield
+    spent = _cpu_seconds() - before
+    if os.environ.get("CI") and spent > LIMIT and not item.get_closest_marker("slow"):
+        pytest.fail(
+            f"took {spent:.1f} CPU seconds, {LIMIT:g} at most: make it quicker or mark it slow."
+        )
+    return answer
+
+
+def _cpu_seconds():
+    """CPU seconds of this process and of its children that have ended."""
+    spent = os.times()
+    return spent.user + spent.system + spent.children_user + spent.children_system

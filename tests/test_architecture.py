@@ -155,6 +155,7 @@ def _absolute(module: Module, node: ast.ImportFrom) -> str:
 
 
 LAYERS = {
+    "moved": 0,
     "version": 0,
     "contract": 1,
     "kit": 2,
