@@ -6,6 +6,8 @@ import ast
 import importlib.util
 import re
 import sys
+from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -46,44 +48,34 @@ def load_generator():
 
 generate = load_generator()
 REFERENCE = generate.reference_pages(default_registry())
-OFFERS = default_registry().offers()
-
-
-def offer_ids(offer):
-    return f"{offer.kind}-{offer.component.name}"
 
 
 # ---- nothing is left out ----
 
 
+def test_every_hook_is_documented():
+    for kind in KINDS:
+        hook = hook_name(kind)
+        assert getattr(hookspecs, hook).__doc__, hook
+        for page in (f"plugins/{kind}.md", "plugins/how-plugins-are-found.md"):
+            assert f"`{hook}`" in PAGES[page], f"{page} does not name {hook}"
+        assert f"`{hook}`" in REFERENCE["reference/hooks.md"], hook
+
+
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_hook_is_documented(kind):
-    hook = hook_name(kind)
-    assert getattr(hookspecs, hook).__doc__
-    assert f"`{hook}`" in PAGES[f"plugins/{kind}.md"]
-    assert f"`{hook}`" in PAGES["plugins/how-plugins-are-found.md"]
-    assert f"`{hook}`" in REFERENCE["reference/hooks.md"]
-
-
-@pytest.mark.parametrize("offer", OFFERS, ids=offer_ids)
-def test_every_component_is_documented(offer):
-    name = f"`{offer.component.name}`"
-    assert f"## {name}" in REFERENCE[f"reference/components/{offer.kind}.md"]
+def test_every_component_and_setting_of_a_kind_is_documented(kind):
     texts = [*PAGES.values(), (ROOT / "README.md").read_text(encoding="utf-8")]
-    assert any(name in text for text in texts), (
-        f"{offer.kind} {name} is named on no page of docs/ nor in README.md"
-    )
-    assert offer.component.summary.strip() and offer.component.licence.strip()
-
-
-@pytest.mark.parametrize("offer", OFFERS, ids=offer_ids)
-def test_every_setting_is_documented(offer):
-    if default_registry().missing(offer):
-        pytest.skip(f"needs {', '.join(default_registry().missing(offer))}")
-    page = REFERENCE[f"reference/components/{offer.kind}.md"]
-    for line in settings_lines(default_registry().settings_class(offer)):
-        assert len(line.sentence) > 2, f"{offer.kind}.{line.name} has no description"
-        assert f"| `{line.name}` |" in page
+    page = REFERENCE[f"reference/components/{kind}.md"]
+    for offer in default_registry().offers(kind):
+        name = f"`{offer.component.name}`"
+        assert f"## {name}" in page, name
+        assert any(name in text for text in texts), f"{kind} {name} is on no page"
+        assert offer.component.summary.strip() and offer.component.licence.strip(), name
+        if default_registry().missing(offer):
+            continue
+        for line in settings_lines(default_registry().settings_class(offer)):
+            assert len(line.sentence) > 2, f"{kind} {name}.{line.name}: no description"
+            assert f"| `{line.name}` |" in page, f"{kind} {name}.{line.name}"
 
 
 def test_every_setting_of_a_run_is_documented():
@@ -91,13 +83,13 @@ def test_every_setting_of_a_run_is_documented():
         assert line.sentence and f"`{line.name}`" in REFERENCE["reference/run.md"]
 
 
-@pytest.mark.parametrize("command", generate.commands())
-def test_every_command_is_documented(command):
-    assert f"## `edit3r {command}`" in REFERENCE["reference/commands.md"]
+def test_every_command_is_documented():
     texts = [*PAGES.values(), (ROOT / "README.md").read_text(encoding="utf-8")]
-    assert any(f"edit3r {command}" in text for text in texts), (
-        f"no page of docs/ shows `edit3r {command}`"
-    )
+    for command in generate.commands():
+        assert f"## `edit3r {command}`" in REFERENCE["reference/commands.md"], command
+        assert any(f"edit3r {command}" in text for text in texts), (
+            f"no page of docs/ shows `edit3r {command}`"
+        )
 
 
 def test_every_public_name_has_a_docstring():
@@ -206,13 +198,14 @@ def _anchors(text: str) -> set[str]:
 MAX_WORDS = 900
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if "/" not in page])
-def test_a_page_for_users_is_short(page):
+def test_pages_for_users_are_short():
     """What was tried and measured stands in docs/notes; tables and code are not counted."""
     made = r"^```.*?^```|<!--.*?-->|^ *\|.*?$|^Measured at `.*?$"
-    text = re.sub(f"(?ms){made}", "", PAGES[page])
-    words = len(text.split())
-    assert words <= MAX_WORDS, f"docs/{page} has {words} words; move some to docs/notes"
+    for page in (page for page in PAGES if "/" not in page):
+        words = len(re.sub(f"(?ms){made}", "", PAGES[page]).split())
+        assert words <= MAX_WORDS, (
+            f"docs/{page} has {words} words; move some to docs/notes"
+        )
 
 
 SHIPPED_BINARIES = {".jpg", ".png", ".svg", ".safetensors"}
@@ -239,24 +232,61 @@ def test_the_architecture_page_answers_where_thirty_things_are():
     assert len(PLACES) >= 30 and len({what for what, _, _ in PLACES}) == len(PLACES)
 
 
-@pytest.mark.parametrize(
-    "what, file, symbol", PLACES, ids=[what for what, _, _ in PLACES]
-)
-def test_a_place_that_the_architecture_page_names_is_there(what, file, symbol):
-    assert (ROOT / file).is_file(), f"{file} is gone; where is {what}?"
-    scope = ast.parse((ROOT / file).read_text(encoding="utf-8")).body
-    for name in symbol.split("."):
-        found = [node for node in scope if name in _names_of(node)]
-        assert found, f"{file} has no {symbol}; where is {what}?"
-        scope = getattr(found[0], "body", [])
+def test_the_places_that_the_architecture_page_names_are_there():
+    for what, file, symbol in PLACES:
+        assert (ROOT / file).is_file(), f"{file} is gone; where is {what}?"
+        scope = ast.parse((ROOT / file).read_text(encoding="utf-8")).body
+        for name in symbol.split("."):
+            found = [node for node in scope if name in _names_of(node)]
+            assert found, f"{file} has no {symbol}; where is {what}?"
+            scope = getattr(found[0], "body", [])
 
 
-@pytest.mark.parametrize(
-    "path",
-    sorted(set(re.findall(r"`((?:edit3r|tests)/[\w/.]+)`", PAGES["architecture.md"]))),
-)
-def test_a_file_that_the_architecture_page_names_is_there(path):
-    assert (ROOT / path).exists()
+NAMED_PAGES = ("architecture.md", "plugins/editor.md")
+
+
+@pytest.mark.parametrize("page", NAMED_PAGES)
+def test_every_file_and_symbol_that_a_page_names_exists(page):
+    """Each text between backticks that is a path, or a name as Python writes it."""
+    named = re.findall(r"`([^`\n]+)`", re.sub(r"(?s)```.*?```", "", PAGES[page]))
+    for text in named:
+        if re.fullmatch(r"[\w./]+/[\w./]*|[\w/]+\.(?:py|yaml|md)", text):
+            assert _is_path(text), f"{page} names {text}, which is not there"
+        elif re.fullmatch(r"[A-Za-z_]\w*(?:\.\w+)*(?:\(.*\))?", text):
+            assert _is_known(text), f"{page} names {text}, which nothing defines"
+
+
+def _is_path(text: str) -> bool:
+    """Whether a path, from the root or from any room of the core or a plugin, is there."""
+    written = {"inputs/", "edited/", "renders/", "masks/"}
+    homes = (ROOT, ROOT / "edit3r", ROOT / "edit3r/kit", *_rooms())
+    return text in written or any((home / text).exists() for home in homes)
+
+
+def _rooms() -> list[Path]:
+    return [
+        folder
+        for home in ("edit3r", "plugins")
+        for folder in (ROOT / home).rglob("*")
+        if folder.is_dir()
+    ]
+
+
+def _is_known(text: str) -> bool:
+    """Whether the last name of a dotted one stands in the sources as a word."""
+    name = text.split("(")[0].split(".")[-1]
+    return re.search(rf"\b{name}\b", _sources()) is not None
+
+
+@cache
+def _sources() -> str:
+    files = [
+        file
+        for home in ("edit3r", "edit3r_testing", "plugins")
+        for file in (ROOT / home).rglob("*.py")
+    ]
+    names = " ".join(file.stem for file in files)
+    return names + "".join(file.read_text(encoding="utf-8") for file in files)
 
 
 def _names_of(node: ast.stmt) -> set[str]:
@@ -327,10 +357,8 @@ def test_configurations_shown_are_accepted(page):
         make_run_config(yaml.safe_load(block))
 
 
-@pytest.mark.parametrize("page", [*PAGES, "README.md"])
-def test_options_shown_exist(page):
+def test_options_shown_exist():
     """Every `edit3r COMMAND ... --option` in a shell block is an option of that command."""
-    text = PAGES.get(page) or (ROOT / page).read_text(encoding="utf-8")
     helps: dict[str, str] = {}  # a command's own, and those of its steps
     shown = re.findall(
         r"## `edit3r ([\w-]+)[^`]*`.*?```text\n(.*?)```",
@@ -339,17 +367,26 @@ def test_options_shown_exist(page):
     )
     for command, help_text in shown:
         helps[command] = helps.get(command, "") + help_text
-    for language, block in re.findall(r"(?ms)^```(\w*).*?\n(.*?)^```", text):
-        if language not in ("", "sh", "bash"):
-            continue
-        for command, rest in re.findall(
-            r"^(?:.*&& )?edit3r ([\w-]+)(.*)$", block.replace("\\\n", " "), re.MULTILINE
-        ):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for page, text in {**PAGES, "README.md": readme}.items():
+        for command, options in _commands_shown(text):
             assert command in helps, f"{page}: no command edit3r {command}"
-            for option in re.findall(r"\s(--[\w-]+)", rest.split("#")[0]):
+            for option in options:
                 assert option in helps[command], (
                     f"{page}: edit3r {command} has no {option}"
                 )
+
+
+def _commands_shown(text: str) -> Iterator[tuple[str, list[str]]]:
+    """Commands of the shell blocks of a page, each with its options."""
+    for language, block in re.findall(r"(?ms)^```(\w*).*?\n(.*?)^```", text):
+        if language not in ("", "sh", "bash"):
+            continue
+        lines = block.replace("\\\n", " ")
+        for command, rest in re.findall(
+            r"^(?:.*&& )?edit3r ([\w-]+)(.*)$", lines, re.MULTILINE
+        ):
+            yield command, re.findall(r"\s(--[\w-]+)", rest.split("#")[0])
 
 
 def run_all_claims(contract):
