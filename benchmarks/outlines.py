@@ -1,20 +1,18 @@
 """Draws outlines of objects on real photos by hand, as polygons, and shows them to be checked.
 
     python benchmarks/outlines.py DATA show PHOTO [--zoom 3] [--part X,Y,W,H] --out grid.png
-    python benchmarks/outlines.py DATA add NAME PHOTO "x,y x,y ..." [--hole "..."] [--word WORD]
-[--more] [--snap 3]
+    python benchmarks/outlines.py DATA add NAME PHOTO "x,y x,y ..." [--hole "..."]
     python benchmarks/outlines.py DATA check NAME|PHOTO [--zoom 3] [--part X,Y,W,H] --out check.png
 
 DATA is a folder of photo sets, PHOTO a file in it such as fern/images/000.jpg. Coordinates are
-pixels of the stored photo, with whole numbers at the centres of pixels. A pixel belongs to the
-object where it lies inside an odd number of its polygons.
+pixels of the stored photo, whole numbers at the centres of pixels. A pixel belongs to the object
+where it lies inside an odd number of its polygons.
 """
 
 import argparse
 import json
 from pathlib import Path
 
-import cv2
 import numpy as np
 from PIL import Image, ImageDraw
 
@@ -28,10 +26,9 @@ def main() -> None:
     parser.add_argument("data", type=Path, help="folder of photo sets")
     parser.add_argument("job", choices=("show", "add", "check"))
     parser.add_argument("names", nargs="+", help="see above")
-    parser.add_argument("--hole", action="append", default=[], help="polygon to cut out")
+    parser.add_argument("--hole", action="append", default=[], help="to cut out")
     parser.add_argument("--word", help="what a person would call the object")
     parser.add_argument("--more", action="store_true", help="keep the photo's polygons")
-    parser.add_argument("--snap", type=int, default=0, help="pixels an edge may move")
     parser.add_argument("--zoom", type=int, default=3)
     parser.add_argument("--part", help="X,Y,W,H of the photo to show")
     parser.add_argument("--out", type=Path, default=Path("outlines.png"))
@@ -51,8 +48,6 @@ def add(objects: dict, args: argparse.Namespace) -> None:
     """Put the polygons under the object's photo, in place of those that were there."""
     name, photo, *texts = args.names
     polygons = [numbers(text) for text in [*texts, *args.hole]]
-    if args.snap:
-        polygons = snapped(Image.open(args.data / photo), polygons, args.snap)
     entry = objects.setdefault(name, {"word": name.split("/")[1], "photos": {}})
     entry["word"] = args.word or entry["word"]
     kept = entry["photos"].get(photo, []) if args.more else []
@@ -72,26 +67,6 @@ def save(objects: dict) -> None:
     FILE.write_text("{\n" + ",\n".join(lines) + "\n}\n")
 
 
-def snapped(photo: Image.Image, polygons: list, band: int) -> list:
-    """The polygons after grabCut, which may move edges only within `band` pixels of the drawn."""
-    image = np.asarray(photo.convert("RGB"))[:, :, ::-1].copy()
-    inside = np.zeros(image.shape[:2], np.uint8)
-    for polygon in polygons:
-        canvas = Image.new("1", photo.size)
-        ImageDraw.Draw(canvas).polygon([tuple(place) for place in polygon], fill=1)
-        inside ^= np.asarray(canvas).astype(np.uint8)
-    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * band + 1, 2 * band + 1))
-    mask = np.where(inside, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
-    mask[cv2.erode(inside, disc, borderValue=1) == 1] = cv2.GC_FGD
-    mask[cv2.dilate(inside, disc) == 0] = cv2.GC_BGD
-    models = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.grabCut(image, mask, None, *models, 4, cv2.GC_INIT_WITH_MASK)
-    found = cv2.medianBlur((mask & 1).astype(np.uint8), 3)
-    rings, _ = cv2.findContours(found, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
-    kept = [ring for ring in rings if cv2.contourArea(ring) > 20]
-    return [cv2.approxPolyDP(r, 0.7, True)[:, 0].astype(float).tolist() for r in kept]
-
-
 def drawn(data: Path, photo: str, outlines: list, part: list | None, zoom: int):
     """The part of the photo, enlarged: with a grid, or with each outline in its own colour."""
     image = Image.open(data / photo).convert("RGB")
@@ -109,7 +84,9 @@ def drawn(data: Path, photo: str, outlines: list, part: list | None, zoom: int):
                 pen.line(line, fill=(255, 255, 0, 110 if labelled else 50))
             if labelled:
                 place = (at + 2, 0) if axis == 0 else (0, at)
-                pen.text(place, str(mark), fill="yellow", stroke_width=1, stroke_fill="black")
+                pen.text(
+                    place, str(mark), fill="yellow", stroke_width=1, stroke_fill="black"
+                )
     for number, polygons in enumerate(outlines):
         colour = ("red", "lime", "cyan", "magenta", "orange", "blue")[number % 6]
         for ring in polygons:
@@ -128,9 +105,11 @@ def check(objects: dict, name: str, data: Path, part: list | None, zoom: int):
         places = np.concatenate(polygons)
         x, y = (int(n) for n in np.maximum(places.min(0) - MARGIN, 0))
         width, height = (int(n) for n in places.max(0) + MARGIN - (x, y))
-        box = part or (x, y, width, height)
+        box = part or [x, y, width, height]
         shown.append(drawn(data, photo, [polygons], box, zoom))
-    sheet = Image.new("RGB", (sum(s.width for s in shown), max(s.height for s in shown)))
+    sheet = Image.new(
+        "RGB", (sum(s.width for s in shown), max(s.height for s in shown))
+    )
     for number, one in enumerate(shown):
         sheet.paste(one, (sum(s.width for s in shown[:number]), 0))
     return sheet
