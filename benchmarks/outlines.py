@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageDraw
 
-FILE = Path(__file__).with_name("outlines-1.json")
+FILE = Path(__file__).with_name("outlines.json")
 GRID = 10  # pixels of the photo between two lines; every second one is labelled
 MARGIN = 12  # pixels of the photo shown around an object
 

@@ -47,7 +47,7 @@ def test_a_check_shows_the_outline_on_the_enlarged_photo(run, tmp_path):
 
 
 def test_every_outline_of_the_file_has_a_word_and_rings_that_enclose_something():
-    objects = json.loads((ROOT / "benchmarks/outlines-1.json").read_text())
+    objects = json.loads((ROOT / "benchmarks/outlines.json").read_text())
     assert len(objects) >= 55
     for name, entry in objects.items():
         assert entry["word"] and "/" in name
