@@ -47,7 +47,8 @@ Differences are taken edit by edit, then scene by scene. "better" and "worse" ar
 
 TIMES = """\
 Seconds for one edit of a scene, all views. The scene is all that a run does between photos and
-scene, but for the editor."""
+scene, but for the editor. A view: the scene's wall time over the number of input photos, as in the
+paper's Table 1."""
 
 
 # ---- reading ----
@@ -186,6 +187,9 @@ def timing(column: Column) -> dict[str, Any]:
     for name in (*CPU, *WALL):
         if warm:
             medians[name] = statistics.median(own[name] for own in warm)
+    # Results of earlier versions do not tell how many photos there were.
+    if warm and all("views" in own for own in warm):
+        medians["view"] = statistics.median(own["scene"] / own["views"] for own in warm)
     return {
         "warm": medians or None,
         "warm_edits": len(warm),
@@ -349,24 +353,25 @@ def difference_table(
 
 TIME_HEAD = """\
 | | warm edits | editor [s CPU] | scene [s CPU] | rendering [s CPU] | all [s CPU] | all [s wall] \
-| cold: all [s CPU] |
-| --- | --: | --: | --: | --: | --: | --: | --: |"""
+| a view [s wall] | cold: all [s CPU] |
+| --- | --: | --: | --: | --: | --: | --: | --: | --: |"""
 
 
 def time_table(columns: Sequence[Column]) -> str:
-    """Return seconds an edit of a scene (all its views): warm medians by part, and the whole of the
-    cold first one.
+    """Return seconds an edit of a scene (all its views): warm medians by part, of the scene also a
+    view, and the whole of the cold first one.
     """
     lines = [TIME_HEAD]
     for column in columns:
         times = timing(column)
-        cells = "- | - | - | - | -"
+        cells = "- | - | - | - | - | -"
         cold = "-"
         if times["warm"]:
             parts = [times["warm"][name] for name in CPU]
             wall = sum(times["warm"][name] for name in WALL)
             each = " | ".join(f"{seconds:.3g}" for seconds in parts)
-            cells = f"{each} | {sum(parts):.3g} | {wall:.3g}"
+            view = f"{times['warm']['view']:.3g}" if "view" in times["warm"] else "-"
+            cells = f"{each} | {sum(parts):.3g} | {wall:.3g} | {view}"
         if times["cold"]:
             cold = f"{sum(times['cold'][name] for name in CPU):.3g}"
         lines.append(f"| {column.label} | {times['warm_edits']} | {cells} | {cold} |")
