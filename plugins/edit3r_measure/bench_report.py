@@ -37,8 +37,10 @@ Means over scenes. In brackets the 95 % interval of Student's t over scenes, fro
 Truth measures (psnr, ssim, edit-uptake) are taken at held-back views and a failure counts in them
 as a black image; measures without truth leave failures out, and the score counts them as 0.
 `c-fid-effnet` and `c-kid-effnet` are not FID and KID: their features are those of
-EfficientNet-lite0. C-FID and C-KID compare with the unedited photos, so doing nothing is best by
-them, as it is by consistency; by the score it is worst:
+EfficientNet-lite0. All four compare five crops of each rendering (itself and its corners) with the
+same of this scene's unedited photos, since a scene has too few images: the paper takes images
+alone, so its numbers are on another scale. Doing nothing is best by them, as it is by consistency;
+by the score it is worst:
 (what arrived of the edit) x sqrt(agreement of views x what stayed put)."""
 
 COMPARISON = """\
