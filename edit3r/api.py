@@ -4,7 +4,7 @@ edit3r.run(["a.jpg", "b.jpg"], "paint the bike red", editor="recolor", recon="ed
 """
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Literal
@@ -12,6 +12,7 @@ from typing import Any, Literal
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor, Segmenter
 from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice
@@ -20,6 +21,7 @@ from edit3r.kit.cache import Cache
 from edit3r.loading.registry import Registry
 from edit3r.running.config import PART_KEYS, make_run_config
 from edit3r.running.earlier import EarlierRun, read_earlier_run
+from edit3r.running.given import check_cameras, check_views, checked_masks
 from edit3r.running.job import RunJob, inherited, with_cameras
 from edit3r.running.loop import RunResult
 from edit3r.running.loop import run as run_job
@@ -176,22 +178,35 @@ def _plain(value: Any) -> Any:
 def _photos(
     photos: Views | Files, cameras: str | Path | Cameras | None
 ) -> Views | tuple[Path, ...]:
-    if isinstance(photos, Views):
-        return with_cameras(photos, cameras) if isinstance(cameras, Cameras) else photos
-    return _paths(photos)
+    if not isinstance(photos, Views):
+        return _paths("photos", photos, "Views")
+    check_views(photos)
+    if not isinstance(cameras, Cameras):
+        return photos
+    check_cameras(cameras, photos)
+    return with_cameras(photos, cameras)
 
 
-def _paths(files: Files) -> tuple[Path, ...]:
-    files = [files] if isinstance(files, str | Path) else files
-    return tuple(map(Path, files))
+def _paths(name: str, files: Files, other: str) -> tuple[Path, ...]:
+    """The files as paths; raises InputError for what is neither files nor, as told, `other`."""
+    alone = isinstance(files, str | Path) or not isinstance(files, Iterable)
+    listed = [files] if alone else list(files)
+    if not all(isinstance(file, str | Path) for file in listed):
+        raise InputError(
+            f"{name}: got {type(files).__name__}, expected files or {other}."
+        )
+    return tuple(map(Path, listed))
 
 
 def _masks(
     masks: Tensor | Selection | Files | None,
 ) -> Tensor | Selection | MarkTexts | None:
-    if masks is None or isinstance(masks, Tensor | Selection):
+    if masks is None or isinstance(masks, Selection):
         return masks
-    return MarkTexts(mask_files=tuple(map(str, _paths(masks))))
+    if isinstance(masks, Tensor):
+        return checked_masks(masks)
+    files = _paths("masks", masks, "a tensor of all views, or a Selection")
+    return MarkTexts(mask_files=tuple(map(str, files)))
 
 
 def _earlier(earlier: RunResult | EarlierRun | str | Path | None) -> EarlierRun | None:

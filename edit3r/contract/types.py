@@ -102,7 +102,9 @@ class Views(_Tensors):
         small = interpolate(
             self.images.flatten(0, 1), size, mode="bilinear", antialias=True
         )
-        return replace(self, images=small.unflatten(0, self.images.shape[:2]))
+        # The weights of a pixel sum up to 1 but for rounding, which may lead above it.
+        images = small.unflatten(0, self.images.shape[:2]).clamp(0, 1)
+        return replace(self, images=images)
 
     def scene(self, index: int) -> "Views":
         """One scene of the batch, as a batch of one."""

@@ -27,6 +27,7 @@ from edit3r.running.steps.read import read
 from edit3r.running.steps.reconstruct import reconstruct
 from edit3r.running.steps.refine import refine
 from edit3r.running.steps.select import select
+from edit3r.running.unit import to_given_unit, to_own_unit
 
 Step = Callable[[Scene, Parts], Scene]
 STEPS: tuple[Step, ...] = (select, edit, reconstruct, refine, judge)
@@ -179,10 +180,10 @@ def _take(
     require_device(job.config.device)
     check_components(job.config, registry, job.components)
     note_quality(job.config)
-    scene = read(job, registry)
+    scene, factor = to_own_unit(read(job, registry))
     parts = Parts(with_known_poses(job, scene.photos, registry), registry, job)
     if reconstruct in steps:
         parts.rasterizer.prepare(torch.device(job.config.device).type)
     for step in steps:
         scene = step(scene, parts)
-    return scene, parts
+    return to_given_unit(scene, factor, job.refine_poses), parts

@@ -4,7 +4,7 @@ import math
 from pathlib import Path
 
 from edit3r.kit.run_folder import RunFolder
-from edit3r.running.config import RunConfig
+from edit3r.running.config import RunConfig, make_run_config
 from edit3r.running.loop import RunResult
 
 MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "guess"}
@@ -35,15 +35,18 @@ def summary(out: Path, result: RunResult) -> str:
 
 
 def _named_settings(result: RunResult) -> str:
-    """The preset; else "default" where nothing was set that makes another scene."""
+    """The preset or "default", and what was set beside it that makes another scene."""
     asked = result.parts.job.config
-    if asked.quality is not None:
-        return asked.quality
-    usual = RunConfig()
+    preset = {} if asked.quality is None else {"quality": asked.quality}
+    usual = make_run_config(preset)
     names = set(RunConfig.model_fields) - MAKES_NO_OTHER_SCENE
     changed = sorted(
         name for name in names if getattr(asked, name) != getattr(usual, name)
     )
+    if asked.quality is not None:
+        return (
+            f"{asked.quality} (but {', '.join(changed)})" if changed else asked.quality
+        )
     return f"own ({', '.join(changed)})" if changed else "default"
 
 

@@ -37,8 +37,10 @@ Means over scenes. In brackets the 95 % interval of Student's t over scenes, fro
 Truth measures (psnr, ssim, edit-uptake) are taken at held-back views and a failure counts in them
 as a black image; measures without truth leave failures out, and the score counts them as 0.
 `c-fid-effnet` and `c-kid-effnet` are not FID and KID: their features are those of
-EfficientNet-lite0. C-FID and C-KID compare with the unedited photos, so doing nothing is best by
-them, as it is by consistency; by the score it is worst:
+EfficientNet-lite0. All four compare five crops of each rendering (itself and its corners) with the
+same of this scene's unedited photos, since a scene has too few images: the paper takes images
+alone, so its numbers are on another scale. Doing nothing is best by them, as it is by consistency;
+by the score it is worst:
 (what arrived of the edit) x sqrt(agreement of views x what stayed put)."""
 
 COMPARISON = """\
@@ -47,7 +49,8 @@ Differences are taken edit by edit, then scene by scene. "better" and "worse" ar
 
 TIMES = """\
 Seconds for one edit of a scene, all views. The scene is all that a run does between photos and
-scene, but for the editor."""
+scene, but for the editor. A view: the scene's wall time over the number of input photos, as in the
+paper's Table 1."""
 
 
 # ---- reading ----
@@ -186,6 +189,9 @@ def timing(column: Column) -> dict[str, Any]:
     for name in (*CPU, *WALL):
         if warm:
             medians[name] = statistics.median(own[name] for own in warm)
+    # Results of earlier versions do not tell how many photos there were.
+    if warm and all("views" in own for own in warm):
+        medians["view"] = statistics.median(own["scene"] / own["views"] for own in warm)
     return {
         "warm": medians or None,
         "warm_edits": len(warm),
@@ -349,24 +355,25 @@ def difference_table(
 
 TIME_HEAD = """\
 | | warm edits | editor [s CPU] | scene [s CPU] | rendering [s CPU] | all [s CPU] | all [s wall] \
-| cold: all [s CPU] |
-| --- | --: | --: | --: | --: | --: | --: | --: |"""
+| a view [s wall] | cold: all [s CPU] |
+| --- | --: | --: | --: | --: | --: | --: | --: | --: |"""
 
 
 def time_table(columns: Sequence[Column]) -> str:
-    """Return seconds an edit of a scene (all its views): warm medians by part, and the whole of the
-    cold first one.
+    """Return seconds an edit of a scene (all its views): warm medians by part, of the scene also a
+    view, and the whole of the cold first one.
     """
     lines = [TIME_HEAD]
     for column in columns:
         times = timing(column)
-        cells = "- | - | - | - | -"
+        cells = "- | - | - | - | - | -"
         cold = "-"
         if times["warm"]:
             parts = [times["warm"][name] for name in CPU]
             wall = sum(times["warm"][name] for name in WALL)
             each = " | ".join(f"{seconds:.3g}" for seconds in parts)
-            cells = f"{each} | {sum(parts):.3g} | {wall:.3g}"
+            view = f"{times['warm']['view']:.3g}" if "view" in times["warm"] else "-"
+            cells = f"{each} | {sum(parts):.3g} | {wall:.3g} | {view}"
         if times["cold"]:
             cold = f"{sum(times['cold'][name] for name in CPU):.3g}"
         lines.append(f"| {column.label} | {times['warm_edits']} | {cells} | {cold} |")

@@ -151,7 +151,7 @@ class BenchRun:
         metrics = measure(item, output, networks)
         save_sheet(self.out / "pictures" / f"{record.id}.webp", item, output)
         facts = {"gaussians": output.gaussians, "warnings": report.warnings}
-        timing = timing_of(report.stages, cold)
+        timing = timing_of(report.stages, cold, item.inputs)
         return asdict(replace(result, metrics=metrics, timing=timing, facts=facts))
 
 
@@ -217,14 +217,15 @@ def _claim_folder(run: BenchRun) -> None:
     write_json(run.out / RUN, {**asked, **more})
 
 
-def timing_of(stages: Sequence[StageRecord], cold: bool) -> dict[str, Any]:
+def timing_of(stages: Sequence[StageRecord], cold: bool, views: int) -> dict[str, Any]:
     """Return wall and CPU seconds (`_cpu`) of one edit by part.
 
     `editor` is the 2D editor, `scene` all else that a run does between photos and scene,
     `rendering` the frames that are measured. Reading files, building components (loading weights),
-    measuring and writing are in none. A cold edit is the first of its process.
+    measuring and writing are in none. A cold edit is the first of its process. `views` are the
+    input photos, by which the paper divides.
     """
-    timing: dict[str, Any] = {"cold": cold}
+    timing: dict[str, Any] = {"cold": cold, "views": views}
     for part in ("editor", "scene", "rendering"):
         own = [stage for stage in stages if _part_of(stage.name) == part]
         timing[part] = sum(stage.seconds for stage in own)

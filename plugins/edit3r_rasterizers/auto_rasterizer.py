@@ -84,5 +84,6 @@ class AutoRasterizer(Rasterizer):
         """Build it with those of this one's settings that it has too."""
         registry = default_registry()
         known = registry.settings_class(offer).model_fields
-        values = {k: v for k, v in self.settings.model_dump().items() if k in known}
+        chosen = self.settings.model_dump(exclude_none=True)
+        values = {k: v for k, v in chosen.items() if k in known}
         return registry.build("rasterizer", offer.qualified_name, **values)

@@ -86,7 +86,7 @@ class GsplatRasterizer(Rasterizer):
             Ks=to_pixels(cameras.intrinsics[scene], cameras.image_size).float(),
             width=width,
             height=height,
-            near_plane=self.settings.near,
+            near_plane=self.settings.near_plane(gaussians),
             far_plane=self.settings.far,
             eps2d=self.settings.eps2d,
             sh_degree=gaussians.degree,

@@ -102,8 +102,9 @@ class NumbaRasterizer(Rasterizer):
             single.opacities,
             single.harmonics,
         )
+        near = self.settings.near_plane(single)
         outputs = _Rasterize.apply(
-            self.settings,
+            self.settings.model_copy(update={"near": near}),
             cameras.image_size,
             backgrounds,
             pack_cameras(cameras),

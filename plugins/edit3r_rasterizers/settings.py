@@ -2,6 +2,8 @@
 refuses.
 """
 
+import math
+
 import torch
 from jaxtyping import Float, Shaped
 from pydantic import Field, model_validator
@@ -17,6 +19,11 @@ widths].
 """
 MAX_COLOUR = 1e30
 """Colours are clamped to [0, MAX_COLOUR], so that no finite input makes an infinite image."""
+NEAR = 0.01
+"""Camera z below which Gaussians are culled, but in smaller scenes [scene units]."""
+SMALL = 32 * NEAR
+"""A scene of smaller size has a nearer near plane [scene units]."""
+LOOKED_AT = 4096  # Gaussians that tell the size of a scene, evenly spaced
 GAUSSIAN_FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 MIN_TOTAL_ALPHA = 1e-10
 """Expected depth divides by at least this alpha."""
@@ -27,11 +34,12 @@ class RasterizerSettings(Settings):
     `max_alpha` of 0.999.
     """
 
-    near: float = Field(
-        0.01,
-        ge=1e-6,
+    near: float | None = Field(
+        None,
+        ge=1e-30,
         le=1e10,
-        description="Gaussians with camera z below are culled [scene units].",
+        description="Gaussians with camera z below are culled [scene units]; default: 0.01, less "
+        "in scenes smaller than 0.32.",
     )
     far: float = Field(
         1e10,
@@ -69,13 +77,36 @@ class RasterizerSettings(Settings):
 
     @model_validator(mode="after")
     def _check_ranges(self) -> "RasterizerSettings":
-        if self.far <= self.near:
-            raise ValueError(f"far ({self.far}) must be above near ({self.near})")
+        near = NEAR if self.near is None else self.near
+        if self.far <= near:
+            raise ValueError(f"far ({self.far}) must be above near ({near})")
         if not all(0 <= channel <= 1 for channel in self.background):
             raise ValueError(
                 f"background must be three numbers in [0, 1], got {self.background}"
             )
         return self
+
+    def near_plane(self, gaussians: Gaussians) -> float:
+        """`near`, or what suits the size of the scene: halved until it is a 32nd of it at most.
+
+        Scenes of ordinary size all have the same, so that parts of one are drawn as the whole is.
+        """
+        if self.near is not None:
+            return self.near
+        size = size_of(gaussians)
+        if not 0 < size < SMALL:
+            return NEAR
+        return NEAR * 2.0 ** math.floor(math.log2(size / SMALL))
+
+
+def size_of(gaussians: Gaussians) -> float:
+    """How far nine of ten centres lie from the middle one at most [scene units]; 0 for none."""
+    step = max(1, gaussians.count // LOOKED_AT)
+    means = gaussians.means.detach()[:, ::step].flatten(0, 1)
+    if len(means) == 0:
+        return 0.0
+    distances = (means - means.median(0).values).norm(dim=-1)
+    return float(distances.kthvalue(math.ceil(0.9 * len(means))).values)
 
 
 def check_scene(gaussians: Gaussians, cameras: Cameras) -> None:
@@ -88,6 +119,13 @@ def check_scene(gaussians: Gaussians, cameras: Cameras) -> None:
 
 def check_cameras(gaussians: Gaussians, cameras: Cameras) -> None:
     """Do the part of `check_scene` that reads no Gaussian, only a few numbers per camera."""
+    dtype = gaussians.means.dtype
+    if dtype not in (torch.float32, torch.float64):
+        name = str(dtype).removeprefix("torch.")
+        raise InputError(
+            f"Gaussians: got {name}, in which depths and gradients overflow; rasterizers take "
+            "float32 or float64: give gaussians.to(torch.float32)."
+        )
     if cameras.c2w.shape[0] != gaussians.means.shape[0]:
         raise InputError(
             f"Cameras.c2w: got cameras for {cameras.c2w.shape[0]} scenes, but Gaussians of "

@@ -217,6 +217,7 @@ def project_scene(
     `gaussians`.
     """
     work = working_dtype(gaussians.means)
+    near = settings.near_plane(gaussians)
     offsets = gaussians.means[scene].to(work) - c2w[:3, 3].to(
         work
     )  # subtracting first is exact far from the origin
@@ -224,7 +225,7 @@ def project_scene(
     depth = (offsets.detach() @ rotation)[:, 2]
     opacities = gaussians.opacities[scene].to(work)
     kept = (
-        (depth >= settings.near)
+        (depth >= near)
         & (depth <= settings.far)
         & (opacities.detach() >= settings.min_alpha)
     )

@@ -87,15 +87,17 @@ class PointsLoss(Loss):
         _require(inputs, "point-distillation", "gaussians", "reference")
         ours = _in_own_unit(inputs.gaussians.means)
         theirs = _in_own_unit(inputs.reference.means)
-        rank = theirs.norm(dim=-1).argsort(1).argsort(1) / theirs.shape[1]  # in [0, 1)
-        share = self.settings.outliers
-        kept = (rank >= share) & (rank < 1 - share)
+        rank = theirs.norm(dim=-1).argsort(1).argsort(1)
+        count = theirs.shape[1]
+        dropped = int(self.settings.outliers * count)
+        kept = (rank >= dropped) & (rank < count - dropped)
         return (ours - theirs)[kept].norm(dim=-1).mean()
 
 
 def _in_own_unit(means: Means) -> Means:
-    """Points in the unit of their mean distance from view 0."""
-    return means / means.norm(dim=-1).mean(1)[:, None, None]
+    """Points in the unit of their mean distance from view 0; all of them there stay there."""
+    unit = means.norm(dim=-1).mean(1)[:, None, None]
+    return means / torch.where(unit > 0, unit, 1.0)
 
 
 class GeometryLoss(Loss):

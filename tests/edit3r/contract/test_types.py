@@ -122,6 +122,13 @@ def test_views_select_keeps_poses_with_their_pictures():
         Views(views.images, views.intrinsics, c2w=poses[:, :2])
 
 
+@pytest.mark.parametrize("size", [(31, 41), (64, 85), (96, 128), (151, 201)])
+def test_views_of_another_size_stay_in_range(size):
+    """White stays white: rounding led above 1, which every later check refuses."""
+    white = Views(torch.ones(1, 1, 3, 200, 300), torch.eye(3).expand(1, 1, 3, 3))
+    assert float(white.at(size).images.max()) == 1
+
+
 def test_views_and_cameras_of_another_size_show_the_same():
     ramp, size = torch.linspace(0, 1, 30).expand(1, 2, 3, 20, 30), (10, 15)
     views = Views(ramp, torch.eye(3).expand(1, 2, 3, 3))

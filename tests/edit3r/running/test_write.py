@@ -152,6 +152,8 @@ def test_a_run_writes_further_formats_of_its_scene(result, tmp_path):
     [
         ({"seed": 3, "prompt": "warmer"}, "default settings, 32x24:"),
         ({"quality": "fast"}, "fast settings, 32x24:"),
+        ({"quality": "fast", "refine": 5}, "fast (but refine) settings, 32x24:"),
+        ({"quality": "best", "light": "own"}, "best (but light) settings, 32x24:"),
         ({"size": 192, "refine": 0}, "own (refine, size) settings, 32x24:"),
         (
             {"reconstructor": {"name": "edit3r", "weights": "x"}},

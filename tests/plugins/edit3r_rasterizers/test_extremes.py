@@ -88,6 +88,25 @@ def test_gaussians_at_and_behind_the_near_plane(rasterizer):
     check(rasterizer, scene, cameras())
 
 
+@pytest.mark.parametrize("unit", [2.0**-9, 2.0**-30, 2.0**20])
+def test_a_scene_in_another_unit_looks_the_same(rasterizer, unit):
+    scene, views = cloud(80), cameras((24, 31), count=2)
+    expected = rasterizer.render(scene, views)
+    moved = Cameras(views.c2w.clone(), views.intrinsics, views.image_size)
+    moved.c2w[..., :3, 3] *= unit
+    fields = (scene.means * unit, scene.scales * unit, *list_fields(scene))
+    shown = rasterizer.render(Gaussians(*fields), moved)
+    assert float(expected.alphas.max()) > 0.5
+    assert torch.allclose(shown.images, expected.images, atol=1e-5)
+    assert torch.allclose(shown.depths / unit, expected.depths, atol=1e-4)
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])
+def test_half_precision_is_refused_with_the_way_out(rasterizer, dtype):
+    with pytest.raises(InputError, match=r"got b?float16.*\.to\(torch.float32\)"):
+        rasterizer.render(cloud(5, dtype=dtype), cameras())
+
+
 def test_gaussians_far_outside_of_the_border_are_seen_as_far_as_they_reach(rasterizer):
     parts = [
         one(means=[x, y, 2.0], scales=[1.0, 0.4, 0.2])

@@ -11,7 +11,7 @@ from edit3r_rasterizers.compositing import shade_tiles
 from edit3r_rasterizers.kernels import even_bounds, run_slices
 from edit3r_rasterizers.numba_rasterizer import NumbaRasterizer, NumbaSettings
 from edit3r_rasterizers.settings import RasterizerSettings
-from raster_scenes import cameras, cloud, gradients
+from raster_scenes import cameras, cloud, gradients, one
 
 import edit3r
 from edit3r.contract.errors import InputError
@@ -153,7 +153,7 @@ def test_settings_out_of_range_are_errors_that_name_them(changed, message):
 def test_the_defaults_are_the_stated_convention():
     defaults = RasterizerSettings().model_dump()
     assert defaults == {
-        "near": 0.01,
+        "near": None,
         "far": 1e10,
         "background": (0.0, 0.0, 0.0),
         "eps2d": 0.3,
@@ -161,6 +161,30 @@ def test_the_defaults_are_the_stated_convention():
         "min_alpha": 1 / 255,
         "min_transmittance": 1e-4,
     }
+
+
+@pytest.mark.parametrize(
+    ("scale", "expected"), [(1, 0.01), (0.4, 0.01), (0.1, 0.0025), (1e-5, 0.01 / 2**15)]
+)
+def test_the_near_plane_follows_small_scenes_and_no_others(scale, expected):
+    scene = cloud(300)
+    small = replace(scene, means=scene.means * scale)
+    settings = RasterizerSettings()
+    assert settings.near_plane(small) == expected
+    assert RasterizerSettings(near=0.02).near_plane(small) == 0.02
+    far_away = replace(small, means=small.means + 5)
+    assert settings.near_plane(far_away) in (expected, 2 * expected, expected / 2)
+
+
+def test_scenes_without_a_size_have_the_usual_near_plane():
+    settings = RasterizerSettings()
+    assert settings.near_plane(one()) == 0.01
+    assert settings.near_plane(cloud(0)) == 0.01
+    broken = replace(cloud(5), means=torch.full((1, 5, 3), torch.nan))
+    assert settings.near_plane(broken) == 0.01
+    sky = cloud(300).means.clone() * 0.01
+    sky[0, :20] = 1e20  # a few that are far away are not its size
+    assert settings.near_plane(replace(cloud(300), means=sky)) < 0.001
 
 
 def test_kernels_without_a_cache_folder_still_run_and_say_so(monkeypatch):

@@ -83,6 +83,43 @@ def test_points_are_compared_in_each_cloud_s_own_unit_and_outliers_left_out():
     )
 
 
+@pytest.mark.parametrize(
+    "means",
+    [
+        torch.tensor([[[0.0, 0, 2]]]),
+        torch.zeros(1, 5, 3),
+        torch.zeros(1, 1, 3),
+        torch.full((1, 4, 3), 1e-30),
+    ],
+    ids=["one", "all at the origin", "one at the origin", "too near for a length"],
+)
+def test_points_of_no_size_have_a_finite_distance_and_gradient(means):
+    reference = _gaussians(means, [0] * means.shape[1])
+    for start in (means, means + 1):
+        moved = start.clone().requires_grad_()
+        ours = _gaussians(moved, [0] * means.shape[1])
+        value = PointsLoss(PointsLoss.Settings())(
+            LossInputs(gaussians=ours, reference=reference)
+        )
+        value.backward()
+        assert value.isfinite() and moved.grad.isfinite().all()
+        assert start is not means or float(value) == 0
+
+
+def test_as_many_points_are_left_out_at_either_end():
+    """Of ten one each: the third of the others, that is off by 3, counts for an eighth."""
+    z = torch.arange(1.0, 11)[None, :, None] * torch.tensor([0.0, 0, 1])
+    moved = z.clone()
+    moved[0, [0, 9], 0] = 100
+    moved[0, 0, 2], moved[0, 9, 2] = 0, 0
+    loss = PointsLoss(PointsLoss.Settings(outliers=0.1))
+    reference, ours = (_gaussians(means, [0] * 10) for means in (z, moved))
+    value = float(loss(LossInputs(gaussians=ours, reference=reference)))
+    units = [float(m.norm(dim=-1).mean()) for m in (z, moved)]
+    expected = [abs(k / units[0] - k / units[1]) for k in range(2, 10)]
+    assert value == pytest.approx(sum(expected) / 8, rel=1e-5)
+
+
 def test_chamfer_of_two_points_is_twice_their_l1_distance():
     a, b = torch.zeros(1, 1, 3), torch.tensor([[[1.0, 2.0, 3.0]]])
     assert float(chamfer_l1(a, b)) == pytest.approx(12)

@@ -10,12 +10,13 @@ import sys
 import time
 from dataclasses import replace
 from pathlib import Path
+from statistics import median
 
 import pytest
 from edit3r_measure import bench_run
 from edit3r_measure.bench_method import Method, read_methods
 from edit3r_measure.bench_options import RunOptions
-from edit3r_measure.bench_report import read_columns, summary_of
+from edit3r_measure.bench_report import read_columns, summary_of, time_table
 from edit3r_measure.bench_run import (
     RESULTS,
     BenchRun,
@@ -24,6 +25,7 @@ from edit3r_measure.bench_run import (
     timing_of,
 )
 from edit3r_measure.report import alone_in
+from edit3r_model.network import GaussianNetwork
 
 import edit3r
 from edit3r.contract.errors import InputError
@@ -223,9 +225,10 @@ def test_time_counts_all_that_a_run_does_between_photos_and_scene():
     stages = [StageRecord(name, 100, 100, 0) for name in (*before, *after)]
     stages += [StageRecord(name, 1, 10, 0) for name in between]
     stages += [StageRecord("edit (x)", 2, 20, 0), StageRecord("render", 3, 30, 0)]
-    timing = timing_of(stages, cold=True)
+    timing = timing_of(stages, cold=True, views=2)
     assert timing == {
         "cold": True,
+        "views": 2,
         "editor": 2,
         "editor_cpu": 20,
         "scene": 5,
@@ -247,7 +250,7 @@ def test_no_stage_of_a_real_run_is_left_out_of_the_time_by_its_name():
         report=report,
     )
     names = {stage.name for stage in report.stages}
-    counted = timing_of(report.stages, cold=True)
+    counted = timing_of(report.stages, cold=True, views=2)
     outside = ("start", "read photos", "load components", "check")
     expected = [stage.seconds for stage in report.stages if stage.name not in outside]
     assert {"simplify", "refine"} <= names
@@ -278,16 +281,27 @@ def tiny_checkpoint(tmp_path):
 
 @pytest.mark.parametrize("label", ["edit3r", "noposplat"])
 def test_a_feed_forward_column_of_table_1_is_measured_as_the_network_gives_it(
-    label, tiny_checkpoint, manifest_file, tmp_path
+    label, tiny_checkpoint, manifest_file, tmp_path, monkeypatch
 ):
+    passes = []
+    forward = GaussianNetwork.forward
+    monkeypatch.setattr(
+        GaussianNetwork, "forward", lambda *given: passes.append(1) or forward(*given)
+    )
     changes = {"editor": "oracle", "reconstructor": {"weights": tiny_checkpoint}}
     content = read_yaml(find_config("bench/main"))
     methods = {m.label: m for m in read_methods(content, {label: changes})}
-    options = RunOptions(no_effnet=True, edits=1)
+    options = RunOptions(no_effnet=True)
     run = BenchRun(manifest_file, methods[label], tmp_path / "out", options)
-    run_bench(run)
-    [row] = read_results(run.out).values()
-    assert not row.failure
+    rows = run_bench(run).values()
+    assert not any(row.failure for row in rows)
+    # One pass an edit, also where a mask confines it: four of these five edits have one.
+    assert len(passes) == len(rows) == 5
     # One Gaussian for each pixel of two inputs of 48 x 48.
-    assert row.facts["gaussians"] == 2 * 48 * 48
-    assert methods[label].run == {"gaussians": "all", "refine": 0}
+    assert {row.facts["gaussians"] for row in rows} == {2 * 48 * 48}
+    columns = read_columns([run.out])
+    head, _, line = time_table(columns).splitlines()
+    by_head = dict(zip(head.split("|"), line.split("|")))
+    own = [row.timing for row in rows if not row.timing["cold"]]
+    expected = median(one["scene"] / 2 for one in own)
+    assert float(by_head[" a view [s wall] "]) == pytest.approx(expected, rel=0.01)

@@ -1,0 +1,154 @@
+"""A run with given poses is the same run in any unit, and answers in the given one."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+import edit3r
+from edit3r.contract.types import Cameras, Reconstruction, Views
+from edit3r.kit.photos.cameras import posed_cameras, write_cameras
+from edit3r.kit.photos.images import save_image
+from edit3r.kit.scenes.ply import load_ply
+from edit3r.running.scene import Scene
+from edit3r.running.unit import (
+    has_given_poses,
+    own_unit,
+    to_given_unit,
+    to_own_unit,
+)
+
+SMALL = 2.0**-9  # of the unit in which the cameras stand about 1 apart: depths of 0.006
+
+
+def views(distance):
+    poses = torch.eye(4).repeat(1, 3, 1, 1)
+    poses[0, 1, 0, 3], poses[0, 2, 1, 3] = distance, 2 * distance
+    lens = torch.eye(3).repeat(1, 3, 1, 1)
+    return Views(torch.rand(1, 3, 3, 4, 5), lens, c2w=poses)
+
+
+@pytest.mark.parametrize("distance", [1e-6, 0.003, 1.0, 40.0, 1e6])
+def test_cameras_stand_about_one_apart_and_only_the_exponent_changes(distance):
+    factor = own_unit(views(distance))
+    assert np.log2(factor) % 1 == 0
+    assert 0.7 < 1.5 * distance * factor < 1.42
+
+
+def test_without_poses_or_distance_there_is_no_other_unit():
+    assert own_unit(replace(views(1.0), c2w=None)) == 1
+    assert own_unit(views(0.0)) == 1
+    assert own_unit(views(0.001).select([1])) == 1
+
+
+@pytest.fixture(scope="module")
+def posed(tmp_path_factory):
+    """Two photos of a generated scene as files, and its cameras in two units."""
+    folder = tmp_path_factory.mktemp("posed")
+    sample = edit3r.build(
+        "dataset", "procedural", image_size=64, scenes=1, seed=3, textures=8
+    )[0]
+    names = [f"{index}.png" for index in range(len(sample.context))]
+    for name, image in zip(names, sample.context):
+        save_image(image, folder / name)
+    for unit in (1.0, SMALL):
+        c2w = sample.context_cameras.c2w.clone()
+        c2w[..., :3, 3] *= unit / c2w[0, 1, :3, 3].norm()
+        cameras = replace(sample.context_cameras, c2w=c2w)
+        write_cameras(folder / f"{unit}.json", posed_cameras(cameras, names))
+    return folder, [folder / name for name in names]
+
+
+QUICK = {"frames": 2, "size": 64, "refine": 4}
+
+
+def run(posed, unit, **asked):
+    folder, photos = posed
+    cameras = folder / f"{unit}.json"
+    return edit3r.run(
+        photos, "make everything sepia", cameras=cameras, **QUICK, **asked
+    )
+
+
+@pytest.fixture(scope="module")
+def both(posed):
+    """The same run in an ordinary unit and in a small one."""
+    return run(posed, 1.0), run(posed, SMALL)
+
+
+def test_the_same_scene_in_a_small_unit_is_the_same_scene(both):
+    usual, small = both
+    assert small.verdict.label == usual.verdict.label != "failed"
+    assert torch.allclose(small.rendered.images, usual.rendered.images, atol=1e-3)
+    assert torch.equal(small.edited.images, usual.edited.images)
+    assert small.gaussians.count == usual.gaussians.count
+    for name in ("means", "scales"):
+        given, own = (getattr(one.gaussians, name) for one in (small, usual))
+        assert torch.allclose(given / SMALL, own, rtol=1e-2, atol=1e-3)
+
+
+def test_the_result_is_in_the_given_unit(both, posed, tmp_path):
+    _, small = both
+    given = json.loads((posed[0] / f"{SMALL}.json").read_text())
+    apart = np.linalg.norm(np.subtract(*(np.array(c["c2w"])[:3, 3] for c in given)))
+    found = small.cameras.c2w[0, 1, :3, 3].norm()
+    assert float(found) == pytest.approx(apart, rel=1e-5)
+    assert float(small.photos.c2w[0, 1, 0, 3]) == pytest.approx(
+        given[1]["c2w"][0][3], rel=1e-6
+    )
+    seen = small.rendered.depths[small.rendered.alphas > 0.9]
+    assert 0.001 < float(seen.median()) < 0.1
+    # What draws the written scene has no run around it: its near plane follows the scene.
+    scene = load_ply(small.save(tmp_path / "out") / "scene.ply", visible=True)
+    drawn = edit3r.build("rasterizer", "torch").render(scene, small.cameras)
+    assert torch.allclose(drawn.images, small.rendered.images, atol=0.02)
+
+
+def test_editing_again_goes_on_in_the_given_unit(both):
+    _, small = both
+    again = edit3r.run(prompt="make everything grey", earlier=small, **QUICK)
+    assert torch.allclose(again.cameras.c2w, small.cameras.c2w)
+    assert again.verdict.label != "failed"
+    means = [one.gaussians.means.norm(dim=-1).median() for one in (again, small)]
+    assert float(means[0]) == pytest.approx(float(means[1]), rel=0.1)
+
+
+def test_a_reconstructor_that_finds_poses_itself_keeps_its_unit(gaussians_at):
+    """Whose answer does not stand on the given poses is not in their unit."""
+    given = views(0.01)
+    scene, factor = to_own_unit(Scene(photos=given, start=given))
+    assert torch.equal(scene.photos.c2w[..., :3, 3], factor * given.c2w[..., :3, 3])
+    cameras = Cameras(scene.photos.c2w, given.intrinsics, (4, 5))
+    on_poses = Reconstruction(gaussians_at(3.0), cameras)
+    other = replace(cameras, c2w=scene.photos.c2w.clone())
+    other.c2w[0, 1, 1, 3] += 0.1
+    for made, expected in (
+        (on_poses, 3.0 / factor),
+        (replace(on_poses, cameras=other), 3.0),
+    ):
+        full = replace(scene, reconstruction=made, gaussians=made.gaussians)
+        back = to_given_unit(full, factor)
+        assert torch.equal(back.photos.c2w, given.c2w)
+        assert float(back.gaussians.means.max()) == pytest.approx(expected)
+        assert has_given_poses(back.reconstruction, given) == (made is on_poses)
+    assert float(to_given_unit(full, factor, refined=True).gaussians.means.max()) < 3
+    assert (
+        to_given_unit(replace(full, reconstruction=None), factor).gaussians
+        is made.gaussians
+    )
+
+
+@pytest.fixture
+def gaussians_at():
+    def make(z):
+        return edit3r.Gaussians(
+            torch.tensor([[[0, 0, z]]]),
+            torch.ones(1, 1, 3),
+            torch.tensor([[[1.0, 0, 0, 0]]]),
+            torch.ones(1, 1),
+            torch.zeros(1, 1, 1, 3),
+        )
+
+    return make
