@@ -189,8 +189,9 @@ def _photos(
 
 def _paths(name: str, files: Files, other: str) -> tuple[Path, ...]:
     """The files as paths; raises InputError for what is neither files nor, as told, `other`."""
-    alone = isinstance(files, str | Path) or not isinstance(files, Iterable)
-    listed = [files] if alone else list(files)
+    listed: list[Any] = [files]
+    if isinstance(files, Iterable) and not isinstance(files, str | Path):
+        listed = list(files)
     if not all(isinstance(file, str | Path) for file in listed):
         raise InputError(
             f"{name}: got {type(files).__name__}, expected files or {other}."

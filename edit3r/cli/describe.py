@@ -41,6 +41,13 @@ def _use(offer, settings) -> str:
     if offer.kind == "command":
         return f"Its arguments: edit3r {offer.component.name} --help"
     lines = settings_lines(settings)
+    if offer.kind == "writer":
+        name = offer.component.name
+        return (
+            f"Settings:\n{_settings(lines)}\n\n"
+            f"In a run: edit3r run --outputs scene,images,{name} (or --export {name})\n"
+            f"Of a saved one: edit3r export RUN --to {name}"
+        )
     return (
         f"Settings:\n{_settings(lines)}\n\n"
         "YAML to paste into a configuration (edit3r run --config "

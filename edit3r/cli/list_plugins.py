@@ -73,6 +73,8 @@ def _row(registry, offer, problem: str) -> dict[str, str]:
         "name": offer.component.name,
         "summary": offer.component.summary,
         "licence": offer.component.licence,
+        "keeps": offer.component.keeps,
+        "loses": offer.component.loses,
         "missing": f"{', '.join(missing)}; {install_hint(offer)}" if missing else "",
         "weights": [
             f"{w.get} ({w.terms})"
@@ -124,6 +126,11 @@ def _print_table(
         f"weights: {row['kind']} {row['name']} can load: {get}"
         for row in rows
         for get in row["weights"]
+    ]
+    lines += [
+        f"writer {row['name']} keeps {row['keeps']}; loses {row['loses']}"
+        for row in rows
+        if row["keeps"]
     ]
     lines += [f"problem: {row['problem']}" for row in rows if row["problem"]]
     for failure in failures:

@@ -19,6 +19,7 @@ KINDS = (
     "dataset",
     "trainer",
     "refiner",
+    "writer",
     "command",
 )
 """Every kind of component; each has one hook in `edit3r.contract.hookspecs`, named by `hook_name`.
@@ -52,6 +53,13 @@ class Component:
     supports_seed: bool = True  # False: the same seed may give another result
     # of an editor: what a run without --editor may take it for (`edit3r.contract.wishes.Action`)
     actions: tuple[str, ...] = ()
+    # of a writer: how the name of its file ends, as ".spz"; one without a dot, as "-colmap", is
+    # that of a folder
+    suffix: str = ""
+    # of a writer: how that name begins in the folder of a run; "": as that of the scene
+    stem: str = ""
+    keeps: str = ""  # of a writer: what of a scene is in it, in a few words
+    loses: str = ""  # of a writer: what of a scene is not in it
     min_views: int = 1
     max_views: int | None = None  # None: any number
     citation: str = ""
@@ -71,7 +79,7 @@ class Component:
             or not all(self.target.split(":"))
         ):
             raise ValueError(f"{who}: target {self.target!r} must read 'module:Class'")
-        for field in ("summary", "extra", "licence", "citation"):
+        for field in ("summary", "extra", "licence", "citation", *_OF_WRITERS):
             if not isinstance(getattr(self, field), str):
                 raise ValueError(
                     f"{who}: {field} must be text, got {getattr(self, field)!r}"
@@ -85,6 +93,8 @@ class Component:
                 f"{who}: weights must be a tuple of edit3r.contract.weights.Weights, got "
                 f"{self.weights!r}"
             )
+        if any(character in self.suffix + self.stem for character in "/\\\0"):
+            raise ValueError(f"{who}: suffix and stem are parts of a file's name")
         unknown = [part for part in self.parts if part not in KINDS]
         if unknown:
             raise ValueError(
@@ -96,6 +106,23 @@ class Component:
                 f"{who}: min_views and max_views must be 1 or more, got {self.min_views}, "
                 f"{self.max_views}"
             )
+
+    @property
+    def makes_folder(self) -> bool:
+        """Whether a writer makes a folder instead of a file."""
+        return "." not in self.suffix
+
+    def file_name(self, scene: str = "scene") -> str:
+        """The name of a writer's file or folder beside that of a scene, whose name without its
+        suffix is given.
+        """
+        if not self.stem:
+            return f"{scene}{self.suffix}"
+        begin = self.stem if scene == "scene" else f"{scene}-{self.stem}"
+        return f"{begin}{self.suffix}"
+
+
+_OF_WRITERS = ("suffix", "stem", "keeps", "loses")
 
 
 def _texts(who: str, field: str, value: object) -> tuple[str, ...]:

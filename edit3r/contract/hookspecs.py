@@ -71,6 +71,11 @@ def register_refiners() -> Iterable[Component]:
 
 
 @hookspec
+def register_writers() -> Iterable[Component]:
+    """Scenes as files or folders, for people and for other programs (Writer)."""
+
+
+@hookspec
 def register_losses() -> Iterable[Component]:
     """Terms of a training objective (Loss)."""
 

@@ -6,6 +6,7 @@ range than its interface promises, ends the run with one sentence that names it.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -13,6 +14,7 @@ import torch
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import (
     Edit3rError,
+    InputError,
     MatchingError,
     PluginError,
     is_out_of_memory,
@@ -23,6 +25,8 @@ from edit3r.contract.interfaces import (
     Rasterizer,
     Reconstructor,
     Refiner,
+    SceneToWrite,
+    Writer,
 )
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 
@@ -63,6 +67,27 @@ def check_edit(editor: Editor, views: Views, answer: Views) -> None:
     )
     _require_finite(editor, "images", images)
     _require_range(editor, "images", images)
+
+
+def check_needs(writer: Writer, scene: SceneToWrite) -> None:
+    """What the writer needs of a scene must be known."""
+    lacking = [name for name in writer.needs if getattr(scene, name) in (None, "", ())]
+    if lacking:
+        raise InputError(
+            f"{component_name(writer)} needs {' and '.join(lacking)}, which this scene has not; "
+            "write it of the folder of a run."
+        )
+
+
+def check_written(writer: Writer, path: Path) -> None:
+    """One file, or one folder with something in it, as its suffix says."""
+    if writer.offer.component.makes_folder:
+        is_there = path.is_dir() and any(path.iterdir())
+        promise = "make the folder that it is given, since its suffix has no dot"
+    else:
+        is_there = path.is_file()
+        promise = "write the file that it is given, since its suffix has a dot"
+    _require(writer, is_there, f"{promise}: {path.name}")
 
 
 def check_reconstruction(

@@ -11,9 +11,10 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
+from edit3r.contract.types import Rendering, Views
 from edit3r.kit.photos.images import to_bytes
 
-__all__ = ["draw_sheet"]
+__all__ = ["draw_sheet", "images_of"]
 
 _PAPER = (250, 249, 247)
 _INK = (28, 28, 30)
@@ -33,6 +34,11 @@ _MAX_SHEET = 2600  # in either direction; cells shrink for many views
 
 Size = tuple[int, int]
 """(width, height) [pixels]."""
+
+
+def images_of(views: Views | Rendering) -> Float[Tensor, "view 3 height width"]:
+    """The images of the first scene, as a sheet shows them."""
+    return views.images[0].clamp(0, 1).cpu()
 
 
 def draw_sheet(

@@ -33,10 +33,12 @@ def check_offer(registry: Registry, offer: Offer) -> str:
         return str(error)
     problem = (
         _check_declaration(offer.component)
+        or _check_file(offer)
         or _check_interface(offer, cls)
         or _check_settings(cls, settings)
         or _check_parts(offer, cls, settings)
         or _check_view_limits(offer, cls)
+        or _check_needs(offer, cls)
     )
     return f"{offer.kind} {offer.component.name!r}: {problem}" if problem else ""
 
@@ -51,6 +53,37 @@ def _check_declaration(component: Component) -> str:
             f"max_views {component.max_views} is below min_views {component.min_views}"
         )
     return ""
+
+
+def _check_file(offer: Offer) -> str:
+    """A writer says what it writes, so that one can choose without trying."""
+    component = offer.component
+    if offer.kind != "writer":
+        return ""
+    if len(component.suffix) < 2 or component.suffix[0] not in ".-":
+        return (
+            f"its suffix is {component.suffix!r}; state how its files end, such as '.spz', or "
+            "its folders, such as '-colmap'"
+        )
+    for field in ("keeps", "loses"):
+        if not getattr(component, field).strip():
+            return f"it does not say what it {field} of a scene; state {field}='...'"
+    return ""
+
+
+def _check_needs(offer: Offer, cls: Any) -> str:
+    """A writer needs what a scene may have."""
+    if offer.kind != "writer":
+        return ""
+    from edit3r.contract.interfaces import SceneToWrite
+
+    known = SceneToWrite.__dataclass_fields__
+    unknown = [name for name in cls.needs if name not in known]
+    return (
+        f"it needs {unknown[0]!r}, which no scene has; there are {', '.join(known)}"
+        if unknown
+        else ""
+    )
 
 
 def _check_interface(offer: Offer, cls: type) -> str:

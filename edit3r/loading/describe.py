@@ -91,6 +91,9 @@ def metadata_lines(component: Component) -> tuple[tuple[str, str], ...]:
     most = "or more" if component.max_views is None else f"to {component.max_views}"
     yes_or_no = ("no", "yes")
     lines = (
+        ("writes", component.suffix and component.file_name()),
+        ("keeps", component.keeps),
+        ("loses", component.loses),
         ("licence", component.licence),
         ("views", f"{component.min_views} {most}"),
         ("runs on", " or ".join(component.devices) or "any device"),

@@ -43,7 +43,9 @@ _HOME = {
     "Selection": "edit3r.running.selecting.select",
     "geometry_of": "edit3r.running.selecting.select",
     "select_masks": "edit3r.running.selecting.select",
-    "VIDEO_FPS": "edit3r.running.write",
+    "SavedScene": "edit3r.running.saved",
+    "write_saved": "edit3r.running.saved",
+    "Flight": "edit3r.running.flight",
     "write_result": "edit3r.running.write",
 }
 
@@ -57,10 +59,10 @@ __all__ = [
     "MIN_AREA",
     "PART_KEYS",
     "PRESETS",
-    "VIDEO_FPS",
     "Box",
     "EditVerdict",
     "Expected",
+    "Flight",
     "JobInputs",
     "MarkTexts",
     "MeasuredPoint",
@@ -69,6 +71,7 @@ __all__ = [
     "RunConfig",
     "RunJob",
     "RunResult",
+    "SavedScene",
     "Scene",
     "Selection",
     "add_flags",
@@ -85,6 +88,7 @@ __all__ = [
     "select_masks",
     "write_quality",
     "write_result",
+    "write_saved",
 ]
 
 
@@ -114,6 +118,7 @@ if TYPE_CHECKING:
     )
     from edit3r.running.earlier import CACHE, read_earlier_run, read_views_of_run
     from edit3r.running.flags import add_flags, add_mark_flags, given_flags
+    from edit3r.running.flight import Flight
     from edit3r.running.job import RunJob, job_from
     from edit3r.running.judging.edit_verdict import EditVerdict
     from edit3r.running.judging.verdict import LABELS
@@ -126,6 +131,7 @@ if TYPE_CHECKING:
         Quality,
         write_quality,
     )
+    from edit3r.running.saved import SavedScene, write_saved
     from edit3r.running.scene import Scene
     from edit3r.running.selecting.marks import MarkTexts
     from edit3r.running.selecting.select import (
@@ -135,4 +141,4 @@ if TYPE_CHECKING:
         geometry_of,
         select_masks,
     )
-    from edit3r.running.write import VIDEO_FPS, write_result
+    from edit3r.running.write import write_result

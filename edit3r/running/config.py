@@ -4,13 +4,13 @@ own flags.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
-from pydantic import Field, ValidationInfo, field_validator
+from pydantic import Field, field_validator
 
+from edit3r.contract.errors import SettingsError, UnknownComponentError
 from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
 from edit3r.kit.files.yaml import read_yaml
-from edit3r.kit.scenes.formats import FORMATS
 from edit3r.loading.registry import Registry
 from edit3r.running.quality import read_quality, with_quality
 
@@ -19,8 +19,14 @@ DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
 MAX_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
 MAX_STEPS = 9  # from one reading of what was meant to the next
 MAX_GROWTH = 200.0  # of an outline [pixels]
-Output = Literal["scene", "images", "sheet", "video", "viewer", "cache", "frames"]
-OUTPUTS: tuple[Output, ...] = get_args(Output)
+OWN_OUTPUTS = {
+    "scene": ("scene.ply", "cameras.json"),
+    "images": ("inputs", "edited", "renders", "masks"),
+    "cache": ("cache",),
+    "frames": ("renders",),
+}
+"""What a run writes by itself, and the files and folders of each; all else is made by writers."""
+USUAL_OUTPUTS: tuple[str, ...] = tuple(DEFAULTS["outputs"])
 PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
 
 
@@ -106,13 +112,13 @@ class RunConfig(Settings):
         le=2000,
         description="frames of the camera path between and around the input views",
     )
-    outputs: tuple[Output, ...] = Field(
-        OUTPUTS[:-1],
-        description=f"what is written beside run.json: all, or some of {','.join(OUTPUTS)}",
+    outputs: tuple[str, ...] = Field(
+        USUAL_OUTPUTS,
+        description=f"what is written beside run.json: some of {','.join(OWN_OUTPUTS)} and of the "
+        "writers (edit3r list-plugins --kind writer); all: the usual ones and frames",
     )
     export: tuple[str, ...] = Field(
-        (),
-        description="further formats of the scene, such as spz,glb (see edit3r export)",
+        (), description="what is written as well, by any writer, such as spz,glb"
     )
     gaussians: int | Literal["all", "auto"] = Field(
         "auto",
@@ -150,18 +156,13 @@ class RunConfig(Settings):
 
     @field_validator("outputs", "export", mode="before")
     @classmethod
-    def _read_list(cls, value: Any, info: ValidationInfo) -> Any:
-        """Accept names in one text with commas, and refuse formats that nobody writes."""
+    def _read_list(cls, value: Any) -> Any:
+        """Accept names in one text with commas. Whether there are such is asked when a run
+        begins.
+        """
         if isinstance(value, str):
             value = [name.strip() for name in value.split(",") if name.strip()]
-        if info.field_name == "outputs":
-            return OUTPUTS if value == ["all"] else value
-        known = isinstance(value, list | tuple) and all(
-            name in FORMATS for name in value
-        )
-        if not known:
-            raise ValueError(f"expected some of {','.join(FORMATS)}")
-        return value
+        return (*USUAL_OUTPUTS, "frames") if value == ["all"] else value
 
     @field_validator("larger", mode="before")
     @classmethod
@@ -180,6 +181,16 @@ class RunConfig(Settings):
         if value not in ("all", "auto") and not is_count:
             raise ValueError("expected all, auto, or a number of at least 1")
         return value
+
+    @property
+    def written(self) -> tuple[str, ...]:
+        """All that is written beside run.json, each once."""
+        return tuple(dict.fromkeys((*self.outputs, *self.export)))
+
+    @property
+    def writers(self) -> tuple[str, ...]:
+        """What of that is made by writers."""
+        return tuple(name for name in self.written if name not in OWN_OUTPUTS)
 
     def all_refiners(self, by_default: bool = True) -> tuple[PartChoice, ...]:
         """The refiners in order: what `gaussians` and `refine` stand for, then those listed.
@@ -299,3 +310,25 @@ def check_components(
             registry.check(kind, choice)
     for choice in config.all_refiners():
         registry.check("refiner", choice)
+    _check_outputs(config, registry)
+
+
+def _check_outputs(config: RunConfig, registry: Registry) -> None:
+    """Raise for an output that nobody writes, and for two that would be one file."""
+    taken = {"run.json": "every run"}
+    for name in config.written:
+        taken |= dict.fromkeys(OWN_OUTPUTS.get(name, ()), name)
+    for name in config.writers:
+        try:
+            registry.check("writer", PartChoice(name=name))
+        except UnknownComponentError as error:
+            own = ", ".join(OWN_OUTPUTS)
+            raise UnknownComponentError(
+                f"outputs: {error} The run itself writes {own}."
+            ) from None
+        file = registry.find("writer", name).component.file_name()
+        if file in taken:
+            raise SettingsError(
+                f"outputs: {name} and {taken[file]} both write {file}; leave one of them out."
+            )
+        taken[file] = name

@@ -1,6 +1,6 @@
 """What Python hands to a run, checked at the door: one sentence where it cannot be used.
 
-Files are checked where they are read (`edit3r.kit`); everything behind both doors trusts the page of
+Files are checked where they are read (`edit3r.kit`); what is behind both doors trusts the page of
 conventions (`edit3r.contract.types`).
 """
 

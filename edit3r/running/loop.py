@@ -1,25 +1,24 @@
 """One run from photos to Gaussians: the loop over the steps, and its result."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from PIL import Image
 
 from edit3r.contract.devices import require_device
-from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.contract.reporting import Report, collecting
-from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
+from edit3r.contract.types import Reconstruction
 from edit3r.kit.cache import Cache, using
+from edit3r.kit.files.atomic import atomic_folder
 from edit3r.loading.registry import Registry, default_registry
-from edit3r.running.config import RunConfig, check_components
+from edit3r.running.config import check_components
 from edit3r.running.earlier import EarlierRun
 from edit3r.running.job import RunJob
-from edit3r.running.judging.edit_verdict import EditVerdict
-from edit3r.running.judging.verdict import Verdict
 from edit3r.running.parts import Parts, with_known_poses
 from edit3r.running.quality import note_quality
+from edit3r.running.record import RunRecord
 from edit3r.running.scene import Scene
 from edit3r.running.steps.edit import edit
 from edit3r.running.steps.judge import judge
@@ -28,6 +27,7 @@ from edit3r.running.steps.reconstruct import reconstruct
 from edit3r.running.steps.refine import refine
 from edit3r.running.steps.select import select
 from edit3r.running.unit import to_given_unit, to_own_unit
+from edit3r.running.write import as_html, comparison, open_viewer, write_result
 
 Step = Callable[[Scene, Parts], Scene]
 STEPS: tuple[Step, ...] = (select, edit, reconstruct, refine, judge)
@@ -36,72 +36,13 @@ STEPS_OF_PREVIEW: tuple[Step, ...] = (select, edit)
 
 
 @dataclass(frozen=True, repr=False)
-class RunResult:
+class RunResult(RunRecord):
     """What a run made, in memory. In a notebook it shows the sheet and the viewer."""
-
-    scene: Scene = field(repr=False)
-    parts: Parts
-    report: Report
-    cache: Cache  # answers that a further run on the same photos need not compute again
-
-    @property
-    def config(self) -> RunConfig:
-        return self.parts.config
-
-    @property
-    def photos(self) -> Views:
-        """The views that were used and placed, unedited."""
-        return self.scene.photos
-
-    @property
-    def edited(self) -> Views:
-        """The views after the 2D editor and the composite with the masks."""
-        return self.scene.edited
-
-    @property
-    def gaussians(self) -> Gaussians:
-        """The edited scene, in the frame of view 0."""
-        return self.scene.gaussians
-
-    @property
-    def cameras(self) -> Cameras:
-        """Poses of the input views in that frame."""
-        return self.scene.cameras
-
-    @property
-    def rendered(self) -> Rendering:
-        """The scene from the input views."""
-        return self.scene.rendered
-
-    @property
-    def verdict(self) -> Verdict:
-        """How well the scene shows the edited images."""
-        return self.scene.verdict
-
-    @property
-    def edit_verdict(self) -> EditVerdict | None:
-        """How surely the edit is what was asked for; None where none was."""
-        return self.scene.edit_verdict
-
-    @property
-    def editor(self) -> Editor:
-        return self.parts.editor
-
-    @property
-    def reconstructor(self) -> Reconstructor:
-        return self.parts.reconstructor
-
-    @property
-    def rasterizer(self) -> Rasterizer:
-        return self.parts.rasterizer
 
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
         """Write what `edit3r run` leaves into `folder`, which appears whole or not at all."""
-        from edit3r.kit.files.atomic import atomic_folder
-        from edit3r.running import write
-
         with atomic_folder(folder, overwrite) as root:
-            write.write_result(root, self)
+            write_result(root, self)
         return Path(folder)
 
     def as_earlier(self) -> EarlierRun:
@@ -120,27 +61,21 @@ class RunResult:
 
     def view(self) -> Path:
         """Open the scene in the browser; returns the page, a temporary file."""
-        from edit3r.running import write
-
-        return write.open_viewer(self)
+        return open_viewer(self)
 
     def compare(self, other: "RunResult") -> Image.Image:
         """A sheet of the photos, this scene and an `other` of the same photos.
 
         Raises InputError for a result of other photos.
         """
-        from edit3r.running import write
-
-        return write.comparison(self, other)
+        return comparison(self, other)
 
     def __repr__(self) -> str:
         made = f"{self.gaussians.count:,} Gaussians from {self.photos.count} photos"
         return f"RunResult({self.verdict.label}: {made}, {self.config.prompt!r})"
 
     def _repr_html_(self) -> str:
-        from edit3r.running import write
-
-        return write.as_html(self)
+        return as_html(self)
 
 
 def run(

@@ -14,6 +14,7 @@ from edit3r.contract.interfaces import (
     Reconstructor,
     Refiner,
     Segmenter,
+    Writer,
 )
 from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say
@@ -108,6 +109,10 @@ class Parts:
         return self._registry.build_choice(
             "segmenter", PartChoice(name=DEFAULTS["segmenter"])
         )
+
+    def writer(self, name: str) -> Writer:
+        """The writer of that name."""
+        return self._registry.build_choice("writer", PartChoice(name=name))
 
     @property
     def chose_segmenter(self) -> bool:

@@ -8,6 +8,7 @@ other bit.
 
 import math
 from dataclasses import replace
+from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
@@ -31,7 +32,9 @@ def to_own_unit(scene: Scene) -> tuple[Scene, float]:
     before = scene.before
     if before is not None and has_given_poses(before, scene.photos):
         before = in_unit(before, factor)
-    moved = {name: _views_in_unit(getattr(scene, name), factor) for name in VIEWS[:2]}
+    moved: dict[str, Any] = {
+        name: _views_in_unit(getattr(scene, name), factor) for name in VIEWS[:2]
+    }
     return replace(scene, **moved, before=before), factor
 
 
@@ -42,7 +45,8 @@ def to_given_unit(scene: Scene, factor: float, refined: bool = False) -> Scene:
     """
     if factor == 1:
         return scene
-    back, changes = 1 / factor, {}
+    back = 1 / factor
+    changes: dict[str, Any] = {}
     made = scene.reconstruction
     if made is not None and (refined or has_given_poses(made, scene.photos)):
         changes = {

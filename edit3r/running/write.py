@@ -1,5 +1,5 @@
-"""What a run leaves behind: one folder of files people can open. The names are those of
-`edit3r.kit.run_folder`.
+"""What a run leaves behind: one folder of files people can open. The names of its own are those of
+`edit3r.kit.run_folder`; all others are made by writers.
 """
 
 import base64
@@ -7,28 +7,26 @@ import html
 import io
 import os
 import tempfile
-from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
 import torch
-from jaxtyping import Float
 from PIL import Image
-from torch import Tensor
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Rasterizer
-from edit3r.contract.reporting import collecting, note, track, warn
-from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
+from edit3r.contract.interfaces import DRAWING, SceneToWrite, SecondLook, Writer
+from edit3r.contract.reporting import collecting, note, warn
+from edit3r.contract.types import Rendering, Views
+from edit3r.kit.checks import check_needs, check_written, errors_named_after
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
-from edit3r.kit.photos.images import Pixels, save_pixels, to_bytes
-from edit3r.kit.photos.outline import outlined
-from edit3r.kit.rendering import path_around, render_one
+from edit3r.kit.photos.images import save_pixels, to_bytes
+from edit3r.kit.photos.outline import outlined_views
+from edit3r.kit.rendering import path_around, render_each
 from edit3r.kit.run_folder import (
     PluginRecord,
     RunFolder,
@@ -36,87 +34,133 @@ from edit3r.kit.run_folder import (
     WeightsRecord,
     write_manifest,
 )
-from edit3r.kit.scenes.export import export_scene
-from edit3r.kit.scenes.formats import FORMATS
 from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
-from edit3r.kit.scenes.viewer import colours_before, save_viewer, viewer_page
-from edit3r.kit.sheet import draw_sheet
-from edit3r.kit.video import save_video
+from edit3r.kit.sheet import draw_sheet, images_of
+from edit3r.running.before import colours_before
+from edit3r.running.config import DEFAULTS
 from edit3r.running.earlier import CACHE, THINGS, note_views
+from edit3r.running.flight import Flight
 from edit3r.running.judging.verdict import WORST_PSNR
+from edit3r.running.record import RunRecord
 from edit3r.running.scene import Scene
 
-if TYPE_CHECKING:
-    from edit3r.running.loop import RunResult
 
-VIDEO_FPS = 18
-
-
-def write_result(root: Path, result: "RunResult") -> None:
-    """Render and write what the run's `outputs` ask for into the existing folder `root`, and
-    `run.json`.
+def write_result(root: Path, result: RunRecord) -> None:
+    """Render and write what the run's `outputs` and `export` ask for into the existing folder
+    `root`, and `run.json`.
     """
     folder, report = RunFolder(root), result.report
-    wanted = set(result.config.outputs)
+    writers = [result.parts.writer(name) for name in result.config.writers]
+    drawing = [writer for writer in writers if {*writer.needs} & {*DRAWING}]
+    others = [writer for writer in writers if writer not in drawing]
     with collecting(report), torch.no_grad():
         with report.stage("render"), ThreadPoolExecutor(1) as pool:
-            # While frames are drawn, all else is written, and the video's frames are coded.
-            others = pool.submit(copy_context().run, _write_others, folder, result)
-            if wanted & {"video", "frames"}:
-                path = path_around(
-                    result.cameras.select(_good_views(result)),
-                    result.rendered,
-                    result.config.frames,
-                )
-                frames = _frames(result.rasterizer, result.gaussians, path)
-                frames = _written(folder, frames) if "frames" in wanted else frames
-                if "video" in wanted:
-                    save_video(folder.video, frames, VIDEO_FPS)
-                deque(frames, maxlen=0)  # those that no video took
+            # While frames are drawn, all else is written.
+            rest = pool.submit(copy_context().run, _write_rest, folder, result, others)
+            if drawing or "frames" in result.config.written:
+                flight = _flight(folder, result)
+                _write_by(drawing, folder.root, _scene(result, flight))
+                flight.leave_pictures()
         with report.stage("write files"):
-            others.result()
+            rest.result()
             note_views(result.photos)
             note("edits", list(result.scene.prompts))
     write_manifest(folder.manifest, _manifest(result))
 
 
-def as_html(result: "RunResult") -> str:
+def write_scene(writer: Writer, path: Path, scene: SceneToWrite) -> None:
+    """Let a writer write `scene`, and hold it to its contract.
+
+    Raises InputError for a scene that lacks what the writer needs, PluginError for a writer that
+    fails.
+    """
+    check_needs(writer, scene)
+    with errors_named_after(writer):
+        writer.write(path, scene)
+    check_written(writer, path)
+
+
+def as_html(result: RunRecord) -> str:
     """The sheet and the viewer as one piece of HTML that needs no other file, for notebooks."""
-    picture = io.BytesIO()
-    _sheet(result).save(picture, "WEBP", quality=85)
-    code = base64.b64encode(picture.getvalue()).decode("ascii")
-    page = html.escape(viewer_page(result.gaussians, result.cameras, **_look(result)))
+    with tempfile.TemporaryDirectory() as folder:
+        picture, page = (
+            _shown(result, what, Path(folder)) for what in ("picture", "page")
+        )
+        content = io.BytesIO()
+        Image.open(picture).save(content, "WEBP", quality=85)
+        text = html.escape(page.read_text(encoding="utf-8"))
+    code = base64.b64encode(content.getvalue()).decode("ascii")
     return (
         f'<p>{html.escape(repr(result))}</p><img style="max-width:100%" '
         f'src="data:image/webp;base64,{code}">'
-        f'<iframe style="width:100%;height:520px;border:0" srcdoc="{page}"></iframe>'
+        f'<iframe style="width:100%;height:520px;border:0" srcdoc="{text}"></iframe>'
     )
 
 
-def open_viewer(result: "RunResult") -> Path:
+def open_viewer(result: RunRecord) -> Path:
     """Write the viewer's page to a temporary file and open it in the browser."""
     import webbrowser
 
-    page = Path(tempfile.mkdtemp(prefix="edit3r-")) / "viewer.html"
-    save_viewer(page, result.gaussians, result.cameras, **_look(result))
+    page = _shown(result, "page", Path(tempfile.mkdtemp(prefix="edit3r-")))
     webbrowser.open(page.as_uri())
     return page
 
 
-def _look(result: "RunResult") -> dict[str, Any]:
-    """Texts and second look of the viewer's page."""
+def _shown(result: RunRecord, what: str, folder: Path) -> Path:
+    """The file in `folder` that the writer of the picture, or of the page, made."""
+    writer = result.parts.writer(DEFAULTS["shown"][what])
+    _write_by([writer], folder, _scene(result))
+    return folder / writer.offer.component.file_name()
+
+
+def _write_by(writers: Iterable[Writer], root: Path, scene: SceneToWrite) -> None:
+    for writer in writers:
+        write_scene(writer, root / writer.offer.component.file_name(), scene)
+
+
+def _scene(result: RunRecord, flight: Flight | None = None) -> SceneToWrite:
+    """What is known of the scene; with `flight`, for writers that draw."""
+    scene = result.scene
+    render = None
+    if flight is not None:
+        render = partial(
+            render_each, result.rasterizer, result.gaussians, text="look at the scene"
+        )
+    return SceneToWrite(
+        gaussians=result.gaussians,
+        cameras=result.cameras,
+        names=result.photos.names,
+        photos=result.photos,
+        edited=result.edited,
+        masks=None if scene.masks is None else scene.masks[0],
+        rendered=result.rendered,
+        title=result.config.prompt,
+        about=_about(result),
+        second_look=partial(_look_before, result),
+        render=render,
+        frames=flight,
+    )
+
+
+def _look_before(result: RunRecord) -> SecondLook:
     photos, edited = map(result.scene.in_one_light, (result.photos, result.edited))
-    before = colours_before(
+    colours = colours_before(
         result.gaussians, result.cameras, photos, edited, result.rendered
     )
-    return {
-        "title": result.config.prompt or "edit3r scene",
-        "names": result.photos.names,
-        "before": before,
-    }
+    return SecondLook(colours)
 
 
-def _good_views(result: "RunResult") -> list[int]:
+def _flight(folder: RunFolder, result: RunRecord) -> Flight:
+    path = path_around(
+        result.cameras.select(_good_views(result)),
+        result.rendered,
+        result.config.frames,
+    )
+    pictures = folder.renders if "frames" in result.config.written else None
+    return Flight(result.rasterizer, result.gaussians, path, pictures)
+
+
+def _good_views(result: RunRecord) -> list[int]:
     """View 0 and the views whose photos fit the others; the camera path stays near these."""
     agreement = [psnr for psnr in result.verdict.agreement if psnr is not None]
     good = [
@@ -127,74 +171,58 @@ def _good_views(result: "RunResult") -> list[int]:
     return good if len(good) > 1 else list(range(result.cameras.count))
 
 
-def _frames(
-    rasterizer: Rasterizer, gaussians: Gaussians, path: Cameras
-) -> Iterator[Pixels]:
-    """One image of 8-bit pixels [height, width, 3] for each camera of the path."""
-    for index in track(range(path.count), "render camera path"):
-        yield to_bytes(
-            render_one(rasterizer, gaussians, path.select([index])).images[0, 0]
-        )
-
-
-def _written(folder: RunFolder, frames: Iterator[Pixels]) -> Iterator[Pixels]:
-    """The frames, each written as it comes."""
-    for index, frame in enumerate(frames):
-        save_pixels(frame, folder.renders / f"path_{index:04d}.png")
-        yield frame
-
-
 @torch.no_grad()
-def _write_others(folder: RunFolder, result: "RunResult") -> None:
-    """Write all that needs no frames of the camera path."""
-    wanted = result.config.outputs
+def _write_rest(folder: RunFolder, result: RunRecord, writers: list[Writer]) -> None:
+    """Write all that is not drawn."""
+    wanted = result.config.written
     if "cache" in wanted:
         result.cache.save(folder.root / CACHE)
-    _write_images(folder, result)
-    _write_scene(folder, result)
-    if "viewer" in wanted:
-        save_viewer(folder.viewer, result.gaussians, result.cameras, **_look(result))
-
-
-def _write_scene(folder: RunFolder, result: "RunResult") -> None:
-    """`scene.ply` is for viewers, and common ones refuse harmonics above degree 3."""
-    if "scene" in result.config.outputs:
-        if result.gaussians.degree > VIEWER_DEGREE:
-            was = result.gaussians.degree
-            warn(
-                f"scene.ply holds harmonics up to degree {VIEWER_DEGREE} of {was}: viewers "
-                "refuse more."
-            )
-        prompt = " ".join(result.config.prompt.split())
-        save_ply(
-            folder.scene,
-            result.gaussians,
-            degree=VIEWER_DEGREE,
-            comment_lines=[f"prompt: {prompt}"],
-        )
-        names = [f"inputs/{name}.png" for name in result.photos.names]
-        write_cameras(folder.cameras, posed_cameras(result.cameras, names))
-    for form in result.config.export:
-        export_scene(folder.scene.with_suffix(FORMATS[form]), result.gaussians, form)
-
-
-def _write_images(folder: RunFolder, result: "RunResult") -> None:
-    if "images" in result.config.outputs:
-        jobs = [
-            (to_bytes(picture), directory / f"{name}.png")
-            for pictures, directory in zip(
-                _pictures(result), (folder.inputs, folder.edited, folder.renders)
-            )
-            for name, picture in zip(result.photos.names, pictures)
-        ]
-        with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
-            list(pool.map(lambda job: save_pixels(*job), jobs))
+    if "images" in wanted:
+        _write_images(folder, result)
         _write_masks(folder, result)
-    if "sheet" in result.config.outputs:
-        save_pixels(np.asarray(_sheet(result)), folder.before_after)
+    if "scene" in wanted:
+        _write_scene(folder, result)
+    _write_by(writers, folder.root, _scene(result))
 
 
-def _write_masks(folder: RunFolder, result: "RunResult") -> None:
+def _write_scene(folder: RunFolder, result: RunRecord) -> None:
+    """`scene.ply` is for viewers, and common ones refuse harmonics above degree 3."""
+    if result.gaussians.degree > VIEWER_DEGREE:
+        was = result.gaussians.degree
+        warn(
+            f"scene.ply holds harmonics up to degree {VIEWER_DEGREE} of {was}: viewers "
+            "refuse more."
+        )
+    prompt = " ".join(result.config.prompt.split())
+    save_ply(
+        folder.scene,
+        result.gaussians,
+        degree=VIEWER_DEGREE,
+        comment_lines=[f"prompt: {prompt}"],
+    )
+    names = [f"inputs/{name}.png" for name in result.photos.names]
+    write_cameras(folder.cameras, posed_cameras(result.cameras, names))
+
+
+def _write_images(folder: RunFolder, result: RunRecord) -> None:
+    """Write photos, 2D edits and the scene from the photos' places."""
+    shown: tuple[Views | Rendering, ...] = (
+        result.photos,
+        result.edited,
+        result.rendered,
+    )
+    jobs = [
+        (to_bytes(picture), directory / f"{name}.png")
+        for views, directory in zip(
+            shown, (folder.inputs, folder.edited, folder.renders)
+        )
+        for name, picture in zip(result.photos.names, images_of(views))
+    ]
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
+        list(pool.map(lambda job: save_pixels(*job), jobs))
+
+
+def _write_masks(folder: RunFolder, result: RunRecord) -> None:
     """Masks of what was named, which a further edit knows by these names."""
     things = result.scene.things
     for place, masks in enumerate(things.values()):
@@ -206,35 +234,21 @@ def _write_masks(folder: RunFolder, result: "RunResult") -> None:
         note(THINGS, list(things))
 
 
-def _pictures(result: "RunResult") -> tuple[Float[Tensor, "view 3 height width"], ...]:
-    """Photos, 2D edits and the scene from the photos' places."""
-    return _images(result.photos), _images(result.edited), _images(result.rendered)
-
-
-def _sheet(result: "RunResult") -> Image.Image:
-    subtitle = (
+def _about(result: RunRecord) -> str:
+    """Who made the scene, and the verdicts, in one line."""
+    line = (
         f"editor {result.parts.editor_names}, "
         f"reconstructor {component_name(result.reconstructor)}; "
         f"scene: {result.verdict.label}"
     )
     if result.edit_verdict is not None:
-        subtitle += f", edit: {result.edit_verdict.label}"
+        line += f", edit: {result.edit_verdict.label}"
     if result.scene.left_out is not None:
-        subtitle += f"; left out: {', '.join(result.scene.left_out.names)}"
-    title = result.config.prompt or "no prompt"
-    scene = result.scene
-    subtitle += _how_sure(scene)
-    columns = {
-        "photo": _outlined_photos(scene),
-        "2D edit": _images(scene.edited),
-        "3D result": _images(result.rendered),
-    }
-    return draw_sheet(
-        columns, names=result.photos.names, title=title, subtitle=subtitle
-    )
+        line += f"; left out: {', '.join(result.scene.left_out.names)}"
+    return line + _how_sure(result.scene)
 
 
-def comparison(result: "RunResult", other: "RunResult") -> Image.Image:
+def comparison(result: RunRecord, other: RunRecord) -> Image.Image:
     """The sheet of two results of the same photos: photo, the one scene, the other scene."""
     names = result.photos.names
     if other.photos.names != names:
@@ -242,10 +256,10 @@ def comparison(result: "RunResult", other: "RunResult") -> Image.Image:
             f"these are results of different photos: {', '.join(names)}, and "
             f"{', '.join(other.photos.names)}."
         )
-    columns = {"photo": _images(result.photos)}
+    columns = {"photo": images_of(result.photos)}
     lines = []
     for each, name in ((result, "first"), (other, "second")):
-        columns[name] = _images(each.rendered)
+        columns[name] = images_of(each.rendered)
         lines.append(f"{name}: {each.config.prompt} ({each.verdict.label})")
     return draw_sheet(columns, names=names, subtitle="; ".join(lines))
 
@@ -254,7 +268,11 @@ def preview_sheet(scene: Scene, prompt: str) -> Image.Image:
     """The sheet of what `edit3r.running.loop.preview` returns: photos with the outline of what is
     selected, and the 2D edit.
     """
-    columns = {"photo": _outlined_photos(scene), "2D edit": _images(scene.edited)}
+    masks = None if scene.masks is None else scene.masks[0]
+    columns = {
+        "photo": outlined_views(images_of(scene.photos), masks),
+        "2D edit": images_of(scene.edited),
+    }
     return draw_sheet(
         columns,
         names=scene.photos.names,
@@ -276,20 +294,7 @@ def _how_sure(scene: Scene) -> str:
     return "".join(f"; selected by words, {surety:.0%} sure" for surety in unsure)
 
 
-def _images(views: Views | Rendering) -> Float[Tensor, "view 3 height width"]:
-    return views.images[0].clamp(0, 1).cpu()
-
-
-def _outlined_photos(scene: Scene) -> Float[Tensor, "view 3 height width"]:
-    """The photos, with the outline of what is selected."""
-    photos = _images(scene.photos)
-    if scene.masks is None:
-        return photos
-    pairs = zip(photos, scene.masks[0])
-    return torch.stack([outlined(photo, mask) for photo, mask in pairs])
-
-
-def _manifest(result: "RunResult") -> RunManifest:
+def _manifest(result: RunRecord) -> RunManifest:
     report, config = result.report, result.config
     components = {
         "editor": result.editor,

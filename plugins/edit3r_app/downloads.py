@@ -1,32 +1,43 @@
-"""What can be taken along from a run; formats that the run did not write are made when asked."""
+"""What can be taken along from a run; what the run did not write is made when asked for."""
 
 import os
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from edit3r import default_registry
+from edit3r.contract.component import Offer
 from edit3r.contract.errors import InputError
 from edit3r.kit.files.atomic import atomic_write
-from edit3r.kit.scenes.export import export_scene
-from edit3r.kit.scenes.formats import FORMATS
-from edit3r.kit.scenes.ply import load_ply
+from edit3r.running import SavedScene, write_saved
 from edit3r_app.jobs import JobsFolder
 
 ARCHIVE = "all.zip"
-DOWNLOADS = {
-    "viewer.html": "one page that opens anywhere, to send",
+OF_EVERY_RUN = {
     "scene.ply": "3D Gaussians, for most programs",
-    "scene.spz": "small, for phones and web viewers",
-    "scene.sog": "smallest, for PlayCanvas and SuperSplat; takes half a minute",
-    "scene.splat": "for older web viewers",
-    "scene.compressed.ply": "for SuperSplat and PlayCanvas",
-    "scene.glb": "glTF, for 3D programs",
-    "video.webm": "a flight around the scene",
-    "before_after.png": "photo, edit and 3D side by side",
     "cameras.json": "where the photos were taken from",
     "run.json": "how it was made",
     ARCHIVE: "everything in one file",
 }
+
+
+def downloads() -> dict[str, str]:
+    """What there is to download, with a sentence for each: of every writer, and of every run."""
+    told = {
+        file: f"{one.component.summary}. It keeps {one.component.keeps}; it loses "
+        f"{one.component.loses}"
+        for file, one in _writers().items()
+    }
+    return {**told, **OF_EVERY_RUN}
+
+
+def _writers() -> dict[str, Offer]:
+    """The writers by the file that they leave; a folder is sent as an archive."""
+    files = {}
+    for offer in default_registry().offers("writer"):
+        packed = ".zip" if offer.component.makes_folder else ""
+        files[f"{offer.component.file_name()}{packed}"] = offer
+    return {file: offer for file, offer in files.items() if file not in OF_EVERY_RUN}
 
 
 def prepared(folder: JobsFolder, run: str, what: str) -> Path:
@@ -35,23 +46,35 @@ def prepared(folder: JobsFolder, run: str, what: str) -> Path:
     Raises InputError for what is no download, and for what the run left out.
     """
     source = folder.path(run)
-    if what not in DOWNLOADS:
+    if what not in downloads():
         raise InputError(f"{what[:40]!r}: not a file of a run.")
     file = source / what
     if file.is_file() and not file.is_symlink():
         return file
     made = folder.beside(run) / what
-    forms = [form for form, suffix in FORMATS.items() if what == f"scene{suffix}"]
     if made.is_file():
         return made
+    writer = _writers().get(what)
     if what == ARCHIVE:
         _pack(source, made)
-    elif forms and (source / "scene.ply").is_file():
-        scene = load_ply(source / "scene.ply", visible=True)
-        export_scene(made, scene, forms[0])
+    elif writer is not None and (source / "scene.ply").is_file():
+        _write(writer, source, made)
     else:
         raise InputError(f"{run} has no {what}: its settings left it out.")
     return made
+
+
+def _write(offer: Offer, run: Path, made: Path) -> None:
+    """Let a writer make the file, or the folder that is then packed."""
+    registry = default_registry()
+    writer = registry.build("writer", offer.qualified_name)
+    saved = SavedScene(run / "scene.ply", registry)
+    if not offer.component.makes_folder:
+        write_saved(writer, made, saved)
+        return
+    folder = made.with_suffix("")
+    write_saved(writer, folder, saved)
+    _pack(folder, made)
 
 
 def _pack(run: Path, target: Path) -> None:

@@ -181,7 +181,7 @@ def _check(job: BatchJob, registry: Registry, checked: set[str]) -> None:
         raise InputError(f"{str(error.filename)[:200]}: {error.strerror}.") from None
     config = make_run_config(job.settings)
     parts = [getattr(config, kind) for kind in PART_KEYS]
-    choices = repr((parts, config.all_refiners()))
+    choices = repr((parts, config.all_refiners(), config.written))
     if choices not in checked:
         check_components(config, registry)
         checked.add(choices)

@@ -2,6 +2,7 @@
 the assistant cancels the call, and writes whole folders or nothing.
 """
 
+import inspect
 import io
 import json
 import os
@@ -14,9 +15,10 @@ from mcp.server.mcpserver import Image, MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
 from pydantic import BaseModel, Field
 
+from edit3r import default_registry
+from edit3r.contract.component import Component
 from edit3r.kit.children import PYTHON
 from edit3r.kit.photos.decode import read_image
-from edit3r.kit.scenes.formats import CAMERA_FORMATS, FORMATS
 
 MAX_SIDE = 1600  # of an image that is sent [pixels]: assistants reduce larger ones
 INSTRUCTIONS = (
@@ -97,15 +99,19 @@ class Tools:
             raise ToolError(f"{folder}: is damaged and not shown ({error}).") from None
 
     async def export(self, run: str, form: str) -> str:
-        """Write the scene of a run for other programs, as spz, spz4, sog, splat, compressed-ply,
-        glb or ply; or its cameras, as colmap or nerfstudio.
+        """Write the scene of a run for other programs.
+
+        The forms, each with what is kept and lost:
         """
         folder = self._found(run)
-        ends = {**FORMATS, **CAMERA_FORMATS}
-        end = ends.get(form, "")
-        out = self.folder / f"{run}{end}"
+        writer = _writers().get(form)
+        if writer is None:
+            raise ToolError(
+                f"{form[:60]!r}: no form; there are {', '.join(_writers())}."
+            )
+        out = self.folder / writer.file_name(run)
         if os.path.lexists(out):
-            out = self._unused(run, end)
+            out = self._unused(run, out.name.removeprefix(run))
         return await self._command(
             "export", str(folder), f"--to={form}", f"--out={out}"
         )
@@ -150,9 +156,21 @@ def server(folder: Path, config: str | None = None) -> MCPServer:
     """The server whose tools write to `folder` only."""
     tools = Tools(folder, config)
     made = MCPServer("edit3r", instructions=INSTRUCTIONS)
-    for tool in (tools.select, tools.edit, tools.look, tools.export):
+    for tool in (tools.select, tools.edit, tools.look):
         made.tool(structured_output=False)(tool)
+    told = inspect.getdoc(tools.export) or ""
+    forms = [
+        f"{name}: {one.summary}; keeps {one.keeps}, loses {one.loses}"
+        for name, one in _writers().items()
+    ]
+    export = made.tool(structured_output=False, description="\n".join([told, *forms]))
+    export(tools.export)
     return made
+
+
+def _writers() -> dict[str, Component]:
+    offers = default_registry().offers("writer")
+    return {offer.component.name: offer.component for offer in offers}
 
 
 def _sent(path: Path) -> Image:

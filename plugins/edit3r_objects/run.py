@@ -13,14 +13,13 @@ from torch import Tensor
 
 from edit3r import default_registry
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.interfaces import NamedObjects, Rasterizer, SceneToWrite
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import LoadedPhotos, save_image, unique_names
 from edit3r.kit.rendering import render_each
 from edit3r.kit.run_folder import RunFolder, continue_run
 from edit3r.kit.scenes.ply import load_ply, save_ply
-from edit3r.kit.scenes.viewer import NamedObjects, save_viewer
 from edit3r.kit.sheet import draw_sheet
 from edit3r.running import (
     MIN_AREA,
@@ -197,14 +196,14 @@ def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None
     for view, image in zip(run.views, images["after"]):
         save_image(image, folder.renders / f"{view}.png")
     draw_sheet(images, names=run.views, title=run.edits[-1]).save(folder.before_after)
-    save_viewer(
-        folder.viewer,
+    scene = SceneToWrite(
         run.gaussians,
         run.cameras,
-        names=run.views,
+        names=tuple(run.views),
         title=run.edits[-1],
         objects=NamedObjects(run.names, GO_ON),
     )
+    default_registry().build("writer", "viewer").write(folder.viewer, scene)
     facts = {
         "gaussians": run.gaussians.count,
         "objects": dict(run.names),

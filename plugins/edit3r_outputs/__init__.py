@@ -4,6 +4,126 @@ from edit3r import Component, hookimpl
 
 EDIT3R_API = 1
 
+_GAUSSFORGE = {"requires": ("gaussforge",), "extra": "export"}
+
+
+@hookimpl
+def register_writers() -> list[Component]:
+    return [
+        Component(
+            "viewer",
+            "edit3r_outputs.viewer:ViewerWriter",
+            "one page to walk through the scene, which opens anywhere",
+            suffix=".html",
+            stem="viewer",
+            keeps="what can be seen, the look before the edit, objects, uncertainty",
+            loses="exact numbers: places to 1/60 of a pixel, the rest to 8 bits",
+        ),
+        Component(
+            "video",
+            "edit3r_outputs.video:VideoWriter",
+            "a flight around the scene",
+            suffix=".webm",
+            stem="video",
+            keeps="what is seen on the way",
+            loses="all else",
+        ),
+        Component(
+            "sheet",
+            "edit3r_outputs.sheet:SheetWriter",
+            "photo, 2D edit and 3D result of each view side by side",
+            suffix=".png",
+            stem="before_after",
+            keeps="what the photos' cameras see",
+            loses="all else",
+        ),
+        Component(
+            "ply",
+            "edit3r_outputs.formats:PlyWriter",
+            "the PLY of 3D Gaussian Splatting, for most programs",
+            suffix=".ply",
+            keeps="every Gaussian, exactly",
+            loses="harmonics above degree 3",
+        ),
+        Component(
+            "spz",
+            "edit3r_outputs.formats:SpzWriter",
+            "small, for phones and web viewers",
+            suffix=".spz",
+            keeps="every Gaussian, with harmonics",
+            loses="exact numbers; harmonics above degree 3, objects, uncertainty",
+            **_GAUSSFORGE,
+        ),
+        Component(
+            "spz4",
+            "edit3r_outputs.formats:Spz4Writer",
+            "the newer SPZ, which PlayCanvas' engine reads",
+            suffix=".v4.spz",
+            keeps="every Gaussian, with harmonics",
+            loses="exact numbers; harmonics above degree 3, objects, uncertainty",
+            **_GAUSSFORGE,
+        ),
+        Component(
+            "sog",
+            "edit3r_outputs.formats:SogWriter",
+            "smallest, for PlayCanvas and SuperSplat; takes half a minute",
+            suffix=".sog",
+            keeps="every Gaussian, with harmonics",
+            loses="exact numbers; harmonics above degree 3, objects, uncertainty",
+            **_GAUSSFORGE,
+        ),
+        Component(
+            "splat",
+            "edit3r_outputs.formats:SplatWriter",
+            "for older web viewers",
+            suffix=".splat",
+            keeps="every Gaussian, in one colour from all sides",
+            loses="harmonics, objects, uncertainty; turns and opacities to 8 bits",
+            **_GAUSSFORGE,
+        ),
+        Component(
+            "compressed-ply",
+            "edit3r_outputs.formats:CompressedPlyWriter",
+            "for SuperSplat and PlayCanvas",
+            suffix=".compressed.ply",
+            keeps="every Gaussian, with harmonics",
+            loses="exact numbers; harmonics above degree 3, objects, uncertainty",
+            **_GAUSSFORGE,
+        ),
+        Component(
+            "glb",
+            "edit3r_outputs.glb:GlbWriter",
+            "glTF with the extension for Gaussians, for 3D programs",
+            suffix=".glb",
+            keeps="every Gaussian, exactly, upright; as points where the extension is unknown",
+            loses="harmonics above degree 3, objects, uncertainty",
+        ),
+        Component(
+            "mesh",
+            "edit3r_outputs.mesh:MeshWriter",
+            "coloured triangles as PLY, for programs that know no Gaussians",
+            suffix="-mesh.ply",
+            keeps="the surfaces that the photos' cameras see, upright, in one colour each",
+            loses="what no camera sees, glass and hair, shine",
+        ),
+        Component(
+            "colmap",
+            "edit3r_outputs.posed_photos:ColmapWriter",
+            "the photos' cameras and edited images as COLMAP's model",
+            suffix="-colmap",
+            keeps="cameras, edited images, centres and colours of up to 100,000 Gaussians",
+            loses="shapes and opacities",
+        ),
+        Component(
+            "nerfstudio",
+            "edit3r_outputs.posed_photos:NerfstudioWriter",
+            "the photos' cameras and edited images as nerfstudio's transforms.json",
+            suffix="-nerfstudio",
+            keeps="cameras and edited images",
+            loses="the Gaussians",
+        ),
+    ]
+
 
 @hookimpl
 def register_commands() -> list[Component]:
@@ -16,6 +136,6 @@ def register_commands() -> list[Component]:
         Component(
             "export",
             "edit3r_outputs.export:ExportCommand",
-            "a saved scene as SPZ, SOG, splat, compressed PLY or GLB, for other programs",
+            "a saved scene by any writer: a page, a video, or a format of other programs",
         ),
     ]

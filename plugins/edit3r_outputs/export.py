@@ -1,22 +1,22 @@
-"""`edit3r export`: a scene, its mesh, or a run's cameras, for other programs; theirs as PLY."""
+"""`edit3r export`: a saved scene by any writer; scenes of other programs as PLY."""
 
 import argparse
 from pathlib import Path
 
 from edit3r.contract.command import Command
+from edit3r.kit.command.flags import add_plugin_option
 from edit3r.kit.scenes.files import scene_file
-
-MESH = {"mesh": "-mesh.ply"}
-"""The scene as triangles, and the end of the file's name."""
 
 
 class ExportCommand(Command):
-    """Write a scene in a format of other programs; a file of such a format can be read as well."""
+    """Write a saved scene for people or other programs; a file of theirs can be read as well."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        from edit3r.kit.scenes.formats import CAMERA_FORMATS, FORMATS
+        from edit3r import default_registry
 
-        forms = [*FORMATS, *CAMERA_FORMATS, *MESH]
+        writers = [
+            offer.component.name for offer in default_registry().offers("writer")
+        ]
         add = parser.add_argument
         add(
             "scene",
@@ -28,64 +28,48 @@ class ExportCommand(Command):
             "--to",
             required=True,
             nargs="+",
-            choices=forms,
-            metavar="FORMAT",
-            help=", ".join(forms),
+            metavar="WRITER",
+            help=f"{', '.join(writers)} (see edit3r list-plugins --kind writer)",
         )
         add(
             "--out",
             metavar="PATH",
-            help="the file, or for cameras the folder, to write, for one format; default: beside "
-            "the scene",
+            help="the file or folder to write, for one writer; default: beside the scene",
         )
+        add_plugin_option(parser)
         add("--overwrite", action="store_true", help="replace files that are there")
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
+
         from edit3r import default_registry
         from edit3r.contract.errors import InputError
         from edit3r.contract.reporting import Report, collecting
         from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.atomic import check_new_file
-        from edit3r.kit.scenes.export import export_scene, load_scene
-        from edit3r.kit.scenes.formats import CAMERA_FORMATS, FORMATS
-        from edit3r.kit.scenes.posed_photos import export_cameras
-        from edit3r_outputs.mesh import export_mesh
+        from edit3r.running import SavedScene, write_saved
 
-        scene: Path = args.scene
         if args.out and len(args.to) > 1:
             raise InputError(
-                "--out names one place; give one format with it, or leave --out away."
+                "--out names one place; give one writer with it, or leave --out away."
             )
-        base = (
-            scene.name.removesuffix(".ply").removesuffix(".compressed")
-            if scene.suffix == ".ply"
-            else scene.stem
-        )
-        ends = {**FORMATS, **CAMERA_FORMATS, **MESH}
-        made = {
-            form: Path(args.out or scene.with_name(base + ends[form]))
-            for form in args.to
-        }
-        for path in made.values():
-            check_new_file(path, args.overwrite, source=scene)
+        registry = default_registry(tuple(args.plugin))
+        saved = SavedScene(args.scene, registry)
+        writers = [registry.build("writer", name) for name in dict.fromkeys(args.to)]
+        made = {}
+        for writer in writers:
+            name = writer.offer.component.file_name(saved.stem)
+            made[writer] = Path(args.out or args.scene.with_name(name))
+            check_new_file(made[writer], args.overwrite, source=args.scene)
         with (
             StageConsole(quiet=args.quiet) as console,
             collecting(Report(on_event=console)) as report,
         ):
             with report.stage("read scene"):
-                gaussians = load_scene(scene)
-            for form, path in made.items():
-                with report.stage(f"write {form}"):
-                    if form in FORMATS:
-                        export_scene(path, gaussians, form)
-                    elif form in MESH:
-                        rasterizer = default_registry().build("rasterizer", "auto")
-                        export_mesh(path, scene.parent, gaussians, rasterizer)
-                    else:
-                        export_cameras(
-                            path, scene.parent, gaussians, form, args.overwrite
-                        )
+                _ = saved.gaussians
+            for writer, path in made.items():
+                with report.stage(f"write {writer.offer.component.name}"):
+                    write_saved(writer, path, saved, args.overwrite)
         if not args.quiet:
             for path in made.values():
                 size = sum(file.stat().st_size for file in (path, *path.rglob("*")))

@@ -6,18 +6,17 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float, Int
+from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Rasterizer
-from edit3r.contract.types import Cameras, Gaussians
-from edit3r.kit.files.atomic import atomic_write
+from edit3r.contract.interfaces import SceneToWrite, Writer
+from edit3r.contract.settings import Settings
+from edit3r.contract.types import Cameras, Rendering
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.warping import warp
-from edit3r.kit.photos.cameras import read_scene_cameras
-from edit3r.kit.rendering import render_each
 
-CELLS = (216, 288, 160)  # of the grid: rows, columns, steps of inverse depth
+CELLS = (216, 288, 160)  # of the usual grid: rows, columns, steps of inverse depth
 WIDER = 1.3  # the grid's field of view than that of view 0
 ROOM = 0.05  # of the range of inverse depths, before and behind it
 OUTER = 0.005  # share of the pixels that may lie nearer or farther than the range
@@ -52,8 +51,30 @@ class Frustum:
         return float(self.inverse_depths[1] - self.inverse_depths[0])
 
 
-def mesh_of(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> Mesh:
-    """The surface that a scene (batch 1) shows its cameras.
+class MeshWriter(Writer):
+    """The surface that the scene shows its cameras, as PLY."""
+
+    needs = ("cameras", "render")
+
+    class Settings(Settings):
+        detail: float = Field(
+            1.0,
+            gt=0.05,
+            le=4,
+            description="how many times as fine as usual the grid is",
+        )
+
+    settings: Settings
+
+    @torch.no_grad()
+    def write(self, path: Path, scene: SceneToWrite) -> None:
+        assert scene.cameras is not None and scene.render is not None  # they are needed
+        shown = scene.render(scene.cameras)
+        path.write_bytes(_ply(mesh_of(shown, scene.cameras, self.settings.detail)))
+
+
+def mesh_of(shown: Rendering, cameras: Cameras, detail: float = 1.0) -> Mesh:
+    """The surface of a scene (batch 1), of which its cameras are shown the rendering.
 
     Rendered depths become a truncated signed distance (Curless and Levoy 1996) on a grid that is as
     fine as the photos near and far: inverse depth along the rays of view 0. Marching cubes cut
@@ -62,12 +83,12 @@ def mesh_of(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> M
     from scipy.ndimage import gaussian_filter
     from skimage.measure import marching_cubes
 
-    shown = render_each(rasterizer, gaussians, cameras, "looking at the scene")
+    shown, cameras = shown.to("cpu"), cameras.to("cpu")
     solid = shown.alphas[0, :, 0] > SOLID
     depths = torch.where(solid, shown.depths[0, :, 0], 0)
     if not solid.any():
         raise InputError("mesh: the scene shows no surface to any of its cameras.")
-    frustum = _frustum(cameras, depths)
+    frustum = _frustum(cameras, depths, detail)
     distance, weight = _distances(frustum, cameras, depths)
     distance, weight = (
         gaussian_filter(each.numpy(), SMOOTH) for each in (distance, weight)
@@ -82,13 +103,15 @@ def mesh_of(gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer) -> M
     return Mesh(vertices.numpy(), faces, colours.numpy())
 
 
-def _frustum(cameras: Cameras, depths: Float[Tensor, "view height width"]) -> Frustum:
+def _frustum(
+    cameras: Cameras, depths: Float[Tensor, "view height width"], detail: float
+) -> Frustum:
     """The grid that holds what `depths` (0: none) show."""
     inverse = 1 / depths[depths > 0].sort().values
     outer = int(OUTER * (len(inverse) - 1))
     near, far = float(inverse[outer]), float(inverse[-1 - outer])
     room = ROOM * max(near - far, 1e-3 * near)
-    rows, columns, steps = CELLS
+    rows, columns, steps = (round(cells * detail) for cells in CELLS)
     y, x = torch.meshgrid(
         torch.linspace(-0.5, 0.5, rows) * WIDER + 0.5,
         torch.linspace(-0.5, 0.5, columns) * WIDER + 0.5,
@@ -108,8 +131,8 @@ def _distances(
     frustum: Frustum, cameras: Cameras, depths: Float[Tensor, "view height width"]
 ) -> tuple[Volume, Volume]:
     """Sums over the views of the distance before the surface [steps]; how many views know it."""
-    total = torch.zeros(CELLS)
-    weight = torch.zeros(CELLS)
+    shape = (*frustum.rays.shape[:2], len(frustum.inverse_depths))
+    total, weight = torch.zeros(shape), torch.zeros(shape)
     for index, inverse in enumerate(frustum.inverse_depths):
         points = frustum.centre + frustum.rays / inverse
         for view, depth in enumerate(depths):
@@ -171,20 +194,8 @@ def _colours(
     return (total[:, :3] / total[:, 3:]).clamp(0, 1)
 
 
-@torch.no_grad()
-def export_mesh(
-    path: Path, run: Path, gaussians: Gaussians, rasterizer: Rasterizer
-) -> None:
-    """Write the mesh of the run in folder `run` as binary PLY with colours, y up.
-
-    Raises InputError where the run has no cameras.
-    """
-    file = run / "cameras.json"
-    if not file.is_file():
-        raise InputError(
-            f"{run}: holds no cameras.json; mesh is written of the folder of a run."
-        )
-    mesh = mesh_of(gaussians, read_scene_cameras(file)[0], rasterizer)
+def _ply(mesh: Mesh) -> bytes:
+    """The mesh as binary PLY with colours, y up."""
     names = ("x", "y", "z", "red", "green", "blue")
     types = ("<f4",) * 3 + ("u1",) * 3
     vertices = np.zeros(len(mesh.vertices), list(zip(names, types)))
@@ -204,6 +215,5 @@ def export_mesh(
         "end_header",
         "",
     ]
-    with atomic_write(path) as partial:
-        text = "\n".join(header).encode()
-        partial.write_bytes(text + vertices.tobytes() + faces.tobytes())
+    text = "\n".join(header).encode()
+    return text + vertices.tobytes() + faces.tobytes()

@@ -110,12 +110,13 @@ def _render(
     folder: "RunFolder", rasterizer: "Rasterizer", args: argparse.Namespace
 ) -> None:
     """Write what `--make` names."""
+
+    from edit3r import build
+    from edit3r.contract.interfaces import SceneToWrite
     from edit3r.contract.reporting import stage, warn
     from edit3r.kit.photos.images import save_image
     from edit3r.kit.rendering import path_around, render_each
-    from edit3r.kit.scenes.viewer import save_viewer
-    from edit3r.kit.video import save_video
-    from edit3r.running import VIDEO_FPS
+    from edit3r.running import Flight
 
     with stage("read scene"):
         gaussians = _gaussians(args)
@@ -132,12 +133,14 @@ def _render(
     if "video" in args.make:
         with stage("render camera path"):
             path = path_around(cameras, views, args.frames)
-            frames = render_each(rasterizer, gaussians, path, "path").images[0]
-            save_video(folder.video, frames.clamp(0, 1), VIDEO_FPS)
+            frames = Flight(rasterizer, gaussians, path)
+            scene = SceneToWrite(gaussians, frames=frames)
+            build("writer", "video").write(folder.video, scene)
     if "viewer" in args.make:
         with stage("write viewer"):
             title = Path(args.scene).stem
-            save_viewer(folder.viewer, gaussians, cameras, title=title)
+            scene = SceneToWrite(gaussians, cameras, title=title)
+            build("writer", "viewer").write(folder.viewer, scene)
 
 
 def _rasterizer(args: argparse.Namespace) -> "Rasterizer":

@@ -12,8 +12,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r import build
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.interfaces import Rasterizer, SceneToWrite, SecondLook
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.photos.cameras import read_scene_cameras
@@ -21,7 +22,6 @@ from edit3r.kit.photos.images import save_image
 from edit3r.kit.rendering import render_each, render_uncertainty
 from edit3r.kit.run_folder import RunFolder, continue_run
 from edit3r.kit.scenes.ply import load_ply, save_ply
-from edit3r.kit.scenes.viewer import save_viewer
 from edit3r.kit.sheet import draw_sheet
 from edit3r.running import read_views_of_run
 from edit3r_uncertainty.signals import photos_of, uncertainty
@@ -111,16 +111,19 @@ def write_run(root: Path, run: JudgedRun, rasterizer: Rasterizer, maps: bool) ->
     columns = {"scene": images.clamp(0, 1), "uncertainty": coloured(found)}
     sheet = draw_sheet(columns, names=names, title=run.sentence)
     sheet.save(root / "uncertainty.png")
-    save_viewer(
-        folder.viewer,
+    look = SecondLook(
+        coloured(run.gaussians.uncertainty[:, :, None])[0, :, :, 0].T,
+        ("scene", "uncertainty"),
+    )
+    scene = SceneToWrite(
         run.gaussians,
         run.cameras,
         names=run.names,
         title="what can be trusted",
         subtitle=run.sentence,
-        before=coloured(run.gaussians.uncertainty[:, :, None])[0, :, :, 0].T,
-        looks=("scene", "uncertainty"),
+        second_look=lambda: look,
     )
+    build("writer", "viewer").write(folder.viewer, scene)
     if maps:
         (root / "uncertainty").mkdir()
         for name, one in zip(names, found):

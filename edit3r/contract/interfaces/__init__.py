@@ -52,6 +52,14 @@ from edit3r.contract.interfaces.training import (
     Trainer,
     TrainingJob,
 )
+from edit3r.contract.interfaces.writing import (
+    DRAWING,
+    Frame,
+    NamedObjects,
+    SceneToWrite,
+    SecondLook,
+    Writer,
+)
 
 # The first logarithm that MKL computes on several threads of a process is sometimes less accurate
 # in one of them, and then the same seed does not give the same bytes. After one small logarithm on
@@ -71,11 +79,13 @@ INTERFACES: dict[str, type] = {
     "dataset": Dataset,
     "trainer": Trainer,
     "refiner": Refiner,
+    "writer": Writer,
     "command": Command,
 }
 """The interface of each kind, for checks and documentation."""
 
 __all__ = [
+    "DRAWING",
     "INTERFACES",
     "Backbone",
     "ChangesShape",
@@ -89,6 +99,7 @@ __all__ = [
     "Editor",
     "EditsRegions",
     "EditsViews",
+    "Frame",
     "GaussianHead",
     "GeometryBackbone",
     "GeometryHead",
@@ -98,17 +109,21 @@ __all__ = [
     "Marks",
     "MatchedGeometry",
     "Matcher",
+    "NamedObjects",
     "Proposal",
     "Rasterizer",
     "Reconstructor",
     "RefineInputs",
     "Refiner",
     "SceneSample",
+    "SceneToWrite",
+    "SecondLook",
     "Segmenter",
     "StartsFromImages",
     "TakesGeometry",
     "Tracks",
     "Trainer",
     "TrainingJob",
+    "Writer",
     "as_proposal",
 ]

@@ -22,3 +22,13 @@ def outlined(
     cv2.drawContours(pixels, contours, -1, AROUND, 3 * width, cv2.LINE_AA)
     cv2.drawContours(pixels, contours, -1, INSIDE, width, cv2.LINE_AA)
     return torch.from_numpy(pixels).movedim(-1, 0).to(image) / 255
+
+
+def outlined_views(
+    images: Float[Tensor, "view 3 height width"],
+    masks: Float[Tensor, "view height width"] | None,
+) -> Float[Tensor, "view 3 height width"]:
+    """The images with the outlines of their masks, where there are any."""
+    if masks is None:
+        return images
+    return torch.stack([outlined(*pair) for pair in zip(images, masks)])

@@ -8,7 +8,7 @@ from urllib.parse import quote
 from nicegui import run, ui
 
 from edit3r.contract.errors import InputError
-from edit3r_app.downloads import DOWNLOADS, prepared
+from edit3r_app.downloads import downloads, prepared
 from edit3r_app.pages.parts import (
     Tab,
     card,
@@ -83,7 +83,7 @@ def _take_along(tab: Tab) -> None:
 
     ui.label("Take it along").classes("e3-title")
     with ui.row():
-        for what, told in DOWNLOADS.items():
+        for what, told in downloads().items():
             button = ui.button(what).props("outline").tooltip(told)
             button.on_click(partial(take, what, button))
 

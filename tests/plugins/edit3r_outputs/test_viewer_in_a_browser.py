@@ -7,11 +7,11 @@ import shutil
 import numpy as np
 import pytest
 import torch
+from edit3r.kit.scenes.viewer import NamedObjects, save_viewer
 from PIL import Image
 
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc
-from edit3r.kit.scenes.viewer import NamedObjects, save_viewer
 from edit3r.loading.registry import build
 
 playwright = pytest.importorskip(

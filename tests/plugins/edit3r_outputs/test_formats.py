@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from edit3r.kit.scenes.export import FORMATS, export_scene, load_scene
 
 import edit3r
 from edit3r.cli.main import main
@@ -19,7 +20,6 @@ from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.scenes import export
-from edit3r.kit.scenes.export import FORMATS, export_scene, load_scene
 from edit3r.kit.scenes.ply import load_ply, save_ply
 
 gaussforge = pytest.importorskip("gaussforge", reason="needs the extra export")

@@ -10,8 +10,7 @@ import html
 import json
 import re
 import zlib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -21,71 +20,45 @@ import torch
 from jaxtyping import Float, Float64
 from torch import Tensor
 
+from edit3r.contract.interfaces import NamedObjects, SceneToWrite, Writer
 from edit3r.contract.reporting import warn
-from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
-from edit3r.kit.files.atomic import atomic_write
-from edit3r.kit.geometry.cameras import project, to_pixels
+from edit3r.contract.types import Cameras, Gaussians
+from edit3r.kit.geometry.cameras import to_pixels
 from edit3r.kit.geometry.gravity import up_direction
 from edit3r.kit.geometry.harmonics import C1, C2, C3, C4, dc_to_colour
 from edit3r.kit.geometry.rotations import normalise_quats
 from edit3r.kit.scenes.ply import LEAST_OPACITY
 
-__all__ = ["NamedObjects", "colours_before", "save_viewer", "viewer_page"]
-
 EASY_GAUSSIANS = 1_500_000  # six photos of 512 pixels; more are slow to sort
 MIN_STEP = 0.01  # of a harmonic; it changes a colour by less than a step of 8 bits
-SAME_DEPTH = 1.05  # what lies farther than so many times the depth seen is hidden
-SAME_COLOUR = 0.1  # largest difference to the edited photo of what surely shows there
-LIKE_COLOUR = 0.3  # and of what likely does
-NEARBY = 2  # how far from its pixel the colour of a Gaussian is looked for [pixels]
 LEVEL = 3  # of compression; higher ones save a twentieth and take three times as long
 
 
-@dataclass(frozen=True)
-class NamedObjects:
-    """Objects of a scene that can be chosen on its page."""
+class ViewerWriter(Writer):
+    """The page, which opens from disk in any browser with WebGL 2."""
 
-    names: Mapping[str, int]  # `Gaussians.object_index` by name
-    # To copy, for going on with the chosen one: in it {run} becomes the page's folder and {name}
-    # the object's name, quoted as a shell wants them.
-    command: str = ""
+    needs = ("cameras",)
 
-
-NO_OBJECTS = NamedObjects({})
-
-
-def save_viewer(
-    path: str | Path, gaussians: Gaussians, cameras: Cameras, **texts: Any
-) -> None:
-    """Write the page of `viewer_page`, which explains the arguments."""
-    page = viewer_page(gaussians, cameras, **texts)
-    with atomic_write(path) as partial:
+    def write(self, path: Path, scene: SceneToWrite) -> None:
         # A file name in the title may be no UTF-8.
-        partial.write_text(page, encoding="utf-8", errors="replace")
+        path.write_text(viewer_page(scene), encoding="utf-8", errors="replace")
 
 
-def viewer_page(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    *,
-    names: Sequence[str] = (),
-    title: str = "",
-    subtitle: str = "",
-    before: Float[Tensor, "gaussian 3"] | None = None,
-    looks: tuple[str, str] = ("after", "before"),
-    objects: NamedObjects = NO_OBJECTS,
-) -> str:
+def viewer_page(scene: SceneToWrite) -> str:
     """Return the page for one scene (batch 1); it opens at camera 0 and flies to any camera.
 
-    Every Gaussian that can be drawn is in it. `before` holds the colours (sRGB) of a second look
-    that a switch shows from the same place, see `colours_before`. `looks` name both; a second
-    one with another name shows its colours alike from all sides.
-
-    A click on one of the `objects` chooses it, to hide it or all else. Where the scene has
-    `uncertainty`, a slider hides what is less sure.
+    Every Gaussian that can be drawn is in it. A switch shows the second look from the same place;
+    one that is not called "before" shows its colours alike from all sides. A click on one of the
+    objects chooses it, to hide it or all else. Where the scene has `uncertainty`, a slider hides
+    what is less sure.
     """
+    gaussians, cameras = scene.gaussians, scene.cameras
+    assert cameras is not None  # they are needed
     if gaussians.means.shape[0] != 1 or cameras.c2w.shape[0] != 1:
-        raise ValueError("save_viewer writes one scene, got a batch")
+        raise ValueError("a page shows one scene, got a batch")
+    second = scene.second_look() if scene.second_look is not None else None
+    before = second.colours if second is not None else None
+    looks = second.names if second is not None else ("after", "before")
     drawn = torch.nonzero(gaussians.opacities[0] >= LEAST_OPACITY)[:, 0]
     if len(drawn) > EASY_GAUSSIANS:
         warn(
@@ -96,98 +69,29 @@ def viewer_page(
         before = before[drawn.to(before.device)].cpu()
     gaussians = gaussians.select(drawn).to("cpu", torch.float32)
     cameras = cameras.to("cpu", torch.float64)
-    facts, data = _pack(gaussians, cameras, before, objects)
+    facts, data = _pack(gaussians, cameras, before, scene.objects)
     distance = _typical_distance(gaussians, cameras)
     meta = {
         **facts,
         "distance": distance,
         "near": 1e-3 * distance,
         "up": up_direction(cameras.c2w[0]).tolist(),
-        "views": _views(cameras, names),
+        "views": _views(cameras, scene.names),
         "size": cameras.image_size,
         "first": looks[0],
         "second": looks[1],
-        "title": title,
-        "subtitle": subtitle,
+        "title": scene.title or "edit3r scene",
+        "subtitle": scene.subtitle,
     }
     # No text may end the script element.
     parts = {
-        "TITLE": html.escape(title or "3D scene"),
+        "TITLE": html.escape(scene.title or "edit3r scene"),
         "META": json.dumps(meta, allow_nan=False).replace("<", "\\u003c"),
         "DATA": base64.b64encode(data).decode("ascii"),
     }
-    template = (
-        files("edit3r.kit.scenes").joinpath("viewer.html").read_text(encoding="utf-8")
-    )
+    template = files(__package__).joinpath("viewer.html").read_text(encoding="utf-8")
     # In one pass: what a title says is never taken for a place to fill.
     return re.sub("__(TITLE|META|DATA)__", lambda place: parts[place[1]], template)
-
-
-def colours_before(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    photos: Views,
-    edited: Views,
-    rendered: Rendering,
-) -> Float[Tensor, "gaussian 3"]:
-    """Return the colours (sRGB) that the Gaussians of an edited scene would have without the edit.
-
-    For each Gaussian, the pixel most like it in colour is looked for among the nine around its
-    place, in the view it came from, or in the first view that shows one of no view. The difference
-    photo less edited photo at that pixel is added to its colour. What is like none of them (hidden
-    things) keeps its colour. So this is a stand-in, not the scene before the edit, whose shapes may
-    have been others. One scene (batch 1).
-    """
-    colours = dc_to_colour(gaussians.harmonics[0, :, 0])
-    view_index = gaussians.view_index
-    found = torch.zeros_like(view_index, dtype=torch.bool)
-    for view in range(cameras.count):
-        places, depths = project(
-            gaussians.means[0], cameras.intrinsics[0, view], cameras.c2w[0, view]
-        )
-        maps = (photos.images, edited.images, rendered.depths)
-        values = torch.cat([each[:, view] for each in maps], 1).to(colours)
-        change, difference, depth_seen = _most_alike(colours, places, values)
-        likely = (difference < LIKE_COLOUR) & (depths < SAME_DEPTH * depth_seen)
-        inside = ((places > 0) & (places < 1)).all(-1) & (depths > 0)
-        of_view = (view_index == view) | (view_index < 0)
-        mine = ((difference < SAME_COLOUR) | likely) & inside & of_view & ~found
-        colours = torch.where(mine[:, None], colours + change, colours)
-        found |= mine
-    return colours
-
-
-def _most_alike(
-    colours: Float[Tensor, "gaussian 3"],
-    places: Float[Tensor, "gaussian 2"],
-    values: Float[Tensor, "1 7 height width"],
-) -> tuple[
-    Float[Tensor, "gaussian 3"], Float[Tensor, "gaussian"], Float[Tensor, "gaussian"]
-]:
-    """At the most alike of nine pixels: what the edit changed there and how alike it is.
-
-    Also the farthest depth of the nine. `values` holds photo, edited photo and depth.
-    """
-    pixel = 1 / places.new_tensor([values.shape[3], values.shape[2]])
-    change = torch.zeros_like(colours)
-    least = torch.full_like(colours[:, 0], torch.inf)
-    farthest = torch.zeros_like(least)
-    shifts = torch.arange(-1, 2).to(places)
-    for shift in torch.cartesian_prod(shifts, shifts):
-        grid = 2 * (places + NEARBY * shift * pixel) - 1
-        sampled = torch.nn.functional.grid_sample(
-            values,
-            grid[None, None].to(colours),
-            mode="nearest",
-            padding_mode="border",
-            align_corners=False,
-        )
-        photo, edit, depth = sampled[0, :, 0].T.split((3, 3, 1), 1)
-        difference = (colours - edit).abs().amax(-1)
-        change = torch.where((difference < least)[:, None], photo - edit, change)
-        least = torch.minimum(difference, least)
-        farthest = torch.maximum(depth[:, 0], farthest)
-    return change, least, farthest
 
 
 def _pack(

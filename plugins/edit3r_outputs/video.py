@@ -16,10 +16,12 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
+from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.kit.files.atomic import atomic_write
+from edit3r.contract.interfaces import SceneToWrite, Writer
+from edit3r.contract.settings import Settings
 from edit3r.kit.photos.images import to_bytes
 
 QUALITY = 85  # of WebP; about 37 dB on photos
@@ -35,10 +37,25 @@ _EBML, _SEGMENT, _INFO, _TRACKS, _CUES, _CLUSTER = (
 )
 _KEY_FRAME = 0x80
 
-Frame = Float[Tensor, "3 height width"] | UInt8[np.ndarray, "height width 3"]
+Picture = Float[Tensor, "3 height width"] | UInt8[np.ndarray, "height width 3"]
 
 
-def save_video(path: str | Path, frames: Iterable[Frame], fps: float = 24) -> None:
+class VideoWriter(Writer):
+    """A flight around the scene as WebM."""
+
+    needs = ("frames",)
+
+    class Settings(Settings):
+        fps: float = Field(18, gt=0, le=1000, description="frames per second")
+
+    settings: Settings
+
+    def write(self, path: Path, scene: SceneToWrite) -> None:
+        assert scene.frames is not None  # it is needed
+        save_video(path, scene.frames(), self.settings.fps)
+
+
+def save_video(path: str | Path, frames: Iterable[Picture], fps: float = 24) -> None:
     """Write `frames` of one size (sRGB, clipped to [0, 1], or bytes) as a .webm video with colour
     at half resolution.
 
@@ -53,7 +70,7 @@ def save_video(path: str | Path, frames: Iterable[Frame], fps: float = 24) -> No
         )
     sizes: set[tuple[int, int]] = set()
 
-    def image_of(frame: Frame) -> Image.Image:
+    def image_of(frame: Picture) -> Image.Image:
         image = Image.fromarray(
             frame if isinstance(frame, np.ndarray) else to_bytes(frame)
         )
@@ -71,8 +88,7 @@ def save_video(path: str | Path, frames: Iterable[Frame], fps: float = 24) -> No
         coded = list(pool.map(_vp8_frame, (image_of(frame) for frame in frames)))
     if not coded:
         raise InputError(f"{path}: a video needs at least one frame.")
-    with atomic_write(path) as partial:
-        partial.write_bytes(_webm(coded, sizes.pop(), fps))
+    path.write_bytes(_webm(coded, sizes.pop(), fps))
 
 
 def _vp8_frame(image: Image.Image) -> bytes:

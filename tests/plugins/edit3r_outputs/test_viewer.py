@@ -9,11 +9,11 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 import torch
+from edit3r.kit.scenes.viewer import NamedObjects, colours_before, save_viewer
 
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
 from edit3r.kit.geometry.harmonics import colour_to_dc
-from edit3r.kit.scenes.viewer import NamedObjects, colours_before, save_viewer
 
 
 def scene(count=200, degree=0, seed=0):

@@ -1,0 +1,74 @@
+"""The Gaussians in the formats of other programs, most of them by gaussforge."""
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from edit3r.contract.interfaces import SceneToWrite, Writer
+from edit3r.contract.types import Gaussians
+from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
+from edit3r.kit.scenes.read import convert
+
+
+class PlyWriter(Writer):
+    """The PLY of 3D Gaussian Splatting, with what viewers read of it."""
+
+    def write(self, path: Path, scene: SceneToWrite) -> None:
+        save_ply(path, scene.gaussians, degree=VIEWER_DEGREE)
+
+
+class SpzWriter(Writer):
+    """SPZ of version 3, one gzip stream."""
+
+    def write(self, path: Path, scene: SceneToWrite) -> None:
+        _write(path, scene.gaussians, "spz")
+
+
+class Spz4Writer(Writer):
+    """SPZ of version 4, which is coded with zstd."""
+
+    def write(self, path: Path, scene: SceneToWrite) -> None:
+        _write(path, scene.gaussians, "spz", spz_version=4)
+
+
+class SogWriter(Writer):
+    """SOG, PlayCanvas' images of quantised columns."""
+
+    def write(self, path: Path, scene: SceneToWrite) -> None:
+        _write(path, scene.gaussians, "sog")
+
+
+class SplatWriter(Writer):
+    """The 32 bytes a Gaussian of the first web viewers."""
+
+    def write(self, path: Path, scene: SceneToWrite) -> None:
+        _write(path, scene.gaussians, "splat")
+
+
+class CompressedPlyWriter(Writer):
+    """PlayCanvas' PLY of quantised columns."""
+
+    def write(self, path: Path, scene: SceneToWrite) -> None:
+        _write(path, _by_colour(scene.gaussians), "compressed.ply")
+
+
+def _write(path: Path, gaussians: Gaussians, form: str, spz_version: int = 3) -> None:
+    """Let gaussforge write one of its formats."""
+    with tempfile.TemporaryDirectory() as scratch:
+        plain, made = Path(scratch) / "scene.ply", Path(scratch) / "made"
+        save_ply(plain, gaussians, degree=VIEWER_DEGREE)
+        convert(plain, made, "ply", form, spz_version=spz_version)
+        path.write_bytes(made.read_bytes())
+
+
+def _by_colour(gaussians: Gaussians) -> Gaussians:
+    """The scene in the order that makes gaussforge 0.6 write it right.
+
+    It writes the harmonics of a compressed PLY by coefficient; the format (and its own reader) has
+    them by colour.
+    """
+    kept = gaussians.harmonics[:, :, : (VIEWER_DEGREE + 1) ** 2]
+    by_colour = kept[:, :, 1:].transpose(2, 3).reshape(kept[:, :, 1:].shape)
+    return replace(gaussians, harmonics=torch.cat((kept[:, :, :1], by_colour), 2))

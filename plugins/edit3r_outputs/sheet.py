@@ -1,0 +1,30 @@
+"""One picture to look at first: photo, 2D edit and 3D result of each view."""
+
+from pathlib import Path
+
+import numpy as np
+
+from edit3r.contract.interfaces import SceneToWrite, Writer
+from edit3r.kit.photos.images import save_pixels
+from edit3r.kit.photos.outline import outlined_views
+from edit3r.kit.sheet import draw_sheet, images_of
+
+
+class SheetWriter(Writer):
+    """The views side by side, with the outline of what was to be edited."""
+
+    needs = ("photos", "edited", "rendered")
+
+    def write(self, path: Path, scene: SceneToWrite) -> None:
+        columns = {
+            "photo": outlined_views(images_of(scene.photos), scene.masks),
+            "2D edit": images_of(scene.edited),
+            "3D result": images_of(scene.rendered),
+        }
+        sheet = draw_sheet(
+            columns,
+            names=scene.names,
+            title=scene.title or "no prompt",
+            subtitle=scene.about,
+        )
+        save_pixels(np.asarray(sheet), path)
