@@ -3,7 +3,8 @@ inputs.
 
 The truth is always the reference view's edit applied to all views (section 3.1: "one recolored
 image and another original image"). Other regimes give the other views an edit of their own, as
-editors do that disagree with themselves.
+editors do that disagree with themselves. `generated` takes view-consistent edits that the data
+brings, things added and removed included: the reference as edited, the others as they were.
 """
 
 from dataclasses import dataclass
@@ -24,8 +25,9 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import SceneSample
 from edit3r.contract.settings import NonNegative, Settings, Share
+from edit3r.errors import SettingsError
 
-REGIMES = ("reference", "disagreeing", "agreeing", "unedited", "viewwise")
+REGIMES = ("reference", "disagreeing", "agreeing", "unedited", "viewwise", "generated")
 DISAGREEMENT = 0.5
 """Of mock-diffusion's edits of one scene: how much of each view's look is its own."""
 MIN_REGION = 0.015
@@ -51,6 +53,11 @@ class RegimeShares(Settings):
         description="no recoloring: every image edited on its own, by the data's own edits or else "
         "by mock-diffusion, and asked for as such",
     )
+    generated: NonNegative = Field(
+        0.0,
+        description="no recoloring: only the reference view is edited, and every view should show "
+        "the data's own edits, things added or removed included",
+    )
     whole_picture: Share = Field(
         0.15, description="share of edits that change the whole image"
     )
@@ -70,6 +77,7 @@ class EditedSample:
     truth: Images  # what each context view should show
     target: Images  # what each target view should show
     regime: str
+    reshaped: bool = False  # the edit may have added or removed things
 
 
 def edit_sample(
@@ -85,6 +93,8 @@ def edit_sample(
     if regime == "viewwise":
         edits = _own_edits(sample, photos, rng)
         return EditedSample(edits[:views], edits[:views], edits[views:], regime)
+    if regime == "generated":
+        return _generated(sample)
     masks = _regions(sample, shares, rng)
 
     def parameters() -> list:
@@ -102,6 +112,18 @@ def edit_sample(
         own = masks[:, view]
         edited.append(_edited_view(photos[view], own, chosen, shares, rng))
     return EditedSample(torch.stack(edited), truth[:views], truth[views:], regime)
+
+
+def _generated(sample: SceneSample) -> EditedSample:
+    """The data's own edit of the reference, beside the other views as they were; asked of all."""
+    if sample.edited_context is None or sample.edited_target is None:
+        raise SettingsError(
+            "trainer.regimes.generated: the data has no edited views of its own; give some "
+            "(train_data.edits of the dataset transforms, train_data.edit of procedural)."
+        )
+    edits = sample.edited_context
+    edited = torch.cat((edits[:1], sample.context[1:]))
+    return EditedSample(edited, edits, sample.edited_target, "generated", reshaped=True)
 
 
 def _own_edits(sample: SceneSample, photos: Images, rng: np.random.Generator) -> Images:

@@ -8,16 +8,24 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import MatchedGeometry, SceneSample
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.geometry.cameras import scale_poses, unproject
 from edit3r_training.asymmetric_inputs import RegimeShares, edit_sample
+from edit3r.geometry.cameras import scale_poses, unproject
+from edit3r_training.asymmetric_inputs import (
+    EditedSample,
+    RegimeShares,
+    edit_sample,
+)
 from edit3r_training.simulated_matching import SimulatedMatch, simulate_match
 
 Images = Float[Tensor, "batch view 3 height width"]
+OTHER_SURFACE = 0.02
+"""Change of a generated edit above which another surface may be seen [sRGB, any channel]."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +43,9 @@ class TrainingBatch:
     depths: Float[Tensor, "batch view height width"] | None  # true camera z
     # as a matcher would give it, where the data has depths
     geometry: MatchedGeometry | None
+    # where an edit may have added or removed something, so that `depths` tell nothing of the truth;
+    # None: nowhere
+    reshaped: Bool[Tensor, "batch view height width"] | None = None
 
     def to(self, device: torch.device) -> "TrainingBatch":
         """Everything on another device."""
@@ -105,7 +116,15 @@ def _batch_of_one(
         target_cameras=scaled(sample.target_cameras),
         depths=None if depths is None else depths[None] * unit,
         geometry=geometry,
+        reshaped=_reshaped(edit, sample.context)[None],
     )
+
+
+def _reshaped(
+    edit: EditedSample, photos: Float[Tensor, "view 3 height width"]
+) -> Bool[Tensor, "view height width"]:
+    """Where the truth shows something else than the photos, and it may be another surface."""
+    return ((edit.truth - photos).abs().amax(1) > OTHER_SURFACE) & edit.reshaped
 
 
 def _with_tensors(function: Callable[..., Tensor], *values: Any) -> Any:

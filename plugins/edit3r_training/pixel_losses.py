@@ -76,7 +76,7 @@ def colour_error(maps: PixelMaps, batch: TrainingBatch) -> Float[Tensor, ""]:
 
 def depth_error(maps: PixelMaps, batch: TrainingBatch) -> Float[Tensor, ""]:
     """Robust error of log depth and of its differences between neighbours."""
-    gap = _log_gap(maps.depths, batch)
+    gap = _log_gap(maps.depths, batch) * _as_before(batch)
     value = F.smooth_l1_loss(gap.clamp(-1, 1), torch.zeros_like(gap), beta=0.03)
     slopes = [gap.diff(dim=axis).clamp(-0.3, 0.3).abs().mean() for axis in (-1, -2)]
     return value + 0.25 * sum(slopes)
@@ -90,7 +90,16 @@ def opacity_error(
     """
     gap = _log_gap(maps.depths.detach(), batch).abs()
     wished = torch.where(gap < tolerance, 0.95, 0.3)
-    return F.binary_cross_entropy(maps.opacities.clamp(1e-4, 1 - 1e-4), wished)
+    return F.binary_cross_entropy(
+        maps.opacities.clamp(1e-4, 1 - 1e-4), wished, weight=_as_before(batch)
+    )
+
+
+def _as_before(batch: TrainingBatch) -> Depths:
+    """1 where the true depths hold after the edit too, 0 where it may have moved the surface."""
+    if batch.reshaped is None:
+        return torch.ones_like(batch.depths)
+    return 1 - batch.reshaped.to(batch.depths)
 
 
 def _log_gap(depths: Depths, batch: TrainingBatch) -> Depths:

@@ -35,6 +35,8 @@ EIGHT_BITS = (
 )
 """Images and masks of a sample: kept in 8 bits, as photos are."""
 EDITS = ("recolor", "add", "remove", "global")
+DRAWN = {"any": EDITS, "shape": ("add", "remove")}
+"""Settings that stand for an edit drawn anew for every scene."""
 
 Images = Float[Tensor, "view 3 height width"]
 
@@ -63,8 +65,12 @@ class ProceduralDataset(Dataset):
             0.35, description="share of open grounds instead of rooms"
         )
         textures: int = Field(96, ge=4, le=512, description="size of the texture bank")
-        edit: Literal["none", "recolor", "add", "remove", "global", "any"] = Field(
-            "none", description="the edited truth that comes along"
+        edit: Literal["none", "recolor", "add", "remove", "global", "any", "shape"] = (
+            Field(
+                "none",
+                description="the edited truth that comes along; any: one of these, shape: add or "
+                "remove, drawn for every scene",
+            )
         )
         edit_seed: Index = Field(
             0, description="other numbers edit the same scenes in other ways"
@@ -108,7 +114,8 @@ class ProceduralDataset(Dataset):
         )
         if chosen.edit_seed:
             rng = np.random.default_rng((chosen.seed, index, chosen.edit_seed))
-        edit = str(rng.choice(EDITS)) if chosen.edit == "any" else chosen.edit
+        drawn = DRAWN.get(chosen.edit)
+        edit = str(rng.choice(drawn)) if drawn else chosen.edit
         adds = edit == "add" and scene.count > 2
         unedited = scene.first(scene.count - 1) if adds else scene
         shown = self._cast(unedited, poses, k)

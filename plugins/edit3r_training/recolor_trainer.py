@@ -279,7 +279,8 @@ class GeometricReference:
     unedited photos.
 
     It is what a frozen model makes of the photos: the job's reference, else the network as it is at
-    the start. Without a reference it is the true surface where the data has depths.
+    the start. Without a reference it is the true surface where the data has depths. Where a
+    generated edit added or removed things, it holds to nothing.
     """
 
     def __init__(self, frozen: Reconstructor | None = None) -> None:
@@ -307,4 +308,18 @@ class GeometricReference:
             centres = self.frozen(batch.source, batch.source).gaussians.means
         if centres is None or centres.shape != gaussians.means.shape:
             return None
-        return replace(gaussians, means=centres)
+        return replace(gaussians, means=_free_where_reshaped(centres, batch, gaussians))
+
+
+def _free_where_reshaped(
+    centres: Float[Tensor, "batch gaussian 3"],
+    batch: TrainingBatch,
+    gaussians: Gaussians,
+) -> Float[Tensor, "batch gaussian 3"]:
+    """The reference's centres, but where the edit may have moved the surface: nothing holds the
+    predicted ones there.
+    """
+    if batch.reshaped is None:
+        return centres
+    free = batch.reshaped.flatten(1)[..., None]
+    return torch.where(free, gaussians.means.detach(), centres)

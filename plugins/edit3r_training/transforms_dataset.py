@@ -57,7 +57,7 @@ class TransformsDataset(PhotoDataset):
         edits: str = Field(
             "",
             description="folder with an editor's image of every photo, SCENE/PHOTO.png or .jpg, "
-            "for the regime viewwise; empty: none",
+            "for the regimes viewwise and generated; empty: none",
         )
 
     @cached_property

@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 import torch
 from edit3r_training.asymmetric_inputs import REGIMES, RegimeShares, edit_sample
+from edit3r_training.batches import make_batch
 from edit3r_training.procedural_dataset import ProceduralDataset
+
+from edit3r.errors import SettingsError
 
 SAMPLE = ProceduralDataset(ProceduralDataset.Settings(image_size=48, scenes=2))[1]
 
@@ -62,6 +65,39 @@ def test_viewwise_regime_takes_the_edits_that_the_data_brings():
     edit = _edit("viewwise", sample=own)
     assert torch.equal(edit.edited, 1 - SAMPLE.context)
     assert torch.equal(edit.target, 1 - SAMPLE.target)
+
+
+OWN = ProceduralDataset(
+    ProceduralDataset.Settings(image_size=48, scenes=2, edit="shape", edit_seed=3)
+)[1]
+
+
+def test_generated_regime_edits_view_0_as_the_data_does_and_asks_for_that_everywhere():
+    edit = _edit("generated", sample=OWN)
+    assert torch.equal(edit.edited[0], OWN.edited_context[0])
+    assert torch.equal(edit.edited[1], OWN.context[1])
+    assert torch.equal(edit.truth, OWN.edited_context)
+    assert torch.equal(edit.target, OWN.edited_target)
+    assert not torch.equal(edit.truth[1], OWN.context[1]) and edit.reshaped
+
+
+def test_generated_regime_without_edits_of_the_data_is_one_sentence():
+    with pytest.raises(SettingsError, match=r"^trainer.regimes.generated: .*edited"):
+        _edit("generated")
+
+
+def test_only_generated_edits_may_move_a_surface_and_only_where_they_changed_it():
+    for regime, expected in (("generated", True), ("reference", False)):
+        shares = {name: float(name == regime) for name in REGIMES}
+        numbers = [np.random.default_rng(0)]
+        batch = make_batch([OWN], RegimeShares(**shares), numbers, unit="baseline")
+        assert bool(batch.reshaped.any()) == expected
+    changed = (OWN.edited_context - OWN.context).abs().amax(1) > 0.02
+    numbers = [np.random.default_rng(0)]
+    shares = RegimeShares(
+        generated=1, reference=0, disagreeing=0, agreeing=0, unedited=0
+    )
+    assert torch.equal(make_batch([OWN], shares, numbers).reshaped[0], changed)
 
 
 def test_jittered_masks_spoil_the_input_but_not_the_truth():

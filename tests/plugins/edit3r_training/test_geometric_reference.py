@@ -69,6 +69,18 @@ def test_true_depths_are_the_reference_where_there_are_any(tmp_path):
     assert torch.equal(reference(batch, gaussians).means, batch.true_centres())
 
 
+def test_nothing_holds_centres_where_an_edit_may_have_moved_the_surface(tmp_path):
+    job = _job(tmp_path, depths=True)
+    batch = _batch(job)
+    gaussians = job.reconstructor(batch.edited).gaussians
+    moved = torch.zeros_like(batch.reshaped)
+    moved[:, 1, :, :5] = True
+    reference = GeometricReference()(replace(batch, reshaped=moved), gaussians)
+    free = moved.flatten()
+    assert torch.equal(reference.means[:, free], gaussians.means.detach()[:, free])
+    assert torch.equal(reference.means[:, ~free], batch.true_centres()[:, ~free])
+
+
 def test_without_depths_the_frozen_network_s_centres_of_the_unedited_photos_are(
     tmp_path,
 ):

@@ -8,6 +8,7 @@ from edit3r_training.pixel_losses import (
     PixelMaps,
     colour_error,
     depth_error,
+    opacity_error,
     pixel_maps,
 )
 
@@ -110,3 +111,20 @@ def test_a_depth_error_is_squared_up_to_three_percent_and_linear_beyond(off, err
     source = Views(images, CAMERAS.intrinsics)
     value = depth_error(maps, _batch(source, images, depths))
     assert float(value) == pytest.approx(error, rel=1e-3)
+
+
+def test_a_surface_that_an_edit_may_have_moved_has_no_error_of_depth_or_opacity():
+    depths = torch.full((1, 2, 3, 4), 2.0)
+    truth = torch.rand(1, 2, 3, 3, 4)
+    batch = _batch(Views(truth, CAMERAS.intrinsics), truth, depths)
+    maps = PixelMaps(truth, depths.clone(), torch.full((1, 2, 3, 4), 0.9))
+    maps.depths[:, 1] = 3.0
+    moved = torch.zeros(1, 2, 3, 4, dtype=torch.bool)
+    moved[:, 1] = True
+    free = replace(batch, reshaped=moved)
+    exact = replace(maps, depths=depths)
+    assert float(depth_error(maps, batch)) > 0.1
+    assert float(depth_error(maps, free)) == 0
+    assert float(opacity_error(maps, batch)) > float(opacity_error(exact, batch)) + 0.3
+    half = 0.5 * float(opacity_error(exact, batch))
+    assert float(opacity_error(maps, free)) == pytest.approx(half)

@@ -94,3 +94,26 @@ def test_two_seeds_share_no_scene():
 def test_settings_out_of_range_are_refused(key):
     with pytest.raises(ValueError):
         _dataset(**key)
+
+
+def test_shape_draws_things_added_and_removed_for_every_scene():
+    def edited(edit, index):
+        data = ProceduralDataset(
+            ProceduralDataset.Settings(
+                image_size=16, scenes=12, seed=4, edit=edit, edit_seed=1, textures=8
+            )
+        )
+        return data[index]
+
+    kinds = []
+    for index in range(12):
+        shape = edited("shape", index)
+        alone = {kind: edited(kind, index) for kind in ("add", "remove")}
+        # The unedited scene of `add` lacks its last object, that of `remove` has them all.
+        same = [
+            k for k, one in alone.items() if torch.equal(one.context, shape.context)
+        ]
+        kinds.append(same[0])
+        depth = alone[same[0]].context_depths
+        assert torch.equal(shape.context_depths, depth)
+    assert {*kinds} == {"add", "remove"}

@@ -131,6 +131,17 @@ def test_the_tiny_recipes_lead_from_data_to_images(stages, photos, tmp_path):
         assert (out / "scene.ply").is_file()
 
 
+def test_the_generative_recipe_trains(tmp_path):
+    pytest.importorskip(
+        "efficientnet_lite_pytorch", reason="the extra train is not installed"
+    )
+    out = tmp_path / "out"
+    recipe = ["train", "training/edit3r-generative-tiny", "--out", str(out)]
+    assert main([*recipe, *_options(*QUICK, *DATA)]) == 0
+    written = (out / "log.jsonl").read_text()
+    assert all(f'"{name}"' in written for name in ("uptake", "leak", "novel"))
+
+
 def test_the_tiny_recipes_are_converted_to_what_computes_the_same(stages, tmp_path):
     ours = tmp_path / "ours"
     assert main(["convert", str(stages[1]), str(ours)]) == 0
@@ -213,7 +224,14 @@ def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(
 
 
 @pytest.mark.parametrize(
-    "name", ["noposplat", "edit3r-paper", "noposplat-tiny", "edit3r-paper-tiny"]
+    "name",
+    [
+        "noposplat",
+        "edit3r-paper",
+        "noposplat-tiny",
+        "edit3r-paper-tiny",
+        "edit3r-generative-tiny",
+    ],
 )
 def test_every_setting_of_a_recipe_is_known(name):
     registry = default_registry()
