@@ -1,10 +1,11 @@
 """Put an edit into a scene such that what shows outside the masks stays as it was, bit for bit.
 
     Gaussians before --.                    shows outside the region in some view --> stays
-    Gaussians after  --+--> each Gaussian:  shows inside only   --> replaced by the edited ones
+    Gaussians after  --+--> each Gaussian:  shows inside only, or nowhere --> the edited one
 
-Which pixels a Gaussian shows in is read from the rasterizer (its blending weights), so the rule
-holds for any reconstructor's Gaussians.
+What shows nowhere continues the photos beyond their borders and behind things: left as it was, it
+would surround the edit with the old colours. Which pixels a Gaussian shows in is read from the
+rasterizer (its blending weights), so the rule holds for any reconstructor's Gaussians.
 """
 
 from dataclasses import replace
@@ -32,8 +33,8 @@ class KeepOutsideMask(Refiner, ComparesWithBefore):
     """Keeps what shows outside the masks as it was before the edit, bit for bit."""
 
     def __call__(self, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
-        """Return the scene before the edit with those Gaussians replaced that show only inside the
-        masks.
+        """Return the scene before the edit with those Gaussians replaced that do not show outside
+        the masks.
 
         Without masks, or where they cover every pixel, `gaussians` come back unchanged.
         """
@@ -66,14 +67,16 @@ def insert_edit(
     cameras: Cameras,
     rasterizer: Rasterizer,
 ) -> Gaussians:
-    """Replace those Gaussians of `before` (batch 1) that show only inside `region` by those of
-    `after`.
+    """Replace those Gaussians of `before` (batch 1) that show in no pixel outside `region` by those
+    of `after`.
 
     Where both reconstructions have the same structure (as many Gaussians, from the same views: one
     per pixel), each Gaussian is replaced by its counterpart, and only if neither shows outside.
-    Otherwise those of `before` that show inside alone go, and those of `after` that do so come; a
-    gap may then stay along the border.
+    Otherwise those of `before` that do not show outside go, and those of `after` that do not come;
+    a gap may then stay along the border. An empty region changes nothing.
     """
+    if not region.any():
+        return before
     if same_structure(before, after):
         after = _in_unit_of(before, after, region, cameras)
         return _replace_counterparts(before, after, region, cameras, rasterizer)
@@ -116,8 +119,8 @@ def _replace_counterparts(
     rasterizer: Rasterizer,
 ) -> Gaussians:
     """Replace Gaussians one by one, for scenes of the same structure."""
-    wanted = differing(before, after) & own_pixel_inside(before, region, cameras)
-    replaced = wanted & ~_show_in(before, ~region, cameras, rasterizer)
+    differ = differing(before, after)
+    replaced = differ & ~_show_in(before, ~region, cameras, rasterizer)
     # Equal shapes have equal weights. Otherwise the new one may show further out, and what it hid
     # may appear.
     reshaped = bool((replaced & differing(before, after, SHAPE)).any())
@@ -127,7 +130,7 @@ def _replace_counterparts(
         )
         replaced &= ~spilling
         reshaped = bool(spilling.any())
-    note("keep_outside_mask.wanted_gaussians", int(wanted.sum()))
+    note("keep_outside_mask.wanted_gaussians", int(differ.sum()))
     note("keep_outside_mask.replaced_gaussians", int(replaced.sum()))
     return _mixed(before, after, replaced)
 
@@ -139,9 +142,9 @@ def _replace_sets(
     cameras: Cameras,
     rasterizer: Rasterizer,
 ) -> Gaussians:
-    """Replace all Gaussians that show inside alone, for scenes of different structure."""
+    """Replace all Gaussians that do not show outside, for scenes of different structure."""
     removed, inserted = (
-        _show_only_in(gaussians, region, cameras, rasterizer)
+        ~_show_in(gaussians, ~region, cameras, rasterizer)
         for gaussians in (before, after)
     )
     kept = before.select(~removed)
@@ -161,15 +164,6 @@ def _show_in(
 ) -> Bool[Tensor, "gaussian"]:
     """Tell which Gaussians add anything to the pixels."""
     return rasterizer.contributions(gaussians, cameras, pixels)[0] > 0
-
-
-def _show_only_in(
-    gaussians: Gaussians, region: Region, cameras: Cameras, rasterizer: Rasterizer
-) -> Bool[Tensor, "gaussian"]:
-    """Tell which Gaussians add something to the pixels of the region and nothing to others."""
-    both = torch.stack((region, ~region), 1)
-    inside, outside = rasterizer.contributions(gaussians, cameras, both)[0].unbind(-1)
-    return (inside > 0) & (outside <= 0)
 
 
 def _in_unit_of(

@@ -184,16 +184,12 @@ def _widened(
 ) -> tuple[Views, Float[Tensor, "batch view rows columns"]]:
     """Images and depths with their borders continued by `pad` pixels, in blocks."""
     colour, inverse = _block_means(RIM_BLOCK, views, 1 / depths)
-    # The mean over a quarter of the rim goes on, not one row.
-    reach = max(1, min(pad, *views.image_size) // (2 * RIM_BLOCK) - 1)
-    smooth = F.avg_pool2d(
-        torch.cat((colour, inverse), 1),
-        2 * reach + 1,
-        1,
-        reach,
-        count_include_pad=False,
-    )
-    coarse = F.pad(smooth, (pad // RIM_BLOCK,) * 4, mode="replicate")
+    blocks = pad // RIM_BLOCK
+    # Depth goes on by the mean over a quarter of the rim, not by one row.
+    most = min(colour.shape[-2:]) // 2 - 1
+    inverse = _continued(inverse, max(1, min(blocks // 2 - 1, most)), blocks)
+    colour = _softening(colour, blocks, most)
+    coarse = torch.cat((colour, inverse), 1)
     coarse = coarse.unflatten(0, depths.shape[:2])
     intrinsics = to_pixels(views.intrinsics, views.image_size)
     intrinsics[..., :2, 2] += pad
@@ -201,6 +197,44 @@ def _widened(
     return Views(
         coarse[:, :, :3], from_pixels(intrinsics, (height, width))
     ), 1 / coarse[:, :, 3]
+
+
+def _softening(
+    colour: Float[Tensor, "image 3 rows columns"], blocks: int, most: int
+) -> Float[Tensor, "image 3 wide_rows wide_columns"]:
+    """Colours continued by `blocks`: the border's own beside it, means of ever more of it farther
+    out, so that nothing on the border becomes a stripe.
+    """
+    beyond = _beyond(colour.shape[-2:], blocks).to(colour)
+    soft = _continued(colour, 1, blocks)
+    reach = 1
+    while 2 * reach <= min(blocks, most):
+        share = ((beyond - reach) / reach).clamp(0, 1)
+        reach *= 2
+        soft = torch.lerp(soft, _continued(colour, reach, blocks), share)
+    return soft
+
+
+def _continued(
+    maps: Float[Tensor, "image channel rows columns"], reach: int, blocks: int
+) -> Float[Tensor, "image channel wide_rows wide_columns"]:
+    """Means over `reach` blocks to each side, continued beyond the borders as they are there."""
+    smooth = F.avg_pool2d(maps, 2 * reach + 1, 1, reach, count_include_pad=False)
+    return F.pad(smooth, (blocks,) * 4, mode="replicate")
+
+
+def _beyond(
+    size: tuple[int, int], blocks: int
+) -> Float[Tensor, "wide_rows wide_columns"]:
+    """How far outside of the border each block lies; inside 0 or less."""
+    rows, columns = (
+        torch.maximum(
+            -torch.arange(-blocks, side + blocks),
+            torch.arange(-blocks, side + blocks) - side + 1,
+        )
+        for side in size
+    )
+    return torch.maximum(rows[:, None], columns).double()
 
 
 def _fading(

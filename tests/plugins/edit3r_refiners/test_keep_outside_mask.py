@@ -145,3 +145,22 @@ def test_an_empty_region_changes_nothing(rasterizer, edit):
     before, after, region, cameras = edit
     result = insert_edit(before, after, torch.zeros_like(region), cameras, rasterizer)
     assert not differing(before, result).any()
+
+
+@pytest.mark.parametrize("same", [True, False], ids=["counterparts", "sets"])
+def test_what_shows_in_no_photo_takes_the_edit(rasterizer, edit, same):
+    before, after, region, cameras = edit
+
+    def with_hidden(gaussians, count):
+        behind_all = gaussians.select(torch.arange(count))
+        aside = torch.tensor([100.0, 0.0, 0.0])
+        return Gaussians.cat(
+            (gaussians, replace(behind_all, means=behind_all.means + aside))
+        )
+
+    old, new = with_hidden(before, 20), with_hidden(after, 20 if same else 15)
+    result = insert_edit(old, new, region, cameras, rasterizer)
+    hidden = [scene.select(scene.means[0, :, 0] > 50) for scene in (old, new, result)]
+    assert not rows_of(hidden[2]) & rows_of(hidden[0])
+    assert rows_of(hidden[2]) == rows_of(hidden[1])
+    assert largest_change(rasterizer, old, result, cameras, ~region) <= SAME

@@ -67,6 +67,19 @@ def test_the_rim_of_a_grey_photo_is_grey(pair, truth):
     assert torch.allclose(dc_to_colour(made.harmonics), torch.tensor(0.25), atol=1e-6)
 
 
+def test_a_line_on_the_border_becomes_no_stripe_of_the_rim(pair, truth):
+    images = torch.zeros_like(pair.views.images)
+    images[..., 60:68] = 1  # a white line from top to bottom
+    lined = dataclasses.replace(pair.views, images=images).select([0])
+    made = rim(lined, dataclasses.replace(truth, **_first(truth)), 0.3, 0.6)
+    places, _ = project(made.means, lined.intrinsics[:, 0], truth.c2w[:, 0])
+    white = dc_to_colour(made.harmonics)[0, :, 0, 0]
+    above, middle = places[0, :, 1] < 0, (places[0, :, 0] - 0.5).abs() < 0.05
+    beside = white[above & middle & (places[0, :, 1] > -0.05)].max()
+    far = white[above & middle & (places[0, :, 1] < -0.2)].max()
+    assert beside > 0.5 and 0 < far < beside / 2
+
+
 @pytest.mark.parametrize("layers", ["background_layer", "second_layer"])
 def test_no_layer_stands_before_a_photo(pair, truth, layers):
     layer = (
