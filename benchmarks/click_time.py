@@ -26,7 +26,8 @@ from PIL import Image
 from edit3r import build, load_views
 from edit3r.contract.interfaces import Marks
 from edit3r.errors import InputError
-from edit3r.selection.select import Selection, geometry_of, select_masks
+from edit3r.selection.geometry import geometry_of
+from edit3r.selection.select import Selection, select_masks
 
 ELSEWHERE = (0, 0.1, 0.85)  # photo, x and y of the click that warms up
 ASIDE = 0.004  # the second click's distance from the first, whose answer is remembered

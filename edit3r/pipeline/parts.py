@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from functools import cached_property
 from typing import Any
 
+from edit3r.cache import fingerprint
 from edit3r.config import PartChoice
 from edit3r.contract.interfaces import (
     ChangesShape,
@@ -23,6 +24,7 @@ from edit3r.pipeline.editors import EditorTask, tasks_for_editor, tasks_without_
 from edit3r.pipeline.job import RunJob
 from edit3r.plugins.registry import Registry
 from edit3r.reporting import say
+from edit3r.selection.geometry import Located, locate
 
 
 class Parts:
@@ -36,6 +38,7 @@ class Parts:
         self.job = job
         self._registry = registry
         self._given = job.components
+        self._located: dict[str, Located] = {}
 
     @property
     def edits_again(self) -> bool:
@@ -99,6 +102,13 @@ class Parts:
     def matcher(self) -> Matcher | None:
         """The reconstructor's own, where it has one."""
         return getattr(self.reconstructor, "parts", {}).get("matcher")
+
+    def located(self, photos: Views) -> Located:
+        """Geometry of unedited photos by the reconstructor's matcher, looked for once."""
+        key = fingerprint(photos)
+        if key not in self._located:
+            self._located[key] = locate(self.matcher, photos)
+        return self._located[key]
 
     @cached_property
     def segmenter(self) -> Segmenter:

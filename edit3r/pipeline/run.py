@@ -20,18 +20,20 @@ from edit3r.pipeline.quality import note_quality
 from edit3r.pipeline.scene import Scene
 from edit3r.pipeline.steps.edit import edit
 from edit3r.pipeline.steps.judge import judge
+from edit3r.pipeline.steps.locate import locate
 from edit3r.pipeline.steps.read import read
 from edit3r.pipeline.steps.reconstruct import reconstruct
 from edit3r.pipeline.steps.refine import refine
-from edit3r.pipeline.steps.select import select
+from edit3r.pipeline.steps.select import load, select
 from edit3r.pipeline.verdict import Verdict
 from edit3r.plugins.registry import Registry, default_registry
 from edit3r.reporting import Report, collecting
 
 Step = Callable[[Scene, Parts], Scene]
-STEPS: tuple[Step, ...] = (select, edit, reconstruct, refine, judge)
+STEPS: tuple[Step, ...] = (locate, select, edit, reconstruct, refine, judge)
 """What follows `read`."""
 STEPS_OF_PREVIEW: tuple[Step, ...] = (select, edit)
+"""Here geometry is looked for only where something is selected by it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -183,6 +185,7 @@ def _take(
     parts = Parts(with_known_poses(job, scene.photos, registry), registry, job)
     if reconstruct in steps:
         parts.rasterizer.prepare(torch.device(job.config.device).type)
+    scene = load(scene, parts)
     for step in steps:
         scene = step(scene, parts)
     return scene, parts

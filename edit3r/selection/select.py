@@ -19,13 +19,11 @@ from torch import Tensor
 from edit3r.contract.interfaces import (
     Marks,
     MatchedGeometry,
-    Matcher,
     Proposal,
     Segmenter,
     Tracks,
 )
-from edit3r.contract.types import Views
-from edit3r.errors import InputError, MatchingError
+from edit3r.errors import InputError
 from edit3r.geometry.warping import shared_surface, warp
 from edit3r.pipeline.checks import component_name
 from edit3r.reporting import note, say, warn
@@ -186,17 +184,6 @@ def grown(
     move = cv2.dilate if pixels > 0 else cv2.erode
     moved = [move(mask.numpy(force=True), disc) for mask in masks[:, 0]]
     return torch.from_numpy(np.stack(moved))[:, None].to(masks)
-
-
-def geometry_of(matcher: Matcher | None, views: Views) -> MatchedGeometry | None:
-    """What `matcher` reads from the photos; None without one, for a single photo, and, said so,
-    where it fails.
-    """
-    try:
-        return None if matcher is None or views.count < 2 else matcher.match(views)
-    except MatchingError as error:
-        warn(f"masks are carried by what the photos show, not by geometry: {error}")
-        return None
 
 
 def _numbers_of(value: Any, meaning: str, count: int) -> tuple[Any, ...]:

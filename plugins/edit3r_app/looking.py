@@ -28,7 +28,7 @@ from edit3r.errors import Edit3rError, InputError
 from edit3r.io.atomic import atomic_folder, atomic_write
 from edit3r.io.images import load_photos, save_image, to_bytes
 from edit3r.io.outline import outlined
-from edit3r.pipeline.config import DEFAULTS, RunConfig, make_run_config
+from edit3r.pipeline.config import DEFAULTS, make_run_config
 from edit3r.pipeline.earlier import CACHE, read_views_of_run
 from edit3r.pipeline.edit_verdict import EditVerdict
 from edit3r.pipeline.job import RunJob
@@ -37,7 +37,8 @@ from edit3r.pipeline.run import preview
 from edit3r.pipeline.scene import Scene
 from edit3r.plugins.registry import Registry
 from edit3r.reporting import Report, collecting
-from edit3r.selection.select import Selection, geometry_of, select_masks
+from edit3r.selection.geometry import default_matcher, geometry_of
+from edit3r.selection.select import Selection, select_masks
 from edit3r_app.draft import DRAFT, Draft
 from edit3r_app.forms import run_settings
 from edit3r_app.jobs import PREVIEW, JobsFolder
@@ -217,11 +218,9 @@ class Looker:
                     cache.save(partial)
 
     def _geometry(self, photos: Views, cache: Cache) -> MatchedGeometry | None:
-        """Poses and depths by the matcher of the default reconstructor."""
-        choice = RunConfig.model_fields["reconstructor"].default
+        """Poses and depths, as a run with the default reconstructor finds them."""
         with _working_with(cache):
-            reconstructor = self.registry.build_choice("reconstructor", choice)
-            return geometry_of(reconstructor.parts.get("matcher"), photos)
+            return geometry_of(default_matcher(self.registry), photos)
 
     def _look(self, opened: _Opened, text: str) -> DraftAnswer:
         draft = DRAFT.validate_json(text)

@@ -23,8 +23,9 @@ from edit3r.io.viewer import NamedObjects, save_viewer
 from edit3r.pipeline.earlier import read_earlier_run
 from edit3r.pipeline.rendering import render_each
 from edit3r.plugins.registry import default_registry
+from edit3r.selection.geometry import default_matcher, geometry_of
 from edit3r.selection.marks import MarkTexts
-from edit3r.selection.select import MIN_AREA, geometry_of, select_masks
+from edit3r.selection.select import MIN_AREA, select_masks
 from edit3r_objects.lifting import lift
 
 MAX_NAME = 80
@@ -173,9 +174,8 @@ def _masks(run: Run, args: argparse.Namespace) -> Tensor:
         grow=args.grow or 0.0,
         inverted=bool(args.invert),
     )
-    build = default_registry().build
-    geometry = geometry_of(build("matcher", "classical"), views)
-    segmenter = build("segmenter", "auto")
+    geometry = geometry_of(default_matcher(default_registry()), views)
+    segmenter = default_registry().build("segmenter", "auto")
     found = select_masks(views.images[0], marks, segmenter, geometry, views.intrinsics)
     return found.masks[:, 0]
 

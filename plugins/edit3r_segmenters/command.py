@@ -28,9 +28,8 @@ class MaskCommand(Command):
         )
         add(
             "--matcher",
-            default="classical",
             metavar="NAME",
-            help="carries masks by geometry; '' by pictures alone",
+            help="finds the geometry that is selected by; default: as a run finds it; '' none",
         )
         add(
             "--size",
@@ -57,7 +56,7 @@ class MaskCommand(Command):
             "--out",
             required=True,
             metavar="DIR",
-            help="folder for one mask per photo and preview.png",
+            help="folder for one mask per photo, preview.png, and cache/ for a run with the masks",
         )
         add(
             "--overwrite",
@@ -69,14 +68,17 @@ class MaskCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from dataclasses import replace
 
+        from edit3r.cache import Cache, using
         from edit3r.cli.console import StageConsole
         from edit3r.config import parse_assignments
         from edit3r.io.atomic import atomic_folder, check_apart
         from edit3r.io.images import load_photos, save_image
+        from edit3r.pipeline.earlier import CACHE
         from edit3r.plugins.registry import default_registry
         from edit3r.reporting import Report, collecting
+        from edit3r.selection.geometry import default_matcher, geometry_of
         from edit3r.selection.marks import MarkTexts
-        from edit3r.selection.select import geometry_of, select_masks
+        from edit3r.selection.select import select_masks
 
         check_apart(args.out, *map(Path, (*args.images, *args.mask)))
         given = parse_assignments(args.set)
@@ -84,11 +86,13 @@ class MaskCommand(Command):
         segmenter = registry.build(
             "segmenter", args.segmenter, **given.get("segmenter", {})
         )
-        matcher = None
+        matcher, answers = None, Cache()
         if args.matcher:
             matcher = registry.build(
                 "matcher", args.matcher, **given.get("matcher", {})
             )
+        elif args.matcher is None:
+            matcher = default_matcher(registry)
         texts = MarkTexts(
             tuple(args.point),
             tuple(args.not_point),
@@ -99,6 +103,7 @@ class MaskCommand(Command):
         with (
             StageConsole(quiet=args.quiet) as console,
             collecting(Report(on_event=console)) as report,
+            using(answers),
         ):
             with report.stage("read photos"):
                 photos = load_photos(args.images, size=args.size)
@@ -110,14 +115,16 @@ class MaskCommand(Command):
                     inverted=bool(args.invert),
                 )
             views = photos.views
-            with report.stage("select"):
+            with report.stage("geometry"):
                 geometry = geometry_of(matcher, views)
+            with report.stage("select"):
                 chosen = select_masks(
                     views.images[0], marks, segmenter, geometry, views.intrinsics
                 )
             with atomic_folder(args.out, args.overwrite) as folder:
                 for name, mask in zip(views.names, chosen.masks):
                     save_image(mask.expand(3, -1, -1), folder / f"{name}_mask.png")
+                answers.save(folder / CACHE)
                 save_image(
                     _preview(views.images[0], chosen.masks), folder / "preview.png"
                 )
