@@ -32,6 +32,7 @@ _HOME = {
     "RunResult": "edit3r.pipeline.run",
     "RunConfig": "edit3r.pipeline.config",
     "Selection": "edit3r.selection.select",
+    "select": "edit3r.selection.call",
     "Cache": "edit3r.cache",
     "Command": "edit3r.contract.command",
 }
@@ -61,6 +62,7 @@ __all__ = [
     "load_views",
     "run",
     "save_ply",
+    "select",
 ]
 
 
@@ -98,4 +100,5 @@ if TYPE_CHECKING:
     from edit3r.pipeline.config import RunConfig
     from edit3r.pipeline.run import RunResult
     from edit3r.plugins.registry import build, components
+    from edit3r.selection.call import select
     from edit3r.selection.select import Selection

@@ -59,7 +59,12 @@ def job_from(
     if earlier is None and not inputs.photos:
         inputs = _packaged(inputs, config)
     texts = MarkTexts(
-        inputs.point, inputs.not_point, inputs.box, inputs.mask, inputs.thing
+        inputs.point,
+        inputs.not_point,
+        inputs.box,
+        inputs.mask,
+        inputs.thing,
+        inputs.stroke,
     )
     return RunJob(
         config=config,
@@ -105,7 +110,8 @@ def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:
         "photos": tuple(photos),
         "cameras": inputs.cameras or str(cameras),
     }
-    marks = (inputs.mask, inputs.point, inputs.not_point, inputs.box, inputs.thing)
+    marks = (inputs.mask, inputs.point, inputs.stroke, inputs.box, inputs.thing)
+    marks += (inputs.not_point,)
     marked = any(marks)
     subject = DEFAULTS["subject"]
     usual = config.editor is None or config.editor.name == DEFAULTS["editor"]

@@ -7,7 +7,15 @@ from edit3r.io.run_folder import RunFolder
 from edit3r.pipeline.config import RunConfig
 from edit3r.pipeline.run import RunResult
 
-MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "guess"}
+MAKES_NO_OTHER_SCENE = {
+    "prompt",
+    "seed",
+    "frames",
+    "outputs",
+    "export",
+    "guess",
+    "sure",
+}
 """Settings that may differ from the defaults without the run being another kind of run."""
 
 

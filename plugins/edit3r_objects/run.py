@@ -23,9 +23,10 @@ from edit3r.io.viewer import NamedObjects, save_viewer
 from edit3r.pipeline.earlier import read_earlier_run
 from edit3r.pipeline.rendering import render_each
 from edit3r.plugins.registry import default_registry
-from edit3r.selection.geometry import default_matcher, geometry_of
+from edit3r.selection.call import select_with
+from edit3r.selection.geometry import default_matcher
 from edit3r.selection.marks import MarkTexts
-from edit3r.selection.select import MIN_AREA, select_masks
+from edit3r.selection.select import MIN_AREA
 from edit3r_objects.lifting import lift
 
 MAX_NAME = 80
@@ -160,6 +161,7 @@ def _masks(run: Run, args: argparse.Namespace) -> Tensor:
         tuple(args.box),
         tuple(args.mask),
         args.thing,
+        tuple(args.stroke),
     )
     if not texts.given:
         if not earlier.things:
@@ -171,13 +173,13 @@ def _masks(run: Run, args: argparse.Namespace) -> Tensor:
     marks = replace(
         texts.read(LoadedPhotos(views, earlier.records)),
         larger=sum(args.larger or ()),
+        reading=args.reading or 1,
         grow=args.grow or 0.0,
         inverted=bool(args.invert),
     )
-    geometry = geometry_of(default_matcher(default_registry()), views)
     segmenter = default_registry().build("segmenter", "auto")
-    found = select_masks(views.images[0], marks, segmenter, geometry, views.intrinsics)
-    return found.masks[:, 0]
+    matcher = default_matcher(default_registry())
+    return select_with(views, marks, segmenter, matcher).masks[0]
 
 
 def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None:

@@ -76,9 +76,9 @@ class MaskCommand(Command):
         from edit3r.pipeline.earlier import CACHE
         from edit3r.plugins.registry import default_registry
         from edit3r.reporting import Report, collecting
-        from edit3r.selection.geometry import default_matcher, geometry_of
+        from edit3r.selection.call import select_with
+        from edit3r.selection.geometry import default_matcher
         from edit3r.selection.marks import MarkTexts
-        from edit3r.selection.select import select_masks
 
         check_apart(args.out, *map(Path, (*args.images, *args.mask)))
         given = parse_assignments(args.set)
@@ -99,6 +99,7 @@ class MaskCommand(Command):
             tuple(args.box),
             tuple(args.mask),
             args.thing,
+            tuple(args.stroke),
         )
         with (
             StageConsole(quiet=args.quiet) as console,
@@ -111,22 +112,22 @@ class MaskCommand(Command):
                     texts.read(photos),
                     guess=args.guess,
                     larger=sum(args.larger or ()),
+                    reading=args.reading or 1,
                     grow=args.grow or 0.0,
                     inverted=bool(args.invert),
                 )
             views = photos.views
-            with report.stage("geometry"):
-                geometry = geometry_of(matcher, views)
             with report.stage("select"):
-                chosen = select_masks(
-                    views.images[0], marks, segmenter, geometry, views.intrinsics
-                )
+                chosen = select_with(views, marks, segmenter, matcher)
             with atomic_folder(args.out, args.overwrite) as folder:
-                for name, mask in zip(views.names, chosen.masks):
-                    save_image(mask.expand(3, -1, -1), folder / f"{name}_mask.png")
+                for name, mask in zip(views.names, chosen.masks[0]):
+                    save_image(
+                        mask[None].expand(3, -1, -1), folder / f"{name}_mask.png"
+                    )
                 answers.save(folder / CACHE)
                 save_image(
-                    _preview(views.images[0], chosen.masks), folder / "preview.png"
+                    _preview(views.images[0], chosen.masks[0, :, None]),
+                    folder / "preview.png",
                 )
         if not args.quiet:
             for name, how in zip(views.names, chosen.how):

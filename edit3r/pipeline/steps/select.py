@@ -135,6 +135,8 @@ def _finder(index: int, scene: Scene, parts: Parts) -> RegionFinder:
         marked=scene.marked,
         defaults=Selection(
             guess=config.guess,
+            sure=config.sure,
+            reading=config.reading,
             larger=config.larger,
             grow=config.grow,
             inverted=config.invert,
