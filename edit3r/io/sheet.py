@@ -68,6 +68,15 @@ def draw_sheet(
     return sheet
 
 
+def stacked(above: Image.Image, below: Image.Image) -> Image.Image:
+    """Two sheets as one, the second below the first."""
+    size = (max(above.width, below.width), above.height + below.height)
+    sheet = Image.new("RGB", size, _PAPER)
+    sheet.paste(above, (0, 0))
+    sheet.paste(below, (0, above.height))
+    return sheet
+
+
 def _arranged(views: int, columns: int, image: Size) -> tuple[Size, int]:
     """Size of each image on the sheet, and how many views stand beside each other."""
     # Small images are enlarged to half a cell, so that captions fit and pixels can be seen.

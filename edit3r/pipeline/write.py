@@ -35,7 +35,7 @@ from edit3r.io.run_folder import (
     WeightsRecord,
     write_manifest,
 )
-from edit3r.io.sheet import draw_sheet
+from edit3r.io.sheet import draw_sheet, stacked
 from edit3r.io.video import save_video
 from edit3r.io.viewer import colours_before, save_viewer, viewer_page
 from edit3r.pipeline.checks import component_name
@@ -44,6 +44,7 @@ from edit3r.pipeline.rendering import path_around, render_one
 from edit3r.pipeline.scene import Scene
 from edit3r.pipeline.verdict import WORST_PSNR
 from edit3r.reporting import collecting, note, track, warn
+from edit3r.selection.select import Reading, Selected
 
 if TYPE_CHECKING:
     from edit3r.pipeline.run import RunResult
@@ -228,9 +229,33 @@ def _sheet(result: "RunResult") -> Image.Image:
         "2D edit": _images(scene.edited),
         "3D result": _images(result.rendered),
     }
-    return draw_sheet(
+    sheet = draw_sheet(
         columns, names=result.photos.names, title=title, subtitle=subtitle
     )
+    return _with_readings(sheet, scene)
+
+
+def _with_readings(sheet: Image.Image, scene: Scene) -> Image.Image:
+    """The sheet with what else words may mean below it, where they were unsure."""
+    unsure = [one for one in scene.selected if not one.is_sure]
+    placed = scene.placed or (True,) * scene.photos.count
+    for selected in unsure:
+        shown = [one for one in selected.readings if placed[one.view]]
+        if len(shown) < 2:
+            continue
+        view = sum(placed[: shown[0].view])
+        photo, name = _images(scene.photos)[view], scene.photos.names[view : view + 1]
+        columns = {
+            _caption(one, selected): outlined(photo, one.mask)[None] for one in shown
+        }
+        strip = draw_sheet(columns, names=name, title="What else it may be")
+        sheet = stacked(sheet, strip)
+    return sheet
+
+
+def _caption(reading: Reading, selected: Selected) -> str:
+    taken = " (taken)" if reading.number == selected.taken else ""
+    return f"--reading {reading.number}{taken}"
 
 
 def comparison(result: "RunResult", other: "RunResult") -> Image.Image:
@@ -254,12 +279,13 @@ def preview_sheet(scene: Scene, prompt: str) -> Image.Image:
     selected, and the 2D edit.
     """
     columns = {"photo": _outlined_photos(scene), "2D edit": _images(scene.edited)}
-    return draw_sheet(
+    sheet = draw_sheet(
         columns,
         names=scene.photos.names,
         title=prompt or "no prompt",
         subtitle=_preview_line(scene),
     )
+    return _with_readings(sheet, scene)
 
 
 def _preview_line(scene: Scene) -> str:

@@ -345,7 +345,9 @@ def _corrected(
         logits += [_as_logits(mask) for mask in others]
     cut = _as_logits(_locally_cut(evidence.pixels, before > 0, place, wanted))
     found = _ranked(evidence, before, clicks, [*logits, cut], wholes)
-    return _voted(evidence, found, clicks) or [Candidate(cut, 0.0)]
+    found = _voted(evidence, found, clicks) or [Candidate(cut, 0.0)]
+    # What lies apart from the click stays as it was: nobody said that it is wrong.
+    return [Candidate(_only_at(place, before, one.logits), one.score) for one in found]
 
 
 def _in_box(evidence: Evidence, box: Box, clicks: Sequence[Click]) -> list[Candidate]:

@@ -21,6 +21,11 @@ class MaskCommand(Command):
             help="take what stands out most where the words are not known",
         )
         add(
+            "--sure",
+            action="store_true",
+            help="refuse what words found unsurely",
+        )
+        add(
             "--segmenter",
             default="auto",
             metavar="NAME",
@@ -111,6 +116,7 @@ class MaskCommand(Command):
                 marks = replace(
                     texts.read(photos),
                     guess=args.guess,
+                    sure=args.sure,
                     larger=sum(args.larger or ()),
                     reading=args.reading or 1,
                     grow=args.grow or 0.0,
