@@ -25,7 +25,7 @@ from PIL import Image
 
 import edit3r
 from edit3r.contract.types import Cameras
-from edit3r.pipeline.rendering import render_one
+from edit3r.kit.rendering import render_one
 
 BEYOND = 0.12  # how far the wider camera looks past the photo [longer sides]
 STRETCH = 0.06  # length of one stretch of the border [longer sides]

@@ -37,6 +37,7 @@ _HOME = {
     "RunConfig": "edit3r.running.config",
     "Selection": "edit3r.running.selecting.select",
     "Cache": "edit3r.kit.cache",
+    "select": "edit3r.running.selecting.call",
     "Command": "edit3r.contract.command",
 }
 
@@ -67,6 +68,7 @@ __all__ = [
     "load_views",
     "run",
     "save_ply",
+    "select",
 ]
 
 
@@ -104,4 +106,5 @@ if TYPE_CHECKING:
     from edit3r.loading.registry import Registry, build, components, default_registry
     from edit3r.running.config import RunConfig
     from edit3r.running.loop import RunResult
+    from edit3r.running.selecting.call import select
     from edit3r.running.selecting.select import Selection

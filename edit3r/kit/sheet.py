@@ -11,10 +11,12 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
+from edit3r.contract.interfaces import OtherReadings
 from edit3r.contract.types import Rendering, Views
 from edit3r.kit.photos.images import to_bytes
+from edit3r.kit.photos.outline import outlined
 
-__all__ = ["draw_sheet", "images_of"]
+__all__ = ["draw_sheet", "images_of", "with_readings"]
 
 _PAPER = (250, 249, 247)
 _INK = (28, 28, 30)
@@ -71,6 +73,27 @@ def draw_sheet(
     sheet = Image.new("RGB", size, _PAPER)
     sheet.paste(head, (_MARGIN, _MARGIN))
     sheet.paste(body, ((sheet.width - body.width) // 2, _MARGIN + head.height))
+    return sheet
+
+
+def with_readings(sheet: Image.Image, readings: Sequence[OtherReadings]) -> Image.Image:
+    """The sheet with what else may be meant below it."""
+    for one in readings:
+        columns = {
+            caption: outlined(one.photo, mask)[None]
+            for caption, mask in one.masks.items()
+        }
+        strip = draw_sheet(columns, names=[one.name], title="What else it may be")
+        sheet = _stacked(sheet, strip)
+    return sheet
+
+
+def _stacked(above: Image.Image, below: Image.Image) -> Image.Image:
+    """Two sheets as one, the second below the first."""
+    size = (max(above.width, below.width), above.height + below.height)
+    sheet = Image.new("RGB", size, _PAPER)
+    sheet.paste(above, (0, 0))
+    sheet.paste(below, (0, above.height))
     return sheet
 
 

@@ -41,7 +41,10 @@ _HOME = {
     "Box": "edit3r.running.selecting.select",
     "MIN_AREA": "edit3r.running.selecting.select",
     "Selection": "edit3r.running.selecting.select",
-    "geometry_of": "edit3r.running.selecting.select",
+    "geometry_of": "edit3r.running.selecting.geometry",
+    "default_matcher": "edit3r.running.selecting.geometry",
+    "select_with": "edit3r.running.selecting.call",
+    "SURE": "edit3r.running.selecting.select",
     "select_masks": "edit3r.running.selecting.select",
     "SavedScene": "edit3r.running.saved",
     "write_saved": "edit3r.running.saved",
@@ -59,6 +62,7 @@ __all__ = [
     "MIN_AREA",
     "PART_KEYS",
     "PRESETS",
+    "SURE",
     "Box",
     "EditVerdict",
     "Expected",
@@ -77,6 +81,7 @@ __all__ = [
     "add_flags",
     "add_mark_flags",
     "check_components",
+    "default_matcher",
     "geometry_of",
     "given_flags",
     "job_from",
@@ -86,6 +91,7 @@ __all__ = [
     "read_views_of_run",
     "run",
     "select_masks",
+    "select_with",
     "write_quality",
     "write_result",
     "write_saved",
@@ -133,12 +139,14 @@ if TYPE_CHECKING:
     )
     from edit3r.running.saved import SavedScene, write_saved
     from edit3r.running.scene import Scene
+    from edit3r.running.selecting.call import select_with
+    from edit3r.running.selecting.geometry import default_matcher, geometry_of
     from edit3r.running.selecting.marks import MarkTexts
     from edit3r.running.selecting.select import (
         MIN_AREA,
+        SURE,
         Box,
         Selection,
-        geometry_of,
         select_masks,
     )
     from edit3r.running.write import write_result

@@ -58,8 +58,17 @@ class RunConfig(Settings):
     )
     guess: bool = Field(
         False,
-        description="take what was found unsurely, and what stands out most where the words for "
-        "the object are not known",
+        description="take what stands out most where the words for the object are not known",
+    )
+    sure: bool = Field(
+        False,
+        description="refuse what words found unsurely instead of calling the edit doubtful",
+    )
+    reading: int = Field(
+        1,
+        ge=1,
+        le=MAX_STEPS,
+        description="which reading of clicks, strokes, boxes or words is taken: 1 the most likely",
     )
     larger: int = Field(
         0,
@@ -266,11 +275,17 @@ class JobInputs(Settings):
         (), description="a box around the object, on the first photo or photo N"
     )
 
+    stroke: tuple[str, ...] = Field(
+        (),
+        description="a line drawn over the object, on the first photo or photo N; repeatable",
+    )
     thing: str = Field(
         "", description="the object in words, such as 'the left cup', instead of marks"
     )
 
-    @field_validator("photos", "mask", "point", "not_point", "box", mode="before")
+    @field_validator(
+        "photos", "mask", "point", "not_point", "box", "stroke", mode="before"
+    )
     @classmethod
     def _one_is_a_list(cls, value: Any) -> Any:
         return [value] if isinstance(value, str) else value

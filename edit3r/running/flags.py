@@ -14,7 +14,7 @@ from edit3r.running.config import JobInputs, RunConfig
 INPUTS = {name: field.description for name, field in JobInputs.model_fields.items()}
 SHORT = {"reconstructor": "recon"}
 """Settings whose flag is not their own name."""
-OUTLINE = ("larger", "grow", "invert")
+OUTLINE = ("larger", "grow", "invert", "reading")
 """Settings that `add_mark_flags` has flags for."""
 
 
@@ -35,6 +35,7 @@ def add_mark_flags(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("--point", metavar="[N:]X,Y", help=INPUTS["point"], **REPEATED)
     add("--not-point", metavar="[N:]X,Y", help=INPUTS["not_point"], **REPEATED)
+    add("--stroke", metavar="[N:]X,Y,X,Y,...", help=INPUTS["stroke"], **REPEATED)
     add("--box", metavar="[N:]X,Y,W,H", help=INPUTS["box"], **REPEATED)
     add("--thing", metavar="TEXT", default="", help=INPUTS["thing"])
     add(
@@ -50,6 +51,8 @@ def add_mark_flags(parser: argparse.ArgumentParser) -> None:
     add("--larger", action="append_const", const=1, help=larger)
     smaller = larger.replace("larger", "smaller")
     add("--smaller", action="append_const", const=-1, dest="larger", help=smaller)
+    reading = outline["reading"].description
+    add("--reading", metavar="N", type=int, help=f"{reading} (default 1)")
     grow = outline["grow"].description
     add("--grow", metavar="PIXELS", type=float, help=grow)
     add(

@@ -50,7 +50,7 @@ def job_from(
     earlier run that cannot be read, SettingsError for wrong settings. `trusted`: its run.json is.
     """
     earlier = read_earlier_run(inputs.earlier, trusted) if inputs.earlier else None
-    cache = Cache(Path(inputs.earlier) / CACHE) if inputs.earlier else None
+    cache = _answers(inputs)
     if earlier is not None:
         layers = (inherited(earlier, layers), *layers)
     elif not inputs.photos:
@@ -59,7 +59,12 @@ def job_from(
     if earlier is None and not inputs.photos:
         inputs = _packaged(inputs, config)
     texts = MarkTexts(
-        inputs.point, inputs.not_point, inputs.box, inputs.mask, inputs.thing
+        inputs.point,
+        inputs.not_point,
+        inputs.box,
+        inputs.mask,
+        inputs.thing,
+        inputs.stroke,
     )
     return RunJob(
         config=config,
@@ -71,6 +76,14 @@ def job_from(
         earlier=None if inputs.photos else earlier,
         cache=cache,
     )
+
+
+def _answers(inputs: JobInputs) -> Cache | None:
+    """What the earlier run found; else what `edit3r mask` found and keeps beside its masks."""
+    folders = [Path(inputs.earlier)] if inputs.earlier else []
+    folders += [Path(mask).parent for mask in inputs.mask[:1]]
+    kept = [folder / CACHE for folder in folders if (folder / CACHE).is_dir()]
+    return Cache(kept[0]) if kept else None
 
 
 def inherited(
@@ -97,8 +110,8 @@ def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:
         "photos": tuple(photos),
         "cameras": inputs.cameras or str(cameras),
     }
-    marks = (inputs.mask, inputs.point, inputs.not_point, inputs.box, inputs.thing)
-    marked = any(marks)
+    clicked = (inputs.point, inputs.not_point, inputs.stroke, inputs.box)
+    marked = any((inputs.mask, inputs.thing, *clicked))
     subject = DEFAULTS["subject"]
     usual = config.editor is None or config.editor.name == DEFAULTS["editor"]
     if usual and not marked and subject in config.prompt.lower():

@@ -22,17 +22,19 @@ from edit3r.running.record import RunRecord
 from edit3r.running.scene import Scene
 from edit3r.running.steps.edit import edit
 from edit3r.running.steps.judge import judge
+from edit3r.running.steps.locate import locate
 from edit3r.running.steps.read import read
 from edit3r.running.steps.reconstruct import reconstruct
 from edit3r.running.steps.refine import refine
-from edit3r.running.steps.select import select
+from edit3r.running.steps.select import load, select
 from edit3r.running.unit import to_given_unit, to_own_unit
 from edit3r.running.write import as_html, comparison, open_viewer, write_result
 
 Step = Callable[[Scene, Parts], Scene]
-STEPS: tuple[Step, ...] = (select, edit, reconstruct, refine, judge)
+STEPS: tuple[Step, ...] = (locate, select, edit, reconstruct, refine, judge)
 """What follows `read`."""
 STEPS_OF_PREVIEW: tuple[Step, ...] = (select, edit)
+"""Here geometry is looked for only where something is selected by it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -119,6 +121,7 @@ def _take(
     parts = Parts(with_known_poses(job, scene.photos, registry), registry, job)
     if reconstruct in steps:
         parts.rasterizer.prepare(torch.device(job.config.device).type)
+    scene = load(scene, parts)
     for step in steps:
         scene = step(scene, parts)
     return to_given_unit(scene, factor, job.refine_poses), parts

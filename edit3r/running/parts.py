@@ -20,10 +20,12 @@ from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
+from edit3r.kit.cache import fingerprint
 from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.editors import EditorTask, tasks_for_editor, tasks_without_editor
 from edit3r.running.job import RunJob
+from edit3r.running.selecting.geometry import Located, locate
 
 
 class Parts:
@@ -37,6 +39,7 @@ class Parts:
         self.job = job
         self._registry = registry
         self._given = job.components
+        self._located: dict[str, Located] = {}
 
     @property
     def edits_again(self) -> bool:
@@ -100,6 +103,13 @@ class Parts:
     def matcher(self) -> Matcher | None:
         """The reconstructor's own, where it has one."""
         return getattr(self.reconstructor, "parts", {}).get("matcher")
+
+    def located(self, photos: Views) -> Located:
+        """Geometry of unedited photos by the reconstructor's matcher, looked for once."""
+        key = fingerprint(photos)
+        if key not in self._located:
+            self._located[key] = locate(self.matcher, photos)
+        return self._located[key]
 
     @cached_property
     def segmenter(self) -> Segmenter:

@@ -7,7 +7,15 @@ from edit3r.kit.run_folder import RunFolder
 from edit3r.running.config import RunConfig, make_run_config
 from edit3r.running.loop import RunResult
 
-MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "guess"}
+MAKES_NO_OTHER_SCENE = {
+    "prompt",
+    "seed",
+    "frames",
+    "outputs",
+    "export",
+    "guess",
+    "sure",
+}
 """Settings that may differ from the defaults without the run being another kind of run."""
 
 

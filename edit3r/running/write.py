@@ -19,7 +19,13 @@ from PIL import Image
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import DRAWING, SceneToWrite, SecondLook, Writer
+from edit3r.contract.interfaces import (
+    DRAWING,
+    OtherReadings,
+    SceneToWrite,
+    SecondLook,
+    Writer,
+)
 from edit3r.contract.reporting import collecting, note, warn
 from edit3r.contract.types import Rendering, Views
 from edit3r.kit.checks import check_needs, check_written, errors_named_after
@@ -35,7 +41,7 @@ from edit3r.kit.run_folder import (
     write_manifest,
 )
 from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
-from edit3r.kit.sheet import draw_sheet, images_of
+from edit3r.kit.sheet import draw_sheet, images_of, with_readings
 from edit3r.running.before import colours_before
 from edit3r.running.config import DEFAULTS
 from edit3r.running.earlier import CACHE, THINGS, note_views
@@ -43,6 +49,7 @@ from edit3r.running.flight import Flight
 from edit3r.running.judging.verdict import WORST_PSNR
 from edit3r.running.record import RunRecord
 from edit3r.running.scene import Scene
+from edit3r.running.selecting.select import Reading, Selected
 
 
 def write_result(root: Path, result: RunRecord) -> None:
@@ -133,6 +140,7 @@ def _scene(result: RunRecord, flight: Flight | None = None) -> SceneToWrite:
         photos=result.photos,
         edited=result.edited,
         masks=None if scene.masks is None else scene.masks[0],
+        readings=_other_readings(scene),
         rendered=result.rendered,
         title=result.config.prompt,
         about=_about(result),
@@ -273,12 +281,33 @@ def preview_sheet(scene: Scene, prompt: str) -> Image.Image:
         "photo": outlined_views(images_of(scene.photos), masks),
         "2D edit": images_of(scene.edited),
     }
-    return draw_sheet(
+    sheet = draw_sheet(
         columns,
         names=scene.photos.names,
         title=prompt or "no prompt",
         subtitle=_preview_line(scene),
     )
+    return with_readings(sheet, _other_readings(scene))
+
+
+def _other_readings(scene: Scene) -> tuple[OtherReadings, ...]:
+    """What else words may mean, for those that were unsure and on a photo that was placed."""
+    placed = scene.placed or (True,) * scene.photos.count
+    found = []
+    for selected in scene.selected:
+        shown = [one for one in selected.readings if placed[one.view]]
+        if selected.is_sure or len(shown) < 2:
+            continue
+        view = sum(placed[: shown[0].view])
+        masks = {_chosen_by(one, selected): one.mask for one in shown}
+        photo = images_of(scene.photos)[view]
+        found.append(OtherReadings(photo, scene.photos.names[view], masks))
+    return tuple(found)
+
+
+def _chosen_by(reading: Reading, selected: Selected) -> str:
+    taken = " (taken)" if reading.number == selected.taken else ""
+    return f"--reading {reading.number}{taken}"
 
 
 def _preview_line(scene: Scene) -> str:

@@ -35,10 +35,10 @@ from edit3r.running import (
     DEFAULTS,
     EditVerdict,
     Parts,
-    RunConfig,
     RunJob,
     Scene,
     Selection,
+    default_matcher,
     geometry_of,
     make_run_config,
     preview,
@@ -224,11 +224,9 @@ class Looker:
                     cache.save(partial)
 
     def _geometry(self, photos: Views, cache: Cache) -> MatchedGeometry | None:
-        """Poses and depths by the matcher of the default reconstructor."""
-        choice = RunConfig.model_fields["reconstructor"].default
+        """Poses and depths, as a run with the default reconstructor finds them."""
         with _working_with(cache):
-            reconstructor = self.registry.build_choice("reconstructor", choice)
-            return geometry_of(reconstructor.parts.get("matcher"), photos)
+            return geometry_of(default_matcher(self.registry), photos)
 
     def _look(self, opened: _Opened, text: str) -> DraftAnswer:
         draft = DRAFT.validate_json(text)

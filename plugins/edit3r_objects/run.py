@@ -24,9 +24,9 @@ from edit3r.kit.sheet import draw_sheet
 from edit3r.running import (
     MIN_AREA,
     MarkTexts,
-    geometry_of,
+    default_matcher,
     read_earlier_run,
-    select_masks,
+    select_with,
 )
 from edit3r_objects.lifting import lift
 
@@ -162,6 +162,7 @@ def _masks(run: Run, args: argparse.Namespace) -> Tensor:
         tuple(args.box),
         tuple(args.mask),
         args.thing,
+        tuple(args.stroke),
     )
     if not texts.given:
         if not earlier.things:
@@ -173,14 +174,13 @@ def _masks(run: Run, args: argparse.Namespace) -> Tensor:
     marks = replace(
         texts.read(LoadedPhotos(views, earlier.records)),
         larger=sum(args.larger or ()),
+        reading=args.reading or 1,
         grow=args.grow or 0.0,
         inverted=bool(args.invert),
     )
-    build = default_registry().build
-    geometry = geometry_of(build("matcher", "classical"), views)
-    segmenter = build("segmenter", "auto")
-    found = select_masks(views.images[0], marks, segmenter, geometry, views.intrinsics)
-    return found.masks[:, 0]
+    segmenter = default_registry().build("segmenter", "auto")
+    matcher = default_matcher(default_registry())
+    return select_with(views, marks, segmenter, matcher).masks[0]
 
 
 def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None:

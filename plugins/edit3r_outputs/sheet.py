@@ -7,7 +7,7 @@ import numpy as np
 from edit3r.contract.interfaces import SceneToWrite, Writer
 from edit3r.kit.photos.images import save_pixels
 from edit3r.kit.photos.outline import outlined_views
-from edit3r.kit.sheet import draw_sheet, images_of
+from edit3r.kit.sheet import draw_sheet, images_of, with_readings
 
 
 class SheetWriter(Writer):
@@ -27,4 +27,4 @@ class SheetWriter(Writer):
             title=scene.title or "no prompt",
             subtitle=scene.about,
         )
-        save_pixels(np.asarray(sheet), path)
+        save_pixels(np.asarray(with_readings(sheet, scene.readings)), path)

@@ -75,6 +75,14 @@ class AutoSegmenter(Segmenter):
             return self.classical.answer(image, marks, self._network)
         return chosen.segment_marks(image, marks)
 
+    def readings(
+        self, image: Float[Tensor, "3 height width"], marks: Marks
+    ) -> tuple[Proposal, ...]:
+        chosen = self._picked
+        if chosen is self.classical:
+            return self.classical.likely(image, marks, self._network)
+        return chosen.readings(image, marks)
+
     def track(
         self,
         images: Float[Tensor, "view 3 height width"],

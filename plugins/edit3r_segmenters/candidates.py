@@ -22,6 +22,7 @@ from edit3r_segmenters.masks import (
 )
 from edit3r_segmenters.salience import Objectness
 from edit3r_segmenters.superpixels import Superpixels
+from edit3r_segmenters.surfaces import Surfaces
 
 THRESHOLDS = (0.25, 0.5, 0.75)  # of learned salience, each giving a candidate
 MAX_AREA = 0.9  # share of the image above which a region is no object
@@ -44,6 +45,10 @@ ALONE = 0.1  # agreement that counts for a candidate that nothing agrees with
 # Without a network, the colours and the outline have more to say
 PART_POWER_ALONE = 0.7
 SALIENCE_POWER_ALONE = 1.0
+# Where depth bounds the thing: agreement with what a network says of the surfaces at the click
+FITTING = 0.7  # overlap of an answer with its surface from which depth tells of the click at all
+MAX_SURFACES_A_POINT = {False: 5, True: 3}  # of a click, and of each place of a stroke
+HELD = 0.8  # share of a stroke's points that a reading must hold
 SAME = 0.85  # overlap of two candidates above which a step from one to the other shows nothing
 # Where a mask from another view is completed
 MIN_OPEN = 0.2  # share of its rim of which nothing is known
@@ -88,6 +93,7 @@ class Evidence:
     measure: Callable[[np.ndarray], Objectness | None]  # of a bool mask
     saliences: Sequence[Salience] = ()
     prompt: Prompt | None = None
+    surfaces: Surfaces | None = None
 
     def regions(self, place: Place) -> list[np.ndarray]:
         """Bool masks of regions at a place, smaller ones first."""
@@ -115,8 +121,10 @@ def choose(
     clicks: Sequence[Click],
     box: Box | None = None,
     prior: np.ndarray | None = None,
+    stroke: Sequence[Place] = (),
 ) -> list[Candidate]:
-    """Readings of the marks, best first; `prior` is a bool mask of where the object is expected.
+    """Readings of the marks, best first; `prior` is a bool mask of where the object is expected,
+    `stroke` are places along which the object was drawn over.
 
     Empty where nothing at the first click can be an object.
     """
@@ -125,6 +133,8 @@ def choose(
         found = [Candidate(_as_logits(prior), 1.0)]
     elif box is not None:
         found = _in_box(evidence, box, clicks)
+    elif stroke:
+        found = _stroked(evidence, stroke) or _first(evidence, stroke[len(stroke) // 2])
     for number, (place, wanted) in enumerate(clicks):
         if found and found[0].mask[place] == wanted:  # says what is known already
             continue
@@ -224,10 +234,88 @@ def _first(evidence: Evidence, place: Place) -> list[Candidate]:
         ):  # the network sees better what to do once it is told how far the thing goes
             logits += list(evidence.prompt(clicks, _bounds(found[0].mask)))
             found = _ranked(evidence, nothing, clicks, logits, asked)
+            found = _by_depth(evidence, found, [place])
     if found:
         return _voted(evidence, found, clicks)
     cut = _locally_cut(evidence.pixels, nothing > 0, place, True)
     return [Candidate(_as_logits(cut), 0.0)]
+
+
+def _stroked(evidence: Evidence, places: Sequence[Place]) -> list[Candidate]:
+    """Readings of all places of a stroke at once, in one ranking."""
+    clicks = [(place, True) for place in places]
+    middle = places[len(places) // 2]
+    salient = evidence.salient(middle)
+    logits = [_as_logits(mask) for mask in salient]
+    votes: list[np.ndarray] = []
+    if evidence.prompt is None:
+        regions = [mask for place in places for mask in evidence.regions(place)]
+        logits += [_as_logits(mask) for mask in regions]
+    else:
+        whole = list(evidence.prompt(clicks, None))
+        alone = [one for click in clicks for one in evidence.prompt([click], None)]
+        logits += [*whole, *alone]
+        votes = [one > 0 for one in (*whole, *whole, *alone)]
+    found = _holding(evidence, logits, places, votes, salient)
+    if evidence.prompt is not None and found:
+        logits += list(evidence.prompt(clicks, _bounds(found[0].mask)))
+        found = _holding(evidence, logits, places, votes, salient)
+        found = _by_depth(evidence, found, places[::2])
+    return _voted(evidence, found, [])
+
+
+def _holding(
+    evidence: Evidence,
+    logits: Sequence[np.ndarray],
+    places: Sequence[Place],
+    votes: Sequence[np.ndarray],
+    salient: Sequence[np.ndarray],
+) -> list[Candidate]:
+    """Those of `logits` that hold nearly all places, best first."""
+    agreements = [(np.mean, votes, NETWORK_POWER), (max, salient, SALIENCE_POWER)]
+    part_power = PART_POWER if votes else PART_POWER_ALONE
+    found = []
+    for one in logits:
+        mask = one > 0
+        cues = evidence.measure(mask)
+        usual = MIN_AREA <= mask.sum() <= MAX_AREA * mask.size
+        held = np.mean([mask[place] for place in places])
+        if cues is None or not usual or held < HELD:
+            continue
+        score = (ALONE + cues.as_part) ** part_power
+        score *= _agreement(mask, [one for one in agreements if one[1]])
+        found.append(Candidate(one, float(score)))
+    return sorted(found, key=lambda one: -one.score)
+
+
+def _by_depth(
+    evidence: Evidence, found: list[Candidate], places: Sequence[Place]
+) -> list[Candidate]:
+    """The candidates in the order that depth gives them; as they are where it says nothing.
+
+    A network is asked with a place and the box of each surface there. An answer counts by how well
+    it fits the surface; a candidate by how well it agrees with these answers, and by how much it
+    stands before what is beside it.
+    """
+    surfaces, prompt = evidence.surfaces, evidence.prompt
+    if surfaces is None or prompt is None or not found:
+        return found
+    fits, answers = [], []
+    for place in places:
+        for surface in surfaces.at(place)[: MAX_SURFACES_A_POINT[len(places) > 1]]:
+            said = [one > 0 for one in prompt([(place, True)], _bounds(surface))]
+            answers.append(said)
+            fits.append(max(overlap(surface, one) for one in said))
+    if max(fits, default=0.0) < FITTING:
+        return found
+    weights = np.square(fits)
+    judged = []
+    for one in found:
+        best = [max(overlap(one.mask, other) for other in said) for said in answers]
+        factor = ALONE + float(np.average(best, weights=weights))
+        factor *= ALONE + surfaces.before(one.mask)
+        judged.append(Candidate(one.logits, one.score * factor))
+    return sorted(judged, key=lambda one: -one.score)
 
 
 def _corrected(
@@ -257,7 +345,9 @@ def _corrected(
         logits += [_as_logits(mask) for mask in others]
     cut = _as_logits(_locally_cut(evidence.pixels, before > 0, place, wanted))
     found = _ranked(evidence, before, clicks, [*logits, cut], wholes)
-    return _voted(evidence, found, clicks) or [Candidate(cut, 0.0)]
+    found = _voted(evidence, found, clicks) or [Candidate(cut, 0.0)]
+    # What lies apart from the click stays as it was: nobody said that it is wrong.
+    return [Candidate(_only_at(place, before, one.logits), one.score) for one in found]
 
 
 def _in_box(evidence: Evidence, box: Box, clicks: Sequence[Click]) -> list[Candidate]:
@@ -324,9 +414,7 @@ def _ranked(
         score *= (ALONE + cues.as_part) ** part_power
         if mask.any():
             score *= overlap(inside, mask) ** KEPT_POWER
-        for pick, others, power in agreements:
-            agreed = pick([overlap(inside, other) for other in others])
-            score *= (ALONE + agreed) ** power
+        score *= _agreement(inside, agreements)
         found.append(Candidate(one, float(score)))
     return sorted(found, key=lambda one: -one.score)
 
@@ -343,7 +431,7 @@ def _voted(
     alike = [one for one in found if overlap(one.mask, best.mask) >= ALIKE]
     votes = sum(one.score * np.sign(one.logits) for one in alike)
     # What lies apart from what was clicked on is rarely meant; further clicks add it.
-    smallest = ISLAND if len(clicks) == 1 else SMALLEST_PART
+    smallest = ISLAND if len(clicks) <= 1 else SMALLEST_PART
     inside = tidied(votes > 0, votes > 0, smallest)
     if any(inside[place] != wanted for place, wanted in clicks):
         return found
@@ -362,6 +450,15 @@ def _agreements(evidence: Evidence, place: Place, asked: list[np.ndarray]) -> li
     if regions:
         agreements.append((max, regions, REGION_POWER))
     return agreements
+
+
+def _agreement(mask: np.ndarray, agreements: list) -> float:
+    """How much a mask agrees with the others, by what `_agreements` says of them."""
+    score = 1.0
+    for pick, others, power in agreements:
+        agreed = pick([overlap(mask, other) for other in others])
+        score *= (ALONE + agreed) ** power
+    return score
 
 
 def _middle(change: np.ndarray, place: Place, reach: float) -> float:

@@ -7,7 +7,7 @@ words mean nothing to it.
 """
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Protocol, TypeVar
 
@@ -19,7 +19,14 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
+from edit3r.contract.interfaces import (
+    Marks,
+    Proposal,
+    Relief,
+    Segmenter,
+    Tracks,
+    as_proposal,
+)
 from edit3r.contract.reporting import warn
 from edit3r.contract.settings import Settings
 from edit3r.kit.cache import fingerprint, remembered
@@ -27,6 +34,7 @@ from edit3r.kit.weights.find import at_hand
 from edit3r_segmenters import U2NETP, tracking
 from edit3r_segmenters.candidates import (
     Box,
+    Candidate,
     Click,
     Evidence,
     Prompt,
@@ -59,6 +67,7 @@ from edit3r_segmenters.superpixels import (
     merge_tree,
     superpixels,
 )
+from edit3r_segmenters.surfaces import Surfaces
 
 SAME_OBJECT = 0.6  # intersection over union above which two candidates are one object
 SNAP = (
@@ -88,6 +97,7 @@ HIGHEST_GROUND, SURE_GROUND = (
     0.3,
     0.93,
 )  # rows above which there is no ground and below which it is likely, in heights
+MAX_READINGS = 3  # of marks, that are shown
 MAX_KEPT = 64  # images, saliences and answers that stay in memory between clicks
 ESSENTIALS = "edit3r weights get essentials"
 Known = TypeVar("Known")
@@ -218,6 +228,11 @@ class ClassicalSegmenter(Segmenter):
     ) -> Proposal:
         return self.answer(image, marks)
 
+    def readings(
+        self, image: Float[Tensor, "3 height width"], marks: Marks
+    ) -> tuple[Proposal, ...]:
+        return self.likely(image, marks)
+
     def answer(
         self,
         image: Float[Tensor, "3 height width"],
@@ -226,11 +241,43 @@ class ClassicalSegmenter(Segmenter):
     ) -> Proposal:
         """The object that marks describe, chosen with a network's candidates where there is one."""
         rgb = _to_numpy(image)
-        if marks.prior is not None and not (marks.positive or marks.negative):
+        if marks.prior is not None and not (marks.inside or marks.negative):
             return self._expected(rgb, marks, image, network)
+        found = self._found(rgb, image, marks, network)
+        ordered, best = by_size(found)
+        areas = [one.mask.sum() for one in ordered]
+        chosen = ordered[stepped(areas, best, marks.larger)]
+        return self._drawn(rgb, image, marks, chosen, network)
+
+    def likely(
+        self,
+        image: Float[Tensor, "3 height width"],
+        marks: Marks,
+        network: Network | None = None,
+    ) -> tuple[Proposal, ...]:
+        """The most likely readings of the marks; each has its share of all their scores."""
+        rgb = _to_numpy(image)
+        found, _ = by_size(self._found(rgb, image, marks, network))
+        found = sorted(found, key=lambda one: -one.score)
+        total = sum(one.score for one in found)
+        return tuple(
+            replace(
+                self._drawn(rgb, image, marks, one, network),
+                surety=float(one.score / total) if total else 0.0,
+            )
+            for one in found[:MAX_READINGS]
+        )
+
+    def _found(
+        self,
+        rgb: np.ndarray,
+        image: Float[Tensor, "3 height width"],
+        marks: Marks,
+        network: Network | None,
+    ) -> list[Candidate]:
+        """All readings of marks, the best first."""
         analysis = self._analysis(rgb)
         shape = analysis.pixels.shape[:2]
-        clicks = _clicks(marks, shape)
         prior = None if marks.prior is None else _at_size(marks.prior, shape)
         evidence = Evidence(
             analysis.pixels,
@@ -239,17 +286,28 @@ class ClassicalSegmenter(Segmenter):
             analysis.measure,
             () if prior is not None else self._evident(rgb, shape, marks, network),
             None if network is None else self._prompt(image, shape, network),
+            self._surfaces(marks.relief, shape),
         )
         box = None if marks.box is None else _in_pixels(marks.box, shape)
-        found = choose(evidence, clicks, box, prior)
-        ordered, best = by_size(found)
-        areas = [one.mask.sum() for one in ordered]
-        chosen = ordered[stepped(areas, best, marks.larger)]
-        cues = analysis.measure(chosen.mask)
+        stroke = [_in_image(place, shape) for place in marks.drawn]
+        return choose(evidence, _clicks(marks, shape), box, prior, stroke)
+
+    def _drawn(
+        self,
+        rgb: np.ndarray,
+        image: Float[Tensor, "3 height width"],
+        marks: Marks,
+        chosen: Candidate,
+        network: Network | None,
+    ) -> Proposal:
+        """A candidate as a proposal; its outline leaves no click on the wrong side."""
+        cues = self._analysis(rgb).measure(chosen.mask)
         quality = 0.0 if cues is None else cues.quality
         fine = self._outlined(rgb, chosen.logits, network)
+        small = _clicks(marks, chosen.mask.shape)
+        obeyed = all(chosen.mask[place] == inside for place, inside in small)
         said = _clicks(marks, fine.shape)
-        if chosen is found[0] and any(fine[place] != inside for place, inside in said):
+        if obeyed and any(fine[place] != inside for place, inside in said):
             fine = cv2.resize(chosen.mask.astype(np.uint8), fine.shape[::-1]) > 0
         return _proposal(rgb, fine, quality, image)
 
@@ -321,7 +379,8 @@ class ClassicalSegmenter(Segmenter):
             return self._saliences(rgb, shape, place=None)
         if marks.box is None:
             sides = [share * max(rgb.shape[:2]) for share in CROPS]
-            return self._saliences(rgb, shape, marks.positive[0], sides)
+            first = marks.inside[0]
+            return self._saliences(rgb, shape, first, sides)
         x, y, width, height = marks.box
         side = 1.4 * max(width * rgb.shape[1], height * rgb.shape[0])
         return self._saliences(rgb, shape, (x + width / 2, y + height / 2), [side])
@@ -365,6 +424,16 @@ class ClassicalSegmenter(Segmenter):
             raise InputError(
                 f"{weights}: is no whole U²-Net as ONNX; fetch it anew with: {U2NETP.get}"
             ) from None
+
+    def _surfaces(
+        self, relief: Relief | None, shape: tuple[int, int]
+    ) -> Surfaces | None:
+        if relief is None:
+            return None
+        depth = relief.depth.numpy(force=True).astype(np.float32)
+        measured = relief.measured.numpy(force=True)
+        key = ("surfaces", depth.shape, hash(depth.tobytes()), hash(measured.tobytes()))
+        return self._kept(key, lambda: Surfaces.of(depth, measured, shape))
 
     def _kept(self, key: Hashable, compute: Callable[[], Known]) -> Known:
         """What was computed for the same picture before: clicks follow each other on one
@@ -475,13 +544,15 @@ def _refined(
 
 def _clicks(marks: Marks, shape: tuple[int, int]) -> list[Click]:
     """Rows and columns of the clicks, those on the object first."""
-    height, width = shape
     said = [(place, True) for place in marks.positive]
     said += [(place, False) for place in marks.negative]
-    return [
-        ((min(int(y * height), height - 1), min(int(x * width), width - 1)), inside)
-        for (x, y), inside in said
-    ]
+    return [(_in_image(place, shape), inside) for place, inside in said]
+
+
+def _in_image(place: tuple[float, float], shape: tuple[int, int]) -> tuple[int, int]:
+    """Row and column of a place x, y in [0, 1]."""
+    (x, y), (height, width) = place, shape
+    return min(int(y * height), height - 1), min(int(x * width), width - 1)
 
 
 def _in_pixels(box: tuple[float, float, float, float], shape: tuple[int, int]) -> Box:

@@ -21,6 +21,11 @@ class MaskCommand(Command):
             help="take what stands out most where the words are not known",
         )
         add(
+            "--sure",
+            action="store_true",
+            help="refuse what words found unsurely",
+        )
+        add(
             "--segmenter",
             default="auto",
             metavar="NAME",
@@ -28,9 +33,8 @@ class MaskCommand(Command):
         )
         add(
             "--matcher",
-            default="classical",
             metavar="NAME",
-            help="carries masks by geometry; '' by pictures alone",
+            help="finds the geometry that is selected by; default: as a run finds it; '' none",
         )
         add(
             "--size",
@@ -57,7 +61,7 @@ class MaskCommand(Command):
             "--out",
             required=True,
             metavar="DIR",
-            help="folder for one mask per photo and preview.png",
+            help="folder for one mask per photo, preview.png, and cache/ for a run with the masks",
         )
         add(
             "--overwrite",
@@ -71,11 +75,12 @@ class MaskCommand(Command):
 
         from edit3r import default_registry
         from edit3r.contract.reporting import Report, collecting
+        from edit3r.kit.cache import Cache, using
         from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.atomic import atomic_folder, check_apart
         from edit3r.kit.files.configs import parse_assignments
         from edit3r.kit.photos.images import load_photos, save_image
-        from edit3r.running import MarkTexts, geometry_of, select_masks
+        from edit3r.running import CACHE, MarkTexts, default_matcher, select_with
 
         check_apart(args.out, *map(Path, (*args.images, *args.mask)))
         given = parse_assignments(args.set)
@@ -83,42 +88,49 @@ class MaskCommand(Command):
         segmenter = registry.build(
             "segmenter", args.segmenter, **given.get("segmenter", {})
         )
-        matcher = None
+        matcher, answers = None, Cache()
         if args.matcher:
             matcher = registry.build(
                 "matcher", args.matcher, **given.get("matcher", {})
             )
+        elif args.matcher is None:
+            matcher = default_matcher(registry)
         texts = MarkTexts(
             tuple(args.point),
             tuple(args.not_point),
             tuple(args.box),
             tuple(args.mask),
             args.thing,
+            tuple(args.stroke),
         )
         with (
             StageConsole(quiet=args.quiet) as console,
             collecting(Report(on_event=console)) as report,
+            using(answers),
         ):
             with report.stage("read photos"):
                 photos = load_photos(args.images, size=args.size)
                 marks = replace(
                     texts.read(photos),
                     guess=args.guess,
+                    sure=args.sure,
                     larger=sum(args.larger or ()),
+                    reading=args.reading or 1,
                     grow=args.grow or 0.0,
                     inverted=bool(args.invert),
                 )
             views = photos.views
             with report.stage("select"):
-                geometry = geometry_of(matcher, views)
-                chosen = select_masks(
-                    views.images[0], marks, segmenter, geometry, views.intrinsics
-                )
+                chosen = select_with(views, marks, segmenter, matcher)
             with atomic_folder(args.out, args.overwrite) as folder:
-                for name, mask in zip(views.names, chosen.masks):
-                    save_image(mask.expand(3, -1, -1), folder / f"{name}_mask.png")
+                for name, mask in zip(views.names, chosen.masks[0]):
+                    save_image(
+                        mask[None].expand(3, -1, -1), folder / f"{name}_mask.png"
+                    )
+                answers.save(folder / CACHE)
                 save_image(
-                    _preview(views.images[0], chosen.masks), folder / "preview.png"
+                    _preview(views.images[0], chosen.masks[0, :, None]),
+                    folder / "preview.png",
                 )
         if not args.quiet:
             for name, how in zip(views.names, chosen.how):

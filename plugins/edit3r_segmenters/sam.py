@@ -135,7 +135,7 @@ class SamSegmenter(Segmenter):
         self, image: Float[Tensor, "3 height width"], marks: Marks
     ) -> Proposal:
         points, box, (height, width) = (
-            [*marks.positive, *marks.negative],
+            [*marks.inside, *marks.negative],
             marks.box,
             image.shape[-2:],
         )
@@ -159,7 +159,7 @@ class SamSegmenter(Segmenter):
             for name, prompt in prompts.items()
         }
         if points:
-            on = [[[1] * len(marks.positive) + [0] * len(marks.negative)]]
+            on = [[[1] * len(marks.inside) + [0] * len(marks.negative)]]
             prompts["input_labels"] = torch.tensor(on, device=model.device)
         # one point may mean a part or the whole: ask for all three
         ambiguous = (len(points) == 1 and box is None) or marks.larger != 0

@@ -124,7 +124,7 @@ class SamOnnxSegmenter(Segmenter):
     def segment_marks(
         self, image: Float[Tensor, "3 height width"], marks: Marks
     ) -> Proposal:
-        clicks = [(place, True) for place in marks.positive]
+        clicks = [(place, True) for place in marks.inside]
         clicks += [(place, False) for place in marks.negative]
         box = marks.box
         if (

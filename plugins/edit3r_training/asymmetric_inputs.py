@@ -23,9 +23,9 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import SceneSample
 from edit3r.contract.settings import NonNegative, Settings, Share
-from edit3r.errors import SettingsError
 
 REGIMES = ("reference", "disagreeing", "agreeing", "unedited", "viewwise", "generated")
 DISAGREEMENT = 0.5

@@ -14,8 +14,6 @@ from torch import Tensor
 from edit3r.contract.interfaces import MatchedGeometry, SceneSample
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.geometry.cameras import scale_poses, unproject
-from edit3r_training.asymmetric_inputs import RegimeShares, edit_sample
-from edit3r.geometry.cameras import scale_poses, unproject
 from edit3r_training.asymmetric_inputs import (
     EditedSample,
     RegimeShares,

@@ -12,6 +12,8 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces.base import Configured
 from edit3r.contract.reporting import warn
 
+MAX_POINTS = 6  # of a stroke, that stand for it
+
 
 @dataclass(frozen=True)
 class Proposal:
@@ -26,7 +28,7 @@ class Proposal:
     stability: float  # in [0, 1]: overlap of the mask under two thresholds
     predicted_iou: float  # in [0, 1]: how good the mask believes it is
     box: tuple[float, float, float, float]  # x, y, width, height [pixels]
-    surety: float = 1.0  # in [0, 1]: how likely it is what words named
+    surety: float = 1.0  # in [0, 1]: how likely it is what is meant
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,14 @@ class Tracks:
     present: Bool[
         Tensor, "view object"
     ]  # False: lost in that view, its logits are all <= 0
+
+
+@dataclass(frozen=True)
+class Relief:
+    """How far away lies what an image shows, read from several photos."""
+
+    depth: Float[Tensor, "height width"]  # camera z > 0, filled in where not measured
+    measured: Bool[Tensor, "height width"]
 
 
 @dataclass(frozen=True)
@@ -54,11 +64,27 @@ class Marks:
     known: Bool[Tensor, "height width"] | None = None
     # steps from the best reading of the marks to a larger one (> 0) or a smaller one (< 0)
     larger: int = 0
+    # places along what was drawn over the object
+    stroke: tuple[tuple[float, float], ...] = ()
+    relief: Relief | None = None  # tells things from what is behind them
 
     def __post_init__(self) -> None:
-        places = np.array([*self.positive, *self.negative]).ravel()
+        places = np.array([*self.positive, *self.negative, *self.stroke]).ravel()
         if not np.isfinite([*places, *(self.box or ())]).all():
             raise InputError("a click or box is not made of numbers between 0 and 1.")
+
+    @property
+    def drawn(self) -> tuple[tuple[float, float], ...]:
+        """Some places of the stroke, evenly along it."""
+        if len(self.stroke) <= MAX_POINTS:
+            return tuple(dict.fromkeys(self.stroke))
+        chosen = np.linspace(0, len(self.stroke) - 1, MAX_POINTS).round().astype(int)
+        return tuple(dict.fromkeys(self.stroke[index] for index in chosen))
+
+    @property
+    def inside(self) -> tuple[tuple[float, float], ...]:
+        """All places that lie on the object."""
+        return (*self.drawn, *self.positive)
 
 
 class Segmenter(Configured, ABC):
@@ -97,7 +123,7 @@ class Segmenter(Configured, ABC):
         A segmenter that does not implement this reads positive points and the box only; a prior
         alone is then the answer itself.
         """
-        if marks.prior is not None and not marks.positive and marks.box is None:
+        if marks.prior is not None and not marks.inside and marks.box is None:
             return as_proposal(marks.prior)
         if marks.negative:
             name = type(self).__name__
@@ -109,7 +135,16 @@ class Segmenter(Configured, ABC):
             warn(
                 f"segmenter {name} knows one reading of a click, none larger or smaller."
             )
-        return self.segment(image, marks.positive, marks.box)
+        return self.segment(image, marks.inside, marks.box)
+
+    def readings(
+        self, image: Float[Tensor, "3 height width"], marks: Marks
+    ) -> tuple[Proposal, ...]:
+        """What `marks` may mean, the most likely first, each as sure as it is likely.
+
+        The first is what `segment_marks` answers.
+        """
+        return (self.segment_marks(image, marks),)
 
     def segment_text(
         self, image: Float[Tensor, "3 height width"], text: str

@@ -36,6 +36,15 @@ class SecondLook:
 
 
 @dataclass(frozen=True)
+class OtherReadings:
+    """What else words or clicks may mean on one view, where that was unsure."""
+
+    photo: Float[Tensor, "3 height width"]
+    name: str  # of the view
+    masks: Mapping[str, Float[Tensor, "height width"]]  # by what chooses each
+
+
+@dataclass(frozen=True)
 class SceneToWrite:
     """One scene (batch 1) and what is known about it. What is not known is None or empty."""
 
@@ -45,6 +54,7 @@ class SceneToWrite:
     photos: Views | None = None  # what the cameras took
     edited: Views | None = None  # the photos after the 2D edit
     masks: Float[Tensor, "view height width"] | None = None  # what was to be edited
+    readings: tuple[OtherReadings, ...] = ()  # of the things that were unsure
     rendered: Rendering | None = None  # the Gaussians from the input views
     title: str = ""  # the prompt of a run
     subtitle: str = ""  # a sentence for the reader of a page

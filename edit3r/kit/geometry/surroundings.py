@@ -205,7 +205,8 @@ def _softening(
     """Colours continued by `blocks`: the border's own beside it, means of ever more of it farther
     out, so that nothing on the border becomes a stripe.
     """
-    beyond = _beyond(colour.shape[-2:], blocks).to(colour)
+    height, width = colour.shape[-2:]
+    beyond = _beyond((height, width), blocks).to(colour)
     soft = _continued(colour, 1, blocks)
     reach = 1
     while 2 * reach <= min(blocks, most):

@@ -1,6 +1,8 @@
 """Marks as people type them: --point, --not-point, --box and --mask, read into a Selection."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import cycle
 from pathlib import Path
 
 from edit3r.contract.errors import InputError
@@ -15,7 +17,8 @@ from edit3r.wishes.things import read_thing
 
 @dataclass(frozen=True)
 class MarkTexts:
-    """What is marked, in words and files. Places are `[N:]X,Y` and boxes `[N:]X,Y,W,H`.
+    """What is marked, in words and files. Places are `[N:]X,Y`, boxes `[N:]X,Y,W,H`
+    and strokes `[N:]X,Y,X,Y,...`.
 
     N is the number of the photo, from 1. Numbers are pixels of the original photo or, where none is
     above 1, shares of its sides.
@@ -26,11 +29,19 @@ class MarkTexts:
     boxes: tuple[str, ...] = ()
     mask_files: tuple[str, ...] = ()
     thing: str = ""  # in words, such as "the left cup"
+    strokes: tuple[str, ...] = ()
 
     @property
     def given(self) -> bool:
         return any(
-            (self.points, self.not_points, self.boxes, self.mask_files, self.thing)
+            (
+                self.points,
+                self.not_points,
+                self.boxes,
+                self.mask_files,
+                self.thing,
+                self.strokes,
+            )
         )
 
     def read(self, photos: LoadedPhotos) -> Selection:
@@ -57,7 +68,13 @@ class MarkTexts:
         if self.thing and not words:
             words = {"whole": "everything"}.get(thing.scope, thing.scope)
         return Selection(
-            positive, negative, boxes, masks=masks, words=words, which=thing.which
+            positive,
+            negative,
+            boxes,
+            masks=masks,
+            words=words,
+            which=thing.which,
+            strokes=tuple(_stroke("--stroke", text, frames) for text in self.strokes),
         )
 
     def for_photos(self, found: list[str], used: list[str]) -> "MarkTexts":
@@ -88,15 +105,31 @@ class MarkTexts:
 
 def _point(flag: str, text: str, frames: list[Frame]) -> tuple[int, float, float]:
     """View, x and y [shares of the view] of `[N:]X,Y`."""
-    view, (x, y) = _numbers(flag, text, frames, "X,Y")
-    frame = frames[view]
-    x, y = _as_shares((x, y), frame)
+    view, numbers = _numbers(flag, text, frames, "X,Y")
+    return (view, *_place(flag, text, _as_shares(numbers, frames[view]), view, frames))
+
+
+def _stroke(
+    flag: str, text: str, frames: list[Frame]
+) -> tuple[int, tuple[tuple[float, float], ...]]:
+    """View, and x and y [shares of the view] of the places of `[N:]X,Y,X,Y,...`."""
+    view, numbers = _numbers(flag, text, frames, "X,Y,X,Y,...")
+    shares = _as_shares(numbers, frames[view])
+    pairs = list(zip(shares[::2], shares[1::2]))
+    return view, tuple(_place(flag, text, pair, view, frames) for pair in pairs)
+
+
+def _place(
+    flag: str, text: str, shares: Sequence[float], view: int, frames: list[Frame]
+) -> tuple[float, float]:
+    """A place on the original photo [shares] on what is used of it."""
+    (x, y), frame = shares, frames[view]
     if frame.lens is not None:
         x, y = frame.lens.straightened_place(x, y)
     place = _in_crop(x, y, frame)
     if min(place) < 0 or max(place) > 1:
         raise _outside(flag, text, view)
-    return (view, *place)
+    return place
 
 
 def _box(flag: str, text: str, frames: list[Frame]) -> tuple[int, Box]:
@@ -126,7 +159,11 @@ def _numbers(
         values = [float(number) for number in listed.split(",")]
     except ValueError:
         view, values = -1, []
-    if len(values) != len(shape.split(",")) or not 0 <= view < len(frames):
+    wanted = len(shape.split(","))
+    fits = len(values) == wanted
+    if shape.endswith("..."):
+        fits = len(values) >= wanted - 1 and len(values) % 2 == 0
+    if not fits or not 0 <= view < len(frames):
         raise InputError(
             f"{flag} {text}: expected {shape} on the first photo or N:{shape} on photo N (1 to "
             f"{len(frames)}), in pixels of the original photo or, where no number is above 1, in "
@@ -148,7 +185,7 @@ def _as_shares(values: tuple[float, ...] | list[float], frame: Frame) -> list[fl
     if max(values) <= 1:
         return list(values)
     height, width = frame.source
-    return [value / side for value, side in zip(values, (width, height) * 2)]
+    return [value / side for value, side in zip(values, cycle((width, height)))]
 
 
 def _in_crop(x: float, y: float, frame: Frame) -> tuple[float, float]:

@@ -215,6 +215,8 @@ def _with_defaults(selection: Selection, defaults: Selection) -> Selection:
     return replace(
         selection,
         guess=selection.guess or defaults.guess,
+        sure=selection.sure or defaults.sure,
+        reading=max(selection.reading, defaults.reading),
         larger=selection.larger + defaults.larger,
         grow=selection.grow + defaults.grow,
         inverted=selection.inverted != defaults.inverted,

@@ -6,7 +6,7 @@ geometry where it is at hand, else by what the pictures show. The command line, 
 `edit3r.run` share this.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -17,24 +17,27 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.component import component_name
-from edit3r.contract.errors import InputError, MatchingError
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
     Marks,
     MatchedGeometry,
-    Matcher,
     Proposal,
+    Relief,
     Segmenter,
     Tracks,
 )
 from edit3r.contract.reporting import note, say, warn
-from edit3r.contract.types import Views
 from edit3r.kit.geometry.warping import shared_surface, warp
+from edit3r.running.selecting.obeying import (
+    SAME_SURFACE,
+    Point,
+    obeyed,
+    points_of,
+    seen_elsewhere,
+)
 from edit3r.running.selecting.which import pick
 
 Box = tuple[float, float, float, float]
-SAME_SURFACE = (
-    0.04  # relative difference in depth within which two views show the same surface
-)
 # of an object's pixels that must lie in another view for geometry to say where it is there
 MIN_SHARE = 0.2
 FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
@@ -42,6 +45,8 @@ MIN_AREA = 2e-4  # share of a view under which a carried mask shows nothing
 SURE = 0.6  # surety under which what words found is not taken unasked
 CLICKED_SURE = 0.25  # the same where a click lies on what they found
 SAME_THING = 0.6  # overlap from which a click and words mean one thing
+SAME_READING = 0.85  # overlap from which two readings are one
+MAX_READINGS = 3  # that are shown
 SHARES = "expected shares of its sides, 0 to 1 (x / width, y / height)"
 ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
 
@@ -72,16 +77,21 @@ class Selection:
         ""  # what is meant, such as "bike"; looked up where no mark says it all
     )
     which: tuple[str, ...] = ()  # picks among several: "left", "big", "red", "all"
-    # True: what was found unsurely is taken, else what stands out most
+    # True: what stands out most is taken where the words are not known
     guess: bool = False
+    sure: bool = False  # True: what words found unsurely is refused
+    # 1: the most likely reading of clicks, strokes, boxes and words; 2: the next
+    reading: int = 1
     # steps to a larger reading of clicks, boxes and words (> 0), or to a smaller one (< 0)
     larger: int = 0
     grow: float = 0.0  # moves the outline outwards [pixels], inwards where negative
     inverted: bool = False  # True: all but the object is meant
+    # lines drawn over the object: view, and places x, y along the line
+    strokes: tuple[tuple[int, tuple[tuple[float, float], ...]], ...] = ()
 
     def __post_init__(self) -> None:
         """Raise InputError for marks that lie on no photo."""
-        for place in (*self.positive, *self.negative):
+        for place in (*self.positive, *self.negative, *self._drawn()):
             view, x, y = _numbers_of(place, "a point is (view, x, y)", 3)
             if not (0 <= x <= 1 and 0 <= y <= 1):
                 raise InputError(
@@ -96,15 +106,47 @@ class Selection:
                     f"0; {SHARES}."
                 )
 
+    def _drawn(self) -> Iterator[tuple[Any, ...]]:
+        """View, x and y of every place along a stroke."""
+        for stroke in self.strokes:
+            view, places = _numbers_of(stroke, "a stroke is (view, ((x, y), ...))", 2)
+            if not len(places):
+                raise InputError(f"a stroke on photo {view + 1} has no place.")
+            yield from ((view, *place) for place in places)
+
+    @property
+    def says_where(self) -> bool:
+        """Whether any mark says where the object is; one that says where not is none."""
+        marks = (self.positive, self.strokes, self.boxes, self.masks, self.added)
+        return any(marks)
+
+    def marks_on(self, view: int) -> Marks:
+        """Clicks, strokes and box of one view."""
+        drawn = [places for on, places in self.strokes if on == view]
+        return Marks(
+            positive=_places(self.positive, view),
+            negative=_places(self.negative, view),
+            box=self.boxes.get(view),
+            stroke=tuple((x, y) for places in drawn for x, y in places),
+        )
+
     @property
     def views(self) -> tuple[int, ...]:
         """Views that carry any mark, in the order in which they say where the object is."""
+        drawn = [stroke[0] for stroke in self.strokes]
         clicked = [place[0] for place in (*self.positive, *self.negative)]
-        return tuple(
-            dict.fromkeys(
-                (*self.masks, *self.boxes, *self.added, *clicked, *self.removed)
-            )
-        )
+        said = (*self.masks, *self.boxes, *self.added, *drawn, *clicked, *self.removed)
+        return tuple(dict.fromkeys(said))
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One thing that clicks, strokes, a box or words may mean."""
+
+    view: int
+    mask: Float[Tensor, "height width"]  # soft, in [0, 1], on that view
+    score: float  # in [0, 1]: how likely it is what is meant
+    number: int  # of `Selection.reading` and of the flag --reading
 
 
 @dataclass(frozen=True)
@@ -121,6 +163,15 @@ class Selected:
         str, ...
     ] = ()  # sentences for the user, also sent to `edit3r.contract.reporting`
     surety: float | None = None  # of what words named, in [0, 1]
+    # what else may be meant: the most likely first, the one that was taken among them
+    readings: tuple[Reading, ...] = ()
+    taken: int = 1  # the number of that one
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether it was marked, or found by its name surely enough."""
+        guessed = "guess" in self.how
+        return not guessed and (self.surety is None or self.surety >= SURE)
 
 
 def select_masks(
@@ -134,19 +185,20 @@ def select_masks(
 
     `geometry` (batch 1) and `intrinsics` are those of the same views; without them masks are
     carried by pictures alone. Raises InputError for marks outside the photos, and for words that
-    `segmenter` cannot look up unless `selection.guess` allows a guess.
+    `segmenter` does not know or find, unless `selection.guess` allows a guess; with
+    `selection.sure` also for what words found unsurely.
     """
     _check(selection, len(images))
     work = _Work(images, selection, segmenter, geometry, intrinsics)
-    if not (
-        selection.positive or selection.boxes or selection.masks or selection.added
-    ):
+    if not selection.says_where:
         work.look_up(selection.views[0] if selection.views else 0)
     for view in selection.views:
         work.mark(view)
     for view in range(len(images)):
         if view not in work.masks:
             work.carry(view)
+    for view in range(len(images)):
+        work.obey(view)
     how = tuple(work.how[view] for view in range(len(images)))
     masks = torch.stack([work.masks[view] for view in range(len(images))])[:, None]
     note(
@@ -164,7 +216,14 @@ def select_masks(
         masks = (1 - masks) * shown(masks)
     for text in work.warnings:
         warn(text)
-    return Selected(masks, how, tuple(work.warnings), work.surety)
+    return Selected(
+        masks,
+        how,
+        tuple(work.warnings),
+        work.surety,
+        tuple(work.readings),
+        selection.reading,
+    )
 
 
 def shown(masks: Float[Tensor, "view *_ height width"]) -> Tensor:
@@ -186,17 +245,6 @@ def grown(
     move = cv2.dilate if pixels > 0 else cv2.erode
     moved = [move(mask.numpy(force=True), disc) for mask in masks[:, 0]]
     return torch.from_numpy(np.stack(moved))[:, None].to(masks)
-
-
-def geometry_of(matcher: Matcher | None, views: Views) -> MatchedGeometry | None:
-    """What `matcher` reads from the photos; None without one, for a single photo, and, said so,
-    where it fails.
-    """
-    try:
-        return None if matcher is None or views.count < 2 else matcher.match(views)
-    except MatchingError as error:
-        warn(f"masks are carried by what the photos show, not by geometry: {error}")
-        return None
 
 
 def _numbers_of(value: Any, meaning: str, count: int) -> tuple[Any, ...]:
@@ -244,6 +292,7 @@ class _Work:
         ] = {}  # by view of the mask and direction
         self.warnings: list[str] = []
         self.surety: float | None = None  # of what the words named
+        self.readings: list[Reading] = []
 
     def look_up(self, view: int) -> None:
         """The mask of what the words name, or of what stands out where a guess is allowed."""
@@ -269,22 +318,69 @@ class _Work:
         )
 
     def _take_named(self, view: int, found: tuple[Proposal, ...]) -> None:
-        """The mask of those of `found` that are meant. Raises InputError for an unsure one."""
+        """The mask of those of `found` that are meant. Raises InputError for an unsure one where
+        only sure ones may be taken.
+        """
         words, which = self.selection.words, self.selection.which
         picked = pick(found, which, self.images[view])
         self.surety = min(proposal.surety for proposal in picked)
-        sure = f"{self.surety:.0%} sure"
-        if self.surety < SURE and not self.selection.guess:
-            named = " ".join((*which, words)).strip()
+        named = " ".join((*which, words)).strip()
+        if self.surety < SURE and self.selection.sure:
             raise InputError(
-                f"{named!r} was found on photo {view + 1}, but it may be something else ({sure}, "
-                f"{SURE:.0%} are needed); {ASK}, or add --guess to take what was found (--preview "
-                "shows it)."
+                f"{named!r} was found on photo {view + 1}, but it may be something else "
+                f"({self.surety:.0%} sure, {SURE:.0%} are needed); {ASK}, or leave out --sure to "
+                "take it."
             )
-        if self.surety < 1:
-            say("selection.words", f"{' '.join((*which, words))}: found, {sure}")
         masks = [self._stepped(view, proposal) for proposal in picked]
-        self._keep(view, torch.stack(masks).amax(0), "words")
+        mask = torch.stack(masks).amax(0)
+        if self.surety < SURE and not self.selection.larger:
+            mask = self._read_among(view, self._readings_of_words(view, picked, found))
+            self._tell_doubt(view, named)
+        elif self.surety < 1:
+            say("selection.words", f"{named}: found, {self.surety:.0%} sure")
+        self._keep(view, mask, "words")
+
+    def _tell_doubt(self, view: int, named: str) -> None:
+        others = [one.number for one in self.readings]
+        others.remove(min(self.selection.reading, len(others)))
+        flags = " or ".join(f"--reading {number}" for number in others)
+        self.warnings.append(
+            f"{named!r} was found on photo {view + 1}, but is {self.surety:.0%} sure only: look at "
+            f"its outline. To correct it{f', take {flags}, or' if flags else ':'} {ASK}."
+        )
+
+    def _readings_of_words(
+        self, view: int, picked: tuple[Proposal, ...], found: tuple[Proposal, ...]
+    ) -> list[tuple[Tensor, float]]:
+        """What unsure words may mean: what was picked, others of that name, more or less of it."""
+        masks = [torch.stack([one.soft_mask for one in picked]).amax(0)]
+        scores = [min(one.surety for one in picked)]
+        height, width = self.images.shape[-2:]
+        x, y, across, down = picked[0].box
+        others = list(found)
+        if across and down:
+            box = (x / width, y / height, across / width, down / height)
+            asked = Marks(box=box, relief=self._relief(view))
+            boxed = self.segmenter.readings(self.images[view], asked)
+            others += [replace(one, surety=one.surety * scores[0]) for one in boxed]
+        for one in others:
+            if all(_overlap(one.soft_mask, mask) < SAME_READING for mask in masks):
+                masks.append(one.soft_mask)
+                scores.append(one.surety)
+        return list(zip(masks, scores))[:MAX_READINGS]
+
+    def _read_among(self, view: int, options: list[tuple[Tensor, float]]) -> Tensor:
+        """The reading of that number among all, which are kept; the last where it has none."""
+        self.readings = [
+            Reading(view, mask, float(score), number)
+            for number, (mask, score) in enumerate(options, 1)
+        ]
+        wanted = self.selection.reading
+        if wanted > len(options):
+            self.warnings.append(
+                f"--reading {wanted}: there are {len(options)}; the last one is taken."
+            )
+        return options[min(wanted, len(options)) - 1][0]
 
     def _stepped(self, view: int, proposal: Proposal) -> Float[Tensor, "height width"]:
         """The mask of a named thing; a larger or smaller reading of its box where that is asked."""
@@ -330,14 +426,13 @@ class _Work:
                 and view not in chosen.boxes
                 and bool((prior > 0.5).any())
             )
-            marks = Marks(
-                positive=_places(chosen.positive, view),
-                negative=_places(chosen.negative, view),
-                box=chosen.boxes.get(view),
+            marks = replace(
+                chosen.marks_on(view),
                 prior=prior if expected else None,
                 larger=chosen.larger,
+                relief=self._relief(view),
             )
-            if marks.positive or marks.box is not None or (marks.negative and expected):
+            if marks.inside or marks.box is not None or (marks.negative and expected):
                 self._keep(view, self._described(view, marks), "marked")
             elif view in chosen.added or expected:  # what is painted is taken exactly
                 self._keep(
@@ -349,14 +444,41 @@ class _Work:
                 raise InputError(
                     f"photo {view + 1} is only told what is not the object; {ASK} on it."
                 )
+        self._paint(view)
+
+    def _paint(self, view: int) -> None:
+        """Brush and eraser are taken as they are."""
+        mask, chosen = self.masks[view], self.selection
         if view in chosen.added:
-            self.masks[view] = torch.maximum(
-                self.masks[view], chosen.added[view].to(self.masks[view])
-            )
+            mask = torch.maximum(mask, chosen.added[view].to(mask))
         if view in chosen.removed:
-            self.masks[view] = self.masks[view] * (
-                1 - chosen.removed[view].to(self.masks[view])
+            mask = mask * (1 - chosen.removed[view].to(mask))
+        self.masks[view] = mask
+
+    def obey(self, view: int) -> None:
+        """Hold the mask of a view to all points that it shows, its own last."""
+        points: list[Point] = []
+        for source in self.selection.views:
+            marks = points_of(self.selection.marks_on(source))
+            if source == view or self.geometry is None or self.intrinsics is None:
+                continue
+            if marks:
+                points += seen_elsewhere(
+                    marks, self.geometry, self.intrinsics, (source, view)
+                )
+        points += points_of(self.selection.marks_on(view))
+        if points:
+            self.masks[view] = obeyed(
+                self.images[view], self.masks[view], points, self.segmenter
             )
+            self._paint(view)
+
+    def _relief(self, view: int) -> Relief | None:
+        """What is known of a view's depth."""
+        geometry = self.geometry
+        if geometry is None or not geometry.registered[0, view]:
+            return None
+        return Relief(geometry.depths[0, view], geometry.confidence[0, view] >= 0.5)
 
     def _described(self, view: int, marks: Marks) -> Float[Tensor, "height width"]:
         """The object that marks describe.
@@ -364,17 +486,29 @@ class _Work:
         A click says where, and words say how far: a click on a wheel beside the word "bike" means
         the bike.
         """
-        found = self.segmenter.segment_marks(self.images[view], marks).soft_mask
+        found = self._likely(view, marks)
         named = self._named_at(view, marks)
         if named is None or _overlap(found, named) >= SAME_THING:
             return found
         say("selection.clicked", f"what is clicked on is {self.selection.words}")
-        places = (*marks.positive, *marks.negative)
-        inside = [bool(_at(named, place) > 0.5) for place in places]
-        if inside == [True] * len(marks.positive) + [False] * len(marks.negative):
+        self.readings = []
+        points = points_of(marks)
+        inside = [bool(_at(named, point.place) > 0.5) for point in points]
+        if inside == [point.wanted for point in points]:
             return named
         marks = replace(marks, prior=named)
         return self.segmenter.segment_marks(self.images[view], marks).soft_mask
+
+    def _likely(self, view: int, marks: Marks) -> Float[Tensor, "height width"]:
+        """The reading of the marks that is asked for."""
+        image = self.images[view]
+        if marks.larger or marks.prior is not None:
+            return self.segmenter.segment_marks(image, marks).soft_mask
+        found = self.segmenter.readings(image, marks)
+        if self.readings:  # another view was marked before, and says which
+            return found[0].soft_mask
+        options = [(one.soft_mask, one.surety) for one in found[:MAX_READINGS]]
+        return self._read_among(view, options)
 
     def _named_at(
         self, view: int, marks: Marks
@@ -384,6 +518,7 @@ class _Work:
         """
         words = self.selection.words
         more = marks.box is not None or marks.prior is not None or marks.larger != 0
+        more = more or self.selection.reading > 1
         if not words or not marks.positive or more:
             return None
         for one in self.segmenter.segment_text(self.images[view], words) or ():

@@ -1,7 +1,7 @@
 """The steps of a run. Each takes what is known of the scene and returns it with more filled in.
 
-    read --> select --> edit --> reconstruct --> refine --> judge
-    photos   masks      edited    Gaussians      Gaussians   verdicts
+    read --> locate ---> select --> edit --> reconstruct --> refine --> judge
+    photos   geometry    masks      edited   Gaussians       Gaussians  verdicts
 
 `edit3r.running.loop` is the loop over them. `read` begins, with the job alone; the others get the
 components of the run as `Parts`. One file each, named after its step.

@@ -1,4 +1,4 @@
-"""Step 3: the 2D edit of the views, held to the masks, and what can be said of it."""
+"""Step 4: the 2D edit of the views, held to the masks, and what can be said of it."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Step 6: the scene seen from the photos' places, and the verdicts on scene and edit."""
+"""Step 7: the scene seen from the photos' places, and the verdicts on scene and edit."""
 
 from dataclasses import replace
 

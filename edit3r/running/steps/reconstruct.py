@@ -1,4 +1,4 @@
-"""Step 4: Gaussians and cameras of the edited views, and the scene before the edit."""
+"""Step 5: Gaussians and cameras of the edited views, and the scene before the edit."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,7 +8,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.component import component_name
-from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import ComparesWithBefore, EditsViews, Reconstructor
 from edit3r.contract.reporting import note, say, stage, warn
 from edit3r.contract.types import Cameras, Reconstruction, Views
@@ -62,11 +61,10 @@ def _tell_of_turned(photos: Views, cameras: Cameras) -> None:
 
 def _with_light(scene: Scene, parts: Parts) -> Scene:
     """The scene with the photos' light, where a matcher can tell what they share."""
-    if parts.config.light == "own" or parts.matcher is None or scene.photos.count < 2:
+    if parts.config.light == "own":
         return scene
-    try:
-        geometry = parts.matcher.match(scene.photos)
-    except MatchingError:  # told by the reconstructor, if it needs what was not found
+    geometry = parts.located(scene.photos).geometry
+    if geometry is None:  # told by the reconstructor, if it needs what was not found
         return scene
     light = estimate_light(scene.photos, geometry)
     if light is not None:

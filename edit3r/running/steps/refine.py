@@ -1,4 +1,4 @@
-"""Step 5: what the refiners make of the Gaussians."""
+"""Step 6: what the refiners make of the Gaussians."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Step 2: which views are used, and which of their pixels may change."""
+"""Step 3: which views are used, and which of their pixels may change."""
 
 from dataclasses import replace
 
@@ -8,27 +8,32 @@ from torch import Tensor
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import EditsRegions, Reconstructor
+from edit3r.contract.interfaces import EditsRegions, MatchedGeometry, Reconstructor
 from edit3r.contract.reporting import stage, warn
 from edit3r.contract.types import Views
 from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.parts import Parts
 from edit3r.running.scene import Scene
+from edit3r.running.selecting.geometry import Located, of_scene
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.regions import RegionFinder
-from edit3r.running.selecting.select import Selection, geometry_of
+from edit3r.running.selecting.select import Selection
 
 
 @torch.no_grad()
 def select(scene: Scene, parts: Parts) -> Scene:
     """Which views are used, and which of their pixels may change."""
-    with stage("load components"):
-        scene, reconstructor = scene.to(parts.config.device), parts.reconstructor
-        _require_enough(scene.start, reconstructor)
     with stage("select"):
         scene = _widened(_with_regions(scene, parts), parts)
-        return _as_many_as_fit(scene, reconstructor)
+        return _as_many_as_fit(scene, parts.reconstructor)
+
+
+def load(scene: Scene, parts: Parts) -> Scene:
+    """The scene on the run's device, once its reconstructor takes so few photos."""
+    with stage("load components"):
+        _require_enough(scene.start, parts.reconstructor)
+        return scene.to(parts.config.device)
 
 
 def _require_enough(views: Views, reconstructor: Reconstructor) -> None:
@@ -73,7 +78,7 @@ def _with_regions(scene: Scene, parts: Parts) -> Scene:
     if scene.marked is None and not regional and not named:
         return scene
     found = [
-        _finder(views.scene(index), scene, parts).find(wishes or (MARKED,))
+        _finder(index, scene, parts).find(wishes or (MARKED,))
         for index in range(len(views.images))
     ]
     regions = torch.stack([one.masks for one in found], dim=1)
@@ -120,18 +125,27 @@ MARKED = Wish("other", Thing("marked"))
 """The wish of a sentence that could not be read, or of none."""
 
 
-def _finder(views: Views, scene: Scene, parts: Parts) -> RegionFinder:
+def _finder(index: int, scene: Scene, parts: Parts) -> RegionFinder:
+    """Finds things in one scene of the batch."""
     config = parts.config
     return RegionFinder(
-        views,
+        scene.start.scene(index),
         segmenter=lambda: parts.segmenter,
-        geometry=lambda: geometry_of(parts.matcher, views),
+        geometry=lambda: _geometry_of(parts.located(scene.photos), index),
         marked=scene.marked,
         defaults=Selection(
             guess=config.guess,
+            sure=config.sure,
+            reading=config.reading,
             larger=config.larger,
             grow=config.grow,
             inverted=config.invert,
         ),
         known=scene.things,
     )
+
+
+def _geometry_of(located: Located, index: int) -> MatchedGeometry | None:
+    """What is known of one scene of a batch, where it can be trusted."""
+    geometry = located.told()
+    return None if geometry is None else of_scene(geometry, index)

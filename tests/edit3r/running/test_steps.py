@@ -457,3 +457,20 @@ def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_one
     ).images
     assert torch.equal(one.rendered.images, one.scene.light.to_own(drawn))
     assert own.scene.light is None
+
+
+def test_geometry_of_the_unedited_photos_is_found_once_and_before_the_edit():
+    scene = photograph(2, (48, 64))
+    asked = []
+
+    class Listening(Matched):
+        def match(self, views):
+            asked.append(views.images)
+            return super().match(views)
+
+    result = run(scene.views, "x", editor=Invert(), recon=Listening(scene), **PLAIN)
+    assert len(asked) == 1 and torch.equal(asked[0], scene.views.images)
+    names = [stage.name for stage in result.report.stages]
+    assert (
+        names.index("geometry") < names.index("select") < names.index("edit (Invert)")
+    )

@@ -11,14 +11,18 @@ import torch
 
 import edit3r
 from edit3r.cli.main import main
-from edit3r.contract.interfaces import Reconstructor
-from edit3r.contract.reporting import warn
+from edit3r.contract.errors import InputError
+from edit3r.contract.interfaces import Reconstructor, Segmenter, Tracks, as_proposal
+from edit3r.contract.reporting import Report, warn
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.images import save_image
+from edit3r.running import write
 from edit3r.running.config import OUTPUTS, make_run_config
 from edit3r.running.earlier import read_earlier_run
+from edit3r.running.selecting.select import Selection
 from edit3r.running.summary import summary
+from edit3r_testing.scenes import photograph
 
 ALL = {
     "scene": {"scene.ply", "cameras.json"},
@@ -220,3 +224,53 @@ def test_python_m_edit3r_is_the_command():
         check=True,
     )
     assert done.stdout == f"edit3r {edit3r.__version__}\n"
+
+
+class Doubting(Segmenter):
+    """Finds a bear in the middle, 30 % sure; another one lies beside it."""
+
+    def propose(self, image):
+        return ()
+
+    def segment(self, image, points=(), box=None):
+        return as_proposal(self._square(image, 0.5))
+
+    def segment_text(self, image, text):
+        found = [as_proposal(self._square(image, left)) for left in (0.3, 0.6)]
+        return tuple(replace(one, surety=0.3) for one in found)
+
+    def track(self, images, masks):
+        return Tracks(
+            masks[None].expand(len(images), -1, -1, -1) * 8 - 4,
+            torch.ones(len(images), len(masks), dtype=torch.bool),
+        )
+
+    def _square(self, image, left):
+        mask = torch.zeros_like(image[0])
+        height, width = mask.shape
+        column = round(left * width)
+        mask[height // 4 : height // 2, column : column + width // 4] = 1
+        return mask
+
+
+def test_what_was_found_unsurely_is_edited_called_doubtful_and_shown_with_its_readings():
+    views = photograph(2, (48, 64)).views
+    views = replace(views, names=("a", "b"))
+    asked = {"segmenter": Doubting(), "recon": Wall(), "refine": 0, "gaussians": "all"}
+    report = Report()
+    doubtful = edit3r.run(views, "paint the bear red", report=report, **asked)
+    assert doubtful.edit_verdict.label == "doubtful"
+    assert any(
+        "'bear' was found" in text and "--reading 2" in text for text in report.warnings
+    )
+    sheet = write._sheet(doubtful)
+    second = edit3r.run(
+        views, "paint the bear red", reading=2, report=Report(), **asked
+    )
+    left, right = (one.scene.masks[0, 0].argmax(1).max() for one in (doubtful, second))
+    assert left < right  # the other bear
+    marked = Selection(masks=dict(enumerate(doubtful.scene.masks[0])))
+    plain = edit3r.run(views, "paint it red", masks=marked, report=Report(), **asked)
+    assert sheet.height > write._sheet(plain).height + 40  # readings below
+    with pytest.raises(InputError, match="--sure"):
+        edit3r.run(views, "paint the bear red", sure=True, report=Report(), **asked)

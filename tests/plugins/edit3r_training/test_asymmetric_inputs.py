@@ -7,7 +7,7 @@ from edit3r_training.asymmetric_inputs import REGIMES, RegimeShares, edit_sample
 from edit3r_training.batches import make_batch
 from edit3r_training.procedural_dataset import ProceduralDataset
 
-from edit3r.errors import SettingsError
+from edit3r.contract.errors import SettingsError
 
 SAMPLE = ProceduralDataset(ProceduralDataset.Settings(image_size=48, scenes=2))[1]
 

@@ -24,7 +24,9 @@ def read(photos, *words):
     parser = argparse.ArgumentParser()
     add_mark_flags(parser)
     args = parser.parse_args(words)
-    texts = MarkTexts(args.point, args.not_point, args.box, args.mask)
+    texts = MarkTexts(
+        args.point, args.not_point, args.box, args.mask, strokes=tuple(args.stroke)
+    )
     return texts.read(photos) if texts.given else None
 
 
@@ -44,6 +46,15 @@ def test_a_number_names_the_photo(photos):
     )
     assert marked.positive == ((1, 0.25, 0.5),) and marked.negative == ((0, 0.1, 0.1),)
     assert marked.boxes[1] == pytest.approx((0.1, 0.1, 0.5, 0.5))
+
+
+def test_a_stroke_is_a_line_of_places(photos):
+    marked = read(photos, "--stroke", "2:20,30,40,30,60,15")
+    assert marked.strokes == ((1, ((0.25, 0.5), (0.5, 0.5), (0.75, 0.25))),)
+    assert marked.views == (1,) and marked.says_where
+    for wrong in ("20", "20,30", "20,30,40", "0.1,0.1,90,90", "a,b,c,d"):
+        with pytest.raises(InputError, match="--stroke"):
+            read(photos, "--stroke", wrong)
 
 
 def test_one_mask_belongs_to_the_photo_in_its_name_else_to_the_first(photos, tmp_path):

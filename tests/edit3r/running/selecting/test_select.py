@@ -231,17 +231,28 @@ class Unsure(Squares):
         return (replace(self._proposal(square(2, 2)), surety=0.3),)
 
     def segment_marks(self, image, marks):
-        assert marks.box is not None and marks.larger == 2
-        return self._proposal(square(1, 1))
+        assert marks.box is not None and marks.larger in (0, 2)
+        return self._proposal(square(1, 1, 12 if not marks.larger else 6))
 
 
-def test_what_words_found_unsurely_is_taken_only_when_a_guess_is_allowed():
-    words = Selection(words="box")
-    with pytest.raises(InputError, match=r"30% sure.*--guess"):
-        select_masks(IMAGES, words, Unsure())
-    found = select_masks(IMAGES, replace(words, guess=True), Unsure())
-    assert found.how[0] == "words" and found.surety == 0.3
+def test_what_words_found_unsurely_is_taken_and_told_with_other_readings():
+    found = select_masks(IMAGES, Selection(words="box"), Unsure())
+    assert found.how[0] == "words" and found.surety == 0.3 and not found.is_sure
     assert (inside(found, 0) == square(2, 2).bool()).all()
+    assert "30% sure only" in found.warnings[0] and "--reading 2" in found.warnings[0]
+    second = select_masks(IMAGES, Selection(words="box", reading=2), Unsure())
+    assert (inside(second, 0) == square(1, 1, 12).bool()).all()
+    assert [one.number for one in second.readings] == [1, 2]
+
+
+def test_what_words_found_unsurely_is_refused_where_only_sure_things_may_be_taken():
+    with pytest.raises(InputError, match=r"30% sure.*--sure"):
+        select_masks(IMAGES, Selection(words="box", sure=True), Unsure())
+
+
+def test_a_reading_that_is_not_there_is_told_and_the_last_one_taken():
+    found = select_masks(IMAGES, Selection(words="box", reading=7), Unsure())
+    assert any("--reading 7: there are 2" in text for text in found.warnings)
 
 
 class Whole(Squares):
@@ -315,7 +326,7 @@ def test_steps_to_a_larger_reading_reach_the_segmenter_with_the_click():
 
     click = Selection(positive=((0, 0.25, 0.5),), larger=-1)
     select_masks(IMAGES[:1], click, Listening())
-    assert asked == [-1]
+    assert asked[0] == -1
 
 
 @pytest.mark.parametrize(

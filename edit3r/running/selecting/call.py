@@ -1,0 +1,112 @@
+"""The call from Python that selects a thing on all photos: `edit3r.select`."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.interfaces import Matcher, Segmenter
+from edit3r.contract.settings import PartChoice
+from edit3r.contract.types import Views
+from edit3r.kit.cache import Cache, using
+from edit3r.kit.photos.images import load_photos
+from edit3r.loading.registry import default_registry
+from edit3r.running.config import DEFAULTS
+from edit3r.running.selecting.geometry import default_matcher, geometry_of, of_scene
+from edit3r.running.selecting.select import Reading, Selected, Selection, select_masks
+
+Files = str | Path | Sequence[str | Path]
+
+
+@dataclass(frozen=True, eq=False)
+class Selecting:
+    """What was selected on photos; of a batch, readings and sureties are the first scene's."""
+
+    views: Views  # the photos
+    masks: Float[Tensor, "batch view height width"]  # soft, in [0, 1]
+    readings: tuple[Reading, ...]  # what may be meant, smallest first
+    surety: float | None  # of what words named, in [0, 1]; None: it was marked
+    is_sure: bool
+    why: str  # how it was found on each photo, in one sentence
+    how: tuple[str, ...]  # the same as one word for each photo
+    warnings: tuple[str, ...] = ()
+
+
+def select(
+    photos: Views | Files,
+    selection: Selection,
+    *,
+    segmenter: str | Mapping[str, Any] | PartChoice | Segmenter | None = None,
+    cache: Cache | None = None,
+) -> Selecting:
+    """Find what a selection means on all photos, as a run with default settings does.
+
+    Geometry of the photos and answers of networks are kept in `cache`, so that a further click, or
+    a run with the same cache, need not find them again.
+
+    Raises:
+        InputError: For marks outside the photos, and for words that nobody knows or finds.
+    """
+    matcher = default_matcher(default_registry())
+    with using(cache or Cache()), torch.no_grad():
+        return select_with(photos, selection, _built(segmenter), matcher)
+
+
+def select_with(
+    photos: Views | Files,
+    selection: Selection,
+    segmenter: Segmenter,
+    matcher: Matcher | None,
+) -> Selecting:
+    """The same with built parts, by the cache of the current run."""
+    views = photos if isinstance(photos, Views) else _loaded(photos)
+    geometry = geometry_of(matcher, views)
+    scenes = [
+        select_masks(
+            images,
+            selection,
+            segmenter,
+            None if geometry is None else of_scene(geometry, index),
+            views.intrinsics[index : index + 1],
+        )
+        for index, images in enumerate(views.images)
+    ]
+    first = scenes[0]
+    return Selecting(
+        views,
+        torch.stack([one.masks[:, 0] for one in scenes]),
+        tuple(sorted(first.readings, key=lambda one: float((one.mask > 0.5).sum()))),
+        first.surety,
+        first.is_sure,
+        _why(views, first),
+        first.how,
+        first.warnings,
+    )
+
+
+def _why(views: Views, found: Selected) -> str:
+    names = views.names or tuple(str(view + 1) for view in range(views.count))
+    listed = ", ".join(f"{name}: {how}" for name, how in zip(names, found.how))
+    if found.surety is None:
+        return listed
+    return f"{listed}; {found.surety:.0%} sure that it is what the words mean"
+
+
+def _built(choice: Any) -> Segmenter:
+    if isinstance(choice, Segmenter):
+        return choice
+    if isinstance(choice, Mapping):
+        settings = {key: value for key, value in choice.items() if key != "name"}
+        choice = PartChoice(name=choice["name"], settings=settings)
+    if not isinstance(choice, PartChoice):
+        choice = PartChoice(name=choice or DEFAULTS["segmenter"])
+    return default_registry().build_choice("segmenter", choice)
+
+
+def _loaded(files: Files) -> Views:
+    files = [files] if isinstance(files, str | Path) else list(files)
+    return load_photos(files).views

@@ -1,0 +1,103 @@
+"""Poses and depth of the unedited photos: found once, before anything is selected, and shared."""
+
+from dataclasses import dataclass, replace
+from itertools import permutations
+
+from edit3r.contract.errors import MatchingError
+from edit3r.contract.interfaces import MatchedGeometry, Matcher
+from edit3r.contract.reporting import warn
+from edit3r.contract.types import Views
+from edit3r.kit.geometry.cameras import pixel_grid, project, unproject
+from edit3r.loading.registry import Registry
+from edit3r.running.config import RunConfig
+
+MIN_MOTION = 0.004
+"""How far measured points must move from photo to photo for depth to mean anything [long sides]."""
+STOOD_STILL = (
+    "the photos were taken from nearly the same place, so nothing tells near from far; move "
+    "aside between photos"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """What a matcher found of the photos, and why it is not to be selected by, if so."""
+
+    geometry: MatchedGeometry | None  # None: nobody looked, or it could not be found
+    problem: str = ""  # a clause; "": the geometry can be trusted
+
+    def told(self) -> MatchedGeometry | None:
+        """The geometry where it can be trusted; where it cannot, the user is told."""
+        if self.problem:
+            warn(f"selecting goes by what the photos show alone: {self.problem}")
+            return None
+        return self.geometry
+
+
+def locate(matcher: Matcher | None, views: Views) -> Located:
+    """What `matcher` reads from unedited photos; nothing without one, or for a single photo."""
+    if matcher is None or views.count < 2:
+        return Located(None)
+    try:
+        geometry = matcher.match(views)
+    except MatchingError as error:
+        return Located(None, str(error))
+    return Located(geometry, "" if _has_depth(geometry, views) else STOOD_STILL)
+
+
+def default_matcher(registry: Registry) -> Matcher | None:
+    """The matcher of the reconstructor that a run takes unasked, so that both find the same."""
+    choice = RunConfig.model_fields["reconstructor"].default
+    reconstructor = registry.build_choice("reconstructor", choice)
+    return getattr(reconstructor, "parts", {}).get("matcher")
+
+
+def _has_depth(geometry: MatchedGeometry, views: Views) -> bool:
+    """Whether, in every scene, photos were taken from places that lie apart.
+
+    Where a camera stood still and somebody moved, poses are read from what moved: nearly all else
+    is measured, and lies where it lay, at any depth.
+    """
+    return all(
+        any(
+            _motion(of_scene(geometry, scene), views.scene(scene), *pair) > MIN_MOTION
+            for pair in permutations(range(views.count), 2)
+            if geometry.registered[scene, list(pair)].all()
+        )
+        for scene in range(len(views.images))
+    )
+
+
+def _motion(geometry: MatchedGeometry, views: Views, view: int, other: int) -> float:
+    """How far the middle one of all measured points of `view` lies elsewhere in `other`."""
+    lens = geometry.calibrated(views).intrinsics
+    measured = geometry.confidence[0, view] >= 0.5
+    if not measured.any():
+        return 0.0
+    depths = geometry.depths[0, view]
+    points = unproject(depths, lens[0, view], geometry.c2w[0, view])[measured]
+    there, _ = project(points, lens[0, other], geometry.c2w[0, other])
+    height, width = depths.shape
+    away = (there - pixel_grid((height, width), like=depths)[measured]).abs()
+    return float((away * away.new_tensor([width, height])).norm(dim=1).median()) / max(
+        height, width
+    )
+
+
+def geometry_of(matcher: Matcher | None, views: Views) -> MatchedGeometry | None:
+    """The geometry of the photos to select by; None, and said so, where it cannot be trusted."""
+    return locate(matcher, views).told()
+
+
+def of_scene(geometry: MatchedGeometry, index: int) -> MatchedGeometry:
+    """The geometry of one scene of a batch, as a batch of one."""
+    one = slice(index, index + 1)
+    lens = geometry.intrinsics
+    return replace(
+        geometry,
+        c2w=geometry.c2w[one],
+        depths=geometry.depths[one],
+        confidence=geometry.confidence[one],
+        registered=geometry.registered[one],
+        intrinsics=None if lens is None else lens[one],
+    )

@@ -1,0 +1,42 @@
+"""`edit3r.select`: masks of all photos from marks on one, without a run."""
+
+import torch
+
+import edit3r
+from edit3r.running.selecting.select import Selection
+from edit3r_testing.scenes import photograph
+
+
+def test_masks_of_all_photos_come_at_their_size_with_readings_in_order_of_size():
+    views = photograph(2, (48, 64)).views
+    click = Selection(positive=((0, 0.3, 0.55),))
+    found = edit3r.select(
+        views, click, segmenter={"name": "classical", "learned": False}
+    )
+    assert found.masks.shape == (1, 2, 48, 64)
+    assert found.is_sure and found.surety is None and "marked" in found.why
+    areas = [float((one.mask > 0.5).sum()) for one in found.readings]
+    assert areas == sorted(areas) and {one.number for one in found.readings} >= {1}
+    assert abs(sum(one.score for one in found.readings)) <= 1.001
+
+
+def test_a_number_chooses_among_the_readings():
+    views = photograph(2, (48, 64)).views
+    asked = {"positive": ((0, 0.3, 0.55),)}
+    chosen = {"name": "classical", "learned": False}
+    found = edit3r.select(views, Selection(**asked), segmenter=chosen)
+    by_number = {one.number: one.mask for one in found.readings}
+    for number, mask in by_number.items():
+        again = edit3r.select(
+            views, Selection(**asked, reading=number), segmenter=chosen
+        )
+        assert torch.equal(again.masks[0, 0] > 0.5, mask > 0.5)
+
+
+def test_what_one_call_found_is_kept_for_the_next():
+    views = photograph(2, (48, 64)).views
+    cache = edit3r.Cache()
+    for _ in range(2):
+        edit3r.select(views, Selection(positive=((0, 0.3, 0.55),)), cache=cache)
+    computed = cache.computed.count("match")
+    assert computed <= 1 and cache.reused.count("match") == computed

@@ -1,0 +1,59 @@
+"""Geometry of the unedited photos is found once, and not believed where it says nothing."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from edit3r.contract.errors import MatchingError
+from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.running.selecting.geometry import geometry_of, locate, of_scene
+from edit3r_testing.scenes import photograph
+
+SCENE = photograph(3, (48, 64), batch=2)
+
+
+def true_geometry(scene=SCENE):
+    placed = torch.ones(scene.depths.shape[:2], dtype=torch.bool)
+    sure = torch.ones_like(scene.depths)
+    return MatchedGeometry(scene.cameras.c2w, scene.depths, sure, placed)
+
+
+class Knows:
+    """A matcher that knows the answer, or that there is none."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def match(self, views):
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+
+def test_what_a_matcher_finds_is_taken_where_the_photos_lie_apart():
+    located = locate(Knows(true_geometry()), SCENE.views)
+    assert located.problem == "" and located.told() is located.geometry
+
+
+def test_a_camera_that_stood_still_tells_no_depth_however_much_was_measured():
+    true = true_geometry()
+    near = true.c2w.clone()
+    near[..., :3, 3] *= 0.01  # some thousandths of the distance
+    near[..., :3, :3] = torch.eye(3)
+    with pytest.warns(UserWarning, match="nearly the same place.*move aside"):
+        still = geometry_of(Knows(replace(true, c2w=near)), SCENE.views)
+    assert still is None
+
+
+def test_photos_that_cannot_be_placed_are_told_and_selected_without():
+    with pytest.warns(UserWarning, match="what the photos show alone: too few points"):
+        found = geometry_of(Knows(MatchingError("too few points")), SCENE.views)
+    assert found is None
+
+
+def test_one_scene_of_a_batch_keeps_its_own_geometry():
+    both = replace(true_geometry(), intrinsics=SCENE.views.intrinsics)
+    second = of_scene(both, 1)
+    assert torch.equal(second.depths, both.depths[1:])
+    assert second.intrinsics.shape[0] == len(second.c2w) == 1
