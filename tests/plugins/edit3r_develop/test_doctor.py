@@ -4,9 +4,9 @@ code.
 
 import pytest
 import torch
+from edit3r_develop import doctor
 from edit3r_develop.doctor import Finding
 
-from edit3r_develop import doctor
 from edit3r.cli.main import main
 from edit3r.contract.component import Component, Offer
 from edit3r.loading.load import LoadedPlugins, PluginFailure
