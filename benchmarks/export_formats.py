@@ -23,6 +23,15 @@ from edit3r.kit.geometry.harmonics import basis
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.rendering import render_each
 from edit3r.kit.scenes.export import FORMATS, export_scene, load_scene
+from edit3r.contract.interfaces import SceneToWrite
+from edit3r.contract.types import Gaussians
+from edit3r.kit.geometry.harmonics import basis
+from edit3r.kit.photos.cameras import read_scene_cameras
+from edit3r.kit.scenes.read import load_scene
+from edit3r.loading.registry import build
+from edit3r.running.rendering import render_each
+
+FORMATS = ("spz", "spz4", "sog", "splat", "compressed-ply", "glb", "ply")
 
 
 def main(folder: Path) -> None:
@@ -35,9 +44,10 @@ def main(folder: Path) -> None:
         "--: |"
     )
     with tempfile.TemporaryDirectory() as scratch:
-        for form, suffix in FORMATS.items():
-            file, start = Path(scratch) / f"scene{suffix}", _cpu()
-            export_scene(file, scene, form)
+        for form in FORMATS:
+            writer = build("writer", form)
+            file, start = Path(scratch) / writer.offer.component.file_name(), _cpu()
+            writer.write(file, SceneToWrite(scene))
             spent = _cpu() - start
             back = read_glb(file) if form == "glb" else load_scene(file)
             picture = render_each(rasterizer, back, cameras, "").images.clamp(0, 1)
@@ -71,7 +81,7 @@ def _errors(scene: Gaussians, back: Gaussians) -> tuple[float, float]:
 
 
 def read_glb(file: Path) -> Gaussians:
-    """The Gaussians of a GLB as `export_scene` writes it, turned back to the frame of view 0."""
+    """The Gaussians of a GLB as the writer leaves it, turned back to the frame of view 0."""
     content = file.read_bytes()
     length = struct.unpack_from("<I", content, 12)[0]
     tree, data = json.loads(content[20 : 20 + length]), content[28 + length :]

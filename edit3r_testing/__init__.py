@@ -31,6 +31,7 @@ from edit3r_testing.scenes import (
     photograph,
 )
 from edit3r_testing.training import DatasetContract, LossContract, TrainerContract
+from edit3r_testing.writing import WriterContract
 
 CONTRACTS: dict[str, type[Contract]] = {
     contract.kind: contract for contract in Contract.__subclasses__()

@@ -37,6 +37,7 @@ SETTINGS: dict[tuple[str, str], dict] = {
     },
     ("backbone", "asymmetric-vit"): SMALL_VIT,
     ("head", "dpt-gaussian"): SMALL_DPT,
+    ("writer", "mesh"): {"detail": 0.1},
     ("dataset", "procedural"): {"image_size": 32, "textures": 8, "edit": "recolor"},
 }
 """What makes a component quick enough for a test; its default settings otherwise."""

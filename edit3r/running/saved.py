@@ -45,7 +45,7 @@ class SavedScene:
     def for_writer(self, writer: Writer) -> SceneToWrite:
         """What the writer needs of the scene. Raises InputError for what is not there."""
         needed: dict[str, Any] = {name: getattr(self, name) for name in writer.needs}
-        if "cameras" in needed or "edited" in needed:
+        if "cameras" in needed:
             needed["names"] = self.names
         return SceneToWrite(
             **{"title": self.stem, **needed, "gaussians": self.gaussians}

@@ -32,7 +32,7 @@ _POINT = [
 class ColmapWriter(Writer):
     """COLMAP's binary model in `sparse/0`, with means of the scene as points without tracks."""
 
-    needs = ("cameras", "edited")
+    needs = ("cameras", "edited", "names")
 
     def write(self, path: Path, scene: SceneToWrite) -> None:
         assert scene.cameras is not None  # they are needed
@@ -43,7 +43,7 @@ class ColmapWriter(Writer):
 class NerfstudioWriter(Writer):
     """nerfstudio's `transforms.json`."""
 
-    needs = ("cameras", "edited")
+    needs = ("cameras", "edited", "names")
 
     def write(self, path: Path, scene: SceneToWrite) -> None:
         assert scene.cameras is not None  # they are needed

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from edit3r_outputs.video import save_video
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.kit.video import save_video
 
 SCRIPT = Path(__file__).parents[2] / "docs/gallery.py"
 spec = importlib.util.spec_from_file_location("docs_gallery", SCRIPT)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import edit3r
-from edit3r.kit.scenes.export import export_scene
+from edit3r.contract.interfaces import SceneToWrite
 
 
 def edit(folder: Path) -> str:
@@ -20,7 +20,8 @@ def edit(folder: Path) -> str:
     )
     again = edit3r.run(prompt="make it night", earlier=result, seed=1)
     result.compare(again).save(folder / "both.png")
-    export_scene(folder / "scene.spz", again.gaussians, "spz")
+    written = SceneToWrite(again.gaussians, again.cameras)
+    edit3r.build("writer", "spz").write(folder / "scene.spz", written)
     edit3r.save_ply(again.save(folder / "night") / "copy.ply", again.gaussians)
     first: edit3r.Cameras = again.cameras.select([0])
     shown = edit3r.build("rasterizer", "numba").render(again.gaussians, first)

@@ -27,6 +27,7 @@ from edit3r_training.checkpoint import TrainingState, copied_weights
 from mangling import TEXTS, json_bytes, mangled_bytes, mangled_text, nasty
 from PIL import Image
 
+from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.kit.cache import Cache
 from edit3r.kit.files.atomic import atomic_folder
@@ -43,11 +44,10 @@ from edit3r.kit.photos.coverage import take_frames
 from edit3r.kit.photos.images import load_photos, save_image, unique_names
 from edit3r.kit.photos.masks import load_masks
 from edit3r.kit.run_folder import recorded
-from edit3r.kit.scenes.export import FORMATS, export_scene, load_scene
 from edit3r.kit.scenes.ply import load_ply, save_ply
-from edit3r.kit.scenes.viewer import save_viewer
+from edit3r.kit.scenes.read import load_scene
 from edit3r.kit.weights.files import load_weights as load_trained
-from edit3r.loading.registry import default_registry
+from edit3r.loading.registry import build, default_registry
 from edit3r.running.config import make_run_config
 from edit3r.running.earlier import read_earlier_run
 
@@ -95,8 +95,10 @@ def make_originals(folder: Path) -> Originals:
         if importlib.util.find_spec("gaussforge")
         else ()
     ):
-        export_scene(folder / "exported", scene, form)
-        files[f"export{FORMATS[form]}"] = (folder / "exported").read_bytes()
+        writer = build("writer", form)
+        writer.write(folder / "exported", SceneToWrite(scene))
+        name = writer.offer.component.file_name("export")
+        files[name] = (folder / "exported").read_bytes()
     files["clip.mp4"] = _video(folder / "clip.mp4")
     files["mask.png"] = _png((x > 10).astype(np.uint8) * 255)
     write_cameras(folder / "cameras.json", posed_cameras(cameras, ["a.png", "b.png"]))
@@ -182,7 +184,8 @@ def cameras(rng, folder, given):
         views.c2w is None or torch.isfinite(views.c2w).all()
     )
     scene, _ = read_scene_cameras(file)
-    save_viewer(folder / "viewer.html", _scene(), scene)
+    page = SceneToWrite(_scene(), scene)
+    build("writer", "viewer").write(folder / "viewer.html", page)
 
 
 def yaml_files(rng, folder, given):
@@ -427,9 +430,8 @@ def prompts(rng, folder, given):
     prompt = make_run_config({"prompt": text}).prompt
     save_ply(folder / "scene.ply", _scene(), comment_lines=[f"prompt: {prompt}"])
     _sound(load_ply(folder / "scene.ply"))
-    save_viewer(
-        folder / "viewer.html", _scene(), _cameras(), title=prompt, names=[prompt, "b"]
-    )
+    scene = SceneToWrite(_scene(), _cameras(), title=prompt, names=(prompt, "b"))
+    build("writer", "viewer").write(folder / "viewer.html", scene)
     page = (folder / "viewer.html").read_text(encoding="utf-8")
     meta = page.partition('<script id="meta" type="application/json">')[2].partition(
         "</script>"

@@ -19,6 +19,7 @@ from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.images import save_image
 from edit3r.running import write
 from edit3r.running.config import OUTPUTS, make_run_config
+from edit3r.running.config import USUAL_OUTPUTS, make_run_config
 from edit3r.running.earlier import read_earlier_run
 from edit3r.running.selecting.select import Selection
 from edit3r.running.summary import summary
@@ -35,6 +36,7 @@ ALL = {
     },
     "frames": {"renders"},
 }
+EVERY = (*USUAL_OUTPUTS, "frames")
 
 
 class Wall(Reconstructor):
@@ -102,7 +104,7 @@ def names(folder):
 
 
 @pytest.mark.parametrize(
-    "asked", [(), ("viewer",), ("scene", "images"), ("frames",), OUTPUTS]
+    "asked", [(), ("viewer",), ("scene", "images"), ("frames",), EVERY]
 )
 def test_what_is_not_asked_for_is_not_written(result, tmp_path, asked):
     asking = with_settings(result, outputs=asked)
@@ -124,18 +126,26 @@ def test_by_default_the_frames_of_the_video_are_not_left_as_pictures(result, tmp
 
 def test_lists_are_read_as_the_command_line_gives_them():
     assert make_run_config({"outputs": "viewer, scene"}).outputs == ("viewer", "scene")
-    assert make_run_config({"outputs": "all"}).outputs == OUTPUTS
+    assert make_run_config({"outputs": "all"}).outputs == EVERY
     assert make_run_config({"export": "glb,ply"}).export == ("glb", "ply")
 
 
+@pytest.mark.parametrize("flag", ["--outputs", "--export"])
 @pytest.mark.parametrize(
-    ("flag", "known"), [("--outputs", "viewer"), ("--export", "spz")]
+    ("asked", "told"),
+    [
+        ("film", "viewer"),
+        ("film", "spz"),
+        ("film", "The run itself writes scene, images"),
+        ("scene,ply", "ply and scene both write scene.ply"),
+    ],
 )
-def test_an_unknown_output_ends_the_command_before_any_work(
-    capsys, photos, tmp_path, flag, known
+def test_outputs_that_cannot_be_end_the_command_before_any_work(
+    capsys, photos, tmp_path, flag, asked, told
 ):
-    assert main(["run", str(photos), flag, "film", "--out", str(tmp_path / "out")]) == 2
-    assert known in capsys.readouterr().err and not (tmp_path / "out").exists()
+    out = tmp_path / "out"
+    assert main(["run", str(photos), flag, asked, "--out", str(out)]) == 2
+    assert told in capsys.readouterr().err and not out.exists()
 
 
 def test_a_saved_result_is_a_run_that_can_be_continued(result, tmp_path):
@@ -146,9 +156,24 @@ def test_a_saved_result_is_a_run_that_can_be_continued(result, tmp_path):
     )
 
 
-def test_a_run_writes_further_formats_of_its_scene(result, tmp_path):
-    exporting = with_settings(result, export=("glb",))
-    assert "scene.glb" in names(exporting.save(tmp_path / "out"))
+@pytest.mark.parametrize("setting", ["outputs", "export"])
+def test_a_run_writes_by_any_writer(result, tmp_path, setting):
+    exporting = with_settings(result, **{setting: ("glb", "colmap")})
+    assert {"scene.glb", "scene-colmap"} <= names(exporting.save(tmp_path / "out"))
+
+
+def test_frames_are_drawn_once_for_the_video_and_the_pictures(result, tmp_path):
+    """And the pictures are of the whole path, however much of it a writer took."""
+    drawn = []
+    rasterizer = result.rasterizer
+    plainly = rasterizer.render
+    rasterizer.render = lambda *args: drawn.append(args) or plainly(*args)
+    out = with_settings(result, outputs=("video", "frames")).save(tmp_path / "out")
+    assert len(drawn) == len(list((out / "renders").iterdir())) == 3
+    drawn.clear()
+    with_settings(result, outputs=("video",)).save(tmp_path / "video")
+    with_settings(result, outputs=("sheet", "viewer")).save(tmp_path / "none")
+    assert len(drawn) == 3
 
 
 @pytest.mark.parametrize(

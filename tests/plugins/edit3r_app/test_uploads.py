@@ -217,7 +217,7 @@ def test_a_set_that_holds_no_photo_can_be_discarded_and_no_other(folder, scene):
 
 
 def test_of_a_video_frames_are_kept_as_photos(folder, scene, tmp_path):
-    from edit3r.kit.video import save_video
+    from edit3r_outputs.video import save_video
 
     wide = (
         np.random.default_rng(0)

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 from edit3r.kit.video import save_video
+from edit3r_outputs.video import save_video
 
 from edit3r.contract.errors import InputError
 

@@ -11,9 +11,21 @@ import pytest
 import torch
 from edit3r.kit.scenes.viewer import NamedObjects, colours_before, save_viewer
 
+from edit3r.contract.interfaces import NamedObjects, SceneToWrite, SecondLook
 from edit3r.contract.reporting import Report, collecting
-from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
+from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc
+from edit3r.loading.registry import build
+
+
+def save_viewer(
+    path, gaussians, cameras, before=None, looks=("after", "before"), **known
+):
+    """Write the page; `before` is the second look's colours."""
+    if before is not None:
+        known["second_look"] = lambda: SecondLook(before, looks)
+    scene = SceneToWrite(gaussians, cameras, **known)
+    build("writer", "viewer").write(path, scene)
 
 
 def scene(count=200, degree=0, seed=0):
@@ -177,42 +189,6 @@ def test_a_scene_without_objects_or_numbers_pays_nothing_for_them(tmp_path):
     assert not {"places", "unsure"} & {*arrays}
 
 
-def test_colours_before_are_those_of_the_unedited_photos():
-    """A wall of one Gaussian per pixel, and one hidden behind it in another colour."""
-    torch.manual_seed(0)
-    ys, xs = torch.meshgrid(
-        torch.arange(30) + 0.5, torch.arange(40) + 0.5, indexing="ij"
-    )
-    rays = torch.stack(
-        ((xs / 40 - 0.5) / 0.9, (ys / 30 - 0.5) / 1.2, torch.ones(30, 40)), -1
-    ).flatten(0, 1)
-    means = torch.cat((2 * rays, 4 * rays[:1]))[None]
-    count = means.shape[1]
-    photos, edited = torch.rand(1, 1, 3, 30, 40), torch.rand(1, 1, 3, 30, 40)
-    colours = torch.cat((edited[0, 0].flatten(1).T, 1 - edited[0, 0, :, :1, 0].T))[None]
-    quats = torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4)
-    made = Gaussians(
-        means,
-        torch.ones(1, count, 3),
-        quats,
-        torch.ones(1, count),
-        colour_to_dc(colours)[:, :, None],
-    )
-    one = cameras(1)
-    rendered = Rendering(
-        edited, torch.ones(1, 1, 1, 30, 40), torch.full((1, 1, 1, 30, 40), 2.0)
-    )
-    views = [Views(images, one.intrinsics) for images in (photos, edited)]
-    for view in (-1, 0):
-        found = colours_before(
-            replace(made, view_index=torch.full((count,), view)), one, *views, rendered
-        )
-        torch.testing.assert_close(
-            found[:-1], photos[0, 0].flatten(1).T, atol=1e-4, rtol=0
-        )
-        torch.testing.assert_close(found[-1], colours[0, -1])
-
-
 def test_page_needs_no_network(tmp_path):
     save_viewer(tmp_path / "v.html", scene(), cameras())
     page = tmp_path.joinpath("v.html").read_text(encoding="utf-8")
@@ -273,7 +249,7 @@ def test_a_title_is_never_taken_for_a_place_to_fill(tmp_path, title):
 
 
 def test_nothing_that_is_seen_is_left_out_however_many_there_are(tmp_path, monkeypatch):
-    monkeypatch.setattr("edit3r.kit.scenes.viewer.EASY_GAUSSIANS", 50)
+    monkeypatch.setattr("edit3r_outputs.viewer.EASY_GAUSSIANS", 50)
     gaussians = scene(200)
     gaussians.opacities[0, ::2] = 0.003  # below 1/255 nothing is drawn
     with collecting(Report()) as report:

@@ -10,6 +10,7 @@ import torch
 from edit3r.kit.scenes.viewer import NamedObjects, save_viewer
 from PIL import Image
 
+from edit3r.contract.interfaces import NamedObjects, SceneToWrite, SecondLook
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.loading.registry import build
@@ -20,6 +21,17 @@ playwright = pytest.importorskip(
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 WIDTH, HEIGHT = 320, 240
 GO_ON = "go {run} {name} --out {run}-{name}"
+
+
+def save_viewer(
+    path, gaussians, cameras, before=None, looks=("after", "before"), **known
+):
+    """Write the page; `before` is the second look's colours."""
+    if before is not None:
+        known["second_look"] = lambda: SecondLook(before, looks)
+    scene = SceneToWrite(gaussians, cameras, **known)
+    build("writer", "viewer").write(path, scene)
+
 
 pytestmark = pytest.mark.skipif(
     CHROMIUM is None, reason="needs the program chromium: apt-get install chromium"

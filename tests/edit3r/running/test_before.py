@@ -1,0 +1,46 @@
+"""The look before the edit: what the page shows for it."""
+
+from dataclasses import replace
+
+import torch
+
+from edit3r.contract.types import Gaussians, Rendering, Views
+from edit3r.kit.geometry.harmonics import colour_to_dc
+from edit3r.running.before import colours_before
+
+
+def test_colours_before_are_those_of_the_unedited_photos():
+    """A wall of one Gaussian per pixel, and one hidden behind it in another colour."""
+    torch.manual_seed(0)
+    ys, xs = torch.meshgrid(
+        torch.arange(30) + 0.5, torch.arange(40) + 0.5, indexing="ij"
+    )
+    rays = torch.stack(
+        ((xs / 40 - 0.5) / 0.9, (ys / 30 - 0.5) / 1.2, torch.ones(30, 40)), -1
+    ).flatten(0, 1)
+    means = torch.cat((2 * rays, 4 * rays[:1]))[None]
+    count = means.shape[1]
+    photos, edited = torch.rand(1, 1, 3, 30, 40), torch.rand(1, 1, 3, 30, 40)
+    colours = torch.cat((edited[0, 0].flatten(1).T, 1 - edited[0, 0, :, :1, 0].T))[None]
+    quats = torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4)
+    made = Gaussians(
+        means,
+        torch.ones(1, count, 3),
+        quats,
+        torch.ones(1, count),
+        colour_to_dc(colours)[:, :, None],
+    )
+    lens = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]])[None, None]
+    one = Cameras(torch.eye(4)[None, None], lens, (300, 400))
+    rendered = Rendering(
+        edited, torch.ones(1, 1, 1, 30, 40), torch.full((1, 1, 1, 30, 40), 2.0)
+    )
+    views = [Views(images, one.intrinsics) for images in (photos, edited)]
+    for view in (-1, 0):
+        found = colours_before(
+            replace(made, view_index=torch.full((count,), view)), one, *views, rendered
+        )
+        torch.testing.assert_close(
+            found[:-1], photos[0, 0].flatten(1).T, atol=1e-4, rtol=0
+        )
+        torch.testing.assert_close(found[-1], colours[0, -1])
