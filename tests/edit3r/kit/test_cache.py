@@ -176,3 +176,20 @@ def test_an_entry_that_names_another_class_is_refused(tmp_path):
     content = {"tree": torch.tensor(list(text.encode()), dtype=torch.uint8)}
     kept(tmp_path).write_bytes(save(content))
     refused(tmp_path, "Popen")
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        torch.zeros(2, 2),
+        torch.zeros(4, 1),
+        torch.zeros(4, dtype=torch.int32),
+        torch.zeros(2, dtype=torch.float64),
+        torch.zeros(8, dtype=torch.bfloat16),
+    ],
+)
+def test_the_key_of_a_tensor_holds_its_type_and_shape(other):
+    """All of these are the same sixteen bytes."""
+    zeros = torch.zeros(4)
+    assert fingerprint(zeros) == fingerprint(zeros.clone())
+    assert fingerprint(zeros) != fingerprint(other)

@@ -474,3 +474,43 @@ def test_geometry_of_the_unedited_photos_is_found_once_and_before_the_edit():
     assert (
         names.index("geometry") < names.index("select") < names.index("edit (Invert)")
     )
+
+
+def test_only_the_red_parts_of_a_given_mask_are_changed(views):
+    images = torch.full((1, 2, 3, 6, 8), 0.1)
+    images[..., :4] = torch.tensor([0.8, 0.1, 0.1])[:, None, None]
+    masks = torch.zeros(1, 2, 6, 8)
+    masks[..., :3, :] = 1
+    given = replace(views, images=images)
+    result = run(
+        given,
+        "paint only the red parts blue",
+        editor="recolor",
+        recon=Flat(),
+        masks=masks,
+    )
+    changed = (result.edited.images != images).any(2)
+    assert bool(changed[..., :3, :4].all())
+    assert not changed[..., 3:, :].any() and not changed[..., 4:].any()
+
+
+def test_editing_again_the_first_view_alone_holds_back_nothing_in_the_others(views):
+    first = run(views, "x", editor=Invert(), recon=Flat(), **PLAIN)
+
+    def some(given):
+        images = given.images.clone()
+        images[..., :3, :] = 1 - images[..., :3, :]
+        return replace(given, images=images)
+
+    for asked, others in (("first", 1.0), ("all", 0.5)):
+        again = run(
+            prompt="y",
+            earlier=first,
+            editor=Answer(some),
+            recon=Flat(),
+            edit_views=asked,
+            **PLAIN,
+        )
+        masks = again.scene.masks[0]
+        assert float(masks[0].mean()) == 0.5
+        assert float(masks[1].mean()) == others

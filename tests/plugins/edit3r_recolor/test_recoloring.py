@@ -195,6 +195,16 @@ def test_the_order_of_the_jitters_counts():
     assert (first - second).abs().max() > 0.1
 
 
+def test_lighting_is_added_before_the_channels_change_places():
+    """The paper's order: jitter, gamma, lighting, permutation, greyscale."""
+    picture = torch.full((3, 2, 2), 0.5)
+    given = RecolorParameters(lighting=(0.1, 0.2, 0.3), permutation=(2, 0, 1))
+    shown = recolor(picture, given)[:, 0, 0]
+    assert shown.tolist() == pytest.approx([0.8, 0.6, 0.7])
+    dark = recolor(picture, RecolorParameters(gamma=2.0, lighting=(0.1, 0.2, 0.3)))
+    assert dark[:, 0, 0].tolist() == pytest.approx([0.35, 0.45, 0.55])
+
+
 def test_gradients_reach_the_image():
     image = (0.2 + 0.6 * picture(3, 2, 2, dtype=torch.float64)).requires_grad_()
     parameters = RecolorParameters(

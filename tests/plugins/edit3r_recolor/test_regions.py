@@ -50,6 +50,23 @@ def test_each_criterion_refuses_what_is_just_beyond_it(change, objection):
     assert CRITERIA.objection(_proposal(**change), SIZE) == objection
 
 
+@pytest.mark.parametrize(
+    ("box", "kept"),
+    [
+        ((3.0, 3.0, 30.0, 10.0), True),
+        ((3.0, 3.0, 10.0, 30.0), False),
+        ((3.0, 3.0, 31.0, 10.0), False),
+        ((3.0, 3.0, 10.0, 12.5), True),
+        ((3.0, 3.0, 10.0, 12.6), False),
+    ],
+)
+def test_an_aspect_is_width_over_height(box, kept):
+    """From 0.8 to 3: bounds that are not each other's inverse."""
+    criteria = CRITERIA.model_copy(update={"aspect": (0.8, 3.0)})
+    objection = criteria.objection(_proposal(box=box), SIZE)
+    assert objection == (None if kept else "aspect")
+
+
 def test_order_is_kept_and_refusals_are_counted_by_criterion():
     first, second = _proposal(area=0.5), _proposal(area=0.2)
     given = [
@@ -85,6 +102,13 @@ def test_a_view_is_compared_with_the_most_recently_processed_one_not_with_its_ne
     # with view 0.
     active = _shown("xxx..", "x..xx", "x..x.", "xx...", "xx..x")
     assert processed_views(active) == [0, 3, 4]
+
+
+def test_the_last_processed_view_counts_not_the_first_and_not_the_last_skipped():
+    # View 1 shares half with view 0, view 3 half with view 1, but nothing with view 0, and one of
+    # three with view 2, which is skipped. View 4 is like view 2.
+    active = _shown("xx...", ".xx..", "x..xx", "..xx.", "x..xx")
+    assert processed_views(active) == [0, 1, 3]
 
 
 def test_exactly_half_is_enough():

@@ -112,6 +112,11 @@ def test_a_recipe_read_back_makes_the_same_pictures(tmp_path):
         assert torch.equal(first, second)
 
 
+def test_two_regions_have_two_transforms():
+    first, second = _recipe()[1].regions
+    assert first.parameters != second.parameters
+
+
 def test_the_seed_decides_the_colours():
     assert _recipe(1)[1] == _recipe(1)[1]
     assert _recipe(1)[1].regions[0].parameters != _recipe(2)[1].regions[0].parameters

@@ -67,6 +67,28 @@ def test_viewwise_regime_takes_the_edits_that_the_data_brings():
     assert torch.equal(edit.target, 1 - SAMPLE.target)
 
 
+def test_two_regions_get_two_transforms_each_the_same_in_all_views():
+    """On pictures of one grey: halves differ, views do not."""
+    grey = torch.full_like(SAMPLE.context, 0.4)
+    masks = torch.zeros(2, 2, 48, 48)
+    masks[0, ..., :24], masks[1, ..., 24:] = 1, 1
+    halves = replace(
+        SAMPLE,
+        context=grey,
+        target=grey,
+        context_masks=masks,
+        target_masks=masks,
+        context_depths=None,
+    )
+    edits = [_edit("reference", seed, halves, whole_picture=0) for seed in range(8)]
+    colours = [[edit.truth[..., 0, x] for x in (0, -1)] for edit in edits]
+    both = [c for c in colours if all((one - 0.4).abs().max() > 0.02 for one in c)]
+    assert len(both) >= 2
+    for left, right in both:
+        assert (left - right).abs().max() > 0.02
+        assert torch.equal(left[0], left[1]) and torch.equal(right[0], right[1])
+
+
 OWN = ProceduralDataset(
     ProceduralDataset.Settings(image_size=48, scenes=2, edit="shape", edit_seed=3)
 )[1]

@@ -157,3 +157,15 @@ def test_the_center_loss_trains_on_photos_and_resuming_keeps_the_first_reference
     straight = weights("straight", (4, False))
     resumed = weights("resumed", (2, False), (4, True))
     assert torch.equal(straight, resumed)
+
+
+def test_the_frozen_reference_is_in_evaluation_mode_while_the_network_learns(tmp_path):
+    """Layers that are random or keep statistics while they learn would move what must stay."""
+    job = _job(tmp_path, depths=False)
+    job.reconstructor.network.train()
+    frozen = GeometricReference.of_start(job).frozen
+    assert frozen is not job.reconstructor and not frozen.network.training
+    assert job.reconstructor.network.training
+    named = replace(job, reference=MovingReconstructor(job.reconstructor))
+    named.reference.network.train()
+    assert not GeometricReference.of_start(named).frozen.network.training

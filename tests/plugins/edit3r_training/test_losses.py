@@ -265,3 +265,16 @@ def test_without_the_package_the_install_command_is_named(monkeypatch):
     )
     with pytest.raises(MissingDependencyError, match=r'pip install "edit3r\[lpips\]"'):
         edit3r.build("loss", "lpips")
+
+
+def test_centres_are_drawn_at_random_from_all_of_a_view():
+    """Not the first ones: those of an image are one edge of it."""
+    loss = GeometryLoss(GeometryLoss.Settings(samples=20))
+    views = torch.arange(2).repeat_interleave(100)
+    torch.manual_seed(0)
+    draws = [loss._sample(views) for _ in range(3)]
+    for first, second in draws:
+        assert len(first) == len(second) == 20 == len(set(first.tolist()))
+        assert bool((first < 100).all()) and bool((second >= 100).all())
+        assert int(first.max()) > 60 and int(second.max()) > 160
+    assert {*draws[0][0].tolist()} != {*draws[1][0].tolist()}

@@ -96,3 +96,13 @@ def test_each_scene_of_a_batch_has_its_own_light():
     }
     light = estimate_light(both, MatchedGeometry(**twice))
     assert bool((light.gain[0] == 1).all()) and bool((light.gain[1, 1:] != 1).all())
+
+
+def test_clipped_pixels_tell_nothing_of_the_light():
+    """A photo exposed so long that a third of it is white has the gain of the rest."""
+    images = SCENE.views.images.clone()
+    images[:, 1] = (1.6 * images[:, 1]).clamp(0, 1)
+    views = replace(SCENE.views, images=images)
+    assert float((images[:, 1] > 0.97).float().mean()) > 0.1
+    light = estimate_light(views, _geometry())
+    assert torch.allclose(light.gain[0, 1], torch.tensor(1 / 1.6), atol=0.02)

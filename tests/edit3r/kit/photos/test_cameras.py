@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,6 +15,9 @@ from edit3r.kit.photos.cameras import (
     read_cameras,
     write_cameras,
 )
+from edit3r.errors import InputError
+from edit3r.io.cameras import PosedCamera, posed_cameras, read_cameras, write_cameras
+from edit3r.io.intrinsics import Intrinsics, known_poses
 
 
 def some_cameras(count=3, seed=0):
@@ -204,3 +208,13 @@ def test_cameras_without_a_name_or_size_are_refused(tmp_path, changed):
     )
     with pytest.raises(InputError, match=r"c\.json: camera 0 cannot be used"):
         read_cameras(tmp_path / "c.json")
+
+
+def test_poses_of_two_files_or_of_some_photos_only_are_none():
+    """Those of two files have no frame in common."""
+    one, two = (
+        Intrinsics(torch.eye(3), source, torch.eye(4).double()) for source in ("a", "b")
+    )
+    assert known_poses([one, one]).shape == (2, 4, 4)
+    assert known_poses([one, two]) is None
+    assert known_poses([one, replace(one, c2w=None)]) is None

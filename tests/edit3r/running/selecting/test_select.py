@@ -79,6 +79,15 @@ def test_a_mask_of_any_one_photo_is_carried_to_the_rest():
     assert (inside(selected, 0) == square(4, 7).bool()).all()
 
 
+def test_of_two_given_masks_the_nearer_one_is_carried():
+    images = torch.rand(5, 3, 24, 32)
+    given = {0: square(1, 4), 4: square(16, 12)}
+    selected = select_masks(images, Selection(masks=given), Squares())
+    assert selected.how == ("given", *["pictures"] * 3, "given")
+    assert (inside(selected, 1) == square(1, 7).bool()).all()
+    assert (inside(selected, 3) == square(16, 15).bool()).all()
+
+
 def test_a_correction_on_another_photo_keeps_what_was_carried_there():
     marks = Selection(positive=((0, 0.25, 0.5),), negative=((1, 0.5, 0.5),))
     selected = select_masks(IMAGES, marks, Squares())

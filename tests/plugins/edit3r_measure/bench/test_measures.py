@@ -4,6 +4,7 @@ import math
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 from edit3r_measure.bench_item import evaluation_cameras
@@ -11,13 +12,16 @@ from edit3r_measure.bench_manifest import ItemRecord, LoadedItem
 from edit3r_measure.bench_metrics import (
     BY_REGION,
     MethodOutput,
+    MetricNetworks,
     measure,
     remark,
 )
+from edit3r_measure.bench_options import MetricSettings
 from edit3r_measure.bench_run import ItemResult
 from edit3r_measure.features import prompt_quality
 
 from edit3r.contract.types import Cameras, Views
+from edit3r.plugins.registry import default_registry
 
 SIZE = 40
 EDIT, BAND, BACKGROUND = (
@@ -223,3 +227,22 @@ def test_an_edit_that_ran_without_reaching_the_scene_is_said_in_words(item):
     )
     assert ItemResult("a", "s", "Modify", found).remark == remark(found)
     assert ItemResult("a", "s", "Modify", found, failure="no matches").remark == ""
+
+
+class MeanColour:
+    """Features that tell which photos they are of."""
+
+    suffix = "-mean"
+
+    def __call__(self, images):
+        return images.mean((2, 3)).double().numpy()
+
+
+def test_features_of_photos_are_those_of_the_asked_scene_alone():
+    networks = MetricNetworks(MetricSettings(no_effnet=True), default_registry())
+    scenes = [torch.full((3, 3, 8, 8), value) for value in (0.2, 0.7, 0.2)]
+    found = [networks.photo_features(MeanColour(), photos) for photos in scenes]
+    for photos, features in zip(scenes, found):
+        assert features.shape == (5 * 3, 3)
+        assert np.allclose(features, float(photos.mean()))
+    assert found[2] is found[0]  # kept for the scene's other edits
