@@ -67,5 +67,5 @@ def _field_of_view(result: RunResult) -> str:
     elif "matcher.fov" in result.report.notes:
         source = "read from the photos"
     else:
-        source = "assumed"
+        source = "assumed, for nothing tells it; --fov or --cameras does"
     return f"field of view {degrees:.0f} degrees ({source})"

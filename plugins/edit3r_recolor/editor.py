@@ -95,7 +95,8 @@ class RecolorEditor(Editor, EditsRegions):
                     region,
                     METALS.get(change.material, change.colour.rgb),
                     tolerance=settings.tolerance,
-                    flood=flood,
+                    flood=flood
+                    or bool(change.material),  # of a material is all of a thing
                     metal=change.material in METALS,
                 )
             else:

@@ -10,7 +10,8 @@ import math
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.reporting import say
@@ -35,6 +36,9 @@ MAX_SLOPE = 1.2  # of new lightness over old
 MAX_BEND = 3.0  # slope on one side of the paint's lightness over that on the other
 METAL_CONTRAST = 2.0  # slope of new lightness over old in the middle
 DARKEST, BRIGHTEST = 0.08, 0.98  # lightness of metal
+MAX_ISLANDS = 0.72  # share of the thing above which its paint is nearly all of it
+MAX_BORDER = 5.0  # length of the border of the paint on a thing [sides of the thing]
+BORDER_SIDE = 256  # pixels of the longer side at which that is measured
 HUE_BINS = 72
 HUE_FALL = 0.5  # of the tolerance, over which membership falls to 0
 
@@ -59,9 +63,10 @@ def paint(
 ) -> Images:
     """Give the paint of the thing under `region` (in [0, 1]) the sRGB colour `rgb` in [0, 1].
 
-    Shading and highlights stay. A thing without a clear colour is painted whole, and any thing is
-    where `flood` is set. `tolerance` is how far hues of one paint are apart [degrees]. `metal`
-    gives it the contrast and the coloured highlights of polished metal.
+    Shading and highlights stay. A thing without a clear colour is painted whole, and so is one that
+    would change in islands; any thing is where `flood` is set. `tolerance` is how far hues of one
+    paint are apart [degrees]. `metal` gives it the contrast and the coloured highlights of polished
+    metal.
     """
     inside = region > 0
     if not inside.any():
@@ -72,11 +77,19 @@ def paint(
     goal = rgb_to_oklab(old.new_tensor(rgb)[:, None, None])
     own = own_paint(lab, weights, tolerance, flood)
     member = membership(lab, own)
-    if own.saturation:
-        share = float((weights * member).sum() / weights.sum())
+    share = float((weights * member).sum() / weights.sum())
+    if own.saturation and _is_in_islands(own, share, _placed(member, inside), region):
         say(
             "paint",
-            f"{share:.0%} of the thing is its paint; 'all of it' paints the rest too",
+            f"{share:.0%} of the thing, in patches, has one colour: all of it is painted",
+        )
+        own = own_paint(lab, weights, tolerance, flood=True)
+        member = membership(lab, own)
+    elif own.saturation:
+        say(
+            "paint",
+            f"{share:.0%} of the thing has its main colour and is painted; say 'all of it' to "
+            "paint the rest too",
         )
     touched = member[0] > 0
     new = repainted(lab[..., touched], own, goal, metal)
@@ -85,6 +98,38 @@ def paint(
     painted = images.clone()
     painted.movedim(1, 0)[:, inside] = old[:, 0]
     return painted
+
+
+def _placed(values: Weights, inside: Bool[Tensor, "view height width"]) -> Masks:
+    """Numbers of the pixels inside, put back in their places; 0 elsewhere."""
+    places = values.new_zeros(inside.shape)
+    places[inside] = values[0]
+    return places
+
+
+def _is_in_islands(own: Paint, share: float, member: Masks, region: Masks) -> bool:
+    """Whether a paint that is not vivid lies on a part of the thing in many pieces.
+
+    Bark, bricks and fur have a colour that comes and goes; the parts of a made thing have theirs
+    with short borders.
+    """
+    if own.saturation >= VIVID or share > MAX_ISLANDS:
+        return False
+    small = [_reduced(one).double() for one in (member, region)]
+    painted, thing = (one > 0.5 for one in small)
+    inner = -F.max_pool2d(-thing.double()[:, None], 5, 1, 2)[:, 0] > 0
+    wider = F.max_pool2d(painted.double()[:, None], 3, 1, 1)[:, 0] > 0
+    border = (wider & ~painted & inner).sum((1, 2))
+    length = border / thing.sum((1, 2)).clamp(min=1).sqrt()
+    return float(length[thing.any(2).any(1)].mean()) > MAX_BORDER
+
+
+def _reduced(masks: Masks) -> Masks:
+    """The masks with BORDER_SIDE pixels on the longer side, at most: a border is as long there."""
+    height, width = masks.shape[-2:]
+    scale = min(1.0, BORDER_SIDE / max(height, width))
+    size = (max(1, round(scale * height)), max(1, round(scale * width)))
+    return F.adaptive_avg_pool2d(masks[:, None], size)[:, 0]
 
 
 def own_paint(lab: Pixels, weights: Weights, tolerance: float, flood: bool) -> Paint:

@@ -40,6 +40,10 @@ from edit3r.kit.photos.intrinsics import (
     IntrinsicsFinder,
     known_poses,
 )
+from edit3r.io.decode import decode, image_size, read_image
+from edit3r.io.framing import Frame, Lens, common_size, frame_for
+from edit3r.io.intrinsics import Intrinsics, IntrinsicsFinder, known_poses
+from edit3r.reporting import say, track, warn
 
 __all__ = [
     "SUFFIXES",
@@ -151,7 +155,7 @@ def load_photos(
         photos.append(_record(name, file, frame, intrinsics))
         found.append(intrinsics)
     assumed = tuple(intrinsics.assumed for intrinsics in found)
-    _warn_of_losses(photos, assumed)
+    _warn_of_losses(photos)
     normalised = [
         photo.frame.follow(intrinsics.normalised)
         for photo, intrinsics in zip(photos, found)
@@ -407,14 +411,7 @@ def _record(name: str, file: Path, frame: Frame, intrinsics: Intrinsics) -> Phot
     )
 
 
-def _warn_of_losses(photos: Sequence[Photo], assumed: Sequence[bool]) -> None:
-    guessed = [photo.name for photo, unknown in zip(photos, assumed) if unknown]
-    if guessed:
-        warn(
-            f"No focal length is known for {', '.join(guessed)}: {DEFAULT_FOV:g} degrees across "
-            "the longer side are assumed unless the photos themselves tell; --fov or --cameras "
-            "tells better."
-        )
+def _warn_of_losses(photos: Sequence[Photo]) -> None:
     first: dict[str, str] = {}
     for photo in photos:
         height, width = photo.frame.target

@@ -71,13 +71,14 @@ def _doubts(found: EditMeasures, surety: float | None) -> Iterator[str]:
     """What speaks against the edit: against what was selected, then against what was made."""
     yield from _doubts_of_selection(found, surety)
     if found.changed < MIN_CHANGED:
-        yield f"only {found.changed:.0%} of what may change visibly changed"
+        part = "what was selected" if min(found.shares) < 1 else "the picture"
+        yield f"only {found.changed:.0%} of {part} changed visibly"
     if found.ghost is not None and found.ghost > MAX_GHOST:
         yield "the outline of what was removed still shows"
     if found.reached is not None and found.reached < MIN_REACHED:
         yield f"{1 - found.reached:.0%} of what changed does not look as asked"
     if found.shown is not None and found.shown < MIN_SHOWN:
-        yield f"the 3D scene shows {max(0.0, found.shown):.0%} of the change"
+        yield f"only {max(0.0, found.shown):.0%} of the change arrived in the 3D scene"
 
 
 def _doubts_of_selection(found: EditMeasures, surety: float | None) -> Iterator[str]:
@@ -96,7 +97,9 @@ def _doubts_of_selection(found: EditMeasures, surety: float | None) -> Iterator[
 
 
 def _praise(measures: EditMeasures) -> str:
-    text = f"{measures.changed:.0%} of what may change visibly changed"
+    part = "what was selected" if min(measures.shares) < 1 else "the picture"
+    share = "all" if measures.changed > 0.985 else f"{measures.changed:.0%}"
+    text = f"{share} of {part} changed visibly"
     if measures.shown is None:
         return text
-    return f"{text}, the 3D scene shows {measures.shown:.0%} of it"
+    return f"{text}, and the 3D scene shows it"

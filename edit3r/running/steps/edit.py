@@ -18,10 +18,6 @@ from edit3r.running.judging.edit_verdict import judge_edit
 from edit3r.running.parts import Parts
 from edit3r.running.scene import Scene
 
-MIN_VISIBLE_CHANGE = (
-    2 / 255
-)  # mean absolute change; below it an edit is said to have done nothing
-
 
 @torch.no_grad()
 def edit(scene: Scene, parts: Parts) -> Scene:
@@ -37,7 +33,7 @@ def edit(scene: Scene, parts: Parts) -> Scene:
             )
             edited = _edited(task.editor, edited, request.of_views(range(count)))
             done += len(task.wishes)
-        _note_change(edited.images - chosen.images, config.prompt)
+        _note_change(edited.images - chosen.images)
         images = torch.cat((edited.images, views.images[:, count:]), dim=1)
         scene = replace(scene, edited=replace(views, images=images))
         return _with_edit_verdict(scene, parts, range(count))
@@ -79,14 +75,9 @@ def _note_spill(
     note("edit.change_outside_mask_before_composite", float(mean))
 
 
-def _note_change(
-    change: Float[Tensor, "batch view 3 height width"], prompt: str
-) -> None:
+def _note_change(change: Float[Tensor, "batch view 3 height width"]) -> None:
     per_view = change.abs().mean((0, 2, 3, 4))
     note("edit.mean_change_per_view", [round(float(value), 5) for value in per_view])
-    mean = float(change.abs().mean())
-    if prompt and mean < MIN_VISIBLE_CHANGE:
-        warn(f"the edit changed the photos very little (mean {255 * mean:.1f} of 255).")
 
 
 def _surety(scene: Scene) -> float | None:

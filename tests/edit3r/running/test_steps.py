@@ -160,7 +160,7 @@ def test_masks_of_the_wrong_size_are_an_error_with_both_sizes(views):
 def test_an_edit_that_does_nothing_is_reported(views):
     report = Report()
     run(views, "x", editor=Answer(lambda v: v), recon=Flat(), report=report)
-    assert any("changed the photos very little" in text for text in report.warnings)
+    assert any("0% of the picture changed visibly" in text for text in report.warnings)
 
 
 def test_the_edit_is_judged_before_and_after_the_3d_part(views):

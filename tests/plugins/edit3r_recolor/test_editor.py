@@ -89,6 +89,15 @@ def test_only_the_sentence_that_wants_all_of_it_paints_neutral_parts():
     assert ((flooded - images).abs().amax(2) > 0.05).all()
 
 
+@pytest.mark.parametrize("material", ["bronze", "gold", "silver"])
+def test_a_material_replaces_the_whole_surface(material):
+    images = torch.full((1, 2, 3, HEIGHT, WIDTH), 0.08)  # a dark thing, half of it red
+    images[..., :5, :] = torch.tensor([0.8, 0.1, 0.1])[:, None, None]
+    views = Views(images, torch.eye(3).expand(1, 2, 3, 3))
+    turned = edit(f"turn the statue into {material}", views=views)
+    assert ((turned - images).abs().amax(2) > 0.05).all()
+
+
 @pytest.mark.parametrize("prompt", ["", "remove the bike", "turn it into a castle"])
 def test_what_changes_no_colour_is_refused(prompt):
     with pytest.raises(PromptError):

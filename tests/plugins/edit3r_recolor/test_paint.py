@@ -263,3 +263,26 @@ def test_a_neutral_thing_with_a_rim_of_colour_is_painted_whole(columns, painted)
     changed = paint(images, torch.ones(1, 20, 20), (0.1, 0.2, 0.9)) - images
     share = (changed.abs().amax(1) > 0.02).double().mean()
     assert float(share) == pytest.approx(painted, abs=0.01)
+
+
+def patches(block: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """A brown thing that is grey in half of its squares; and where it is brown."""
+    rows, columns = torch.meshgrid(*[torch.arange(96) // block] * 2, indexing="ij")
+    brown = (rows + columns) % 2 == 0
+    image = torch.full((1, 3, 96, 96), 0.4)
+    image[:, :, brown] = torch.tensor([0.5, 0.36, 0.25])[:, None]
+    return image, brown
+
+
+def test_a_thing_whose_colour_comes_and_goes_is_painted_whole_not_in_islands():
+    image, _ = patches(6)
+    painted = paint(image, torch.ones(1, 96, 96), rgb_of("blue"))
+    assert ((painted - image).abs().amax(1) > VISIBLE).all()
+
+
+def test_two_halves_in_two_colours_are_no_islands():
+    image, brown = patches(48)
+    moved = (paint(image, torch.ones(1, 96, 96), rgb_of("blue")) - image).abs().amax(1)[
+        0
+    ] > VISIBLE
+    assert moved[brown].all() and not moved[~brown].any()
