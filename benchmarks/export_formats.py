@@ -18,18 +18,12 @@ import numpy as np
 import torch
 
 from edit3r import build
-from edit3r.contract.types import Gaussians
-from edit3r.kit.geometry.harmonics import basis
-from edit3r.kit.photos.cameras import read_scene_cameras
-from edit3r.kit.rendering import render_each
-from edit3r.kit.scenes.export import FORMATS, export_scene, load_scene
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Gaussians
 from edit3r.kit.geometry.harmonics import basis
 from edit3r.kit.photos.cameras import read_scene_cameras
+from edit3r.kit.rendering import render_each
 from edit3r.kit.scenes.read import load_scene
-from edit3r.loading.registry import build
-from edit3r.running.rendering import render_each
 
 FORMATS = ("spz", "spz4", "sog", "splat", "compressed-ply", "glb", "ply")
 

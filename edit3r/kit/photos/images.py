@@ -35,15 +35,10 @@ from edit3r.kit.photos.coverage import (
 from edit3r.kit.photos.decode import decode, image_size, read_image
 from edit3r.kit.photos.framing import Frame, common_size, frame_for
 from edit3r.kit.photos.intrinsics import (
-    DEFAULT_FOV,
     Intrinsics,
     IntrinsicsFinder,
     known_poses,
 )
-from edit3r.io.decode import decode, image_size, read_image
-from edit3r.io.framing import Frame, Lens, common_size, frame_for
-from edit3r.io.intrinsics import Intrinsics, IntrinsicsFinder, known_poses
-from edit3r.reporting import say, track, warn
 
 __all__ = [
     "SUFFIXES",

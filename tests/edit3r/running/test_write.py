@@ -18,7 +18,6 @@ from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.images import save_image
 from edit3r.running import write
-from edit3r.running.config import OUTPUTS, make_run_config
 from edit3r.running.config import USUAL_OUTPUTS, make_run_config
 from edit3r.running.earlier import read_earlier_run
 from edit3r.running.selecting.select import Selection

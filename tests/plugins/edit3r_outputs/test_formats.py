@@ -12,15 +12,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from edit3r.kit.scenes.export import FORMATS, export_scene, load_scene
 
 import edit3r
 from edit3r.cli.main import main
-from edit3r.contract.errors import InputError, MissingDependencyError
+from edit3r.contract.errors import MissingDependencyError
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc
-from edit3r.kit.scenes import export
 from edit3r.kit.scenes import read
 from edit3r.kit.scenes.ply import load_ply, save_ply
 from edit3r.kit.scenes.read import load_scene

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 import torch
 from edit3r_outputs import mesh as module
-from edit3r_outputs.mesh import export_mesh, mesh_of
 from edit3r_outputs.mesh import mesh_of
 
 from edit3r import Cameras, Gaussians, build, save_ply
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
-from edit3r.running.rendering import render_each
+from edit3r.kit.rendering import render_each
 
 SIZE = 64
 PLATE, WALL = 1.0, 2.0  # depths

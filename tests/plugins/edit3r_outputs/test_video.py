@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from edit3r.kit.video import save_video
 from edit3r_outputs.video import save_video
 
 from edit3r.contract.errors import InputError

@@ -9,7 +9,6 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 import torch
-from edit3r.kit.scenes.viewer import NamedObjects, colours_before, save_viewer
 
 from edit3r.contract.interfaces import NamedObjects, SceneToWrite, SecondLook
 from edit3r.contract.reporting import Report, collecting

@@ -7,7 +7,6 @@ import shutil
 import numpy as np
 import pytest
 import torch
-from edit3r.kit.scenes.viewer import NamedObjects, save_viewer
 from PIL import Image
 
 from edit3r.contract.interfaces import NamedObjects, SceneToWrite, SecondLook

@@ -15,9 +15,7 @@ from edit3r.kit.photos.cameras import (
     read_cameras,
     write_cameras,
 )
-from edit3r.errors import InputError
-from edit3r.io.cameras import PosedCamera, posed_cameras, read_cameras, write_cameras
-from edit3r.io.intrinsics import Intrinsics, known_poses
+from edit3r.kit.photos.intrinsics import Intrinsics, known_poses
 
 
 def some_cameras(count=3, seed=0):

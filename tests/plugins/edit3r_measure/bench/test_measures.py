@@ -21,7 +21,7 @@ from edit3r_measure.bench_run import ItemResult
 from edit3r_measure.features import prompt_quality
 
 from edit3r.contract.types import Cameras, Views
-from edit3r.plugins.registry import default_registry
+from edit3r.loading.registry import default_registry
 
 SIZE = 40
 EDIT, BAND, BACKGROUND = (
