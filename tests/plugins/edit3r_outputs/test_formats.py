@@ -15,7 +15,7 @@ import torch
 
 import edit3r
 from edit3r.cli.main import main
-from edit3r.contract.errors import InputError, MissingDependencyError
+from edit3r.contract.errors import MissingDependencyError
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc
