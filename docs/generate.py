@@ -5,7 +5,7 @@ never checked in: mkdocs calls `on_files`. The examples stand in the pages, betw
 they can be read anywhere:
 
     # rewrite the marked parts: of docs/plugins/*.md from plugins/edit3r_develop/templates, of
-    # docs/combinations.md from what components declare and a benchmark measured
+    # docs/combinations.md and docs/files.md from what components declare and a benchmark measured
     python docs/generate.py
     python docs/generate.py DIR        also write the reference pages into DIR
 """
@@ -242,6 +242,7 @@ def refreshed(page: str) -> str:
         "example": example_part,
         "claims": claims_part,
         "parts": parts_part,
+        "writers": writers_part,
         "seconds": seconds_part,
     }
     return MARKED.sub(lambda m: m[1] + makers[m[2]](m[3], m[4]) + m[5], page)
@@ -323,6 +324,17 @@ def parts_part(kind: str, _: str | None) -> str:
         )
         cells = (f"`{component.name}`", component.summary, component.licence.partition(";")[0],
                  "<br>".join(weights) or elsewhere, tried(kind, component))  # fmt: skip
+        rows.append("| " + " | ".join(cells) + " |")
+    return "\n" + "\n".join(rows) + "\n\n"
+
+
+def writers_part(kind: str, _: str | None) -> str:
+    """What each writer leaves in the folder of a run, and what of the scene is in it."""
+    rows = ["| name | writes | what for | keeps | loses |"]
+    rows.append("| --- | --- | --- | --- | --- |")
+    for one in own_components(kind):
+        name, file = f"`{one.name}`", f"`{one.file_name()}`"
+        cells = (name, file, one.summary, one.keeps, one.loses)
         rows.append("| " + " | ".join(cells) + " |")
     return "\n" + "\n".join(rows) + "\n\n"
 
@@ -436,7 +448,8 @@ def on_files(files, config):
 
 
 def main() -> None:
-    tables = (DOCS / "combinations.md", DOCS / "notes" / "combinations.md")
+    tables = [DOCS / "combinations.md", DOCS / "notes" / "combinations.md"]
+    tables.append(DOCS / "files.md")
     for path in (*sorted((DOCS / "plugins").glob("*.md")), *tables):
         text = path.read_text(encoding="utf-8")
         path.write_text(refreshed(text), encoding="utf-8")

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from edit3r.contract.types import Gaussians, Rendering, Views
+from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.running.before import colours_before
 
