@@ -11,12 +11,14 @@ the last click is carried to the second photo twice, by the pictures and by the 
 matcher reads from the pair.
 
 People do not click on the innermost point. So six more first clicks lie anywhere on the object, and
-the same six come with the object's name beside them.
+the same six come with the object's name beside them. Three strokes lie on it too. The clicked photo
+has the depth that it gets beside one or two photos of its folder, where these can be placed.
 """
 
 import argparse
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -29,11 +31,18 @@ from edit3r.contract.errors import Edit3rError
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
 from edit3r.running import Selection, select_masks
+from edit3r.config import parse_assignments
+from edit3r.errors import Edit3rError
+from edit3r.geometry.cameras import intrinsics_from_fov
+from edit3r.selection.geometry import locate
+from edit3r.selection.select import Selection, select_masks
 from edit3r.wishes.things import read_thing
 
 CLICKS = 3
 ANYWHERE = 6  # first clicks a photo
 INSIDE = 0.25  # how far from the outline these are, at least [the innermost point's distance]
+STROKES = 3
+STEPS = (1, 2, 3)  # to the neighbours in the folder that are tried
 GOOD = 0.8  # IoU that a person takes without a second click
 WORSE = 0.02  # a loss of IoU that a person sees
 # stated for photos whose field of view nobody knows [radians]; the matcher reads its own
@@ -72,16 +81,25 @@ def main() -> None:
         "--only", nargs="*", default=[], help="names of the objects to try"
     )
     parser.add_argument(
+        "--objects",
+        type=Path,
+        default=Path(__file__).with_suffix(".json"),
+        help="outlines by object and photo; as a value also {word, photos}",
+    )
+    parser.add_argument(
         "--sheet", type=Path, help="picture of every mask, true outline in white"
     )
     args = parser.parse_args()
-    objects = json.loads(Path(__file__).with_suffix(".json").read_text())
+    objects = json.loads(args.objects.read_text())
     segmenter = build("segmenter", args.segmenter, **parse_assignments(args.set))
     matcher = build("matcher", args.matcher) if args.matcher else None
-    rows, aside, tiles, geometries = [], [], [], {}
+    rows, aside, drawn, tiles, geometries = [], [], [], [], {}
     for name, photos in objects.items():
         if args.only and name not in args.only:
             continue
+        word = SAID.get(name, name)
+        if "photos" in photos:
+            word, photos = photos["word"], photos["photos"]
         missing = [file for file in photos if not (args.data / file).is_file()]
         if missing:
             print(f"{name}: left out, {args.data / missing[0]} is not there")
@@ -93,11 +111,16 @@ def main() -> None:
             filled(polygons, image.shape[:2])
             for polygons, image in zip(photos.values(), images)
         ]
-        scores = scores_of(name, images, truths, segmenter, matcher, geometries, tiles)
+        first = args.data / next(iter(photos))
+        depth = depth_of(first, matcher, geometries)
+        scores = scores_of(
+            name, images, truths, segmenter, matcher, geometries, tiles, depth
+        )
         loose = [
-            anywhere(images[0], truths[0], segmenter, words)
-            for words in ("", read_thing(SAID.get(name, name).split()).name)
+            anywhere(images[0], truths[0], segmenter, words, depth)
+            for words in ("", read_thing(word.split()).name)
         ]
+        drawn.append(stroked(images[0], truths[0], segmenter, depth))
         aside.append(loose)
         rows.append((*scores, *np.mean(loose, axis=1)))
         print(line(name, rows[-1]), flush=True)
@@ -111,6 +134,10 @@ def main() -> None:
     good = (np.array(aside) >= GOOD).mean((0, 2))
     print(
         f"the same after a click anywhere: {good[0]:.0%}; with its name: {good[1]:.0%}"
+    )
+    strokes = np.array(drawn)
+    print(
+        f"strokes: mean {strokes.mean():.3f}, below 0.5: {(strokes < 0.5).mean():.0%}"
     )
     if args.sheet and tiles:
         contact_sheet(tiles).save(args.sheet)
@@ -126,7 +153,7 @@ def filled(polygons: list, shape: tuple[int, int]) -> np.ndarray:
     return inside
 
 
-def scores_of(name, images, truths, segmenter, matcher, geometries, tiles):
+def scores_of(name, images, truths, segmenter, matcher, geometries, tiles, depth):
     """IoU after each click, carried by pictures and by geometry (None where there is no second
     photo), CPU seconds.
     """
@@ -141,7 +168,7 @@ def scores_of(name, images, truths, segmenter, matcher, geometries, tiles):
         clicks[kind].append((0, *place))
         selection = Selection(**{key: tuple(places) for key, places in clicks.items()})
         start = time.process_time()
-        soft = select_masks(tensors[0][None], selection, segmenter).masks[0, 0]
+        soft = select_masks(tensors[0][None], selection, segmenter, *depth).masks[0, 0]
         seconds.append(time.process_time() - start)
         mask = soft.numpy() > 0.5
         scores.append(iou(mask, truths[0]))
@@ -184,17 +211,92 @@ def scores_of(name, images, truths, segmenter, matcher, geometries, tiles):
     return (*scores, *carried, float(np.mean(seconds)))
 
 
-def anywhere(image, truth, segmenter, words):
-    """IoU after each of some first clicks anywhere on the object, always at the same places."""
+def depth_of(photo, matcher, known):
+    """Geometry of a photo alone and its intrinsics, read beside its neighbours in the folder; two
+    Nones where they cannot be placed.
+    """
+    if photo in known:
+        return known[photo]
+    known[photo] = (None, None)
+    files = sorted(photo.parent.iterdir())
+    place = files.index(photo)
+    for step in STEPS if matcher is not None else ():
+        chosen = [place, place - step, place + step, place + 2 * step]
+        chosen = [index for index in chosen if 0 <= index < len(files)][:3]
+        images = [as_tensor(files[index]) for index in chosen]
+        frames = torch.stack([resized(one, images[0].shape[-2:]) for one in images])
+        lens = intrinsics_from_fov(FOV, tuple(frames.shape[-2:]))
+        lens = lens.expand(1, len(frames), 3, 3)
+        views = Views(frames[None], lens, assumed=(True,) * len(frames))
+        found = locate(matcher, views)
+        if (
+            found.geometry is None
+            or found.problem
+            or not found.geometry.registered[0, 0]
+        ):
+            continue
+        geometry, lens = found.geometry, found.geometry.calibrated(views).intrinsics
+        alone = replace(
+            geometry,
+            c2w=geometry.c2w[:, :1],
+            depths=geometry.depths[:, :1],
+            confidence=geometry.confidence[:, :1],
+            registered=geometry.registered[:, :1],
+            intrinsics=None,
+        )
+        known[photo] = (alone, lens[:, :1])
+        break
+    return known[photo]
+
+
+def as_tensor(file):
+    pixels = np.asarray(Image.open(file).convert("RGB"))
+    return torch.from_numpy(pixels.copy()).permute(2, 0, 1).float() / 255
+
+
+def stroked(image, truth, segmenter, depth):
+    """IoU of some strokes on the object: straight lines, as long as most that fit there."""
+    tensor = torch.from_numpy(image.copy()).permute(2, 0, 1).float()[None] / 255
+    found = []
+    for seed in range(STROKES):
+        stroke = ((0, line_on(truth, np.random.default_rng([11, seed]))),)
+        soft = select_masks(tensor, Selection(strokes=stroke), segmenter, *depth).masks
+        found.append(iou(soft[0, 0].numpy() > 0.5, truth))
+    return found
+
+
+def line_on(truth, random):
+    """Places (x, y in [0, 1]) along a line that lies wholly inside a bool mask."""
     depth = cv2.distanceTransform(truth.astype(np.uint8), cv2.DIST_L2, 5)
-    inner = np.argwhere(depth > INSIDE * depth.max())
+    rows = np.argwhere(depth > 0.15 * depth.max())
+    start = rows[random.integers(len(rows))]
+    lines = []
+    for angle in random.uniform(0, 2 * np.pi, 60):
+        way, length = np.array([np.sin(angle), np.cos(angle)]), 0
+        while True:
+            row, column = np.round(start + way * (length + 2)).astype(int)
+            within = 0 <= row < truth.shape[0] and 0 <= column < truth.shape[1]
+            if not within or depth[row, column] < 0.1 * depth.max():
+                break
+            length += 2
+        lines.append((length, tuple(way)))
+    length, way = sorted(lines)[int(0.75 * len(lines))]
+    places = [start + np.array(way) * length * share for share in np.linspace(0, 1, 6)]
+    height, width = truth.shape
+    return tuple(((x + 0.5) / width, (y + 0.5) / height) for y, x in places)
+
+
+def anywhere(image, truth, segmenter, words, depth):
+    """IoU after each of some first clicks anywhere on the object, always at the same places."""
+    deep = cv2.distanceTransform(truth.astype(np.uint8), cv2.DIST_L2, 5)
+    inner = np.argwhere(deep > INSIDE * deep.max())
     chosen = np.random.default_rng(7).choice(len(inner), ANYWHERE)
     tensor = torch.from_numpy(image.copy()).permute(2, 0, 1).float()[None] / 255
     found = []
     for row, column in inner[chosen]:
         place = (column + 0.5) / truth.shape[1], (row + 0.5) / truth.shape[0]
         selection = Selection(positive=((0, *place),), words=words)
-        soft = select_masks(tensor, selection, segmenter).masks[0, 0]
+        soft = select_masks(tensor, selection, segmenter, *depth).masks[0, 0]
         found.append(iou(soft.numpy() > 0.5, truth))
     return found
 

@@ -85,6 +85,7 @@ WHOLE_SIDE, CROP_SIDE = (
     320,
     160,
 )  # what the learned network sees of a picture and of a crop [pixels]
+WHOLE = ("picture", "image", "photo", "scene")  # all of it, where the words say so
 STUFF = ("sky", "ground", "floor")
 # What needs no learning: where it lies and what it looks like
 SKY_CHROMA = 14.0  # of a grey or white sky, at most [CIE Lab units]
@@ -451,7 +452,7 @@ class ClassicalSegmenter(Segmenter):
     ) -> tuple[Proposal, ...] | None:
         """Look up the sky, the ground, the background and everything; None for any other words."""
         word = plain(text)
-        if word in ("everything", "picture", "image", "photo", "scene"):
+        if word == "everything" or (word in WHOLE and _says_all(text)):
             return (as_proposal(torch.ones_like(image[0])),)
         if word == "background":
             subjects = self.propose(image)[:1]
@@ -617,6 +618,12 @@ def _proposal(
 def _to_numpy(image: Float[Tensor, "3 height width"]) -> np.ndarray:
     """Turn an image into float32 RGB `[H, W, 3]`."""
     return np.ascontiguousarray(image.detach().cpu().float().permute(1, 2, 0).numpy())
+
+
+def _says_all(text: str) -> bool:
+    """Whether a photo and not a thing on it is meant: "the picture" may hang on a wall."""
+    words = text.lower().split()
+    return "picture" not in words or bool({"whole", "entire", "all"} & {*words})
 
 
 def plain(text: str) -> str:

@@ -53,11 +53,10 @@ class CocoDetector(Detector):
         height, width = image.shape[-2:]
         boxes, scores = self._boxes(image)
         score, which = scores[:, list(classes)].max(1)
+        boxes = boxes.clamp(0, 1) * torch.tensor([width, height, width, height])
         likely = score >= self.settings.min_score
+        likely &= (boxes[:, 2:] > boxes[:, :2]).all(1)  # not on the rim
         boxes, score, which = boxes[likely], score[likely], which[likely]
-        boxes = boxes * torch.tensor([width, height, width, height]) / SIDE
-        boxes[:, 0::2] = boxes[:, 0::2].clamp(0, width)
-        boxes[:, 1::2] = boxes[:, 1::2].clamp(0, height)
         boxes[:, 2:] -= boxes[:, :2]
         found = []
         for index in best_boxes(boxes, score, self.settings.overlap):
@@ -69,15 +68,31 @@ class CocoDetector(Detector):
     def _boxes(
         self, image: Float[Tensor, "3 height width"]
     ) -> tuple[Float[Tensor, "n 4"], Float[Tensor, "n 80"]]:
-        """Corners [pixels of the network's input] and scores of all boxes."""
+        """Corners [shares of the image's sides] and scores of all boxes.
+
+        The network sees the image twice: squashed to its square, and in its own shape with a rim.
+        Each finds things that the other does not.
+        """
         pixels = image.detach().cpu().float().clamp(0, 1).permute(1, 2, 0).numpy()
+        height, width = pixels.shape[:2]
+        longer = max(height, width)
+        rim = ((0, longer - height), (0, longer - width), (0, 0))
+        squashed, scores = self._seen(pixels)
+        padded, more = self._seen(np.pad(pixels, rim))
+        share = torch.tensor([longer / width, longer / height] * 2)
+        return torch.cat((squashed, padded * share)), torch.cat((scores, more))
+
+    def _seen(
+        self, pixels: np.ndarray
+    ) -> tuple[Float[Tensor, "n 4"], Float[Tensor, "n 80"]]:
+        """Corners [shares of the picture's sides] and scores of all boxes on one picture."""
         square = cv2.resize(pixels[:, :, ::-1] * 255, (SIDE, SIDE))
         read = torch.from_numpy((square - MEAN) / STD).permute(2, 0, 1)[None]
         outputs = [name for level in LEVELS for name in level]
         values = self._graph.run({"input_1": read.float()}, outputs)
         boxes = [_corners(values[place][0]) for place in (1, 3, 5)]
         scores = [values[place][0] for place in (0, 2, 4)]
-        return torch.cat(boxes), torch.cat(scores)
+        return torch.cat(boxes) / SIDE, torch.cat(scores)
 
 
 def _corners(distances: Float[Tensor, "n 44"]) -> Float[Tensor, "n 4"]:

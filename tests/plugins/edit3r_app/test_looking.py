@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from edit3r_app import uploads
+from edit3r_app import looking, uploads
 from edit3r_app.draft import Draft, Mark, Step
 from edit3r_app.jobs import PREVIEW, JobsFolder, manifest_of
 from edit3r_app.looking import Looker
@@ -35,7 +35,9 @@ def scene(folder):
 
 @pytest.fixture(scope="module")
 def looker(folder):
-    return Looker(folder, default_registry(), SIZE)
+    with pytest.MonkeyPatch.context() as patch:  # a busy machine is no reason to differ
+        patch.setattr(looking, "GEOMETRY_PATIENCE", 120)
+        yield Looker(folder, default_registry(), SIZE)
 
 
 def click(looker, scene, x=0.5, y=0.5):
