@@ -31,11 +31,7 @@ from edit3r.contract.errors import Edit3rError
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
 from edit3r.running import Selection, select_masks
-from edit3r.config import parse_assignments
-from edit3r.errors import Edit3rError
-from edit3r.geometry.cameras import intrinsics_from_fov
-from edit3r.selection.geometry import locate
-from edit3r.selection.select import Selection, select_masks
+from edit3r.running.selecting.geometry import locate
 from edit3r.wishes.things import read_thing
 
 CLICKS = 3
