@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from PIL import Image
 
 import edit3r
 from edit3r.cli.main import main
@@ -17,7 +18,6 @@ from edit3r.contract.reporting import Report, warn
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.images import save_image
-from edit3r.running import write
 from edit3r.running.config import USUAL_OUTPUTS, make_run_config
 from edit3r.running.earlier import read_earlier_run
 from edit3r.running.selecting.select import Selection
@@ -275,17 +275,19 @@ class Doubting(Segmenter):
         return mask
 
 
-def test_what_was_found_unsurely_is_edited_called_doubtful_and_shown_with_its_readings():
+def test_what_was_found_unsurely_is_edited_called_doubtful_and_shown_with_its_readings(
+    tmp_path,
+):
     views = photograph(2, (48, 64)).views
     views = replace(views, names=("a", "b"))
     asked = {"segmenter": Doubting(), "recon": Wall(), "refine": 0, "gaussians": "all"}
+    asked |= {"outputs": ["sheet"]}
     report = Report()
     doubtful = edit3r.run(views, "paint the bear red", report=report, **asked)
     assert doubtful.edit_verdict.label == "doubtful"
     assert any(
         "'bear' was found" in text and "--reading 2" in text for text in report.warnings
     )
-    sheet = write._sheet(doubtful)
     second = edit3r.run(
         views, "paint the bear red", reading=2, report=Report(), **asked
     )
@@ -293,6 +295,10 @@ def test_what_was_found_unsurely_is_edited_called_doubtful_and_shown_with_its_re
     assert left < right  # the other bear
     marked = Selection(masks=dict(enumerate(doubtful.scene.masks[0])))
     plain = edit3r.run(views, "paint it red", masks=marked, report=Report(), **asked)
-    assert sheet.height > write._sheet(plain).height + 40  # readings below
+    heights = [
+        Image.open(one.save(tmp_path / name) / "before_after.png").height
+        for name, one in (("doubtful", doubtful), ("plain", plain))
+    ]
+    assert heights[0] > heights[1] + 40  # readings below
     with pytest.raises(InputError, match="--sure"):
         edit3r.run(views, "paint the bear red", sure=True, report=Report(), **asked)
