@@ -74,6 +74,9 @@ TONES = {
     "darkish": (-0.2, 1.0),
     "dark": (-0.4, 1.0),
     "darker": (-0.4, 1.0),
+    "deeper": (-0.25, 1.0),
+    "brighter": (0.12, 1.2),
+    "paler": (0.6, 1.0),
     "medium": (0.0, 1.0),
 }
 """Shades: the share of the way to white, or (negative) to black, and a factor on saturation."""
