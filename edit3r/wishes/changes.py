@@ -10,6 +10,13 @@ from edit3r.wishes.paints import read_paint
 from edit3r.wishes.shades import read_taken
 
 
+_BOTTLES_AND_TREES = frozenset("bottle tree leaf".split())
+_OF_BOTTLES_AND_TREES = frozenset(
+    "wine beer water milk juice glass plastic apple pear orange lemon lime cherry fig olive banana "
+    "palm pine oak birch maple christmas".split()
+)
+
+
 @dataclass(frozen=True)
 class Found:
     """A change found at tokens[start:end]."""
@@ -131,6 +138,8 @@ def _paint_at(tokens: list[str], start: int) -> Found | None:
     shorter = read_paint(rest[1:]) if found.length > 1 else None
     if shorter is not None and _names_thing_and_colour(before, rest, found.length):
         return None
+    if rest[0] in _BOTTLES_AND_TREES and set(before[-1:]) & _OF_BOTTLES_AND_TREES:
+        return None  # "the wine bottle green", though "bottle green" is a colour
     if set(after) & words.PARTS:
         return None  # "the red parts" are a thing
     paint = Found(start, start + found.length, found.change, found.left_out)

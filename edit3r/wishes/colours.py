@@ -131,17 +131,18 @@ def is_thing_too(colour: Colour) -> bool:
 def near_colours(word: str, count: int = 3) -> list[str]:
     """Names of colours that are spelt nearly like a word, or contain it."""
     names = colour_names()
+    basic = difflib.get_close_matches(word, BASIC_COLOURS, n=1, cutoff=0.7)
     near = difflib.get_close_matches(word, names, n=count, cutoff=0.75)
     within = [name for name in names if word in name.split()]
-    return list(dict.fromkeys((*near, *within)))[:count]
+    return list(dict.fromkeys((*basic, *near, *within)))[:count]
 
 
 @cache
 def colour_names() -> tuple[str, ...]:
     """All names of the lists, as they are written."""
     survey = [name for _, name in _survey()]
-    names = (*BASIC_COLOURS, *_EVERYDAY_COLOURS, *ImageColor.colormap, *survey)
-    return tuple(dict.fromkeys(names))
+    spaced = {_key(name): name for name in (*ImageColor.colormap, *survey)}
+    return tuple(dict.fromkeys((*BASIC_COLOURS, *spaced.values())))
 
 
 def _toned(words: list[str]) -> RGB | None:

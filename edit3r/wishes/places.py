@@ -87,7 +87,8 @@ def _stretch(
 def _inside(tokens: list[str]) -> tuple[list[str], bool]:
     """The words without "of the picture", and whether they said it."""
     for start, token in enumerate(tokens):
-        tail = [t for t in tokens[start + 1 :] if t not in words.DETERMINERS]
+        ignored = words.DETERMINERS | words.WEAK | words.STRONG
+        tail = [t for t in tokens[start + 1 :] if t not in ignored]
         if token in ("of", "in") and tail and set(tail) <= words.PICTURE:
             return tokens[:start], True
     return tokens, False
