@@ -4,13 +4,15 @@ One reader (`edit3r.wishes.read`) makes these from the prompt. A sentence is a r
 about one thing: "paint the door green and remove the bin" is two.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 Action = Literal["paint", "look", "remove", "other"]
 """What a wish does: change colours, give a look, take something away, or anything else."""
 
-Scope = Literal["named", "marked", "whole", "background"]
+Scope = Literal["named", "marked", "whole", "background", "region"]
+Finish = Literal["", "matte", "metallic"]
+Box = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class Thing:
     """What a wish is about."""
 
     # named: by `name`; marked: what the user marked, or what stands out; whole: all of the image;
-    # background: all but the main thing
+    # background: all but the main thing; region: `box` of the picture, such as its left half
     scope: Scope = "marked"
     name: str = ""  # "motorcycle", "old door"
     which: tuple[
@@ -34,11 +36,16 @@ class Thing:
     ] = ()  # what picks it among several: "left", "big", "red", "all"
     of: str = ""  # the whole that it is a part of: "tank of the motorcycle"
     part: Colour | None = None  # only its pixels near this colour
+    # of a region, on the first photo: left, top, width, height [shares of its sides]
+    box: Box | None = None
 
     def __str__(self) -> str:
+        if self.scope == "region":
+            return f"{self.name} of the picture"
         if self.scope == "whole" and self.part is not None:
             return f"what is {self.part.name}"
-        words = [*self.which, self.name or {"marked": "it"}.get(self.scope, self.scope)]
+        plain = {"marked": "it", "named": ""}.get(self.scope, self.scope)
+        words = [*self.which, plain if self.scope == "whole" else self.name or plain]
         text = " ".join(words) + (f" ({self.of})" if self.of else "")
         return text if self.part is None else f"{text} where it is {self.part.name}"
 
@@ -64,21 +71,37 @@ class Change:
 
     kind: ChangeKind
     colour: Colour | None = None  # of paint and tint
+    # of paint: the thing whose colour it takes; `colour` is then measured on the photos
+    like: Thing | None = None
     material: str = ""  # of paint: what it shall look like, such as "gold"
+    finish: Finish = ""  # of paint: how its light shall be
+    # of paint, "a darker green": darker than the thing is now (-1), or lighter (1)
+    than_now: Literal[-1, 0, 1] = 0
     amount: float = (
         1.0  # 1: clearly visible; the sign is the direction where there is one
     )
 
     def __str__(self) -> str:
+        if self.like is not None:
+            hue = "colour" if self.like.part is None else self.like.part.name
+            thing = replace(self.like, part=None)
+            return f"the {hue} of {thing}" + _measured(self.colour)
+        if self.colour is not None and self.kind == "paint":
+            return f"{self.finish} {self.colour.name}".strip()
         if self.colour is not None:
-            return (
-                self.colour.name if self.kind == "paint" else f"more {self.colour.name}"
-            )
+            return f"more {self.colour.name}"
         if self.kind in ("greyscale", "sepia", "invert", "random"):
             return {"invert": "inverted", "random": "random colours"}.get(
                 self.kind, self.kind
             )
         return f"{self.kind} {self.amount:+.2g}"
+
+
+def _measured(colour: Colour | None) -> str:
+    """The colour that was read off a thing, as people can say it: " (#8a7f70)"."""
+    if colour is None:
+        return ""
+    return f" (#{''.join(f'{round(255 * value):02x}' for value in colour.rgb)})"
 
 
 @dataclass(frozen=True)
@@ -92,10 +115,12 @@ class Wish:
     without: tuple[Thing, ...] = ()  # what stays as it is
     text: str = ""  # the words of the sentence that ask for it
     unread: tuple[str, ...] = ()  # those among them that nobody understood
+    left_out: tuple[str, ...] = ()  # understood, but nobody here can do it: "glossy"
 
     def __str__(self) -> str:
         what = ", ".join(map(str, self.changes)) or self.look or self.action
         if self.action == "other":
             return repr(self.text)
         kept = "".join(f" without {thing}" for thing in self.without)
-        return f"{self.thing}{kept}: {what}"
+        left = f" ({', '.join(self.left_out)} is left out)" if self.left_out else ""
+        return f"{self.thing}{kept}: {what}{left}"

@@ -2,20 +2,12 @@
 
 from edit3r.contract.wishes import Colour, Thing
 from edit3r.wishes import vocabulary as words
+from edit3r.wishes.colours import is_thing_too, read_colour
+from edit3r.wishes.nouns import is_noun
+from edit3r.wishes.paints import LIGHT_WORDS
+from edit3r.wishes.places import read_region
 
-JOINING = (
-    "of",
-    "on",
-    "from",
-    "in",
-    "with",
-    "near",
-    "behind",
-    "under",
-    "beside",
-    "wearing",
-)
-"""Words between a thing and the whole, place or mark by which it is known."""
+_JOINING = words.JOINING - {"at", "to", "next", "above", "below"}
 
 
 def read_thing(tokens: list[str]) -> Thing:
@@ -24,6 +16,10 @@ def read_thing(tokens: list[str]) -> Thing:
     A pronoun stands for what was named last and is returned under the name "it".
     """
     tokens = [token for token in tokens if token not in words.POLITENESS]
+    region = read_region(tokens)
+    if region is not None:
+        return region
+    possessive = bool(set(tokens) & words.POSSESSIVES)
     tokens, of = _whole_of(tokens)
     ignored = (
         words.FILLERS | words.PAINT | words.DETERMINERS | words.PRONOUNS | words.OBJECT
@@ -38,6 +34,8 @@ def read_thing(tokens: list[str]) -> Thing:
     which = [t for t in nouns if t in words.PLACES | words.SIZES | words.BACKGROUND]
     nouns = [t for t in nouns if t not in which]
     colours, nouns = _leading_colours(nouns, bool(set(tokens) & {"one", "ones"}))
+    if of and which and not nouns and part is None:  # "the top of the tower"
+        return Thing("named", " ".join(which), of=_named_whole(of))
     if of and (part is not None or not nouns):
         inner = read_thing(of)
         return Thing(inner.scope, inner.name, inner.which, inner.of, part or inner.part)
@@ -47,7 +45,7 @@ def read_thing(tokens: list[str]) -> Thing:
             "named",
             name,
             which=tuple(dict.fromkeys((*every, *which, *colours))),
-            of=_named_whole(of),
+            of=_named_whole(of) or ("it" if possessive and nouns else ""),
             part=part,
         )
     pronoun = set(tokens) & (words.PRONOUNS | words.OBJECT)
@@ -72,7 +70,7 @@ def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:
         rest = tokens[start + 1 :]
         content = [t for t in rest if t not in words.FILLERS | words.DETERMINERS]
         inner = [t for t in tokens[:start] if t not in words.FILLERS | words.PAINT]
-        if token in JOINING and content and inner:
+        if token in _JOINING and content and inner:
             places = words.PLACES | words.BACKGROUND | {"foreground"}
             if set(content) & places:  # "the cup on the left"
                 return tokens[:start] + [t for t in content if t in places], []
@@ -93,21 +91,16 @@ def _colour_of_part(
 ) -> tuple[Colour | None, list[str]]:
     """Take "red parts" out of the words: only pixels near red are meant."""
     for start in range(len(named)):
-        found = words.read_colour(named[start:])
+        found = read_colour(named[start:])
         if found is None:
             continue
         colour, length = found
         after = named[start + length : start + length + 1]
         one = set(tokens) & {"one", "ones"}
         if (after and after[0] in words.PARTS) or (len(named) == length and not one):
-            is_noun = (
-                not after and length == 1 and colour.name in ("orange", "rose", "olive")
-            )
-            return (
-                (None, named)
-                if is_noun
-                else (colour, named[:start] + named[start + length + 1 :])
-            )
+            if not after and is_noun(colour.name.split()[-1]):  # "the rose"
+                return None, named
+            return colour, named[:start] + named[start + length + 1 :]
         whole = set(named[:start]) & words.WHOLE
         if whole and not after:  # "everything red"
             return colour, named[:start]
@@ -116,8 +109,10 @@ def _colour_of_part(
 
 def _leading_colours(nouns: list[str], alone: bool) -> tuple[list[str], list[str]]:
     """Split "red cup" into the colour that picks it and its name; in "the red one" it is alone."""
-    found = words.read_colour(nouns)
-    if found is None or (found[1] >= len(nouns) and not alone):
+    light = [noun for noun in nouns[:1] if noun in LIGHT_WORDS]
+    found = read_colour(nouns[len(light) :])
+    left = len(nouns) - len(light)
+    if found is None or (found[1] >= left and not alone) or is_thing_too(found[0]):
         return [], nouns
     colour, length = found
-    return [colour.name], nouns[length:]
+    return [*light, colour.name], nouns[len(light) + length :]

@@ -1,163 +1,14 @@
 """The words that the reader of wishes knows. What is not here it must not guess."""
 
-import colorsys
-
-from PIL import ImageColor
-
-from edit3r.contract.wishes import Change, ChangeKind, Colour
+from edit3r.contract.wishes import Change, ChangeKind
+from edit3r.wishes.colours import BASIC_COLOURS
 
 
 def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-# ---- colours ----
-
-BASIC_COLOURS = [
-    "red",
-    "orange",
-    "yellow",
-    "green",
-    "blue",
-    "purple",
-    "pink",
-    "brown",
-    "black",
-    "white",
-    "grey",
-    "turquoise",
-    "cyan",
-    "magenta",
-    "gold",
-    "silver",
-    "beige",
-    "navy",
-    "teal",
-    "olive",
-    "maroon",
-    "violet",
-]
-"""The colours that messages suggest; every CSS name is understood."""
-
-_EVERYDAY_COLOURS = {
-    "bronze": "#cd7f32",
-    "burgundy": "#800020",
-    "charcoal": "#36454f",
-    "chrome": "#c4cad2",
-    "copper": "#b87333",
-    "cream": "#fffdd0",
-    "emerald": "#50c878",
-    "golden": "#ffd700",
-    "lilac": "#c8a2c8",
-    "marble": "#ece9e2",
-    "mint": "#98ff98",
-    "mustard": "#e1ad01",
-    "navyblue": "#000080",
-    "babyblue": "#a0cfec",
-    "ochre": "#cc7722",
-    "rose": "#ff007f",
-    "ruby": "#9b111e",
-    "scarlet": "#ff2400",
-    "silvery": "#c0c0c0",
-    "steel": "#9aa3ad",
-    "terracotta": "#e2725b",
-    "wood": "#8a5a2b",
-    # As a painter would mix them: CSS's pure primaries are lamps, its green is very dark, and its
-    # brown is a red.
-    "brown": "#7a4a26",
-    "red": "#dc1414",
-    "green": "#1e9632",
-    "blue": "#1e50dc",
-    "yellow": "#ffdc00",
-}
-TONES = {
-    "light": 0.45,
-    "lighter": 0.45,
-    "pale": 0.6,
-    "pastel": 0.55,
-    "bright": 0.12,
-    "dark": -0.4,
-    "darker": -0.4,
-    "deep": -0.25,
-}
-"""Share of the way to white, or (negative) to black."""
-
-MATERIALS = {
-    "gold": "gold",
-    "golden": "gold",
-    "gilded": "gold",
-    "silver": "silver",
-    "silvery": "silver",
-    "bronze": "bronze",
-    "copper": "copper",
-    "chrome": "chrome",
-    "steel": "steel",
-    "marble": "marble",
-    "wood": "wood",
-    "wooden": "wood",
-    "snow": "snow",
-}
-"""Words for what a thing may look as if it were made of."""
-
-_MATERIAL_COLOURS = {"gilded": "gold", "wooden": "wood"}
-
-
-def read_colour(words: list[str]) -> tuple[Colour, int] | None:
-    """The colour at the start of `words`, and how many words it takes.
-
-    The longest reading wins: "light sea green" is one colour.
-    """
-    for length in (3, 2, 1):
-        rgb = _toned(words[:length]) if len(words) >= length else None
-        if rgb is not None:
-            return Colour(" ".join(words[:length]), rgb), length
-    return None
-
-
-def _toned(words: list[str]) -> tuple[float, float, float] | None:
-    """sRGB of a colour's name, which may begin with "light", "dark" and the like."""
-    rgb = _named("".join(words))
-    if rgb is not None or len(words) == 1 or words[0] not in TONES:
-        return rgb
-    rgb = _named("".join(words[1:]))
-    if rgb is None:
-        return None
-    tone = TONES[words[0]]
-    hue, lightness, saturation = colorsys.rgb_to_hls(*rgb)
-    lightness *= 1 + min(tone, 0)
-    lightness += max(tone, 0) * (1 - lightness)
-    return colorsys.hls_to_rgb(hue, lightness, saturation)
-
-
-def _named(name: str) -> tuple[float, float, float] | None:
-    given = _EVERYDAY_COLOURS.get(name)
-    if given is None and (name in ImageColor.colormap or name.startswith("#")):
-        given = name
-    if given is None or name == "snow":  # CSS has it; here it is a material
-        return None
-    try:
-        red, green, blue = ImageColor.getrgb(given)[:3]
-    except ValueError:  # "#" and letters that are no colour
-        return None
-    return red / 255, green / 255, blue / 255
-
-
-def read_paint(words: list[str]) -> tuple[Change, int] | None:
-    """The paint at the start of `words`: a material or a colour."""
-    if words and words[0] in MATERIALS:
-        name = MATERIALS[words[0]]
-        rgb = _named(name) or (0.96, 0.97, 1.0)  # snow
-        return Change("paint", Colour(words[0], rgb), material=name), 1
-    found = read_colour(words)
-    if found is None:
-        return None
-    colour, length = found
-    if words[length : length + 1] and words[length] in MATERIALS:  # "white marble"
-        name = f"{colour.name} {words[length]}"
-        material = MATERIALS[words[length]]
-        return Change("paint", Colour(name, colour.rgb), material=material), length + 1
-    return Change("paint", colour), length
-
+BASIC = frozenset(BASIC_COLOURS)
 
 # ---- adjustments ----
 
@@ -216,7 +67,7 @@ STRONG = _words("much very lot far strongly extremely really super way")
 LOOKS = _words(
     "night nighttime midnight moonlight sunset dusk sunrise autumn autumnal fall winter wintry "
     "frost frosty vintage retro noir sketch sketched pencil cartoon comic comics watercolour "
-    "aquarelle"
+    "aquarelle weathered worn aged"
 )
 """Words for a look of the whole that stand without "like"."""
 
@@ -232,10 +83,23 @@ OTHER = _words(
 )
 """Verbs of what neither colours nor removing can do; `give` and `draw` only before a new thing."""
 
-UNSUPPORTED = _words(
-    "metallic matte glossy shiny neon fluorescent patterned striped dotted same"
-)
+UNSUPPORTED = _words("patterned striped dotted checked same")
 """Words for what a plain colour cannot do."""
+
+QUESTIONS = _words("what why how when who where which whose does do did is are was")
+"""Words that a question begins with, which asks for no change."""
+
+INSTEAD = {
+    "snow": "'make it look like winter' is a look; no snow falls.",
+    "undo": "To undo an edit, go on with --from the folder of the run before it.",
+    "rusty": "'rust' and 'rusty red' are colours; rust itself is not drawn.",
+    "pastel": "A shade needs a colour: pastel pink.",
+    "corner": "Say which: the top right corner, the bottom left corner.",
+    "half": "Halves are of the picture: the left half.",
+    "third": "Thirds are of the picture: the lower third.",
+    "quarter": "Quarters are of the picture: the top left quarter.",
+}
+"""What to say for words that ask for something else than what can be done."""
 
 PAINT = _words("paint colour dye spray tint coat")
 """Verbs after which only things and colours follow."""
@@ -269,6 +133,7 @@ KEPT_ANYWAY = _words(
 # ---- things ----
 
 PRONOUNS = _words("it its them this that these those they")
+POSSESSIVES = _words("its his her their")
 OBJECT = _words("object thing subject foreground main selection")
 WHOLE = _words(
     "everything all whole entire image images photo photos picture pictures scene view views"
@@ -277,8 +142,11 @@ BACKGROUND = _words("background surroundings backdrop")
 REST = _words("rest else others")
 NOTHING = _words("nothing anything no none else more other changes change")
 STAYS = _words("stay stays staying remain remains remaining")
+ARTICLES = _words("the a an")
 DETERMINERS = (
-    _words("the a an my our your his her their some both every each any") | PRONOUNS
+    ARTICLES
+    | _words("my our your his her their some both all every each any")
+    | PRONOUNS
 )
 
 PLACES = _words(
@@ -289,6 +157,22 @@ SIZES = _words(
     "big bigger biggest large larger largest small smaller smallest tall tallest"
 )
 EVERY = _words("all both every each two three four five")
+SHARES = _words("half third thirds quarter quarters")
+PICTURE = _words("image photo photos picture pictures scene view frame")
+"""What "the top of the picture" is a place of."""
+
+DESCRIBING = _words(
+    "old new dirty clean broken open closed empty full tiny huge high low long short round square "
+    "wooden metal plastic concrete glass leather front back inner outer main whole first second "
+    "last other next far near parked painted ancient modern double single"
+)
+"""Everyday words that describe a thing."""
+
+JOINING = _words(
+    "of on from in with near behind under beside wearing at to next above below"
+)
+"""Words between a thing and the whole, place or mark by which it is known."""
+
 PARTS = _words(
     "part parts area areas bit bits region regions pixel pixels places spots side sides"
 )
@@ -300,14 +184,15 @@ FILLERS = _words(
     "could my our your so that up down also just but is are paint painted colours as for from "
     "them these those some kind sort only one ones coloured convert transform look looking style "
     "effect finish by using his her their there full spray dye tint coat coated give "
-    "then by made completely fully entirely "
+    "making turning changing needs need must has ought standing sitting lying parked leaning hanging "
+    "walking then by made shade shades use cover wrap way totally completely fully entirely "
     "totally wholly were was will replace swap"
 )
 """Words that carry neither change nor thing in the sentences that are read."""
 
 POLITENESS = _words("please thanks thank you ok okay hello hi kindly just")
 OPENINGS = POLITENESS | _words(
-    "could can would will i i'd we want like to now also so let's lets what if then should need"
+    "could can would will i i'd we want like to now also so let's lets if then should need"
 )
 """Words that a clause may begin with and that ask for nothing: "could you please"."""
 
@@ -330,15 +215,13 @@ SPELLINGS = {
     "recolor": "recolour",
     "recolored": "recoloured",
     "gray": "grey",
-    "grayish": "grey",
-    "greyish": "grey",
-    "reddish": "red",
-    "bluish": "blue",
-    "greenish": "green",
+    "grayish": "greyish",
     "watercolor": "watercolour",
     "center": "centre",
 }
 """Words that mean another one."""
+
+_IN_COLOUR = r"(?:in (?:full )?colou?r|colou?red|colou?rful)\b"
 
 PHRASES = (
     (
@@ -350,10 +233,40 @@ PHRASES = (
     (r"\btake (.+?) (?:away|out|off)\b", r" remove \1 "),
     (r"\b(?:make|let) (.+?) (?:disappear|vanish|go away|invisible)\b", r" remove \1 "),
     (r"\bcut (.+?) out\b", r" remove \1 "),
+    (r"\b(?:only|just) (.+?) (?:stays?|remains?)\b", r" keep \1 "),
     (
-        r"\b(?:keep|leave) only (.+?) in (?:full )?colou?r\b|\bonly (.+?) in colou?r\b",
-        r" everything except \1\2 greyscale ",
+        r"\b(?:keep|leave) (?:only|just) (.+?) " + _IN_COLOUR + r"|"
+        r"\b(?:only|just) (?:keep|leave) (.+?) " + _IN_COLOUR + r"|"
+        r"\bonly (.+?) in colou?r\b",
+        r" everything except \1\2\3 greyscale ",
     ),
+    (
+        r"(?<=greyscale )\W*(?:and )?(?:make |turn )?(?:everything else|all else|the rest|"
+        r"the others?) (?:is |to |into |in )?(?:greyscale|gr[ea]y)\b",
+        " ",
+    ),
+    (
+        r"\b(darker|lighter|deeper|paler|brighter|dark|light) (?:shade|tone|hue) of\b",
+        r" \1 ",
+    ),
+    (
+        r"\blook(?:s|ing)? (?:very |really |more )?(?:old|used|ancient)\b",
+        " look weathered ",
+    ),
+    (r"\bweathered(?:,| and|,? and) (?:old|weathered|worn|aged|used)\b", " weathered "),
+    (
+        r"\bwhat (?:i|is|was) (?:have |had )?(?:clicked|marked|selected|pointed)(?: on| at)?\b",
+        " selection ",
+    ),
+    (
+        r"\b(?:is it possible to|would you mind|it would be nice if|would be nice if|what if)\b",
+        " please ",
+    ),
+    (r"\b(?:what|how) about an?\b", " turned "),
+    (r"^\W*(?:the |this |my )?(?:picture|photo|image|scene) without\b", " remove "),
+    (r"\bplease painting\b", " paint "),
+    (r"\b(?:i|we) (?:do not|don't|dont) want to see\b|\baway with\b", " remove "),
+    (r"\bget (.+?) out of (?:the|this|my) (?:picture|photo|image)s?\b", r" remove \1 "),
     (r"\beverything around\b|\ball around\b", " everything except "),
     (r"\bas well as\b", " and "),
     (r"\bas well\b|\btoo\b", " "),

@@ -1,0 +1,204 @@
+"""The changes of colour that a clause asks for, and where they stand in it."""
+
+from dataclasses import dataclass, replace
+
+from edit3r.contract.wishes import Change
+from edit3r.wishes import vocabulary as words
+from edit3r.wishes.colours import TONES, is_thing_too, read_colour
+from edit3r.wishes.nouns import is_noun
+from edit3r.wishes.paints import read_paint
+from edit3r.wishes.shades import read_taken
+
+_BOTTLES_AND_TREES = frozenset(["bottle", "tree", "leaf"])
+_OF_BOTTLES_AND_TREES = frozenset(
+    [
+        "wine",
+        "beer",
+        "water",
+        "milk",
+        "juice",
+        "glass",
+        "plastic",
+        "apple",
+        "pear",
+        "orange",
+        "lemon",
+        "lime",
+        "cherry",
+        "fig",
+        "olive",
+        "banana",
+        "palm",
+        "pine",
+        "oak",
+        "birch",
+        "maple",
+        "christmas",
+    ]
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """A change found at tokens[start:end]."""
+
+    start: int
+    end: int
+    change: Change
+    left_out: tuple[str, ...] = ()  # words in it that nobody can carry out
+
+
+def find_changes(tokens: list[str]) -> list[Found]:
+    """All changes of a clause, in their order.
+
+    "Wine" and "rose" are colours only where the clause wants one: not before another change.
+    """
+    taken = read_taken(tokens)
+    if taken is not None:
+        last = Found(taken.start, len(tokens), taken.change)
+        return [*_scan(tokens[: taken.start]), last]
+    found = _scan(tokens)
+    sure = [one.end for one in found if not _is_thing_too(one)]
+    return [
+        one
+        for one in found
+        if not _is_thing_too(one)
+        or not any(end > one.end or _before_its_thing(tokens, end) for end in sure)
+    ]
+
+
+def last_group(changes: list[Found], tokens: list[str]) -> list[Found]:
+    """The last changes with nothing but degree words between them.
+
+    Earlier ones describe the thing: "make the red bike blue".
+    """
+    if not changes:
+        return []
+    group = [changes[-1]]
+    for change in reversed(changes[:-1]):
+        between = tokens[change.end : group[0].start]
+        kinds = [found.change.kind for found in group]
+        two_paints = change.change.kind == "paint" and "paint" in kinds
+        if _only_praises(change, tokens):
+            continue
+        if two_paints or not set(between) <= words.WEAK | words.STRONG | {"a"}:
+            break
+        group.insert(0, change)
+    return group
+
+
+def scaled(change: Change, amount: float) -> Change:
+    """The change at another strength; paint has none."""
+    if change.kind == "paint":
+        return change
+    amount = change.amount * amount
+    return replace(change, amount=min(1.0, amount) if change.kind == "tint" else amount)
+
+
+def amount_of(tokens: list[str]) -> float:
+    """How strong the change shall be, 1 as named."""
+    if set(tokens) & words.WEAK:
+        return 0.5
+    return 1.7 if set(tokens) & words.STRONG else 1.0
+
+
+def _only_praises(change: Found, tokens: list[str]) -> bool:
+    """Whether a word such as "warm" changes nothing: "a nice warm yellow"."""
+    before = tokens[: change.start][-1:]
+    return tokens[change.start] in words.NICE and before in (["a"], ["nice"])
+
+
+def _scan(tokens: list[str]) -> list[Found]:
+    found: list[Found] = []
+    index = 0
+    while index < len(tokens):
+        change = _change_at(tokens, index)
+        if change is not None:
+            found.append(change)
+            index = change.end
+        else:
+            index += 1
+    return found
+
+
+def _is_thing_too(found: Found) -> bool:
+    colour = found.change.colour
+    plain = found.change.kind == "paint" and not found.change.material
+    return plain and colour is not None and is_thing_too(colour)
+
+
+def _before_its_thing(tokens: list[str], end: int) -> bool:
+    return tokens[end - 1] in words.IMPERATIVES
+
+
+def _change_at(tokens: list[str], start: int) -> Found | None:
+    rest = tokens[start:]
+    first = rest[0]
+    if first in words.MORE | words.LESS:
+        return _more_or_less(rest, start)
+    paint = _paint_at(tokens, start)
+    if paint is not None:
+        return paint
+    if first in words.TINTS:
+        return Found(start, start + 1, _tint(words.TINTS[first]))
+    if first in words.ADJUSTMENTS:
+        return Found(start, start + 1, words.ADJUSTMENTS[first])
+    if first in words.RANDOM:
+        return Found(start, start + 1, Change("random"))
+    return None
+
+
+def _paint_at(tokens: list[str], start: int) -> Found | None:
+    before, rest = tokens[:start], tokens[start:]
+    if rest[0] == "snow" and not set(before[-1:]) & {"of", "into", "to", "like", "in"}:
+        return None  # "make it snow"
+    found = read_paint(rest)
+    if found is None:
+        return None
+    after = rest[found.length : found.length + 1]
+    shorter = read_paint(rest[1:]) if found.length > 1 else None
+    if shorter is not None and _names_thing_and_colour(before, rest, found.length):
+        return None
+    if rest[0] in _BOTTLES_AND_TREES and set(before[-1:]) & _OF_BOTTLES_AND_TREES:
+        return None  # "the wine bottle green", though "bottle green" is a colour
+    if set(after) & words.PARTS:
+        return None  # "the red parts" are a thing
+    paint = Found(start, start + found.length, found.change, found.left_out)
+    return None if _is_thing_too(paint) and _stands_as_thing(before, after) else paint
+
+
+def _names_thing_and_colour(before: list[str], rest: list[str], length: int) -> bool:
+    """Whether "the sea green" is a green sea, and "turn red blue" a change of red."""
+    if before[-1:] == ["the"]:
+        return rest[0] not in TONES
+    two_basics = length == 2 and {rest[0], rest[1]} <= words.BASIC
+    return two_basics and not set(before) - words.FILLERS - words.PAINT
+
+
+def _stands_as_thing(before: list[str], after: list[str]) -> bool:
+    """Whether a word such as "rose" stands where a thing does: "the rose", "rose garden"."""
+    follows = words.DETERMINERS - {"a", "an"} | {"of", "on", "with", "near", "behind"}
+    noun_next = bool(after) and is_noun(after[0]) and read_colour(after) is None
+    return bool(set(before[-1:]) & follows) or noun_next
+
+
+def _tint(name: str) -> Change:
+    found = read_colour([name])
+    assert found is not None  # every word of TINTS is a colour
+    return Change("tint", found[0], amount=words.TINT_SHARE)
+
+
+def _more_or_less(rest: list[str], start: int) -> Found | None:
+    """Read "more saturated", "increase the brightness", "less contrast", "more blue"."""
+    sign = 1.0 if rest[0] in words.MORE else -1.0
+    skipped = 2 if rest[1:2] == ["the"] else 1
+    word = rest[skipped] if len(rest) > skipped else ""
+    end = start + skipped + 1
+    if word in words.PROPERTIES:
+        return Found(start, end, Change(words.PROPERTIES[word], amount=sign))
+    if word in words.ADJUSTMENTS:
+        known = words.ADJUSTMENTS[word]
+        return Found(start, end, replace(known, amount=sign * known.amount))
+    if rest[0] == "more" and word in words.BASIC:  # "more snow" is no colour
+        return Found(start, end, _tint(word))
+    return None

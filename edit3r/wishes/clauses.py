@@ -1,0 +1,316 @@
+"""What one clause of a sentence says: what to do, and with which thing."""
+
+from dataclasses import dataclass, field, replace
+
+from edit3r.contract.wishes import Action, Change, Colour, Thing
+from edit3r.wishes import vocabulary as words
+from edit3r.wishes.changes import Found, amount_of, find_changes, last_group, scaled
+from edit3r.wishes.colours import read_colour
+from edit3r.wishes.nouns import is_noun
+from edit3r.wishes.paints import read_paint
+from edit3r.wishes.places import read_region, unclear_place
+from edit3r.wishes.shades import read_taken
+from edit3r.wishes.strangers import strangers, unread_of
+from edit3r.wishes.things import read_thing
+
+
+@dataclass
+class Clause:
+    """What one clause says; parts that it leaves open are filled in from its neighbours."""
+
+    text: str
+    action: Action | None = None  # None where the clause only names things
+    thing: Thing | None = None
+    changes: tuple[Change, ...] = ()
+    look: str = ""
+    without: list[Thing] = field(default_factory=list)
+    unread: tuple[str, ...] = ()
+    left_out: tuple[str, ...] = ()
+    verb_first: bool = False  # "remove the bin": things may follow in the next clauses
+
+    def not_understood(self, *unread: str) -> "Clause":
+        """The clause as a wish that nobody here understands."""
+        return replace(self, action="other", unread=unread)
+
+
+def asks_nothing(tokens: list[str]) -> bool:
+    """Politeness, or "not blue" beside another colour."""
+    if set(tokens) <= words.POLITENESS | words.NOTHING:
+        return True
+    negated = tokens[0] in words.NEGATIONS and len(tokens) > 1
+    return negated and read_colour(tokens[1:]) is not None
+
+
+def read_kept(tokens: list[str]) -> list[Thing] | None:
+    """The things that a clause wants left as they are; None for a clause of another kind."""
+    staying = next((i for i, token in enumerate(tokens) if token in words.STAYS), 0)
+    if staying:  # "the tank stays red"
+        tokens = ["keep", *tokens[:staying]]
+    keeps = tokens[0] in words.KEEP
+    negates = tokens[0] in words.NEGATIONS
+    if negates and len(tokens) > 1 and tokens[1] in words.TOUCH:
+        tokens = tokens[1:]
+    elif not keeps and not negates:
+        return None
+    content = [t for t in tokens[1:] if t not in words.FILLERS | words.AS_IT_IS]
+    if set(content) <= words.KEPT_ANYWAY - words.BACKGROUND:
+        return []
+    if keeps and tokens[-1] in words.ADJUSTMENTS | words.TINTS.keys():
+        return None
+    if negates and find_changes(tokens):  # "don't paint the bike red"
+        return None
+    return [read_thing([t for t in tokens[1:] if t not in words.AS_IT_IS])]
+
+
+def read_clause(tokens: list[str]) -> Clause:
+    """What a clause says that keeps nothing as it is."""
+    clause = Clause(text=" ".join(tokens))
+    tokens, clause.without = _without(_without_negated_colour(tokens))
+    if not tokens:  # "but not the wheels"
+        return clause
+    unsupported = _unsupported(tokens)
+    if unsupported:
+        return clause.not_understood(*unsupported)
+    removing = [i for i, token in enumerate(tokens) if token in words.REMOVE]
+    if removing and set(tokens[: removing[0]]) <= words.FILLERS | words.POLITENESS:
+        thing = read_thing(tokens[removing[0] + 1 :])
+        clause.action, clause.verb_first, clause.thing = "remove", True, thing
+        unclear = unclear_place(tokens[removing[0] + 1 :])
+        return clause.not_understood(*unclear) if unclear else clause
+    return _read_change(tokens, clause)
+
+
+def content_of(tokens: list[str]) -> list[str]:
+    """The words that are neither fillers nor degrees."""
+    ignored = words.FILLERS | words.WEAK | words.STRONG | words.RANDOM
+    ignored |= words.PAINT | words.NICE
+    pronouns = words.PRONOUNS - {"that", "this"}
+    return [t for t in tokens if t not in ignored or t in pronouns]
+
+
+# ---- what is left out of the thing ----
+
+
+def _without_negated_colour(tokens: list[str]) -> list[str]:
+    """The clause without "not red", as in "not red but green"."""
+    for start, token in enumerate(tokens[:-1]):
+        found = read_colour(tokens[start + 1 :])
+        if token == "not" and found is not None:
+            return tokens[:start] + tokens[start + 1 + found[1] :]
+    return tokens
+
+
+def _without(tokens: list[str]) -> tuple[list[str], list[Thing]]:
+    """The clause without "except the bear", and the bear.
+
+    The exception ends where the change begins: "everything except the bear red".
+    """
+    for marker in ("except", "without"):
+        if marker not in tokens[1:]:
+            continue
+        start = tokens.index(marker, 1)
+        rest = tokens[start + 1 :]
+        if rest and rest[0] in words.TOUCH:
+            rest = rest[1:]
+        end = _end_of_exception(rest, tokens)
+        if not [t for t in rest[:end] if t not in words.FILLERS]:
+            continue
+        return tokens[:start] + rest[end:], [read_thing(rest[:end])]
+    return tokens, []
+
+
+def _end_of_exception(rest: list[str], tokens: list[str]) -> int:
+    """Where the change begins that follows an exception; after a verb none does."""
+    changes = last_group(find_changes(rest), rest) if rest else []
+    ends = bool(changes) and changes[-1].end == len(rest)
+    removes = bool(set(tokens[:2]) & words.REMOVE)
+    return (
+        changes[0].start if ends and changes[0].start > 0 and not removes else len(rest)
+    )
+
+
+# ---- what nobody understands ----
+
+
+def _unsupported(tokens: list[str]) -> tuple[str, ...]:
+    """The words of a clause that say at once that nobody here can carry it out."""
+    if "or" in tokens:
+        return ("or",)
+    negated = tuple(token for token in tokens if token in words.NEGATIONS)
+    if negated:
+        return negated
+    asks = tokens[0] in words.QUESTIONS
+    other = tokens[0] in words.OTHER and not _repaints(tokens)
+    return (tokens[0],) if asks or other else ()
+
+
+def _repaints(tokens: list[str]) -> bool:
+    """Whether "replace red with green", or "give the wall a blue colour", is about colours."""
+    if tokens[0] in ("replace", "swap"):
+        middle = next(
+            (i for i, t in enumerate(tokens) if t in ("with", "by", "for")), 0
+        )
+        before = [t for t in tokens[1:middle] if t not in words.DETERMINERS]
+        return bool(read_colour(before)) and bool(find_changes(tokens[middle:]))
+    if tokens[0] in ("give", "draw"):
+        return bool(find_changes(tokens)) or _look(tokens) is not None
+    return False
+
+
+# ---- changes of colour and looks ----
+
+
+def _read_change(tokens: list[str], clause: Clause) -> Clause:
+    """A clause that changes colours, gives a look, or only names a thing."""
+    told = _as_told(tokens)
+    tokens, origin = _origin(told)
+    if not tokens:  # "from red" names neither a thing nor what it shall become
+        return clause.not_understood(*told)
+    look = _look(tokens)
+    if look is not None:
+        return _read_look(*look, clause)
+    changes = find_changes(tokens)
+    if not changes:
+        return _only_names(tokens, clause, origin)
+    group = last_group(changes, tokens)
+    amount = amount_of(tokens)
+    clause.action = "paint"
+    clause.verb_first = tokens[group[0].start] in words.IMPERATIVES | words.RANDOM
+    clause.changes = tuple(scaled(found.change, amount) for found in group)
+    clause.left_out = tuple(word for found in group for word in found.left_out)
+    named, unread = _split_around(tokens, group)
+    clause.thing = _flooded(_painted_thing(named, origin), tokens)
+    return clause.not_understood(*unread) if unread else clause
+
+
+def _split_around(
+    tokens: list[str], group: list[Found]
+) -> tuple[list[str], tuple[str, ...]]:
+    """The words that name what is changed, and those that nobody understands."""
+    before, after = tokens[: group[0].start], tokens[group[-1].end :]
+    named, other = (before, after) if content_of(before) else (after, [])
+    in_front = not content_of(before) and bool(content_of(after))
+    if in_front and not _may_follow(group[-1], tokens):
+        named, other = [], after
+    unread = [t for t in content_of(other) if t not in words.PARTS]
+    unread = list(unread_of(unread))
+    if set(unread) <= words.PLACES:  # "paint the vase red on the left"
+        named, unread = [*unread, *named], []
+    if read_region(named) is None:  # "the lower half"
+        unread += [t for t in named if t in words.MORE | words.LESS | words.UNSUPPORTED]
+    unread += unclear_place(named)
+    unread += strangers(named, before_change=named == before and bool(before))
+    return named, tuple(dict.fromkeys(unread))
+
+
+def _flooded(thing: Thing, tokens: list[str]) -> Thing:
+    """All of a thing, its neutral parts too, where the clause says so."""
+    if not set(tokens) & words.FLOOD or thing.scope not in ("named", "marked"):
+        return thing
+    return replace(thing, which=tuple(dict.fromkeys(("whole", *thing.which))))
+
+
+def _as_told(tokens: list[str]) -> list[str]:
+    """Read the purple door of "I want a purple door" as "door purple"; so "purple door"."""
+    paint = None
+    if tokens[0] == "turned":
+        paint = read_paint(tokens[1:])
+        tokens = tokens[1:] if paint is not None else tokens
+    elif is_noun(tokens[-1]):
+        paint = read_paint(tokens)
+    if paint is None:
+        return tokens
+    thing = tokens[paint.length :]
+    plain = bool(content_of(thing)) and not find_changes(thing) and not _look(thing)
+    all_known = not set(thing) & words.FILLERS
+    return [*thing, *tokens[: paint.length]] if plain and all_known else tokens
+
+
+def _only_names(tokens: list[str], clause: Clause, origin: Colour | None) -> Clause:
+    """A clause without a change: a thing that shares a neighbour's, or something unknown."""
+    says_more = set(tokens) & (words.MORE | words.LESS | words.NEGATIONS)
+    content = content_of(tokens)
+    if clause.without and read_thing(tokens).scope == "whole":  # the change follows
+        clause.thing = read_thing(tokens)
+        return clause
+    begins = tokens[0] in words.PAINT | words.DETERMINERS or len(content) == 1
+    unclear = unclear_place(tokens)
+    if read_region(tokens) is not None:
+        clause.thing = read_region(tokens)
+        return clause
+    if says_more or origin is not None or not content or not begins or unclear:
+        unread = unread_of([t for t in content if t not in words.PRONOUNS])
+        return clause.not_understood(*(unclear or unread or tokens))
+    clause.thing = read_thing(tokens)
+    return clause
+
+
+def _origin(tokens: list[str]) -> tuple[list[str], Colour | None]:
+    """Take "from COLOUR" or "instead of COLOUR" out of a clause."""
+    for start, token in enumerate(tokens):
+        if token not in ("from", "insteadof"):
+            continue
+        found = read_colour(tokens[start + 1 :])
+        if found is not None:
+            colour, length = found
+            return tokens[:start] + tokens[start + 1 + length :], colour
+    return tokens, None
+
+
+def _painted_thing(named: list[str], origin: Colour | None) -> Thing:
+    """The thing of a change. "Turn red into blue" is about what is red."""
+    content = [t for t in named if t not in words.FILLERS | words.PAINT]
+    colour = read_colour(content)
+    determined = bool(set(named) & {"the", "a", "an", "my"})
+    only_colour = colour is not None and colour[1] == len(content)
+    if origin is None and colour is not None and only_colour and not determined:
+        return Thing("whole", part=colour[0])
+    thing = read_thing(named)
+    if origin is None:
+        return thing
+    scope = "whole" if thing.scope == "marked" and not thing.name else thing.scope
+    return replace(thing, scope=scope, part=origin)
+
+
+def _may_follow(change: Found, tokens: list[str]) -> bool:
+    """Whether the thing may follow: "darken walls", "more contrast in the sky", "paint red the
+    bike".
+    """
+    after = [t for t in tokens[change.end :] if t not in words.PAINT]
+    first = tokens[change.start]
+    if first in words.IMPERATIVES | words.RANDOM or first in words.TINTS:
+        return True
+    if first in words.ADJUSTMENTS and first.endswith("er"):  # "a darker sky"
+        return True
+    return after[0] in words.DETERMINERS or (
+        after[0] in ("in", "on", "for") and len(after) > 1
+    )
+
+
+def _read_look(look: str, before: list[str], clause: Clause) -> Clause:
+    """A clause that gives a look to what stands before its word."""
+    if find_changes(before):  # "brown like in autumn"
+        return clause.not_understood(look)
+    clause.action, clause.look, clause.thing = "look", look, read_thing(before)
+    return clause
+
+
+def _look(tokens: list[str]) -> tuple[str, list[str]] | None:
+    """The look that a clause asks for, and the words before it, which name the thing."""
+    if "same" in tokens or read_taken(tokens) is not None:  # "as white as the table"
+        return None
+    for start, token in enumerate(tokens):
+        skipped = words.FILLERS | words.PRONOUNS | {"it's"}
+        rest = [t for t in tokens[start + 1 :] if t not in skipped]
+        if token in words.STYLE and rest and not find_changes(rest):
+            return " ".join(rest), tokens[:start]
+        if token in words.LOOKS and _ends_with_look(tokens[start + 1 :]):
+            return token, tokens[:start]
+    return None
+
+
+def _ends_with_look(after: list[str]) -> bool:
+    """Whether only nouns for a style follow; "of the street" says what the photo shows."""
+    if "of" in after:
+        after = after[: after.index("of")]
+    return set(after) <= words.STYLE_NOUNS | words.LOOKS | words.POLITENESS

@@ -1,0 +1,282 @@
+"""Names of colours: what people call colours, and shades of them.
+
+Names come from three lists: everyday words as a painter would mix them, CSS (in Pillow), and the
+949 names of the xkcd colour survey. Shades such as "very dark sage green" are computed.
+"""
+
+import colorsys
+import difflib
+import re
+from functools import cache
+from importlib.resources import files
+
+from PIL import ImageColor
+
+from edit3r.contract.wishes import Colour
+from edit3r.wishes.nouns import is_noun
+
+RGB = tuple[float, float, float]
+
+BASIC_COLOURS = [
+    "red",
+    "orange",
+    "yellow",
+    "green",
+    "blue",
+    "purple",
+    "pink",
+    "brown",
+    "black",
+    "white",
+    "grey",
+    "turquoise",
+    "cyan",
+    "magenta",
+    "gold",
+    "silver",
+    "beige",
+    "navy",
+    "teal",
+    "olive",
+    "maroon",
+    "violet",
+]
+"""The colours that messages suggest first, and that "more" may stand before."""
+
+_EVERYDAY_COLOURS = {
+    "bronze": "#cd7f32",
+    "burgundy": "#800020",
+    "charcoal": "#36454f",
+    "chrome": "#c4cad2",
+    "copper": "#b87333",
+    "cream": "#fffdd0",
+    "emerald": "#50c878",
+    "golden": "#ffd700",
+    "lilac": "#c8a2c8",
+    "marble": "#ece9e2",
+    "mint": "#98ff98",
+    "mustard": "#e1ad01",
+    "navyblue": "#000080",
+    "babyblue": "#a0cfec",
+    "ochre": "#cc7722",
+    "rose": "#ff007f",
+    "ruby": "#9b111e",
+    "scarlet": "#ff2400",
+    "silvery": "#c0c0c0",
+    "steel": "#9aa3ad",
+    "terracotta": "#e2725b",
+    "wood": "#8a5a2b",
+    # As a painter would mix them: CSS's pure primaries are lamps, its green is very dark, and its
+    # brown is a red.
+    "brown": "#7a4a26",
+    "red": "#dc1414",
+    "green": "#1e9632",
+    "blue": "#1e50dc",
+    "yellow": "#ffdc00",
+}
+
+TONES = {
+    "light": (0.45, 1.0),
+    "lighter": (0.45, 1.0),
+    "lightish": (0.25, 1.0),
+    "pale": (0.6, 1.0),
+    "pastel": (0.55, 1.0),
+    "soft": (0.25, 0.8),
+    "bright": (0.12, 1.2),
+    "vivid": (0.0, 1.4),
+    "vibrant": (0.0, 1.4),
+    "rich": (-0.1, 1.2),
+    "dull": (0.0, 0.55),
+    "muted": (0.0, 0.5),
+    "dusty": (0.15, 0.55),
+    "faded": (0.25, 0.6),
+    "deep": (-0.25, 1.0),
+    "darkish": (-0.2, 1.0),
+    "dark": (-0.4, 1.0),
+    "darker": (-0.4, 1.0),
+    "deeper": (-0.25, 1.0),
+    "brighter": (0.12, 1.2),
+    "paler": (0.6, 1.0),
+    "medium": (0.0, 1.0),
+}
+"""Shades: the share of the way to white, or (negative) to black, and a factor on saturation."""
+
+COMPARED = {"lighter": 1, "brighter": 1, "paler": 1, "darker": -1, "deeper": -1}
+"""Shades that are said against what the thing is now, and their direction."""
+
+NEON = ("neon", "fluorescent", "fluoro")
+VERY = ("very", "really", "super", "extremely")
+
+_MADE_ON_THE_COLOUR_ITSELF = ("dark", "deep", "light", "bright", "pale")
+"""Tones that with a basic colour are computed: the survey's dark colours are nearly black."""
+
+# Names of the lists that here mean another thing: a material, a look, an adjustment, a shade.
+_NO_COLOURS = frozenset(
+    [
+        "snow",
+        "dark",
+        "pale",
+        "midnight",
+        "dusk",
+        "twilight",
+        "sepia",
+        "bland",
+        "royal",
+        "drab",
+        "brick",
+        "stone",
+        "sandstone",
+        "ice",
+        "denim",
+        "leather",
+        "velvet",
+        "grass",
+        "moss",
+        "water",
+        "mud",
+        "dirt",
+        "clay",
+        "cement",
+        "earth",
+        "dust",
+        "straw",
+        "sky",
+        "sea",
+        "ocean",
+        "forest",
+        "leaf",
+        "desert",
+        "swamp",
+    ]
+)
+_STUFF = _NO_COLOURS - frozenset(["snow", "dark", "pale", "sepia", "water"])
+
+MAX_WORDS = 6
+
+
+def read_colour(words: list[str]) -> tuple[Colour, int] | None:
+    """The colour at the start of `words`, and how many words it takes.
+
+    The longest reading wins: "light sea green" is one colour.
+    """
+    for length in range(min(MAX_WORDS, len(words)), 0, -1):
+        rgb = _toned(words[:length])
+        if rgb is not None:
+            return Colour(" ".join(words[:length]), rgb), length
+    return None
+
+
+def read_colour_of(words: list[str]) -> tuple[Colour, int] | None:
+    """The colour after "the colour of", where "brick" and "grass" are colours too."""
+    found = read_colour(words)
+    if found is not None or not words or words[0] not in _STUFF:
+        return found
+    rgb = _rgb(_listed()[words[0]])
+    assert rgb is not None
+    return Colour(words[0], rgb), 1
+
+
+def is_thing_too(colour: Colour) -> bool:
+    """Whether a colour's name is a thing as well: "rose", "sand", "wine"."""
+    return colour.name not in BASIC_COLOURS and is_noun(colour.name)
+
+
+def near_colours(word: str, count: int = 3) -> list[str]:
+    """Names of colours that are spelt nearly like a word, or contain it."""
+    names = colour_names()
+    basic = difflib.get_close_matches(word, BASIC_COLOURS, n=1, cutoff=0.7)
+    near = difflib.get_close_matches(word, names, n=count, cutoff=0.75)
+    within = [name for name in names if word in name.split()]
+    return list(dict.fromkeys((*basic, *near, *within)))[:count]
+
+
+@cache
+def colour_names() -> tuple[str, ...]:
+    """All names of the lists, as they are written."""
+    survey = [name for _, name in _survey()]
+    spaced = {_key(name): name for name in (*ImageColor.colormap, *survey)}
+    return tuple(dict.fromkeys((*BASIC_COLOURS, *spaced.values())))
+
+
+def _toned(words: list[str]) -> RGB | None:
+    """sRGB of a colour's name, which may begin with "light", "very dark" and the like."""
+    computed = (
+        len(words) == 2
+        and words[0] in _MADE_ON_THE_COLOUR_ITSELF
+        and words[1] in BASIC_COLOURS
+    )
+    rgb = None if computed and _css("".join(words)) is None else _named("".join(words))
+    if rgb is not None or len(words) == 1:
+        return rgb
+    if words[0] in NEON:
+        return _glowing(_toned(words[1:]))
+    strength = 1.0
+    if words[0] in VERY and len(words) > 2:
+        strength, words = 1.5, words[1:]
+    if words[0] not in TONES:
+        return None
+    return _shaded(_toned(words[1:]), *TONES[words[0]], strength)
+
+
+def _shaded(
+    rgb: RGB | None, tone: float, saturation: float, strength: float
+) -> RGB | None:
+    """A colour on the way to white or black, at most most of the way, with other saturation."""
+    if rgb is None:
+        return None
+    tone = max(-0.75, min(0.75, strength * tone))
+    hue, lightness, chroma = colorsys.rgb_to_hls(*rgb)
+    lightness *= 1 + min(tone, 0)
+    lightness += max(tone, 0) * (1 - lightness)
+    return colorsys.hls_to_rgb(hue, lightness, min(1.0, saturation * chroma))
+
+
+def _glowing(rgb: RGB | None) -> RGB | None:
+    """The purest and brightest colour of a hue; black, white and grey have none."""
+    if rgb is None or max(rgb) - min(rgb) < 0.05:
+        return None
+    hue, _, _ = colorsys.rgb_to_hls(*rgb)
+    return colorsys.hls_to_rgb(hue, 0.54, 1.0)
+
+
+def _named(name: str) -> RGB | None:
+    """sRGB of a name without spaces, or of "#ff8800"."""
+    if name in _NO_COLOURS:
+        return None
+    if name.startswith("#"):
+        return _rgb(name)
+    given = _listed().get(_key(name))
+    return None if given is None else _rgb(given)
+
+
+def _css(name: str) -> str | None:
+    given = ImageColor.colormap.get(name)
+    return given if given is None or isinstance(given, str) else name
+
+
+def _rgb(text: str) -> RGB | None:
+    try:
+        red, green, blue = ImageColor.getrgb(text)[:3]
+    except ValueError:  # "#" and letters that are no colour
+        return None
+    return red / 255, green / 255, blue / 255
+
+
+def _key(name: str) -> str:
+    return re.sub(r"[^a-z]", "", name)
+
+
+@cache
+def _survey() -> tuple[tuple[str, str], ...]:
+    """Colours and names of the xkcd survey."""
+    text = files("edit3r.wishes").joinpath("colours.txt").read_text("utf-8")
+    lines = [line for line in text.splitlines() if not line.startswith("# ")]
+    return tuple((line[:7], line[8:]) for line in lines)
+
+
+@cache
+def _listed() -> dict[str, str]:
+    """Colours by their names without spaces; everyday words before CSS before the survey."""
+    survey = {_key(name): code for code, name in _survey()}
+    css = {name: name for name in ImageColor.colormap}
+    return {**survey, **css, **_EVERYDAY_COLOURS}

@@ -1,0 +1,36 @@
+"""Everyday words for things. Others are things too: this only tells a noun from a misspelt colour."""
+
+from functools import cache
+from importlib.resources import files
+
+
+def is_noun(word: str) -> bool:
+    """Whether a word, singular, plural or with 's, is on the list of everyday things."""
+    word = word.removesuffix("'s")
+    return any(form in _nouns() for form in _singulars(word))
+
+
+def is_plural(word: str) -> bool:
+    """Whether a word is the plural of an everyday thing: "cups", but not "glasses"."""
+    return word not in _nouns() and is_noun(word)
+
+
+def _singulars(word: str) -> tuple[str, ...]:
+    """The word, and what it may be the plural of."""
+    forms = [word]
+    if word.endswith("s"):
+        forms.append(word[:-1])
+    if word.endswith("es"):
+        forms.append(word[:-2])
+    if word.endswith("ies"):
+        forms.append(word[:-3] + "y")
+    if word.endswith("ves"):
+        forms += [word[:-3] + "f", word[:-3] + "fe"]
+    return tuple(forms)
+
+
+@cache
+def _nouns() -> frozenset[str]:
+    text = files("edit3r.wishes").joinpath("nouns.txt").read_text("utf-8")
+    lines = [line for line in text.splitlines() if not line.startswith("#")]
+    return frozenset(" ".join(lines).split())

@@ -1,0 +1,102 @@
+"""Places of the picture: "the left half", "the lower third", "the top of the picture"."""
+
+from edit3r.contract.wishes import Box, Thing
+from edit3r.wishes import vocabulary as words
+
+_DOWN = {"top": "top", "upper": "top", "bottom": "bottom", "lower": "bottom"}
+_ACROSS = {"left": "left", "right": "right"}
+_MIDDLE = frozenset(["middle", "centre", "central"])
+_SIDES = frozenset((*_DOWN, *_ACROSS)) | _MIDDLE
+_COUNTS = frozenset(("two", "three"))
+
+_PARTS = {
+    "half": 1 / 2,
+    "third": 1 / 3,
+    "thirds": 2 / 3,
+    "quarter": 1 / 4,
+    "quarters": 3 / 4,
+    "side": 1 / 2,
+    "part": 1 / 3,
+    "area": 1 / 3,
+    "corner": 1 / 3,
+}
+_NAMES = {"side": "half", "part": "third", "area": "third", "": "third"}
+
+
+def read_region(tokens: list[str]) -> Thing | None:
+    """The place of the picture that the words name; None for other words, and for unclear ones."""
+    rest, of_picture = _inside(tokens)
+    named = _plain(rest)
+    if not named or not set(named) <= _SIDES | set(_PARTS) | _COUNTS:
+        return None
+    parts = [word for word in named if word in _PARTS]
+    if not of_picture and not parts:  # "the left", of things of one name
+        return None
+    across = [_ACROSS[word] for word in named if word in _ACROSS]
+    down = [_DOWN[word] for word in named if word in _DOWN]
+    if len(parts) > 1 or len(across) > 1 or len(down) > 1:
+        return None
+    return _region(*down, *across, part="".join(parts), middle=bool(_MIDDLE & {*named}))
+
+
+def unclear_place(tokens: list[str]) -> tuple[str, ...]:
+    """The words of a share of something that no box of the picture is: "half of the wall"."""
+    if read_region(tokens) is not None:
+        return ()
+    inside, of_picture = _inside(tokens)
+    head = inside[: inside.index("of")] if "of" in inside else inside
+    named = _plain(head)
+    shares = tuple(word for word in named if word in words.SHARES)
+    only_places = bool(named) and set(named) <= _SIDES | set(_PARTS) | _COUNTS
+    if shares and only_places:
+        return shares
+    whole_picture = of_picture or "of" not in inside
+    return ("corner",) if only_places and "corner" in named and whole_picture else ()
+
+
+def _region(*sides: str, part: str, middle: bool) -> Thing | None:
+    """The box at some sides; the middle is half as wide and high as the picture."""
+    if middle:
+        free = not sides and part in ("", "part", "area")
+        return _thing("middle", (0.25, 0.25, 0.5, 0.5)) if free else None
+    if not sides or (part == "corner" and len(sides) < 2):
+        return None
+    share = _PARTS[part or "part"]
+    if part == "quarter" and len(sides) == 2:
+        share = 1 / 2
+    left, width = _stretch(sides, "left", "right", share)
+    top, height = _stretch(sides, "top", "bottom", share)
+    count = {"thirds": "two ", "quarters": "three "}.get(part, "")
+    name = f"{' '.join(sides)} {count}{_NAMES.get(part, part)}"
+    return _thing(name, (left, top, width, height))
+
+
+def _thing(name: str, box: Box) -> Thing:
+    return Thing("region", name, box=box)
+
+
+def _stretch(
+    sides: tuple[str, ...], first: str, last: str, share: float
+) -> tuple[float, float]:
+    """Where the box begins along one axis, and how long it is."""
+    if first in sides:
+        return 0.0, share
+    return (1 - share, share) if last in sides else (0.0, 1.0)
+
+
+def _inside(tokens: list[str]) -> tuple[list[str], bool]:
+    """The words without "of the picture", and whether they said it."""
+    for start, token in enumerate(tokens):
+        ignored = words.DETERMINERS | words.WEAK | words.STRONG
+        tail = [t for t in tokens[start + 1 :] if t not in ignored]
+        if token in ("of", "in") and tail and set(tail) <= words.PICTURE:
+            return tokens[:start], True
+    return tokens, False
+
+
+def _plain(tokens: list[str]) -> list[str]:
+    ignored = words.FILLERS | words.DETERMINERS | words.WEAK | words.STRONG
+    return [t for t in tokens if (t not in ignored or t in _SIDES) and t not in _ALL]
+
+
+_ALL = frozenset(("everything", "all"))

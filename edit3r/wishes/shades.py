@@ -1,0 +1,80 @@
+"""A colour that is taken from another thing: "the colour of the stone", "as white as the door"."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from edit3r.contract.wishes import Change, Colour
+from edit3r.wishes import vocabulary as words
+from edit3r.wishes.colours import read_colour, read_colour_of
+from edit3r.wishes.things import read_thing
+
+
+@dataclass(frozen=True)
+class Taken:
+    """A colour of another thing, said from word `start` to the end of the clause."""
+
+    start: int
+    change: Change
+
+
+def read_taken(tokens: list[str]) -> Taken | None:
+    """The colour that a clause takes from another thing, where a thing to paint stands before."""
+    for start in range(1, len(tokens)):
+        found = _source_at(tokens, start)
+        if found is None or not _names_something(tokens[:start]):
+            continue
+        hue, source = found
+        change = _of_thing(hue, source)
+        if change is not None:
+            return Taken(_with_article(tokens, start), change)
+    return None
+
+
+def _source_at(tokens: list[str], start: int) -> tuple[Colour | None, list[str]] | None:
+    """The hue that is named, if any, and the words for the thing that has it."""
+    first, rest = tokens[start], tokens[start + 1 :]
+    if first in ("match", "matching"):
+        return None, rest
+    if first == "colour" and rest[:1] and rest[0] in ("of", "as", "from"):
+        return None, rest[1:]
+    before = tokens[start - 1]
+    found = read_colour(tokens[start:])
+    if found is None or before not in ("the", "same", "as"):
+        return None
+    hue, length = found
+    after = tokens[start + length :]
+    joins = ("as",) if before in ("same", "as") else ("of", "from")
+    return (hue, after[1:]) if after[:1] and after[0] in joins else None
+
+
+def _of_thing(hue: Colour | None, source: Sequence[str]) -> Change | None:
+    """Paint in the colour of a thing; "the colour of chocolate" is a colour by its name."""
+    source = _without_tail(source)
+    found = read_colour_of(list(source))
+    if hue is None and found is not None and found[1] == len(source):
+        return Change("paint", found[0])
+    if not _names_something(source):
+        return None
+    thing = replace(read_thing(list(source)), part=hue)
+    return Change("paint", like=thing)
+
+
+def _without_tail(source: Sequence[str]) -> Sequence[str]:
+    """The thing without "it stands on", which says no more about its colour."""
+    for place, word in enumerate(source):
+        if place and (word in words.PRONOUNS or word == "has"):
+            return source[:place]
+    return source
+
+
+def _names_something(tokens: Sequence[str]) -> bool:
+    ignored = words.FILLERS | words.PAINT | {"same"}
+    ignored |= words.DETERMINERS - words.PRONOUNS
+    return bool(set(tokens) - ignored)
+
+
+def _with_article(tokens: list[str], start: int) -> int:
+    """Where "in exactly the same colour of ..." begins."""
+    while start and tokens[start - 1] in {*words.ARTICLES, "same", "as", "in", "to"}:
+        start -= 1
+    return start

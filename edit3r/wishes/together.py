@@ -1,0 +1,201 @@
+"""Clauses put together: changes that several things share, pronouns, and what is kept."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+from edit3r.contract.errors import PromptError
+from edit3r.contract.wishes import Thing, Wish
+from edit3r.wishes import vocabulary as words
+from edit3r.wishes.clauses import Clause, content_of
+from edit3r.wishes.nouns import is_plural
+from edit3r.wishes.strangers import unread_of
+
+
+def wishes_of(
+    clauses: list[Clause], kept: list[Thing], prompt: str
+) -> tuple[Wish, ...]:
+    """The wishes of a sentence's clauses. Raises PromptError for two colours on one thing."""
+    return tuple(_with_rest(_merged(_resolved(_shared(clauses), kept), prompt)))
+
+
+# ---- what neighbours share ----
+
+
+def _shared(clauses: list[Clause]) -> list[Clause]:
+    """Give clauses that only name things the change of their neighbours."""
+    filled: list[Clause] = []
+    for index, clause in enumerate(clauses):
+        if _goes_on(clause, clauses[index + 1 :]):
+            continue
+        giver = None if clause.action else _giver(clauses, index)
+        if clause.action:
+            filled.append(clause)
+        elif giver is None or giver.action == "other":
+            content = content_of(clause.text.split())
+            unread = unread_of([t for t in content if t not in words.PRONOUNS])
+            filled.append(clause.not_understood(*(unread or content)))
+        else:
+            filled.append(_with_change_of(clause, giver))
+    return filled
+
+
+def _goes_on(clause: Clause, following: list[Clause]) -> bool:
+    """Whether an exception goes on in the next clause, which then has all of it.
+
+    "everything but the sky and the water red".
+    """
+    if clause.action or not clause.without or not following:
+        return False
+    follower = following[0]
+    if follower.action != "paint":
+        return False
+    kept_too = [follower.thing] if follower.thing is not None else []
+    follower.without = [*clause.without, *kept_too]
+    follower.thing = clause.thing
+    return True
+
+
+def _giver(clauses: list[Clause], index: int) -> Clause | None:
+    """The clause whose change one without any shares.
+
+    The next one, as in "paint the door and the wall white"; where none follows, or the change
+    stands first ("darken the door and the wall"), the one before.
+    """
+    before = next((c for c in reversed(clauses[:index]) if c.action), None)
+    after = next((c for c in clauses[index:] if c.action), None)
+    return before if before is not None and before.verb_first else after
+
+
+def _with_change_of(clause: Clause, giver: Clause) -> Clause:
+    thing = clause.thing or Thing()
+    if giver.thing is not None and thing.scope != "region":
+        part = thing.part or giver.thing.part
+        thing = replace(thing, part=part, name=thing.name or giver.thing.name)
+    return replace(
+        clause,
+        action=giver.action,
+        changes=giver.changes,
+        look=giver.look,
+        left_out=giver.left_out,
+        thing=thing,
+    )
+
+
+# ---- pronouns, and what is kept ----
+
+
+def _resolved(clauses: list[Clause], kept: list[Thing]) -> Iterator[Wish]:
+    """The clauses as wishes, with pronouns resolved and what is kept left out of the thing."""
+    last: Thing | None = None
+    for clause in clauses:
+        thing = clause.thing or Thing()
+        if thing.scope == "named" and not thing.name and last is not None:
+            thing = replace(thing, name=last.name)  # "the blue one"
+        if thing.of == "it" and last is not None:  # "its wheels"
+            thing = replace(thing, of=last.name)
+        kept = [_named_like(one, thing) for one in kept]
+        own = [_named_like(one, thing) for one in clause.without]
+        without = [*own, *(one for one in kept if _matters(one, thing))]
+        thing = _pointed_at(thing, last, clause, without)
+        if thing.scope != "whole" or last is None:
+            last = thing
+        yield _wish(clause, _all_of_name(thing, without), without)
+
+
+def _named_like(kept: Thing, thing: Thing) -> Thing:
+    """ "The middle one", which is kept of the cups, by its name."""
+    if kept.name or kept.scope != "named":
+        return kept
+    return replace(kept, name=thing.name)
+
+
+def _matters(kept: Thing, thing: Thing) -> bool:
+    """Whether keeping `kept` says anything about a wish on `thing`: a bike has no background."""
+    return kept.scope != "background" or thing.scope == "whole"
+
+
+def _pointed_at(
+    thing: Thing, last: Thing | None, clause: Clause, without: Sequence[Thing]
+) -> Thing:
+    """What "it" or no name at all stands for.
+
+    What was named last in the sentence. Without any, looks and adjustments are about the whole; its
+    name stays "it" where the sentence says so, since an earlier run may have named something.
+    """
+    if thing.scope != "marked" or thing.part is not None:
+        return thing
+    if last is not None:
+        return last
+    adjusts = bool(clause.changes) and all(
+        change.kind not in ("paint", "random") for change in clause.changes
+    )
+    said = thing.name == "it"
+    if without:
+        return Thing("marked" if said else "whole")
+    if clause.action == "look" or adjusts:
+        return Thing("whole", "it" if said and not thing.which else "")
+    return replace(thing, name="") if said else thing
+
+
+def _all_of_name(thing: Thing, without: Sequence[Thing]) -> Thing:
+    """All of the cups, where one of them is left out: "the cups but the middle one"."""
+    one_of_them = any(kept.name == thing.name and kept.which for kept in without)
+    several = is_plural(thing.name.split()[-1]) if thing.name else False
+    if not one_of_them or not several or set(thing.which) & words.EVERY:
+        return thing
+    return replace(thing, which=("all", *thing.which))
+
+
+def _wish(clause: Clause, thing: Thing, without: Sequence[Thing]) -> Wish:
+    return Wish(
+        action=clause.action or "other",
+        thing=thing,
+        changes=clause.changes if clause.action == "paint" else (),
+        look=clause.look if clause.action == "look" else "",
+        without=tuple(dict.fromkeys(without)),
+        text=clause.text,
+        unread=clause.unread,
+        left_out=clause.left_out,
+    )
+
+
+# ---- wishes about one thing ----
+
+
+def _merged(wishes: Iterable[Wish], prompt: str) -> list[Wish]:
+    """Wishes of one action about one thing become one; painting comes before adjusting."""
+    merged: dict[tuple, Wish] = {}
+    for number, wish in enumerate(wishes):
+        alone = number if wish.action == "other" else -1
+        key = (alone, wish.action, wish.thing, wish.without, wish.look)
+        merged[key] = _joined(merged[key], wish) if key in merged else wish
+    for wish in merged.values():
+        if sum(change.kind == "paint" for change in wish.changes) > 1:
+            raise PromptError(
+                f"{prompt!r} asks for two colours at once; name one, or what else gets the other."
+            )
+    return list(merged.values())
+
+
+def _joined(first: Wish, second: Wish) -> Wish:
+    changes = sorted(
+        (*first.changes, *second.changes), key=lambda one: one.kind != "paint"
+    )
+    text = f"{first.text}, {second.text}"
+    left_out = dict.fromkeys((*first.left_out, *second.left_out))
+    return replace(
+        first,
+        changes=tuple(dict.fromkeys(changes)),
+        text=text,
+        left_out=tuple(left_out),
+    )
+
+
+def _with_rest(wishes: list[Wish]) -> Iterator[Wish]:
+    """In "the car blue and the background grey" the background is all but the car."""
+    named = [wish.thing for wish in wishes if wish.thing.scope in ("named", "marked")]
+    for wish in wishes:
+        if wish.thing.scope != "background" or not named or wish.without:
+            yield wish
+        else:
+            yield replace(wish, without=tuple(dict.fromkeys(named)))
