@@ -30,9 +30,9 @@ from edit3r import Views, build
 from edit3r.contract.errors import Edit3rError
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
+from edit3r.kit.wishes.things import read_thing
 from edit3r.running import Selection, select_masks
 from edit3r.running.selecting.geometry import locate
-from edit3r.wishes.things import read_thing
 
 CLICKS = 3
 ANYWHERE = 6  # first clicks a photo

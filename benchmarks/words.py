@@ -20,8 +20,8 @@ from PIL import Image
 
 from edit3r import build
 from edit3r.contract.errors import InputError
+from edit3r.kit.wishes.things import read_thing
 from edit3r.running import SURE, Selection, select_masks
-from edit3r.wishes.things import read_thing
 
 ABSENT = (
     "car",

@@ -21,6 +21,7 @@ MOVED: dict[str, tuple[str, ...]] = {
     "edit3r.geometry": ("edit3r.kit.geometry",),
     "edit3r.reporting": ("edit3r.contract.reporting",),
     "edit3r.selection": ("edit3r.running.selecting",),
+    "edit3r.wishes": ("edit3r.kit.wishes",),
 }
 """Where the names of an old module are now; the modules inside a package moved with it."""
 

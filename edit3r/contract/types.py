@@ -133,19 +133,13 @@ class EditRequest(_Tensors):
     seed: int = 0  # one for all views, so that every view gets the same edit
     # in [0, 1]; 1: may change; None: everywhere
     masks: Float[Tensor, "batch view height width"] | None = None
-    wishes: tuple[Wish, ...] = ()  # the prompt as it was read; see `read`
+    wishes: tuple[Wish, ...] = ()  # the prompt as the run read it; () where nobody did
     # where each wish applies, in [0, 1]; None: nobody looked, so everywhere
     regions: Float[Tensor, "wish batch view height width"] | None = None
 
     def __post_init__(self) -> None:
         if self.masks is not None:
             _check("EditRequest.masks", self.masks, (None, None, None, None))
-
-    def read(self) -> tuple[Wish, ...]:
-        """What the prompt asks for. Raises PromptError for one that asks for nothing."""
-        from edit3r.wishes.read import read
-
-        return self.wishes or read(self.prompt)
 
     def of_scene(self, index: int) -> "EditRequest":
         """The same request for one scene of the batch."""

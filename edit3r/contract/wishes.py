@@ -1,7 +1,7 @@
 """What a sentence asks for, as the editors get it with their request.
 
-One reader (`edit3r.wishes.read`) makes these from the prompt. A sentence is a row of wishes, each
-about one thing: "paint the door green and remove the bin" is two.
+One reader (`edit3r.kit.wishes.read`) makes these from the prompt. A sentence is a row of wishes,
+each about one thing: "paint the door green and remove the bin" is two.
 """
 
 from dataclasses import dataclass, replace

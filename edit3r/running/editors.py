@@ -12,9 +12,9 @@ from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import EditRequest
 from edit3r.contract.wishes import Wish
 from edit3r.kit.weights.find import at_hand
+from edit3r.kit.wishes.read import ABILITIES, read, spelling_hint
 from edit3r.loading.registry import Registry
 from edit3r.running.scene import Scene
-from edit3r.wishes.read import ABILITIES, read, spelling_hint
 
 
 @dataclass(frozen=True)

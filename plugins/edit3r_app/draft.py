@@ -19,8 +19,8 @@ from torch import Tensor
 from edit3r.contract.errors import InputError
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.wishes.things import read_thing
 from edit3r.running import MAX_GROWTH, MAX_STEPS, Box, Selection
-from edit3r.wishes.things import read_thing
 from edit3r_app.jobs import JobsFolder
 
 MAX_MARKS = 200

@@ -27,6 +27,7 @@ from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.compute.layers import one_thread
+from edit3r.kit.wishes.read import read
 
 Images = Float[Tensor, "view 3 height width"]
 Grey = Float[Tensor, "view 1 height width"]
@@ -262,7 +263,9 @@ class LooksEditor(Editor, EditsRegions):
 
     @one_thread()  # powers differ in their last bits by where threads divide an image
     def edit(self, views: Views, request: EditRequest) -> Views:
-        wishes = (self.wish_of_nothing(),) if self.settings.look else request.read()
+        wishes = (self.wish_of_nothing(),)
+        if not self.settings.look:
+            wishes = request.wishes or read(request.prompt)
         photos = views.images.flatten(0, 1)
         for number, wish in enumerate(wishes):
             name = self.settings.look or look_of(wish)

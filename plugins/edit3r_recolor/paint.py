@@ -70,8 +70,8 @@ def paint(
     Shading and highlights stay. A thing without a clear colour is painted whole, and so is one that
     would change in islands; any thing is where `flood` is set. `tolerance` is how far hues of one
     paint are apart [degrees]. `metal` gives it the contrast and the coloured highlights of polished
-    metal, `matte` weaker highlights, and `than_now` a colour that is darker (-1) or lighter (1) than
-    what it was.
+    metal, `matte` weaker highlights, and `than_now` a colour that is darker (-1) or lighter (1)
+    than what it was.
     """
     inside = region > 0
     if not inside.any():

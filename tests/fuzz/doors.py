@@ -420,7 +420,7 @@ def recipes(rng, folder, given):
 
 def prompts(rng, folder, given):
     from edit3r.contract.wishes import Wish
-    from edit3r.wishes.read import read
+    from edit3r.kit.wishes.read import read
 
     text = mangled_text(
         rng,

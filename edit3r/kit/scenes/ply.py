@@ -22,7 +22,7 @@ from edit3r.contract.reporting import warn
 from edit3r.contract.types import MAX_DEGREE, Gaussians
 from edit3r.kit.files.atomic import atomic_write
 
-__all__ = ["load_ply", "save_ply"]
+__all__ = ["LEAST_OPACITY", "SMALLEST_SCALE", "VIEWER_DEGREE", "load_ply", "save_ply"]
 
 OPACITY_MARGIN = 1e-7  # keeps the logits of 0 and 1 finite, within +-16.2
 SMALLEST_SCALE = float(np.finfo(np.float32).tiny)  # keeps the logarithm of 0 finite

@@ -10,9 +10,9 @@ from edit3r.contract.lens import Lens
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import LoadedPhotos
 from edit3r.kit.photos.masks import load_masks, read_mask
+from edit3r.kit.wishes.things import read_thing
 from edit3r.running.config import MAX_PROMPT
 from edit3r.running.selecting.select import Box, Selection
-from edit3r.wishes.things import read_thing
 
 
 @dataclass(frozen=True)

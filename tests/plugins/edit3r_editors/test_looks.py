@@ -13,8 +13,8 @@ from edit3r.contract.errors import PromptError, SettingsError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.photos.images import packaged_pair
+from edit3r.kit.wishes.read import read
 from edit3r.loading.registry import build
-from edit3r.wishes.read import read
 
 PHOTO = torch.from_numpy(
     data.astronaut()[:256, 100:420].astype(np.float32) / 255

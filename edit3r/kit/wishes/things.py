@@ -1,11 +1,11 @@
 """Read the words that name a thing: "the left cup", "the red parts of the bike", "the rest"."""
 
 from edit3r.contract.wishes import Colour, Thing
-from edit3r.wishes import vocabulary as words
-from edit3r.wishes.colours import is_thing_too, read_colour
-from edit3r.wishes.nouns import is_noun
-from edit3r.wishes.paints import LIGHT_WORDS
-from edit3r.wishes.places import read_region
+from edit3r.kit.wishes import vocabulary as words
+from edit3r.kit.wishes.colours import is_thing_too, read_colour
+from edit3r.kit.wishes.nouns import is_noun
+from edit3r.kit.wishes.paints import LIGHT_WORDS
+from edit3r.kit.wishes.places import read_region
 
 _JOINING = words.JOINING - {"at", "to", "next", "above", "below"}
 

@@ -9,11 +9,12 @@ import difflib
 import re
 from functools import cache
 from importlib.resources import files
+from typing import Literal
 
 from PIL import ImageColor
 
 from edit3r.contract.wishes import Colour
-from edit3r.wishes.nouns import is_noun
+from edit3r.kit.wishes.nouns import is_noun
 
 RGB = tuple[float, float, float]
 
@@ -101,7 +102,13 @@ TONES = {
 }
 """Shades: the share of the way to white, or (negative) to black, and a factor on saturation."""
 
-COMPARED = {"lighter": 1, "brighter": 1, "paler": 1, "darker": -1, "deeper": -1}
+COMPARED: dict[str, Literal[-1, 0, 1]] = {
+    "lighter": 1,
+    "brighter": 1,
+    "paler": 1,
+    "darker": -1,
+    "deeper": -1,
+}
 """Shades that are said against what the thing is now, and their direction."""
 
 NEON = ("neon", "fluorescent", "fluoro")
@@ -269,7 +276,7 @@ def _key(name: str) -> str:
 @cache
 def _survey() -> tuple[tuple[str, str], ...]:
     """Colours and names of the xkcd survey."""
-    text = files("edit3r.wishes").joinpath("colours.txt").read_text("utf-8")
+    text = files("edit3r.kit.wishes").joinpath("colours.txt").read_text("utf-8")
     lines = [line for line in text.splitlines() if not line.startswith("# ")]
     return tuple((line[:7], line[8:]) for line in lines)
 

@@ -1,9 +1,10 @@
-"""Paint in words: a colour or a material, and how its light shall be ("matte black")."""
+"""PaintWords in words: a colour or a material, and how its light shall be ("matte black")."""
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 from edit3r.contract.wishes import Change, Colour, Finish
-from edit3r.wishes.colours import COMPARED, read_colour
+from edit3r.kit.wishes.colours import COMPARED, read_colour
 
 MATERIALS = {
     "gold": "gold",
@@ -56,7 +57,7 @@ _WINDOW = 8  # words that a paint may take
 
 
 @dataclass(frozen=True)
-class Paint:
+class PaintWords:
     """A paint, the number of words that name it, and those of them that nobody can do."""
 
     change: Change
@@ -64,7 +65,7 @@ class Paint:
     left_out: tuple[str, ...] = ()
 
 
-def read_paint(words: list[str]) -> Paint | None:
+def read_paint(words: list[str]) -> PaintWords | None:
     """The paint at the start of `words`: "gold", "white marble", "light metallic grey, shiny"."""
     window = words[:_WINDOW]
     places = [i for i, word in enumerate(window) if word not in LIGHT_WORDS]
@@ -79,7 +80,7 @@ def read_paint(words: list[str]) -> Paint | None:
     left_out = tuple(word for word in window[:end] if word in NO_FINISHES)
     if finishes:
         change = replace(change, finish=finishes[-1])
-    return Paint(change, end, left_out)
+    return PaintWords(change, end, left_out)
 
 
 def _read_plain(words: list[str]) -> tuple[Change, int] | None:
@@ -94,7 +95,7 @@ def _read_plain(words: list[str]) -> tuple[Change, int] | None:
         name = f"{colour.name} {words[length]}"
         material = MATERIALS[words[length]]
         return Change("paint", Colour(name, colour.rgb), material=material), length + 1
-    than_now = COMPARED.get(words[0], 0) if length > 1 else 0
+    than_now: Literal[-1, 0, 1] = COMPARED.get(words[0], 0) if length > 1 else 0
     return Change("paint", colour, than_now=than_now), length
 
 

@@ -1,7 +1,7 @@
 """The words that the reader of wishes knows. What is not here it must not guess."""
 
 from edit3r.contract.wishes import Change, ChangeKind
-from edit3r.wishes.colours import BASIC_COLOURS
+from edit3r.kit.wishes.colours import BASIC_COLOURS
 
 
 def _words(text: str) -> frozenset[str]:
@@ -184,9 +184,9 @@ FILLERS = _words(
     "could my our your so that up down also just but is are paint painted colours as for from "
     "them these those some kind sort only one ones coloured convert transform look looking style "
     "effect finish by using his her their there full spray dye tint coat coated give "
-    "making turning changing needs need must has ought standing sitting lying parked leaning hanging "
-    "walking then by made shade shades use cover wrap way totally completely fully entirely "
-    "totally wholly were was will replace swap"
+    "making turning changing needs need must has ought standing sitting lying parked leaning "
+    "hanging walking then by made shade shades use cover wrap way totally completely fully "
+    "entirely totally wholly were was will replace swap"
 )
 """Words that carry neither change nor thing in the sentences that are read."""
 
