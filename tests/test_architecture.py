@@ -23,10 +23,10 @@ from edit3r.plugins.registry import default_registry
 ROOT = Path(__file__).parents[1]
 CORE = "edit3r"
 
-MAX_TOKENS = {"edit3r": 104_500, "edit3r_testing": 13_200, "plugins": 244_100}
+MAX_TOKENS = {"edit3r": 106_000, "edit3r_testing": 13_200, "plugins": 246_000}
 MAX_IMPORTS_BETWEEN_PLUGINS = 12
 MAX_PARAMETERS = 8
-MAX_FILES_OF_A_RUN = 139  # 17 of them plugins that say what they offer
+MAX_FILES_OF_A_RUN = 140  # 17 of them plugins that say what they offer
 
 MANY_PARAMETERS = {
     "edit3r.api.run",  # the settings of a run stand in its signature
