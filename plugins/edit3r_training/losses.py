@@ -44,7 +44,7 @@ class MseLoss(Loss):
         )
 
     def __call__(self, inputs: LossInputs) -> Scalar:
-        _require(inputs, "mse", "rendered", "target")
+        require_fields(inputs, "mse", "rendered", "target")
         difference = (inputs.rendered - inputs.target).flatten(0, 1)
         cell = min(self.settings.cell, *difference.shape[-2:])
         return F.avg_pool2d(difference, cell, ceil_mode=True).square().mean()
@@ -61,7 +61,7 @@ class CenterLoss(Loss):
         )
 
     def __call__(self, inputs: LossInputs) -> Scalar:
-        _require(inputs, "center", "gaussians", "reference")
+        require_fields(inputs, "center", "gaussians", "reference")
         return F.smooth_l1_loss(
             inputs.gaussians.means, inputs.reference.means, beta=self.settings.beta
         )
@@ -84,7 +84,7 @@ class PointsLoss(Loss):
         )
 
     def __call__(self, inputs: LossInputs) -> Scalar:
-        _require(inputs, "point-distillation", "gaussians", "reference")
+        require_fields(inputs, "point-distillation", "gaussians", "reference")
         ours = _in_own_unit(inputs.gaussians.means)
         theirs = _in_own_unit(inputs.reference.means)
         rank = theirs.norm(dim=-1).argsort(1).argsort(1)
@@ -113,7 +113,7 @@ class GeometryLoss(Loss):
         )
 
     def __call__(self, inputs: LossInputs) -> Scalar:
-        _require(inputs, "geometry", "gaussians")
+        require_fields(inputs, "geometry", "gaussians")
         chosen = self._sample(inputs.gaussians.view_index.cpu())
         value = pairwise_chamfer(inputs.gaussians.means, chosen)
         if inputs.reference is None:
@@ -169,7 +169,7 @@ class PerceptualLoss(Loss):
         self._network = frozen_efficientnet()
 
     def __call__(self, inputs: LossInputs) -> Scalar:
-        _require(inputs, "perceptual", "rendered", "target")
+        require_fields(inputs, "perceptual", "rendered", "target")
         predicted = self._features(inputs.rendered)
         with torch.no_grad():
             wished = self._features(inputs.target)
@@ -201,7 +201,7 @@ class LpipsLoss(Loss):
         self._metric = _lpips_vgg()
 
     def __call__(self, inputs: LossInputs) -> Scalar:
-        _require(inputs, "lpips", "rendered", "target")
+        require_fields(inputs, "lpips", "rendered", "target")
         metric = self._metric.to(inputs.rendered.device)
         return metric(
             inputs.rendered.flatten(0, 1), inputs.target.flatten(0, 1), normalize=True
@@ -222,7 +222,7 @@ class ClipLoss(Loss):
         self._model = _frozen_clip(settings.model)
 
     def __call__(self, inputs: LossInputs) -> Scalar:
-        _require(inputs, "clip", "rendered", "target")
+        require_fields(inputs, "clip", "rendered", "target")
         predicted = self._embed(inputs.rendered.flatten(0, 1))
         with torch.no_grad():
             wished = self._embed(inputs.target.flatten(0, 1))
@@ -258,7 +258,7 @@ def _frozen_clip(name: str) -> nn.Module:
     return network.eval().requires_grad_(False)
 
 
-def _require(inputs: LossInputs, loss: str, *names: str) -> None:
+def require_fields(inputs: LossInputs, loss: str, *names: str) -> None:
     """Raise SettingsError unless the training step has the fields `names` that the loss
     compares.
     """
