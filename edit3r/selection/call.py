@@ -70,7 +70,7 @@ def select_with(
             images,
             selection,
             segmenter,
-            of_scene(geometry, index),
+            None if geometry is None else of_scene(geometry, index),
             views.intrinsics[index : index + 1],
         )
         for index, images in enumerate(views.images)

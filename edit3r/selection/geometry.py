@@ -89,10 +89,8 @@ def geometry_of(matcher: Matcher | None, views: Views) -> MatchedGeometry | None
     return locate(matcher, views).told()
 
 
-def of_scene(geometry: MatchedGeometry | None, index: int) -> MatchedGeometry | None:
+def of_scene(geometry: MatchedGeometry, index: int) -> MatchedGeometry:
     """The geometry of one scene of a batch, as a batch of one."""
-    if geometry is None:
-        return None
     one = slice(index, index + 1)
     lens = geometry.intrinsics
     return replace(

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import EditsRegions, Reconstructor
+from edit3r.contract.interfaces import EditsRegions, MatchedGeometry, Reconstructor
 from edit3r.contract.types import Views
 from edit3r.contract.wishes import Thing, Wish
 from edit3r.errors import InputError
@@ -131,7 +131,7 @@ def _finder(index: int, scene: Scene, parts: Parts) -> RegionFinder:
     return RegionFinder(
         scene.start.scene(index),
         segmenter=lambda: parts.segmenter,
-        geometry=lambda: of_scene(parts.located(scene.photos).told(), index),
+        geometry=lambda: _geometry(index, scene, parts),
         marked=scene.marked,
         defaults=Selection(
             guess=config.guess,
@@ -143,3 +143,9 @@ def _finder(index: int, scene: Scene, parts: Parts) -> RegionFinder:
         ),
         known=scene.things,
     )
+
+
+def _geometry(index: int, scene: Scene, parts: Parts) -> MatchedGeometry | None:
+    """What is known of one scene's unedited photos, where it can be trusted."""
+    geometry = parts.located(scene.photos).told()
+    return None if geometry is None else of_scene(geometry, index)

@@ -57,4 +57,3 @@ def test_one_scene_of_a_batch_keeps_its_own_geometry():
     second = of_scene(both, 1)
     assert torch.equal(second.depths, both.depths[1:])
     assert second.intrinsics.shape[0] == len(second.c2w) == 1
-    assert of_scene(None, 0) is None
