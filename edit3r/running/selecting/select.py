@@ -458,14 +458,11 @@ class _Work:
     def obey(self, view: int) -> None:
         """Hold the mask of a view to all points that it shows, its own last."""
         points: list[Point] = []
+        geometry, lens = self.geometry, self.intrinsics
         for source in self.selection.views:
             marks = points_of(self.selection.marks_on(source))
-            if source == view or self.geometry is None or self.intrinsics is None:
-                continue
-            if marks:
-                points += seen_elsewhere(
-                    marks, self.geometry, self.intrinsics, (source, view)
-                )
+            if source != view and geometry is not None and lens is not None:
+                points += seen_elsewhere(marks, geometry, lens, (source, view))
         points += points_of(self.selection.marks_on(view))
         if points:
             self.masks[view] = obeyed(

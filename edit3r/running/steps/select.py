@@ -10,6 +10,7 @@ from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import EditsRegions, MatchedGeometry, Reconstructor
 from edit3r.contract.reporting import stage, warn
+from edit3r.contract.interfaces import EditsRegions, MatchedGeometry, Reconstructor
 from edit3r.contract.types import Views
 from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.geometry.maps import dilate_softly
@@ -132,7 +133,7 @@ def _finder(index: int, scene: Scene, parts: Parts) -> RegionFinder:
     return RegionFinder(
         scene.start.scene(index),
         segmenter=lambda: parts.segmenter,
-        geometry=lambda: _geometry_of(parts.located(scene.photos), index),
+        geometry=lambda: _geometry(index, scene, parts),
         marked=scene.marked,
         defaults=Selection(
             guess=config.guess,
@@ -146,7 +147,7 @@ def _finder(index: int, scene: Scene, parts: Parts) -> RegionFinder:
     )
 
 
-def _geometry_of(located: Located, index: int) -> MatchedGeometry | None:
-    """What is known of one scene of a batch, where it can be trusted."""
-    geometry = located.told()
+def _geometry(index: int, scene: Scene, parts: Parts) -> MatchedGeometry | None:
+    """What is known of one scene's unedited photos, where it can be trusted."""
+    geometry = parts.located(scene.photos).told()
     return None if geometry is None else of_scene(geometry, index)
