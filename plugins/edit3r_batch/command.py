@@ -130,9 +130,13 @@ class BatchCommand(Command):
             worst = [NO_RESULT, *reversed(LABELS)]
             print(
                 _table(
-                    sorted(rows, key=lambda row: worst.index(row["verdict"]))[
-                        :MOST_SHOWN
-                    ],
+                    sorted(
+                        rows,
+                        key=lambda row: (
+                            worst.index(row["verdict"]),
+                            row.get("edit") != "doubtful",
+                        ),
+                    )[:MOST_SHOWN],
                     longest=80,
                 )
             )
@@ -236,17 +240,23 @@ def _counted(counts: Counter) -> str:
 
 
 def _table(rows: list[dict[str, Any]], longest: int | None = None) -> str:
-    """A Markdown table with a line for each job, its reason cut to `longest` characters."""
+    """A Markdown table with a line for each job: its two verdicts, and why, cut to `longest`
+    characters.
+    """
     lines = [
-        "| job | verdict | input views [dB] | Gaussians | why |",
-        "| --- | --- | --: | --: | --- |",
+        "| job | scene | edit | input views [dB] | Gaussians | why |",
+        "| --- | --- | --- | --: | --: | --- |",
     ]
     for row in rows:
         figures = (
             f"{row['psnr']:.1f} | {row['gaussians']:,}" if "psnr" in row else " | "
         )
-        reason = row["reason"][:longest].replace("|", "\\|")
-        lines.append(f"| {row['id']} | {row['verdict']} | {figures} | {reason} |")
+        why = row["reason"]
+        if row.get("edit") == "doubtful":
+            why = f"edit: {row['edit_reason']}; scene: {why}"
+        why = why[:longest].replace("|", "\\|")
+        labels = f"{row['verdict']} | {row.get('edit', '')}"
+        lines.append(f"| {row['id']} | {labels} | {figures} | {why} |")
     return "\n".join(lines)
 
 

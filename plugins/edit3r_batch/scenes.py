@@ -16,6 +16,7 @@ from edit3r.kit.photos.coverage import frames_kept_for
 from edit3r.loading import load_plugins
 from edit3r_batch.jobs import BatchJob
 
+NO_EDIT = ""  # label where nothing was to be edited
 RECORD = "job.json"
 """In the folder of each job beside what a run leaves: what was asked for."""
 
@@ -100,9 +101,12 @@ def row_of(folder: Path) -> dict[str, Any]:
         manifest = json.loads((folder / "run.json").read_text(encoding="utf-8"))
         verdict = manifest["verdict"]
         shown = [psnr for psnr in verdict["input_psnr"] if psnr is not None]
+        edit = manifest["edit_verdict"] or {"label": NO_EDIT, "reason": ""}
         return {
             "verdict": verdict["label"],
             "reason": verdict["reason"],
+            "edit": edit["label"],
+            "edit_reason": edit["reason"],
             "psnr": sum(shown) / len(shown),
             "gaussians": manifest["gaussians"],
             "warnings": len(manifest["warnings"]),

@@ -25,6 +25,12 @@ REACH = 3  # pixels between an outline and the edge that it follows
 MAX_CHANCE = 0.85  # share of a photo near edges, above which an outline tells nothing
 EDGE = 6.0  # difference of colours across an edge [CIE Lab, over two pixels]
 NEAR = 4.0  # pixels about an outline whose colours are compared
+SAME_THING = 0.6  # overlap from which two readings of a click are one thing
+CLEARLY = 12.0  # change of a colour from which a thing took it [CIE Lab]
+OTHER_COLOUR = (
+    25.0  # difference of chroma that no light makes on one material [CIE Lab]
+)
+PLAIN = 0.6  # steps of colour over those around, below which a place has no texture
 SAME_COLOURS = 5.0  # difference of mean colours below which they are alike [CIE Lab]
 SAME_SURFACE = (
     0.05  # relative difference in depth within which two views show one surface
@@ -51,18 +57,121 @@ def measure_edit(
         return EditMeasures(shares, float(visibly.double().mean()), reached=reached)
     masks = _small(scene.masks[0, views])
     inside = masks > 0.5
-    changed = (visibly & inside).sum() / inside.sum().clamp(min=1)
-    ghost = None
-    if any(wish.action == "remove" for wish in wishes):
-        ghost = ghost_of(before, after, masks)
-    return EditMeasures(
-        shares=tuple(inside.double().mean((1, 2)).tolist()),
-        changed=float(changed),
+    shares = tuple(inside.double().mean((1, 2)).tolist())
+    changed = float((visibly & inside).sum() / inside.sum().clamp(min=1))
+    measures = EditMeasures(shares, changed, reached=reached)
+    if _means_one_clicked_thing(scene, wishes):
+        measures = replace(
+            measures,
+            clicked=max(shares),
+            pieces=pieces(masks),
+            other_reading=other_reading(scene),
+        )
+    if any(wish.action == "remove" for wish in wishes):  # its shadow and rim go with it
+        return replace(
+            measures,
+            ghost=ghost_of(before, after, masks),
+            made_up=made_up(before, after, masks),
+        )
+    return replace(
+        measures,
         outline=outline_on_edges(before, masks),
         open_outline=open_outline(before, masks),
-        ghost=ghost,
-        reached=reached,
+        taken=taken(before, after, masks) if _gives_one_colour(wishes) else None,
     )
+
+
+def _means_one_clicked_thing(scene: Scene, wishes: Sequence[Wish]) -> bool:
+    """Whether a mark alone says what is meant: no name, no mask of the user's own, not all else."""
+    how = {way for one in scene.selected for way in one.how}
+    return "marked" in how and all(
+        wish.thing.scope == "marked" and not wish.thing.name for wish in wishes
+    )
+
+
+def _gives_one_colour(wishes: Sequence[Wish]) -> bool:
+    changes = [change for wish in wishes for change in wish.changes]
+    return bool(changes) and all(
+        change.kind == "paint" and wish.thing.part is None
+        for wish in wishes
+        for change in wish.changes
+    )
+
+
+def other_reading(scene: Scene) -> float | None:
+    """How likely the likeliest other reading of a mark is, over that of the one taken.
+
+    Readings that share most of the one taken are the same thing. None where no segmenter told
+    readings.
+    """
+    ratios = []
+    for one in scene.selected:
+        readings = getattr(
+            one, "readings", ()
+        )  # of segmenters that tell what else is meant
+        if len(readings) < 2:
+            continue
+        masks = torch.stack([reading.mask for reading in readings]) > 0.5
+        own = one.masks[readings[0].view, 0] > 0.5
+        overlaps = (masks & own).sum((1, 2)) / (masks | own).sum((1, 2)).clamp(min=1)
+        best = readings[int(overlaps.argmax())].score
+        ratios += [
+            reading.score / max(best, 1e-9)
+            for reading, overlap in zip(readings, overlaps)
+            if overlap < SAME_THING
+        ]
+    return max(ratios, default=None)
+
+
+def pieces(masks: Masks) -> float:
+    """Share of a mask that does not belong to its largest piece; the largest over the views."""
+    apart = [0.0]
+    for mask in masks:
+        inside = (mask > 0.5).numpy(force=True).astype(np.uint8)
+        if inside.any():
+            areas = cv2.connectedComponentsWithStats(inside)[2][1:, cv2.CC_STAT_AREA]
+            apart.append(1 - float(areas.max() / areas.sum()))
+    return max(apart)
+
+
+def taken(
+    before: Float[Tensor, "view 3 height width"],
+    after: Float[Tensor, "view 3 height width"],
+    masks: Masks,
+) -> float | None:
+    """Share of the masked pixels that took a colour.
+
+    None where what did not take it has an own colour far from that of what did: tyres stay black
+    on a bike that is painted.
+    """
+    old, new = rgb_to_lab(before).movedim(1, -1), rgb_to_lab(after).movedim(1, -1)
+    inside = masks > 0.5
+    took = inside & ((new - old).norm(dim=-1) > CLEARLY)
+    left = inside & ~took
+    if not took.any() or not left.any():
+        return 1.0
+    apart = (old[took].mean(0) - old[left].mean(0))[1:].norm()
+    return None if apart > OTHER_COLOUR else float(took.sum() / inside.sum())
+
+
+def made_up(
+    before: Float[Tensor, "view 3 height width"],
+    after: Float[Tensor, "view 3 height width"],
+    masks: Masks,
+) -> float:
+    """Share of a photo that what was removed covered, where what appears has no texture of its own.
+
+    The largest over the views.
+    """
+    shares = [0.0]
+    for old, new, mask in zip(before, after, masks):
+        hole = (mask > 0.5).numpy(force=True).astype(np.uint8)
+        inner = cv2.erode(hole, np.ones((3, 3), np.uint8)) > 0
+        around = cv2.dilate(hole, np.ones((25, 25), np.uint8)) > hole
+        if inner.any() and around.any():
+            smoother = _steps(new)[inner].mean() < PLAIN * _steps(old)[around].mean()
+            shares.append(float(hole.mean()) if smoother else 0.0)
+    return max(shares)
 
 
 def _small(images: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch h w"]:
@@ -161,15 +270,20 @@ def _near_edges(
     image: Float[Tensor, "3 height width"],
 ) -> Bool[np.ndarray, "height width"]:
     """Pixels within REACH of a place where the colour changes."""
-    lab = rgb_to_lab(image).movedim(0, -1).numpy(force=True).astype(np.float32)
-    smooth = cv2.GaussianBlur(lab, (0, 0), 1.0)
-    across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0) / 4
-    down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1) / 4
-    strength = np.sqrt((across**2 + down**2).sum(-1))
+    strength = _steps(image)
     kernel = cv2.getStructuringElement(
         cv2.MORPH_ELLIPSE, (2 * REACH + 1, 2 * REACH + 1)
     )
     return cv2.dilate((strength > EDGE).astype(np.uint8), kernel) > 0
+
+
+def _steps(image: Float[Tensor, "3 height width"]) -> Float[np.ndarray, "height width"]:
+    """How much the colour changes over two pixels [CIE Lab]."""
+    lab = rgb_to_lab(image).movedim(0, -1).numpy(force=True).astype(np.float32)
+    smooth = cv2.GaussianBlur(lab, (0, 0), 1.0)
+    across = cv2.Sobel(smooth, cv2.CV_32F, 1, 0) / 4
+    down = cv2.Sobel(smooth, cv2.CV_32F, 0, 1) / 4
+    return np.sqrt((across**2 + down**2).sum(-1))
 
 
 def _outline(mask: Float[Tensor, "height width"]) -> Bool[np.ndarray, "height width"]:

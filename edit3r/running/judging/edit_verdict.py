@@ -14,13 +14,19 @@ from edit3r.running.selecting.select import SURE
 EditLabel = Literal["good", "doubtful"]
 
 MIN_SHARE = 0.0008  # of the photo that shows most of what was selected
-MIN_CHANGED = 0.08
+MIN_OF_LARGEST = 0.1  # share of a photo over the largest such share
+MAX_CLICKED = 0.38
+MAX_PIECES = 0.15
+MIN_OTHER_READING = 0.67
+MIN_CHANGED = 0.1
+MIN_TAKEN = 0.58
 MIN_OUTLINE = 0.8
 MAX_OPEN_OUTLINE = 0.09
-MAX_GHOST = 0.5
-MIN_REACHED = 0.6
-MIN_AGREEMENT = 0.68
-MIN_SHOWN = 0.65
+MAX_GHOST = 0.72
+MAX_MADE_UP = 0.08
+MIN_REACHED = 0.88
+MIN_AGREEMENT = 0.77
+MIN_SHOWN = 0.85
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,16 @@ class EditMeasures:
     shares: tuple[float, ...]
     # share of what may change that visibly changed
     changed: float
+    # share of a photo that a click or a box without a name took; the largest over the photos
+    clicked: float | None = None
+    # how likely another thing was clicked on, over how likely the one is that was taken
+    other_reading: float | None = None
+    # share of what a click took that lies apart from its largest piece; the largest
+    pieces: float | None = None
+    # share of a thing that took the colour, where the rest of it has much the same own colour
+    taken: float | None = None
+    # share of a photo that shows what was made up behind a removed thing, without texture
+    made_up: float | None = None
     # how much the masks' outlines follow edges; 0: no more than chance, 1: all of them
     outline: float | None = None
     # longest stretch of an outline with the same colours on both sides, as its share
@@ -69,31 +85,67 @@ def judge_edit(measures: EditMeasures, surety: float | None = None) -> EditVerdi
 
 def _doubts(found: EditMeasures, surety: float | None) -> Iterator[str]:
     """What speaks against the edit: against what was selected, then against what was made."""
-    yield from _doubts_of_selection(found, surety)
-    if found.changed < MIN_CHANGED:
-        part = "what was selected" if min(found.shares) < 1 else "the picture"
-        yield f"only {found.changed:.0%} of {part} changed visibly"
-    if found.ghost is not None and found.ghost > MAX_GHOST:
-        yield "the outline of what was removed still shows"
-    if found.reached is not None and found.reached < MIN_REACHED:
-        yield f"{1 - found.reached:.0%} of what changed does not look as asked"
+    yield from _doubts_of_meaning(found, surety)
+    yield from _doubts_of_selection(found)
+    yield from _doubts_of_change(found)
     if found.shown is not None and found.shown < MIN_SHOWN:
         yield f"only {max(0.0, found.shown):.0%} of the change arrived in the 3D scene"
 
 
-def _doubts_of_selection(found: EditMeasures, surety: float | None) -> Iterator[str]:
-    if max(found.shares) < MIN_SHARE:
-        yield "next to nothing was selected"
+def _doubts_of_meaning(found: EditMeasures, surety: float | None) -> Iterator[str]:
+    """Whether it is the thing that was meant."""
     if surety == 0:
         yield "which thing is meant was guessed"
     elif surety is not None and surety < SURE:
         yield f"the thing was found by its name with {surety:.0%} surety only"
-    if found.outline is not None and found.outline < MIN_OUTLINE:
+    if _is_over(found.other_reading, MIN_OTHER_READING):
+        yield "another thing may be meant by the click as well (--smaller and --larger take it)"
+    if _is_over(found.clicked, MAX_CLICKED):
+        yield (
+            f"{found.clicked:.0%} of a photo was taken for the thing that was clicked on "
+            "(--smaller takes less, a name says how far it goes)"
+        )
+
+
+def _doubts_of_selection(found: EditMeasures) -> Iterator[str]:
+    """Whether what was selected is one thing, and the same in all photos."""
+    if max(found.shares) < MIN_SHARE:
+        yield "next to nothing was selected"
+    elif min(found.shares) < MIN_OF_LARGEST * max(found.shares):
+        photo = found.shares.index(min(found.shares)) + 1
+        yield f"next to nothing was selected in photo {photo}"
+    if _is_under(found.outline, MIN_OUTLINE):
         yield "the outline of what was selected leaves the edges in the photos"
-    elif found.open_outline is not None and found.open_outline > MAX_OPEN_OUTLINE:
+    elif _is_over(found.open_outline, MAX_OPEN_OUTLINE):
         yield "the outline of what was selected runs through one surface"
-    if found.agreement is not None and found.agreement < MIN_AGREEMENT:
+    if _is_over(found.pieces, MAX_PIECES):
+        yield "what was selected lies in several pieces"
+    if _is_under(found.agreement, MIN_AGREEMENT):
         yield "what was selected differs between the photos"
+
+
+def _doubts_of_change(found: EditMeasures) -> Iterator[str]:
+    """Whether it changed as was asked."""
+    if found.changed < MIN_CHANGED:
+        part = "what was selected" if min(found.shares) < 1 else "the picture"
+        yield f"only {found.changed:.0%} of {part} changed visibly"
+    elif found.taken is not None and found.taken < MIN_TAKEN:
+        share = f"{found.taken:.0%}"
+        yield f"only {share} of what was selected took the colour ('all of it' paints the rest too)"
+    if _is_over(found.ghost, MAX_GHOST):
+        yield "the outline of what was removed still shows"
+    if _is_over(found.made_up, MAX_MADE_UP):
+        yield "much of what appears behind what was removed is made up"
+    if found.reached is not None and found.reached < MIN_REACHED:
+        yield f"{1 - found.reached:.0%} of what changed does not look as asked"
+
+
+def _is_over(figure: float | None, most: float) -> bool:
+    return figure is not None and figure > most
+
+
+def _is_under(figure: float | None, least: float) -> bool:
+    return figure is not None and figure < least
 
 
 def _praise(measures: EditMeasures) -> str:

@@ -1,0 +1,31 @@
+"""The table at the end of a batch."""
+
+import json
+
+from edit3r_batch.command import _table
+from edit3r_batch.scenes import row_of
+
+
+def manifest(folder, edit_verdict):
+    verdict = {"label": "good", "reason": "all fits", "input_psnr": [30.0, None]}
+    written = {
+        "verdict": verdict,
+        "edit_verdict": edit_verdict,
+        "gaussians": 5,
+        "warnings": [],
+    }
+    (folder / "run.json").write_text(json.dumps(written))
+    return {"id": "one", **row_of(folder)}
+
+
+def test_the_table_shows_the_verdict_on_the_edit_and_why_it_is_doubtful(tmp_path):
+    doubtful = {"label": "doubtful", "reason": "it lies in several pieces"}
+    line = _table([manifest(tmp_path, doubtful)]).splitlines()[-1]
+    assert line.startswith(
+        "| one | good | doubtful | 30.0 | 5 | edit: it lies in several pieces;"
+    )
+
+
+def test_a_run_without_an_edit_has_no_verdict_on_one(tmp_path):
+    line = _table([manifest(tmp_path, None)]).splitlines()[-1]
+    assert line == "| one | good |  | 30.0 | 5 | all fits |"
