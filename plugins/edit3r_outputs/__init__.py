@@ -104,7 +104,7 @@ def register_writers() -> list[Component]:
             "coloured triangles as PLY, for programs that know no Gaussians",
             suffix="-mesh.ply",
             keeps="the surfaces that the photos' cameras see, upright, in one colour each",
-            loses="what no camera sees, glass and hair, shine",
+            loses="what no camera sees, what is transparent, harmonics",
         ),
         Component(
             "colmap",

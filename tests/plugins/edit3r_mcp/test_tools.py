@@ -87,7 +87,10 @@ def test_a_run_is_looked_at_again_and_edited_again(call, edited, place):
     assert not failed and text.startswith("run: edit-2")
 
 
-@pytest.mark.parametrize(("form", "made"), [("ply", ".ply"), ("colmap", "-colmap")])
+@pytest.mark.parametrize(
+    ("form", "made"),
+    [("ply", ".ply"), ("colmap", "-colmap"), ("viewer", "-viewer.html")],
+)
 def test_a_run_is_exported_beside_it(call, edited, place, form, made):
     text, _, failed = call("export", run="edit-1", form=form)
     out = place / "work" / f"edit-1{made}"
@@ -108,7 +111,11 @@ def test_an_export_replaces_no_file(call, edited, place):
         ("edit", {"prompt": "make it warmer"}, "Give photos, or the name"),
         ("look", {"run": "../place"}, "is no run; there are: edit-1"),
         ("edit", {"prompt": "x", "earlier": "/etc"}, "'/etc' is no run"),
-        ("export", {"run": "edit-1", "form": "exe"}, "invalid choice: 'exe'"),
+        (
+            "export",
+            {"run": "edit-1", "form": "exe"},
+            "'exe': no form; there are colmap",
+        ),
         ("select", {"photos": ["a.png"], "marks": {"points": ["9"]}}, "expected X,Y"),
     ],
 )
@@ -164,9 +171,12 @@ def test_the_command_serves_over_standard_input_and_output(place):
             command=sys.executable, args=program, env=dict(os.environ)
         )
         async with Client(command) as client:
-            return [tool.name for tool in (await client.list_tools()).tools]
+            tools = (await client.list_tools()).tools
+            return {tool.name: tool.description for tool in tools}
 
-    assert anyio.run(listed) == ["select", "edit", "look", "export"]
+    told = anyio.run(listed)
+    assert [*told] == ["select", "edit", "look", "export"]
+    assert "glb: glTF with the extension" in told["export"]
     (place / "new" / "work").rmdir()
     (place / "new").rmdir()
 
