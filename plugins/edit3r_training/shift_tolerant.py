@@ -17,9 +17,9 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from edit3r.config import Settings
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Loss, LossInputs
-from edit3r.errors import InputError
+from edit3r.contract.settings import Settings
 from edit3r_training.losses import require_fields
 
 PACKAGE = "stlpips_pytorch"

@@ -106,9 +106,7 @@ def other_reading(scene: Scene) -> float | None:
     """
     ratios = []
     for one in scene.selected:
-        readings = getattr(
-            one, "readings", ()
-        )  # of segmenters that tell what else is meant
+        readings = one.readings
         if len(readings) < 2:
             continue
         masks = torch.stack([reading.mask for reading in readings]) > 0.5

@@ -10,13 +10,12 @@ from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import EditsRegions, MatchedGeometry, Reconstructor
 from edit3r.contract.reporting import stage, warn
-from edit3r.contract.interfaces import EditsRegions, MatchedGeometry, Reconstructor
 from edit3r.contract.types import Views
 from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.parts import Parts
 from edit3r.running.scene import Scene
-from edit3r.running.selecting.geometry import Located, of_scene
+from edit3r.running.selecting.geometry import of_scene
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.regions import RegionFinder
 from edit3r.running.selecting.select import Selection

@@ -10,8 +10,8 @@ import torch
 from edit3r_training.shift_tolerant import LAYERS, PACKAGE, _halved
 
 import edit3r
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import LossInputs
-from edit3r.errors import InputError
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 WIDTH = 4
