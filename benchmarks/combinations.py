@@ -30,7 +30,7 @@ from edit3r.kit.weights.find import at_hand
 from edit3r.running import Selection, select_masks
 
 RESULTS = Path(__file__).with_suffix(".json")
-MASK = Path(edit3r.__file__).parent / "io" / "motorcycle_mask.png"
+MASK = Path(edit3r.__file__).parent / "kit/photos/motorcycle_mask.png"
 SIZE = 256
 ASKED = {
     "none": [],

@@ -94,7 +94,7 @@ def as_html(result: RunRecord) -> str:
             _shown(result, what, Path(folder)) for what in ("picture", "page")
         )
         content = io.BytesIO()
-        Image.open(picture).save(content, "WEBP", quality=85)
+        Image.open(picture, formats=("PNG",)).save(content, "WEBP", quality=85)
         text = html.escape(page.read_text(encoding="utf-8"))
     code = base64.b64encode(content.getvalue()).decode("ascii")
     return (

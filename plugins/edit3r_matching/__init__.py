@@ -26,7 +26,7 @@ ALIKED = Weights(
     essential=True,
 )
 
-_DEPTH_ANYTHING_3 = (
+DEPTH_ANYTHING_3 = (
     Weights(
         "da3-small",
         "poses and depths (Depth Anything 3, small)",
@@ -97,7 +97,7 @@ def register_matchers():
             licence="Apache-2.0, weights too",
             needs_network=True,
             min_views=2,
-            weights=_DEPTH_ANYTHING_3,
+            weights=DEPTH_ANYTHING_3,
             citation="Lin et al., Depth Anything 3: Recovering the Visual Space from Any Views, "
             "2025",
         ),

@@ -19,12 +19,14 @@ from edit3r.contract import settings as config
 from edit3r.contract.errors import InputError, MatchingError
 from edit3r.contract.interfaces import MatchedGeometry, Matcher
 from edit3r.contract.types import Views
+from edit3r.contract.weights import Weights
 from edit3r.kit.cache import remembered
 from edit3r.kit.checks import require_matchable
 from edit3r.kit.geometry.cameras import from_pixels, invert_rigid, relative_to_first
 from edit3r.kit.geometry.maps import resize, upsample_depth
 from edit3r.kit.weights.find import find, record_of
 from edit3r.kit.weights.load import out_of_memory_told
+from edit3r_matching import DEPTH_ANYTHING_3
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 PATCH = 14
@@ -112,7 +114,7 @@ def _load(model: str, weights: str) -> nn.Module:
     file = (
         None
         if weights == "untrained"
-        else Path(weights or find(model) / "model.safetensors").expanduser()
+        else Path(weights or find(_declared(model)) / "model.safetensors").expanduser()
     )
     if file is not None and not file.is_file():
         raise InputError(
@@ -140,6 +142,10 @@ def _load(model: str, weights: str) -> nn.Module:
             {"name": model, **record_of(file.parent)} if not weights else str(file),
         )
     return network.eval()
+
+
+def _declared(model: str) -> Weights:
+    return next(one for one in DEPTH_ANYTHING_3 if one.name == model)
 
 
 def _untrained(model: str) -> nn.Module:

@@ -24,7 +24,7 @@ from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.wishes.colours import BASIC_COLOURS, read_colour
 
 OUTLINES = json.loads((Path(__file__).parent / "data/paint.json").read_text())
-MASKS = Path(edit3r.__file__).parent / "io"
+MASKS = Path(edit3r.__file__).parent / "kit/photos"
 VISIBLE = 5 / 255
 SURFACES = [(0.5, 0.4, 0.3), (0.05, 0.05, 0.06), (0.95, 0.95, 0.9), (0.1, 0.2, 0.8)]
 
