@@ -11,7 +11,13 @@ from pathlib import Path
 import torch
 
 from edit3r.contract.errors import Edit3rError
-from edit3r.contract.interfaces import NamedObjects, SceneToWrite, SecondLook, Writer
+from edit3r.contract.interfaces import (
+    NamedObjects,
+    OtherReadings,
+    SceneToWrite,
+    SecondLook,
+    Writer,
+)
 from edit3r.contract.types import Gaussians
 from edit3r.kit.geometry.cameras import pixel_rays
 from edit3r.kit.geometry.harmonics import colour_to_dc
@@ -44,6 +50,7 @@ class WriterContract(Contract):
         rendered = render(scene.cameras)
         look = SecondLook(torch.linspace(0, 1, 3 * gaussians.count).view(-1, 3))
         negative = replace(scene.views, images=1 - scene.views.images)
+        masks = {"first": scene.objects[0, 0, 0], "second": scene.objects[0, 0, 0]}
         return SceneToWrite(
             gaussians=gaussians,
             cameras=scene.cameras,
@@ -51,6 +58,7 @@ class WriterContract(Contract):
             photos=replace(scene.views, names=NAMES),
             edited=replace(negative, names=NAMES),
             masks=scene.objects[0, 0],
+            readings=(OtherReadings(scene.views.images[0, 0], NAMES[0], masks),),
             rendered=rendered,
             title=TITLE,
             subtitle="a <subtitle>",
