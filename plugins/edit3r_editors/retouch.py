@@ -39,6 +39,10 @@ SURE = 0.5
 MAX_ERROR_BESIDE = 0.3
 NOISE = 0.01  # error that photos of one surface have anyway
 BESIDE = 0.06  # how far from a hole its surroundings reach [longer sides]
+STANDS = 0.05  # relative difference in depth within which things touch each other
+LEAST_LEFT = (
+    0.1  # share of the removed thing's size from which what is left is worth a word
+)
 SHADOW = 0.75  # share of the light around below which a pixel is in shadow
 MAX_TINT = 0.15  # difference of the channels' shares within a shadow
 DARK = 0.1  # light below which no shadow is told from the ground
@@ -124,6 +128,7 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
         images, hole = views.images[scene], holes[scene]
         seen = torch.zeros_like(hole)
         if geometry is not None:
+            _tell_what_is_left(hole, geometry.depths[scene])
             images, seen = behind(
                 geometry.calibrated(views), hole, geometry, scene, self.settings.margin
             )
@@ -154,6 +159,53 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
                 f"matched: {error}"
             )
             return None
+
+
+def _tell_what_is_left(
+    holes: Bool[Tensor, "view height width"], depths: Float[Tensor, "view height width"]
+) -> None:
+    """Warn where most photos show something standing on or in what is removed: it would float."""
+    shown = [pair for pair in zip(holes, depths) if pair[0].any()]
+    left = [pair for pair in shown if standing_on(*pair).any()]
+    if len(left) > len(shown) / 2:
+        warn(
+            "something that stands on or in what is removed seems to be left: remove it too, by a "
+            "further click on it, or by --box around both."
+        )
+
+
+def standing_on(
+    hole: Bool[Tensor, "height width"], depth: Float[Tensor, "height width"]
+) -> Bool[Tensor, "height width"]:
+    """Pixels of what stands on the removed thing and on nothing else.
+
+    It is as far away as the upper edge of the thing, touches it there, and nowhere meets what lies
+    beside the thing's lower half or the border of the photo, as a table or a wall would.
+    """
+    rows, columns = hole.nonzero(as_tuple=True)
+    nothing = torch.zeros_like(hole)
+    if not len(rows) or int(rows.min()) == 0:
+        return nothing
+    reach = max(2, math.ceil(BESIDE * max(hole.shape) / 4))
+    beside = (dilate(hole[None].float(), reach)[0] > 0) & ~hole
+    upper = torch.arange(len(hole)).to(rows)[:, None] < rows.double().mean()
+    tops = torch.where(hole, torch.arange(len(hole)).to(rows)[:, None], len(hole)).amin(
+        0
+    )
+    own = torch.stack([depth[tops[x], x] for x in columns.unique()]).median()
+    alike = ~hole & ((depth / own - 1).abs() < STANDS)
+    _, labels = cv2.connectedComponents(
+        alike.cpu().numpy().astype(np.uint8), connectivity=4
+    )
+    parts = torch.from_numpy(labels).to(hole.device)
+    border = torch.cat((parts[0], parts[-1], parts[:, 0], parts[:, -1]))
+    held = torch.cat((border, parts[beside & ~upper])).unique()
+    standing = alike & ~torch.isin(parts, held) & (parts > 0)
+    touching = parts[standing & beside & upper].unique()
+    large = [
+        part for part in touching if (parts == part).sum() > LEAST_LEFT * hole.sum()
+    ]
+    return torch.isin(parts, torch.stack(large)) if large else nothing
 
 
 def _shadow(

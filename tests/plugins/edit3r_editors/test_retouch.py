@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_editors.retouch import RetouchEditor, _spanned
+from edit3r_editors.retouch import RetouchEditor, _spanned, standing_on
 
 import edit3r
 from edit3r.contract.errors import InputError, MatchingError
@@ -215,3 +215,44 @@ def test_what_is_dark_by_its_own_colour_is_no_shadow():
         ball.float()[None, None, None], image[None, None]
     )
     assert not wide[0, 0, 0][shadow].any()
+
+
+def _vase(depth_of_flowers: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """A vase on a table before a wall, flowers above it: the vase, the flowers, depths."""
+    rows, columns = torch.meshgrid(*[torch.arange(SIZE)] * 2, indexing="ij")
+    middle = (columns - SIZE // 2).abs()
+    vase = (rows >= 32) & (rows < 52) & (middle < 6)
+    flowers = (rows >= 16) & (rows < 32) & (middle < 8)
+    depth = torch.full((SIZE, SIZE), WALL)
+    table = rows >= 40
+    depth[table] = (WALL - 0.1 * (rows - 32))[table]
+    depth[vase], depth[flowers] = BOARD, depth_of_flowers
+    return vase, flowers, depth
+
+
+def test_flowers_that_stand_in_a_removed_vase_are_known_to_be_left():
+    vase, flowers, depth = _vase(BOARD)
+    assert torch.equal(standing_on(vase, depth), flowers)
+
+
+def test_what_hangs_on_the_wall_behind_is_not_taken_for_left():
+    vase, _, depth = _vase(WALL)
+    assert not standing_on(vase, depth).any()
+
+
+def test_a_table_around_a_flat_thing_does_not_stand_on_it():
+    flat = torch.zeros(SIZE, SIZE, dtype=torch.bool)
+    flat[30:40, 20:44] = True
+    depth = (3 - 0.01 * torch.arange(SIZE, dtype=torch.float32))[:, None].expand(
+        SIZE, SIZE
+    )
+    assert not standing_on(flat, depth).any()
+
+
+def test_what_is_left_of_what_is_removed_is_said():
+    views, _, masks, geometry = _scene()
+    vase, _, depth = _vase(BOARD)
+    holes = vase.float().expand_as(masks)
+    known = replace(geometry, depths=depth.expand_as(geometry.depths))
+    _, report = _retouched(known, views, holes)
+    assert any("seems to be left" in text for text in report.warnings)
