@@ -5,7 +5,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from edit3r.contract.interfaces import Frame, Rasterizer
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.interfaces.writing import Frame
 from edit3r.contract.reporting import track
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.photos.images import save_pixels, to_bytes

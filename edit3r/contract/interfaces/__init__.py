@@ -54,7 +54,6 @@ from edit3r.contract.interfaces.training import (
 )
 from edit3r.contract.interfaces.writing import (
     DRAWING,
-    Frame,
     NamedObjects,
     SceneToWrite,
     SecondLook,
@@ -99,7 +98,6 @@ __all__ = [
     "Editor",
     "EditsRegions",
     "EditsViews",
-    "Frame",
     "GaussianHead",
     "GeometryBackbone",
     "GeometryHead",
