@@ -19,8 +19,7 @@ from edit3r.kit.photos.images import read_image, unique_names
 from edit3r.kit.scenes.read import load_scene
 from edit3r.loading.registry import Registry
 from edit3r.running.config import RunConfig
-from edit3r.running.flight import Flight
-from edit3r.running.rendering import path_around, render_each
+from edit3r.running.rendering import Flight, path_around, render_each
 from edit3r.running.write import write_scene
 
 
