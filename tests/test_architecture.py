@@ -57,16 +57,9 @@ ORDINARY_WORDS = {
         "train",
     ),
     *("export", "convert", "mask", "points", "batch", "looks", "uncertainty"),
-    *("render", "video", "viewer", "sheet"),
-    *(
-        "ply",
-        "spz",
-        "sog",
-        "splat",
-        "glb",
-        "nerfstudio",
-        "colmap",
-    ),  # formats that are read
+    # formats that the core itself reads or writes, and things that it speaks of
+    *("ply", "spz", "sog", "splat", "glb", "nerfstudio", "video"),
+    *("viewer", "sheet", "mesh", "render"),
 }
 """Component names that are words of the core's own too; they count only where nothing else can be
 meant.

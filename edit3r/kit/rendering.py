@@ -1,19 +1,24 @@
 """Rendering many cameras, one by one, held to the rasterizer's contract; numbers of Gaussians as
-maps; and the camera path of a run.
+maps; and the flight around a scene.
 """
 
-from dataclasses import replace
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.interfaces.writing import Frame
 from edit3r.contract.reporting import track
 from edit3r.contract.types import Cameras, Gaussians, Rendering
 from edit3r.kit.checks import check_rendering, errors_named_after
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.geometry.paths import between_and_around
+from edit3r.kit.photos.images import save_pixels, to_bytes
 
 
 def render_each(
@@ -78,3 +83,29 @@ def path_around(cameras: Cameras, rendered: Rendering, frames: int) -> Cameras:
     return between_and_around(
         cameras, frames, float(seen.median()) if seen.numel() else None
     )
+
+
+@dataclass
+class Flight:
+    """A camera path through one scene. Each call draws it anew, while frames are taken."""
+
+    rasterizer: Rasterizer
+    gaussians: Gaussians
+    path: Cameras
+    # where pictures of the frames are left, by whoever takes them first; None: nowhere, or there
+    pictures: Path | None = None
+
+    def __call__(self) -> Iterator[Frame]:
+        for index in track(range(self.path.count), "render camera path"):
+            camera = self.path.select([index])
+            rendering = render_one(self.rasterizer, self.gaussians, camera)
+            frame = to_bytes(rendering.images[0, 0])
+            if self.pictures is not None:
+                save_pixels(frame, self.pictures / f"path_{index:04d}.png")
+            yield frame
+        self.pictures = None
+
+    def leave_pictures(self) -> None:
+        """Draw the pictures that nobody drew yet."""
+        if self.pictures is not None:
+            deque(self(), maxlen=0)

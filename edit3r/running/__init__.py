@@ -48,7 +48,6 @@ _HOME = {
     "select_masks": "edit3r.running.selecting.select",
     "SavedScene": "edit3r.running.saved",
     "write_saved": "edit3r.running.saved",
-    "Flight": "edit3r.running.flight",
     "write_result": "edit3r.running.write",
 }
 
@@ -66,7 +65,6 @@ __all__ = [
     "Box",
     "EditVerdict",
     "Expected",
-    "Flight",
     "JobInputs",
     "MarkTexts",
     "MeasuredPoint",
@@ -124,7 +122,6 @@ if TYPE_CHECKING:
     )
     from edit3r.running.earlier import CACHE, read_earlier_run, read_views_of_run
     from edit3r.running.flags import add_flags, add_mark_flags, given_flags
-    from edit3r.running.flight import Flight
     from edit3r.running.job import RunJob, job_from
     from edit3r.running.judging.edit_verdict import EditVerdict
     from edit3r.running.judging.verdict import LABELS

@@ -16,11 +16,10 @@ from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
 from edit3r.kit.files.atomic import atomic_folder, atomic_write
 from edit3r.kit.photos.cameras import PosedCamera, read_cameras, read_scene_cameras
 from edit3r.kit.photos.images import read_image, unique_names
-from edit3r.kit.rendering import path_around, render_each
+from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.kit.scenes.read import load_scene
 from edit3r.loading.registry import Registry
 from edit3r.running.config import RunConfig
-from edit3r.running.flight import Flight
 from edit3r.running.write import write_scene
 
 

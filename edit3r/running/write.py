@@ -45,9 +45,9 @@ from edit3r.kit.sheet import draw_sheet, images_of, with_readings
 from edit3r.running.before import colours_before
 from edit3r.running.config import DEFAULTS
 from edit3r.running.earlier import CACHE, THINGS, note_views
-from edit3r.running.flight import Flight
 from edit3r.running.judging.verdict import WORST_PSNR
 from edit3r.running.record import RunRecord
+from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.running.scene import Scene
 from edit3r.running.selecting.select import Reading, Selected
 
@@ -214,17 +214,15 @@ def _write_scene(folder: RunFolder, result: RunRecord) -> None:
 
 def _write_images(folder: RunFolder, result: RunRecord) -> None:
     """Write photos, 2D edits and the scene from the photos' places."""
-    shown: tuple[Views | Rendering, ...] = (
-        result.photos,
-        result.edited,
-        result.rendered,
-    )
+    shown = {
+        folder.inputs: images_of(result.photos),
+        folder.edited: images_of(result.edited),
+        folder.renders: images_of(result.rendered),
+    }
     jobs = [
         (to_bytes(picture), directory / f"{name}.png")
-        for views, directory in zip(
-            shown, (folder.inputs, folder.edited, folder.renders)
-        )
-        for name, picture in zip(result.photos.names, images_of(views))
+        for directory, pictures in shown.items()
+        for name, picture in zip(result.photos.names, pictures)
     ]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
         list(pool.map(lambda job: save_pixels(*job), jobs))

@@ -115,8 +115,7 @@ def _render(
     from edit3r.contract.interfaces import SceneToWrite
     from edit3r.contract.reporting import stage, warn
     from edit3r.kit.photos.images import save_image
-    from edit3r.kit.rendering import path_around, render_each
-    from edit3r.running import Flight
+    from edit3r.kit.rendering import Flight, path_around, render_each
 
     with stage("read scene"):
         gaussians = _gaussians(args)

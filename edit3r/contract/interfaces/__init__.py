@@ -55,7 +55,6 @@ from edit3r.contract.interfaces.training import (
 )
 from edit3r.contract.interfaces.writing import (
     DRAWING,
-    Frame,
     NamedObjects,
     OtherReadings,
     SceneToWrite,
@@ -101,7 +100,6 @@ __all__ = [
     "Editor",
     "EditsRegions",
     "EditsViews",
-    "Frame",
     "GaussianHead",
     "GeometryBackbone",
     "GeometryHead",
