@@ -27,12 +27,11 @@ from edit3r.contract.interfaces import (
     Writer,
 )
 from edit3r.contract.reporting import collecting, note, warn
-from edit3r.contract.types import Rendering, Views
 from edit3r.kit.checks import check_needs, check_written, errors_named_after
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_pixels, to_bytes
 from edit3r.kit.photos.outline import outlined_views
-from edit3r.kit.rendering import path_around, render_each
+from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.kit.run_folder import (
     PluginRecord,
     RunFolder,
@@ -47,7 +46,6 @@ from edit3r.running.config import DEFAULTS
 from edit3r.running.earlier import CACHE, THINGS, note_views
 from edit3r.running.judging.verdict import WORST_PSNR
 from edit3r.running.record import RunRecord
-from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.running.scene import Scene
 from edit3r.running.selecting.select import Reading, Selected
 
