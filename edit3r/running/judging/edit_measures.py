@@ -24,8 +24,8 @@ VISIBLE = 8 / 255  # change of a channel that one sees
 REACH = 3  # pixels between an outline and the edge that it follows
 MAX_CHANCE = 0.85  # share of a photo near edges, above which an outline tells nothing
 EDGE = 6.0  # difference of colours across an edge [CIE Lab, over two pixels]
+JUMP = 1.12  # ratio of depths within REACH of each other that no one surface has
 NEAR = 4.0  # pixels about an outline whose colours are compared
-SAME_THING = 0.6  # overlap from which two readings of a click are one thing
 CLEARLY = 12.0  # change of a colour from which a thing took it [CIE Lab]
 OTHER_COLOUR = (
     25.0  # difference of chroma that no light makes on one material [CIE Lab]
@@ -61,12 +61,7 @@ def measure_edit(
     changed = float((visibly & inside).sum() / inside.sum().clamp(min=1))
     measures = EditMeasures(shares, changed, reached=reached)
     if _means_one_clicked_thing(scene, wishes):
-        measures = replace(
-            measures,
-            clicked=max(shares),
-            pieces=pieces(masks),
-            other_reading=other_reading(scene),
-        )
+        measures = replace(measures, clicked=max(shares), pieces=pieces(masks))
     if any(wish.action == "remove" for wish in wishes):  # its shadow and rim go with it
         return replace(
             measures,
@@ -90,14 +85,17 @@ def _means_one_clicked_thing(scene: Scene, wishes: Sequence[Wish]) -> bool:
 
 
 def _gives_one_colour(wishes: Sequence[Wish]) -> bool:
-    changes = [change for wish in wishes for change in wish.changes]
-    return bool(changes) and all(
-        change.kind == "paint" and wish.thing.part is None
-        for wish in wishes
-        for change in wish.changes
+    """Whether all wishes paint a thing, and all of it: no background, nothing spared."""
+    kinds = {change.kind for wish in wishes for change in wish.changes}
+    things = [wish.thing for wish in wishes if not wish.without]
+    return (
+        kinds == {"paint"}
+        and len(things) == len(wishes)
+        and all(one.scope in ("named", "marked") and one.part is None for one in things)
     )
 
 
+<<<<<<< HEAD:edit3r/running/judging/edit_measures.py
 def other_reading(scene: Scene) -> float | None:
     """How likely the likeliest other reading of a mark is, over that of the one taken.
 
@@ -121,6 +119,8 @@ def other_reading(scene: Scene) -> float | None:
     return max(ratios, default=None)
 
 
+=======
+>>>>>>> edits:edit3r/pipeline/edit_measures.py
 def pieces(masks: Masks) -> float:
     """Share of a mask that does not belong to its largest piece; the largest over the views."""
     apart = [0.0]
@@ -185,11 +185,14 @@ def measure_edit_in_3d(
     measures: EditMeasures, scene: Scene, views: Sequence[int]
 ) -> EditMeasures:
     """Add what the reconstructed scene tells of the edit."""
-    agreement = None
-    if scene.masks is not None and scene.confined:
-        depths = scene.rendered.depths[0, :, 0]
-        agreement = masks_agree(scene.masks[0], depths, scene.cameras)
-    return replace(measures, agreement=agreement, shown=change_shown(scene, views))
+    measures = replace(measures, shown=change_shown(scene, views))
+    if scene.masks is None or not scene.confined:
+        return measures
+    masks, depths = scene.masks[0], scene.rendered.depths[0, :, 0]
+    if measures.clicked is not None:
+        stands_out = outline_on_depth_edges(_small(masks), _small(depths))
+        measures = replace(measures, stands_out=stands_out)
+    return replace(measures, agreement=masks_agree(masks, depths, scene.cameras))
 
 
 def outline_on_edges(
@@ -212,6 +215,19 @@ def outline_on_edges(
     if chance > MAX_CHANCE:
         return None
     return (float(np.mean(shares)) - chance) / (1 - chance)
+
+
+def outline_on_depth_edges(masks: Masks, depths: Masks) -> float | None:
+    """Share of the masks' outlines near which depth jumps; None where no mask has an outline."""
+    shares = []
+    kernel = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
+    for mask, depth in zip(masks, depths):
+        outline = _outline(mask)
+        if outline.any():
+            near = depth.numpy(force=True).astype(np.float32)
+            jumps = cv2.dilate(near, kernel) > JUMP * cv2.erode(near, kernel)
+            shares.append(float(jumps[outline].mean()))
+    return float(np.mean(shares)) if shares else None
 
 
 def open_outline(images: Float[Tensor, "view 3 height width"], masks: Masks) -> float:

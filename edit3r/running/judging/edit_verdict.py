@@ -17,7 +17,8 @@ MIN_SHARE = 0.0008  # of the photo that shows most of what was selected
 MIN_OF_LARGEST = 0.1  # share of a photo over the largest such share
 MAX_CLICKED = 0.38
 MAX_PIECES = 0.15
-MIN_OTHER_READING = 0.67
+MIN_STANDS_OUT = 0.1
+FLAT_SHARE = 0.05
 MIN_CHANGED = 0.1
 MIN_TAKEN = 0.58
 MIN_OUTLINE = 0.8
@@ -39,10 +40,10 @@ class EditMeasures:
     changed: float
     # share of a photo that a click or a box without a name took; the largest over the photos
     clicked: float | None = None
-    # how likely another thing was clicked on, over how likely the one is that was taken
-    other_reading: float | None = None
     # share of what a click took that lies apart from its largest piece; the largest
     pieces: float | None = None
+    # share of the outline of what a click took where depth jumps
+    stands_out: float | None = None
     # share of a thing that took the colour, where the rest of it has much the same own colour
     taken: float | None = None
     # share of a photo that shows what was made up behind a removed thing, without texture
@@ -98,8 +99,6 @@ def _doubts_of_meaning(found: EditMeasures, surety: float | None) -> Iterator[st
         yield "which thing is meant was guessed"
     elif surety is not None and surety < SURE:
         yield f"the thing was found by its name with {surety:.0%} surety only"
-    if _is_over(found.other_reading, MIN_OTHER_READING):
-        yield "another thing may be meant by the click as well (--smaller and --larger take it)"
     if _is_over(found.clicked, MAX_CLICKED):
         yield (
             f"{found.clicked:.0%} of a photo was taken for the thing that was clicked on "
@@ -118,6 +117,8 @@ def _doubts_of_selection(found: EditMeasures) -> Iterator[str]:
         yield "the outline of what was selected leaves the edges in the photos"
     elif _is_over(found.open_outline, MAX_OPEN_OUTLINE):
         yield "the outline of what was selected runs through one surface"
+    elif _is_part_of_a_surface(found):
+        yield "nothing but its colours divides what was selected from the surface it is on"
     if _is_over(found.pieces, MAX_PIECES):
         yield "what was selected lies in several pieces"
     if _is_under(found.agreement, MIN_AGREEMENT):
@@ -138,6 +139,12 @@ def _doubts_of_change(found: EditMeasures) -> Iterator[str]:
         yield "much of what appears behind what was removed is made up"
     if found.reached is not None and found.reached < MIN_REACHED:
         yield f"{1 - found.reached:.0%} of what changed does not look as asked"
+
+
+def _is_part_of_a_surface(found: EditMeasures) -> bool:
+    """Whether a click took a large piece of a wall or floor: small ones may be painted on it."""
+    large = _is_over(found.clicked, FLAT_SHARE)
+    return large and _is_under(found.stands_out, MIN_STANDS_OUT)
 
 
 def _is_over(figure: float | None, most: float) -> bool:

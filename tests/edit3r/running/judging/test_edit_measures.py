@@ -10,6 +10,16 @@ from edit3r.contract.types import Cameras, Rendering, Views
 from edit3r.contract.wishes import Change, Colour, Thing, Wish
 from edit3r.running.judging.edit_measures import measure_edit, measure_edit_in_3d
 from edit3r.running.scene import Scene
+from edit3r.pipeline.edit_measures import (
+    made_up,
+    measure_edit,
+    measure_edit_in_3d,
+    outline_on_depth_edges,
+    pieces,
+    taken,
+)
+from edit3r.pipeline.scene import Scene
+from edit3r.selection.select import Selected
 
 SIZE = 48
 RED = (0.8, 0.1, 0.1)
@@ -145,3 +155,60 @@ def test_masks_that_show_no_common_surface_tell_nothing(in_3d):
     far = replace(in_3d.rendered, depths=in_3d.rendered.depths * math.nan)
     blind = replace(in_3d, rendered=replace(far, depths=torch.nan_to_num(far.depths)))
     assert measure_edit_in_3d(figures(in_3d), blind, range(2)).agreement is None
+
+
+def test_a_thing_that_takes_its_colour_in_part_is_told_from_one_of_two_colours(scene):
+    masks, before = scene.masks[0], scene.start.images[0]
+    after = before.clone()
+    upper = slice(14, 24)
+    after[:, :, upper] = torch.where(
+        masks[:, None] > 0, 0.9 * torch.tensor(RED)[:, None, None], before
+    )[:, :, upper]
+    assert taken(before, after, masks) == pytest.approx(0.5)
+    green = torch.tensor((0.1, 0.7, 0.1))[:, None, None]
+    before[:, :, upper] = torch.where(masks[:, None] > 0, green, before)[:, :, upper]
+    assert taken(before, after, masks) is None
+
+
+def test_pieces_beside_the_largest_count():
+    whole, parted = square(20), square(20)
+    parted[:, 25:35] = 0
+    assert pieces(whole[None]) == 0
+    assert pieces(torch.stack([whole, parted])) == pytest.approx(0.5)
+
+
+def test_a_smooth_patch_among_texture_is_made_up_and_texture_is_not(scene):
+    random = torch.Generator().manual_seed(0)
+    before = torch.rand(2, 3, SIZE, SIZE, generator=random)
+    masks = scene.masks[0]
+    smooth = torch.where(masks[:, None] > 0, 0.5, before)
+    other = torch.rand(2, 3, SIZE, SIZE, generator=random)
+    textured = torch.where(masks[:, None] > 0, other, before)
+    assert made_up(before, smooth, masks) == pytest.approx(400 / SIZE**2)
+    assert made_up(before, textured, masks) == 0
+
+
+def test_what_stands_before_a_wall_has_an_outline_in_depth(scene):
+    masks = scene.masks[0]
+    wall = torch.full_like(masks, DEPTH)
+    assert outline_on_depth_edges(masks, wall) == 0
+    assert outline_on_depth_edges(masks, wall - 0.5 * masks) == 1
+    assert outline_on_depth_edges(0 * masks, wall) is None
+
+
+@pytest.mark.parametrize(
+    ("how", "thing", "counts"),
+    [
+        ("marked", Thing("marked"), True),
+        ("given", Thing("marked"), False),  # the user's own mask
+        ("marked", Thing("marked", "wall"), False),  # a name says how far it goes
+        ("marked", Thing("background"), False),
+    ],
+)
+def test_how_much_a_click_took_counts_where_nothing_else_says_how_far_it_goes(
+    scene, how, thing, counts
+):
+    selected = Selected(scene.masks[0][:, None], (how, "geometry"))
+    clicked = replace(scene, selected=(selected,))
+    found = figures(clicked, replace(PAINT_RED, thing=thing))
+    assert (found.clicked is not None) == counts

@@ -28,6 +28,11 @@ def test_an_edit_without_a_bad_figure_is_good():
     ("figure", "value", "sentence"),
     [
         ("shares", (0.0, 1e-4), "next to nothing was selected"),
+        ("shares", (0.2, 0.01), "next to nothing was selected in photo 2"),
+        ("clicked", 0.5, "50% of a photo was taken for the thing"),
+        ("pieces", 0.4, "lies in several pieces"),
+        ("taken", 0.4, "only 40% of what was selected took the colour"),
+        ("made_up", 0.3, "is made up"),
         ("changed", 0.01, "only 1% of what was selected changed"),
         ("outline", 0.3, "leaves the edges"),
         ("ghost", 0.8, "outline of what was removed"),
@@ -40,6 +45,13 @@ def test_one_bad_figure_is_enough_and_is_said(figure, value, sentence):
     verdict = judge_edit(replace(GOOD, **{figure: value}))
     assert verdict.label == "doubtful"
     assert sentence in verdict.reason
+
+
+def test_a_large_piece_of_a_wall_is_doubtful_and_a_picture_on_it_is_not():
+    flat = replace(GOOD, stands_out=0.0)
+    assert "from the surface" in judge_edit(replace(flat, clicked=0.2)).reason
+    assert judge_edit(replace(flat, clicked=0.01)).label == "good"
+    assert judge_edit(replace(GOOD, stands_out=0.6, clicked=0.2)).label == "good"
 
 
 def test_a_guess_is_doubtful():
