@@ -44,7 +44,8 @@ class Thing:
             return f"{self.name} of the picture"
         if self.scope == "whole" and self.part is not None:
             return f"what is {self.part.name}"
-        words = [*self.which, self.name or {"marked": "it"}.get(self.scope, self.scope)]
+        plain = {"marked": "it", "named": ""}.get(self.scope, self.scope)
+        words = [*self.which, plain if self.scope == "whole" else self.name or plain]
         text = " ".join(words) + (f" ({self.of})" if self.of else "")
         return text if self.part is None else f"{text} where it is {self.part.name}"
 
@@ -83,7 +84,8 @@ class Change:
     def __str__(self) -> str:
         if self.like is not None:
             hue = "colour" if self.like.part is None else self.like.part.name
-            return f"the {hue} of {replace(self.like, part=None)}"
+            thing = replace(self.like, part=None)
+            return f"the {hue} of {thing}" + _measured(self.colour)
         if self.colour is not None and self.kind == "paint":
             return f"{self.finish} {self.colour.name}".strip()
         if self.colour is not None:
@@ -93,6 +95,13 @@ class Change:
                 self.kind, self.kind
             )
         return f"{self.kind} {self.amount:+.2g}"
+
+
+def _measured(colour: Colour | None) -> str:
+    """The colour that was read off a thing, as people can say it: " (#8a7f70)"."""
+    if colour is None:
+        return ""
+    return f" (#{''.join(f'{round(255 * value):02x}' for value in colour.rgb)})"
 
 
 @dataclass(frozen=True)

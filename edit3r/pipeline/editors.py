@@ -1,6 +1,6 @@
 """Which editor carries out which wish of the prompt."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -14,7 +14,7 @@ from edit3r.pipeline.scene import Scene
 from edit3r.plugins.load import Offer
 from edit3r.plugins.registry import Registry
 from edit3r.plugins.weights import at_hand
-from edit3r.reporting import say
+from edit3r.reporting import say, warn
 from edit3r.wishes.read import ABILITIES, read, spelling_hint
 
 
@@ -32,9 +32,10 @@ def request_of(task: EditorTask, scene: Scene, seed: int, wishes: range) -> Edit
     regions = None
     if scene.regions is not None:
         regions = scene.regions[wishes.start : wishes.stop]
-    if task.wishes:
-        say("edit.understood", "; ".join(map(str, task.wishes)))
-    return EditRequest(task.prompt, seed, scene.masks, task.wishes, regions)
+    asked = scene.wishes[wishes.start : wishes.stop] or task.wishes
+    if asked:
+        say("edit.understood", "; ".join(map(str, asked)))
+    return EditRequest(task.prompt, seed, scene.masks, asked, regions)
 
 
 def tasks_for_editor(
@@ -57,6 +58,8 @@ def tasks_for_editor(
     for wish in wishes:
         if not editor.understands(wish):
             raise PromptError(_refusal(editor, wish, registry))
+    if regional:
+        _tell_left_out(wishes)
     return (EditorTask(editor, prompt, wishes),)
 
 
@@ -78,6 +81,7 @@ def tasks_without_editor(prompt: str, registry: Registry) -> tuple[EditorTask, .
                 break
         else:
             raise PromptError(_nobody(wish, registry))
+    _tell_left_out(wish for _, wish in chosen)
     tasks = []
     for name, group in groupby(chosen, key=lambda pair: pair[0]):
         wishes = tuple(wish for _, wish in group)
@@ -85,6 +89,15 @@ def tasks_without_editor(prompt: str, registry: Registry) -> tuple[EditorTask, .
         text = prompt if whole else ", ".join(wish.text for wish in wishes)
         tasks.append(EditorTask(built[name], text, wishes))
     return tuple(tasks)
+
+
+def _tell_left_out(wishes: Iterable[Wish]) -> None:
+    """Say, before anything runs, which words of the sentence will not be carried out."""
+    for word in dict.fromkeys(word for wish in wishes for word in wish.left_out):
+        warn(
+            f"{word!r} is left out: highlights that no photo shows are not invented; the rest of "
+            "the sentence is carried out."
+        )
 
 
 def _able(wish: Wish, registry: Registry) -> Iterator[Offer]:
@@ -126,6 +139,8 @@ def _nobody(wish: Wish, registry: Registry) -> str:
     unread = ", ".join(repr(word) for word in wish.unread)
     verb = "are" if len(wish.unread) > 1 else "is"
     reason = f"no editor here can carry out {wish.text!r}"
+    if wish.action == "look":
+        reason = f"{wish.look!r} in {wish.text!r} is no look that an editor here knows"
     if unread:
         reason = f"{unread} in {wish.text!r} {verb} not understood"
     learned = [

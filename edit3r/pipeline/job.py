@@ -53,7 +53,7 @@ def job_from(
     cache = Cache(Path(inputs.earlier) / CACHE) if inputs.earlier else None
     if earlier is not None:
         layers = (inherited(earlier, layers), *layers)
-    elif not inputs.photos:
+    elif not inputs.photos and not any(layer.get("editor") for layer in layers):
         layers = ({"prompt": DEFAULTS["prompt"]}, *layers)
     config = make_run_config(*layers)
     if earlier is None and not inputs.photos:

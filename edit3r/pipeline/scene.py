@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
+from edit3r.contract.wishes import Wish
 from edit3r.geometry.light import Light
 from edit3r.io.images import Photo
 from edit3r.pipeline.edit_verdict import EditVerdict
@@ -43,6 +44,8 @@ class Scene:
     masks: Float[Tensor, "batch view height width"] | None = None
     # where each wish of the prompt applies, in [0, 1]
     regions: Float[Tensor, "wish batch view height width"] | None = None
+    # the sentence as it was read, with colours that were read off the photos
+    wishes: tuple[Wish, ...] = ()
     selected: tuple[
         Selected, ...
     ] = ()  # the things that were looked for, of the first scene

@@ -14,11 +14,12 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import MatchedGeometry, Segmenter
 from edit3r.contract.types import Views
-from edit3r.contract.wishes import Thing, Wish
+from edit3r.contract.wishes import Box, Change, Colour, Thing, Wish
 from edit3r.errors import InputError, PromptError
 from edit3r.reporting import say
 from edit3r.selection.near_colour import near_colour
 from edit3r.selection.select import ASK, Selected, Selection, select_masks, shown
+from edit3r.wishes.vocabulary import FLOOD
 
 PLAIN = Selection()
 Masks = Float[Tensor, "view height width"]
@@ -33,6 +34,7 @@ class Regions:
     things: Mapping[str, Masks] = field(
         default_factory=dict
     )  # masks of what has a name
+    wishes: tuple[Wish, ...] = ()  # as asked, with colours that were read off things
 
 
 class RegionFinder:
@@ -65,8 +67,27 @@ class RegionFinder:
         marked_thing = self._thing_of_marks(wishes)
         self._name_marks(marked_thing)
         masks = [self._region(wish, marked_thing) for wish in wishes]
+        coloured = tuple(self._with_colours(wish, marked_thing) for wish in wishes)
         found = tuple(self._found.values())
-        return Regions(torch.stack(masks), found, self._things(marked_thing))
+        return Regions(torch.stack(masks), found, self._things(marked_thing), coloured)
+
+    def _with_colours(self, wish: Wish, marked_thing: Thing | None) -> Wish:
+        """The wish with the colours that it takes from other things."""
+        changes = tuple(self._coloured(one, marked_thing) for one in wish.changes)
+        return replace(wish, changes=changes)
+
+    def _coloured(self, change: Change, marked_thing: Thing | None) -> Change:
+        if change.like is None:
+            return change
+        try:
+            mask = self._mask(change.like, marked_thing)
+        except InputError as error:
+            raise InputError(
+                f"the colour of {change.like} cannot be read: {error} Where clicks mark what is "
+                "painted, name the colour instead, such as beige or #8a7f70."
+            ) from None
+        rgb = _median_colour(self._views.images[0], mask)
+        return replace(change, colour=Colour(f"colour of {change.like}", rgb))
 
     def _things(self, marked_thing: Thing | None) -> dict[str, Masks]:
         """Masks of everything that has a name, those of earlier runs first."""
@@ -86,6 +107,10 @@ class RegionFinder:
         """The one thing that the marks stand for; None for one that has no name."""
         if self._marked is None:
             return None
+        sources = [one.like for wish in wishes for one in wish.changes if one.like]
+        clicked = [thing for thing in sources if thing.scope == "marked"]
+        if clicked:  # "paint the door the colour of what I clicked on"
+            return clicked[0]
         wanted = [
             wish.thing for wish in wishes if wish.thing.scope in ("named", "marked")
         ]
@@ -123,9 +148,11 @@ class RegionFinder:
     def _base(self, wish: Wish, marked_thing: Thing | None) -> Masks:
         """The wish's thing before anything is taken out of it."""
         thing, whole = wish.thing, torch.ones_like(self._views.images[0, :, 0])
-        if thing.scope == "named":
+        if thing.scope in ("named", "region"):
             return self._mask(thing, marked_thing)
         if thing.scope == "whole":
+            if thing.name == "it" and self._known and self._marked is None:
+                return self._mask(Thing(), None)  # what was named last
             confined = self._marked is not None and not wish.without
             return self._mask(None, None) if confined else whole
         if thing.scope == "marked":
@@ -138,6 +165,9 @@ class RegionFinder:
         """All but what is marked, or what the segmenter takes for the background."""
         if self._marked is not None:
             return self._inverse(self._look_for(None, self._marked))
+        if self._known:  # all but what earlier runs named
+            named = torch.stack(list(self._known.values())).amax(0)
+            return (1 - named) * shown(named)
         asked = Selection(words="background")
         selected = self._look_for(Thing("background"), asked)
         masks = selected.masks[:, 0]
@@ -155,9 +185,9 @@ class RegionFinder:
 
     def _mask(self, thing: Thing | None, marked_thing: Thing | None) -> Masks:
         """Masks of a thing: what is marked where the marks stand for it, else by its name."""
-        stands_for = (
-            thing is None or marked_thing is None or thing.name == marked_thing.name
-        )
+        if thing is not None and thing.box is not None:
+            return self._look_for(thing, self._box_of(thing.box)).masks[:, 0]
+        stands_for = thing is None or marked_thing is None or _same(thing, marked_thing)
         if self._marked is not None and stands_for:
             return self._look_for(None, self._marked).masks[:, 0]
         if thing is None or (thing.scope != "named" and thing.part is None):
@@ -178,6 +208,16 @@ class RegionFinder:
         if thing.part is not None:
             mask = near_colour(mask, self._views.images[0], thing.part)
         return mask
+
+    def _box_of(self, box: Box) -> Selection:
+        """A box of the first photo, exactly; the other photos show what it holds there."""
+        height, width = self._views.image_size
+        left, top, across, down = box
+        mask = torch.zeros(height, width)
+        rows = slice(round(top * height), round((top + down) * height))
+        columns = slice(round(left * width), round((left + across) * width))
+        mask[rows, columns] = 1
+        return Selection(masks={0: mask})
 
     def _as_known(self, name: str) -> Selection:
         """The masks that an earlier run has of a thing."""
@@ -200,8 +240,27 @@ class RegionFinder:
 
 
 def _name(thing: Thing) -> str:
-    """The words that name a thing, such as "left cup"."""
-    return " ".join((*thing.which, thing.name))
+    """The words that name a thing, such as "left cup"; all of a thing is the same thing."""
+    which = (word for word in thing.which if word not in FLOOD)
+    return " ".join((*which, thing.name)).strip()
+
+
+def _same(thing: Thing, other: Thing) -> bool:
+    """Whether marks of one stand for the other: not for "the middle one" of marked cups."""
+    return thing.name == other.name and (
+        thing.which == other.which or "all" not in other.which
+    )
+
+
+def _median_colour(
+    images: Float[Tensor, "view 3 height width"], mask: Masks
+) -> tuple[float, float, float]:
+    """The median of each channel under a mask, over all photos [sRGB in [0, 1]]."""
+    inside = images.movedim(1, 0)[:, mask > 0.5]
+    if not inside.numel():
+        raise InputError("a thing whose colour is asked for shows on no photo.")
+    red, green, blue = inside.median(dim=1).values.tolist()
+    return red, green, blue
 
 
 def _with_defaults(selection: Selection, defaults: Selection) -> Selection:

@@ -9,6 +9,34 @@ from edit3r.wishes.nouns import is_noun
 from edit3r.wishes.paints import read_paint
 from edit3r.wishes.shades import read_taken
 
+_BOTTLES_AND_TREES = frozenset(["bottle", "tree", "leaf"])
+_OF_BOTTLES_AND_TREES = frozenset(
+    [
+        "wine",
+        "beer",
+        "water",
+        "milk",
+        "juice",
+        "glass",
+        "plastic",
+        "apple",
+        "pear",
+        "orange",
+        "lemon",
+        "lime",
+        "cherry",
+        "fig",
+        "olive",
+        "banana",
+        "palm",
+        "pine",
+        "oak",
+        "birch",
+        "maple",
+        "christmas",
+    ]
+)
+
 
 @dataclass(frozen=True)
 class Found:
@@ -131,6 +159,8 @@ def _paint_at(tokens: list[str], start: int) -> Found | None:
     shorter = read_paint(rest[1:]) if found.length > 1 else None
     if shorter is not None and _names_thing_and_colour(before, rest, found.length):
         return None
+    if rest[0] in _BOTTLES_AND_TREES and set(before[-1:]) & _OF_BOTTLES_AND_TREES:
+        return None  # "the wine bottle green", though "bottle green" is a colour
     if set(after) & words.PARTS:
         return None  # "the red parts" are a thing
     paint = Found(start, start + found.length, found.change, found.left_out)
@@ -141,7 +171,7 @@ def _names_thing_and_colour(before: list[str], rest: list[str], length: int) -> 
     """Whether "the sea green" is a green sea, and "turn red blue" a change of red."""
     if before[-1:] == ["the"]:
         return rest[0] not in TONES
-    two_basics = length == 2 and words.BASIC >= {rest[0], rest[1]}
+    two_basics = length == 2 and {rest[0], rest[1]} <= words.BASIC
     return two_basics and not set(before) - words.FILLERS - words.PAINT
 
 

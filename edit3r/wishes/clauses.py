@@ -125,9 +125,7 @@ def _end_of_exception(rest: list[str], tokens: list[str]) -> int:
     ends = bool(changes) and changes[-1].end == len(rest)
     removes = bool(set(tokens[:2]) & words.REMOVE)
     return (
-        changes[0].start
-        if ends and changes[0].start > 0 and not removes
-        else len(rest)
+        changes[0].start if ends and changes[0].start > 0 and not removes else len(rest)
     )
 
 
@@ -195,9 +193,11 @@ def _split_around(
     if in_front and not _may_follow(group[-1], tokens):
         named, other = [], after
     unread = [t for t in content_of(other) if t not in words.PARTS]
+    unread = list(unread_of(unread))
     if set(unread) <= words.PLACES:  # "paint the vase red on the left"
         named, unread = [*unread, *named], []
-    unread += [t for t in named if t in words.MORE | words.LESS | words.UNSUPPORTED]
+    if read_region(named) is None:  # "the lower half"
+        unread += [t for t in named if t in words.MORE | words.LESS | words.UNSUPPORTED]
     unread += unclear_place(named)
     unread += strangers(named, before_change=named == before and bool(before))
     return named, tuple(dict.fromkeys(unread))
@@ -276,7 +276,7 @@ def _may_follow(change: Found, tokens: list[str]) -> bool:
     """Whether the thing may follow: "darken walls", "more contrast in the sky", "paint red the
     bike".
     """
-    after = tokens[change.end :]
+    after = [t for t in tokens[change.end :] if t not in words.PAINT]
     first = tokens[change.start]
     if first in words.IMPERATIVES | words.RANDOM or first in words.TINTS:
         return True

@@ -9,6 +9,7 @@ import difflib
 import re
 from functools import cache
 from importlib.resources import files
+from typing import Literal
 
 from PIL import ImageColor
 
@@ -17,10 +18,30 @@ from edit3r.wishes.nouns import is_noun
 
 RGB = tuple[float, float, float]
 
-BASIC_COLOURS = (
-    "red orange yellow green blue purple pink brown black white grey turquoise cyan magenta gold "
-    "silver beige navy teal olive maroon violet"
-).split()
+BASIC_COLOURS = [
+    "red",
+    "orange",
+    "yellow",
+    "green",
+    "blue",
+    "purple",
+    "pink",
+    "brown",
+    "black",
+    "white",
+    "grey",
+    "turquoise",
+    "cyan",
+    "magenta",
+    "gold",
+    "silver",
+    "beige",
+    "navy",
+    "teal",
+    "olive",
+    "maroon",
+    "violet",
+]
 """The colours that messages suggest first, and that "more" may stand before."""
 
 _EVERYDAY_COLOURS = {
@@ -81,7 +102,13 @@ TONES = {
 }
 """Shades: the share of the way to white, or (negative) to black, and a factor on saturation."""
 
-COMPARED = {"lighter": 1, "brighter": 1, "paler": 1, "darker": -1, "deeper": -1}
+COMPARED: dict[str, Literal[-1, 1]] = {
+    "lighter": 1,
+    "brighter": 1,
+    "paler": 1,
+    "darker": -1,
+    "deeper": -1,
+}
 """Shades that are said against what the thing is now, and their direction."""
 
 NEON = ("neon", "fluorescent", "fluoro")
@@ -92,11 +119,44 @@ _MADE_ON_THE_COLOUR_ITSELF = ("dark", "deep", "light", "bright", "pale")
 
 # Names of the lists that here mean another thing: a material, a look, an adjustment, a shade.
 _NO_COLOURS = frozenset(
-    "snow dark pale midnight dusk twilight sepia bland royal drab brick stone sandstone ice denim "
-    "leather velvet grass moss water mud dirt clay cement earth dust straw sky sea ocean forest "
-    "leaf desert swamp".split()
+    [
+        "snow",
+        "dark",
+        "pale",
+        "midnight",
+        "dusk",
+        "twilight",
+        "sepia",
+        "bland",
+        "royal",
+        "drab",
+        "brick",
+        "stone",
+        "sandstone",
+        "ice",
+        "denim",
+        "leather",
+        "velvet",
+        "grass",
+        "moss",
+        "water",
+        "mud",
+        "dirt",
+        "clay",
+        "cement",
+        "earth",
+        "dust",
+        "straw",
+        "sky",
+        "sea",
+        "ocean",
+        "forest",
+        "leaf",
+        "desert",
+        "swamp",
+    ]
 )
-_STUFF = _NO_COLOURS - frozenset("snow dark pale sepia water".split())
+_STUFF = _NO_COLOURS - frozenset(["snow", "dark", "pale", "sepia", "water"])
 
 MAX_WORDS = 6
 
@@ -131,17 +191,18 @@ def is_thing_too(colour: Colour) -> bool:
 def near_colours(word: str, count: int = 3) -> list[str]:
     """Names of colours that are spelt nearly like a word, or contain it."""
     names = colour_names()
+    basic = difflib.get_close_matches(word, BASIC_COLOURS, n=1, cutoff=0.7)
     near = difflib.get_close_matches(word, names, n=count, cutoff=0.75)
     within = [name for name in names if word in name.split()]
-    return list(dict.fromkeys((*near, *within)))[:count]
+    return list(dict.fromkeys((*basic, *near, *within)))[:count]
 
 
 @cache
 def colour_names() -> tuple[str, ...]:
     """All names of the lists, as they are written."""
     survey = [name for _, name in _survey()]
-    names = (*BASIC_COLOURS, *_EVERYDAY_COLOURS, *ImageColor.colormap, *survey)
-    return tuple(dict.fromkeys(names))
+    spaced = {_key(name): name for name in (*ImageColor.colormap, *survey)}
+    return tuple(dict.fromkeys((*BASIC_COLOURS, *spaced.values())))
 
 
 def _toned(words: list[str]) -> RGB | None:

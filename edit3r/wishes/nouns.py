@@ -1,5 +1,4 @@
-"""Everyday words for things. Others are things too: this only tells a noun from a misspelt colour.
-"""
+"""Everyday words for things. Others are things too: this only tells a noun from a misspelt colour."""
 
 from functools import cache
 from importlib.resources import files

@@ -33,8 +33,20 @@ FINISHES: dict[str, Finish] = {
 """How light lies on paint, where an editor of colours can do it."""
 
 NO_FINISHES = frozenset(
-    "glossy gloss shiny satin polished lacquered glittery glittering sparkly sparkling "
-    "iridescent pearlescent".split()
+    [
+        "glossy",
+        "gloss",
+        "shiny",
+        "satin",
+        "polished",
+        "lacquered",
+        "glittery",
+        "glittering",
+        "sparkly",
+        "sparkling",
+        "iridescent",
+        "pearlescent",
+    ]
 )
 """Where it cannot: highlights that no photo shows are not invented."""
 
@@ -82,8 +94,10 @@ def _read_plain(words: list[str]) -> tuple[Change, int] | None:
         name = f"{colour.name} {words[length]}"
         material = MATERIALS[words[length]]
         return Change("paint", Colour(name, colour.rgb), material=material), length + 1
-    than_now = COMPARED.get(words[0], 0) if length > 1 else 0
-    return Change("paint", colour, than_now=than_now), length
+    change = Change("paint", colour)
+    if length > 1 and words[0] in COMPARED:  # "a darker green"
+        change = replace(change, than_now=COMPARED[words[0]])
+    return change, length
 
 
 def _material(word: str) -> Change:

@@ -5,7 +5,7 @@ from edit3r.wishes import vocabulary as words
 
 _DOWN = {"top": "top", "upper": "top", "bottom": "bottom", "lower": "bottom"}
 _ACROSS = {"left": "left", "right": "right"}
-_MIDDLE = frozenset("middle centre central".split())
+_MIDDLE = frozenset(["middle", "centre", "central"])
 _SIDES = frozenset((*_DOWN, *_ACROSS)) | _MIDDLE
 _COUNTS = frozenset(("two", "three"))
 
@@ -87,7 +87,8 @@ def _stretch(
 def _inside(tokens: list[str]) -> tuple[list[str], bool]:
     """The words without "of the picture", and whether they said it."""
     for start, token in enumerate(tokens):
-        tail = [t for t in tokens[start + 1 :] if t not in words.DETERMINERS]
+        ignored = words.DETERMINERS | words.WEAK | words.STRONG
+        tail = [t for t in tokens[start + 1 :] if t not in ignored]
         if token in ("of", "in") and tail and set(tail) <= words.PICTURE:
             return tokens[:start], True
     return tokens, False

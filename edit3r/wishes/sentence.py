@@ -16,7 +16,7 @@ def clauses_of(prompt: str) -> Iterator[list[str]]:
     """The words of each clause, lower-case, with spellings and set phrases brought to one form."""
     text = prompt.lower().replace("’", "'")
     for pattern, instead in words.PHRASES:
-        text = re.sub(pattern, instead, text)
+        text = " ".join(re.sub(pattern, instead, text).split())
     text = _exceptions(text)
     for part in _SEPARATORS.split(text):
         tokens = [words.SPELLINGS.get(token, token) for token in _TOKEN.findall(part)]

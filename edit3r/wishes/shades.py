@@ -30,9 +30,7 @@ def read_taken(tokens: list[str]) -> Taken | None:
     return None
 
 
-def _source_at(
-    tokens: list[str], start: int
-) -> tuple[Colour | None, list[str]] | None:
+def _source_at(tokens: list[str], start: int) -> tuple[Colour | None, list[str]] | None:
     """The hue that is named, if any, and the words for the thing that has it."""
     first, rest = tokens[start], tokens[start + 1 :]
     if first in ("match", "matching"):

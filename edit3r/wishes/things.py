@@ -7,7 +7,8 @@ from edit3r.wishes.nouns import is_noun
 from edit3r.wishes.paints import LIGHT_WORDS
 from edit3r.wishes.places import read_region
 
-_JOINING = words.JOINING - {'at', 'to', 'next', 'above', 'below'}
+_JOINING = words.JOINING - {"at", "to", "next", "above", "below"}
+
 
 def read_thing(tokens: list[str]) -> Thing:
     """The thing that the words name; without any, what the user marked.
@@ -33,6 +34,8 @@ def read_thing(tokens: list[str]) -> Thing:
     which = [t for t in nouns if t in words.PLACES | words.SIZES | words.BACKGROUND]
     nouns = [t for t in nouns if t not in which]
     colours, nouns = _leading_colours(nouns, bool(set(tokens) & {"one", "ones"}))
+    if of and which and not nouns and part is None:  # "the top of the tower"
+        return Thing("named", " ".join(which), of=_named_whole(of))
     if of and (part is not None or not nouns):
         inner = read_thing(of)
         return Thing(inner.scope, inner.name, inner.which, inner.of, part or inner.part)

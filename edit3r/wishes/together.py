@@ -8,6 +8,7 @@ from edit3r.errors import PromptError
 from edit3r.wishes import vocabulary as words
 from edit3r.wishes.clauses import Clause, content_of
 from edit3r.wishes.nouns import is_plural
+from edit3r.wishes.strangers import unread_of
 
 
 def wishes_of(
@@ -30,7 +31,9 @@ def _shared(clauses: list[Clause]) -> list[Clause]:
         if clause.action:
             filled.append(clause)
         elif giver is None or giver.action == "other":
-            filled.append(clause.not_understood(*content_of(clause.text.split())))
+            content = content_of(clause.text.split())
+            unread = unread_of([t for t in content if t not in words.PRONOUNS])
+            filled.append(clause.not_understood(*(unread or content)))
         else:
             filled.append(_with_change_of(clause, giver))
     return filled

@@ -144,7 +144,9 @@ NOTHING = _words("nothing anything no none else more other changes change")
 STAYS = _words("stay stays staying remain remains remaining")
 ARTICLES = _words("the a an")
 DETERMINERS = (
-    ARTICLES | _words("my our your his her their some both all every each any") | PRONOUNS
+    ARTICLES
+    | _words("my our your his her their some both all every each any")
+    | PRONOUNS
 )
 
 PLACES = _words(
@@ -162,11 +164,13 @@ PICTURE = _words("image photo photos picture pictures scene view frame")
 DESCRIBING = _words(
     "old new dirty clean broken open closed empty full tiny huge high low long short round square "
     "wooden metal plastic concrete glass leather front back inner outer main whole first second "
-    "last other next far near parked painted standing ancient modern double single"
+    "last other next far near parked painted ancient modern double single"
 )
 """Everyday words that describe a thing."""
 
-JOINING = _words("of on from in with near behind under beside wearing at to next above below")
+JOINING = _words(
+    "of on from in with near behind under beside wearing at to next above below"
+)
 """Words between a thing and the whole, place or mark by which it is known."""
 
 PARTS = _words(
@@ -180,14 +184,15 @@ FILLERS = _words(
     "could my our your so that up down also just but is are paint painted colours as for from "
     "them these those some kind sort only one ones coloured convert transform look looking style "
     "effect finish by using his her their there full spray dye tint coat coated give "
-    "then by made shade shades use cover wrap way totally completely fully entirely "
+    "making turning changing needs need must has ought standing sitting lying parked leaning "
+    "hanging walking then by made shade shades use cover wrap way totally completely fully entirely "
     "totally wholly were was will replace swap"
 )
 """Words that carry neither change nor thing in the sentences that are read."""
 
 POLITENESS = _words("please thanks thank you ok okay hello hi kindly just")
 OPENINGS = POLITENESS | _words(
-    "could can would will i i'd we want like to now also so let's lets what if then should need"
+    "could can would will i i'd we want like to now also so let's lets if then should need"
 )
 """Words that a clause may begin with and that ask for nothing: "could you please"."""
 
@@ -244,17 +249,22 @@ PHRASES = (
         r"\b(darker|lighter|deeper|paler|brighter|dark|light) (?:shade|tone|hue) of\b",
         r" \1 ",
     ),
-    (r"\blook(?:s|ing)? (?:very |really |more )?(?:old|used|ancient)\b", " look weathered "),
+    (
+        r"\blook(?:s|ing)? (?:very |really |more )?(?:old|used|ancient)\b",
+        " look weathered ",
+    ),
     (r"\bweathered(?:,| and|,? and) (?:old|weathered|worn|aged|used)\b", " weathered "),
     (
         r"\bwhat (?:i|is|was) (?:have |had )?(?:clicked|marked|selected|pointed)(?: on| at)?\b",
         " selection ",
     ),
     (
-        r"\b(?:is it possible to|would you mind|what about|how about|it would be nice if|"
-        r"would be nice if)\b",
+        r"\b(?:is it possible to|would you mind|it would be nice if|would be nice if|what if)\b",
         " please ",
     ),
+    (r"\b(?:what|how) about an?\b", " turned "),
+    (r"^\W*(?:the |this |my )?(?:picture|photo|image|scene) without\b", " remove "),
+    (r"\bplease painting\b", " paint "),
     (r"\b(?:i|we) (?:do not|don't|dont) want to see\b|\baway with\b", " remove "),
     (r"\bget (.+?) out of (?:the|this|my) (?:picture|photo|image)s?\b", r" remove \1 "),
     (r"\beverything around\b|\ball around\b", " everything except "),

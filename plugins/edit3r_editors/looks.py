@@ -199,6 +199,7 @@ class Look(NamedTuple):
     draw: Callable[[Images], Images]
 
 
+_SUNNED = (1.02, 1, 0.94)
 _BLUE, _WARM, _FADED = (0.34, 0.42, 0.64), (1.18, 0.93, 0.66), (1.05, 0.97, 0.8)
 _STEEL = ((0.2, 0.22, 0.26), (0.58, 0.62, 0.68), (1, 1, 1))
 _GOLD = ((0.34, 0.19, 0.03), (0.86, 0.6, 0.14), (1, 0.97, 0.75))
@@ -214,6 +215,9 @@ LOOKS = {
                                                  "no snow falls", winter),
     "vintage": Look("vintage retro", "a faded print",
                     partial(graded, saturation=0.55, contrast=0.85, gain=_FADED, lift=0.07)),
+    "weathered": Look("weathered worn aged", "paler and greyer, as by years of sun; no crack and "
+                                             "no stain appears",
+                      partial(graded, saturation=0.45, contrast=0.8, gain=_SUNNED, lift=0.1)),
     "sepia": Look("sepia", "brown tones", partial(graded, saturation=0, gain=(1.08, 0.94, 0.74))),
     "greyscale": Look("greyscale grayscale monochrome", "no colour", partial(graded, saturation=0)),
     "noir": Look("noir", "no colour, hard contrast", partial(graded, saturation=0, contrast=1.5)),

@@ -12,7 +12,7 @@ from edit3r.compute.layers import one_thread
 from edit3r.config import Settings
 from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.types import EditRequest, Views
-from edit3r.contract.wishes import Wish
+from edit3r.contract.wishes import Change, Colour, Wish
 from edit3r.errors import PromptError
 from edit3r_recolor.paint import paint
 from edit3r_recolor.recoloring import (
@@ -86,18 +86,31 @@ class RecolorEditor(Editor, EditsRegions):
         parameters: RecolorParameters,
     ) -> Float[Tensor, "view 3 height width"]:
         settings = self.settings
-        flood = wish.thing.scope == "whole" or "whole" in wish.thing.which
+        everywhere = wish.thing.scope in ("whole", "region")
+        flood = everywhere or "whole" in wish.thing.which
         changed = images
         for change in wish.changes:
             if change.kind == "paint":
                 changed = paint(
                     changed,
                     region,
-                    METALS.get(change.material, change.colour.rgb),
+                    METALS.get(change.material, _colour_of(change).rgb),
                     tolerance=settings.tolerance,
                     flood=flood,
-                    metal=change.material in METALS,
+                    metal=change.material in METALS or change.finish == "metallic",
+                    matte=change.finish == "matte",
+                    than_now=change.than_now,
                 )
             else:
                 changed = apply_change(changed, change, parameters)
         return blend_regions(images, changed[None], settings.strength * region[None])
+
+
+def _colour_of(change: Change) -> Colour:
+    """The colour of a paint. Raises PromptError for that of a thing which nobody looked for."""
+    if change.colour is None:
+        raise PromptError(
+            f"nobody looked for the thing in {str(change)!r}, so its colour is not known; name the "
+            "colour, such as beige or #8a7f70."
+        )
+    return change.colour

@@ -32,6 +32,8 @@ MIN_COLOUR = 0.4  # share of all chroma on the thing that its paint has
 MAX_BETWEEN = 0.2  # share of the paint that may be half neutral, where it is not vivid
 LIGHTNESS = (0.2, 0.86)  # of the blackest and the whitest paint: shading needs room
 MAX_SLOPE = 1.2  # of new lightness over old
+MATTE_SLOPE = 0.3  # the same above the paint's lightness, where highlights are
+COMPARED_STEP = 0.08  # of lightness, that "darker" is darker than before
 MAX_BEND = 3.0  # slope on one side of the paint's lightness over that on the other
 METAL_CONTRAST = 2.0  # slope of new lightness over old in the middle
 DARKEST, BRIGHTEST = 0.08, 0.98  # lightness of metal
@@ -56,12 +58,15 @@ def paint(
     tolerance: float = 18,
     flood: bool = False,
     metal: bool = False,
+    matte: bool = False,
+    than_now: int = 0,
 ) -> Images:
     """Give the paint of the thing under `region` (in [0, 1]) the sRGB colour `rgb` in [0, 1].
 
     Shading and highlights stay. A thing without a clear colour is painted whole, and any thing is
     where `flood` is set. `tolerance` is how far hues of one paint are apart [degrees]. `metal`
-    gives it the contrast and the coloured highlights of polished metal.
+    gives it the contrast and the coloured highlights of polished metal, `matte` weaker highlights,
+    and `than_now` a colour that is darker (-1) or lighter (1) than what it was.
     """
     inside = region > 0
     if not inside.any():
@@ -71,6 +76,7 @@ def paint(
     lab = rgb_to_oklab(old)
     goal = rgb_to_oklab(old.new_tensor(rgb)[:, None, None])
     own = own_paint(lab, weights, tolerance, flood)
+    goal = _compared(goal, own, than_now)
     member = membership(lab, own)
     if own.saturation:
         share = float((weights * member).sum() / weights.sum())
@@ -79,7 +85,7 @@ def paint(
             f"{share:.0%} of the thing is its paint; 'all of it' paints the rest too",
         )
     touched = member[0] > 0
-    new = repainted(lab[..., touched], own, goal, metal)
+    new = repainted(lab[..., touched], own, goal, metal, matte)
     weight = member[:, touched]
     old[..., touched] = torch.lerp(old[..., touched], oklab_to_rgb(new), weight)
     painted = images.clone()
@@ -121,14 +127,29 @@ def membership(lab: Pixels, own: Paint) -> Weights:
     return coloured * _near_hue(lab, own)
 
 
-def repainted(lab: Pixels, own: Paint, goal: Goal, metal: bool = False) -> Pixels:
+def _compared(goal: Goal, own: Paint, than_now: int) -> Goal:
+    """The colour moved to a lightness on the side of the thing's own that was asked for."""
+    if not than_now:
+        return goal
+    limit = own.lightness + than_now * COMPARED_STEP
+    asked = float(goal[0])
+    lightness = min(asked, limit) if than_now < 0 else max(asked, limit)
+    lightness = min(max(lightness, LIGHTNESS[0]), LIGHTNESS[1])
+    chroma = min(1.0, lightness / max(asked, DARK))
+    return torch.cat((torch.full_like(goal[:1], lightness), chroma * goal[1:]))
+
+
+def repainted(
+    lab: Pixels, own: Paint, goal: Goal, metal: bool = False, matte: bool = False
+) -> Pixels:
     """The pixels as if all were painted: lightness moves to the goal's, chroma follows light.
 
     Chroma falls with lightness in shade, and fades to white in highlights, on metal later: its
     highlights have its colour.
     """
     end = min(max(float(goal[0]), LIGHTNESS[0]), LIGHTNESS[1])
-    lightness = _polished(lab, own, end) if metal else _moved(lab, own, end)
+    slope = MATTE_SLOPE if matte else MAX_SLOPE
+    lightness = _polished(lab, own, end) if metal else _moved(lab, own, end, slope)
     shade = (lightness / end).clamp(max=1)
     shine = ((1 - lightness) / (1 - end)).clamp(0, 1)
     chroma = shade * (shine.sqrt() if metal else shine)
@@ -137,10 +158,10 @@ def repainted(lab: Pixels, own: Paint, goal: Goal, metal: bool = False) -> Pixel
     return torch.cat((lightness[None], chroma * goal[1:]))
 
 
-def _moved(lab: Pixels, own: Paint, end: float) -> Weights:
+def _moved(lab: Pixels, own: Paint, end: float, up_slope: float = MAX_SLOPE) -> Weights:
     """Lightness by a line to either side of the paint's own, which becomes `end`."""
     start = min(max(own.lightness, 0.05), 0.95)
-    up = min(MAX_SLOPE, (1 - end) / (1 - start))
+    up = min(up_slope, (1 - end) / (1 - start))
     down = min(MAX_SLOPE, end / start)
     up, down = min(up, MAX_BEND * down), min(down, MAX_BEND * up)
     beyond = lab[0] - start

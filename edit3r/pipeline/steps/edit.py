@@ -47,7 +47,7 @@ def _with_edit_verdict(scene: Scene, parts: Parts, views: Sequence[int]) -> Scen
     """The scene with what can be said of the edit of these views before anything is in 3D."""
     if not parts.config.prompt and torch.equal(scene.edited.images, scene.start.images):
         return scene
-    wishes = [wish for task in parts.tasks for wish in task.wishes]
+    wishes = scene.wishes or [wish for task in parts.tasks for wish in task.wishes]
     measures = measure_edit(scene, wishes, views)
     verdict = judge_edit(measures, _surety(scene))
     if verdict.label == "doubtful":

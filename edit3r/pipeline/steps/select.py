@@ -84,6 +84,7 @@ def _with_regions(scene: Scene, parts: Parts) -> Scene:
         scene,
         regions=regions if wishes else None,
         masks=None if bool((masks >= 1).all()) else masks,
+        wishes=found[0].wishes if wishes else (),
         selected=found[0].selected,
         things=found[0].things,
     )

@@ -157,7 +157,7 @@ def test_a_sentence_is_read(sentence, reading):
     [
         ("don't paint the bike red", "don't"),
         ("make the bike less red", "less"),
-        ("turn it into a Van Gogh painting", "van"),
+        ("turn it into a Van Gogh painting", "gogh"),
         ("make it a polar bear", "polar"),
         ("a red dragon", "dragon"),
         ("paint the bike red with flames", "flames"),
@@ -165,9 +165,9 @@ def test_a_sentence_is_read(sentence, reading):
         ("make it snow", "snow"),
         ("paint the bike", "bike"),
         ("make the bear happy and the wall white", "happy"),
-        ("make the car metallic blue", "metallic"),
+        ("make the car glossy", "glossy"),
         ("replace the bike with a car", "replace"),
-        ("make the chair the same colour as the table", "same"),
+        ("make the chair the same as the table", "same"),
         ("blur the background", "blur"),
         ("rends le vélo rouge", "rends"),
         ("把自行车涂成红色", "把自行车涂成红色"),
@@ -195,7 +195,7 @@ def test_two_colours_on_one_thing_are_refused():
 
 def test_a_misspelt_colour_is_suggested():
     (wish,) = read("paint the bike purpel")
-    assert "Did you mean 'purple'" in spelling_hint(wish)
+    assert "Near 'purpel': purple" in spelling_hint(wish)
 
 
 def test_every_content_word_is_used_or_named():
