@@ -1,4 +1,4 @@
-"""Everyday words for things. Others are things too: this only tells a noun from a misspelt colour."""
+"""Everyday words for things, to tell a noun from a misspelt colour; others are things too."""
 
 from functools import cache
 from importlib.resources import files

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 from edit3r.contract.wishes import Change, Colour, Finish
 from edit3r.wishes.colours import COMPARED, read_colour
+from edit3r.wishes.sets import words_of
 
 MATERIALS = {
     "gold": "gold",
@@ -32,21 +33,9 @@ FINISHES: dict[str, Finish] = {
 }
 """How light lies on paint, where an editor of colours can do it."""
 
-NO_FINISHES = frozenset(
-    [
-        "glossy",
-        "gloss",
-        "shiny",
-        "satin",
-        "polished",
-        "lacquered",
-        "glittery",
-        "glittering",
-        "sparkly",
-        "sparkling",
-        "iridescent",
-        "pearlescent",
-    ]
+NO_FINISHES = words_of(
+    "glossy gloss shiny satin polished lacquered glittery glittering sparkly sparkling "
+    "iridescent pearlescent"
 )
 """Where it cannot: highlights that no photo shows are not invented."""
 

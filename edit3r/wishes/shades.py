@@ -56,6 +56,8 @@ def _of_thing(hue: Colour | None, source: Sequence[str]) -> Change | None:
     if not _names_something(source):
         return None
     thing = replace(read_thing(list(source)), part=hue)
+    if thing.scope == "marked":  # "the colour of what I clicked on"
+        thing = replace(thing, name="")
     return Change("paint", like=thing)
 
 
