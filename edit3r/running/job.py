@@ -53,7 +53,7 @@ def job_from(
     cache = _answers(inputs)
     if earlier is not None:
         layers = (inherited(earlier, layers), *layers)
-    elif not inputs.photos and not any(layer.get("editor") for layer in layers):
+    elif not inputs.photos and _takes_usual_editor(layers):
         layers = ({"prompt": DEFAULTS["prompt"]}, *layers)
     config = make_run_config(*layers)
     if earlier is None and not inputs.photos:
@@ -84,6 +84,13 @@ def _answers(inputs: JobInputs) -> Cache | None:
     folders += [Path(mask).parent for mask in inputs.mask[:1]]
     kept = [folder / CACHE for folder in folders if (folder / CACHE).is_dir()]
     return Cache(kept[0]) if kept else None
+
+
+def _takes_usual_editor(layers: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether no other editor is asked for: what another does, its own settings say."""
+    choices = [layer["editor"] for layer in layers if layer.get("editor")]
+    names = {one.get("name") if isinstance(one, Mapping) else one for one in choices}
+    return names <= {None, DEFAULTS["editor"]}
 
 
 def inherited(

@@ -14,11 +14,12 @@ from typing import Literal
 from PIL import ImageColor
 
 from edit3r.contract.wishes import Colour
-from edit3r.kit.wishes.nouns import is_noun
+from edit3r.wishes.nouns import is_noun
+from edit3r.wishes.sets import words_of
 
 RGB = tuple[float, float, float]
 
-BASIC_COLOURS = [
+BASIC_COLOURS = (
     "red",
     "orange",
     "yellow",
@@ -41,7 +42,7 @@ BASIC_COLOURS = [
     "olive",
     "maroon",
     "violet",
-]
+)
 """The colours that messages suggest first, and that "more" may stand before."""
 
 _EVERYDAY_COLOURS = {
@@ -102,7 +103,7 @@ TONES = {
 }
 """Shades: the share of the way to white, or (negative) to black, and a factor on saturation."""
 
-COMPARED: dict[str, Literal[-1, 0, 1]] = {
+COMPARED: dict[str, Literal[-1, 1]] = {
     "lighter": 1,
     "brighter": 1,
     "paler": 1,
@@ -118,45 +119,12 @@ _MADE_ON_THE_COLOUR_ITSELF = ("dark", "deep", "light", "bright", "pale")
 """Tones that with a basic colour are computed: the survey's dark colours are nearly black."""
 
 # Names of the lists that here mean another thing: a material, a look, an adjustment, a shade.
-_NO_COLOURS = frozenset(
-    [
-        "snow",
-        "dark",
-        "pale",
-        "midnight",
-        "dusk",
-        "twilight",
-        "sepia",
-        "bland",
-        "royal",
-        "drab",
-        "brick",
-        "stone",
-        "sandstone",
-        "ice",
-        "denim",
-        "leather",
-        "velvet",
-        "grass",
-        "moss",
-        "water",
-        "mud",
-        "dirt",
-        "clay",
-        "cement",
-        "earth",
-        "dust",
-        "straw",
-        "sky",
-        "sea",
-        "ocean",
-        "forest",
-        "leaf",
-        "desert",
-        "swamp",
-    ]
+_NO_COLOURS = words_of(
+    "snow dark pale midnight dusk twilight sepia bland royal drab brick stone sandstone ice "
+    "denim leather velvet grass moss water mud dirt clay cement earth dust straw sky sea ocean "
+    "forest leaf desert swamp"
 )
-_STUFF = _NO_COLOURS - frozenset(["snow", "dark", "pale", "sepia", "water"])
+_STUFF = _NO_COLOURS - words_of("snow dark pale sepia water")
 
 MAX_WORDS = 6
 
@@ -276,7 +244,7 @@ def _key(name: str) -> str:
 @cache
 def _survey() -> tuple[tuple[str, str], ...]:
     """Colours and names of the xkcd survey."""
-    text = files("edit3r.kit.wishes").joinpath("colours.txt").read_text("utf-8")
+    text = files("edit3r.wishes").joinpath("colours.txt").read_text("utf-8")
     lines = [line for line in text.splitlines() if not line.startswith("# ")]
     return tuple((line[:7], line[8:]) for line in lines)
 

@@ -1,4 +1,4 @@
-"""Everyday words for things. Others are things too: this tells a noun from a misspelt colour."""
+"""Everyday words for things, to tell a noun from a misspelt colour; others are things too."""
 
 from functools import cache
 from importlib.resources import files
@@ -31,6 +31,6 @@ def _singulars(word: str) -> tuple[str, ...]:
 
 @cache
 def _nouns() -> frozenset[str]:
-    text = files("edit3r.kit.wishes").joinpath("nouns.txt").read_text("utf-8")
+    text = files("edit3r.wishes").joinpath("nouns.txt").read_text("utf-8")
     lines = [line for line in text.splitlines() if not line.startswith("#")]
     return frozenset(" ".join(lines).split())

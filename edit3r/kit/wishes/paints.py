@@ -1,10 +1,10 @@
-"""PaintWords in words: a colour or a material, and how its light shall be ("matte black")."""
+"""Paint in words: a colour or a material, and how its light shall be ("matte black")."""
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 from edit3r.contract.wishes import Change, Colour, Finish
-from edit3r.kit.wishes.colours import COMPARED, read_colour
+from edit3r.wishes.colours import COMPARED, read_colour
+from edit3r.wishes.sets import words_of
 
 MATERIALS = {
     "gold": "gold",
@@ -33,21 +33,9 @@ FINISHES: dict[str, Finish] = {
 }
 """How light lies on paint, where an editor of colours can do it."""
 
-NO_FINISHES = frozenset(
-    [
-        "glossy",
-        "gloss",
-        "shiny",
-        "satin",
-        "polished",
-        "lacquered",
-        "glittery",
-        "glittering",
-        "sparkly",
-        "sparkling",
-        "iridescent",
-        "pearlescent",
-    ]
+NO_FINISHES = words_of(
+    "glossy gloss shiny satin polished lacquered glittery glittering sparkly sparkling "
+    "iridescent pearlescent"
 )
 """Where it cannot: highlights that no photo shows are not invented."""
 
@@ -57,7 +45,7 @@ _WINDOW = 8  # words that a paint may take
 
 
 @dataclass(frozen=True)
-class PaintWords:
+class Paint:
     """A paint, the number of words that name it, and those of them that nobody can do."""
 
     change: Change
@@ -65,7 +53,7 @@ class PaintWords:
     left_out: tuple[str, ...] = ()
 
 
-def read_paint(words: list[str]) -> PaintWords | None:
+def read_paint(words: list[str]) -> Paint | None:
     """The paint at the start of `words`: "gold", "white marble", "light metallic grey, shiny"."""
     window = words[:_WINDOW]
     places = [i for i, word in enumerate(window) if word not in LIGHT_WORDS]
@@ -80,7 +68,7 @@ def read_paint(words: list[str]) -> PaintWords | None:
     left_out = tuple(word for word in window[:end] if word in NO_FINISHES)
     if finishes:
         change = replace(change, finish=finishes[-1])
-    return PaintWords(change, end, left_out)
+    return Paint(change, end, left_out)
 
 
 def _read_plain(words: list[str]) -> tuple[Change, int] | None:
@@ -95,8 +83,10 @@ def _read_plain(words: list[str]) -> tuple[Change, int] | None:
         name = f"{colour.name} {words[length]}"
         material = MATERIALS[words[length]]
         return Change("paint", Colour(name, colour.rgb), material=material), length + 1
-    than_now: Literal[-1, 0, 1] = COMPARED.get(words[0], 0) if length > 1 else 0
-    return Change("paint", colour, than_now=than_now), length
+    change = Change("paint", colour)
+    if length > 1 and words[0] in COMPARED:  # "a darker green"
+        change = replace(change, than_now=COMPARED[words[0]])
+    return change, length
 
 
 def _material(word: str) -> Change:

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from edit3r.contract.wishes import Change, Colour
-from edit3r.kit.wishes import vocabulary as words
-from edit3r.kit.wishes.colours import read_colour, read_colour_of
-from edit3r.kit.wishes.things import read_thing
+from edit3r.wishes import vocabulary as words
+from edit3r.wishes.colours import read_colour, read_colour_of
+from edit3r.wishes.things import read_thing
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ def _source_at(tokens: list[str], start: int) -> tuple[Colour | None, list[str]]
 
 
 def _of_thing(hue: Colour | None, source: Sequence[str]) -> Change | None:
-    """PaintWords in the colour of a thing; "the colour of chocolate" is a colour by its name."""
+    """Paint in the colour of a thing; "the colour of chocolate" is a colour by its name."""
     source = _without_tail(source)
     found = read_colour_of(list(source))
     if hue is None and found is not None and found[1] == len(source):
@@ -56,6 +56,8 @@ def _of_thing(hue: Colour | None, source: Sequence[str]) -> Change | None:
     if not _names_something(source):
         return None
     thing = replace(read_thing(list(source)), part=hue)
+    if thing.scope == "marked":  # "the colour of what I clicked on"
+        thing = replace(thing, name="")
     return Change("paint", like=thing)
 
 

@@ -1,11 +1,13 @@
 """Read the words that name a thing: "the left cup", "the red parts of the bike", "the rest"."""
 
+from dataclasses import replace
+
 from edit3r.contract.wishes import Colour, Thing
-from edit3r.kit.wishes import vocabulary as words
-from edit3r.kit.wishes.colours import is_thing_too, read_colour
-from edit3r.kit.wishes.nouns import is_noun
-from edit3r.kit.wishes.paints import LIGHT_WORDS
-from edit3r.kit.wishes.places import read_region
+from edit3r.wishes import vocabulary as words
+from edit3r.wishes.colours import is_thing_too, read_colour
+from edit3r.wishes.nouns import is_noun
+from edit3r.wishes.paints import LIGHT_WORDS
+from edit3r.wishes.places import read_region
 
 _JOINING = words.JOINING - {"at", "to", "next", "above", "below"}
 
@@ -16,38 +18,52 @@ def read_thing(tokens: list[str]) -> Thing:
     A pronoun stands for what was named last and is returned under the name "it".
     """
     tokens = [token for token in tokens if token not in words.POLITENESS]
-    region = read_region(tokens)
-    if region is not None:
-        return region
-    possessive = bool(set(tokens) & words.POSSESSIVES)
+    return read_region(tokens) or _read_named(tokens)
+
+
+def _read_named(tokens: list[str]) -> Thing:
+    """The thing by its noun, with what picks it among several and the whole it is a part of."""
+    said = set(tokens)
     tokens, of = _whole_of(tokens)
-    ignored = (
-        words.FILLERS | words.PAINT | words.DETERMINERS | words.PRONOUNS | words.OBJECT
-    )
-    ignored |= words.WEAK | words.STRONG | words.RANDOM | words.NICE | words.FLOOD
-    named = [t for t in tokens if t not in ignored or t in words.WHOLE & {"everything"}]
-    every = [token for token in tokens if token in words.EVERY]
-    part, named = _colour_of_part(named, tokens)
+    part, named = _colour_of_part(_naming(tokens), tokens)
     nouns = [t for t in named if t not in words.WHOLE | words.EVERY]
     if set(nouns) & words.REST or (set(nouns) and set(nouns) <= words.BACKGROUND):
         return Thing("background", part=part)
     which = [t for t in nouns if t in words.PLACES | words.SIZES | words.BACKGROUND]
     nouns = [t for t in nouns if t not in which]
-    colours, nouns = _leading_colours(nouns, bool(set(tokens) & {"one", "ones"}))
+    one = bool(set(tokens) & {"one", "ones"})
+    colours, nouns = _leading_colours(nouns, one)
     if of and which and not nouns and part is None:  # "the top of the tower"
         return Thing("named", " ".join(which), of=_named_whole(of))
     if of and (part is not None or not nouns):
-        inner = read_thing(of)
-        return Thing(inner.scope, inner.name, inner.which, inner.of, part or inner.part)
-    if nouns or which or (colours and set(tokens) & {"one", "ones"}):
-        name = " ".join(nouns).removesuffix("'s")
-        return Thing(
-            "named",
-            name,
-            which=tuple(dict.fromkeys((*every, *which, *colours))),
-            of=_named_whole(of) or ("it" if possessive and nouns else ""),
-            part=part,
-        )
+        return _part_of(of, part)
+    if not (nouns or which or (colours and one)):
+        return _unnamed(tokens, part)
+    every = [token for token in tokens if token in words.EVERY]
+    picks = tuple(dict.fromkeys((*every, *which, *colours)))
+    name = " ".join(nouns).removesuffix("'s")
+    whole = _named_whole(of)
+    if nouns and said & words.POSSESSIVES:
+        whole = whole or "it"
+    return Thing("named", name, which=picks, of=whole, part=part)
+
+
+def _naming(tokens: list[str]) -> list[str]:
+    """The words that say which thing, without those that only join them."""
+    ignored = words.FILLERS | words.PAINT | words.DETERMINERS | words.PRONOUNS
+    ignored |= words.OBJECT | words.WEAK | words.STRONG | words.RANDOM | words.NICE
+    ignored |= words.FLOOD
+    return [t for t in tokens if t not in ignored or t == "everything"]
+
+
+def _part_of(whole: list[str], part: Colour | None) -> Thing:
+    """The whole that "the red parts of" says, where it is red."""
+    inner = read_thing(whole)
+    return replace(inner, part=part or inner.part)
+
+
+def _unnamed(tokens: list[str], part: Colour | None) -> Thing:
+    """What "it", "all of it", "everything" or no word stands for."""
     pronoun = set(tokens) & (words.PRONOUNS | words.OBJECT)
     if pronoun and set(tokens) & {"whole", "all"}:  # "all of it"
         return Thing("marked", "it", which=("whole",), part=part)

@@ -1,12 +1,8 @@
 """The words that the reader of wishes knows. What is not here it must not guess."""
 
 from edit3r.contract.wishes import Change, ChangeKind
-from edit3r.kit.wishes.colours import BASIC_COLOURS
-
-
-def _words(text: str) -> frozenset[str]:
-    return frozenset(text.split())
-
+from edit3r.wishes.colours import BASIC_COLOURS
+from edit3r.wishes.sets import words_of
 
 BASIC = frozenset(BASIC_COLOURS)
 
@@ -43,8 +39,8 @@ PROPERTIES: dict[str, ChangeKind] = {
 }
 """Nouns that "more" and "less" can stand before."""
 
-MORE = _words("more increase increased raise boost higher stronger")
-LESS = _words("less decrease decreased reduce lower weaker")
+MORE = words_of("more increase increased raise boost higher stronger")
+LESS = words_of("less decrease decreased reduce lower weaker")
 
 TINTS = {
     "redder": "red",
@@ -56,37 +52,37 @@ TINTS = {
 }
 TINT_SHARE = 0.35
 
-RANDOM = _words("recolour recoloured random randomly")
+RANDOM = words_of("recolour recoloured random randomly")
 """Words that ask for colours drawn by the seed."""
 
-WEAK = _words("slightly somewhat bit little")
-STRONG = _words("much very lot far strongly extremely really super way")
+WEAK = words_of("slightly somewhat bit little")
+STRONG = words_of("much very lot far strongly extremely really super way")
 
 # ---- looks ----
 
-LOOKS = _words(
+LOOKS = words_of(
     "night nighttime midnight moonlight sunset dusk sunrise autumn autumnal fall winter wintry "
     "frost frosty vintage retro noir sketch sketched pencil cartoon comic comics watercolour "
     "aquarelle weathered worn aged"
 )
 """Words for a look of the whole that stand without "like"."""
 
-STYLE = _words("like as style styled")
+STYLE = words_of("like as style styled")
 """Words before a look."""
 
 # ---- actions ----
 
-REMOVE = _words("remove delete erase eliminate hide")
-OTHER = _words(
+REMOVE = words_of("remove delete erase eliminate hide")
+OTHER = words_of(
     "add insert put place replace swap move wear wearing hold holding rotate resize blur sharpen "
     "draw give enlarge shrink stylise stylize"
 )
 """Verbs of what neither colours nor removing can do; `give` and `draw` only before a new thing."""
 
-UNSUPPORTED = _words("patterned striped dotted checked same")
+UNSUPPORTED = words_of("patterned striped dotted checked same")
 """Words for what a plain colour cannot do."""
 
-QUESTIONS = _words("what why how when who where which whose does do did is are was")
+QUESTIONS = words_of("what why how when who where which whose does do did is are was")
 """Words that a question begins with, which asks for no change."""
 
 INSTEAD = {
@@ -101,30 +97,30 @@ INSTEAD = {
 }
 """What to say for words that ask for something else than what can be done."""
 
-PAINT = _words("paint colour dye spray tint coat")
+PAINT = words_of("paint colour dye spray tint coat")
 """Verbs after which only things and colours follow."""
 
-IMPERATIVES = _words(
+IMPERATIVES = words_of(
     "brighten lighten darken dim saturate desaturate invert cool warm recolour increase decrease "
     "reduce raise boost lower"
 )
 """Changes that may stand before what they change: "darken the wall"."""
 
-KEEP = _words("keep leave preserve retain keeping leaving maintain")
-TOUCH = _words(
+KEEP = words_of("keep leave preserve retain keeping leaving maintain")
+TOUCH = words_of(
     "touch change paint edit alter modify affect colour touching changing altering"
 )
 """After a negation: what is not to be done to the thing that follows."""
 
-NEGATIONS = _words("not no don't never neither nor isn't avoid without")
+NEGATIONS = words_of("not no don't never neither nor isn't avoid without")
 
-AS_IT_IS = _words(
+AS_IT_IS = words_of(
     "as it they is are was were unchanged untouched intact alone same original colour coloured "
     "full be normal natural own still way only just in"
 )
 """What may follow the thing that is kept."""
 
-KEPT_ANYWAY = _words(
+KEPT_ANYWAY = words_of(
     "else other rest shape texture shading structure lighting light details detail objects "
     "original same everything all the of its background surroundings shadows"
 )
@@ -132,77 +128,77 @@ KEPT_ANYWAY = _words(
 
 # ---- things ----
 
-PRONOUNS = _words("it its them this that these those they")
-POSSESSIVES = _words("its his her their")
-OBJECT = _words("object thing subject foreground main selection")
-WHOLE = _words(
+PRONOUNS = words_of("it its them this that these those they")
+POSSESSIVES = words_of("its his her their")
+OBJECT = words_of("object thing subject foreground main selection")
+WHOLE = words_of(
     "everything all whole entire image images photo photos picture pictures scene view views"
 )
-BACKGROUND = _words("background surroundings backdrop")
-REST = _words("rest else others")
-NOTHING = _words("nothing anything no none else more other changes change")
-STAYS = _words("stay stays staying remain remains remaining")
-ARTICLES = _words("the a an")
+BACKGROUND = words_of("background surroundings backdrop")
+REST = words_of("rest else others")
+NOTHING = words_of("nothing anything no none else more other changes change")
+STAYS = words_of("stay stays staying remain remains remaining")
+ARTICLES = words_of("the a an")
 DETERMINERS = (
     ARTICLES
-    | _words("my our your his her their some both all every each any")
+    | words_of("my our your his her their some both all every each any")
     | PRONOUNS
 )
 
-PLACES = _words(
+PLACES = words_of(
     "left right middle centre center central top bottom upper lower front back nearest closest "
     "farthest leftmost rightmost"
 )
-SIZES = _words(
+SIZES = words_of(
     "big bigger biggest large larger largest small smaller smallest tall tallest"
 )
-EVERY = _words("all both every each two three four five")
-SHARES = _words("half third thirds quarter quarters")
-PICTURE = _words("image photo photos picture pictures scene view frame")
+EVERY = words_of("all both every each two three four five")
+SHARES = words_of("half third thirds quarter quarters")
+PICTURE = words_of("image photo photos picture pictures scene view frame")
 """What "the top of the picture" is a place of."""
 
-DESCRIBING = _words(
+DESCRIBING = words_of(
     "old new dirty clean broken open closed empty full tiny huge high low long short round square "
     "wooden metal plastic concrete glass leather front back inner outer main whole first second "
     "last other next far near parked painted ancient modern double single"
 )
 """Everyday words that describe a thing."""
 
-JOINING = _words(
+JOINING = words_of(
     "of on from in with near behind under beside wearing at to next above below"
 )
 """Words between a thing and the whole, place or mark by which it is known."""
 
-PARTS = _words(
+PARTS = words_of(
     "part parts area areas bit bits region regions pixel pixels places spots side sides"
 )
 """Nouns for what has a colour: "the red parts of the bike"."""
 
-FILLERS = _words(
+FILLERS = words_of(
     "a an the to of in into on at with please now make made turn change be become becomes look "
     "looks appear let have get set render tone tones hue i we you want would like should can "
     "could my our your so that up down also just but is are paint painted colours as for from "
     "them these those some kind sort only one ones coloured convert transform look looking style "
     "effect finish by using his her their there full spray dye tint coat coated give "
     "making turning changing needs need must has ought standing sitting lying parked leaning "
-    "hanging walking then by made shade shades use cover wrap way totally completely fully "
-    "entirely totally wholly were was will replace swap"
+    "hanging walking then by made shade shades use cover wrap way completely fully entirely "
+    "totally wholly were was will replace swap"
 )
 """Words that carry neither change nor thing in the sentences that are read."""
 
-POLITENESS = _words("please thanks thank you ok okay hello hi kindly just")
-OPENINGS = POLITENESS | _words(
+POLITENESS = words_of("please thanks thank you ok okay hello hi kindly just")
+OPENINGS = POLITENESS | words_of(
     "could can would will i i'd we want like to now also so let's lets if then should need"
 )
 """Words that a clause may begin with and that ask for nothing: "could you please"."""
 
-FLOOD = _words("whole entire completely fully entirely totally wholly")
+FLOOD = words_of("whole entire completely fully entirely totally wholly")
 """Words that want all of a thing painted, its neutral parts too."""
 
-NICE = _words("nice beautiful lovely rich pretty solid plain simple strong warm cool")
+NICE = words_of("nice beautiful lovely rich pretty solid plain simple strong warm cool")
 """Words between "a" and a colour that change nothing: "a nice warm yellow"."""
 
-STYLE_NOUNS = _words(
+STYLE_NOUNS = words_of(
     "drawing sketch painting style look effect colours tones tone time mood scene picture image "
     "photo photograph print film movie atmosphere light in a the"
 )

@@ -95,32 +95,6 @@ def _gives_one_colour(wishes: Sequence[Wish]) -> bool:
     )
 
 
-<<<<<<< HEAD:edit3r/running/judging/edit_measures.py
-def other_reading(scene: Scene) -> float | None:
-    """How likely the likeliest other reading of a mark is, over that of the one taken.
-
-    Readings that share most of the one taken are the same thing. None where no segmenter told
-    readings.
-    """
-    ratios = []
-    for one in scene.selected:
-        readings = one.readings
-        if len(readings) < 2:
-            continue
-        masks = torch.stack([reading.mask for reading in readings]) > 0.5
-        own = one.masks[readings[0].view, 0] > 0.5
-        overlaps = (masks & own).sum((1, 2)) / (masks | own).sum((1, 2)).clamp(min=1)
-        best = readings[int(overlaps.argmax())].score
-        ratios += [
-            reading.score / max(best, 1e-9)
-            for reading, overlap in zip(readings, overlaps)
-            if overlap < SAME_THING
-        ]
-    return max(ratios, default=None)
-
-
-=======
->>>>>>> edits:edit3r/pipeline/edit_measures.py
 def pieces(masks: Masks) -> float:
     """Share of a mask that does not belong to its largest piece; the largest over the views."""
     apart = [0.0]

@@ -26,6 +26,11 @@ from edit3r.running.selecting.select import (
     select_masks,
     shown,
 )
+from edit3r.errors import InputError, PromptError
+from edit3r.reporting import say
+from edit3r.selection.near_colour import near_colour
+from edit3r.selection.select import ASK, Selected, Selection, select_masks, shown
+from edit3r.wishes.vocabulary import FLOOD
 
 PLAIN = Selection()
 Masks = Float[Tensor, "view height width"]
@@ -117,6 +122,7 @@ class RegionFinder:
         clicked = [thing for thing in sources if thing.scope == "marked"]
         if clicked:  # "paint the door the colour of what I clicked on"
             return clicked[0]
+        _refuse_places_and_marks(wishes)
         wanted = [
             wish.thing for wish in wishes if wish.thing.scope in ("named", "marked")
         ]
@@ -207,6 +213,10 @@ class RegionFinder:
         if thing.scope == "whole" and thing.part is not None:  # "except the red parts"
             whole = torch.ones_like(self._views.images[0, :, 0])
             return near_colour(whole, self._views.images[0], thing.part)
+        return self._named_mask(thing)
+
+    def _named_mask(self, thing: Thing) -> Masks:
+        """Masks of a thing by its name, or of its pixels near a colour."""
         asked = Selection(words=thing.name, which=thing.which)
         if _name(thing) in self._known:
             asked = self._as_known(_name(thing))
@@ -249,6 +259,15 @@ def _name(thing: Thing) -> str:
     """The words that name a thing, such as "left cup"; all of a thing is the same thing."""
     which = (word for word in thing.which if word not in FLOOD)
     return " ".join((*which, thing.name)).strip()
+
+
+def _refuse_places_and_marks(wishes: Sequence[Wish]) -> None:
+    places = [wish.thing for wish in wishes if wish.thing.scope == "region"]
+    if places and len(places) == len(wishes) and not any(w.without for w in wishes):
+        raise PromptError(
+            f"the sentence says the {places[0]}, and clicks, boxes or masks say another place; "
+            "leave out one of them."
+        )
 
 
 def _same(thing: Thing, other: Thing) -> bool:

@@ -9,6 +9,12 @@ from edit3r.contract.interfaces import Editor
 from edit3r.loading.load import LoadedPlugins
 from edit3r.loading.registry import Registry, default_registry
 from edit3r.running.editors import tasks_for_editor, tasks_without_editor
+from edit3r.errors import PromptError
+from edit3r.pipeline.checks import component_name
+from edit3r.pipeline.editors import tasks_for_editor, tasks_without_editor
+from edit3r.plugins.load import LoadedPlugins, Offer
+from edit3r.plugins.registry import Registry, default_registry
+from edit3r.reporting import Report, collecting
 
 
 def chosen(prompt, registry=None):
@@ -27,6 +33,10 @@ def chosen(prompt, registry=None):
         ("paint the tank gold", [("recolor", 1)]),
         ("remove the bin and paint the wall white", [("retouch", 1), ("recolor", 1)]),
         ("paint the door green and the wall white", [("recolor", 2)]),
+        ("make the planter look old and weathered", [("looks", 1)]),
+        ("make the left cup matte black", [("recolor", 1)]),
+        ("paint the door the colour of the wall", [("recolor", 1)]),
+        ("brighten the left half", [("recolor", 1)]),
     ],
 )
 def test_the_editor_that_can_do_it_is_taken(prompt, editors):
@@ -38,6 +48,28 @@ def test_what_none_can_do_names_the_words_and_who_might():
         PromptError, match=r"'polar'.* not understood.*instruct-pix2pix"
     ):
         chosen("make it a polar bear")
+
+
+@pytest.mark.parametrize(
+    ("prompt", "message"),
+    [
+        ("paint the wall zorbic green", r"'zorbic' .* is not understood"),
+        ("paint the sofa in turqoise", r"Near 'turqoise': turquoise"),
+        ("let it snow", r"'make it look like winter' is a look"),
+        ("brighten the corner at the right", r"Say which: the top right corner"),
+        ("paint half of the wall red", r"Halves are of the picture"),
+        ("make it look like mars", r"'mars' .* is no look that an editor here knows"),
+    ],
+)
+def test_a_word_that_nobody_knows_is_named_with_what_to_say(prompt, message):
+    with pytest.raises(PromptError, match=message):
+        chosen(prompt)
+
+
+def test_what_is_left_out_is_said_before_anything_runs():
+    with collecting(Report()) as report:
+        assert chosen("make the car glossy red") == [("recolor", 1)]
+    assert "'glossy' is left out" in report.warnings[0]
 
 
 def test_a_chosen_editor_that_cannot_do_it_names_who_can():

@@ -40,3 +40,9 @@ def test_the_first_command_of_the_readme_finds_its_thing(tmp_path, monkeypatch):
     except SystemExit as ended:
         assert ended.code == 0
     assert sheet.is_file()
+
+
+def test_another_editor_does_not_inherit_the_usual_sentence():
+    looks = {"editor": {"name": "looks", "look": "sketch"}}
+    assert job_from(JobInputs(), looks).config.prompt == ""
+    assert job_from(JobInputs(), {}).config.prompt == "paint the motorcycle blue"

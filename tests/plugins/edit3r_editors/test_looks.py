@@ -36,6 +36,8 @@ VIEWS = Views(
         ("a watercolour painting", "watercolour"),
         ("black and white", "greyscale"),
         ("paint it gold", "gold"),
+        ("make the planter look old and weathered", "weathered"),
+        ("make the door look worn", "weathered"),
         ("turn the bear into marble", "marble"),
         ("make it look like mars", ""),
         ("autumn or rather winter", ""),

@@ -102,3 +102,16 @@ def test_a_material_replaces_the_whole_surface(material):
 def test_what_changes_no_colour_is_refused(prompt):
     with pytest.raises(PromptError):
         RecolorEditor(RecolorEditor.Settings()).edit(photos(), EditRequest(prompt))
+
+
+def test_a_place_of_the_picture_is_painted_whole():
+    images = torch.full((1, 2, 3, HEIGHT, WIDTH), 0.4)
+    images[..., :5, :] = torch.tensor([0.8, 0.1, 0.1])[:, None, None]
+    views = Views(images, torch.eye(3).expand(1, 2, 3, 3))
+    painted = edit("make the left half blue", views=views)
+    assert ((painted - images).abs().amax(2) > 0.05).all()
+
+
+def test_a_colour_that_nobody_read_off_its_thing_is_asked_for_by_name():
+    with pytest.raises(PromptError, match=r"'the colour of wall'.*#8a7f70"):
+        edit("paint the door the colour of the wall")

@@ -286,3 +286,32 @@ def test_two_halves_in_two_colours_are_no_islands():
         0
     ] > VISIBLE
     assert moved[brown].all() and not moved[~brown].any()
+def lightness_of(images: torch.Tensor, thing: Thing) -> torch.Tensor:
+    return rgb_to_oklab(images)[:, 0][thing.paint]
+
+
+def test_matte_paint_has_weaker_highlights_and_the_same_middle():
+    thing = ball()
+    rgb = read_colour(["green"])[0].rgb
+    plain = lightness_of(paint(thing.images, thing.region, rgb), thing)
+    matte = lightness_of(paint(thing.images, thing.region, rgb, matte=True), thing)
+    assert float(matte.median()) == pytest.approx(float(plain.median()), abs=0.01)
+    bright = plain > plain.quantile(0.9)
+    above = plain[bright].mean() - plain.median()
+    assert matte[bright].mean() - matte.median() < 0.5 * above
+
+
+@pytest.mark.parametrize(
+    ("name", "than_now"), [("darker blue", -1), ("lighter blue", 1)]
+)
+def test_a_darker_blue_is_darker_than_the_thing_was(name, than_now):
+    """The ball is darker than the colour that is called "darker blue"."""
+    thing = ball()
+    images = thing.images ** (1.8 if than_now < 0 else 0.3)
+    rgb = read_colour(name.split())[0].rgb
+    before = lightness_of(images, thing).median()
+    plain = lightness_of(paint(images, thing.region, rgb), thing).median()
+    after = lightness_of(
+        paint(images, thing.region, rgb, than_now=than_now), thing
+    ).median()
+    assert than_now * float(plain - before) < 0 < than_now * float(after - before)

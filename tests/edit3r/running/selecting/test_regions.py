@@ -47,6 +47,7 @@ class Halves(Segmenter):
             "door": (LEFT,),
             "wall": (RIGHT,),
             "half": (LEFT, RIGHT),
+            "cups": (LEFT, RIGHT),
             "house": (slice(0, WIDTH),),
         }
         columns = known.get(text, ())
@@ -218,3 +219,65 @@ def test_inverted_is_all_else_and_a_grown_outline_moves():
     assert grown == [True] * 10 + [False] * 6
     shrunk = columns(regions("paint the door red", grow=-1.0)[0])
     assert shrunk == [True] * 7 + [False] * 9
+
+
+# ---- places, colours of other things, and what earlier runs named ----
+
+
+def test_a_place_of_the_picture_is_its_box():
+    assert columns(regions("brighten the left half")[0]) == IN_LEFT
+    third = regions("darken the lower third of the picture")[0][0]
+    assert third.mean(1).tolist() == [0.0] * 8 + [1.0] * 4
+
+
+def test_a_place_and_a_click_together_are_an_error():
+    with pytest.raises(PromptError, match="left half of the picture.*leave out one"):
+        regions("brighten the left half", CLICK)
+
+
+def test_a_colour_is_read_off_another_thing():
+    (wish,) = finder().find(read("paint the door the colour of the wall")).wishes
+    assert wish.changes[0].colour.rgb == pytest.approx((0.1, 0.25, 0.8))
+    assert str(wish) == "door: the colour of wall (#1a40cc)"
+
+
+def test_the_red_of_a_thing_is_that_of_its_red_parts():
+    (wish,) = finder().find(read("paint the door the red of the wall")).wishes
+    assert wish.changes[0].colour.rgb == pytest.approx((0.55, 0.16, 0.14))
+
+
+def test_a_click_can_be_where_a_colour_comes_from():
+    click = Selection(positive=((0, 0.9, 0.5),))
+    prompt = "paint the wall the colour of what I clicked on"
+    found = finder(click).find(read(prompt))
+    assert columns(found.masks[0]) == IN_RIGHT
+    assert found.wishes[0].changes[0].colour is not None
+
+
+def test_a_colour_of_what_is_not_found_is_an_error_that_asks_for_its_name():
+    with pytest.raises(InputError, match=r"colour of stone cannot be read.*#8a7f70"):
+        regions("paint the door the colour of the stone")
+
+
+def test_it_is_what_an_earlier_run_named_also_where_it_only_gets_darker():
+    fox = torch.zeros(2, HEIGHT, WIDTH)
+    fox[..., RIGHT] = 1
+    known = {"fox": fox}
+    assert columns(regions("make it darker", known=known)[0]) == IN_RIGHT
+    assert columns(regions("everything darker", known=known)[0]) == EVERYWHERE
+
+
+def test_the_background_is_all_but_what_earlier_runs_named():
+    fox = torch.zeros(2, HEIGHT, WIDTH)
+    fox[..., RIGHT] = 1
+    found = regions("make the background darker", known={"fox": fox})[0]
+    assert columns(found) == IN_LEFT
+
+
+def test_all_of_a_thing_is_kept_under_the_name_of_the_thing():
+    things = finder().find(read("turn all of the door to gold")).things
+    assert list(things) == ["door"]
+
+
+def test_all_of_a_name_but_one_of_them():
+    assert columns(regions("remove the cups but the left one")[0]) == IN_RIGHT

@@ -1,0 +1,91 @@
+"""Names of colours: the longest is read, shades are computed, and things stay things."""
+
+import colorsys
+
+import pytest
+
+from edit3r.wishes.colours import colour_names, near_colours, read_colour
+from edit3r.wishes.paints import read_paint
+
+
+def test_the_survey_and_css_are_known():
+    names = colour_names()
+    assert len(names) > 1000
+    unknown = [name for name in names if read_colour(name.split()) is None]
+    alone = ["snow", "dark", "pale", "midnight", "dusk", "sepia", "twilight", "bland", "sky", "sea"]
+    assert set(alone) <= set(unknown)  # here they mean something else
+    assert len(unknown) < 45
+
+
+@pytest.mark.parametrize(
+    ("words", "length"),
+    [
+        ("sage green wall", 2),
+        ("light sea green", 3),
+        ("very dark sage green", 4),
+        ("robin's egg blue", 3),
+        ("blue with a hint of purple", 6),
+        ("neon orange", 2),
+        ("#0f0", 1),
+    ],
+)
+def test_the_longest_name_is_read(words, length):
+    assert read_colour(words.split())[1] == length
+
+
+@pytest.mark.parametrize(
+    "words", ["zorbic green", "the green", "snow", "grass", "dark"]
+)
+def test_what_is_no_colour_is_none(words):
+    assert read_colour(words.split()) is None
+
+
+@pytest.mark.parametrize(
+    ("darker", "lighter"),
+    [
+        ("dark sage green", "sage green"),
+        ("very dark teal", "dark teal"),
+        ("teal", "pale teal"),
+        ("deep purple", "purple"),
+    ],
+)
+def test_shades_are_darker_or_lighter(darker, lighter):
+    light = [
+        colorsys.rgb_to_hls(*read_colour(name.split())[0].rgb)[1]
+        for name in (darker, lighter)
+    ]
+    assert light[0] < light[1]
+
+
+def test_neon_is_pure_and_muted_is_not():
+    def saturation(name: str) -> float:
+        return colorsys.rgb_to_hls(*read_colour(name.split())[0].rgb)[2]
+
+    assert saturation("neon orange") == pytest.approx(1)
+    assert saturation("muted teal") < 0.6 * saturation("teal")
+
+
+def test_words_that_are_spelt_nearly_like_a_colour_are_offered_the_plain_one_first():
+    assert near_colours("purpel")[0] == "purple"
+    assert near_colours("turqoise")[0] == "turquoise"
+    assert near_colours("qqq") == []
+
+
+@pytest.mark.parametrize(
+    ("words", "said", "left_out"),
+    [
+        ("matte black", "matte black", ()),
+        ("black matte", "matte black", ()),
+        ("light metallic grey", "metallic light grey", ()),
+        ("shiny red car", "red", ("shiny",)),
+        ("gold", "gold", ()),
+        ("white marble", "white marble", ()),
+    ],
+)
+def test_words_about_light_go_with_the_paint(words, said, left_out):
+    paint = read_paint(words.split())
+    assert (str(paint.change), paint.left_out) == (said, left_out)
+
+
+def test_a_word_about_light_alone_is_no_paint():
+    assert read_paint(["shiny", "car"]) is None
