@@ -15,14 +15,6 @@ from edit3r.kit.weights.find import at_hand
 from edit3r.kit.wishes.read import ABILITIES, read, spelling_hint
 from edit3r.loading.registry import Registry
 from edit3r.running.scene import Scene
-from edit3r.errors import PromptError
-from edit3r.pipeline.checks import component_name
-from edit3r.pipeline.scene import Scene
-from edit3r.plugins.load import Offer
-from edit3r.plugins.registry import Registry
-from edit3r.plugins.weights import at_hand
-from edit3r.reporting import say, warn
-from edit3r.wishes.read import ABILITIES, read, spelling_hint
 
 
 @dataclass(frozen=True)

@@ -15,11 +15,6 @@ from edit3r.kit.photos.images import Photo
 from edit3r.running.judging.edit_verdict import EditVerdict
 from edit3r.running.judging.verdict import Verdict
 from edit3r.running.selecting.select import Selected, Selection
-from edit3r.geometry.light import Light
-from edit3r.io.images import Photo
-from edit3r.pipeline.edit_verdict import EditVerdict
-from edit3r.pipeline.verdict import Verdict
-from edit3r.selection.select import Selected, Selection
 
 
 def known_cameras(reconstruction: Reconstruction) -> Cameras:

@@ -15,7 +15,6 @@ from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.wishes import Change, Colour, Wish
 from edit3r.kit.compute.layers import one_thread
 from edit3r.kit.wishes.read import read
-from edit3r.errors import PromptError
 from edit3r_recolor.paint import paint
 from edit3r_recolor.recoloring import (
     RecolorParameters,

@@ -3,15 +3,15 @@
 from dataclasses import dataclass, field, replace
 
 from edit3r.contract.wishes import Action, Change, Colour, Thing
-from edit3r.wishes import vocabulary as words
-from edit3r.wishes.changes import Found, amount_of, find_changes, last_group, scaled
-from edit3r.wishes.colours import read_colour
-from edit3r.wishes.nouns import is_noun
-from edit3r.wishes.paints import read_paint
-from edit3r.wishes.places import read_region, unclear_place
-from edit3r.wishes.shades import read_taken
-from edit3r.wishes.strangers import strangers, unread_of
-from edit3r.wishes.things import read_thing
+from edit3r.kit.wishes import vocabulary as words
+from edit3r.kit.wishes.changes import Found, amount_of, find_changes, last_group, scaled
+from edit3r.kit.wishes.colours import read_colour
+from edit3r.kit.wishes.nouns import is_noun
+from edit3r.kit.wishes.paints import read_paint
+from edit3r.kit.wishes.places import read_region, unclear_place
+from edit3r.kit.wishes.shades import read_taken
+from edit3r.kit.wishes.strangers import strangers, unread_of
+from edit3r.kit.wishes.things import read_thing
 
 
 @dataclass

@@ -14,8 +14,8 @@ from typing import Literal
 from PIL import ImageColor
 
 from edit3r.contract.wishes import Colour
-from edit3r.wishes.nouns import is_noun
-from edit3r.wishes.sets import words_of
+from edit3r.kit.wishes.nouns import is_noun
+from edit3r.kit.wishes.sets import words_of
 
 RGB = tuple[float, float, float]
 
@@ -244,7 +244,7 @@ def _key(name: str) -> str:
 @cache
 def _survey() -> tuple[tuple[str, str], ...]:
     """Colours and names of the xkcd survey."""
-    text = files("edit3r.wishes").joinpath("colours.txt").read_text("utf-8")
+    text = files("edit3r.kit.wishes").joinpath("colours.txt").read_text("utf-8")
     lines = [line for line in text.splitlines() if not line.startswith("# ")]
     return tuple((line[:7], line[8:]) for line in lines)
 

@@ -31,6 +31,6 @@ def _singulars(word: str) -> tuple[str, ...]:
 
 @cache
 def _nouns() -> frozenset[str]:
-    text = files("edit3r.wishes").joinpath("nouns.txt").read_text("utf-8")
+    text = files("edit3r.kit.wishes").joinpath("nouns.txt").read_text("utf-8")
     lines = [line for line in text.splitlines() if not line.startswith("#")]
     return frozenset(" ".join(lines).split())

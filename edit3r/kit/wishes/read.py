@@ -11,14 +11,14 @@ names them: only an editor with a model of its own can carry that out.
 
 import difflib
 
+from edit3r.contract.errors import PromptError
 from edit3r.contract.wishes import Thing, Wish
-from edit3r.errors import PromptError
-from edit3r.wishes import vocabulary as words
-from edit3r.wishes.clauses import Clause, asks_nothing, read_clause, read_kept
-from edit3r.wishes.colours import near_colours
-from edit3r.wishes.sentence import clauses_of
-from edit3r.wishes.strangers import is_known
-from edit3r.wishes.together import wishes_of
+from edit3r.kit.wishes import vocabulary as words
+from edit3r.kit.wishes.clauses import Clause, asks_nothing, read_clause, read_kept
+from edit3r.kit.wishes.colours import near_colours
+from edit3r.kit.wishes.sentence import clauses_of
+from edit3r.kit.wishes.strangers import is_known
+from edit3r.kit.wishes.together import wishes_of
 
 ABILITIES = (
     "Without learned weights these are understood: paint (paint the bike red; sage green, matte "

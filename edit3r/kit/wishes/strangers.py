@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from functools import cache
 
-from edit3r.wishes import vocabulary as words
-from edit3r.wishes.colours import NEON, TONES, read_colour
-from edit3r.wishes.nouns import is_noun
-from edit3r.wishes.paints import LIGHT_WORDS, MATERIALS
+from edit3r.kit.wishes import vocabulary as words
+from edit3r.kit.wishes.colours import NEON, TONES, read_colour
+from edit3r.kit.wishes.nouns import is_noun
+from edit3r.kit.wishes.paints import LIGHT_WORDS, MATERIALS
 
 
 def is_known(word: str) -> bool:

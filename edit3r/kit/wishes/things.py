@@ -3,11 +3,11 @@
 from dataclasses import replace
 
 from edit3r.contract.wishes import Colour, Thing
-from edit3r.wishes import vocabulary as words
-from edit3r.wishes.colours import is_thing_too, read_colour
-from edit3r.wishes.nouns import is_noun
-from edit3r.wishes.paints import LIGHT_WORDS
-from edit3r.wishes.places import read_region
+from edit3r.kit.wishes import vocabulary as words
+from edit3r.kit.wishes.colours import is_thing_too, read_colour
+from edit3r.kit.wishes.nouns import is_noun
+from edit3r.kit.wishes.paints import LIGHT_WORDS
+from edit3r.kit.wishes.places import read_region
 
 _JOINING = words.JOINING - {"at", "to", "next", "above", "below"}
 

@@ -3,12 +3,12 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
+from edit3r.contract.errors import PromptError
 from edit3r.contract.wishes import Thing, Wish
-from edit3r.errors import PromptError
-from edit3r.wishes import vocabulary as words
-from edit3r.wishes.clauses import Clause, content_of
-from edit3r.wishes.nouns import is_plural
-from edit3r.wishes.strangers import unread_of
+from edit3r.kit.wishes import vocabulary as words
+from edit3r.kit.wishes.clauses import Clause, content_of
+from edit3r.kit.wishes.nouns import is_plural
+from edit3r.kit.wishes.strangers import unread_of
 
 
 def wishes_of(

@@ -1,8 +1,8 @@
 """The words that the reader of wishes knows. What is not here it must not guess."""
 
 from edit3r.contract.wishes import Change, ChangeKind
-from edit3r.wishes.colours import BASIC_COLOURS
-from edit3r.wishes.sets import words_of
+from edit3r.kit.wishes.colours import BASIC_COLOURS
+from edit3r.kit.wishes.sets import words_of
 
 BASIC = frozenset(BASIC_COLOURS)
 

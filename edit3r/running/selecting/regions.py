@@ -26,11 +26,6 @@ from edit3r.running.selecting.select import (
     select_masks,
     shown,
 )
-from edit3r.errors import InputError, PromptError
-from edit3r.reporting import say
-from edit3r.selection.near_colour import near_colour
-from edit3r.selection.select import ASK, Selected, Selection, select_masks, shown
-from edit3r.wishes.vocabulary import FLOOD
 
 PLAIN = Selection()
 Masks = Float[Tensor, "view height width"]

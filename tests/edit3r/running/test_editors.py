@@ -6,15 +6,10 @@ import edit3r
 from edit3r.contract.component import Component, Offer, component_name
 from edit3r.contract.errors import PromptError
 from edit3r.contract.interfaces import Editor
+from edit3r.contract.reporting import Report, collecting
 from edit3r.loading.load import LoadedPlugins
 from edit3r.loading.registry import Registry, default_registry
 from edit3r.running.editors import tasks_for_editor, tasks_without_editor
-from edit3r.errors import PromptError
-from edit3r.pipeline.checks import component_name
-from edit3r.pipeline.editors import tasks_for_editor, tasks_without_editor
-from edit3r.plugins.load import LoadedPlugins, Offer
-from edit3r.plugins.registry import Registry, default_registry
-from edit3r.reporting import Report, collecting
 
 
 def chosen(prompt, registry=None):

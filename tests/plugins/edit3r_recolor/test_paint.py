@@ -286,6 +286,8 @@ def test_two_halves_in_two_colours_are_no_islands():
         0
     ] > VISIBLE
     assert moved[brown].all() and not moved[~brown].any()
+
+
 def lightness_of(images: torch.Tensor, thing: Thing) -> torch.Tensor:
     return rgb_to_oklab(images)[:, 0][thing.paint]
 

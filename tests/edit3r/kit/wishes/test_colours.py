@@ -4,15 +4,26 @@ import colorsys
 
 import pytest
 
-from edit3r.wishes.colours import colour_names, near_colours, read_colour
-from edit3r.wishes.paints import read_paint
+from edit3r.kit.wishes.colours import colour_names, near_colours, read_colour
+from edit3r.kit.wishes.paints import read_paint
 
 
 def test_the_survey_and_css_are_known():
     names = colour_names()
     assert len(names) > 1000
     unknown = [name for name in names if read_colour(name.split()) is None]
-    alone = ["snow", "dark", "pale", "midnight", "dusk", "sepia", "twilight", "bland", "sky", "sea"]
+    alone = [
+        "snow",
+        "dark",
+        "pale",
+        "midnight",
+        "dusk",
+        "sepia",
+        "twilight",
+        "bland",
+        "sky",
+        "sea",
+    ]
     assert set(alone) <= set(unknown)  # here they mean something else
     assert len(unknown) < 45
 

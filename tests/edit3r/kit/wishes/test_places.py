@@ -2,7 +2,7 @@
 
 import pytest
 
-from edit3r.wishes.places import read_region, unclear_place
+from edit3r.kit.wishes.places import read_region, unclear_place
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from edit3r.errors import PromptError
-from edit3r.wishes.read import read, spelling_hint
+from edit3r.contract.errors import PromptError
+from edit3r.kit.wishes.read import read, spelling_hint
 
 PAINT = {
     "paint the bike red": "bike: red",

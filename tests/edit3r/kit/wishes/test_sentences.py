@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import yaml
 
-from edit3r.errors import PromptError
-from edit3r.wishes.read import read
-from edit3r.wishes.vocabulary import LOOKS
+from edit3r.contract.errors import PromptError
+from edit3r.kit.wishes.read import read
+from edit3r.kit.wishes.vocabulary import LOOKS
 
 FILE = Path(__file__).parent / "sentences.yaml"
 GROUPS = yaml.safe_load(FILE.read_text(encoding="utf-8"))

@@ -8,9 +8,7 @@ import torch
 
 from edit3r.contract.types import Cameras, Rendering, Views
 from edit3r.contract.wishes import Change, Colour, Thing, Wish
-from edit3r.running.judging.edit_measures import measure_edit, measure_edit_in_3d
-from edit3r.running.scene import Scene
-from edit3r.pipeline.edit_measures import (
+from edit3r.running.judging.edit_measures import (
     made_up,
     measure_edit,
     measure_edit_in_3d,
@@ -18,8 +16,8 @@ from edit3r.pipeline.edit_measures import (
     pieces,
     taken,
 )
-from edit3r.pipeline.scene import Scene
-from edit3r.selection.select import Selected
+from edit3r.running.scene import Scene
+from edit3r.running.selecting.select import Selected
 
 SIZE = 48
 RED = (0.8, 0.1, 0.1)
