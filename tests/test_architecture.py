@@ -15,6 +15,8 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 
+import pytest
+
 from edit3r import default_registry
 
 ROOT = Path(__file__).parents[1]
@@ -176,6 +178,7 @@ def layer(module: str) -> int:
     return LAYERS[rooms[1]] if len(rooms) > 1 else max(LAYERS.values()) + 1
 
 
+@pytest.mark.slow
 def test_the_core_imports_no_plugin():
     wrong = [
         str(arrow)
@@ -396,6 +399,7 @@ def functions() -> Iterator[tuple[str, ast.FunctionDef]]:
                 yield f"{module.name}.{node.name}", node
 
 
+@pytest.mark.slow
 def test_functions_have_few_parameters():
     counts = {name: _parameters(node) for name, node in functions()}
     wide = {name: count for name, count in counts.items() if count > MAX_PARAMETERS}
@@ -431,6 +435,7 @@ sys.exit(failed)
 """
 
 
+@pytest.mark.slow
 def test_the_default_run_enters_few_files(tmp_path):
     """Files of the project in which a function is called, on the photos that are packaged."""
     done = subprocess.run(

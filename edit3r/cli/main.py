@@ -141,3 +141,7 @@ def _overview() -> str:
             "Each command explains itself: edit3r run --help",
         ]
     )
+
+
+if __name__ == "__main__":
+    sys.exit(main())

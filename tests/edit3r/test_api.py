@@ -16,6 +16,8 @@ from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.running.config import RunConfig
 
+pytestmark = pytest.mark.slow
+
 QUICK = {"gaussians": "all", "refine": 0, "frames": 2, "size": 96}
 
 

@@ -2,11 +2,14 @@
 
 from pathlib import Path
 
+import pytest
+
 import edit3r
 
 SCRIPT = Path(__file__).with_name("users_script.py")
 
 
+@pytest.mark.slow
 def test_a_users_script_is_checked_strictly(tmp_path, monkeypatch):
     """Right lines pass, and none of the comments `type: ignore`, one for each mistake, is idle."""
     from mypy import api

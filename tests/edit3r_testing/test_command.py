@@ -68,6 +68,7 @@ def test_a_command_broken_by(case, complaint):
     assert advice in complaint(CommandContract, lambda: command(None), claim)
 
 
+@pytest.mark.slow
 def test_a_command_that_declares_with_torch_is_told(tmp_path):
     (tmp_path / "heavy_command.py").write_text(
         "from edit3r import Component, hookimpl\n"

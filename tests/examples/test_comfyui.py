@@ -88,6 +88,7 @@ def test_the_render_node_shows_the_scene(nodes, edited):
     assert frames.std() > 0.05
 
 
+@pytest.mark.slow
 def test_pixels_outside_of_the_mask_stay(nodes, images):
     mask = torch.zeros(2, 64, 96)
     mask[:, :, :48] = 1

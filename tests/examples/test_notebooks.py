@@ -12,6 +12,7 @@ NOTEBOOKS = sorted(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=[file.stem for file in NOTEBOOKS])
 def test_every_cell_runs_and_its_last_value_can_be_shown(file):
     book = json.loads(file.read_text(encoding="utf-8"))

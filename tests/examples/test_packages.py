@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+pytestmark = pytest.mark.slow
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PACKAGES = {"edit3r-sepia": "sepia", "edit3r-program": "program", "edit3r-ffgs": "ffgs"}
 """Each package and the component it brings."""

@@ -47,6 +47,7 @@ def problem_of(sentence: str) -> str:
     return ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("door", DOORS)
 def test_every_door(door, originals, tmp_path):
     wrong, refused, seen = [], 0, snapshot(originals.folder)
@@ -126,6 +127,7 @@ def command_line(rng: random.Random, folder: Path, originals) -> list[str]:
     )
 
 
+@pytest.mark.slow
 def test_the_program(originals, tmp_path, capsys):
     wrong = []
     for case in range(max(1, CASES // 26)):

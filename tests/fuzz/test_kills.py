@@ -116,6 +116,7 @@ def cache_command(out):
         cache.save(folder / "cache")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", [train_command, measure_command, cache_command])
 def test_a_killed_command_is_ended_by_the_next_start_like_a_straight_one(
     tmp_path, kills, command
@@ -133,6 +134,7 @@ def test_a_killed_command_is_ended_by_the_next_start_like_a_straight_one(
     assert len(places) >= 5
 
 
+@pytest.mark.slow
 def test_a_killed_run_over_an_earlier_one_leaves_that_or_the_new_one(
     tmp_path, killed_at
 ):
@@ -147,6 +149,7 @@ def test_a_killed_run_over_an_earlier_one_leaves_that_or_the_new_one(
         assert contents(out) == contents(old) and left_in(out.parent) == {"out"}, step
 
 
+@pytest.mark.slow
 def test_a_killed_simplify_leaves_the_old_scene_or_the_new_one(tmp_path, kills):
     old, cameras = tmp_path / "old.ply", tmp_path / "cameras.json"
     save_ply(old, gaussian_cloud(300))
@@ -201,6 +204,7 @@ def hub(monkeypatch):
     monkeypatch.setattr("huggingface_hub.file_download.http_get", http_get)
 
 
+@pytest.mark.slow
 def test_killed_fetching_leaves_no_half_weights_and_the_next_try_ends_it(kills, hub):
     files = tuple((name, "") for name in HUB_FILES)
     weights = Weights(
@@ -221,6 +225,7 @@ def test_killed_fetching_leaves_no_half_weights_and_the_next_try_ends_it(kills, 
     assert len(places) > 15
 
 
+@pytest.mark.slow
 def test_an_app_killed_at_an_upload_or_a_new_job_starts_again_with_whole_ones(kills):
     photo = Path(packaged_pair()[0][0]).read_bytes()
 

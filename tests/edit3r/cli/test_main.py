@@ -127,6 +127,7 @@ def test_the_help_of_a_command_shows_no_default_that_is_none(command, capsys):
     assert "Undefined" not in shown and "default None" not in shown
 
 
+@pytest.mark.slow
 def test_what_a_default_run_is_made_of_loads_no_library_that_it_does_not_use():
     process = program(
         "import edit3r_recolor.editor, edit3r_segmenters.auto, edit3r_matching.matchers\n"

@@ -106,6 +106,7 @@ def test_refine_poses_without_poses_is_an_error(posed_photos, tmp_path, capsys):
     assert "--cameras" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_a_matcher_that_was_chosen_stays(posed_photos, tmp_path):
     options = [
         "--cameras",

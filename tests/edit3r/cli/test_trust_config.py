@@ -89,6 +89,7 @@ DOORS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("door", DOORS)
 def test_a_file_names_a_program_only_with_consent(door, mark, capsys):
     command = [*door().split(), "--plugin", PLUGIN]

@@ -63,6 +63,7 @@ def answer(monkeypatch, text: str) -> list[str]:
     return asked
 
 
+@pytest.mark.slow
 def test_get_shows_the_licence_asks_once_and_path_then_finds_the_file(
     weights, monkeypatch, capsys, tmp_path
 ):
@@ -89,6 +90,7 @@ def test_a_refused_licence_fetches_nothing(weights, monkeypatch, capsys, tmp_pat
     assert not (tmp_path / "own").exists()
 
 
+@pytest.mark.slow
 def test_without_a_terminal_the_licence_is_accepted_by_a_flag_only(
     weights, capsys, tmp_path
 ):

@@ -51,6 +51,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("content", HOSTILE.values(), ids=HOSTILE)
 def test_what_python_cannot_hold_is_refused_in_a_file_and_text_in_an_assignment(
     content, tmp_path

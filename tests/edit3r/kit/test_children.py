@@ -74,6 +74,7 @@ needs_safe_path = pytest.mark.skipif(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "command", [scene, pytest.param(jobs, marks=needs_safe_path), weights, plugins]
 )
@@ -97,6 +98,7 @@ def starts_a_script(folder):
     return {"said": done.stdout, "safe": sys.flags.safe_path}
 
 
+@pytest.mark.slow
 @needs_safe_path
 def test_a_worker_starts_safely_and_the_users_scripts_as_they_are(tmp_path, trapped):
     tools = tmp_path / "tools"

@@ -5,9 +5,9 @@ import pytest
 from PIL import Image
 from pydantic import Field, SecretStr
 
-import edit3r
 from edit3r.contract.reporting import StageRecord
 from edit3r.contract.settings import Settings
+from edit3r.kit import run_folder
 from edit3r.kit.photos.images import load_photos
 from edit3r.kit.run_folder import (
     PluginRecord,
@@ -120,7 +120,8 @@ def test_versions_name_only_what_is_installed():
 def test_the_commit_of_a_checkout_is_told_and_an_installed_package_has_none(
     head, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(edit3r, "__file__", str(tmp_path / "edit3r" / "__init__.py"))
+    home = tmp_path / "edit3r" / "kit" / "run_folder.py"
+    monkeypatch.setattr(run_folder, "__file__", str(home))
     assert "commit" not in installed_versions()
     branch = tmp_path / ".git" / "refs" / "heads" / "main"
     branch.parent.mkdir(parents=True)

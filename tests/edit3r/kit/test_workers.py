@@ -47,6 +47,7 @@ def test_an_interrupted_run_goes_on_and_leaves_the_file_of_a_straight_one(
     assert path.read_bytes() == (tmp_path / "straight.jsonl").read_bytes()
 
 
+@pytest.mark.slow
 def test_processes_give_the_same_rows(path, tmp_path):
     rows = run_resumable(JOBS, dict, path, workers=Workers(2, threads=1))
     assert rows == run_resumable(JOBS, dict, tmp_path / "one.jsonl")
@@ -58,6 +59,7 @@ def dies_of_two(job):
     return {**job, "process": os.getpid()}
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_is_the_row_of_its_job_alone_where_it_may(path):
     with pytest.raises(RunError, match=r"worker process died.*What is done is kept"):
         run_resumable(JOBS, dies_of_two, path, workers=Workers(2))

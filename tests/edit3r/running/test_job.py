@@ -30,6 +30,7 @@ def test_it_brings_none_where_another_thing_or_a_mark_is_meant(inputs, settings)
     assert masks is None or not masks.mask_files
 
 
+@pytest.mark.slow
 def test_the_first_command_of_the_readme_finds_its_thing(tmp_path, monkeypatch):
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path / "none"))
     command = re.search(r"edit3r (run .*)", README.read_text(encoding="utf-8"))[1]

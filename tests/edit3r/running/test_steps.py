@@ -239,6 +239,7 @@ class CountingAndEditing(Counting, EditsViews):
         return self(views, source)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("recon", "mask", "asked"),
     [

@@ -22,6 +22,8 @@ from edit3r_app.jobs import JobsFolder
 
 from edit3r.kit.photos.images import packaged_pair
 
+pytestmark = pytest.mark.slow
+
 playwright = pytest.importorskip(
     "playwright.sync_api", reason="needs playwright, see this file's docstring"
 )

@@ -50,6 +50,7 @@ def stroke(looker, scene, kind, radius, places):
     return Mark(kind, first, places, radius)
 
 
+@pytest.mark.slow
 def test_a_click_gives_a_mask_on_every_photo(looker, scene):
     assert looker.look(scene, Draft()).masks is None
     draft = Draft([click(looker, scene)])

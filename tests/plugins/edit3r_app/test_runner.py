@@ -129,6 +129,7 @@ time.sleep(60)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     sys.platform == "win32", reason="files have no locks (flock) on Windows"
 )

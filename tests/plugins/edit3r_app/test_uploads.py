@@ -165,6 +165,7 @@ def test_a_body_that_is_longer_than_it_said_is_refused_on_the_way(
     assert everything(folder) == []
 
 
+@pytest.mark.slow
 def test_three_hundred_files_end_at_the_limit(folder, scene):
     refused = 0
     for seed in range(300):
@@ -216,6 +217,7 @@ def test_a_set_that_holds_no_photo_can_be_discarded_and_no_other(folder, scene):
     assert not (folder.root / scene).exists()
 
 
+@pytest.mark.slow
 def test_of_a_video_frames_are_kept_as_photos(folder, scene, tmp_path):
     from edit3r_outputs.video import save_video
 

@@ -95,6 +95,7 @@ def contents(out):
     return {str(path.relative_to(out)): path.read_bytes() for path in files}
 
 
+@pytest.mark.slow
 def test_a_job_leaves_what_a_run_leaves_and_can_be_gone_on_from(place, capsys):
     options = [
         "--size",
@@ -136,6 +137,7 @@ def test_a_job_leaves_what_a_run_leaves_and_can_be_gone_on_from(place, capsys):
     assert "2 jobs: 2 " in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_two_workers_leave_the_files_of_one_and_weights_are_loaded_once_in_each(place):
     file = jobs_file(place, *"abcdef")
     assert batch(file, place / "one") == 0
@@ -148,6 +150,7 @@ def test_two_workers_leave_the_files_of_one_and_weights_are_loaded_once_in_each(
     assert done_seeds(place) == [1, 2, 3, 4, 5, 6]
 
 
+@pytest.mark.slow
 def test_a_job_that_fails_or_kills_its_worker_is_a_row_and_the_others_are_done(
     place, capsys
 ):
@@ -172,6 +175,7 @@ def test_a_job_that_fails_or_kills_its_worker_is_a_row_and_the_others_are_done(
     assert done_seeds(place) == [1, 1, 2, 3, 3, 4, 4, 5]
 
 
+@pytest.mark.slow
 def test_a_job_with_other_settings_is_told_and_replaced_only_with_overwrite(
     place, capsys
 ):
@@ -202,6 +206,7 @@ def test_a_folder_that_is_no_job_is_left_alone(place, capsys):
     )
 
 
+@pytest.mark.slow
 def test_a_folder_that_was_taken_away_is_made_again(place):
     file = jobs_file(place, *"ab")
     assert batch(file, place / "out") == 0
@@ -213,6 +218,7 @@ def test_a_folder_that_was_taken_away_is_made_again(place):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "killpg"), reason="no process groups here")
 def test_a_killed_batch_goes_on_with_no_job_lost_or_done_twice(place):
     file = jobs_file(place, *["wait"] * 10)

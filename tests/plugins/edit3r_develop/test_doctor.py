@@ -128,6 +128,7 @@ def test_a_tiny_job_that_fails_is_a_finding():
     assert "no editor named 'surely-not-there'" in text
 
 
+@pytest.mark.slow
 def test_the_tiny_job_runs_end_to_end_and_tells_its_time(monkeypatch):
     monkeypatch.setattr(doctor, "JOB_SIZE", 64)
     config = make_run_config(

@@ -146,6 +146,7 @@ def test_disagreement_of_photos_without_common_spots_is_not_measured():
     assert disagreement(flat, flat) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["reference-first", "grid"])
 def test_a_pipeline_of_several_pictures_runs_in_every_way(tiny, overlapping, mode):
     model = str(tiny.flux2_klein())

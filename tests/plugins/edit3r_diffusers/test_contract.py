@@ -6,6 +6,8 @@ import pytest
 
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
+pytestmark = pytest.mark.slow
+
 FLAT = Path(__file__).parents[1] / "flat_scene.py"
 
 

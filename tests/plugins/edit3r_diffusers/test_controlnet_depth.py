@@ -9,6 +9,8 @@ import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import MatchedGeometry, Matcher
 
+pytestmark = pytest.mark.slow
+
 ASK = edit3r.EditRequest("a red bike", seed=3)
 
 

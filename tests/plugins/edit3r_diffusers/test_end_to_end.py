@@ -94,6 +94,7 @@ EDITORS = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("editor", [*EDITORS, "controlnet-depth"])
 def test_a_two_view_edit_runs_end_to_end(photos, choices, tmp_path, editor):
     first, manifest = run(photos, tmp_path / "1", editor, choices[editor])

@@ -48,6 +48,7 @@ def test_without_masks_it_is_the_plain_kontext_pipeline(tiny, edited, two_views)
     assert torch.allclose(edited[0, 0], plain[0], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_prompt_guidance_strength_and_negative_prompt_change_the_result(
     build, edited, two_views
 ):

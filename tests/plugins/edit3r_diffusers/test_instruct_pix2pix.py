@@ -34,6 +34,7 @@ def test_two_equal_views_get_the_same_edit(build, two_views):
     assert torch.equal(images[:, 0], images[:, 1])
 
 
+@pytest.mark.slow
 def test_prompt_guidance_and_negative_prompt_change_the_result(
     build, edited, two_views
 ):

@@ -75,6 +75,7 @@ def test_denoising_an_inversion_leads_back_exactly_where_the_noise_is_constant(
         assert round_trip_error(pipeline, two_views, 4) < 1e-5
 
 
+@pytest.mark.slow
 def test_denoising_an_inversion_leads_back_where_random_noise_does_not(
     pipeline, two_views
 ):

@@ -86,6 +86,7 @@ def test_running_out_of_memory_names_the_settings_that_help(tiny, two_views):
         editor.edit(two_views, ASK)
 
 
+@pytest.mark.slow
 def test_half_precision_that_overflows_is_a_sentence(tiny, two_views):
     editor = edit3r.build(
         "editor",
@@ -101,6 +102,7 @@ def test_half_precision_that_overflows_is_a_sentence(tiny, two_views):
         editor.edit(two_views, ASK)
 
 
+@pytest.mark.slow
 def test_low_memory_gives_the_same_picture(tiny, two_views):
     model = str(tiny.instruct_pix2pix())
     plain = edit_with(two_views, model=model, resolution=0).images

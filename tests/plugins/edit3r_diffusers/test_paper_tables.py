@@ -73,6 +73,7 @@ def settings(**by_label):
 CHEAP = ["editor.steps=2", "editor.resolution=64", "editor.local_files_only=true"]
 
 
+@pytest.mark.slow
 def test_table_1_runs_with_tiny_weights(manifest, tiny, tmp_path):
     ip2p = [*CHEAP, f"editor.model={tiny.instruct_pix2pix()}"]
     control = [
@@ -117,6 +118,7 @@ def test_table_1_runs_with_tiny_weights(manifest, tiny, tmp_path):
     ]
 
 
+@pytest.mark.slow
 def test_tables_2_and_3_run_with_tiny_weights(manifest, tiny, tmp_path):
     small = ["reconstructor.weights=untrained", "reconstructor.matcher=posed"]
     run = ["bench", "run", str(manifest), "--edits", "1", "--no-effnet", "--quiet"]

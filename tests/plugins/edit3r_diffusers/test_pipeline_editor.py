@@ -9,6 +9,8 @@ from edit3r_diffusers.pipeline_editor import TAKES_SEVERAL
 import edit3r
 from edit3r.contract.errors import PromptError, RunError, SettingsError
 
+pytestmark = pytest.mark.slow
+
 ASK = edit3r.EditRequest("paint it red", seed=3)
 PRESETS = ("flux-kontext", "qwen-image-edit", "flux2-klein", "longcat-image-edit")
 

@@ -118,6 +118,7 @@ def test_skipped_steps_are_the_first_whatever_the_sampler(name):
     assert torch.equal(scheduler.timesteps, whole)
 
 
+@pytest.mark.slow
 def test_attention_is_a_map_of_every_view_that_hangs_on_the_words(editor, two_views):
     before = editor.edit(two_views, ASK).images
     maps = editor.attention(two_views, ASK)
@@ -170,6 +171,7 @@ def test_listening_changes_no_attention_and_adds_the_shares_of_the_words():
 TINY = {"steps": 3, "edit_steps": 4, "points": 60}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["refit", "instruct-nerf2nerf", "editsplat"])
 def test_optimisation_methods_run_with_instruct_pix2pix(editor, posed, method):
     report = Report()
@@ -193,6 +195,7 @@ def test_optimisation_methods_run_with_instruct_pix2pix(editor, posed, method):
         )
 
 
+@pytest.mark.slow
 def test_gaussctrl_gives_controlnet_depth_the_fitted_geometry_and_its_own_reference_views(
     tiny, posed
 ):

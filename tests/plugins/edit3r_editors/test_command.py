@@ -70,6 +70,7 @@ def test_prompt_and_seed_arrive_as_they_are_and_no_shell_reads_them(tmp_path):
     assert said.read_text() == repr([prompt, "--seed=7"])
 
 
+@pytest.mark.slow
 def test_the_mask_is_given_as_a_picture(tmp_path):
     code = (
         "import sys\nfrom PIL import Image\nImage.open(sys.argv[1]).save(sys.argv[2])"

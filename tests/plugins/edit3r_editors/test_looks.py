@@ -84,6 +84,7 @@ def test_a_look_is_clearly_seen_and_alike_wherever_a_surface_lies_in_the_picture
     assert (drawn[:, 7:, 13:] - moved)[:, inside, inside].abs().mean() < 0.012
 
 
+@pytest.mark.slow
 def test_looks_differ_from_each_other():
     drawn = torch.stack([edited(look=look)[0, 0] for look in LOOKS])
     apart = (drawn[:, None] - drawn[None]).abs().mean((2, 3, 4)) + torch.eye(len(LOOKS))
@@ -128,6 +129,7 @@ def test_describe_lists_every_look(capsys):
     assert all(look in told for look in LOOKS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("flags", "says"),
     [

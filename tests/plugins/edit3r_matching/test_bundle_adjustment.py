@@ -184,6 +184,7 @@ def test_a_track_that_sees_a_view_twice_is_left_out():
     assert join_tracks(matches, keypoints) == []
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGTERM on Windows")
 @pytest.mark.parametrize(
     "where", ["load()", "(t := threading.Thread(target=load)).start(); t.join()"]
@@ -260,6 +261,7 @@ def test_learned_matches_that_agree_but_whose_depths_jump_are_not_believed(surfa
     assert not placed(images, (first, jumping), 150, 0)
 
 
+@pytest.mark.slow
 def test_learned_matches_place_what_wrong_ones_of_sift_would_hide(surface):
     images, (first, second) = surface
     broken = second.copy()
@@ -269,6 +271,7 @@ def test_learned_matches_place_what_wrong_ones_of_sift_would_hide(surface):
     assert placed(images, (first, broken), 300, 230)
 
 
+@pytest.mark.slow
 def test_learned_matches_that_agree_in_one_corner_only_are_not_believed(surface):
     images, (first, second) = surface
     corner = np.argsort(np.abs(first - (30, 30)).max(axis=1))

@@ -48,6 +48,7 @@ def read(found, threshold=1.0, **options):
     return calibrate([photo, photo], {(0, 1): found}, threshold, 0, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fov", [35, 50, 60, 75, 90])
 def test_the_field_of_view_is_read_from_a_camera_that_turns_and_moves(fov):
     found = read(matches(fov, (0.05, 0.35, 0.02), (-1, 0.1, 0.3)))
@@ -59,16 +60,19 @@ def test_a_camera_that_only_moved_sideways_keeps_what_was_assumed():
     assert read(matches(60, (0, 0, 0), (-1, 0, 0))) == pytest.approx(60, abs=6)
 
 
+@pytest.mark.slow
 def test_what_is_preferred_keeps_the_field_of_view_nearer_to_what_was_assumed():
     found = matches(90, (0.05, 0.35, 0.02), (-1, 0.1, 0.3))
     assert read(found, preference=1.0) < read(found) - 5
 
 
+@pytest.mark.slow
 def test_matches_that_agree_on_no_motion_tell_nothing():
     assert read(matches(60, (0, 0.1, 0), (-1, 0, 0), outliers=1.0)) is None
     assert read(matches(60, (0, 0.1, 0), (-1, 0, 0), count=20)) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fov", [38, 80])
 def test_a_field_of_view_far_from_what_the_photos_tell_is_contradicted(fov):
     assert contradicted(
@@ -76,6 +80,7 @@ def test_a_field_of_view_far_from_what_the_photos_tell_is_contradicted(fov):
     ) == pytest.approx(fov, rel=0.15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "found",
     [
@@ -99,6 +104,7 @@ def test_what_is_nearly_right_or_cannot_be_told_is_not_contradicted(found):
     assert contradicted(found) is None
 
 
+@pytest.mark.slow
 def test_the_matcher_reads_it_only_where_nobody_knows_the_lens(make_room):
     pair = make_room([(0,), (0.5, 0.1, -12)])
     wrong = pair.views.intrinsics.clone()

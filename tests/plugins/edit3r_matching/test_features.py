@@ -69,6 +69,7 @@ def right_matches(points, seen, pairs, homography):
     return (np.linalg.norm(expected - seen[pairs[:, 1]], axis=1) < 2).sum()
 
 
+@pytest.mark.slow
 def test_a_wall_seen_from_aside_matches_where_images_are_tilted_first(photo):
     focal, angle = 300.0, np.radians(65)
     lens = np.array([[focal, 0, 128], [0, focal, 128], [0, 0, 1]])

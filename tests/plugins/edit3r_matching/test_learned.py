@@ -53,6 +53,7 @@ def settings(**chosen):
     )
 
 
+@pytest.mark.slow
 def test_learned_matches_come_after_those_of_sift_whatever_the_number_of_threads(
     pair, weights, monkeypatch
 ):
@@ -78,6 +79,7 @@ def test_learned_matches_come_after_those_of_sift_whatever_the_number_of_threads
     assert (found.indices[0, 1] == again.indices[0, 1]).all()
 
 
+@pytest.mark.slow
 def test_learned_features_lie_inside_the_picture(pair, weights):
     (image, _), networks = (
         calibrated_images(pair.views, 0),
@@ -88,6 +90,7 @@ def test_learned_features_lie_inside_the_picture(pair, weights):
     assert (points > 0).all() and (points < np.array(image.size[::-1])).all()
 
 
+@pytest.mark.slow
 def test_features_beside_the_border_are_matched_too(weights):
     """The detector refines places by parts of a pixel, and LightGlue takes none outside."""
     networks = LearnedFeatures.load(weights / "aliked-lightglue", 64)
@@ -109,6 +112,7 @@ def test_without_the_weights_asking_for_them_names_the_command_and_auto_does_wit
     assert not find_features(images, settings()).learned(0, 1).any()
 
 
+@pytest.mark.slow
 def test_auto_asks_the_networks_only_where_sift_finds_few(pair, weights, monkeypatch):
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(weights))
     images = calibrated_images(pair.views, 0)
@@ -118,6 +122,7 @@ def test_auto_asks_the_networks_only_where_sift_finds_few(pair, weights, monkeyp
     assert find_features(images, settings()).sift
 
 
+@pytest.mark.slow
 def test_a_file_that_holds_something_else_is_said(weights, tmp_path):
     for name in ("aliked-n16.pth", "aliked_lightglue.pth"):
         (tmp_path / name).write_bytes(

@@ -13,6 +13,8 @@ from edit3r.contract.errors import MatchingError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.photos.images import packaged_pair
 
+pytestmark = pytest.mark.slow
+
 
 def within_share(depth, truth, tolerance=0.1):
     """Share of pixels of known truth (> 0) whose depth is right after one common scale, the median

@@ -63,6 +63,7 @@ class PosedContract(MatcherContract):
         return replace(scene, views=replace(scene.views, c2w=scene.cameras.c2w))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "claim", sorted({*claims(MatcherContract)} - {*claims(Contract)})
 )

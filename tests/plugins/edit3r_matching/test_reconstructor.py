@@ -86,6 +86,7 @@ def test_geometry_comes_from_the_source_and_colours_from_the_edit(pair, truth):
     )
 
 
+@pytest.mark.slow
 def test_rendering_from_the_middle_shows_what_a_camera_there_sees(
     pair, truth, make_room
 ):

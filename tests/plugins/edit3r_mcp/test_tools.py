@@ -17,6 +17,8 @@ pytest.importorskip("mcp", reason='needs the server: pip install "edit3r[mcp]"')
 from edit3r_mcp.tools import server
 from mcp import Client, StdioServerParameters
 
+pytestmark = pytest.mark.slow
+
 QUICK = """
 size: 64
 gaussians: all

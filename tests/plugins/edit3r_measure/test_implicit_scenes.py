@@ -81,11 +81,13 @@ def test_an_edit_changes_its_part_of_every_view(edit):
     )
 
 
+@pytest.mark.slow
 def test_added_things_are_those_that_are_removed():
     assert torch.equal(sample(edit="add").edited_context, sample(edit="remove").context)
     assert torch.equal(sample(edit="add").context, sample(edit="remove").edited_context)
 
 
+@pytest.mark.slow
 def test_seed_and_index_say_it_all():
     assert torch.equal(sample(3).context, sample(3).context)
     assert not torch.equal(sample(3).context, sample(4).context)

@@ -22,6 +22,7 @@ def test_few_scenes_have_no_interval():
     assert mean_over_scenes(few).low is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scenes", [5, 8, 20])
 def test_intervals_hold_the_true_mean_in_93_to_97_percent_of_samples(scenes):
     rng = np.random.default_rng(scenes)

@@ -278,6 +278,7 @@ def no_distance(inputs):
     return inputs.rendered.sum() * 0
 
 
+@pytest.mark.slow
 def test_a_pair_with_true_poses_in_another_unit_has_no_error_and_a_camera_said_wrongly_is_put_right(
     folder, wall
 ):

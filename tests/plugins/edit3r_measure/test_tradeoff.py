@@ -128,6 +128,7 @@ points: {base: {}, wrong: {reconstructor: nobody}}
 """
 
 
+@pytest.mark.slow
 def test_the_command_measures_runs_and_says_which_failed(tmp_path, capsys):
     (tmp_path / "plan.yaml").write_text(PLAN)
     out = tmp_path / "out"

@@ -78,6 +78,7 @@ def test_sizes_come_from_the_checkpoints_own_shapes(checkpoint):
     assert head["layer_widths"] == (8, 12, 16, 20)
 
 
+@pytest.mark.slow
 def test_a_bare_state_dict_and_safetensors_give_the_same_network(
     tmp_path, official_state, checkpoint
 ):
@@ -90,6 +91,7 @@ def test_a_bare_state_dict_and_safetensors_give_the_same_network(
             assert torch.equal(value, expected[key]), key
 
 
+@pytest.mark.slow
 def test_either_name_of_a_doubled_tensor_is_enough(tmp_path, official_state):
     for gone in (".layer1_rn.", ".layer_rn.0."):
         state = {key: value for key, value in official_state.items() if gone not in key}
@@ -124,6 +126,7 @@ MISFITS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("change", "words"), MISFITS.values(), ids=MISFITS)
 def test_weights_that_do_not_fit_are_an_error_that_names_the_key(
     tmp_path, official_state, change, words
@@ -149,6 +152,7 @@ def test_keys_beyond_the_network_s_are_noted_and_left(tmp_path, official_state):
     assert torch.equal(bias, official_state["backbone.enc_blocks.0.mlp.fc1.bias"])
 
 
+@pytest.mark.slow
 def test_a_mast3r_file_initialises_all_but_what_it_lacks(tmp_path, official_state):
     file = mast3r(tmp_path / "mast3r.pth", official_state)
     with collecting(Report()) as report:
@@ -214,6 +218,7 @@ def test_sizes_the_user_insists_on_are_checked_against_the_file(checkpoint):
         build(checkpoint, backbone={"width": 128})
 
 
+@pytest.mark.slow
 def test_conversion_keeps_every_value_and_needs_no_further_settings(
     tmp_path, checkpoint
 ):
@@ -269,6 +274,7 @@ losses: {mse: {weight: 1.0}}
 """
 
 
+@pytest.mark.slow
 def test_what_is_trained_is_used_and_converted_without_further_settings(
     tmp_path, capsys
 ):
@@ -304,6 +310,7 @@ def test_without_the_file_licence_and_command_are_told_and_nothing_is_fetched(
         build("official", name)
 
 
+@pytest.mark.slow
 def test_the_official_weights_bring_their_parts_and_their_own_resolution(
     stored, official_state
 ):

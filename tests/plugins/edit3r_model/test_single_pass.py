@@ -119,6 +119,7 @@ def test_gradients_reach_every_parameter_while_the_network_is_in_training_mode()
         assert value.grad is not None and value.grad.isfinite().all(), name
 
 
+@pytest.mark.slow
 def test_dropout_counts_in_training_alone():
     plain, dropping = build(), build(head=HEAD | {"dropout": 0.5})
     opacities = [made(photos(16, 16)).gaussians.opacities for made in (plain, dropping)]
@@ -178,6 +179,7 @@ def test_a_finer_grid_gives_one_gaussian_per_photo_pixel():
     assert made.count == 2 * 40 * 56
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(16, 16), (80, 48)])
 def test_every_precision_agrees_with_plain_layers(size, monkeypatch):
     monkeypatch.setattr("edit3r_model.engine.bfloat16_gain", lambda device: 2.0)
@@ -197,6 +199,7 @@ def test_without_weights_it_refuses_and_says_what_to_do():
         edit3r.build("reconstructor", "noposplat")
 
 
+@pytest.mark.slow
 def test_random_weights_are_said_aloud_and_follow_from_the_seed():
     with collecting(Report()) as report:
         made = [build(seed=seed).network.state_dict() for seed in (0, 0, 1)]

@@ -7,6 +7,7 @@ import edit3r
 from edit3r.kit.photos.images import load_views, packaged_pair
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("size", "grid"), [(128, None), (64, (42, 42))])
 def test_the_scene_does_not_depend_on_the_number_of_threads(size, grid):
     photos, cameras = packaged_pair()

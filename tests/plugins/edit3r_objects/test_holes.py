@@ -96,6 +96,7 @@ def test_another_object_that_it_hid_stays_whole(hidden):
     assert not (whole.objects == 0).any()
 
 
+@pytest.mark.slow
 def test_a_thin_edge_that_the_mask_missed_goes_with_the_object(hidden):
     cameras = replace(hidden[2], image_size=(2 * SIZE, 2 * SIZE))
     plate = scene_of(plane(0.24, PLATE, 90))

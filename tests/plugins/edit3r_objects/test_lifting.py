@@ -53,6 +53,7 @@ def test_a_mask_takes_the_thing_and_not_the_wall_behind_it(scene):
     assert chosen[hidden].float().mean() < 0.05
 
 
+@pytest.mark.slow
 def test_a_view_without_a_mask_says_nothing(scene):
     gaussians, cameras, _, masks = scene
     rasterizer = build("rasterizer", "torch")

@@ -126,6 +126,7 @@ def assert_gradients_agree(numba, reference, scene) -> None:
         assert (found[name] - gradient).abs().max() <= 1e-3 * gradient.abs().max(), name
 
 
+@pytest.mark.slow
 def test_reference_gradients_agree_with_finite_differences(reference):
     scene, views = (
         cloud(3, degree=1, dtype=torch.float64),

@@ -17,6 +17,7 @@ NUMBA = edit3r.build("rasterizer", "numba")
 TORCH = edit3r.build("rasterizer", "torch")
 
 
+@pytest.mark.slow
 def test_reference_gradients_by_cameras_agree_with_finite_differences():
     scene = cloud(3, degree=1, dtype=torch.float64)
     views = cameras((3, 4), count=2, dtype=torch.float64)

@@ -43,6 +43,7 @@ def check(rasterizer, scene, views, tolerance=2e-5, most_fragile=0.2):
     assert_gradients_finite(rasterizer, scene, views)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_needles_of_ratio_ten_thousand(rasterizer, seed):
     scene = cloud(40, seed=seed)
@@ -253,6 +254,7 @@ def test_the_largest_floats_make_no_infinite_picture(rasterizer):
 finite = {"allow_nan": False, "allow_infinity": False, "width": 32}
 
 
+@pytest.mark.slow
 @settings(max_examples=80)
 @given(
     position=st.tuples(*[st.floats(-1e4, 1e4, **finite)] * 3),
@@ -334,6 +336,7 @@ def test_cameras_that_are_not_finite_or_see_nothing_are_refused(rasterizer):
         rasterizer.render(cloud(5), views, torch.zeros(4))
 
 
+@pytest.mark.slow
 def test_four_million_gaussians():
     draw = torch.Generator().manual_seed(0)
     count = 4_000_000

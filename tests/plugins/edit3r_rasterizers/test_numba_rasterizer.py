@@ -225,6 +225,7 @@ print(len(compiled))
 """
 
 
+@pytest.mark.slow
 def test_kernels_are_compiled_beside_a_first_run_and_no_more_after_it(tmp_path):
     """All kernels that an image and its gradient need come from the other process."""
 

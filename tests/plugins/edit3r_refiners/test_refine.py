@@ -181,6 +181,7 @@ def test_what_a_view_does_not_show_is_not_carried_on_by_earlier_steps():
     assert value[0] == moved[0] < 1 and value[1] < moved[1]
 
 
+@pytest.mark.slow
 def test_no_compiler_is_loaded():
     code = "import sys, torch; from edit3r_refiners.refine import Adam; "
     code += "Adam([torch.ones(1)], [1.0]).step([torch.ones(1)])"

@@ -1,11 +1,13 @@
 """The same scene is simplified and refined to the same bits for any number of threads."""
 
+import pytest
 import torch
 
 import edit3r
 from edit3r.kit.photos.images import load_views, packaged_pair
 
 
+@pytest.mark.slow
 def test_the_refined_scene_does_not_depend_on_the_number_of_threads():
     photos, cameras = packaged_pair()
     views = load_views(photos, cameras=cameras, size=96)

@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 from PIL import Image
 
 from edit3r.cli.main import main
@@ -59,6 +60,7 @@ def run(photos, fake, editor: str, out: Path, *flags: str) -> int:
     return main([*command, *flags])
 
 
+@pytest.mark.slow
 def test_a_two_view_edit_runs_masked_and_its_bill_is_in_the_manifest(
     fake, editor_name, tmp_path
 ):
@@ -87,6 +89,7 @@ def test_a_two_view_edit_runs_masked_and_its_bill_is_in_the_manifest(
     assert json.loads(manifest)["seed"] == 0
 
 
+@pytest.mark.slow
 def test_a_run_that_broke_goes_on_without_paying_for_the_first_view_again(
     fake, editor_name, tmp_path, capsys
 ):

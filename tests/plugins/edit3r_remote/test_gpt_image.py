@@ -43,6 +43,7 @@ def test_a_photo_is_sent_in_a_size_the_service_offers_with_settings(
     assert "seed" not in sent and "mask" not in sent
 
 
+@pytest.mark.slow
 def test_the_mask_is_transparent_where_the_picture_may_change(build, fake, two_views):
     masks = torch.zeros(1, 2, 24, 32)
     masks[..., :16] = 1

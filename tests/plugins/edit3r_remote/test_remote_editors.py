@@ -47,6 +47,7 @@ def test_the_prompt_is_sent_and_the_key_only_as_a_header(build, fake, two_views)
         assert SECRET not in request["path"] and SECRET.encode() not in request["body"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "trouble", ["status:429", "status:500", "status:503", "truncated"]
 )
@@ -57,6 +58,7 @@ def test_passing_trouble_is_retried(build, fake, two_views, trouble):
     assert len(fake.requests) == 4
 
 
+@pytest.mark.slow
 def test_an_answer_that_is_late_is_asked_for_again(build, fake, two_views):
     fake.script.extend(["slow:1.5", "ok", "ok"])
     build(timeout_s=0.6).edit(two_views, ASK)
@@ -111,6 +113,7 @@ def test_a_picture_of_gigapixels_is_named_before_it_is_decoded(build, fake, two_
         build(attempts=1).edit(two_views, ASK)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "trouble", ["usage:null", "usage:-5", "no-usage", "usage:true"]
 )
@@ -172,6 +175,7 @@ def test_a_broken_run_goes_on_without_paying_twice(build, fake, two_views):
     assert not right["from_cache"] and right["cost_usd"] > 0 and right["seconds"] > 0
 
 
+@pytest.mark.slow
 def test_views_already_under_way_when_one_fails_are_kept(build, fake, two_views):
     fake.script.extend(["refusal", "slow:0.3"])
     with pytest.raises(PromptError, match="1 of 2 views"):
@@ -180,6 +184,7 @@ def test_views_already_under_way_when_one_fails_are_kept(build, fake, two_views)
     assert len(fake.requests) == 3
 
 
+@pytest.mark.slow
 def test_only_an_equal_request_is_answered_from_the_cache(build, fake, two_views):
     first = build().edit(two_views, ASK).images
     assert (
@@ -203,6 +208,7 @@ def test_without_a_cache_every_run_asks(build, fake, two_views):
     assert len(fake.requests) == 4
 
 
+@pytest.mark.slow
 def test_views_are_sent_together_within_the_limit(build, fake, two_views):
     four = two_views.select([0, 1, 0, 1])
     four = replace(

@@ -22,6 +22,7 @@ def test_without_weights_a_click_is_answered_by_classical(at_hand, photo):
     assert torch.equal(found.soft_mask, alone.soft_mask)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", ["sam2", "sam2-tiny"])
 def test_with_weights_at_hand_clicks_and_tracks_are_sam2s_and_shown(
     at_hand, photo, size

@@ -123,6 +123,7 @@ def test_pictures_of_any_size(height, width):
     assert tracks.logits.shape == (2, 1, height, width)
 
 
+@pytest.mark.slow
 def test_a_large_picture_is_answered_at_its_own_size():
     large = torch.nn.functional.interpolate(
         PICTURE[None], scale_factor=5, mode="bilinear"
@@ -201,6 +202,7 @@ def test_learned_salience_that_a_click_agrees_with_decides_between_part_and_whol
     )
 
 
+@pytest.mark.slow
 def test_the_packaged_motorcycle_is_what_its_picture_is_about():
     """Its red tank and seat: the largest part of it in one colour."""
     paths, _ = packaged_pair()

@@ -9,6 +9,8 @@ from edit3r.loading.registry import default_registry
 from edit3r.running.job import JobInputs, job_from
 from edit3r.running.selecting.geometry import default_matcher
 
+pytestmark = pytest.mark.slow
+
 SIZE = "160"
 
 

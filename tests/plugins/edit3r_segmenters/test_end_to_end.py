@@ -62,11 +62,13 @@ def found_in(manifest: dict, key: str):
     return next((value for value in inside if value is not None), None)
 
 
+@pytest.mark.slow
 def test_the_default_editor_finds_what_the_prompt_names(photos, sam2, tmp_path):
     manifest = run(photos, tmp_path / "out", "--prompt", "paint the bike red", *sam2)
     assert found_in(manifest, "selection")["how"][0] == "words"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("prompt", ["paint the bike red", "make it winter"])
 def test_an_editor_that_takes_any_sentence_is_confined_where_a_segmenter_is_named(
     photos, sam2, tmp_path, prompt

@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import pytest
 import torch
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import make_batch
@@ -135,6 +136,7 @@ def test_the_frozen_network_sees_the_unedited_photos(tmp_path):
     )
 
 
+@pytest.mark.slow
 def test_the_center_loss_trains_on_photos_and_resuming_keeps_the_first_reference(
     tmp_path,
 ):

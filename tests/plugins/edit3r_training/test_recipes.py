@@ -26,6 +26,8 @@ from edit3r.kit.files.configs import find_config, parse_assignments
 from edit3r.kit.files.yaml import read_yaml
 from edit3r.loading.registry import build, default_registry
 
+pytestmark = pytest.mark.slow
+
 QUICK = (
     "trainer.steps=2",
     "trainer.batch=1",

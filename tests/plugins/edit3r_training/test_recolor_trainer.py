@@ -140,6 +140,7 @@ class _StopAt:
         return self.data[index]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "done"), [(signal.SIGINT, 1), (signal.SIGTERM, 2)])
 def test_a_stopped_and_resumed_run_has_the_straight_run_s_weights(
     tmp_path, number, done
@@ -170,6 +171,7 @@ def test_a_stopped_and_resumed_run_has_the_straight_run_s_weights(
     assert all(torch.equal(best[0][name], best[1][name]) for name in best[0])
 
 
+@pytest.mark.slow
 def test_a_step_that_is_not_finite_is_skipped_and_counted(tmp_path):
     job = _job(tmp_path)
 
@@ -289,6 +291,7 @@ def test_dropping_the_first_view_leaves_its_gaussians_and_its_image_out(tmp_path
     assert spy.shown == {0, 1} and spy.cameras == spy.wished.shape[1] == 3
 
 
+@pytest.mark.slow
 def test_the_first_view_is_dropped_as_often_as_asked(tmp_path):
     spy, dropped = (
         _Spy(tiny_job(tmp_path)),
@@ -317,6 +320,7 @@ def test_a_loss_without_a_gradient_is_a_sentence(tmp_path):
         _trainer(steps=1).train(replace(job, reconstructor=Frozen()))
 
 
+@pytest.mark.slow
 def test_a_training_begun_anew_leaves_no_checkpoint_of_the_one_before(tmp_path):
     """A run that is killed before its first checkpoint must not be resumed from another one's."""
     _trainer(steps=1).train(_job(tmp_path))
@@ -333,6 +337,7 @@ def test_a_training_begun_anew_leaves_no_checkpoint_of_the_one_before(tmp_path):
     assert not (tmp_path / LAST).exists()
 
 
+@pytest.mark.slow
 def test_training_lowers_the_error_it_is_given(tmp_path):
     job = _job(tmp_path)
     _trainer(steps=9, render_every=0, validate_every=3, lr=3e-3, average=0).train(job)
@@ -343,6 +348,7 @@ def test_training_lowers_the_error_it_is_given(tmp_path):
     assert min(scores[1:]) < scores[0]
 
 
+@pytest.mark.slow
 def test_logs_sheets_and_best_weights_are_left_behind(tmp_path):
     best = _trainer(steps=2).train(_job(tmp_path))
     assert (best / "weights.safetensors").is_file()
@@ -433,6 +439,7 @@ def test_the_baseline_is_the_unit_for_networks_that_see_images_alone(tmp_path):
         assert torch.allclose(moved, sample.target_cameras.c2w[0, :, :3, 3], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_rendered_novel_views_of_the_edited_scene_can_be_the_score(tmp_path):
     job = tiny_job(tmp_path)
     _trainer(steps=2, score="renderings", regimes=ONLY_REFERENCE).train(job)

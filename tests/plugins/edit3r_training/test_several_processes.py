@@ -14,6 +14,8 @@ from edit3r_training.checkpoint import LAST
 
 from edit3r_testing.training import tiny_job
 
+pytestmark = pytest.mark.slow
+
 SCRIPT = Path(__file__).with_name("two_processes.py")
 STEPS, trainer = (runpy.run_path(str(SCRIPT))[name] for name in ("STEPS", "trainer"))
 

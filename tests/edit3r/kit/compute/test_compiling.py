@@ -28,6 +28,7 @@ def run(module):
     )
 
 
+@pytest.mark.slow
 def test_compiled_code_is_kept_and_damage_to_it_is_mended(tmp_path):
     module = tmp_path / "module.py"
     module.write_text(MODULE)
@@ -41,6 +42,7 @@ def test_compiled_code_is_kept_and_damage_to_it_is_mended(tmp_path):
     assert run(module).stdout == "42 1\n"
 
 
+@pytest.mark.slow
 def test_without_a_writable_folder_there_is_one_warning(monkeypatch):
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
     functions = [
@@ -51,6 +53,7 @@ def test_without_a_writable_folder_there_is_one_warning(monkeypatch):
     assert len(report.warnings) == 1 and "NUMBA_CACHE_DIR" in report.warnings[0]
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_no_error(monkeypatch):
     def full(*arguments):
         raise OSError(28, "No space left on device")
@@ -62,6 +65,7 @@ def test_a_full_disk_is_no_error(monkeypatch):
 TRAP = b"\x80\x04cposix\nsystem\n(V%b\ntR."  # a pickle that runs a command
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("named", ["by the file", "by the environment"])
 def test_no_compiled_code_is_read_from_the_current_folder(tmp_path, named):
     """numba reads its settings from there, and then pickles from a folder that they name."""

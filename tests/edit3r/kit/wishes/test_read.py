@@ -225,6 +225,7 @@ def test_a_colour_to_change_from_alone_is_told_and_not_done(text):
     assert wish.unread
 
 
+@pytest.mark.slow
 @settings(max_examples=300)
 @given(
     st.one_of(

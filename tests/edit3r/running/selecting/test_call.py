@@ -1,5 +1,6 @@
 """`edit3r.select`: masks of all photos from marks on one, without a run."""
 
+import pytest
 import torch
 
 import edit3r
@@ -7,6 +8,7 @@ from edit3r.running.selecting.select import Selection
 from edit3r_testing.scenes import photograph
 
 
+@pytest.mark.slow
 def test_masks_of_all_photos_come_at_their_size_with_readings_in_order_of_size():
     views = photograph(2, (48, 64)).views
     click = Selection(positive=((0, 0.3, 0.55),))
@@ -20,6 +22,7 @@ def test_masks_of_all_photos_come_at_their_size_with_readings_in_order_of_size()
     assert abs(sum(one.score for one in found.readings)) <= 1.001
 
 
+@pytest.mark.slow
 def test_a_number_chooses_among_the_readings():
     views = photograph(2, (48, 64)).views
     asked = {"positive": ((0, 0.3, 0.55),)}
@@ -33,6 +36,7 @@ def test_a_number_chooses_among_the_readings():
         assert torch.equal(again.masks[0, 0] > 0.5, mask > 0.5)
 
 
+@pytest.mark.slow
 def test_what_one_call_found_is_kept_for_the_next():
     views = photograph(2, (48, 64)).views
     cache = edit3r.Cache()

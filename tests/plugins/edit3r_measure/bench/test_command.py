@@ -9,6 +9,7 @@ import pytest
 from edit3r.cli.main import main
 
 
+@pytest.mark.slow
 def test_a_slice_of_the_offline_benchmark_runs_end_to_end(tmp_path, capsys):
     bench = f"{tmp_path}/bench.json"
     out = tmp_path / "out"

@@ -12,6 +12,7 @@ from edit3r.contract.errors import SettingsError
 from edit3r.loading.registry import default_registry
 
 
+@pytest.mark.slow
 def test_every_pair_is_a_row_and_failures_say_why(manifest_file, cards, tmp_path):
     command = (
         f"bench grid {manifest_file} --out {tmp_path} --plugin {cards} --edits 1 --no-effnet "

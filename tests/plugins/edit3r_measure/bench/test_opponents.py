@@ -43,6 +43,7 @@ def outcome(manifest, cards, settings=(), **method):
     return output, measure(item, output, NO_NETWORKS)
 
 
+@pytest.mark.slow
 def test_edited_renderings_carry_the_whole_edit_and_stay_a_rendering_elsewhere(
     manifest, cards
 ):
@@ -59,17 +60,20 @@ def test_edited_renderings_carry_the_whole_edit_and_stay_a_rendering_elsewhere(
     assert remark(figures) == ""
 
 
+@pytest.mark.slow
 def test_single_view_lifting_shows_the_reference_alone(manifest, cards):
     both, _ = outcome(manifest, cards)
     one, _ = outcome(manifest, cards, gaussians_of="first")
     assert one.gaussians == both.gaussians // 2 == 48 * 48
 
 
+@pytest.mark.slow
 def test_settings_of_the_run_reach_it(manifest, cards):
     few, _ = outcome(manifest, cards, run={"gaussians": 500, "refine": 0})
     assert few.gaussians <= 500
 
 
+@pytest.mark.slow
 def test_a_reconstructor_that_takes_all_views_alike_does_not_mind_their_order(
     three_inputs, cards
 ):

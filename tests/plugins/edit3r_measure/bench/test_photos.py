@@ -487,6 +487,7 @@ def vetted(folder, *prompts):
     ]
 
 
+@pytest.mark.slow
 def test_what_an_editor_makes_of_all_photos_is_the_truth(folder):
     command = vetted(
         folder,

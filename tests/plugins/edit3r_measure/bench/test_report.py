@@ -20,6 +20,8 @@ from edit3r_measure.bench_run import BenchRun, ItemResult, run_bench
 
 from edit3r.contract.errors import InputError
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.fixture(scope="module")
 def bench(manifest_file, cards):

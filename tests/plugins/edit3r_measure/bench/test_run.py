@@ -35,6 +35,8 @@ from edit3r.kit.files.yaml import read_yaml
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.weights.files import WEIGHTS, save_weights
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[4]
 
 
