@@ -53,3 +53,19 @@ def test_every_kind_has_one_hook_and_one_interface():
     hooks = {name for name in vars(hookspecs) if name.startswith("register_")}
     assert hooks == {hook_name(kind) for kind in KINDS}
     assert set(INTERFACES) == set(KINDS)
+
+
+def test_a_writers_file_is_named_after_the_scene_beside_which_it_lies():
+    plain = Component("a", "m:C", "", suffix=".v4.spz")
+    assert plain.file_name() == "scene.v4.spz"
+    assert plain.file_name("bike") == "bike.v4.spz" and not plain.makes_folder
+    page = Component("a", "m:C", "", suffix=".html", stem="viewer")
+    assert page.file_name() == "viewer.html"
+    assert page.file_name("bike") == "bike-viewer.html"
+    assert Component("a", "m:C", "", suffix="-colmap").makes_folder
+
+
+@pytest.mark.parametrize("name", [{"suffix": "/../x.spz"}, {"stem": "a\\b"}])
+def test_a_writers_file_lies_in_no_other_folder(name):
+    with pytest.raises(ValueError, match="parts of a file's name"):
+        Component("a", "m:C", "", **name)
