@@ -155,6 +155,12 @@ def _absolute(module: Module, node: ast.ImportFrom) -> str:
     return ".".join([*inside[: -node.level], *([node.module] if node.module else [])])
 
 
+@pytest.fixture(scope="module", autouse=True)
+def every_source_is_read():
+    """Reading them is no test's own time."""
+    arrows()
+
+
 # ---- what may import what ----
 
 
@@ -188,6 +194,7 @@ def test_the_core_imports_no_plugin():
     assert not wrong, "\n".join(wrong)
 
 
+@pytest.mark.slow
 def test_arrows_go_down_only():
     """Late imports and those for types count as well."""
     up = [

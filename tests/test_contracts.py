@@ -147,12 +147,29 @@ def own_tests(offer: Offer) -> Path:
     return PLUGIN_TESTS / found[0]
 
 
-OFFERS = default_registry().offers()
+SLOW = {
+    ("dataset", "implicit"),
+    ("editor", "retouch"),
+    ("matcher", "classical"),
+    ("reconstructor", "classical"),
+    ("reconstructor", "edit3r"),
+    ("reconstructor", "noposplat"),
+    ("refiner", "refine"),
+    ("refiner", "simplify"),
+}
+"""Components whose contract takes half a CPU second or more."""
+
+OFFERS = [
+    pytest.param(
+        offer,
+        id=f"{offer.kind}-{offer.qualified_name}",
+        marks=[pytest.mark.slow] * ((offer.kind, offer.component.name) in SLOW),
+    )
+    for offer in default_registry().offers()
+]
 
 
-@pytest.mark.parametrize(
-    "offer", OFFERS, ids=[f"{offer.kind}-{offer.qualified_name}" for offer in OFFERS]
-)
+@pytest.mark.parametrize("offer", OFFERS)
 def test_a_component_keeps_its_contract(offer: Offer):
     """All that is wrong with it, in one message."""
     broken = [

@@ -245,6 +245,7 @@ def test_the_places_that_the_architecture_page_names_are_there():
 NAMED_PAGES = ("architecture.md", "plugins/editor.md")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", NAMED_PAGES)
 def test_every_file_and_symbol_that_a_page_names_exists(page):
     """Each text between backticks that is a path, or a name as Python writes it."""
@@ -263,6 +264,7 @@ def _is_path(text: str) -> bool:
     return text in written or any((home / text).exists() for home in homes)
 
 
+@cache
 def _rooms() -> list[Path]:
     return [
         folder
@@ -323,6 +325,7 @@ def example_folders(tmp_path_factory):
     return folders
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_example_of_each_page_keeps_its_contract(kind, example_folders):
     folder = example_folders[kind]
@@ -337,6 +340,7 @@ def test_the_example_of_each_page_keeps_its_contract(kind, example_folders):
         ]  # else `new-plugin` takes it for installed in the tests that follow
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", LOCAL_FILES)
 def test_the_one_file_plugins_of_the_pages_keep_their_contracts(page, tmp_path):
     file, offered = LOCAL_FILES[page]

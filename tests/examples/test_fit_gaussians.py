@@ -3,12 +3,14 @@
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 
+import pytest
 import torch
 
 SCRIPT = Path(__file__).parents[2] / "examples" / "fit_gaussians.py"
 example = SourceFileLoader("fit_gaussians", str(SCRIPT)).load_module()
 
 
+@pytest.mark.slow
 def test_gaussians_come_to_look_like_the_image():
     torch.manual_seed(0)
     image = torch.zeros(24, 32, 3)

@@ -45,7 +45,7 @@ _WINDOW = 8  # words that a paint may take
 
 
 @dataclass(frozen=True)
-class Paint:
+class PaintWords:
     """A paint, the number of words that name it, and those of them that nobody can do."""
 
     change: Change
@@ -53,7 +53,7 @@ class Paint:
     left_out: tuple[str, ...] = ()
 
 
-def read_paint(words: list[str]) -> Paint | None:
+def read_paint(words: list[str]) -> PaintWords | None:
     """The paint at the start of `words`: "gold", "white marble", "light metallic grey, shiny"."""
     window = words[:_WINDOW]
     places = [i for i, word in enumerate(window) if word not in LIGHT_WORDS]
@@ -68,7 +68,7 @@ def read_paint(words: list[str]) -> Paint | None:
     left_out = tuple(word for word in window[:end] if word in NO_FINISHES)
     if finishes:
         change = replace(change, finish=finishes[-1])
-    return Paint(change, end, left_out)
+    return PaintWords(change, end, left_out)
 
 
 def _read_plain(words: list[str]) -> tuple[Change, int] | None:

@@ -45,6 +45,7 @@ def edit3r(site, *arguments):
     )
 
 
+@pytest.mark.slow
 def test_a_strangers_command_is_listed_explains_itself_and_runs(site):
     assert "  scene-facts " in edit3r(site, "--help").stdout
     assert "SCENE.ply" in edit3r(site, "scene-facts", "--help").stdout
@@ -54,6 +55,7 @@ def test_a_strangers_command_is_listed_explains_itself_and_runs(site):
     ), done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "sentence"),
     [
@@ -71,6 +73,7 @@ def test_its_wrong_use_is_one_sentence_and_exit_code_2(site, arguments, sentence
     )
 
 
+@pytest.mark.slow
 def test_a_command_plugin_that_does_not_import_is_one_line_and_nothing_else_stops(site):
     done = edit3r(site, "list-plugins")
     failed = [line for line in done.stdout.splitlines() if line.startswith("failed:")]

@@ -20,6 +20,8 @@ from edit3r.running.unit import (
     to_own_unit,
 )
 
+pytestmark = pytest.mark.slow
+
 SMALL = 2.0**-9  # of the unit in which the cameras stand about 1 apart: depths of 0.006
 
 

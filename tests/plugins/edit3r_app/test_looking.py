@@ -92,6 +92,7 @@ def test_the_segmenter_has_read_the_photos_before_the_first_click(folder, scene)
         assert torch.equal(image, photo) and marks.positive
 
 
+@pytest.mark.slow
 def test_the_brush_paints_exactly_and_the_eraser_takes_away(looker, scene):
     across = [(0.2, 0.5), (0.8, 0.5)]
     paint = stroke(looker, scene, "paint", 0.05, across)

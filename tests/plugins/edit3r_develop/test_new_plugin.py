@@ -112,6 +112,7 @@ def test_a_name_that_an_installed_component_has_is_refused(tmp_path, capsys):
     assert "already offered by plugin 'editors'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_wheel_installs_beside_edit3r_is_listed_and_passes_its_test(tmp_path):
     """Built with its own build backend and unpacked as pip does; all in fresh processes."""
     folder = new_package("editor", "sepia-tone", tmp_path)

@@ -68,6 +68,7 @@ def round_trip_error(
     return float((back - clean).norm() / clean.norm())
 
 
+@pytest.mark.slow
 def test_denoising_an_inversion_leads_back_exactly_where_the_noise_is_constant(
     pipeline, two_views
 ):

@@ -51,6 +51,7 @@ def test_strength_is_a_share_of_the_steps():
     assert [steps_left(20, strength) for strength in (0, 0.5, 1)] == [1, 10, 20]
 
 
+@pytest.mark.slow
 def test_only_the_steps_that_are_left_are_taken(editor, one_view):
     call = lambda: editor.edit_from(one_view, 1 - one_view.images, ASK, 0.5)  # noqa: E731
     assert (
@@ -75,6 +76,7 @@ def test_less_strength_keeps_more_of_the_picture_it_starts_from(editor, one_view
     assert difference(0.15) > 2 * difference(1.0)
 
 
+@pytest.mark.slow
 def test_the_photos_stay_the_condition(editor, one_view):
     start = torch.full_like(one_view.images, 0.5)
     other = replace(one_view, images=one_view.images.flip(-1))
@@ -84,6 +86,7 @@ def test_the_photos_stay_the_condition(editor, one_view):
     assert not torch.equal(first, second)
 
 
+@pytest.mark.slow
 def test_a_whole_edit_afterwards_is_what_it_was_before(editor, one_view):
     before = editor.edit(one_view, ASK).images
     begun = editor.edit_from(one_view, one_view.images, ASK, 0.2).images

@@ -247,6 +247,7 @@ class TestThePackage:
         assert settings.model_validate({}).pick == "da3-base"
 
 
+@pytest.mark.slow
 def test_auto_without_weights_is_its_matcher_and_says_so(monkeypatch, tmp_path):
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
     monkeypatch.setenv("HF_HOME", str(tmp_path))

@@ -297,6 +297,7 @@ def test_a_pair_with_true_poses_in_another_unit_has_no_error_and_a_camera_said_w
     )
 
 
+@pytest.mark.slow
 def test_the_command_gives_a_row_to_each_class_and_counts_failures_as_infinite_errors(
     folder, tmp_path, capsys
 ):

@@ -137,6 +137,7 @@ def test_weights_that_do_not_fit_are_an_error_that_names_the_key(
     assert words in str(error.value)
 
 
+@pytest.mark.slow
 def test_keys_beyond_the_network_s_are_noted_and_left(tmp_path, official_state):
     """As a checkpoint has them that was saved with a frozen reference and CLIP."""
     more = {"clip.visual.weight": torch.ones(2), "reference.bias": torch.ones(3)}

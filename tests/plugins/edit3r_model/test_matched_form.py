@@ -150,6 +150,7 @@ def photos() -> Views:
 WALL = {"depths": SCENE.depths.median().expand_as(SCENE.depths)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wrong", [{}, WALL], ids=["true depth", "a wall's"])
 @pytest.mark.parametrize("filtered", [greyscale, sepia, brighter, gamma])
 def test_one_colour_map_in_every_view_leaves_each_its_own_colours_and_opacity(

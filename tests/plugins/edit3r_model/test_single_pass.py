@@ -109,6 +109,7 @@ def test_zero_quaternions_mean_no_rotation_and_have_finite_gradients():
     assert parameters.grad.isfinite().all()
 
 
+@pytest.mark.slow
 def test_gradients_reach_every_parameter_while_the_network_is_in_training_mode():
     reconstructor, views = build(), photos(32, 48)
     assert not reconstructor(views).gaussians.means.requires_grad

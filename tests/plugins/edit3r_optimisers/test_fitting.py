@@ -39,6 +39,7 @@ def psnr(image, target) -> float:
     return float(-10 * torch.log10((image.clamp(0, 1) - target).square().mean()))
 
 
+@pytest.mark.slow
 def test_loss_falls_and_the_views_look_like_the_photos(start, posed, rasterizer):
     settings = FitSettings(colour_rate=0.05)
     result = fitted(start, posed, rasterizer, 90, settings)

@@ -32,9 +32,12 @@ def save_viewer(
     build("writer", "viewer").write(path, scene)
 
 
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None, reason="needs the program chromium: apt-get install chromium"
-)
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(
+        CHROMIUM is None, reason="needs the program chromium: apt-get install chromium"
+    ),
+]
 
 
 @pytest.fixture(scope="module")

@@ -93,6 +93,7 @@ def test_cameras_follow_the_pictures_size_and_keep_their_poses(scene, tmp_path):
         )
 
 
+@pytest.mark.slow
 def test_the_classical_segmenter_finds_the_object_and_a_replay_gives_the_same_files(
     scene, tmp_path
 ):

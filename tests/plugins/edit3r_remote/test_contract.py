@@ -5,6 +5,7 @@ import pytest
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "claim", sorted({*claims(CONTRACTS["editor"])} - {*claims(Contract)})
 )

@@ -73,6 +73,7 @@ def own_claims(kind: str) -> list[str]:
     return sorted({*claims(CONTRACTS[kind])} - {*claims(Contract), LEARNED})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("claim", own_claims("segmenter"))
 @pytest.mark.parametrize("name", ["segmenter", "edgetam", "sam3", "sam_onnx"])
 def test_segmenter_contract(request, name, claim):

@@ -18,6 +18,8 @@ from edit3r.contract.interfaces import Detection, Detector
 from edit3r.contract.reporting import Report, collecting
 from edit3r.loading.registry import default_registry
 
+pytestmark = pytest.mark.slow
+
 
 class Boxes(Detector):
     """Stands in for a detector: always the same boxes [pixels]."""

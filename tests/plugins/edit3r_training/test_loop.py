@@ -217,6 +217,7 @@ class _Interrupted(_Line):
             signal.sigtimedwait([], 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("where", "done"), [("batch", 2), ("validation", 4), ("files", 2)]
 )
