@@ -1,15 +1,21 @@
 """How often the verdict on the edit is right: edits of which it is known whether they are good.
 
     python benchmarks/edit_verdict.py DATA [--only fox mug] [--json OUT.json] [--sheet OUT.png]
+    python benchmarks/edit_verdict.py DATA --looked-at [--only bear1 fox4] [--json OUT.json]
 
 DATA is a folder of photo sets, as for `benchmarks/clicks.py`. Objects whose outlines were drawn by
 hand in two photos are edited well, and badly on purpose, in whole runs: half the object, a leak to
 its surroundings, another place, another thing in the second photo, nothing changed, another colour
 than was asked for, a removed object whose outline stays. One row an edit, then how many good ones
 are doubted and how many bad ones are named.
+
+With --looked-at: the edits of `edit_verdict.json`, which somebody asked for by clicks and words and
+then looked at. Each has its sentence, what was selected in each photo, and whether it came out as
+it was asked for. `chose_limits` is false for photos that no limit was chosen by.
 """
 
 import argparse
+import base64
 import json
 import tempfile
 from collections.abc import Iterator
@@ -25,6 +31,10 @@ from PIL import Image
 import edit3r
 from edit3r.contract.errors import Edit3rError
 from edit3r.contract.interfaces import Editor
+from edit3r.running import EditVerdict
+from edit3r.running.judging.edit_measures import measure_edit, measure_edit_in_3d
+from edit3r.running.judging.edit_verdict import judge_edit
+from edit3r.running.selecting.select import Selected
 
 SIZE = 256
 COLOURS = {"red": (0.8, 0.1, 0.1), "blue": (0.1, 0.2, 0.8), "green": (0.1, 0.6, 0.2)}
@@ -129,11 +139,19 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path, help="folder of photo sets")
     parser.add_argument("--only", nargs="*", default=[], help="names of the objects")
+    parser.add_argument(
+        "--looked-at", action="store_true", help="the edits of edit_verdict.json"
+    )
     parser.add_argument("--json", type=Path, help="all figures")
     parser.add_argument(
         "--sheet", type=Path, help="image of every edit of the first photo"
     )
     args = parser.parse_args()
+    if args.looked_at:
+        rows = looked_at(args.data, args.only)
+        if args.json:
+            args.json.write_text(json.dumps(rows, indent=1))
+        return
     objects = json.loads(Path(__file__).with_name("clicks.json").read_text())
     rows, tiles = [], []
     for seed, (name, photos) in enumerate(objects.items()):
@@ -148,6 +166,60 @@ def main() -> None:
         args.json.write_text(json.dumps(rows, indent=1))
     if args.sheet:
         contact_sheet(tiles).save(args.sheet)
+
+
+def looked_at(data: Path, only: list[str]) -> list[dict]:
+    """A row for each edit that somebody looked at, and how often the verdict says the same."""
+    edits = json.loads(Path(__file__).with_name("edit_verdict.json").read_text())
+    rows = []
+    for edit in edits:
+        if only and edit["set"] not in only:
+            continue
+        try:
+            verdict = verdict_on(edit, data)
+        except Edit3rError as error:
+            print(f"{edit['set']}, {edit['prompt']}: {str(error)[:90]}")
+            continue
+        right = (verdict.label == "good") == edit["good"]
+        print(
+            f"{edit['set']:8} {edit['prompt']:36} {'  ' if right else 'X '}{verdict}",
+            flush=True,
+        )
+        rows.append(
+            {
+                **{key: edit[key] for key in ("set", "prompt", "good", "chose_limits")},
+                "label": verdict.label,
+                "reason": verdict.reason,
+                **asdict(verdict.measures),
+            }
+        )
+    for chose in (True, False):
+        own = [row for row in rows if row["chose_limits"] == chose]
+        called = [row for row in own if row["label"] == "good"]
+        good = [row for row in own if row["good"]]
+        print(
+            f"{'limits chosen by' if chose else 'no limit chosen by'}: of {len(own)} edits "
+            f"{len(called)} called good, {sum(row['good'] for row in called)} of them are; of "
+            f"{len(good)} good ones {sum(row['label'] != 'good' for row in good)} doubted"
+        )
+    return rows
+
+
+def verdict_on(edit: dict, data: Path) -> EditVerdict:
+    """The verdict on an edit of what was selected then, as if it had been selected now."""
+    files = [str(data / file) for file in edit["photos"]]
+    with tempfile.TemporaryDirectory() as folder:
+        masks = [Path(folder) / f"{Path(file).stem}.png" for file in files]
+        for mask, coded in zip(masks, edit["masks"]):
+            mask.write_bytes(base64.b64decode(coded))
+        result = edit3r.run(files, edit["prompt"], masks=masks, size=SIZE, outputs=[])
+    how = "marked" if edit["clicked"] else "words"
+    selected = Selected(result.scene.masks[0][:, None], (how, "geometry"))
+    scene = replace(result.scene, selected=(selected,))
+    views = range(scene.start.count)
+    wishes = [wish for task in result.parts.tasks for wish in task.wishes]
+    measures = measure_edit_in_3d(measure_edit(scene, wishes, views), scene, views)
+    return judge_edit(measures, edit["surety"])
 
 
 def measured(name, photos, data, seed, tiles):
