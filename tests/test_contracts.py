@@ -154,8 +154,10 @@ SLOW = {
     ("reconstructor", "classical"),
     ("reconstructor", "edit3r"),
     ("reconstructor", "noposplat"),
+    ("loss", "perceptual"),
     ("refiner", "refine"),
     ("refiner", "simplify"),
+    ("segmenter", "auto"),
 }
 """Components whose contract takes half a CPU second or more."""
 

@@ -65,6 +65,7 @@ def run(folder, out, *options):
     return relative, found[1].c2w, json.loads((out / "run.json").read_text())
 
 
+@pytest.mark.slow
 def test_poses_of_a_given_camera_file_are_used_as_they_are(
     posed_photos, tmp_path, capsys
 ):

@@ -109,6 +109,7 @@ def test_the_brush_paints_exactly_and_the_eraser_takes_away(looker, scene):
     assert not lost[height // 2, width // 4]
 
 
+@pytest.mark.slow
 def test_geometry_is_kept_in_the_cache(looker, scene):
     opened = looker._opened(scene, tuple(looker.folder.photos(scene)))
     first = opened.geometry.result()

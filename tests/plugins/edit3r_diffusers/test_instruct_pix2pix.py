@@ -9,6 +9,8 @@ import edit3r
 from edit3r.contract.errors import PromptError
 from edit3r.contract.reporting import Report, collecting
 
+pytestmark = pytest.mark.slow
+
 ASK = edit3r.EditRequest("paint it red", seed=3)
 
 

@@ -14,6 +14,8 @@ from edit3r.contract.interfaces import Matcher
 from edit3r.contract.reporting import Report, collecting
 from edit3r_testing.scenes import photograph
 
+pytestmark = pytest.mark.slow
+
 ASK = edit3r.EditRequest("paint it red", seed=3)
 STEPS = 6
 

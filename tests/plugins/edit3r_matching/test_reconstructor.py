@@ -160,6 +160,7 @@ def test_photos_that_cannot_be_matched_raise():
         edit3r.build("reconstructor", "classical")(views)
 
 
+@pytest.mark.slow
 def test_photos_alone_give_a_scene_that_shows_them_again(pair):
     reconstruction = edit3r.build("reconstructor", "classical")(pair.views)
     seen = edit3r.build("rasterizer", "numba").render(

@@ -177,6 +177,7 @@ def edited_scene():
     return find_scenes("procedural", options, default_registry())[0].load()
 
 
+@pytest.mark.slow
 def test_an_edit_that_reaches_every_view_is_taken_up(edited_scene):
     carries = Carries(edited_scene, True)
     score = carried_edit(carries, build("rasterizer", "numba"), edited_scene)
@@ -184,6 +185,7 @@ def test_an_edit_that_reaches_every_view_is_taken_up(edited_scene):
     assert score["disagreement"] < 0.2 and score["kept"] > 0.7
 
 
+@pytest.mark.slow
 def test_an_edit_that_is_dropped_leaves_nothing(edited_scene):
     carries = Carries(edited_scene, False)
     score = carried_edit(carries, build("rasterizer", "numba"), edited_scene)

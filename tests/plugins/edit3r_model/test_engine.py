@@ -131,6 +131,7 @@ def test_the_gain_is_a_ratio_of_times(monkeypatch):
     assert bfloat16_gain.__wrapped__(CPU) == pytest.approx(3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("head", ["auto", "float32", "bfloat16"])
 @pytest.mark.parametrize("backbone", ["float32", "bfloat16", "int8"])
 def test_any_precision_of_the_head_goes_with_any_of_the_backbone(backbone, head, gain):

@@ -159,6 +159,7 @@ def test_impossible_intrinsics_are_an_error_that_names_the_view(reconstructor, f
         reconstructor(views)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fit", ["resize", "pad"])
 def test_any_image_size_comes_through(fit):
     reconstructor = build(fit=fit, resolution=48)

@@ -6,6 +6,8 @@ from edit3r_objects.lifting import lift
 
 from edit3r import Cameras, Gaussians, build
 
+pytestmark = pytest.mark.slow
+
 SIZE = 96
 
 

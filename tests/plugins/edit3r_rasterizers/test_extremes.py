@@ -282,6 +282,7 @@ def test_any_gaussian_gives_finite_pictures_and_gradients(
     assert_gradients_finite(NUMBA, scene, views)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(
     seed=st.integers(0, 10**6),

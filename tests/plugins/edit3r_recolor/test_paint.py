@@ -238,6 +238,7 @@ def test_paint_is_measured_in_the_region_only():
     assert torch.equal(half[..., 8:, :], image[..., 8:, :])
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(st.tuples(*[st.floats(0, 1)] * 3), st.tuples(*[st.floats(0, 1)] * 3))
 def test_paint_is_finite_and_in_range_for_any_colours(surface, rgb):

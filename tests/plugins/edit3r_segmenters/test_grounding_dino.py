@@ -30,6 +30,7 @@ def test_boxes_lie_in_the_picture_best_first(build, photo):
         )
 
 
+@pytest.mark.slow
 def test_labels_are_words_of_the_text(build, photo):
     labels = {
         d.label

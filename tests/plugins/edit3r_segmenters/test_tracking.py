@@ -61,6 +61,7 @@ def test_a_camera_that_moves_far_is_followed_by_features(turn, zoom, shift):
     assert iou(tracks.logits[1, 0].sigmoid(), truth) > 0.9
 
 
+@pytest.mark.slow
 def test_views_are_followed_one_after_the_other():
     shifts = [(0, 0), (15, 3), (30, 6), (45, 9), (60, 12)]
     views = [view(shift) for shift in shifts]

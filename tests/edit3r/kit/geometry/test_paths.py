@@ -103,6 +103,7 @@ def test_path_goes_up_and_down_around_the_line_between_two_views():
     torch.testing.assert_close(heights[10], -heights[30])
 
 
+@pytest.mark.slow
 @given(st.integers(1, 6), st.integers(0, 2**31 - 1), st.sampled_from([None, 0.5, 4.0]))
 @settings(max_examples=40)
 def test_path_is_never_wild(views, seed, depth):

@@ -85,6 +85,7 @@ def test_of_a_video_the_sharp_frames_are_taken(tmp_path):
     assert len(taken) == 4 and numbers == sorted(numbers) and not blurred & set(numbers)
 
 
+@pytest.mark.slow
 def test_frames_in_which_nothing_moved_are_left_out(tmp_path):
     with pytest.warns(UserWarning, match="nothing has moved"):
         taken = take_frames(

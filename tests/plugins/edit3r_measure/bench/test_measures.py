@@ -23,6 +23,8 @@ from edit3r_measure.features import prompt_quality
 from edit3r.contract.types import Cameras, Views
 from edit3r.loading.registry import default_registry
 
+pytestmark = pytest.mark.slow
+
 SIZE = 40
 EDIT, BAND, BACKGROUND = (
     slice(0, 10),
