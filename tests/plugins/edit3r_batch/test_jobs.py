@@ -67,6 +67,7 @@ def _editor(strength):
         ({**GOOD, "mask": "gone.png"}, "gone.png: no such file"),
         ({**GOOD, "size": 1}, "run.size"),
         ({**GOOD, "editor": "recolr"}, "Did you mean 'recolor'?"),
+        ({**GOOD, "outputs": ["vewer"]}, "Did you mean 'viewer'?"),
         (
             {**GOOD, "editor": {"name": "recolor", "strenth": 1}},
             "editor.strenth: unknown setting",
