@@ -73,11 +73,18 @@ def read_clause(tokens: list[str]) -> Clause:
         return clause.not_understood(*unsupported)
     removing = [i for i, token in enumerate(tokens) if token in words.REMOVE]
     if removing and set(tokens[: removing[0]]) <= words.FILLERS | words.POLITENESS:
-        thing = read_thing(tokens[removing[0] + 1 :])
-        clause.action, clause.verb_first, clause.thing = "remove", True, thing
-        unclear = unclear_place(tokens[removing[0] + 1 :])
-        return clause.not_understood(*unclear) if unclear else clause
+        return _read_removal(tokens[removing[0] + 1 :], clause)
     return _read_change(tokens, clause)
+
+
+def _read_removal(named: list[str], clause: Clause) -> Clause:
+    """A clause that takes a thing away, whose words stand after the verb."""
+    clause.action, clause.verb_first = "remove", True
+    clause.thing = read_thing(named)
+    unclear = unclear_place(named)
+    if clause.thing.scope != "region":
+        unclear += tuple(t for t in named if t in words.ORDINALS)
+    return clause.not_understood(*dict.fromkeys(unclear)) if unclear else clause
 
 
 def content_of(tokens: list[str]) -> list[str]:
@@ -121,6 +128,9 @@ def _without(tokens: list[str]) -> tuple[list[str], list[Thing]]:
 
 def _end_of_exception(rest: list[str], tokens: list[str]) -> int:
     """Where the change begins that follows an exception; after a verb none does."""
+    look = _look(rest)
+    if look is not None and look[1]:  # "everything but the tram a vintage look"
+        return len(look[1])
     changes = last_group(find_changes(rest), rest) if rest else []
     ends = bool(changes) and changes[-1].end == len(rest)
     removes = bool(set(tokens[:2]) & words.REMOVE)

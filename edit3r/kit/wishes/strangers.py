@@ -7,6 +7,9 @@ from edit3r.kit.wishes import vocabulary as words
 from edit3r.kit.wishes.colours import NEON, TONES, read_colour
 from edit3r.kit.wishes.nouns import is_noun
 from edit3r.kit.wishes.paints import LIGHT_WORDS, MATERIALS
+from edit3r.kit.wishes.sets import words_of
+
+_WITHIN_A_COLOUR = words_of("a an of some sort kind shade tone hue full")
 
 
 def is_known(word: str) -> bool:
@@ -27,21 +30,39 @@ def strangers(named: Sequence[str], before_change: bool) -> tuple[str, ...]:
     determined = next(
         (i for i, word in enumerate(named) if word in words.DETERMINERS), len(named)
     )
-    last = len(named) - 1 if before_change else -1
+    last = _last(named, content) if before_change else -1
     found = []
     for place in content:
         others = len(content) > 1 or last == place
-        early = place < determined and others
-        late = place == last and content[0] != place
-        if (early or late) and not is_known(named[place]):
+        early = place < determined and others and not is_known(named[place])
+        late = place == last and content[0] != place and not _ends_name(named[place])
+        if early or late:
             found.append(named[place])
     return tuple(found)
+
+
+def _last(named: Sequence[str], content: Sequence[int]) -> int:
+    """The place of the word before the change: "lick" in "the van a lick of"; -1 after "in"."""
+    if not content:
+        return -1
+    between = set(named[content[-1] + 1 :])
+    return content[-1] if between <= _WITHIN_A_COLOUR | words.PAINT else -1
+
+
+def _ends_name(word: str) -> bool:
+    """Whether a thing's name may end with a word, right before its new colour."""
+    return is_noun(word) or (is_known(word) and not _is_shade(word))
+
+
+def _is_shade(word: str) -> bool:
+    return read_colour([word]) is not None or word in words.LOOKS or word in TONES
 
 
 def unread_of(content: Sequence[str]) -> tuple[str, ...]:
     """Of the words of a clause that asks for nothing known, those that are to blame."""
     blamed = tuple(word for word in content if not is_noun(word) or word in TONES)
-    return blamed or tuple(content)
+    strange = tuple(word for word in blamed if word not in words.MORE | words.LESS)
+    return strange or blamed or tuple(content)
 
 
 def _is_content(word: str) -> bool:

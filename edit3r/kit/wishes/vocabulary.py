@@ -55,7 +55,7 @@ TINT_SHARE = 0.35
 RANDOM = words_of("recolour recoloured random randomly")
 """Words that ask for colours drawn by the seed."""
 
-WEAK = words_of("slightly somewhat bit little")
+WEAK = words_of("slightly somewhat bit little tad smidge smidgen trifle fraction")
 STRONG = words_of("much very lot far strongly extremely really super way")
 
 # ---- looks ----
@@ -79,8 +79,11 @@ OTHER = words_of(
 )
 """Verbs of what neither colours nor removing can do; `give` and `draw` only before a new thing."""
 
-UNSUPPORTED = words_of("patterned striped dotted checked same")
-"""Words for what a plain colour cannot do."""
+ORDINALS = words_of("first second third fourth fifth last")
+"""Words that pick by counting, which nobody here does."""
+
+UNSUPPORTED = words_of("patterned striped dotted checked same") | ORDINALS
+"""Words for what a plain colour cannot do, and what picks no thing."""
 
 QUESTIONS = words_of("what why how when who where which whose does do did is are was")
 """Words that a question begins with, which asks for no change."""
@@ -195,7 +198,9 @@ OPENINGS = POLITENESS | words_of(
 FLOOD = words_of("whole entire completely fully entirely totally wholly")
 """Words that want all of a thing painted, its neutral parts too."""
 
-NICE = words_of("nice beautiful lovely rich pretty solid plain simple strong warm cool")
+NICE = words_of(
+    "nice ugly beautiful lovely rich pretty solid plain simple strong warm cool"
+)
 """Words between "a" and a colour that change nothing: "a nice warm yellow"."""
 
 STYLE_NOUNS = words_of(
@@ -225,11 +230,16 @@ PHRASES = (
         " greyscale ",
     ),
     (r"\b(?:do|does|did|should|must|may)(?:n't| not)\b|\bdon't\b|\bdont\b", " don't "),
+    (r"\btake (.+?) off (the|a|an|my|this|that)\b", r" remove \1 from \2 "),
     (r"\bget rid of\b|\btake (?:away|out|off)\b|\bcut out\b", " remove "),
     (r"\btake (.+?) (?:away|out|off)\b", r" remove \1 "),
     (r"\b(?:make|let) (.+?) (?:disappear|vanish|go away|invisible)\b", r" remove \1 "),
     (r"\bcut (.+?) out\b", r" remove \1 "),
-    (r"\b(?:only|just) (.+?) (?:stays?|remains?)\b", r" keep \1 "),
+    (r"\b(?:only|just) (.+?) (?:stays?|remains?)\b", r" \1 stays "),
+    (r"\b(?:turn|bring|dial|tone) down\b", " decrease "),
+    (r"\b(?:turn|bring|dial|crank) up\b", " increase "),
+    (r"\beverybody\b|\beveryone\b", " all people "),
+    (r"\buse ([^,.;]+?) (?:for|on) ([^,.;]+)", r" paint \2 \1 "),
     (
         r"\b(?:keep|leave) (?:only|just) (.+?) " + _IN_COLOUR + r"|"
         r"\b(?:only|just) (?:keep|leave) (.+?) " + _IN_COLOUR + r"|"
