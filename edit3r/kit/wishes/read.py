@@ -15,7 +15,7 @@ from edit3r.contract.errors import PromptError
 from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.wishes import vocabulary as words
 from edit3r.kit.wishes.clauses import Clause, asks_nothing, read_clause, read_kept
-from edit3r.kit.wishes.colours import near_colours
+from edit3r.kit.wishes.colours import near_colours, read_colour
 from edit3r.kit.wishes.sentence import clauses_of
 from edit3r.kit.wishes.strangers import is_known
 from edit3r.kit.wishes.together import wishes_of
@@ -67,9 +67,20 @@ def spelling_hint(wish: Wish) -> str:
     for word in wish.unread:
         if word in words.INSTEAD:
             hints.append(f" {words.INSTEAD[word]}")
-        elif not is_known(word) or word in words.SHARES:
-            hints.append(_near(word))
+        elif not is_known(word):
+            hints.append(_near(word) or _beside_colour(word, wish.text.split()))
     return "".join(hints)
+
+
+def _beside_colour(word: str, said: list[str]) -> str:
+    """What to say for a word before a colour, which is no shade that is known."""
+    after = said[said.index(word) + 1 :] if word in said else []
+    if read_colour(after) is None:
+        return ""
+    return (
+        f" {word!r} is no shade of colour that is known; where it belongs to the thing, say "
+        f"'into {after[0]}'."
+    )
 
 
 def _near(word: str) -> str:
