@@ -26,7 +26,7 @@ EDIT3R_API = 1
 
 class Cards(Reconstructor):
     class Settings(Settings):
-        depth: float = 2.0
+        depth: float = 2.9  # in mean distances of the other cameras from the first
         fails: bool = False
         only_last: bool = False
 
@@ -36,11 +36,13 @@ class Cards(Reconstructor):
     def __call__(self, views, source=None, grid=None):
         if self.settings.fails:
             raise MatchingError("the cards fell over.")
-        depths = torch.full((*views.images.shape[:2], *views.image_size), self.settings.depth)
+        places = views.c2w[:, :, :3, 3]  # in a unit of the run's own choosing
+        depth = self.settings.depth * float((places - places[:, :1])[:, 1:].norm(dim=-1).mean())
+        depths = torch.full((*views.images.shape[:2], *views.image_size), depth)
         points = unproject(depths, views.intrinsics, views.c2w).flatten(1, 3)
         colours = views.images.permute(0, 1, 3, 4, 2).flatten(1, 3)
         count = points.shape[1]
-        size = self.settings.depth / views.image_size[1]
+        size = depth / views.image_size[1]
         quats = torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4)
         opacities = torch.full((1, count), 0.9)
         scales, harmonics = torch.full((1, count, 3), size), colour_to_dc(colours)[:, :, None]

@@ -44,10 +44,6 @@ def outcome(manifest, cards, settings=(), **method):
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    reason="the generated edit of this seed is another since things are added and removed too; "
-    "doing nothing scores too much on it"
-)
 def test_edited_renderings_carry_the_whole_edit_and_stay_a_rendering_elsewhere(
     manifest, cards
 ):
