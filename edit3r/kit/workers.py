@@ -8,23 +8,30 @@ moment goes on where it stopped.
 
 import json
 import math
-import multiprocessing
 import os
-import threading
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections import deque
+from collections.abc import Callable, Generator, Hashable, Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import islice, takewhile
+from itertools import takewhile
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from pydantic_core import to_json
 
-from edit3r.contract.errors import InputError, MissingDependencyError, RunError
-from edit3r.kit.children import SAFE_PATH, restore_path, safe_path
+from edit3r.contract.errors import InputError, RunError
+from edit3r.kit.crews import (
+    ONE_HERE,
+    Crew,
+    Function,
+    KeyedJob,
+    KeyedRow,
+    Task,
+    WorkerDied,
+    Workers,
+    crew_of,
+)
 from edit3r.kit.files.atomic import atomic_write
 
 __all__ = [
@@ -38,22 +45,10 @@ __all__ = [
 ]
 
 Row = Mapping[str, Any]
-Function = Callable[[Any], Row]
-KeyedJob = tuple[str, Any]
-KeyedRow = tuple[str, Row]
-
-
-@dataclass(frozen=True)
-class Workers:
-    """Who does the jobs. The rows are the same for any number of workers."""
-
-    count: int = 1  # 1: this process does them itself, unless they are spread with Ray
-    spread: Literal["processes", "ray"] = "processes"
-    threads: int | None = (
-        None  # of torch in each worker, which decide the order of sums; None: as they are
-    )
-    # a worker that dies leaves its job a failure, and another takes its place; else all ends
-    may_die: bool = False
+MOST_AHEAD = 1000
+"""Jobs that are looked through for one of the group that a worker did last."""
+MOST_STARTS = 5
+"""Workers in a row that may die before they are ready."""
 
 
 @dataclass(frozen=True)
@@ -85,9 +80,10 @@ def run_resumable(
     function: Function,
     path: Path,
     *,
-    workers: Workers = Workers(),
+    workers: Workers = ONE_HERE,
     key_name: str = "key",
     seconds: float | None = None,
+    group: Callable[[Any], Hashable] = lambda job: None,
     on_done: Callable[[Progress], None] = lambda progress: None,
 ) -> dict[str, dict[str, Any]]:
     """Do the jobs that have no row in `path` yet, and return the rows of all of them by key, in the
@@ -95,11 +91,13 @@ def run_resumable(
 
     A row is `{key_name: key, **function(jobs[key])}`. NaN and infinity become null (None), at once
     and when read back. `function` is pickled to each worker once, so an object may keep what it
-    built at its first call. An error ends the run and keeps the rows made so far. So does the death
-    of a worker, which a job can cause that takes all memory; with `Workers.may_die` it becomes the
-    row `{"failure": sentence}`. A single worker starts no job after `seconds` of wall time; jobs
-    that did not start are missing in the answer. At the end the file holds these rows in order,
-    then rows of other keys, however the work was spread and interrupted.
+    built at its first call; several workers take jobs of one `group` one after the other where they
+    can. An error ends the run and keeps the rows made so far. So does the death of a worker, which
+    a job can cause that takes all memory; with `Workers.may_die` it becomes the row `{"failure":
+    sentence}`. On Ray, another worker tries once more before that. A single worker starts no job
+    after `seconds` of wall time; jobs that did not start are missing in the answer. At the end the
+    file holds these rows in order, then rows of other keys, however the work was spread and
+    interrupted.
     """
     repair(path)
     found = read_rows(path, key_name)
@@ -107,7 +105,10 @@ def run_resumable(
     already, start = len(jobs) - len(left), time.monotonic()
     end = math.inf if seconds is None else start + seconds
     todo = takewhile(lambda _: time.monotonic() <= end, left.items())
-    with closing(_spread(_Task(function, workers.threads), todo, workers)) as rows:
+    task = Task(function, workers.threads)
+    alone = workers.spread == "processes" and workers.count == 1 and not workers.may_die
+    made = _alone(task, todo) if alone else _spread(task, todo, workers, group)
+    with closing(made) as rows:
         for count, (key, row) in enumerate(rows, start=1):
             found[key] = append_row(path, {key_name: key, **row})
             rate = (time.monotonic() - start) / count
@@ -182,170 +183,116 @@ def _line(row: Row) -> str:
     )
 
 
-@dataclass(frozen=True)
-class _Task:
-    """What a worker does with every job; picklable when its function is."""
-
-    function: Function
-    threads: int | None
-
-    def do(self, job: KeyedJob) -> KeyedRow:
-        """Return the job's key and its row."""
-        if self.threads is not None:
-            import torch
-
-            torch.set_num_threads(self.threads)
-        return job[0], self.function(job[1])
+def _alone(task: Task, jobs: Iterable[KeyedJob]) -> Generator[KeyedRow, None, None]:
+    yield from map(task.do, jobs)
 
 
 def _spread(
-    task: _Task, jobs: Iterator[KeyedJob], workers: Workers
+    task: Task,
+    jobs: Iterable[KeyedJob],
+    workers: Workers,
+    group: Callable[[Any], Hashable],
 ) -> Generator[KeyedRow, None, None]:
     """Yield keys and rows in any order, each worker with one job at a time."""
-    if workers.spread == "processes" and workers.count == 1 and not workers.may_die:
-        yield from map(task.do, jobs)
-        return
-    crew = (_OnRay if workers.spread == "ray" else _InProcesses)(task, workers)
-    idle: list[Any] = []
-    busy: dict[Any, tuple[Any, str]] = {}
+    crew = crew_of(task, workers)
+    shift = _Shift(crew, jobs, workers, group)
     try:
-        while True:
-            for job in islice(jobs, workers.count - len(busy)):
-                worker = idle.pop() if idle else crew.start()
-                busy[crew.give(worker, job)] = worker, job[0]
-            if not busy:
-                return
-            ticket = crew.first(list(busy))
-            worker, key = busy.pop(ticket)
-            try:
-                row = crew.answer(ticket)
-                idle.append(worker)
-            except _WorkerDied as error:
-                if not workers.may_die:
-                    raise RunError(f"{error} What is done is kept.") from None
-                row = key, {"failure": str(error)}
-            yield row
+        while shift.hand_out():
+            if row := shift.next_row():
+                yield row
     finally:
         crew.end()
 
 
-class _WorkerDied(Exception):
-    """A worker ended in the middle of a job."""
+@dataclass(eq=False)
+class _Hand:
+    """A worker, and the group of its last job."""
 
-    def __str__(self) -> str:
-        return (
-            "the worker process died: out of memory, or a crash inside a library; run "
-            "again, with fewer --workers."
-        )
+    worker: Any
+    group: Hashable = None
 
 
-class _InProcesses:
-    """Workers as new processes of this machine; forking one that has used torch's threads can
-    hang.
-    """
+class _Shift:
+    """Which worker does which job."""
 
-    def __init__(self, task: _Task, workers: Workers) -> None:
-        self._task = task
-        self._pools: list[ProcessPoolExecutor] = []
+    def __init__(
+        self,
+        crew: Crew,
+        jobs: Iterable[KeyedJob],
+        workers: Workers,
+        group: Callable[[Any], Hashable],
+    ) -> None:
+        self._crew, self._workers, self._group = crew, workers, group
+        self._todo = deque(jobs)
+        self._deaths: dict[str, int] = {}  # by key of a job
+        self._idle: list[_Hand] = []
+        self._starting: dict[Any, _Hand] = {}  # by ticket
+        self._busy: dict[Any, tuple[_Hand, KeyedJob]] = {}  # by ticket
+        self._failed_starts = 0
 
-    def start(self) -> ProcessPoolExecutor:
-        """A pool of one, so that it is known which job a process died of."""
-        context = multiprocessing.get_context("spawn")
-        arguments = (self._task, os.environ.get(SAFE_PATH))
-        with safe_path():  # its locks already start a process that watches them
-            pool = ProcessPoolExecutor(
-                1, context, initializer=_begin_worker, initargs=arguments
-            )
-        self._pools.append(pool)
-        return pool
+    def hand_out(self) -> bool:
+        """Start workers, and give a job to each that is ready; False: all is done."""
+        wanted = min(self._workers.count, len(self._todo) + len(self._busy))
+        present = len(self._idle) + len(self._starting) + len(self._busy)
+        for _ in range(wanted - present):
+            worker, ticket = self._crew.start()
+            if ticket is None:
+                self._idle.append(_Hand(worker))
+            else:
+                self._starting[ticket] = _Hand(worker)
+        while self._idle and self._todo:
+            hand = self._idle.pop()
+            job = self._job_for(hand)
+            self._busy[self._crew.give(hand.worker, job)] = hand, job
+        return bool(self._busy or self._todo)
 
-    def give(self, pool: ProcessPoolExecutor, job: KeyedJob) -> Future:
-        with safe_path():  # the first job starts the worker's process
-            return pool.submit(_call_task, job)
-
-    def first(self, futures: list[Future]) -> Future:
-        return next(as_completed(futures))
-
-    def answer(self, future: Future) -> KeyedRow:
-        """Return what became of the job; raises what the job raised, and _WorkerDied."""
+    def next_row(self) -> KeyedRow | None:
+        """Wait until something happens; a row, where that was a finished job."""
+        any_ready = bool(self._busy or self._idle)
+        ticket = self._crew.first([*self._busy, *self._starting], any_ready)
+        if ticket in self._starting:
+            self._arrived(ticket)
+            return None
+        hand, job = self._busy.pop(ticket)
         try:
-            return future.result()
-        except BrokenProcessPool:
-            raise _WorkerDied from None
+            row = self._crew.answer(ticket)
+        except WorkerDied as error:
+            return self._died(job, error)
+        self._idle.append(hand)
+        return row
 
-    def end(self) -> None:
-        for pool in self._pools:
-            pool.shutdown(wait=True, cancel_futures=True)
+    def _job_for(self, hand: _Hand) -> KeyedJob:
+        """The next job, or one soon after it that needs what this worker has loaded."""
+        ahead = range(min(len(self._todo), MOST_AHEAD))
+        same = (k for k in ahead if self._group(self._todo[k][1]) == hand.group)
+        number = next(same, 0)
+        job = self._todo[number]
+        del self._todo[number]
+        hand.group = self._group(job[1])
+        return job
 
-
-_task: _Task | None = (
-    None  # of this worker process; set once, so that what its function has built stays
-)
-
-
-def _begin_worker(task: _Task, path: str | None) -> None:
-    global _task
-    _task = task
-    restore_path(path)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    """End this process when the one that started it was killed, so that nobody does a job twice."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-    os._exit(1)
-
-
-def _call_task(job: KeyedJob) -> KeyedRow:
-    assert _task is not None  # set as the process began
-    return _task.do(job)
-
-
-class _OnRay:
-    """Workers as actors of the Ray cluster that RAY_ADDRESS names, else one here; all nodes must
-    see the same paths.
-    """
-
-    def __init__(self, task: _Task, workers: Workers) -> None:
-        os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    def _arrived(self, ticket: Any) -> None:
+        hand = self._starting.pop(ticket)
         try:
-            import ray
-        except ImportError:
-            raise MissingDependencyError(
-                '--ray needs Ray; install with: pip install "edit3r[ray]"'
-            ) from None
-        self._ray, self._task, cores = ray, task, workers.threads or 1
-        self._started = not ray.is_initialized()
-        if self._started:
-            here = {"num_cpus": workers.count * cores, "include_dashboard": False}
-            ray.init(
-                log_to_driver=False,
-                logging_level="ERROR",
-                **({} if os.environ.get("RAY_ADDRESS") else here),
-            )
-        self._actor = ray.remote(num_cpus=cores)(_Task)
+            self._crew.answer(ticket)
+        except WorkerDied:
+            self._failed_starts += 1
+            if self._failed_starts == MOST_STARTS:
+                raise RunError(
+                    f"{MOST_STARTS} workers died one after the other before their first job; is "
+                    "edit3r installed on all nodes? What is done is kept."
+                ) from None
+            return
+        self._failed_starts = 0
+        self._idle.append(hand)
 
-    def start(self) -> Any:
-        return self._actor.remote(self._task.function, self._task.threads)
-
-    def give(self, worker: Any, job: KeyedJob) -> Any:
-        return worker.do.remote(job)
-
-    def first(self, tickets: list[Any]) -> Any:
-        return self._ray.wait(tickets, num_returns=1)[0][0]
-
-    def answer(self, ticket: Any) -> KeyedRow:
-        """Return what became of the job; raises what the job raised, and _WorkerDied."""
-        exceptions = self._ray.exceptions
-        try:
-            return self._ray.get(ticket)
-        except exceptions.RayTaskError as error:
-            raise error.cause from None
-        except exceptions.RayError:
-            raise _WorkerDied from None
-
-    def end(self) -> None:
-        if self._started:
-            self._ray.shutdown()
+    def _died(self, job: KeyedJob, error: WorkerDied) -> KeyedRow | None:
+        """What becomes of a job whose worker died: another try, a failure, or the end of all."""
+        key = job[0]
+        self._deaths[key] = self._deaths.get(key, 0) + 1
+        if self._deaths[key] < self._crew.tries:
+            self._todo.appendleft(job)
+            return None
+        if not self._workers.may_die:
+            raise RunError(f"{error} What is done is kept.") from None
+        return key, {"failure": str(error)}

@@ -63,6 +63,21 @@ class BatchCommand(Command):
             help="threads of each worker (default 1)",
         )
         add(
+            "--gpus-per-worker",
+            type=float,
+            default=0,
+            metavar="PART",
+            help="GPUs that each worker asks Ray for, such as 1, or 0.25 for four workers on a "
+            "GPU (default 0); the workers' device is then cuda",
+        )
+        add(
+            "--memory-per-worker",
+            type=float,
+            default=0,
+            metavar="GB",
+            help="memory that each worker asks Ray for (default: it does not ask)",
+        )
+        add(
             "--config",
             metavar="FILE",
             help="YAML file of run settings, for jobs that do not say otherwise",
@@ -95,27 +110,21 @@ class BatchCommand(Command):
         from edit3r import default_registry
         from edit3r.contract.settings import merge
         from edit3r.kit.files.configs import parse_assignments, read_config
-        from edit3r.kit.workers import Workers
         from edit3r.running import LABELS
         from edit3r_batch.jobs import read_jobs
 
-        for option in ("workers", "threads"):
-            if getattr(args, option) < 1:
-                raise SettingsError(
-                    f"--{option}: must be at least 1, got {getattr(args, option)}."
-                )
+        workers = _workers(args)
         args.plugin = tuple(str(Path(file).resolve()) for file in args.plugin)
         defaults = merge(
             read_config(args.config, args.trust_config) if args.config else {},
             parse_assignments(args.set),
         )
+        if workers.gpus:
+            defaults = merge({"device": "cuda"}, defaults)
         registry = default_registry(args.plugin)
         jobs = read_jobs(Path(args.jobs), defaults, registry, args.trust_config)
         out = Path(args.out).expanduser().resolve()
         done = _done(jobs, out, args)
-        workers = Workers(
-            args.workers, "ray" if args.ray else "processes", args.threads, may_die=True
-        )
         try:
             out.mkdir(parents=True, exist_ok=True)
             with FileLock(out / ".batch.lock", blocking=False):
@@ -147,6 +156,36 @@ class BatchCommand(Command):
                 "says why."
             )
         return 0
+
+
+def _workers(args: argparse.Namespace) -> "Workers":
+    """Who does the jobs. Raises SettingsError for what cannot be asked for."""
+    from edit3r.kit.workers import Workers
+
+    for option in ("workers", "threads"):
+        if getattr(args, option) < 1:
+            raise SettingsError(
+                f"--{option}: must be at least 1, got {getattr(args, option)}."
+            )
+    for option in ("gpus_per_worker", "memory_per_worker"):
+        name, value = f"--{option.replace('_', '-')}", getattr(args, option)
+        if not 0 <= value < 10_000:
+            raise SettingsError(f"{name}: must be 0 or more, got {value}.")
+        if value and not args.ray:
+            raise SettingsError(f"{name} is asked of Ray; give --ray too.")
+    if args.gpus_per_worker > 1 and args.gpus_per_worker % 1:
+        raise SettingsError(
+            "--gpus-per-worker: a part of one GPU, or a whole number, got "
+            f"{args.gpus_per_worker}."
+        )
+    return Workers(
+        args.workers,
+        "ray" if args.ray else "processes",
+        args.threads,
+        may_die=True,
+        gpus=args.gpus_per_worker,
+        memory=int(args.memory_per_worker * 1e9),
+    )
 
 
 def _done(
@@ -206,7 +245,13 @@ def _run(
     tell = (lambda progress: None) if args.quiet else _print_progress
     function = SceneRunner(out, args.plugin, args.overwrite)
     rows = run_resumable(
-        jobs, function, path, workers=workers, key_name="id", on_done=tell
+        jobs,
+        function,
+        path,
+        workers=workers,
+        key_name="id",
+        group=lambda job: job.editor,
+        on_done=tell,
     )
     for id in (id for id, row in rows.items() if "failure" in row):
         remove_abandoned(out / id)  # by a worker that died

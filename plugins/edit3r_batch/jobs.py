@@ -58,6 +58,11 @@ class BatchJob:
         str, Any
     ]  # all that the results depend on, as JSON data without secrets
 
+    @property
+    def editor(self) -> str:
+        """The editor with its settings: jobs of one share what a worker has loaded."""
+        return repr(self.settings.get("editor"))
+
 
 def read_jobs(
     file: Path, defaults: Mapping[str, Any], registry: Registry, trusted: bool

@@ -265,3 +265,19 @@ def test_two_batches_in_one_folder_are_refused(place, capsys):
     with FileLock(place / "out" / ".batch.lock"):
         assert batch(jobs_file(place, "a"), place / "out") == 2
     assert "another batch is at work there" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "options, said",
+    [
+        (["--gpus-per-worker", "1"], "give --ray too"),
+        (["--memory-per-worker", "-1", "--ray"], "must be 0 or more"),
+        (["--gpus-per-worker", "1.5", "--ray"], "a part of one GPU"),
+        (["--workers", "0"], "at least 1"),
+    ],
+)
+def test_workers_that_cannot_be_asked_for_are_told_before_anything_runs(
+    place, capsys, options, said
+):
+    assert batch(jobs_file(place, "a"), place / "out", *options) == 2
+    assert said in capsys.readouterr().err and not (place / "out").exists()

@@ -1,0 +1,128 @@
+"""Workers on a Ray cluster: no more at once than fit, each job one row, though a node dies."""
+
+import os
+import time
+from collections import Counter
+from contextlib import contextmanager
+
+import pytest
+
+from edit3r.contract.errors import InputError, RunError
+from edit3r.kit import crews
+from edit3r.kit.workers import Workers, read_rows, run_resumable
+
+pytestmark = pytest.mark.slow
+
+
+@contextmanager
+def cluster_of_two(monkeypatch, **node):
+    """A cluster on this machine; yields it and its second node."""
+    ray = pytest.importorskip("ray")
+    from ray.cluster_utils import Cluster
+
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    cluster = Cluster(
+        initialize_head=True, head_node_args={**node, "include_dashboard": False}
+    )
+    try:
+        second = cluster.add_node(**node)
+        monkeypatch.setenv("RAY_ADDRESS", cluster.address)
+        yield cluster, second
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
+
+
+def logs_itself(job):
+    """A job that takes a while; when it began and ended is in a file of its own."""
+    from pathlib import Path
+
+    begin = time.time()
+    time.sleep(job["seconds"])
+    seen = os.environ.get("CUDA_VISIBLE_DEVICES", "")
+    name = f"{job['name']}-{begin}"
+    (Path(job["log"]) / name).write_text(f"{begin} {time.time()} {os.getpid()}")
+    return {"gpus": seen}
+
+
+def jobs_of(log, count, seconds=0.3):
+    return {
+        f"j{n}": {"name": f"j{n}", "seconds": seconds, "log": str(log)}
+        for n in range(count)
+    }
+
+
+def most_at_once(log):
+    """How many of the logged jobs went on at one time."""
+    spans = [tuple(map(float, f.read_text().split()[:2])) for f in log.iterdir()]
+    return max(sum(b <= begin < e for b, e in spans) for begin, _ in spans)
+
+
+def test_shares_of_gpus_bound_the_workers_and_a_dead_node_loses_no_row(
+    tmp_path, monkeypatch
+):
+    log = tmp_path / "log"
+    log.mkdir()
+    path, jobs = tmp_path / "rows.jsonl", jobs_of(log, 24, 0.5)
+    asked = Workers(40, "ray", gpus=0.5, may_die=True)
+    with cluster_of_two(monkeypatch, num_cpus=8, num_gpus=1) as (cluster, second):
+
+        def kill_once(progress):
+            if progress.done == 6:
+                cluster.remove_node(second, allow_graceful=False)
+
+        rows = run_resumable(jobs, logs_itself, path, workers=asked, on_done=kill_once)
+    assert list(rows) == list(jobs) and list(read_rows(path)) == list(jobs)
+    assert all(row.keys() == {"key", "gpus"} for row in rows.values())
+    assert {row["gpus"] for row in rows.values()} == {"0"}
+    assert 2 <= most_at_once(log) <= 4
+    done = Counter(file.name.partition("-")[0] for file in log.iterdir())
+    assert set(done.values()) == {1}  # a killed job had written nothing
+
+
+def test_a_cluster_without_room_for_one_worker_ends_the_run(tmp_path, monkeypatch):
+    monkeypatch.setattr(crews, "MOST_WAIT", 3)
+    asked = Workers(2, "ray", gpus=1, memory=10**6)
+    with (
+        cluster_of_two(monkeypatch, num_cpus=1),
+        pytest.raises(RunError, match=r"'num_gpus': 1.*--gpus-per-worker"),
+    ):
+        run_resumable(jobs_of(tmp_path, 2), logs_itself, tmp_path / "r", workers=asked)
+
+
+def fails(job):
+    raise InputError("no such photo.")
+
+
+def dies(job):
+    os._exit(9)
+
+
+def test_an_error_is_raised_as_it_was_and_a_job_that_kills_twice_is_a_failure(
+    tmp_path, monkeypatch
+):
+    jobs = jobs_of(tmp_path, 1)
+    asked = Workers(2, "ray", may_die=True)
+    with cluster_of_two(monkeypatch, num_cpus=1):
+        with pytest.raises(InputError, match="no such photo"):
+            run_resumable(jobs, fails, tmp_path / "one", workers=asked)
+        rows = run_resumable(jobs, dies, tmp_path / "two", workers=asked)
+    assert "worker process died" in rows["j0"]["failure"]
+
+
+def test_jobs_of_one_group_go_to_one_worker(tmp_path):
+    jobs = {
+        f"{n}": {"name": name, "seconds": 0.2, "log": str(tmp_path)}
+        for n, name in enumerate("abababab")
+    }
+    run_resumable(
+        jobs,
+        logs_itself,
+        tmp_path.parent / "rows",
+        workers=Workers(2),
+        group=lambda job: job["name"],
+    )
+    workers = {"a": set(), "b": set()}
+    for file in tmp_path.iterdir():
+        workers[file.name[0]].add(file.read_text().split()[2])
+    assert all(len(who) == 1 for who in workers.values())
