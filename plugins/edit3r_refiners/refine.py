@@ -1,8 +1,10 @@
 """Refine Gaussians by photometric steps on the input views; the cameras stay.
 
 Each step renders one input view, in turn, and moves colours, opacities, sizes and centres a little
-towards its image. A share of the pixels is held back from the loss; the best state by them is
-returned: it is never worse on them than the start.
+towards its image. Each step leaves other Gaussians out (Park, Ryu and Kim, "DropGaussian", 2025):
+those that show a photo only together learn it by heart, and other viewpoints lose. A share of the
+pixels is held back from the loss; the best state by them is returned: it is never worse on them
+than the start.
 """
 
 import math
@@ -53,7 +55,16 @@ class RefineSettings(Settings):
         lt=1,
         description="share of pixels out of the loss, to know the best state",
     )
-    seed: int = Field(0, ge=0, description="chooses the held-back pixels")
+    left_out: float = Field(
+        0.2,
+        ge=0,
+        le=0.9,
+        description="share of the Gaussians that a step leaves out; the others are more opaque "
+        "meanwhile",
+    )
+    seed: int = Field(
+        0, ge=0, description="chooses the held-back pixels and the Gaussians left out"
+    )
 
 
 @dataclass(frozen=True)
@@ -102,13 +113,13 @@ def refine(
     before = _errors(gaussians, cameras, images, rasterizer, kept_out)
     variables = _Variables(gaussians, settings)
     best, taken, errors, rounds = gaussians, 0, [], []
+    generator = torch.Generator().manual_seed(settings.seed)
     for step in range(steps if before[0] > 0 else 0):
         view = [step % cameras.count]
         image, out = images[:, view], kept_out[:, view]
         with torch.enable_grad():
-            shown = rasterizer.render(
-                variables.gaussians(), cameras.select(view)
-            ).images
+            some = _thinned(variables.gaussians(), settings.left_out, generator)
+            shown = rasterizer.render(some, cameras.select(view)).images
             loss = (
                 smooth_l1_loss(shown, image, reduction="none", beta=SQUARED_BELOW).mean(
                     2
@@ -149,7 +160,7 @@ class RefineRefiner(Refiner):
 
     class Settings(RefineSettings):
         steps: int = Field(
-            28,
+            14,
             ge=0,
             le=10000,
             description="most steps for two views, each towards one; a further view adds as "
@@ -240,6 +251,18 @@ class _Variables:
         self.optimizer.step(
             torch.autograd.grad(loss, list(self.values.values())), length
         )
+
+
+def _thinned(
+    gaussians: Gaussians, share: float, generator: torch.Generator
+) -> Gaussians:
+    """The Gaussians with a `share` of them made transparent, and the others more opaque."""
+    if not share:
+        return gaussians
+    drawn = torch.rand(gaussians.opacities.shape, generator=generator)
+    kept = (drawn >= share).to(gaussians.opacities) / (1 - share)
+    opacities = (gaussians.opacities * kept).clamp(max=OPACITY_RANGE[1])
+    return replace(gaussians, opacities=opacities)
 
 
 def _held_back(
