@@ -6,12 +6,13 @@ from itertools import cycle
 from pathlib import Path
 
 from edit3r.contract.errors import InputError
+from edit3r.contract.interfaces import Reader
 from edit3r.contract.lens import Lens
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import LoadedPhotos
 from edit3r.kit.photos.masks import load_masks, read_mask
-from edit3r.kit.wishes.things import read_thing
 from edit3r.running.config import MAX_PROMPT
+from edit3r.running.reading import usual_reader
 from edit3r.running.selecting.select import Box, Selection
 
 
@@ -44,8 +45,11 @@ class MarkTexts:
             )
         )
 
-    def read(self, photos: LoadedPhotos) -> Selection:
-        """The marks on these photos. Raises InputError for a mark that fits no photo."""
+    def read(self, photos: LoadedPhotos, reader: Reader | None = None) -> Selection:
+        """The marks on these photos, words by `reader` or the usual one.
+
+        Raises InputError for a mark that fits no photo.
+        """
         if len(self.thing) > MAX_PROMPT:
             raise InputError(
                 f"--thing: expected at most {MAX_PROMPT} characters, got {len(self.thing)}."
@@ -63,19 +67,24 @@ class MarkTexts:
             for path in map(Path, self.mask_files):
                 view = self._view_of_mask(path, photos)
                 masks[view] = read_mask(path, frames[view])
-        thing = read_thing(self.thing.lower().split())
-        words = thing.name
-        if self.thing and not words:
-            words = {"whole": "everything"}.get(thing.scope, thing.scope)
+        words, which = self._words(reader)
         return Selection(
             positive,
             negative,
             boxes,
             masks=masks,
             words=words,
-            which=thing.which,
+            which=which,
             strokes=tuple(_stroke("--stroke", text, frames) for text in self.strokes),
         )
+
+    def _words(self, reader: Reader | None) -> tuple[str, tuple[str, ...]]:
+        """The name of the thing, and what picks it among several."""
+        if not self.thing.strip():
+            return "", ()
+        thing = (reader or usual_reader()).read_thing(self.thing)
+        scope = {"whole": "everything"}.get(thing.scope, thing.scope)
+        return thing.name or scope, thing.which
 
     def for_photos(self, found: list[str], used: list[str]) -> "MarkTexts":
         """The same marks where only some of the photos that were found are used."""

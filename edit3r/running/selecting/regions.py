@@ -16,8 +16,7 @@ from edit3r.contract.errors import InputError, PromptError
 from edit3r.contract.interfaces import MatchedGeometry, Segmenter
 from edit3r.contract.reporting import say
 from edit3r.contract.types import Views
-from edit3r.contract.wishes import Box, Change, Colour, Thing, Wish
-from edit3r.kit.wishes.vocabulary import FLOOD
+from edit3r.contract.wishes import FLOOD, Box, Change, Colour, Thing, Wish
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.select import (
     ASK,

@@ -7,7 +7,7 @@ from edit3r.contract.errors import InputError, PromptError
 from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
-from edit3r.kit.wishes.read import read
+from edit3r.running.reading import read
 from edit3r.running.selecting.regions import RegionFinder
 from edit3r.running.selecting.select import Selection
 

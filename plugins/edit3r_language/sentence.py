@@ -3,8 +3,8 @@
 import re
 from collections.abc import Iterator
 
-from edit3r.kit.wishes import vocabulary as words
-from edit3r.kit.wishes.colours import read_colour
+from edit3r.kit.compute.colour_names import read_colour
+from edit3r_language import vocabulary as words
 
 _SEPARATORS = re.compile(
     r"([,.;!?:]+|\band\b|\bthen\b|&|\bwhile\b|\bwhereas\b|\bbut\b)"
