@@ -15,7 +15,12 @@ def wishes_of(
     clauses: list[Clause], kept: list[Thing], prompt: str
 ) -> tuple[Wish, ...]:
     """The wishes of a sentence's clauses. Raises PromptError for two colours on one thing."""
-    return tuple(_with_rest(_merged(_resolved(_shared(clauses), kept), prompt)))
+    return merged(_resolved(_shared(clauses), kept), prompt)
+
+
+def merged(wishes: Iterable[Wish], prompt: str) -> tuple[Wish, ...]:
+    """The wishes, one for each thing. Raises PromptError for two colours on one thing."""
+    return tuple(_with_rest(_merged(wishes, prompt)))
 
 
 # ---- what neighbours share ----
