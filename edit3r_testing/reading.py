@@ -18,9 +18,7 @@ class ReaderContract(Contract):
 
     kind = "reader"
     subject: Reader
-    # a sentence of its language that it understands, and a thing in it
-    sentence: ClassVar[str] = "paint the wall red"
-    thing: ClassVar[str] = "the wall"
+    thing: ClassVar[str] = "the wall"  # as its language names one
 
     def read(self, text: str) -> tuple[Wish, ...]:
         """The wishes of a text, checked as every run does. Raises PromptError for none."""
@@ -35,17 +33,17 @@ class ReaderContract(Contract):
         return wishes
 
     def test_reads_a_sentence_of_its_language(self) -> None:
-        """`sentence` gives wishes that editors can carry out, with the words that ask for them."""
+        """Its `example` gives wishes that editors can carry out, each with its words."""
         try:
-            wishes = self.read(self.sentence)
+            wishes = self.read(self.subject.example)
         except PromptError as error:
             self.require(
-                False, f"{self.sentence!r} is refused: {error} Set `sentence`."
+                False, f"{self.subject.example!r} is refused: {error} Set `example`."
             )
         for wish in wishes:
             self.require(
                 wish.action != "other",
-                f"{self.sentence!r} is not understood ({wish.unread}); set `sentence` to one "
+                f"{self.subject.example!r} is not understood ({wish.unread}); set `example` to one "
                 "that is.",
             )
             self.require(
@@ -70,7 +68,7 @@ class ReaderContract(Contract):
     def test_same_sentence_gives_the_same_wishes(self) -> None:
         if self.offer is not None and not self.offer.component.supports_seed:
             return
-        first, second = self.read(self.sentence), self.read(self.sentence)
+        first, second = self.read(self.subject.example), self.read(self.subject.example)
         fix = "read without chance, or say supports_seed=False"
         self.require(
             first == second, f"read twice, a sentence gave other wishes; {fix}."

@@ -51,6 +51,7 @@ ORDINARY_WORDS = {
         "command",
         "folder",
         "network",
+        "model",
         "posed",
         "classical",
         "geometry",

@@ -60,7 +60,7 @@ CASES = {
         "without a box",
     ),
     "no words": (lambda prompt: (Wish("remove", Thing()),), READS, "has no text"),
-    "another language": (understands_none, READS, "set `sentence`"),
+    "another language": (understands_none, READS, "set `example`"),
     "a guess": (understands_all, NAMES, "in `unread`"),
     "another error": (
         lambda prompt: prompt.split()[0] and (REMOVE,),

@@ -17,6 +17,9 @@ class Reader(Configured, ABC):
     abilities: ClassVar[str] = ""
     """What may be said, in a sentence or two, as errors tell it; "" where that is anything."""
 
+    example: ClassVar[str] = "paint the wall red"
+    """A sentence of its language that it understands."""
+
     @abstractmethod
     def read(self, prompt: str) -> tuple[Wish, ...]:
         """The wishes of a sentence, in its order, at least one.

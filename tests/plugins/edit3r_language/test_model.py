@@ -5,7 +5,7 @@ from contextlib import suppress
 
 import pytest
 import torch
-from edit3r_language.model import _as_text
+from edit3r_language.model import ServiceReader, _as_text
 
 import edit3r
 from edit3r.contract.errors import (
@@ -184,9 +184,10 @@ def test_a_folder_without_a_model_is_told_by_its_setting(tmp_path):
 @pytest.mark.parametrize(
     "claim", sorted({*claims(CONTRACTS["reader"])} - {*claims(Contract)})
 )
-def test_contract(chat, claim):
+def test_contract(chat, monkeypatch, claim):
     names = {"wishes": [GIBBERISH]} if "not_understand" in claim else {"wishes": [WISH]}
     chat.answers.append(json.dumps(names))
     contract = contract_for("reader", "model", base_url=chat.url)
-    contract.sentence, contract.thing = SENTENCE, SENTENCE
+    contract.thing = SENTENCE
+    monkeypatch.setattr(ServiceReader, "example", SENTENCE)
     getattr(contract(), claim)()
