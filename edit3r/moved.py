@@ -24,6 +24,7 @@ MOVED: dict[str, tuple[str, ...]] = {
     "edit3r.kit.wishes": ("edit3r_language",),
     "edit3r.kit.wishes.colours": ("edit3r.kit.compute.colour_names",),
     "edit3r.kit.wishes.read": ("edit3r.running.reading",),
+    "edit3r.kit.wishes.sentence": ("edit3r_language.grammar",),
     "edit3r.kit.wishes.sets": ("edit3r_language.vocabulary",),
     "edit3r.kit.wishes.vocabulary": (
         "edit3r_language.vocabulary",
