@@ -46,6 +46,9 @@ class Thing:
     part: Colour | None = None  # only its pixels near this colour
     # of a region, on the first photo: left, top, width, height [shares of its sides]
     box: Box | None = None
+    # a plural without a number: "chairs", of which the surest is taken, and that is said
+    several: bool = False
+    unknown: tuple[str, ...] = ()  # words of the name that the reader does not know
 
     def __str__(self) -> str:
         if self.scope == "region":

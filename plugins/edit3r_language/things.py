@@ -5,9 +5,10 @@ from dataclasses import replace
 from edit3r.contract.wishes import EVERY, FLOOD, Colour, Thing
 from edit3r.kit.compute.colour_names import read_colour
 from edit3r_language import vocabulary as words
-from edit3r_language.nouns import is_noun, is_thing_too
+from edit3r_language.nouns import is_noun, is_plural, is_thing_too
 from edit3r_language.paints import LIGHT_WORDS
 from edit3r_language.places import read_region
+from edit3r_language.strangers import is_known
 
 _JOINING = words.JOINING - {"at", "to", "next", "above", "below"}
 
@@ -45,7 +46,14 @@ def _read_named(tokens: list[str]) -> Thing:
     whole = _named_whole(of)
     if nouns and said & words.POSSESSIVES:
         whole = whole or "it"
-    return Thing("named", name, which=picks, of=whole, part=part)
+    several = not picks and bool(nouns) and is_plural(nouns[-1])
+    unknown = () if not nouns or not is_noun(nouns[-1]) else _unknown(nouns[:-1])
+    return Thing("named", name, picks, whole, part, several=several, unknown=unknown)
+
+
+def _unknown(adjectives: list[str]) -> tuple[str, ...]:
+    """Words before a noun that may be its, and that nobody knows: "zorbic wall"."""
+    return tuple(word for word in adjectives if not is_known(word))
 
 
 def _naming(tokens: list[str]) -> list[str]:

@@ -8,6 +8,7 @@ from pathlib import Path
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Reader
 from edit3r.contract.lens import Lens
+from edit3r.contract.wishes import Thing
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import LoadedPhotos
 from edit3r.kit.photos.masks import load_masks, read_mask
@@ -67,24 +68,25 @@ class MarkTexts:
             for path in map(Path, self.mask_files):
                 view = self._view_of_mask(path, photos)
                 masks[view] = read_mask(path, frames[view])
-        words, which = self._words(reader)
+        thing = self._named(reader)
         return Selection(
             positive,
             negative,
             boxes,
             masks=masks,
-            words=words,
-            which=which,
+            words=thing.name,
+            which=thing.which,
+            several=thing.several,
             strokes=tuple(_stroke("--stroke", text, frames) for text in self.strokes),
         )
 
-    def _words(self, reader: Reader | None) -> tuple[str, tuple[str, ...]]:
-        """The name of the thing, and what picks it among several."""
+    def _named(self, reader: Reader | None) -> Thing:
+        """The thing in words, with a name to look for; without words one without a name."""
         if not self.thing.strip():
-            return "", ()
+            return Thing()
         thing = (reader or usual_reader()).read_thing(self.thing)
         scope = {"whole": "everything"}.get(thing.scope, thing.scope)
-        return thing.name or scope, thing.which
+        return replace(thing, name=thing.name or scope)
 
     def for_photos(self, found: list[str], used: list[str]) -> "MarkTexts":
         """The same marks where only some of the photos that were found are used."""

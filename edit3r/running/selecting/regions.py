@@ -14,7 +14,7 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError, PromptError
 from edit3r.contract.interfaces import MatchedGeometry, Segmenter
-from edit3r.contract.reporting import say
+from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Views
 from edit3r.contract.wishes import FLOOD, Box, Change, Colour, Thing, Wish
 from edit3r.running.selecting.near_colour import near_colour
@@ -141,6 +141,11 @@ class RegionFinder:
             and not thing.of
         ):
             self._marked = replace(marked, words=marked.words or thing.name)
+        for word in () if marked is None or thing is None else thing.unknown:
+            warn(
+                f"{word!r} in {thing.name!r} is not known here; what is marked is changed, "
+                "whatever it is called."
+            )
 
     def _region(self, wish: Wish, marked_thing: Thing | None) -> Masks:
         thing = wish.thing
@@ -211,7 +216,7 @@ class RegionFinder:
 
     def _named_mask(self, thing: Thing) -> Masks:
         """Masks of a thing by its name, or of its pixels near a colour."""
-        asked = Selection(words=thing.name, which=thing.which)
+        asked = Selection(words=thing.name, which=thing.which, several=thing.several)
         if _name(thing) in self._known:
             asked = self._as_known(_name(thing))
         mask = self._look_for(thing, asked).masks[:, 0]

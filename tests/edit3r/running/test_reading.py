@@ -1,5 +1,7 @@
 """The prompt of a run is read once, by the chosen reader, and its wishes are handed over."""
 
+from types import SimpleNamespace
+
 import pytest
 import torch
 
@@ -9,9 +11,10 @@ from edit3r.contract.errors import PluginError, PromptError, UnknownComponentErr
 from edit3r.contract.interfaces import Editor, EditsRegions, Reader
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.wishes import Change, Colour, Thing, Wish
+from edit3r.kit.photos.images import LoadedPhotos
 from edit3r.loading.load import LoadedPlugins, PluginFailure
 from edit3r.loading.registry import Registry
-from edit3r.running import preview
+from edit3r.running import MarkTexts, Selection, preview
 from edit3r.running.config import JobInputs
 from edit3r.running.job import RunJob, job_from
 from edit3r.running.reading import read, wishes_for
@@ -57,9 +60,10 @@ def test_the_prompt_is_read_once_and_the_editor_gets_the_wishes():
 
 def test_words_for_the_thing_are_the_readers_too():
     reader = Counting()
-    thing = edit3r.running.MarkTexts(thing="le mur")._words(reader)
-    assert (thing, reader.asked) == (("mur", ("left",)), ["le mur"])
-    assert edit3r.running.MarkTexts()._words(reader) == ("", ())
+    photos = LoadedPhotos(VIEWS, [SimpleNamespace(frame=None)] * 2)
+    selection = MarkTexts(thing="le mur").read(photos, reader)
+    assert (selection.words, selection.which) == ("mur", ("left",))
+    assert MarkTexts().read(photos, reader) == Selection()
     assert reader.asked == ["le mur"]
 
 
