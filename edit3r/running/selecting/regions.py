@@ -134,14 +134,11 @@ class RegionFinder:
     def _name_marks(self, thing: Thing | None) -> None:
         """Clicks on a whole thing are helped by its name; a part's name is seldom known."""
         marked = self._marked
-        if (
-            marked is not None
-            and marked.positive
-            and thing is not None
-            and not thing.of
-        ):
+        if marked is None or thing is None:
+            return
+        if marked.positive and not thing.of:
             self._marked = replace(marked, words=marked.words or thing.name)
-        for word in () if marked is None or thing is None else thing.unknown:
+        for word in thing.unknown:
             warn(
                 f"{word!r} in {thing.name!r} is not known here; what is marked is changed, "
                 "whatever it is called."
