@@ -30,8 +30,7 @@ from edit3r import Views, build
 from edit3r.contract.errors import Edit3rError
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
-from edit3r.kit.wishes.things import read_thing
-from edit3r.running import Selection, select_masks
+from edit3r.running import Selection, select_masks, usual_reader
 from edit3r.running.selecting.geometry import locate
 
 CLICKS = 3
@@ -114,7 +113,7 @@ def main() -> None:
         )
         loose = [
             anywhere(images[0], truths[0], segmenter, words, depth)
-            for words in ("", read_thing(word.split()).name)
+            for words in ("", usual_reader().read_thing(word).name)
         ]
         drawn.append(stroked(images[0], truths[0], segmenter, depth))
         aside.append(loose)

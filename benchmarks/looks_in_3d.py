@@ -18,6 +18,7 @@ from edit3r import Views, build
 from edit3r.contract.types import EditRequest
 from edit3r.kit.compute.colour import rgb_to_lab
 from edit3r.kit.rendering import path_around, render_one
+from edit3r.running import usual_reader
 
 PAIRS = {
     "fox": ("fox/images/0001.jpg", "fox/images/0006.jpg"),
@@ -68,7 +69,9 @@ def kept(plain, edited, looks, prompt) -> torch.Tensor:
         after = render_one(edited.rasterizer, edited.gaussians, camera)
         image = before.images.clamp(0, 1)
         view = Views(image, camera.intrinsics)
-        wanted = looks.edit(replace(view), EditRequest(prompt)).images
+        wanted = looks.edit(
+            replace(view), EditRequest(prompt, wishes=usual_reader().read(prompt))
+        ).images
         own = rgb_to_lab(image[0, 0])
         changes = (rgb_to_lab(wanted[0, 0]) - own).norm(dim=0) > CHANGED
         same = (rgb_to_lab(after.images[0, 0].clamp(0, 1)) - own).norm(dim=0) < SAME

@@ -20,8 +20,7 @@ from PIL import Image
 
 from edit3r import build
 from edit3r.contract.errors import InputError
-from edit3r.kit.wishes.things import read_thing
-from edit3r.running import SURE, Selection, select_masks
+from edit3r.running import SURE, Selection, select_masks, usual_reader
 
 ABSENT = (
     "car",
@@ -79,7 +78,7 @@ def main() -> None:
 
 def answer(tensor, text, segmenter, truth) -> tuple[float, float | None, float]:
     """Overlap, surety (None: not found) and seconds."""
-    thing = read_thing(text.split())
+    thing = usual_reader().read_thing(text)
     asked = Selection(words=thing.name, which=thing.which)
     start = time.perf_counter()
     try:

@@ -13,7 +13,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor, Segmenter
+from edit3r.contract.interfaces import (
+    Editor,
+    Rasterizer,
+    Reader,
+    Reconstructor,
+    Segmenter,
+)
 from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Cameras, Views
@@ -37,6 +43,7 @@ def run(
     photos: Views | Files = (),
     prompt: str | None = None,
     *,
+    reader: Choice | Reader | None = None,
     editor: Choice | Editor | None = None,
     recon: Choice | Reconstructor | None = None,
     rasterizer: Choice | Rasterizer | None = None,
@@ -79,8 +86,8 @@ def run(
     Args:
         photos: Loaded views, or photo files, folders and videos. May be left out with `earlier`.
         prompt: What to change, such as "paint the bike red".
-        editor, recon, rasterizer, segmenter, refiners: Names, names with settings, or (but for
-            refiners) built objects. `recon` is the reconstructor.
+        reader, editor, recon, rasterizer, segmenter, refiners: Names, names with settings, or (but
+            for refiners) built objects. `reader` reads the prompt, `recon` is the reconstructor.
         masks: Where pixels may change: masks in [0, 1] of all views, mask files, or a Selection
             (clicks, boxes, masks of some views) from which a segmenter finds them.
         cameras: A camera file, or the cameras of all loaded views. Poses in it are used as they
@@ -101,6 +108,7 @@ def run(
     """
     given = {
         "prompt": prompt,
+        "reader": reader,
         "editor": editor,
         "reconstructor": recon,
         "rasterizer": rasterizer,

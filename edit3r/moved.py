@@ -21,7 +21,18 @@ MOVED: dict[str, tuple[str, ...]] = {
     "edit3r.geometry": ("edit3r.kit.geometry",),
     "edit3r.reporting": ("edit3r.contract.reporting",),
     "edit3r.selection": ("edit3r.running.selecting",),
-    "edit3r.wishes": ("edit3r.kit.wishes",),
+    "edit3r.kit.wishes": ("edit3r_language",),
+    "edit3r.kit.wishes.colours": ("edit3r.kit.compute.colour_names",),
+    "edit3r.kit.wishes.read": ("edit3r.running.reading",),
+    "edit3r.kit.wishes.sentence": ("edit3r_language.grammar",),
+    "edit3r.kit.wishes.sets": ("edit3r_language.vocabulary",),
+    "edit3r.kit.wishes.vocabulary": (
+        "edit3r_language.vocabulary",
+        "edit3r.contract.wishes",
+    ),
+    "edit3r.wishes": ("edit3r_language",),
+    "edit3r.wishes.colours": ("edit3r.kit.compute.colour_names",),
+    "edit3r.wishes.read": ("edit3r.running.reading",),
 }
 """Where the names of an old module are now; the modules inside a package moved with it."""
 

@@ -19,6 +19,7 @@ from edit3r_testing.contract import Contract, ContractViolation, claims
 from edit3r_testing.editing import DetectorContract, EditorContract, SegmenterContract
 from edit3r_testing.network import BackboneContract, HeadContract, TinyBackbone
 from edit3r_testing.rasterizer import RasterizerContract
+from edit3r_testing.reading import ReaderContract
 from edit3r_testing.reconstruction import (
     MatcherContract,
     ReconstructorContract,

@@ -100,6 +100,7 @@ TRIED_IN: dict[tuple[str, ...], str] = {
         "qwen-image-edit",
     ): "edit3r_diffusers/test_contract.py",
     ("gemini-image", "gpt-image"): "edit3r_remote/test_contract.py",
+    ("local-model", "model"): "edit3r_language/test_model.py",
     (
         "sam2",
         "edgetam",

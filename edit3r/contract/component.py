@@ -7,6 +7,7 @@ from typing import Any
 from edit3r.contract.weights import NAME, Weights
 
 KINDS = (
+    "reader",
     "editor",
     "segmenter",
     "detector",

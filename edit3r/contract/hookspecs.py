@@ -26,6 +26,11 @@ hookimpl = pluggy.HookimplMarker("edit3r")
 
 
 @hookspec
+def register_readers() -> Iterable[Component]:
+    """Sentences read into wishes: what shall happen to which thing (Reader)."""
+
+
+@hookspec
 def register_editors() -> Iterable[Component]:
     """2D editors: change the photos as the prompt says (Editor)."""
 

@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import interpolate
 
+from edit3r.contract.errors import PromptError
 from edit3r.contract.wishes import Wish
 
 MAX_DEGREE = 4
@@ -140,6 +141,15 @@ class EditRequest(_Tensors):
     def __post_init__(self) -> None:
         if self.masks is not None:
             _check("EditRequest.masks", self.masks, (None, None, None, None))
+
+    def asked(self) -> tuple[Wish, ...]:
+        """The wishes, for an editor that needs them. Raises PromptError where there are none."""
+        if not self.wishes:
+            raise PromptError(
+                f"{self.prompt!r} comes without wishes; hand over what a reader makes of it: "
+                "EditRequest(prompt, wishes=edit3r.running.usual_reader().read(prompt))."
+            )
+        return self.wishes
 
     def of_scene(self, index: int) -> "EditRequest":
         """The same request for one scene of the batch."""

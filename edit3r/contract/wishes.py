@@ -1,7 +1,7 @@
 """What a sentence asks for, as the editors get it with their request.
 
-One reader (`edit3r.kit.wishes.read`) makes these from the prompt. A sentence is a row of wishes,
-each about one thing: "paint the door green and remove the bin" is two.
+The reader of a run (`edit3r.contract.interfaces.Reader`) makes these from the prompt. A sentence is
+a row of wishes, each about one thing: "paint the door green and remove the bin" is two.
 """
 
 from dataclasses import dataclass, replace
@@ -12,6 +12,14 @@ Action = Literal["paint", "look", "remove", "other"]
 
 Scope = Literal["named", "marked", "whole", "background", "region"]
 Finish = Literal["", "matte", "metallic"]
+EVERY = frozenset(("all", "both", "every", "each", "two", "three", "four", "five"))
+"""Words of `Thing.which` that mean every thing of its name."""
+
+FLOOD = frozenset(
+    ("whole", "entire", "completely", "fully", "entirely", "totally", "wholly")
+)
+"""Words of `Thing.which` that want all of a thing painted, its neutral parts too."""
+
 Box = tuple[float, float, float, float]
 
 
@@ -38,6 +46,9 @@ class Thing:
     part: Colour | None = None  # only its pixels near this colour
     # of a region, on the first photo: left, top, width, height [shares of its sides]
     box: Box | None = None
+    # a plural without a number: "chairs", of which the surest is taken, and that is said
+    several: bool = False
+    unknown: tuple[str, ...] = ()  # words of the name that the reader does not know
 
     def __str__(self) -> str:
         if self.scope == "region":
@@ -116,6 +127,21 @@ class Wish:
     text: str = ""  # the words of the sentence that ask for it
     unread: tuple[str, ...] = ()  # those among them that nobody understood
     left_out: tuple[str, ...] = ()  # understood, but nobody here can do it: "glossy"
+
+    def fault(self) -> str:
+        """What does not hold together, after "one "; "" for nothing."""
+        if self.action == "paint" and not self.changes:
+            return "paints, and names no change"
+        if self.action == "look" and not self.look:
+            return "gives a look, and names none"
+        for change in self.changes:
+            if change.kind in ("paint", "tint") and not (change.colour or change.like):
+                return f"is to {change.kind}, and names no colour"
+        likes = (change.like for change in self.changes if change.like is not None)
+        for thing in (self.thing, *self.without, *likes):
+            if (thing.scope == "region") != (thing.box is not None):
+                return "is about a place of the picture without a box, or has a box without one"
+        return ""
 
     def __str__(self) -> str:
         what = ", ".join(map(str, self.changes)) or self.look or self.action

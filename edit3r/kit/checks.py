@@ -23,12 +23,14 @@ from edit3r.contract.interfaces import (
     INTERFACES,
     Editor,
     Rasterizer,
+    Reader,
     Reconstructor,
     Refiner,
     SceneToWrite,
     Writer,
 )
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
+from edit3r.contract.wishes import Wish
 
 
 @contextmanager
@@ -76,6 +78,20 @@ def check_needs(writer: Writer, scene: SceneToWrite) -> None:
         raise InputError(
             f"{component_name(writer)} needs {' and '.join(lacking)}, which this scene has not; "
             "write it of the folder of a run."
+        )
+
+
+def check_wishes(reader: Reader, wishes: tuple[Wish, ...]) -> None:
+    """At least one, each of which says what shall happen to what."""
+    _require_type(reader, wishes, tuple)
+    _require(reader, len(wishes) > 0, "return a wish, or raise PromptError")
+    for wish in wishes:
+        _require_type(reader, wish, Wish)
+        fault = wish.fault()
+        _require(
+            reader,
+            not fault,
+            f"return wishes that hold together; one {fault}: {wish!r}",
         )
 
 

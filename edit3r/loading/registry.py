@@ -82,7 +82,13 @@ class Registry:
                 f"{kind} {name!r} is offered by {len(found)} plugins; ask for {ways}."
             )
         known = [offer.component.name for offer in offers]
-        listed = ", ".join(dict.fromkeys(known)) or "none"
+        if not known:
+            raise UnknownComponentError(
+                f"no {kind} named {name!r}: no installed plugin offers any {kind}.{self.failed()} "
+                "Install edit3r again (pip install --force-reinstall edit3r; in a checkout "
+                "pip install -e .), or a plugin that has one."
+            )
+        listed = ", ".join(dict.fromkeys(known))
         raise UnknownComponentError(
             f"no {kind} named {name!r}.{suggest(name, known)} Installed: {listed}.{self.failed()}"
         )

@@ -20,6 +20,8 @@ _HOME = {
     "CACHE": "edit3r.running.earlier",
     "read_earlier_run": "edit3r.running.earlier",
     "read_views_of_run": "edit3r.running.earlier",
+    "usual_reader": "edit3r.running.reading",
+    "wishes_for": "edit3r.running.reading",
     "add_flags": "edit3r.running.flags",
     "add_mark_flags": "edit3r.running.flags",
     "given_flags": "edit3r.running.flags",
@@ -90,6 +92,8 @@ __all__ = [
     "run",
     "select_masks",
     "select_with",
+    "usual_reader",
+    "wishes_for",
     "write_quality",
     "write_result",
     "write_saved",
@@ -134,6 +138,7 @@ if TYPE_CHECKING:
         Quality,
         write_quality,
     )
+    from edit3r.running.reading import usual_reader, wishes_for
     from edit3r.running.saved import SavedScene, write_saved
     from edit3r.running.scene import Scene
     from edit3r.running.selecting.call import select_with

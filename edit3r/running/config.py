@@ -27,7 +27,7 @@ OWN_OUTPUTS = {
 }
 """What a run writes by itself, and the files and folders of each; all else is made by writers."""
 USUAL_OUTPUTS: tuple[str, ...] = tuple(DEFAULTS["outputs"])
-PART_KEYS = ("editor", "reconstructor", "rasterizer", "segmenter")
+PART_KEYS = ("reader", "editor", "reconstructor", "rasterizer", "segmenter")
 
 
 class RunConfig(Settings):
@@ -39,6 +39,10 @@ class RunConfig(Settings):
         "",
         max_length=MAX_PROMPT,
         description="what to change, such as 'paint the bike red'",
+    )
+    reader: PartChoice = Field(
+        PartChoice(name=DEFAULTS["reader"]),
+        description="reads the prompt, and its settings",
     )
     editor: PartChoice | None = Field(
         None,

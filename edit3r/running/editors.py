@@ -6,14 +6,14 @@ from itertools import groupby
 
 from edit3r.contract.component import Offer, component_name
 from edit3r.contract.errors import PromptError
-from edit3r.contract.interfaces import Editor, EditsRegions
+from edit3r.contract.interfaces import Editor, EditsRegions, Reader
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import EditRequest
 from edit3r.contract.wishes import Wish
 from edit3r.kit.weights.find import at_hand
-from edit3r.kit.wishes.read import ABILITIES, read, spelling_hint
 from edit3r.loading.registry import Registry
+from edit3r.running.reading import read, wishes_for
 from edit3r.running.scene import Scene
 
 
@@ -38,31 +38,24 @@ def request_of(task: EditorTask, scene: Scene, seed: int, wishes: range) -> Edit
 
 
 def tasks_for_editor(
-    editor: Editor, prompt: str, registry: Registry
+    editor: Editor, prompt: str, reader: Reader, registry: Registry
 ) -> tuple[EditorTask, ...]:
     """The whole prompt as the task of an editor that the user chose.
 
     Raises PromptError for a wish that it cannot carry out, with the editors that can.
     """
-    regional = isinstance(editor, EditsRegions)
-    if not prompt.strip():
-        wish = editor.wish_of_nothing() if isinstance(editor, EditsRegions) else None
-        return (EditorTask(editor, prompt, () if wish is None else (wish,)),)
-    try:
-        wishes = read(prompt)
-    except PromptError:
-        if regional:
-            raise
-        wishes = ()
+    wishes = wishes_for(editor, prompt, reader)
     for wish in wishes:
         if not editor.understands(wish):
-            raise PromptError(_refusal(editor, wish, registry))
-    if regional:
+            raise PromptError(_refusal(editor, wish, reader, registry))
+    if isinstance(editor, EditsRegions):
         _tell_left_out(wishes)
     return (EditorTask(editor, prompt, wishes),)
 
 
-def tasks_without_editor(prompt: str, registry: Registry) -> tuple[EditorTask, ...]:
+def tasks_without_editor(
+    prompt: str, reader: Reader, registry: Registry
+) -> tuple[EditorTask, ...]:
     """For each wish of the prompt the installed editor that can carry it out.
 
     Editors without learned weights come first; others only where their weights are on this machine.
@@ -70,7 +63,7 @@ def tasks_without_editor(prompt: str, registry: Registry) -> tuple[EditorTask, .
     """
     built: dict[str, Editor] = {}
     chosen: list[tuple[str, Wish]] = []
-    for wish in read(prompt):
+    for wish in read(prompt, reader):
         for offer in _able(wish, registry):
             name = offer.qualified_name
             if name not in built:
@@ -79,7 +72,7 @@ def tasks_without_editor(prompt: str, registry: Registry) -> tuple[EditorTask, .
                 chosen.append((name, wish))
                 break
         else:
-            raise PromptError(_nobody(wish, registry))
+            raise PromptError(_nobody(wish, reader, registry))
     _tell_left_out(wish for _, wish in chosen)
     tasks = []
     for name, group in groupby(chosen, key=lambda pair: pair[0]):
@@ -121,19 +114,19 @@ def _able(wish: Wish, registry: Registry) -> Iterator[Offer]:
             yield offer
 
 
-def _refusal(editor: Editor, wish: Wish, registry: Registry) -> str:
+def _refusal(editor: Editor, wish: Wish, reader: Reader, registry: Registry) -> str:
     name = component_name(editor)
     others = [offer.component.name for offer in _able(wish, registry)]
     others = [other for other in others if other != name]
     if not others:
-        return f"editor {name!r}: {_nobody(wish, registry)}"
+        return f"editor {name!r}: {_nobody(wish, reader, registry)}"
     return (
         f"editor {name!r} cannot carry out {wish.text!r}; {' or '.join(map(repr, others))} can: "
         f"--editor {others[0]}, or leave --editor out."
     )
 
 
-def _nobody(wish: Wish, registry: Registry) -> str:
+def _nobody(wish: Wish, reader: Reader, registry: Registry) -> str:
     """That no installed editor can do it, which words are to blame, and which others might."""
     unread = ", ".join(repr(word) for word in wish.unread)
     verb = "are" if len(wish.unread) > 1 else "is"
@@ -153,4 +146,4 @@ def _nobody(wish: Wish, registry: Registry) -> str:
             f" Editors with a model of their own may do it: {', '.join(learned)} (edit3r "
             "list-plugins --kind editor says what each needs)."
         )
-    return f"{reason}.{spelling_hint(wish)} {ABILITIES}{more}"
+    return f"{reason}.{reader.hint(wish)} {reader.abilities}{more}"

@@ -1,6 +1,7 @@
 """The components of one run, each built when it is first asked for."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -11,6 +12,7 @@ from edit3r.contract.interfaces import (
     Editor,
     Matcher,
     Rasterizer,
+    Reader,
     Reconstructor,
     Refiner,
     Segmenter,
@@ -47,12 +49,17 @@ class Parts:
         return self.job.earlier is not None
 
     @cached_property
+    def reader(self) -> Reader:
+        return self._build("reader")
+
+    @cached_property
     def tasks(self) -> tuple[EditorTask, ...]:
         """The editors of the run, each with its part of the prompt."""
         prompt = self.config.prompt
         if self.config.editor is None and "editor" not in self._given:
-            return tasks_without_editor(prompt, self._registry)
-        return tasks_for_editor(self._build("editor"), prompt, self._registry)
+            return tasks_without_editor(prompt, self.reader, self._registry)
+        editor = self._build("editor")
+        return tasks_for_editor(editor, prompt, self.reader, self._registry)
 
     @property
     def editor(self) -> Editor:
@@ -137,6 +144,14 @@ class Parts:
         if kind in self._given:
             return self._given[kind]
         return self._registry.build_choice(kind, getattr(self.config, kind), parts)
+
+
+def with_reader(job: RunJob, registry: Registry) -> RunJob:
+    """The job with its reader built, the one of all its words."""
+    if "reader" in job.components:
+        return job
+    reader = registry.build_choice("reader", job.config.reader)
+    return replace(job, components={**job.components, "reader": reader})
 
 
 def read_lens(config: RunConfig, registry: Registry, views: Views) -> Lens | None:

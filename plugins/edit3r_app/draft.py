@@ -19,8 +19,7 @@ from torch import Tensor
 from edit3r.contract.errors import InputError
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import atomic_write
-from edit3r.kit.wishes.things import read_thing
-from edit3r.running import MAX_GROWTH, MAX_STEPS, Box, Selection
+from edit3r.running import MAX_GROWTH, MAX_STEPS, Box, Selection, usual_reader
 from edit3r_app.jobs import JobsFolder
 
 MAX_MARKS = 200
@@ -107,7 +106,7 @@ class Draft:
                 if mark.kind == kind and mark.photo in views.names:
                     yield views.names.index(mark.photo), mark
 
-        thing = read_thing(self.words.lower().split())
+        thing = usual_reader().read_thing(self.words)
         return Selection(
             positive=tuple((view, *mark.places[0]) for view, mark in of("add")),
             negative=tuple((view, *mark.places[0]) for view, mark in of("remove")),

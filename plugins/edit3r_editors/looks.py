@@ -27,7 +27,6 @@ from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.compute.layers import one_thread
-from edit3r.kit.wishes.read import read
 
 Images = Float[Tensor, "view 3 height width"]
 Grey = Float[Tensor, "view 1 height width"]
@@ -265,7 +264,7 @@ class LooksEditor(Editor, EditsRegions):
     def edit(self, views: Views, request: EditRequest) -> Views:
         wishes = (self.wish_of_nothing(),)
         if not self.settings.look:
-            wishes = request.wishes or read(request.prompt)
+            wishes = request.asked()
         photos = views.images.flatten(0, 1)
         for number, wish in enumerate(wishes):
             name = self.settings.look or look_of(wish)

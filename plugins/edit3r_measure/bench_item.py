@@ -24,6 +24,7 @@ from edit3r.kit.geometry.maps import composite
 from edit3r.kit.geometry.paths import between_and_around
 from edit3r.kit.rendering import render_each
 from edit3r.kit.sheet import draw_sheet
+from edit3r.running import wishes_for
 from edit3r_measure.bench_manifest import Images, LoadedItem, Maps
 from edit3r_measure.bench_method import Method
 from edit3r_measure.oracle import ORACLE, OracleEditor, OracleSettings
@@ -128,9 +129,13 @@ class ItemRunner:
         if item.truth is not None:
             truth = (images + item.truth - item.photos.images[0]).clamp(0, 1)
         masks = None if item.masks is None else item.masks[None].nan_to_num(1.0)
-        request = EditRequest(item.record.prompt, item.record.seed, masks)
-        views = replace(item.photos, images=images[None])
-        edited = self._editor(item, truth).edit(views, request).images
+        views, editor = (
+            replace(item.photos, images=images[None]),
+            self._editor(item, truth),
+        )
+        wishes = wishes_for(editor, item.record.prompt)
+        request = EditRequest(item.record.prompt, item.record.seed, masks, wishes)
+        edited = editor.edit(views, request).images
         if masks is not None:
             edited = composite(images[None], edited, masks)
         return edited[0]

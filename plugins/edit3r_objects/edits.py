@@ -11,7 +11,7 @@ from edit3r.contract.interfaces import Editor
 from edit3r.contract.types import EditRequest, Gaussians, Views
 from edit3r.kit.geometry.harmonics import basis, colour_to_dc, dc_to_colour
 from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
-from edit3r.kit.wishes.read import read
+from edit3r.running import usual_reader
 
 FOOT = 0.98  # quantile of y (down) at which a thing stands
 
@@ -91,7 +91,7 @@ def painted(
     pixels = dc_to_colour(own[:, 0]).clamp(0, 1).T[None, None, :, None]
     views = Views(pixels.contiguous(), torch.eye(3)[None, None])
     prompt = f"paint the thing {colour}"
-    request = EditRequest(prompt, wishes=read(prompt))
+    request = EditRequest(prompt, wishes=usual_reader().read(prompt))
     if len(request.wishes) > 1:
         raise PromptError(f"recolor: expected one colour, got {colour!r}.")
     new = editor.edit(views, request).images[0, 0, :, 0]

@@ -24,6 +24,7 @@ from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstructio
 from edit3r.kit.checks import check_edit, check_reconstruction, errors_named_after
 from edit3r.kit.geometry.maps import composite
 from edit3r.kit.geometry.pose import estimate_cameras
+from edit3r.running import wishes_for
 from edit3r_optimisers.fitting import FitSettings, TargetImages, fit
 
 # a fainter first Gaussian has next to no gradient and would never show what it is worth
@@ -101,7 +102,9 @@ class FittingMethod(Reconstructor, EditsViews):
         grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
         """Reconstruct every scene of the batch by itself; prompt and seed are the settings' own."""
-        request = EditRequest(self.settings.prompt, self.settings.seed)
+        prompt = self.settings.prompt
+        wishes = wishes_for(self.editor, prompt)
+        request = EditRequest(prompt, self.settings.seed, wishes=wishes)
         return self.edit_and_reconstruct(
             views, views if source is None else source, request
         )

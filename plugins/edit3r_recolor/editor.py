@@ -14,7 +14,6 @@ from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.wishes import Change, Colour, Wish
 from edit3r.kit.compute.layers import one_thread
-from edit3r.kit.wishes.read import read
 from edit3r_recolor.paint import paint
 from edit3r_recolor.recoloring import (
     RecolorParameters,
@@ -59,7 +58,7 @@ class RecolorEditor(Editor, EditsRegions):
 
     @one_thread()  # powers differ in their last bits by where threads divide an image
     def edit(self, views: Views, request: EditRequest) -> Views:
-        wishes = request.wishes or read(request.prompt)
+        wishes = request.asked()
         for wish in wishes:
             if not self.understands(wish):
                 raise PromptError(

@@ -4,11 +4,14 @@ import importlib
 import sys
 
 import pytest
+from edit3r_language.things import read_thing
 
 from edit3r import moved
 from edit3r.contract.errors import InputError
+from edit3r.kit.compute.colour_names import read_colour
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.kit.geometry.cameras import project
+from edit3r.running.reading import read
 from edit3r.running.selecting.select import select_masks
 
 
@@ -19,6 +22,9 @@ from edit3r.running.selecting.select import select_masks
         ("edit3r.config", "parse_assignments", parse_assignments),
         ("edit3r.geometry.cameras", "project", project),
         ("edit3r.selection.select", "select_masks", select_masks),
+        ("edit3r.kit.wishes.read", "read", read),
+        ("edit3r.kit.wishes.colours", "read_colour", read_colour),
+        ("edit3r.kit.wishes.things", "read_thing", read_thing),
     ],
 )
 def test_an_old_module_gives_the_same_thing_and_says_where_it_is(old, name, there):

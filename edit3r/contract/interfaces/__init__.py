@@ -18,6 +18,7 @@ from edit3r.contract.interfaces.editing import (
     GivesAttention,
     StartsFromImages,
 )
+from edit3r.contract.interfaces.reading import Reader
 from edit3r.contract.interfaces.reconstruction import (
     Backbone,
     EditsViews,
@@ -68,6 +69,7 @@ from edit3r.contract.interfaces.writing import (
 torch.log(torch.ones(1))
 
 INTERFACES: dict[str, type] = {
+    "reader": Reader,
     "editor": Editor,
     "segmenter": Segmenter,
     "detector": Detector,
@@ -113,6 +115,7 @@ __all__ = [
     "OtherReadings",
     "Proposal",
     "Rasterizer",
+    "Reader",
     "Reconstructor",
     "RefineInputs",
     "Refiner",

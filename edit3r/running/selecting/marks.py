@@ -6,12 +6,14 @@ from itertools import cycle
 from pathlib import Path
 
 from edit3r.contract.errors import InputError
+from edit3r.contract.interfaces import Reader
 from edit3r.contract.lens import Lens
+from edit3r.contract.wishes import Thing
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import LoadedPhotos
 from edit3r.kit.photos.masks import load_masks, read_mask
-from edit3r.kit.wishes.things import read_thing
 from edit3r.running.config import MAX_PROMPT
+from edit3r.running.reading import usual_reader
 from edit3r.running.selecting.select import Box, Selection
 
 
@@ -44,8 +46,11 @@ class MarkTexts:
             )
         )
 
-    def read(self, photos: LoadedPhotos) -> Selection:
-        """The marks on these photos. Raises InputError for a mark that fits no photo."""
+    def read(self, photos: LoadedPhotos, reader: Reader | None = None) -> Selection:
+        """The marks on these photos, words by `reader` or the usual one.
+
+        Raises InputError for a mark that fits no photo.
+        """
         if len(self.thing) > MAX_PROMPT:
             raise InputError(
                 f"--thing: expected at most {MAX_PROMPT} characters, got {len(self.thing)}."
@@ -63,19 +68,25 @@ class MarkTexts:
             for path in map(Path, self.mask_files):
                 view = self._view_of_mask(path, photos)
                 masks[view] = read_mask(path, frames[view])
-        thing = read_thing(self.thing.lower().split())
-        words = thing.name
-        if self.thing and not words:
-            words = {"whole": "everything"}.get(thing.scope, thing.scope)
+        thing = self._named(reader)
         return Selection(
             positive,
             negative,
             boxes,
             masks=masks,
-            words=words,
+            words=thing.name,
             which=thing.which,
+            several=thing.several,
             strokes=tuple(_stroke("--stroke", text, frames) for text in self.strokes),
         )
+
+    def _named(self, reader: Reader | None) -> Thing:
+        """The thing in words, with a name to look for; without words one without a name."""
+        if not self.thing.strip():
+            return Thing()
+        thing = (reader or usual_reader()).read_thing(self.thing)
+        scope = {"whole": "everything"}.get(thing.scope, thing.scope)
+        return replace(thing, name=thing.name or scope)
 
     def for_photos(self, found: list[str], used: list[str]) -> "MarkTexts":
         """The same marks where only some of the photos that were found are used."""

@@ -14,10 +14,9 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError, PromptError
 from edit3r.contract.interfaces import MatchedGeometry, Segmenter
-from edit3r.contract.reporting import say
+from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Views
-from edit3r.contract.wishes import Box, Change, Colour, Thing, Wish
-from edit3r.kit.wishes.vocabulary import FLOOD
+from edit3r.contract.wishes import FLOOD, Box, Change, Colour, Thing, Wish
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.select import (
     ASK,
@@ -135,13 +134,15 @@ class RegionFinder:
     def _name_marks(self, thing: Thing | None) -> None:
         """Clicks on a whole thing are helped by its name; a part's name is seldom known."""
         marked = self._marked
-        if (
-            marked is not None
-            and marked.positive
-            and thing is not None
-            and not thing.of
-        ):
+        if marked is None or thing is None:
+            return
+        if marked.positive and not thing.of:
             self._marked = replace(marked, words=marked.words or thing.name)
+        for word in thing.unknown:
+            warn(
+                f"{word!r} in {thing.name!r} is not known here; what is marked is changed, "
+                "whatever it is called."
+            )
 
     def _region(self, wish: Wish, marked_thing: Thing | None) -> Masks:
         thing = wish.thing
@@ -212,7 +213,7 @@ class RegionFinder:
 
     def _named_mask(self, thing: Thing) -> Masks:
         """Masks of a thing by its name, or of its pixels near a colour."""
-        asked = Selection(words=thing.name, which=thing.which)
+        asked = Selection(words=thing.name, which=thing.which, several=thing.several)
         if _name(thing) in self._known:
             asked = self._as_known(_name(thing))
         mask = self._look_for(thing, asked).masks[:, 0]

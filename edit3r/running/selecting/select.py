@@ -77,6 +77,7 @@ class Selection:
         ""  # what is meant, such as "bike"; looked up where no mark says it all
     )
     which: tuple[str, ...] = ()  # picks among several: "left", "big", "red", "all"
+    several: bool = False  # the words are a plural; that one is taken is then said
     # True: what stands out most is taken where the words are not known
     guess: bool = False
     sure: bool = False  # True: what words found unsurely is refused
@@ -325,6 +326,12 @@ class _Work:
         picked = pick(found, which, self.images[view])
         self.surety = min(proposal.surety for proposal in picked)
         named = " ".join((*which, words)).strip()
+        sure = sum(one.surety >= SURE for one in found)
+        if self.selection.several and not which and sure > 1:
+            self.warnings.append(
+                f"{sure} {words} were found on photo {view + 1}, and the surest is taken; say 'all "
+                f"{words}' for all of them."
+            )
         if self.surety < SURE and self.selection.sure:
             raise InputError(
                 f"{named!r} was found on photo {view + 1}, but it may be something else "

@@ -7,9 +7,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import Proposal
+from edit3r.contract.wishes import EVERY
 from edit3r.kit.compute.colour import rgb_to_lab
-from edit3r.kit.wishes.colours import read_colour
-from edit3r.kit.wishes.vocabulary import EVERY
+from edit3r.kit.compute.colour_names import read_colour
 
 # Sign of the axis along which the wanted one lies farthest: x to the right, y down.
 _ALONG_X = {"left": -1, "leftmost": -1, "right": 1, "rightmost": 1}

@@ -7,6 +7,7 @@ from pathlib import Path
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
+from edit3r.contract.interfaces import Reader
 from edit3r.contract.reporting import stage
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import sha256_of
@@ -35,7 +36,7 @@ def read(job: RunJob, registry: Registry) -> Scene:
                 used = [record.file for record in scene.records]
                 masks = masks.for_photos([origin(path) for path in found], used)
         scene = replace(scene, prompts=(*scene.prompts, job.config.prompt))
-        return _with_marks(scene, masks)
+        return _with_marks(scene, masks, job.components["reader"])
 
 
 def _read_earlier(earlier: EarlierRun) -> Scene:
@@ -65,7 +66,9 @@ def _read_files(
     return found, Scene(photos=loaded.views, start=loaded.views, records=loaded.photos)
 
 
-def _with_marks(scene: Scene, masks: Tensor | Selection | MarkTexts | None) -> Scene:
+def _with_marks(
+    scene: Scene, masks: Tensor | Selection | MarkTexts | None, reader: Reader
+) -> Scene:
     """The scene with given masks, or with what is marked on its photos."""
     if masks is None:
         return scene
@@ -75,6 +78,6 @@ def _with_marks(scene: Scene, masks: Tensor | Selection | MarkTexts | None) -> S
         return replace(scene, marked=masks)
     if not scene.records:
         raise InputError("marks in words need photos that were read from files.")
-    marked = masks.read(LoadedPhotos(scene.start, scene.records))
+    marked = masks.read(LoadedPhotos(scene.start, scene.records), reader)
     hashes = {file: sha256_of(Path(file)) for file in masks.mask_files}
     return replace(scene, marked=marked, mask_files=hashes)

@@ -37,7 +37,7 @@ def test_lists_become_tuples_so_that_a_component_can_be_a_key():
 
 
 def test_unknown_parts_are_refused_with_the_kinds():
-    with pytest.raises(ValueError, match="unknown part kind 'heads'; kinds are editor"):
+    with pytest.raises(ValueError, match="unknown part kind 'heads'; kinds are reader"):
         Component("a", "m:C", "", parts=("heads",))
 
 

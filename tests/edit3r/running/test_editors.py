@@ -10,10 +10,11 @@ from edit3r.contract.reporting import Report, collecting
 from edit3r.loading.load import LoadedPlugins
 from edit3r.loading.registry import Registry, default_registry
 from edit3r.running.editors import tasks_for_editor, tasks_without_editor
+from edit3r.running.reading import usual_reader
 
 
 def chosen(prompt, registry=None):
-    tasks = tasks_without_editor(prompt, registry or default_registry())
+    tasks = tasks_without_editor(prompt, usual_reader(), registry or default_registry())
     return [(component_name(task.editor), len(task.wishes)) for task in tasks]
 
 
@@ -72,12 +73,12 @@ def test_a_chosen_editor_that_cannot_do_it_names_who_can():
     with pytest.raises(
         PromptError, match=r"'recolor' cannot.*'remove the bear'.*--editor retouch"
     ):
-        tasks_for_editor(editor, "remove the bear", default_registry())
+        tasks_for_editor(editor, "remove the bear", usual_reader(), default_registry())
 
 
 def test_an_empty_prompt_is_enough_for_an_editor_that_needs_none():
     (task,) = tasks_for_editor(
-        edit3r.build("editor", "retouch"), "", default_registry()
+        edit3r.build("editor", "retouch"), "", usual_reader(), default_registry()
     )
     assert task.wishes[0].action == "remove"
     with pytest.raises(PromptError, match="nothing is asked for"):
@@ -90,7 +91,9 @@ class Anything(Editor):
 
 
 def test_an_editor_that_takes_any_sentence_gets_it_whole():
-    (task,) = tasks_for_editor(Anything(), "make it a polar bear", default_registry())
+    (task,) = tasks_for_editor(
+        Anything(), "make it a polar bear", usual_reader(), default_registry()
+    )
     assert task.prompt == "make it a polar bear"
 
 

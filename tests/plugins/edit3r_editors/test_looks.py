@@ -13,8 +13,8 @@ from edit3r.contract.errors import PromptError, SettingsError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.photos.images import packaged_pair
-from edit3r.kit.wishes.read import read
 from edit3r.loading.registry import build
+from edit3r.running.reading import read
 
 PHOTO = torch.from_numpy(
     data.astronaut()[:256, 100:420].astype(np.float32) / 255
@@ -71,7 +71,9 @@ def test_a_look_stays_in_the_region_of_its_wish():
 
 
 def edited(prompt="", **settings) -> torch.Tensor:
-    return build("editor", "looks", **settings).edit(VIEWS, EditRequest(prompt)).images
+    wishes = read(prompt) if prompt else ()
+    request = EditRequest(prompt, wishes=wishes)
+    return build("editor", "looks", **settings).edit(VIEWS, request).images
 
 
 @pytest.mark.parametrize("look", LOOKS)

@@ -5,6 +5,7 @@ import torch
 
 from edit3r.contract.types import EditRequest, Views
 from edit3r.loading.registry import build
+from edit3r.running.reading import read
 
 
 @pytest.mark.parametrize(
@@ -19,7 +20,11 @@ def test_the_number_of_threads_changes_no_bit(editor, prompt):
     answers = []
     for threads in (1, 2, 3):
         torch.set_num_threads(threads)
-        answers.append(build("editor", editor).edit(views, EditRequest(prompt)).images)
+        answers.append(
+            build("editor", editor)
+            .edit(views, EditRequest(prompt, wishes=read(prompt)))
+            .images
+        )
     torch.set_num_threads(before)
     assert torch.equal(answers[0], answers[1])
     assert torch.equal(answers[0], answers[2])

@@ -7,7 +7,7 @@ from edit3r_recolor.editor import RecolorEditor
 from edit3r.contract.errors import PromptError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest, Views
-from edit3r.kit.wishes.read import read
+from edit3r.running.reading import read
 
 HEIGHT, WIDTH = 12, 16
 
@@ -101,7 +101,7 @@ def test_a_material_replaces_the_whole_surface(material):
 @pytest.mark.parametrize("prompt", ["", "remove the bike", "turn it into a castle"])
 def test_what_changes_no_colour_is_refused(prompt):
     with pytest.raises(PromptError):
-        RecolorEditor(RecolorEditor.Settings()).edit(photos(), EditRequest(prompt))
+        edit(prompt)
 
 
 def test_a_place_of_the_picture_is_painted_whole():

@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 
 import edit3r
 from edit3r.kit.compute.colour import rgb_to_oklab
+from edit3r.kit.compute.colour_names import BASIC_COLOURS, read_colour
 from edit3r.kit.photos.images import packaged_pair
-from edit3r.kit.wishes.colours import BASIC_COLOURS, read_colour
 
 OUTLINES = json.loads((Path(__file__).parent / "data/paint.json").read_text())
 MASKS = Path(edit3r.__file__).parent / "kit/photos"

@@ -7,7 +7,7 @@ from edit3r.contract.errors import InputError, PromptError
 from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
-from edit3r.kit.wishes.read import read
+from edit3r.running.reading import read
 from edit3r.running.selecting.regions import RegionFinder
 from edit3r.running.selecting.select import Selection
 
@@ -281,3 +281,36 @@ def test_all_of_a_thing_is_kept_under_the_name_of_the_thing():
 
 def test_all_of_a_name_but_one_of_them():
     assert columns(regions("remove the cups but the left one")[0]) == IN_RIGHT
+
+
+@pytest.mark.parametrize(
+    ("prompt", "told"),
+    [
+        (
+            "paint the cups red",
+            ["2 cups were found on photo 1, and the surest is taken"],
+        ),
+        ("paint all cups red", []),
+        ("paint the left cups red", []),
+        ("paint the door red", []),
+    ],
+)
+def test_of_a_plural_that_says_no_number_one_is_taken_and_that_is_said(prompt, told):
+    said = finder().find(read(prompt)).selected[0].warnings
+    assert [one[: len(text)] for one, text in zip(said, told)] == told
+    assert len(said) == len(told)
+
+
+@pytest.mark.parametrize(
+    ("prompt", "told"),
+    [
+        ("make the zorbic wall green", ["'zorbic' in 'zorbic wall' is not known here"]),
+        ("make the old wall green", []),
+        ("make the zorbic green", []),  # the one name that it may have
+    ],
+)
+def test_an_unknown_word_of_what_is_clicked_on_is_named(prompt, told):
+    with collecting(Report()) as report:
+        finder(Selection(positive=((0, 0.2, 0.5),))).find(read(prompt))
+    assert [one[: len(text)] for one, text in zip(report.warnings, told)] == told
+    assert len(report.warnings) == len(told)

@@ -3,6 +3,9 @@
 from functools import cache
 from importlib.resources import files
 
+from edit3r.contract.wishes import Colour
+from edit3r.kit.compute.colour_names import BASIC_COLOURS
+
 
 def is_noun(word: str) -> bool:
     """Whether a word, singular, plural or with 's, is on the list of everyday things."""
@@ -13,6 +16,11 @@ def is_noun(word: str) -> bool:
 def is_plural(word: str) -> bool:
     """Whether a word is the plural of an everyday thing: "cups", but not "glasses"."""
     return word not in _nouns() and is_noun(word)
+
+
+def is_thing_too(colour: Colour) -> bool:
+    """Whether a colour's name is a thing as well: "rose", "sand", "wine"."""
+    return colour.name not in BASIC_COLOURS and is_noun(colour.name)
 
 
 def _singulars(word: str) -> tuple[str, ...]:
@@ -31,6 +39,6 @@ def _singulars(word: str) -> tuple[str, ...]:
 
 @cache
 def _nouns() -> frozenset[str]:
-    text = files("edit3r.kit.wishes").joinpath("nouns.txt").read_text("utf-8")
+    text = files("edit3r_language").joinpath("nouns.txt").read_text("utf-8")
     lines = [line for line in text.splitlines() if not line.startswith("#")]
     return frozenset(" ".join(lines).split())

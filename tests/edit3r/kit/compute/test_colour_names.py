@@ -4,8 +4,7 @@ import colorsys
 
 import pytest
 
-from edit3r.kit.wishes.colours import colour_names, near_colours, read_colour
-from edit3r.kit.wishes.paints import read_paint
+from edit3r.kit.compute.colour_names import colour_names, near_colours, read_colour
 
 
 def test_the_survey_and_css_are_known():
@@ -80,23 +79,3 @@ def test_words_that_are_spelt_nearly_like_a_colour_are_offered_the_plain_one_fir
     assert near_colours("purpel")[0] == "purple"
     assert near_colours("turqoise")[0] == "turquoise"
     assert near_colours("qqq") == []
-
-
-@pytest.mark.parametrize(
-    ("words", "said", "left_out"),
-    [
-        ("matte black", "matte black", ()),
-        ("black matte", "matte black", ()),
-        ("light metallic grey", "metallic light grey", ()),
-        ("shiny red car", "red", ("shiny",)),
-        ("gold", "gold", ()),
-        ("white marble", "white marble", ()),
-    ],
-)
-def test_words_about_light_go_with_the_paint(words, said, left_out):
-    paint = read_paint(words.split())
-    assert (str(paint.change), paint.left_out) == (said, left_out)
-
-
-def test_a_word_about_light_alone_is_no_paint():
-    assert read_paint(["shiny", "car"]) is None

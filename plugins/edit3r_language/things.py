@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 
-from edit3r.contract.wishes import Colour, Thing
-from edit3r.kit.wishes import vocabulary as words
-from edit3r.kit.wishes.colours import is_thing_too, read_colour
-from edit3r.kit.wishes.nouns import is_noun
-from edit3r.kit.wishes.paints import LIGHT_WORDS
-from edit3r.kit.wishes.places import read_region
+from edit3r.contract.wishes import EVERY, FLOOD, Colour, Thing
+from edit3r.kit.compute.colour_names import read_colour
+from edit3r_language import vocabulary as words
+from edit3r_language.nouns import is_noun, is_plural, is_thing_too
+from edit3r_language.paints import LIGHT_WORDS
+from edit3r_language.places import read_region
+from edit3r_language.strangers import is_known
 
 _JOINING = words.JOINING - {"at", "to", "next", "above", "below"}
 
@@ -26,7 +27,7 @@ def _read_named(tokens: list[str]) -> Thing:
     said = set(tokens)
     tokens, of = _whole_of(tokens)
     part, named = _colour_of_part(_naming(tokens), tokens)
-    nouns = [t for t in named if t not in words.WHOLE | words.EVERY]
+    nouns = [t for t in named if t not in words.WHOLE | EVERY]
     if set(nouns) & words.REST or (set(nouns) and set(nouns) <= words.BACKGROUND):
         return Thing("background", part=part)
     which = [t for t in nouns if t in words.PLACES | words.SIZES | words.BACKGROUND]
@@ -39,20 +40,27 @@ def _read_named(tokens: list[str]) -> Thing:
         return _part_of(of, part)
     if not (nouns or which or (colours and one)):
         return _unnamed(tokens, part)
-    every = [token for token in tokens if token in words.EVERY]
+    every = [token for token in tokens if token in EVERY]
     picks = tuple(dict.fromkeys((*every, *which, *colours)))
     name = " ".join(nouns).removesuffix("'s")
     whole = _named_whole(of)
     if nouns and said & words.POSSESSIVES:
         whole = whole or "it"
-    return Thing("named", name, which=picks, of=whole, part=part)
+    several = not picks and bool(nouns) and is_plural(nouns[-1])
+    unknown = () if not nouns or not is_noun(nouns[-1]) else _unknown(nouns[:-1])
+    return Thing("named", name, picks, whole, part, several=several, unknown=unknown)
+
+
+def _unknown(adjectives: list[str]) -> tuple[str, ...]:
+    """Words before a noun that may be its, and that nobody knows: "zorbic wall"."""
+    return tuple(word for word in adjectives if not is_known(word))
 
 
 def _naming(tokens: list[str]) -> list[str]:
     """The words that say which thing, without those that only join them."""
     ignored = words.FILLERS | words.PAINT | words.DETERMINERS | words.PRONOUNS
     ignored |= words.OBJECT | words.WEAK | words.STRONG | words.RANDOM | words.NICE
-    ignored |= words.FLOOD
+    ignored |= FLOOD
     return [t for t in tokens if t not in ignored or t == "everything"]
 
 

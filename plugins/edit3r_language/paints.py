@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 from edit3r.contract.wishes import Change, Colour, Finish
-from edit3r.kit.wishes.colours import COMPARED, read_colour
-from edit3r.kit.wishes.sets import words_of
+from edit3r.kit.compute.colour_names import COMPARED, read_colour
+from edit3r_language.vocabulary import words_of
 
 MATERIALS = {
     "gold": "gold",

@@ -4,18 +4,23 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from edit3r.contract.errors import PromptError
-from edit3r.contract.wishes import Thing, Wish
-from edit3r.kit.wishes import vocabulary as words
-from edit3r.kit.wishes.clauses import Clause, content_of
-from edit3r.kit.wishes.nouns import is_plural
-from edit3r.kit.wishes.strangers import unread_of
+from edit3r.contract.wishes import EVERY, Thing, Wish
+from edit3r_language import vocabulary as words
+from edit3r_language.clauses import Clause, content_of
+from edit3r_language.nouns import is_plural
+from edit3r_language.strangers import unread_of
 
 
 def wishes_of(
     clauses: list[Clause], kept: list[Thing], prompt: str
 ) -> tuple[Wish, ...]:
     """The wishes of a sentence's clauses. Raises PromptError for two colours on one thing."""
-    return tuple(_with_rest(_merged(_resolved(_shared(clauses), kept), prompt)))
+    return merged(_resolved(_shared(clauses), kept), prompt)
+
+
+def merged(wishes: Iterable[Wish], prompt: str) -> tuple[Wish, ...]:
+    """The wishes, one for each thing. Raises PromptError for two colours on one thing."""
+    return tuple(_with_rest(_merged(wishes, prompt)))
 
 
 # ---- what neighbours share ----
@@ -141,7 +146,7 @@ def _all_of_name(thing: Thing, without: Sequence[Thing]) -> Thing:
     """All of the cups, where one of them is left out: "the cups but the middle one"."""
     one_of_them = any(kept.name == thing.name and kept.which for kept in without)
     several = is_plural(thing.name.split()[-1]) if thing.name else False
-    if not one_of_them or not several or set(thing.which) & words.EVERY:
+    if not one_of_them or not several or set(thing.which) & EVERY:
         return thing
     return replace(thing, which=("all", *thing.which))
 

@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 from functools import cache
 
-from edit3r.kit.wishes import vocabulary as words
-from edit3r.kit.wishes.colours import NEON, TONES, read_colour
-from edit3r.kit.wishes.nouns import is_noun
-from edit3r.kit.wishes.paints import LIGHT_WORDS, MATERIALS
-from edit3r.kit.wishes.sets import words_of
+from edit3r.contract.wishes import EVERY, FLOOD
+from edit3r.kit.compute.colour_names import NEON, TONES, read_colour
+from edit3r_language import vocabulary as words
+from edit3r_language.nouns import is_noun
+from edit3r_language.paints import LIGHT_WORDS, MATERIALS
+from edit3r_language.vocabulary import words_of
 
 _WITHIN_A_COLOUR = words_of("a an of some sort kind shade tone hue full")
 
@@ -84,14 +85,14 @@ def _grammar() -> frozenset[str]:
         words.DETERMINERS,
         words.PLACES,
         words.SIZES,
-        words.EVERY,
+        EVERY,
         words.PARTS,
         words.SHARES,
         words.WHOLE,
         words.BACKGROUND,
         words.REST,
         words.OBJECT,
-        words.FLOOD,
+        FLOOD,
         words.MORE,
         words.LESS,
         words.LOOKS,

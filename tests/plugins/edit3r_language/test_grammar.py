@@ -4,11 +4,13 @@ import time
 from contextlib import suppress
 
 import pytest
+from edit3r_language.grammar import GrammarReader
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from edit3r.contract.errors import PromptError
-from edit3r.kit.wishes.read import read, spelling_hint
+
+read = GrammarReader().read
 
 PAINT = {
     "paint the bike red": "bike: red",
@@ -195,7 +197,7 @@ def test_two_colours_on_one_thing_are_refused():
 
 def test_a_misspelt_colour_is_suggested():
     (wish,) = read("paint the bike purpel")
-    assert "Near 'purpel': purple" in spelling_hint(wish)
+    assert "Near 'purpel': purple" in GrammarReader().hint(wish)
 
 
 def test_every_content_word_is_used_or_named():

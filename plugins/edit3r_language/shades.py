@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from edit3r.contract.wishes import Change, Colour
-from edit3r.kit.wishes import vocabulary as words
-from edit3r.kit.wishes.colours import read_colour, read_colour_of
-from edit3r.kit.wishes.things import read_thing
+from edit3r.kit.compute.colour_names import read_colour, read_colour_of
+from edit3r_language import vocabulary as words
+from edit3r_language.things import read_thing
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,12 @@ from pathlib import Path
 
 import pytest
 import yaml
+from edit3r_language.grammar import GrammarReader
+from edit3r_language.vocabulary import LOOKS
 
 from edit3r.contract.errors import PromptError
-from edit3r.kit.wishes.read import read
-from edit3r.kit.wishes.vocabulary import LOOKS
+
+read = GrammarReader().read
 
 FILE = Path(__file__).parent / "sentences.yaml"
 GROUPS = yaml.safe_load(FILE.read_text(encoding="utf-8"))

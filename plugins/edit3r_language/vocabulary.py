@@ -1,8 +1,13 @@
 """The words that the reader of wishes knows. What is not here it must not guess."""
 
 from edit3r.contract.wishes import Change, ChangeKind
-from edit3r.kit.wishes.colours import BASIC_COLOURS
-from edit3r.kit.wishes.sets import words_of
+from edit3r.kit.compute.colour_names import BASIC_COLOURS
+
+
+def words_of(text: str) -> frozenset[str]:
+    """The words of a text."""
+    return frozenset(text.split())
+
 
 BASIC = frozenset(BASIC_COLOURS)
 
@@ -155,7 +160,6 @@ PLACES = words_of(
 SIZES = words_of(
     "big bigger biggest large larger largest small smaller smallest tall tallest"
 )
-EVERY = words_of("all both every each two three four five")
 SHARES = words_of("half third thirds quarter quarters")
 PICTURE = words_of("image photo photos picture pictures scene view frame")
 """What "the top of the picture" is a place of."""
@@ -194,9 +198,6 @@ OPENINGS = POLITENESS | words_of(
     "could can would will i i'd we want like to now also so let's lets if then should need"
 )
 """Words that a clause may begin with and that ask for nothing: "could you please"."""
-
-FLOOD = words_of("whole entire completely fully entirely totally wholly")
-"""Words that want all of a thing painted, its neutral parts too."""
 
 NICE = words_of(
     "nice ugly beautiful lovely rich pretty solid plain simple strong warm cool"

@@ -1,8 +1,8 @@
 """Places of the picture: "the left half", "the lower third", "the top of the picture"."""
 
 from edit3r.contract.wishes import Box, Thing
-from edit3r.kit.wishes import vocabulary as words
-from edit3r.kit.wishes.sets import words_of
+from edit3r_language import vocabulary as words
+from edit3r_language.vocabulary import words_of
 
 _DOWN = {"top": "top", "upper": "top", "bottom": "bottom", "lower": "bottom"}
 _ACROSS = {"left": "left", "right": "right"}

@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass, field, replace
 
-from edit3r.contract.wishes import Action, Change, Colour, Thing
-from edit3r.kit.wishes import vocabulary as words
-from edit3r.kit.wishes.changes import Found, amount_of, find_changes, last_group, scaled
-from edit3r.kit.wishes.colours import read_colour
-from edit3r.kit.wishes.nouns import is_noun
-from edit3r.kit.wishes.paints import read_paint
-from edit3r.kit.wishes.places import read_region, unclear_place
-from edit3r.kit.wishes.shades import read_taken
-from edit3r.kit.wishes.strangers import strangers, unread_of
-from edit3r.kit.wishes.things import read_thing
+from edit3r.contract.wishes import FLOOD, Action, Change, Colour, Thing
+from edit3r.kit.compute.colour_names import read_colour
+from edit3r_language import vocabulary as words
+from edit3r_language.changes import Found, amount_of, find_changes, last_group, scaled
+from edit3r_language.nouns import is_noun
+from edit3r_language.paints import read_paint
+from edit3r_language.places import read_region, unclear_place
+from edit3r_language.shades import read_taken
+from edit3r_language.strangers import strangers, unread_of
+from edit3r_language.things import read_thing
 
 
 @dataclass
@@ -215,7 +215,7 @@ def _split_around(
 
 def _flooded(thing: Thing, tokens: list[str]) -> Thing:
     """All of a thing, its neutral parts too, where the clause says so."""
-    if not set(tokens) & words.FLOOD or thing.scope not in ("named", "marked"):
+    if not set(tokens) & FLOOD or thing.scope not in ("named", "marked"):
         return thing
     return replace(thing, which=tuple(dict.fromkeys(("whole", *thing.which))))
 

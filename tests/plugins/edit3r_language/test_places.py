@@ -1,8 +1,7 @@
 """Places of the picture are boxes of it; shares of a thing are not."""
 
 import pytest
-
-from edit3r.kit.wishes.places import read_region, unclear_place
+from edit3r_language.places import read_region, unclear_place
 
 
 @pytest.mark.parametrize(

@@ -3,12 +3,12 @@
 from dataclasses import dataclass, replace
 
 from edit3r.contract.wishes import Change
-from edit3r.kit.wishes import vocabulary as words
-from edit3r.kit.wishes.colours import TONES, is_thing_too, read_colour
-from edit3r.kit.wishes.nouns import is_noun
-from edit3r.kit.wishes.paints import read_paint
-from edit3r.kit.wishes.sets import words_of
-from edit3r.kit.wishes.shades import read_taken
+from edit3r.kit.compute.colour_names import TONES, read_colour
+from edit3r_language import vocabulary as words
+from edit3r_language.nouns import is_noun, is_thing_too
+from edit3r_language.paints import read_paint
+from edit3r_language.shades import read_taken
+from edit3r_language.vocabulary import words_of
 
 _BOTTLES_AND_TREES = words_of("bottle tree leaf")
 _OF_BOTTLES_AND_TREES = words_of(

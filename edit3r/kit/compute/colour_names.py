@@ -14,10 +14,13 @@ from typing import Literal
 from PIL import ImageColor
 
 from edit3r.contract.wishes import Colour
-from edit3r.kit.wishes.nouns import is_noun
-from edit3r.kit.wishes.sets import words_of
 
 RGB = tuple[float, float, float]
+
+
+def _words_of(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
 
 BASIC_COLOURS = (
     "red",
@@ -119,12 +122,12 @@ _MADE_ON_THE_COLOUR_ITSELF = ("dark", "deep", "light", "bright", "pale")
 """Tones that with a basic colour are computed: the survey's dark colours are nearly black."""
 
 # Names of the lists that here mean another thing: a material, a look, an adjustment, a shade.
-_NO_COLOURS = words_of(
+_NO_COLOURS = _words_of(
     "snow dark pale midnight dusk twilight sepia bland royal drab brick stone sandstone ice "
     "denim leather velvet grass moss water mud dirt clay cement earth dust straw sky sea ocean "
     "forest leaf desert swamp"
 )
-_STUFF = _NO_COLOURS - words_of("snow dark pale sepia water")
+_STUFF = _NO_COLOURS - {"snow", "dark", "pale", "sepia", "water"}
 
 MAX_WORDS = 6
 
@@ -149,11 +152,6 @@ def read_colour_of(words: list[str]) -> tuple[Colour, int] | None:
     rgb = _rgb(_listed()[words[0]])
     assert rgb is not None
     return Colour(words[0], rgb), 1
-
-
-def is_thing_too(colour: Colour) -> bool:
-    """Whether a colour's name is a thing as well: "rose", "sand", "wine"."""
-    return colour.name not in BASIC_COLOURS and is_noun(colour.name)
 
 
 def near_colours(word: str, count: int = 3) -> list[str]:
@@ -244,7 +242,7 @@ def _key(name: str) -> str:
 @cache
 def _survey() -> tuple[tuple[str, str], ...]:
     """Colours and names of the xkcd survey."""
-    text = files("edit3r.kit.wishes").joinpath("colours.txt").read_text("utf-8")
+    text = files("edit3r.kit.compute").joinpath("colour_names.txt").read_text("utf-8")
     lines = [line for line in text.splitlines() if not line.startswith("# ")]
     return tuple((line[:7], line[8:]) for line in lines)
 

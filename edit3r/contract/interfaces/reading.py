@@ -1,0 +1,37 @@
+"""Readers: what a sentence asks for, as wishes."""
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+from edit3r.contract.interfaces.base import Configured
+from edit3r.contract.wishes import Thing, Wish
+
+
+class Reader(Configured, ABC):
+    """Reads a sentence into wishes (`edit3r.contract.wishes`), which editors carry out.
+
+    A run asks its reader once. No word may disappear: what is not understood stands in `unread` of
+    a wish of action "other", and what nobody can carry out in `left_out` of its wish.
+    """
+
+    abilities: ClassVar[str] = ""
+    """What may be said, in a sentence or two, as errors tell it; "" where that is anything."""
+
+    example: ClassVar[str] = "paint the wall red"
+    """A sentence of its language that it understands."""
+
+    @abstractmethod
+    def read(self, prompt: str) -> tuple[Wish, ...]:
+        """The wishes of a sentence, in its order, at least one.
+
+        The same sentence gives the same wishes, unless the component says `supports_seed=False`.
+        Raises PromptError for a sentence that asks for nothing, or for two colours on one thing.
+        """
+
+    @abstractmethod
+    def read_thing(self, words: str) -> Thing:
+        """The thing that words name, such as "the left cup" (`--thing`)."""
+
+    def hint(self, wish: Wish) -> str:
+        """What to say instead of a wish's unread words, as the end of an error: " Near: ..."."""
+        return ""

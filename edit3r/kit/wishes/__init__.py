@@ -1,1 +1,0 @@
-"""Sentences read into wishes: the words that are known, and the reader."""

@@ -1,0 +1,198 @@
+"""What a language model is asked, and its answer held to the rules that the grammar keeps.
+
+A model answers with JSON of one form (`SaidWishes`). Colours, materials and places in it are looked
+up by the words that the grammar knows. What is not known there, and words of the sentence that the
+answer speaks of nowhere, become `unread`: nothing that the user said disappears.
+"""
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from importlib.resources import files
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+
+from edit3r.contract.errors import PromptError
+from edit3r.contract.wishes import (
+    EVERY,
+    FLOOD,
+    Action,
+    Change,
+    ChangeKind,
+    Colour,
+    Finish,
+    Thing,
+    Wish,
+)
+from edit3r.kit.compute.colour_names import read_colour
+from edit3r_language import vocabulary as words
+from edit3r_language.paints import MATERIALS
+from edit3r_language.places import read_region
+from edit3r_language.together import merged
+
+MAX_ANSWER = 20_000  # characters
+
+Words = Annotated[
+    str, StringConstraints(max_length=300, pattern=r"^[^\x00-\x1f\x7f]*$")
+]
+"""One line of a stranger's text."""
+Few = Field(default=(), max_length=20)
+
+
+class _Said(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class SaidThing(_Said):
+    """A thing, as a model says it."""
+
+    scope: Literal["named", "marked", "whole", "background", "region"] = "marked"
+    name: Words = ""
+    which: tuple[Words, ...] = Few
+    of: Words = ""
+    part: Words = ""
+
+
+class SaidChange(_Said):
+    """One change of colours, as a model says it."""
+
+    kind: ChangeKind
+    colour: Words = ""
+    like: SaidThing | None = None
+    material: Words = ""
+    finish: Finish = ""
+    than_now: Literal[-1, 0, 1] = 0
+    amount: float = Field(default=1.0, ge=-3, le=3)
+
+
+class SaidWish(_Said):
+    """A wish, as a model says it."""
+
+    action: Action
+    thing: SaidThing = SaidThing()
+    changes: tuple[SaidChange, ...] = Few
+    look: Words = ""
+    without: tuple[SaidThing, ...] = Few
+    text: Words
+    unread: tuple[Words, ...] = Few
+    left_out: tuple[Words, ...] = Few
+
+
+class SaidWishes(_Said):
+    """The whole answer."""
+
+    wishes: tuple[SaidWish, ...] = Field(max_length=20)
+
+
+@cache
+def instructions() -> str:
+    """What a model is told before the sentence."""
+    return files("edit3r_language").joinpath("instructions.txt").read_text("utf-8")
+
+
+def wishes_of_answer(answer: str, prompt: str) -> tuple[Wish, ...]:
+    """The wishes of a model's answer to a sentence.
+
+    Raises ValueError, with what is wrong, for an answer of another form; PromptError where the
+    sentence asks for nothing, or for two colours on one thing.
+    """
+    found = re.search(r"\{.*\}", answer[:MAX_ANSWER], re.DOTALL)
+    if found is None:
+        raise ValueError("it holds no JSON object")
+    try:
+        said = SaidWishes.model_validate_json(found[0])
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"])) or "the answer"
+        raise ValueError(f"{where}: {first['msg']}") from None
+    if not said.wishes:
+        raise PromptError(f"{prompt!r} asks for no change.")
+    wishes = [_Reading(one).wish() for one in said.wishes]
+    if faults := [fault for wish in wishes if (fault := wish.fault())]:
+        raise ValueError(f"a wish {faults[0]}")
+    return merged([*wishes, *_forgotten(wishes, prompt)], prompt)
+
+
+def _forgotten(wishes: list[Wish], prompt: str) -> Iterator[Wish]:
+    """A wish of the words of the sentence that no other speaks of; fillers need not be told."""
+    told = {
+        word for wish in wishes for word in _words(" ".join((wish.text, *wish.unread)))
+    }
+    polite = words.FILLERS | words.POLITENESS | {"and", "then", "but", "while"}
+    forgotten = [word for word in _words(prompt) if word not in told | polite]
+    if forgotten:
+        yield Wish(
+            "other", Thing("whole"), text=prompt, unread=tuple(dict.fromkeys(forgotten))
+        )
+
+
+def _words(text: str) -> list[str]:
+    return re.findall(r"#?\w+(?:['-]\w+)*", text.lower())
+
+
+class _Reading:
+    """One wish of an answer, and the words in it that nobody knows."""
+
+    def __init__(self, said: SaidWish) -> None:
+        self.said = said
+        self.unread = list(said.unread)
+
+    def wish(self) -> Wish:
+        said = self.said
+        wish = Wish(
+            said.action,
+            self._thing(said.thing),
+            tuple(map(self._change, said.changes)) if said.action == "paint" else (),
+            look=said.look if said.action == "look" else "",
+            without=tuple(map(self._thing, said.without)),
+            text=said.text,
+            left_out=said.left_out,
+        )
+        if not self.unread:
+            return wish
+        unread = tuple(dict.fromkeys(self.unread))
+        return Wish(
+            "other", wish.thing, text=said.text or " ".join(unread), unread=unread
+        )
+
+    def _thing(self, said: SaidThing) -> Thing:
+        part = self._colour(said.part) if said.part else None
+        if said.scope == "region":
+            place = read_region(said.name.lower().split())
+            if place is None:
+                self.unread.append(said.name or "place")
+            return place or Thing("whole")
+        known = [word for word in said.which if _picks(word)]
+        others = [word for word in said.which if not _picks(word)]  # "striped"
+        name = " ".join((*others, said.name)).strip()
+        return Thing(said.scope, name, tuple(known), said.of, part)
+
+    def _change(self, said: SaidChange) -> Change:
+        material = MATERIALS.get(said.material, "")
+        if said.material and not material:
+            self.unread.append(said.material)
+        return Change(
+            said.kind,
+            self._colour(said.colour or material) if said.colour or material else None,
+            like=None if said.like is None else self._thing(said.like),
+            material=material,
+            finish=said.finish,
+            than_now=said.than_now,
+            amount=said.amount,
+        )
+
+    def _colour(self, name: str) -> Colour | None:
+        plain = name.lower().split()
+        found = read_colour(plain)
+        if found is not None and found[1] == len(plain):
+            return found[0]
+        self.unread.append(name)
+        return None
+
+
+def _picks(word: str) -> bool:
+    """Whether a word picks one of several things, where they are looked for."""
+    known = words.PLACES | words.SIZES | words.BACKGROUND | EVERY | FLOOD
+    found = read_colour(word.split())
+    return word in known or (found is not None and found[1] == len(word.split()))

@@ -1,0 +1,151 @@
+"""Reader `grammar`: a closed grammar of English sentences, without learned weights.
+
+A sentence is a row of clauses, split at punctuation, "and", "but", "then" and "while". In a clause
+the last group of change words says what to do (`changes`), and the words before it (or after it, as
+in "darken the wall") say the thing (`things`, `places`). Clauses without a change share that of a
+neighbour ("paint the door and the wall white"), and what is excepted, kept or not to be touched is
+taken out of the thing (`together`). Words that are neither change, thing nor filler (`strangers`)
+make the clause a wish of action "other" that names them: only an editor with a model of its own can
+carry that out.
+"""
+
+import difflib
+import re
+from collections.abc import Iterator
+
+from edit3r.contract.errors import PromptError
+from edit3r.contract.interfaces import Reader
+from edit3r.contract.wishes import Thing, Wish
+from edit3r.kit.compute.colour_names import near_colours, read_colour
+from edit3r_language import vocabulary as words
+from edit3r_language.clauses import Clause, asks_nothing, read_clause, read_kept
+from edit3r_language.strangers import is_known
+from edit3r_language.things import read_thing
+from edit3r_language.together import wishes_of
+
+MAX_WORDS = 80
+"""A longer sentence is no plain wish; what it says is left to editors with a model of their own."""
+
+_SEPARATORS = re.compile(
+    r"([,.;!?:]+|\band\b|\bthen\b|&|\bwhile\b|\bwhereas\b|\bbut\b)"
+)
+_TOKEN = re.compile(r"#[0-9a-z]+|[^\W_]+(?:['-][^\W_]+)*")
+
+
+class GrammarReader(Reader):
+    """Knows colours, looks, places and everyday things; other words are named, never guessed."""
+
+    abilities = (
+        "Without learned weights these are understood: paint (paint the bike red; sage green, "
+        "matte black, the colour of the door; from grey to brown; only the red parts; everything "
+        "but the bike; gold, silver, bronze, wood, marble, snow), brighter, darker, warmer, "
+        "colder, more or less saturated or contrast, black and white, sepia, inverted, looks (as a "
+        "pencil sketch, like autumn), of things or of places (the left half of the picture), and "
+        "remove (remove the bin)."
+    )
+
+    def read(self, prompt: str) -> tuple[Wish, ...]:
+        said = prompt.split()
+        if len(said) > MAX_WORDS or max(map(len, said), default=0) > 200:
+            text = " ".join(prompt[:200].split())
+            return (Wish("other", Thing("whole"), text=text, unread=("...",)),)
+        clauses: list[Clause] = []
+        kept: list[Thing] = []
+        for tokens in clauses_of(prompt):
+            if asks_nothing(tokens):
+                continue
+            things = read_kept(tokens)
+            if things is None:
+                clauses.append(read_clause(tokens))
+            else:
+                kept += things
+        if not clauses:
+            raise PromptError(f"{prompt!r} asks for no change. {self.abilities}")
+        return wishes_of(clauses, kept, prompt)
+
+    def read_thing(self, words: str) -> Thing:
+        return read_thing(words.lower().split())
+
+    def hint(self, wish: Wish) -> str:
+        hints = []
+        for word in wish.unread:
+            if word in words.INSTEAD:
+                hints.append(f" {words.INSTEAD[word]}")
+            elif not is_known(word):
+                hints.append(_near(word) or _beside_colour(word, wish.text.split()))
+        return "".join(hints)
+
+
+# ---- the clauses of a sentence ----
+
+
+def clauses_of(prompt: str) -> Iterator[list[str]]:
+    """The words of each clause, lower-case, with spellings and set phrases brought to one form."""
+    text = prompt.lower().replace("’", "'")
+    for pattern, instead in words.PHRASES:
+        text = " ".join(re.sub(pattern, instead, text).split())
+    text = _exceptions(text)
+    for part in _SEPARATORS.split(text):
+        tokens = [words.SPELLINGS.get(token, token) for token in _TOKEN.findall(part)]
+        tokens = [piece for token in tokens for piece in _pieces(token)]
+        while len(tokens) > 1 and tokens[0] in words.OPENINGS:
+            tokens = tokens[1:]
+        if tokens and not _SEPARATORS.fullmatch(part):
+            yield _parts_before(tokens)
+
+
+def _parts_before(tokens: list[str]) -> list[str]:
+    """Write "everything that is red" as "everything red parts"."""
+    if "thatis" not in tokens:
+        return tokens
+    start = tokens.index("thatis")
+    found = read_colour(tokens[start + 1 :])
+    if found is None:
+        return [token for token in tokens if token != "thatis"]
+    colour, length = found
+    if colour.name not in words.BASIC and length > 1:  # "that is red blue"
+        colour, length = read_colour(tokens[start + 1 : start + 2]) or found
+    end = start + 1 + length
+    return [*tokens[:start], *tokens[start + 1 : end], "parts", *tokens[end:]]
+
+
+def _exceptions(text: str) -> str:
+    """Write "but" as "except" in "everything but the bear" and "remove the cups but the left one".
+
+    Not where a new clause begins with it.
+    """
+    whole = "|".join(sorted(words.WHOLE | words.REST))
+    remove = "|".join(sorted(words.REMOVE))
+    after = "not|don't|keep|leave|make|paint|turn|the rest"
+    return re.sub(
+        rf"\b({whole}|{remove})\b([^,.;]*?)\bbut (?!{after})", r"\1\2except ", text
+    )
+
+
+def _pieces(token: str) -> list[str]:
+    """The parts of "dark-blue" and "coal-black"; other words with a hyphen stay whole."""
+    parts = token.split("-")
+    known = read_colour(parts[-1:]) is not None or parts[-1] in words.SIZES
+    return parts if len(parts) > 1 and (known or parts[-1] in words.SHARES) else [token]
+
+
+# ---- what to say instead ----
+
+
+def _beside_colour(word: str, said: list[str]) -> str:
+    """What to say for a word before a colour, which is no shade that is known."""
+    after = said[said.index(word) + 1 :] if word in said else []
+    if read_colour(after) is None:
+        return ""
+    return (
+        f" {word!r} is no shade of colour that is known; where it belongs to the thing, say "
+        f"'into {after[0]}'."
+    )
+
+
+def _near(word: str) -> str:
+    """The words that are spelt nearly like one that nobody knows, colours first."""
+    verbs = words.REMOVE | words.PAINT | words.IMPERATIVES | words.LOOKS
+    known = [*verbs, *words.ADJUSTMENTS, *words.TINTS]
+    near = [*near_colours(word), *difflib.get_close_matches(word, known, 2, 0.75)]
+    return f" Near {word!r}: {', '.join(near[:4])}." if near else ""

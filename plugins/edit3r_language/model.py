@@ -1,0 +1,228 @@
+"""Readers that ask a language model: behind an address, or on this machine."""
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+from pydantic import Field
+
+from edit3r.contract.devices import require_device
+from edit3r.contract.errors import Edit3rError, MissingDependencyError, RunError
+from edit3r.contract.interfaces import Reader
+from edit3r.contract.reporting import note
+from edit3r.contract.settings import USER_ONLY, Settings
+from edit3r.contract.wishes import Thing, Wish
+from edit3r.kit.service import bounded_client, within
+from edit3r.kit.weights.load import (
+    ChosenWeights,
+    foreign,
+    identity,
+    load_pretrained,
+    out_of_memory_told,
+)
+from edit3r_language.answers import instructions, wishes_of_answer
+
+KEY_VARIABLE = "OPENAI_API_KEY"
+MAX_QUOTE = 300  # characters of a model's words that an error repeats
+
+Message = dict[str, str]
+
+
+class ModelSettings(Settings):
+    """How often a model may try."""
+
+    attempts: int = Field(
+        2,
+        ge=1,
+        le=10,
+        description="answers of another form that are sent back, at most",
+    )
+
+
+class AskingReader(Reader, ABC):
+    """Asks for wishes as JSON, and sends an answer of another form back with what is wrong."""
+
+    abilities = (
+        "Without learned weights these are carried out, however they are said: painting, brighter, "
+        "darker, warmer, colder, saturation, contrast, black and white, sepia, inverted, looks, of "
+        "things or of places, and removing."
+    )
+    settings: ModelSettings
+    who: str  # in messages
+
+    @abstractmethod
+    def ask(self, messages: Sequence[Message]) -> str:
+        """The model's answer. Raises RunError where none comes."""
+
+    def read(self, prompt: str) -> tuple[Wish, ...]:
+        messages = [
+            {"role": "system", "content": instructions()},
+            {"role": "user", "content": prompt},
+        ]
+        answer = why = ""
+        for _ in range(self.settings.attempts):
+            answer = self.ask(messages)
+            try:
+                return wishes_of_answer(answer, prompt)
+            except ValueError as error:
+                why = str(error)
+            messages += [
+                {"role": "assistant", "content": answer},
+                {
+                    "role": "user",
+                    "content": f"That cannot be used: {why}. Answer again.",
+                },
+            ]
+        raise RunError(
+            f"{self.who} gave no wishes for {prompt[:80]!r}: {why} ({_quoted(answer)}); say it "
+            "otherwise, or leave --reader out."
+        )
+
+    def read_thing(self, words: str) -> Thing:
+        return self.read(f"remove {words}")[0].thing
+
+
+class ServiceReader(AskingReader):
+    """A model of OpenAI's, or of any server that speaks its chat completions."""
+
+    class Settings(ModelSettings):
+        model: str = Field(
+            "gpt-4.1-mini", description="the service's name of the model"
+        )
+        base_url: str = Field(
+            "",
+            description="address of a compatible service, which may want no key; empty: OpenAI's",
+            json_schema_extra=USER_ONLY,
+        )
+        timeout_s: float = Field(
+            60.0, gt=0, le=3600, description="time limit of one answer [s]"
+        )
+
+    settings: Settings
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings)
+        self.who = f"language model {settings.model!r}"
+        self._key = os.environ.get(KEY_VARIABLE, "").strip()
+        if not self._key and not settings.base_url:
+            raise MissingDependencyError(
+                f"reader 'model' needs an API key; set the environment variable {KEY_VARIABLE}, or "
+                "give a server that wants none: --set reader.base_url=http://localhost:8000/v1."
+            )
+
+    def ask(self, messages: Sequence[Message]) -> str:
+        seconds = self.settings.timeout_s
+        try:
+            answer = within(2 * seconds, lambda: self._answer(messages))
+        except Edit3rError:
+            raise
+        # an SDK and its HTTP library raise dozens of types; their texts may hold the key
+        except Exception as error:
+            raise RunError(
+                f"{self.who} gave no answer ({type(error).__name__}: {self._told(error)}); try "
+                "later, raise reader.timeout_s, or leave --reader out."
+            ) from None
+        if not answer:
+            raise RunError(f"{self.who} gave an empty answer; try again.")
+        return answer
+
+    def _answer(self, messages: Sequence[Message]) -> str:
+        import openai
+
+        client = openai.OpenAI(
+            api_key=self._key or "none",
+            base_url=self.settings.base_url or None,
+            http_client=bounded_client(self.settings.timeout_s),
+            timeout=self.settings.timeout_s,
+            max_retries=1,
+        )
+        note("reader.model", self.settings.model)
+        given: Any = list(messages)
+        answer = client.chat.completions.create(
+            model=self.settings.model,
+            messages=given,
+            temperature=0,
+            response_format={"type": "json_object"},
+        )
+        text = answer.choices[0].message.content if answer.choices else None
+        return (text or "").replace(self._key or "\0", "***")
+
+    def _told(self, error: Exception) -> str:
+        return _quoted(str(error).replace(self._key or "\0", "***"))
+
+
+class LocalReader(AskingReader):
+    """A model on this machine, through transformers; the most likely answer, so no chance."""
+
+    class Settings(ModelSettings):
+        model: str = Field(
+            description="id of a chat model on the hub, or a saved folder"
+        )
+        revision: str = Field(
+            "", description="branch, tag or commit of the model; empty: the newest"
+        )
+        local_files_only: bool = Field(False, description="never download")
+        device: str = Field("cpu", description="where it runs: cpu, cuda, ...")
+        max_tokens: int = Field(
+            1000, ge=1, le=20000, description="tokens of an answer, at most"
+        )
+
+    settings: Settings
+
+    def __init__(self, settings: Settings) -> None:
+        super().__init__(settings)
+        self.who = f"language model {settings.model!r}"
+        self._loaded: tuple[Any, Any] | None = None
+
+    def ask(self, messages: Sequence[Message]) -> str:
+        network, tokenizer = self._model()
+        text = _as_text(tokenizer, messages)
+        tokens = tokenizer(text, return_tensors="pt", add_special_tokens=False)
+        tokens = tokens.to(network.device)
+        advice = "use a smaller model, or leave --reader out"
+        with out_of_memory_told("reading the sentence", advice):
+            answer = network.generate(
+                **tokens,
+                do_sample=False,
+                max_new_tokens=self.settings.max_tokens,
+                pad_token_id=tokenizer.eos_token_id,
+            )
+        new = answer[0, tokens["input_ids"].shape[1] :]
+        return tokenizer.decode(new, skip_special_tokens=True)
+
+    def _model(self) -> tuple[Any, Any]:
+        if self._loaded is None:
+            chosen = self.settings
+            weights = ChosenWeights(
+                chosen.model,
+                "reader.model",
+                chosen.revision,
+                local_files_only=chosen.local_files_only,
+            )
+            device = require_device(chosen.device, "reader.device")
+            network = load_pretrained(
+                foreign("transformers", "AutoModelForCausalLM"), weights
+            )
+            tokenizer = load_pretrained(
+                foreign("transformers", "AutoTokenizer"), weights
+            )
+            self._loaded = network.to(device).eval(), tokenizer
+            note("reader.weights", identity(weights))
+        return self._loaded
+
+
+def _as_text(tokenizer: Any, messages: Sequence[Message]) -> str:
+    """The talk as the model was trained to see it; without such a form, line by line."""
+    if tokenizer.chat_template:
+        return tokenizer.apply_chat_template(
+            list(messages), tokenize=False, add_generation_prompt=True
+        )
+    said = [f"{one['role']}: {one['content']}" for one in messages]
+    return "\n".join((*said, "assistant: "))
+
+
+def _quoted(text: str) -> str:
+    """A stranger's words on one line, shortened."""
+    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    return line if len(line) <= MAX_QUOTE else f"{line[:MAX_QUOTE]}..."

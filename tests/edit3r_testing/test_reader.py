@@ -1,0 +1,91 @@
+"""The reader's contract finds every way of breaking it."""
+
+import itertools
+
+import pytest
+
+from edit3r.contract.interfaces import Reader
+from edit3r.contract.wishes import Change, Thing, Wish
+from edit3r_testing import ReaderContract
+
+
+class SpoiledReader(Reader):
+    """Reads by a function."""
+
+    def __init__(self, read, thing=None, hint=""):
+        self._read, self._thing, self._hint = (
+            read,
+            thing or Thing("named", "wall"),
+            hint,
+        )
+
+    def read(self, prompt):
+        return self._read(prompt)
+
+    def read_thing(self, words):
+        return self._thing
+
+    def hint(self, wish):
+        return self._hint
+
+
+NUMBERS = itertools.count()
+REMOVE = Wish("remove", Thing(), text="remove it")
+
+
+def understands_all(prompt):
+    return (REMOVE,)
+
+
+def understands_none(prompt):
+    return (Wish("other", Thing(), text=prompt, unread=tuple(prompt.split())),)
+
+
+READS = "test_reads_a_sentence_of_its_language"
+NAMES = "test_names_what_it_does_not_understand"
+ANY = "test_any_text_is_read_or_refused"
+SAME = "test_same_sentence_gives_the_same_wishes"
+CASES = {
+    "nothing": (lambda prompt: (), READS, "return a wish"),
+    "a list": (lambda prompt: [REMOVE], READS, "tuple"),
+    "no wish": (lambda prompt: ("red",), READS, "Wish"),
+    "no colour": (
+        lambda prompt: (Wish("paint", Thing(), (Change("paint"),), text="a"),),
+        READS,
+        "names no colour",
+    ),
+    "no box": (
+        lambda prompt: (Wish("remove", Thing("region"), text="a"),),
+        READS,
+        "without a box",
+    ),
+    "no words": (lambda prompt: (Wish("remove", Thing()),), READS, "has no text"),
+    "another language": (understands_none, READS, "set `example`"),
+    "a guess": (understands_all, NAMES, "in `unread`"),
+    "another error": (
+        lambda prompt: prompt.split()[0] and (REMOVE,),
+        ANY,
+        "IndexError",
+    ),
+    "chance": (
+        lambda prompt: (Wish("remove", Thing(), text=f"{next(NUMBERS)}"),),
+        SAME,
+        "gave other wishes",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_contract_names_what_is_wrong(case, complaint):
+    read, claim, told = CASES[case]
+    assert told in complaint(ReaderContract, lambda: SpoiledReader(read), claim)
+
+
+def test_a_thing_has_a_name_and_a_hint_ends_a_sentence(complaint):
+    def build():
+        return SpoiledReader(understands_all, Thing("named"), "Near: red.")
+
+    assert "has no name" in complaint(ReaderContract, build, "test_reads_a_thing_alone")
+    assert "begin it with a space" in complaint(
+        ReaderContract, build, "test_hints_end_an_error"
+    )
