@@ -93,6 +93,11 @@ class RunConfig(Settings):
         description="edit every view, or the first only (as in training) and let the "
         "reconstructor carry it over",
     )
+    moved_edits: Literal["undo", "keep"] = Field(
+        "undo",
+        description="undo: an edited picture that is shifted, zoomed, turned or mirrored against "
+        "its photo is moved back; keep: it is taken as it is",
+    )
     seed: int = Field(0, ge=0, lt=2**31, description="one seed for all views")
     size: int = Field(
         512,
