@@ -6,7 +6,7 @@ may change every colour of a photo and still lie on it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
@@ -67,7 +67,9 @@ def put_in_place(
             found = _judged(_Picture(to_bytes(edits[scene, view])), shown, view)
             if isinstance(found, _Motion):
                 images = images.clone() if images is edits else images
-                images[scene, view] = _undone(found, photos[scene, view], images[scene, view])
+                images[scene, view] = _undone(
+                    found, photos[scene, view], images[scene, view]
+                )
                 moved.append(f"{name} was {found.said}")
             elif found and not (confined and found.of_all):
                 faults.append(found.text.format(name=name, other=names[found.other]))
@@ -144,7 +146,9 @@ class _Motion:
         """The same in pixels of the pictures."""
         matrix = self.matrix.copy()
         centre = 0.5 * (1 / self.scale - 1)  # of the first pixel of the small copy
-        matrix[:, 2] = matrix[:, 2] / self.scale + centre - matrix[:, :2] @ [centre, centre]
+        matrix[:, 2] = (
+            matrix[:, 2] / self.scale + centre - matrix[:, :2] @ [centre, centre]
+        )
         return matrix
 
     @property
@@ -165,11 +169,15 @@ class _Motion:
         if abs(turn) > 0.1:
             parts.append(f"turned by {turn:.1f} degrees")
         if max(abs(right), abs(down)) > 0.3 or not parts:
-            parts.append(f"shifted by {right:.1f} px to the right and {down:.1f} px down")
+            parts.append(
+                f"shifted by {right:.1f} px to the right and {down:.1f} px down"
+            )
         return ", ".join(parts)
 
 
-def _judged(edit: _Picture, photos: Sequence[_Picture], view: int) -> _Motion | _Fault | None:
+def _judged(
+    edit: _Picture, photos: Sequence[_Picture], view: int
+) -> _Motion | _Fault | None:
     """The motion to undo, what is wrong, or None where the edit lies on its photo."""
     photo = photos[view]
     if min(photo.small.shape[:2]) < LEAST_SIDE or photo.spread <= ONE_COLOUR:
@@ -197,13 +205,15 @@ def _explained(edit: _Picture, photo: _Picture) -> _Motion | _Fault | None:
         if not _lies_on(photo.edges * shown, there * shown, MOVED_BACK):
             continue
         if shown.mean() < LEAST_SHOWN:
-            text = f"the edit of {{name}} shows {shown.mean():.0%} of its photo only ({motion.said})"
-            return _Fault(text)
+            share = f"{shown.mean():.0%} of its photo only ({motion.said})"
+            return _Fault(f"the edit of {{name}} shows {share}")
         return motion
     return None
 
 
-def _unexplained(edit: _Picture, photos: Sequence[_Picture], view: int) -> _Fault | None:
+def _unexplained(
+    edit: _Picture, photos: Sequence[_Picture], view: int
+) -> _Fault | None:
     """What is wrong with an edit that no map brings to its photo; None where nobody can tell."""
     photo = photos[view]
     for other, its in enumerate(photos):
@@ -212,11 +222,20 @@ def _unexplained(edit: _Picture, photos: Sequence[_Picture], view: int) -> _Faul
     here, there = _matched(photo.features, edit.features)
     away = np.linalg.norm(there - here, axis=1)
     near = away[away < 0.2 * SIDE]
-    if len(near) >= 2 * LEAST_AGREEING and len(near) > 0.5 * len(away) and np.median(near) > SHIFTED:
+    if (
+        len(near) >= 2 * LEAST_AGREEING
+        and len(near) > 0.5 * len(away)
+        and np.median(near) > SHIFTED
+    ):
         pixels = np.median(near) / photo.scale
-        return _Fault(f"the edit of {{name}} lies about {pixels:.0f} px beside its photo")
+        return _Fault(
+            f"the edit of {{name}} lies about {pixels:.0f} px beside its photo"
+        )
     shifts = _shifts(photo.edges, edit.edges)
-    if np.sum(shifts < 4 * IN_PLACE) < 2 and _likeness(photo.edges, edit.edges) < NO_LIKENESS:
+    if (
+        np.sum(shifts < 4 * IN_PLACE) < 2
+        and _likeness(photo.edges, edit.edges) < NO_LIKENESS
+    ):
         return UNLIKE
     return None
 
@@ -235,7 +254,8 @@ def _shifts(photo: Edges, edit: Edges) -> Float[np.ndarray, "tile"]:
         return np.zeros(0)
     height, width = photo.shape
     rows, columns = (
-        max(1, min(most, side // TILE)) for most, side in ((TILES - 1, height), (TILES, width))
+        max(1, min(most, side // TILE))
+        for most, side in ((TILES - 1, height), (TILES, width))
     )
     tall, wide = height // rows, width // columns
     window = cv2.createHanningWindow((wide, tall), cv2.CV_32F)
@@ -245,7 +265,9 @@ def _shifts(photo: Edges, edit: Edges) -> Float[np.ndarray, "tile"]:
             tiles = [one[top : top + tall, left : left + wide] for one in (photo, edit)]
             if min(tile.std() for tile in tiles) < LEAST_STRUCTURE:
                 continue
-            shift, response = cv2.phaseCorrelate(*(tile - tile.mean() for tile in tiles), window)
+            shift, response = cv2.phaseCorrelate(
+                *(tile - tile.mean() for tile in tiles), window
+            )
             if response > LEAST_RESPONSE:
                 found.append(np.hypot(*shift))
     return np.array(found)
@@ -270,7 +292,11 @@ def _matched(first: tuple, second: tuple) -> tuple[np.ndarray, np.ndarray]:
     if min(len(here), len(there)) < 2:
         return np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32)
     pairs = cv2.BFMatcher().knnMatch(own, theirs, k=2)
-    kept = [best for best, second_best in pairs if best.distance < 0.8 * second_best.distance]
+    kept = [
+        best
+        for best, second_best in pairs
+        if best.distance < 0.8 * second_best.distance
+    ]
     return (
         here[[one.queryIdx for one in kept]].reshape(-1, 2),
         there[[one.trainIdx for one in kept]].reshape(-1, 2),
@@ -284,7 +310,8 @@ def _map_between(photo: _Picture, edit: _Picture) -> Map | None:
         if len(here) < LEAST_AGREEING:
             continue
         similar, affine = (
-            _fitted(find, here, there) for find in (cv2.estimateAffinePartial2D, cv2.estimateAffine2D)
+            _fitted(find, here, there)
+            for find in (cv2.estimateAffinePartial2D, cv2.estimateAffine2D)
         )
         best = affine if affine[1] > ALIKE * similar[1] else similar
         if best[1] >= LEAST_AGREEING and abs(np.linalg.det(best[0][:, :2])) > 0.01:
@@ -295,7 +322,9 @@ def _map_between(photo: _Picture, edit: _Picture) -> Map | None:
 def _fitted(find, here: np.ndarray, there: np.ndarray) -> tuple[Map, int]:
     """A map by RANSAC, and how many matches agree with it."""
     cv2.setRNGSeed(0)
-    matrix, kept = find(here, there, ransacReprojThreshold=1.5, maxIters=3000, confidence=0.999)
+    matrix, kept = find(
+        here, there, ransacReprojThreshold=1.5, maxIters=3000, confidence=0.999
+    )
     return (np.eye(2, 3), 0) if matrix is None else (matrix, int(kept.sum()))
 
 
@@ -306,7 +335,9 @@ def _warped(image: np.ndarray, matrix: Map) -> np.ndarray:
     """What of an edit lies where each pixel of the photo is; 0 where nothing does."""
     height, width = image.shape[:2]
     flags = cv2.WARP_INVERSE_MAP | cv2.INTER_CUBIC
-    return cv2.warpAffine(np.ascontiguousarray(image), matrix, (width, height), flags=flags)
+    return cv2.warpAffine(
+        np.ascontiguousarray(image), matrix, (width, height), flags=flags
+    )
 
 
 def _undone(
@@ -347,5 +378,9 @@ def _change_beside(
     inside = places.clip(0, [width - 1, height - 1]) - matrix[:, 2]
     nearest = (inside @ np.linalg.inv(matrix[:, :2]).T).astype(np.float32)
     return cv2.remap(
-        change, nearest[..., 0], nearest[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        change,
+        nearest[..., 0],
+        nearest[..., 1],
+        cv2.INTER_LINEAR,
+        borderMode=cv2.BORDER_REPLICATE,
     )

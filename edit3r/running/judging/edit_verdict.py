@@ -40,6 +40,8 @@ class EditMeasures:
     changed: float
     # what shows that pictures of the editor are not edits of their photos, a clause each
     faults: tuple[str, ...] = ()
+    # what was undone of pictures that had moved against their photos, a clause each
+    moved: tuple[str, ...] = ()
     # share of a photo that a click or a box without a name took; the largest over the photos
     clicked: float | None = None
     # share of what a click took that lies apart from its largest piece; the largest

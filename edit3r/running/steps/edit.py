@@ -13,7 +13,7 @@ from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.checks import check_edit, errors_named_after
 from edit3r.kit.geometry.maps import composite
 from edit3r.running.editors import request_of
-from edit3r.running.in_place import put_in_place
+from edit3r.running.in_place import InPlace, put_in_place
 from edit3r.running.judging.edit_measures import measure_edit
 from edit3r.running.judging.edit_verdict import judge_edit
 from edit3r.running.parts import Parts
@@ -27,32 +27,34 @@ def edit(scene: Scene, parts: Parts) -> Scene:
     with stage(f"edit ({parts.editor_names})"):
         count = views.count if config.edit_views == "all" else 1
         chosen = views.select(range(count))
-        edited, done, faults = chosen, 0, []
+        edited, done, found = chosen, 0, []
         for task in parts.tasks:
             request = request_of(
                 task, scene, config.seed, range(done, done + len(task.wishes))
             ).of_views(range(count))
             answer = _answer(task.editor, edited, request)
             if config.moved_edits == "undo":
-                answer, found = _in_place(edited, answer, request.masks)
-                faults += found
+                found.append(_in_place(edited, answer, request.masks))
+                answer = replace(answer, images=found[-1].images)
             edited = _held_to_masks(task.editor, edited, answer, request.masks)
             done += len(task.wishes)
         _note_change(edited.images - chosen.images)
         images = torch.cat((edited.images, views.images[:, count:]), dim=1)
         scene = replace(scene, edited=replace(views, images=images))
-        return _with_edit_verdict(scene, parts, range(count), tuple(faults))
+        return _with_edit_verdict(scene, parts, range(count), found)
 
 
 def _with_edit_verdict(
-    scene: Scene, parts: Parts, views: Sequence[int], faults: tuple[str, ...]
+    scene: Scene, parts: Parts, views: Sequence[int], found: Sequence[InPlace]
 ) -> Scene:
     """The scene with what can be said of the edit of these views before anything is in 3D."""
     if not parts.config.prompt and torch.equal(scene.edited.images, scene.start.images):
         return scene
     wishes = scene.wishes or [wish for task in parts.tasks for wish in task.wishes]
     measures = measure_edit(scene, wishes, views)
-    measures = replace(measures, faults=(*faults, *measures.faults))
+    faults = [fault for one in found for fault in one.faults]
+    moved = tuple(clause for one in found for clause in one.moved)
+    measures = replace(measures, faults=(*faults, *measures.faults), moved=moved)
     verdict = judge_edit(measures, _surety(scene))
     if verdict.label == "doubtful":
         warn(f"the edit is doubtful: {verdict.reason}.")
@@ -67,15 +69,14 @@ def _answer(editor: Editor, views: Views, request: EditRequest) -> Views:
     return answer
 
 
-def _in_place(
-    views: Views, answer: Views, masks: Tensor | None
-) -> tuple[Views, tuple[str, ...]]:
+def _in_place(views: Views, answer: Views, masks: Tensor | None) -> InPlace:
     """The answer with what moved moved back, and what is wrong with the rest."""
     names = views.names or [f"view {view}" for view in range(views.count)]
     found = put_in_place(views.images, answer.images, names, masks is not None)
     if found.moved:
-        say("edit.moved_back", f"{'; '.join(found.moved)} (--moved-edits keep: as it is)")
-    return replace(answer, images=found.images), found.faults
+        clauses = "; ".join(found.moved)
+        say("edit.moved_back", f"{clauses} (--moved-edits keep: as it is)")
+    return found
 
 
 def _held_to_masks(
