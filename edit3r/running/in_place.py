@@ -6,7 +6,7 @@ may change every colour of a photo and still lie on it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import cv2
@@ -25,10 +25,15 @@ LEAST_RESPONSE = 0.1  # of a phase correlation that tells something
 LEAST_STRUCTURE = 0.5  # deviation of the edges in a tile that shows something
 IN_PLACE = 0.4  # shift of a tile that is none [pixels]
 MOVED_BACK = 0.8  # the same once a motion was undone, which may be a little off
+STAYED = 0.6  # motion of a corner that is none [pixels]
 MOST_OFF = 0.5  # share of the tiles that may lie elsewhere
+BETTER = 0.25  # share of the tiles that a motion must bring in place
+SURELY = 0.9  # share of them in place at which no other photo is looked at
+LEAST_BAR = 0.03  # share of a side that a bar of one colour takes
 FEATURES = 1500
 LEAST_AGREEING = 12  # matches that tell a motion
 ALIKE = 1.25  # how many more matches an affine map must explain to be taken
+LEAST_TOLD = 0.15  # share of a photo that an edit must show for anything to be told
 LEAST_SHOWN = 0.65  # of a photo that an edit must show to be moved back
 ONE_COLOUR = 8  # range of a channel [levels]
 BLACK = 16  # [levels]
@@ -140,6 +145,7 @@ class _Motion:
     scale: float  # small copy over picture
     size: tuple[int, int]  # (height, width) of the small copies
     mirrored: bool = False
+    fits: float = 0.0  # share of the tiles that lie in place once it is undone
 
     @property
     def at_full_size(self) -> Map:
@@ -150,6 +156,14 @@ class _Motion:
             matrix[:, 2] / self.scale + centre - matrix[:, :2] @ [centre, centre]
         )
         return matrix
+
+    @property
+    def is_none(self) -> bool:
+        """Whether even the corners stayed where they were."""
+        height, width = self.size
+        corners = np.array([(x, y) for x in (0, width) for y in (0, height)])
+        moved = corners @ self.matrix[:, :2].T + self.matrix[:, 2] - corners
+        return not self.mirrored and float(np.abs(moved).max()) < STAYED
 
     @property
     def said(self) -> str:
@@ -169,8 +183,12 @@ class _Motion:
         if abs(turn) > 0.1:
             parts.append(f"turned by {turn:.1f} degrees")
         if max(abs(right), abs(down)) > 0.3 or not parts:
+            aside, along = (
+                "right" if right > 0 else "left",
+                "down" if down > 0 else "up",
+            )
             parts.append(
-                f"shifted by {right:.1f} px to the right and {down:.1f} px down"
+                f"shifted by {abs(right):.1f} px to the {aside} and {abs(down):.1f} px {along}"
             )
         return ", ".join(parts)
 
@@ -184,13 +202,53 @@ def _judged(
         return None
     if edit.spread <= ONE_COLOUR:
         return BLACK_ONLY if edit.small.max() <= BLACK else ONE_COLOUR_ONLY
-    shifts = _shifts(photo.edges, edit.edges)
-    if len(shifts) and np.mean(shifts > IN_PLACE) <= MOST_OFF:
-        return None
+    if _share_in_place(photo.edges, edit.edges) > MOST_OFF:
+        return _bar(edit, photo)
+    motion = _explained(edit, photo)
+    if isinstance(motion, _Motion):
+        as_it_is = _share_in_place(photo.edges, edit.edges, MOVED_BACK)
+        if motion.is_none or motion.fits < as_it_is + BETTER:
+            return None
+    if motion is None or (isinstance(motion, _Motion) and motion.fits < SURELY):
+        least = 0.0 if motion is None else motion.fits
+        motion = _of_another(edit, photos, view, least) or motion
+    return motion or _unexplained(edit, photo)
+
+
+def _of_another(
+    edit: _Picture, photos: Sequence[_Picture], view: int, least: float
+) -> _Fault | None:
+    """That it shows another photo, where it fits that better than `least` [share of tiles]."""
     for other, its in enumerate(photos):
-        if other != view and _lies_on(its.edges, edit.edges):
+        if other == view:
+            continue
+        fits = _share_in_place(its.edges, edit.edges)
+        if fits <= MOST_OFF:
+            motion = _explained(edit, its)
+            fits = motion.fits if isinstance(motion, _Motion) else 0.0
+        if fits > max(least, MOST_OFF):
             return _Fault("the edit of {name} shows the photo {other}", other)
-    return _explained(edit, photo) or _unexplained(edit, photos, view)
+    return None
+
+
+def _bar(edit: _Picture, photo: _Picture) -> _Fault | None:
+    """That a straight part of the picture is one colour, which the photo is not there."""
+    for turns, side in enumerate(("top", "right", "bottom", "left")):
+        pixels, before = (
+            np.rot90(one.small, turns).astype(int) for one in (edit, photo)
+        )
+        own = (np.abs(pixels - pixels[0, 0]).max(-1) <= ONE_COLOUR).mean(1)
+        rows = int(np.argmin(own > 0.99))
+        # An object before a plain background touches the last row of it in few places.
+        cut = rows + 2 < len(own) and own[rows + 2] < 0.4
+        if (
+            cut
+            and rows > LEAST_BAR * len(own)
+            and np.ptp(before[:rows], axis=(0, 1)).max() > 4 * ONE_COLOUR
+        ):
+            share = f"{rows / len(own):.0%} of the edit of {{name}}"
+            return _Fault(f"the {side} {share} are one colour", of_all=True)
+    return None
 
 
 def _explained(edit: _Picture, photo: _Picture) -> _Motion | _Fault | None:
@@ -202,23 +260,20 @@ def _explained(edit: _Picture, photo: _Picture) -> _Motion | _Fault | None:
         motion = _Motion(matrix, photo.scale, photo.edges.shape, mirrored)
         there = _warped(edit.edges[:, ::-1] if mirrored else edit.edges, matrix)
         shown = _warped(np.ones_like(edit.edges), matrix) > 0.99
-        if not _lies_on(photo.edges * shown, there * shown, MOVED_BACK):
+        if shown.mean() < LEAST_TOLD:
+            continue
+        fits = _share_in_place(photo.edges * shown, there * shown, MOVED_BACK)
+        if fits <= MOST_OFF:
             continue
         if shown.mean() < LEAST_SHOWN:
             share = f"{shown.mean():.0%} of its photo only ({motion.said})"
             return _Fault(f"the edit of {{name}} shows {share}")
-        return motion
+        return replace(motion, fits=fits)
     return None
 
 
-def _unexplained(
-    edit: _Picture, photos: Sequence[_Picture], view: int
-) -> _Fault | None:
+def _unexplained(edit: _Picture, photo: _Picture) -> _Fault | None:
     """What is wrong with an edit that no map brings to its photo; None where nobody can tell."""
-    photo = photos[view]
-    for other, its in enumerate(photos):
-        if other != view and isinstance(_explained(edit, its), _Motion):
-            return _Fault("the edit of {name} shows the photo {other}", other)
     here, there = _matched(photo.features, edit.features)
     away = np.linalg.norm(there - here, axis=1)
     near = away[away < 0.2 * SIDE]
@@ -243,9 +298,10 @@ def _unexplained(
 # ---- comparing ----
 
 
-def _lies_on(photo: Edges, edit: Edges, limit: float = IN_PLACE) -> bool:
+def _share_in_place(photo: Edges, edit: Edges, limit: float = IN_PLACE) -> float:
+    """Share of the tiles that lie where they were, 0 where no tile tells."""
     shifts = _shifts(photo, edit)
-    return len(shifts) > 0 and bool(np.mean(shifts > limit) <= MOST_OFF)
+    return float(np.mean(shifts <= limit)) if len(shifts) else 0.0
 
 
 def _shifts(photo: Edges, edit: Edges) -> Float[np.ndarray, "tile"]:
@@ -281,7 +337,9 @@ def _likeness(first: Edges, second: Edges) -> float:
 
 
 def _features(grey: UInt8[np.ndarray, "height width"]) -> tuple:
-    found, descriptors = cv2.SIFT.create(FEATURES).detectAndCompute(grey, None)
+    # Otherwise features lie a quarter of a pixel off, as a mirrored picture shows.
+    detector = cv2.SIFT.create(FEATURES, enable_precise_upscale=True)
+    found, descriptors = detector.detectAndCompute(grey, None)
     points = np.array([one.pt for one in found], np.float32).reshape(-1, 2)
     return points, descriptors
 
@@ -314,7 +372,8 @@ def _map_between(photo: _Picture, edit: _Picture) -> Map | None:
             for find in (cv2.estimateAffinePartial2D, cv2.estimateAffine2D)
         )
         best = affine if affine[1] > ALIKE * similar[1] else similar
-        if best[1] >= LEAST_AGREEING and abs(np.linalg.det(best[0][:, :2])) > 0.01:
+        # A mirrored picture is found mirrored back; and nothing shrinks to a point.
+        if best[1] >= LEAST_AGREEING and np.linalg.det(best[0][:, :2]) > 0.01:
             return best[0]
     return None
 

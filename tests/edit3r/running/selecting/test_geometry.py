@@ -7,7 +7,12 @@ import torch
 
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import MatchedGeometry
-from edit3r.running.selecting.geometry import geometry_of, locate, of_scene
+from edit3r.running.selecting.geometry import (
+    geometry_of,
+    lies_flat,
+    locate,
+    of_scene,
+)
 from edit3r_testing.scenes import photograph
 
 SCENE = photograph(3, (48, 64), batch=2)
@@ -44,6 +49,17 @@ def test_a_camera_that_stood_still_tells_no_depth_however_much_was_measured():
     with pytest.warns(UserWarning, match="nearly the same place.*move aside"):
         still = geometry_of(Knows(replace(true, c2w=near)), SCENE.views)
     assert still is None
+
+
+def test_one_plane_is_told_from_things_in_depth():
+    true = true_geometry()
+    facing = torch.eye(4).expand_as(true.c2w).clone()
+    facing[..., 0, 3] = 0.1 * torch.arange(3)
+    card = replace(true, c2w=facing, depths=torch.full_like(true.depths, 2.0))
+    assert lies_flat(card, SCENE.views) and not lies_flat(true, SCENE.views)
+    assert not lies_flat(None, SCENE.views)
+    alone = torch.zeros_like(card.registered)
+    assert not lies_flat(replace(card, registered=alone), SCENE.views)
 
 
 def test_photos_that_cannot_be_placed_are_told_and_selected_without():
