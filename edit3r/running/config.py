@@ -266,7 +266,8 @@ class JobInputs(Settings):
     )
     mask: tuple[str, ...] = Field(
         (),
-        description="a mask for each photo, or for one, which is carried to the rest; white "
+        description="a mask for each photo, or a folder of them, named after the photos; or for "
+        "one, which is carried to the rest; white "
         "is the object",
     )
     point: tuple[str, ...] = Field(
