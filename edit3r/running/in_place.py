@@ -125,7 +125,7 @@ class _Picture:
     @cached_property
     def edge_features(self) -> tuple:
         """For edits that turn light to dark."""
-        levels = cv2.normalize(self.edges, None, 0, 255, cv2.NORM_MINMAX)
+        levels = 255 * self.edges / max(float(self.edges.max()), 1e-6)
         return _features(levels.astype(np.uint8))
 
     @property
@@ -318,14 +318,15 @@ def _shifts(photo: Edges, edit: Edges) -> Float[np.ndarray, "tile"]:
     found = []
     for top in range(0, rows * tall, tall):
         for left in range(0, columns * wide, wide):
-            tiles = [one[top : top + tall, left : left + wide] for one in (photo, edit)]
-            if min(tile.std() for tile in tiles) < LEAST_STRUCTURE:
+            place = (slice(top, top + tall), slice(left, left + wide))
+            one, other = photo[place], edit[place]
+            if min(one.std(), other.std()) < LEAST_STRUCTURE:
                 continue
             shift, response = cv2.phaseCorrelate(
-                *(tile - tile.mean() for tile in tiles), window
+                one - one.mean(), other - other.mean(), window
             )
             if response > LEAST_RESPONSE:
-                found.append(np.hypot(*shift))
+                found.append(np.hypot(shift[0], shift[1]))
     return np.array(found)
 
 

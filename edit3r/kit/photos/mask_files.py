@@ -7,11 +7,11 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import say
 from edit3r.kit.photos.images import expand, images_of_folder
 
-Names = Sequence[str]
+_Names = Sequence[str]
 """What one photo is called: its file's name, and its view's."""
 
 
-def masks_by_photo(given: Sequence[str], photos: Sequence[Names]) -> dict[int, Path]:
+def masks_by_photo(given: Sequence[str], photos: Sequence[_Names]) -> dict[int, Path]:
     """The mask of each photo that has one, by the photo's number.
 
     `given` are files, folders of masks, and wildcards that no shell expanded. A mask whose name is
@@ -19,7 +19,7 @@ def masks_by_photo(given: Sequence[str], photos: Sequence[Names]) -> dict[int, P
     photo's. Others follow in the order given, where there is one for each photo; a single one is
     the first photo's. Raises InputError where that leaves a mask without a photo.
     """
-    files, folders = mask_files(given, photos)
+    files, folders = _files(given, photos)
     named = {file: _photo_named(file, photos) for file in files}
     views = [view for view in named.values() if view is not None]
     if len(set(views)) < len(views):
@@ -45,9 +45,7 @@ def masks_by_photo(given: Sequence[str], photos: Sequence[Names]) -> dict[int, P
     return {view: found[view] for view in sorted(found)}
 
 
-def mask_files(
-    given: Iterable[str], photos: Sequence[Names]
-) -> tuple[list[Path], bool]:
+def _files(given: Iterable[str], photos: Sequence[_Names]) -> tuple[list[Path], bool]:
     """The files that are meant, and whether a folder was. Of a folder that names photos, only these
     count: it may hold other pictures too.
     """
@@ -65,7 +63,7 @@ def mask_files(
     return files, folders
 
 
-def _photo_named(file: Path, photos: Sequence[Names]) -> int | None:
+def _photo_named(file: Path, photos: Sequence[_Names]) -> int | None:
     """The photo whose name a mask's holds, the longest such name; None for none, or several."""
     text = file.stem.casefold()
     lengths = [
@@ -77,7 +75,7 @@ def _photo_named(file: Path, photos: Sequence[Names]) -> int | None:
     return views[0] if longest and len(views) == 1 else None
 
 
-def _stems(names: Names) -> set[str]:
+def _stems(names: _Names) -> set[str]:
     return {
         stem for name in names for stem in (name.casefold(), Path(name).stem.casefold())
     }
@@ -93,7 +91,9 @@ def _speaks_of(text: str, name: str) -> bool:
     return not behind and before[-1] in "_-. "
 
 
-def _confusing(given: Sequence[str], masks: int, photos: Sequence[Names]) -> InputError:
+def _confusing(
+    given: Sequence[str], masks: int, photos: Sequence[_Names]
+) -> InputError:
     return InputError(
         f"--mask {' '.join(map(str, given[:3]))}: {masks} masks for {len(photos)} photos; give one "
         "per photo, or name each after its photo, such as left_mask.png for left.jpg."

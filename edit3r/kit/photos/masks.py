@@ -37,10 +37,10 @@ def load_masks(
     return torch.stack(masks)[None]
 
 
-FADED = 12  # most that the channels of a grey differ [levels]
-DARK = 32  # below which the values of a mask are numbers of labels, not greys
-LEAST_SHARE = 0.002  # of the picture that a label takes
-MOST_LABELS = 12
+_FADED = 12  # most that the channels of a grey differ [levels]
+_DARK = 32  # below which the values of a mask are numbers of labels, not greys
+_LEAST_SHARE = 0.002  # of the picture that a label takes
+_MOST_LABELS = 12
 
 
 def _without_labels(pixels: Image.Image, path: Path) -> Image.Image:
@@ -54,14 +54,15 @@ def _without_labels(pixels: Image.Image, path: Path) -> Image.Image:
         ImageChops.lighter(ImageChops.lighter(red, green), blue),
         ImageChops.darker(ImageChops.darker(red, green), blue),
     )
-    is_grey = np.mean(np.asarray(colour) > FADED) < LEAST_SHARE
-    if is_grey and not 0 < grey.getextrema()[1] < DARK:
+    is_grey = bool(np.mean(np.asarray(colour) > _FADED) < _LEAST_SHARE)
+    brightest = int(np.asarray(grey).max())
+    if is_grey and not 0 < brightest < _DARK:
         return grey
     values = np.asarray(pixels, np.int16)
     labels = _labels(np.asarray(grey)[..., None] if is_grey else values, is_grey)
     names = [str(one[0]) if is_grey else ",".join(map(str, one)) for one in labels]
     if len(labels) != 1:
-        listed = " and ".join(names[:MOST_LABELS]) or "many colours"
+        listed = " and ".join(names[:_MOST_LABELS]) or "many colours"
         raise InputError(
             f"{path}: holds {listed}, as a label image or a photo does; expected a mask of one "
             "thing, black (keep) and white (may change)."
@@ -89,12 +90,12 @@ def _labels(
         zip(*np.unique(kinds, return_counts=True)), key=lambda one: -one[1]
     ):
         share = count / kinds.size
-        if share < LEAST_SHARE or len(found) > MOST_LABELS:
+        if share < _LEAST_SHARE or len(found) > _MOST_LABELS:
             break
         mean = np.rint(values[kinds == kind].mean(0)).astype(int)
         apart = min(np.abs(mean - other).max() for other in (0 * mean, *found))
         rim = found and share < 0.1 * shares[0] and _is_shade(mean, found[0])
-        if apart >= (1 if is_grey else 3 * FADED) and not (rim and not is_grey):
+        if apart >= (1 if is_grey else 3 * _FADED) and not (rim and not is_grey):
             found.append(mean)
             shares.append(share)
     return [tuple(int(value) for value in one) for one in found]
@@ -103,7 +104,7 @@ def _labels(
 def _is_shade(colour: np.ndarray, label: np.ndarray) -> bool:
     """Whether a colour lies between black and a label, as soft edges do."""
     nearest = (colour @ label) / (label @ label) * label
-    return bool(np.abs(colour - nearest).max() < 2 * FADED)
+    return bool(np.abs(colour - nearest).max() < 4 * _FADED)
 
 
 def read_mask(path: Path, frame: Frame) -> Float[Tensor, "height width"]:

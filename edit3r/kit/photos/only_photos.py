@@ -13,11 +13,11 @@ from edit3r.kit.photos.decode import FORMATS, decode, image_size
 
 MADE_HERE = "edit3r, no photo"
 """What sheets, previews and masks of ours carry as their software."""
-OWN_NAMES = ("edit3r-preview", "before_after")
-MASK_SIGN = re.compile(r"[ _.-]?masks?\d?$|^masks?[ _.-]")
-SUFFIX = re.compile(r"\.(jpe?g|png|tiff?|webp|heic|bmp)$")
-LIKE = 0.95  # correlation of small copies of one photo
-SMALL = (32, 32)  # their size [pixels]
+_OWN_NAMES = ("edit3r-preview", "before_after")
+_MASK_SIGN = re.compile(r"[ _.-]?masks?\d?$|^masks?[ _.-]")
+_SUFFIX = re.compile(r"\.(jpe?g|png|tiff?|webp|heic|bmp)$")
+_LIKE = 0.95  # correlation of small copies of one photo
+_SMALL = (32, 32)  # their size [pixels]
 
 
 def only_photos(files: Sequence[Path]) -> list[Path]:
@@ -40,9 +40,11 @@ def _is_none(file: Path, files: Sequence[Path]) -> bool:
     """Whether a file is a mask of another, or a sheet that was made here."""
     stem = file.stem.casefold()
     others = {other.stem.casefold() for other in files if other != file}
-    without = SUFFIX.sub("", MASK_SIGN.sub("", stem))
+    without = _SUFFIX.sub("", _MASK_SIGN.sub("", stem))
     return (
-        stem in OWN_NAMES or (without != stem and without in others) or _made_here(file)
+        stem in _OWN_NAMES
+        or (without != stem and without in others)
+        or _made_here(file)
     )
 
 
@@ -84,19 +86,19 @@ def _show_the_same(first: Path, second: Path) -> bool:
         shapes = [width / height for height, width in sizes]
         if abs(shapes[0] / shapes[1] - 1) > 0.02:
             return False
-        copies = [
-            np.asarray(
-                decode(file).pixels.convert("L").resize(SMALL), np.float64
-            ).ravel()
-            for file in (first, second)
-        ]
+        one, other = (_small_copy(file) for file in (first, second))
     except MissingDependencyError:
         return True
     except InputError:
         return False
-    if min(copy.std() for copy in copies) < 1:
+    if min(one.std(), other.std()) < 1:
         return False
-    return float(np.corrcoef(*copies)[0, 1]) > LIKE
+    return float(np.corrcoef(one, other)[0, 1]) > _LIKE
+
+
+def _small_copy(file: Path) -> np.ndarray:
+    small = decode(file).pixels.convert("L").resize(_SMALL)
+    return np.asarray(small, np.float64).ravel()
 
 
 def _pixels(file: Path) -> int:

@@ -128,7 +128,7 @@ def _places(
     height, width = depths.shape
     here = pixel_grid((height, width), like=depths)[measured]
     sides = here.new_tensor([width, height]) / max(height, width)
-    return tuple((place * sides).numpy(force=True) for place in (here, there))
+    return (here * sides).numpy(force=True), (there * sides).numpy(force=True)
 
 
 def geometry_of(matcher: Matcher | None, views: Views) -> MatchedGeometry | None:
