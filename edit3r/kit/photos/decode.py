@@ -47,7 +47,8 @@ _FULL_FRAME_DIAGONAL = math.hypot(36, 24)
 # FocalPlaneResolutionUnit: inch, cm, mm, um.
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
 
-_DNG_VERSION, _NEW_SUBFILE_TYPE = 50706, 254  # tags of TIFF
+# Tags of TIFF.
+_DNG_VERSION, _NEW_SUBFILE_TYPE, _IMAGE_LENGTH = 50706, 254, 257
 
 _HEIC_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
 
@@ -98,7 +99,11 @@ def image_size(path: str | Path) -> tuple[int, int]:
     path = Path(path)
     with _opened(path) as image:
         turned = _orientation(image, path) in (5, 6, 7, 8)
-        return image.size if turned else image.size[::-1]
+        width, height = image.size
+        if image.format == "TIFF":  # which Pillow may have turned already
+            tags = image.tag_v2  # type: ignore[attr-defined]
+            width, height = tags[ExifTags.Base.ImageWidth], tags[_IMAGE_LENGTH]
+        return (width, height) if turned else (height, width)
 
 
 # Opening

@@ -39,9 +39,8 @@ def masks_by_photo(given: Sequence[str], photos: Sequence[_Names]) -> dict[int, 
     found |= dict(zip(free, rest))
     if folders or list(found.values()) != [found[view] for view in sorted(found)]:
         pairs = ", ".join(f"{photos[v][0]} <- {found[v].name}" for v in sorted(found))
-        say(
-            "selection.masks", f"each goes to the photo that it is named after: {pairs}"
-        )
+        way = "by name" if views else "in order"
+        say("selection.masks", f"paired with the photos {way}: {pairs}")
     return {view: found[view] for view in sorted(found)}
 
 
