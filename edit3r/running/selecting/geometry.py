@@ -11,6 +11,7 @@ from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import MatchedGeometry, Matcher
 from edit3r.contract.reporting import warn
 from edit3r.contract.types import Views
+from edit3r.kit.checks import check_geometry, errors_named_after
 from edit3r.kit.geometry.cameras import pixel_grid, project, unproject
 from edit3r.loading.registry import Registry
 from edit3r.running.config import RunConfig
@@ -49,9 +50,11 @@ def locate(matcher: Matcher | None, views: Views) -> Located:
     if matcher is None or views.count < 2:
         return Located(None)
     try:
-        geometry = matcher.match(views)
+        with errors_named_after(matcher):
+            geometry = matcher.match(views)
     except MatchingError as error:
         return Located(None, str(error))
+    check_geometry(matcher, views, geometry)
     return Located(geometry, "" if _has_depth(geometry, views) else STOOD_STILL)
 
 

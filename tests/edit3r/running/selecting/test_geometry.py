@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from edit3r.contract.errors import MatchingError
+from edit3r.contract.errors import MatchingError, PluginError
 from edit3r.contract.interfaces import MatchedGeometry
 from edit3r.running.selecting.geometry import (
     geometry_of,
@@ -73,3 +73,20 @@ def test_one_scene_of_a_batch_keeps_its_own_geometry():
     second = of_scene(both, 1)
     assert torch.equal(second.depths, both.depths[1:])
     assert second.intrinsics.shape[0] == len(second.c2w) == 1
+
+
+@pytest.mark.parametrize(
+    "answer, said",
+    [
+        (ValueError("no luck"), "raised ValueError: no luck"),
+        (None, "must return edit3r.MatchedGeometry, got NoneType"),
+        (
+            replace(true_geometry(), depths=true_geometry().depths.double()),
+            "must return depths in torch.float32",
+        ),
+        (of_scene(true_geometry(), 0), r"must return c2w of shape \[2, 3, 4, 4\]"),
+    ],
+)
+def test_a_matcher_that_breaks_its_contract_is_named(answer, said):
+    with pytest.raises(PluginError, match=said):
+        locate(Knows(answer), SCENE.views)
