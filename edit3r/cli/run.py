@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edit3r.contract.command import Command
-from edit3r.contract.errors import RunError
+from edit3r.contract.errors import InputError, RunError
 from edit3r.kit.command.flags import REPEATED, add_plugin_option, add_trust_flag
 from edit3r.running.config import PART_KEYS, JobInputs, RunConfig
 from edit3r.running.flags import INPUTS, add_flags, add_mark_flags, given_flags
@@ -118,10 +118,12 @@ class RunCommand(Command):
 
             # `--preview a.jpg b.jpg` would take the first photo for the file to write.
             check_new_file(args.preview, args.overwrite or args.preview == PREVIEW)
+            _check_preview(Path(args.preview), args.photos)
             job = _job(args)
             registry = default_registry(tuple(args.plugin))
         scene = preview(job, registry, report)
-        save_pixels(np.asarray(preview_sheet(scene, job.config.prompt)), args.preview)
+        sheet = np.asarray(preview_sheet(scene, job.config.prompt))
+        save_pixels(sheet, args.preview, is_photo=False)
         if not args.quiet:
             if scene.edit_verdict is not None:
                 print(f"edit: {scene.edit_verdict}.")
@@ -148,6 +150,22 @@ class RunCommand(Command):
             result = run(job, registry, report)
             write_result(folder, result)
         return result
+
+
+def _check_preview(file: Path, photos: list[str]) -> None:
+    """Raise InputError for a file that would be no image, or that is one of the photos."""
+    from edit3r.kit.photos.images import find_photos
+
+    if file.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
+        raise InputError(
+            f"--preview {file}: expected the name of an image, such as look.png."
+        )
+    if file.exists() and photos:
+        used = {photo.resolve() for photo in find_photos(photos)}
+        if file.resolve() in used:
+            raise InputError(
+                f"--preview {file}: this is one of the photos; give another name."
+            )
 
 
 def _job(args: argparse.Namespace) -> "RunJob":

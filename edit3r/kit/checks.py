@@ -22,6 +22,8 @@ from edit3r.contract.errors import (
 from edit3r.contract.interfaces import (
     INTERFACES,
     Editor,
+    MatchedGeometry,
+    Matcher,
     Rasterizer,
     Reader,
     Reconstructor,
@@ -104,6 +106,30 @@ def check_written(writer: Writer, path: Path) -> None:
         is_there = path.is_file()
         promise = "write the file that it is given, since its suffix has a dot"
     _require(writer, is_there, f"{promise}: {path.name}")
+
+
+def check_geometry(matcher: Matcher, views: Views, answer: MatchedGeometry) -> None:
+    """Shapes, dtype and finiteness of what a matcher found, and depths above 0."""
+    _require_type(matcher, answer, MatchedGeometry)
+    views_of = list(views.images.shape[:2])
+    height, width = answer.depths.shape[-2:]
+    shapes = {
+        "c2w": [*views_of, 4, 4],
+        "depths": [*views_of, height, width],
+        "confidence": [*views_of, height, width],
+        "registered": views_of,
+    }
+    for name, expected in shapes.items():
+        tensor = getattr(answer, name)
+        given = list(tensor.shape)
+        promise = f"return {name} of shape {expected}, got {given}"
+        _require(matcher, given == expected, promise)
+        if name != "registered":
+            promise = f"return {name} in {views.images.dtype}, got {tensor.dtype}"
+            _require(matcher, tensor.dtype == views.images.dtype, promise)
+            _require_finite(matcher, name, tensor)
+    least = float(answer.depths.amin())
+    _require(matcher, least > 0, f"return depths above 0, got {least:.4g}")
 
 
 def check_reconstruction(

@@ -97,6 +97,11 @@ class RunConfig(Settings):
         description="edit every view, or the first only (as in training) and let the "
         "reconstructor carry it over",
     )
+    moved_edits: Literal["undo", "keep"] = Field(
+        "undo",
+        description="undo: an edited picture that is shifted, zoomed, turned or mirrored against "
+        "its photo is moved back; keep: it is taken as it is",
+    )
     seed: int = Field(0, ge=0, lt=2**31, description="one seed for all views")
     size: int = Field(
         512,
@@ -265,7 +270,8 @@ class JobInputs(Settings):
     )
     mask: tuple[str, ...] = Field(
         (),
-        description="a mask for each photo, or for one, which is carried to the rest; white "
+        description="a mask for each photo, or a folder of them, named after the photos; or for "
+        "one, which is carried to the rest; white "
         "is the object",
     )
     point: tuple[str, ...] = Field(

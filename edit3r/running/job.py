@@ -81,7 +81,8 @@ def job_from(
 def _answers(inputs: JobInputs) -> Cache | None:
     """What the earlier run found; else what `edit3r mask` found and keeps beside its masks."""
     folders = [Path(inputs.earlier)] if inputs.earlier else []
-    folders += [Path(mask).parent for mask in inputs.mask[:1]]
+    masks = [Path(mask) for mask in inputs.mask[:1]]
+    folders += [mask if mask.is_dir() else mask.parent for mask in masks]
     kept = [folder / CACHE for folder in folders if (folder / CACHE).is_dir()]
     return Cache(kept[0]) if kept else None
 

@@ -56,6 +56,8 @@ class Scene:
     edited: Views = NOT_YET  # after the 2D editor and the composite with the masks
     # how the photos' colours become the first one's; None: they are taken as they are
     light: Light | None = None
+    # nobody knows the lens, and all that the photos share lies on one plane
+    flat: bool = False
     # the scene as it was before this edit, where somebody needs it
     before: Reconstruction | None = None
     reconstruction: Reconstruction = NOT_YET  # of the edited views

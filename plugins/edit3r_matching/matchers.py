@@ -38,7 +38,7 @@ from edit3r_matching.features import (
     find_features,
     with_tilted,
 )
-from edit3r_matching.pairs import agreeing_pairs
+from edit3r_matching.pairs import NEARLY_ALL, agreeing_pairs, on_a_plane
 from edit3r_matching.registration import Registration, register
 
 __all__ = ["AutoMatcher", "ClassicalMatcher", "PosedMatcher"]
@@ -120,13 +120,18 @@ class ClassicalMatcher(Matcher):
         views_placed = np.flatnonzero(found.registration.registered).tolist()
         if len(views_placed) < 3:  # two see the same, whatever the lens
             return None
+        limit = self.settings.threshold * max(found.images[0].size) / 256
+        if all(
+            on_a_plane(pair.matches, limit, NEARLY_ALL)
+            for pair in found.registration.pairs.values()
+        ):  # a camera that only turned: the motion is invented, and a bend with it
+            return None
         poses = {view: found.registration.poses[view] for view in views_placed}
         matches = {
             pair: view.indices for pair, view in found.registration.pairs.items()
         }
         points = [keypoints.points for keypoints in found.features.keypoints]
-        threshold = 2 * self.settings.threshold * max(found.images[0].size) / 256
-        radial, gain = fit_distortion(found.images, points, matches, poses, threshold)
+        radial, gain = fit_distortion(found.images, points, matches, poses, 2 * limit)
         if abs(radial) < LEAST_DISTORTION or gain < LEAST_GAIN:
             return None
         (fx, _, cx), (_, fy, cy), _ = found.normalised(views.image_size)[0].tolist()

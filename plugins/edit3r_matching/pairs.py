@@ -23,7 +23,13 @@ from edit3r_matching.relative_pose import (
     log_false_alarms,
 )
 
-__all__ = ["MIN_LOG_EVIDENCE", "MIN_PARALLAX", "PairView", "agreeing_pairs"]
+__all__ = [
+    "MIN_LOG_EVIDENCE",
+    "MIN_PARALLAX",
+    "PairView",
+    "agreeing_pairs",
+    "on_a_plane",
+]
 
 MIN_LOG_EVIDENCE = 6.0
 """A pose counts when random matches would agree as well less than once in 10^6 tries."""
@@ -187,7 +193,7 @@ def _doubt_of_wide(
     """
     if len(agreeing) < TILTED_INLIERS:
         return _TOO_FEW.format(len(agreeing), len(matches))
-    if _in_a_corner(agreeing, matches) and _on_a_plane(agreeing, threshold):
+    if _in_a_corner(agreeing, matches) and on_a_plane(agreeing, 2 * threshold):
         return _ON_A_POSTER.format(len(agreeing))
     if (
         len(agreeing) < NEARLY_ALL * len(matches)
@@ -257,14 +263,14 @@ def _filled(agreeing: Matches, sizes: Sequence[tuple[int, int]]) -> float:
     return float(np.prod(shares))
 
 
-def _on_a_plane(agreeing: Matches, threshold: float) -> bool:
+def on_a_plane(agreeing: Matches, threshold: float, share: float = PLANE) -> bool:
     """Whether one homography explains nearly all that agrees."""
     points = [
         agreeing.focal * rays[:, :2] for rays in (agreeing.rays_a, agreeing.rays_b)
     ]
     cv2.setRNGSeed(0)
-    _, kept = cv2.findHomography(*points, cv2.RANSAC, 2 * threshold)
-    return kept is None or kept.mean() > PLANE
+    _, kept = cv2.findHomography(*points, cv2.RANSAC, threshold)
+    return kept is None or kept.mean() > share
 
 
 def _places(rays: Float[np.ndarray, "match 3"]) -> int:

@@ -27,4 +27,5 @@ class SheetWriter(Writer):
             title=scene.title or "no prompt",
             subtitle=scene.about,
         )
-        save_pixels(np.asarray(with_readings(sheet, scene.readings)), path)
+        picture = np.asarray(with_readings(sheet, scene.readings))
+        save_pixels(picture, path, is_photo=False)

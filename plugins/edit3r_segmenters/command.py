@@ -79,7 +79,7 @@ class MaskCommand(Command):
         from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.atomic import atomic_folder, check_apart
         from edit3r.kit.files.configs import parse_assignments
-        from edit3r.kit.photos.images import load_photos, save_image
+        from edit3r.kit.photos.images import load_photos
         from edit3r.running import CACHE, MarkTexts, default_matcher, select_with
 
         check_apart(args.out, *map(Path, (*args.images, *args.mask)))
@@ -124,22 +124,23 @@ class MaskCommand(Command):
                 chosen = select_with(views, marks, segmenter, matcher)
             with atomic_folder(args.out, args.overwrite) as folder:
                 for name, mask in zip(views.names, chosen.masks[0]):
-                    save_image(
-                        mask[None].expand(3, -1, -1), folder / f"{name}_mask.png"
-                    )
+                    _save(mask[None].expand(3, -1, -1), folder / f"{name}_mask.png")
                 answers.save(folder / CACHE)
-                save_image(
-                    _preview(views.images[0], chosen.masks[0, :, None]),
-                    folder / "preview.png",
-                )
+                shown = _preview(views.images[0], chosen.masks[0, :, None])
+                _save(shown, folder / "preview.png")
         if not args.quiet:
             for name, how in zip(views.names, chosen.how):
                 print(f"{name}: {how}")
             print(
-                f"look at {Path(args.out) / 'preview.png'}; use the masks with --mask "
-                f"{args.out}/*_mask.png"
+                f"look at {Path(args.out) / 'preview.png'}; use the masks with --mask {args.out}"
             )
         return 0
+
+
+def _save(image, path: Path) -> None:
+    from edit3r.kit.photos.images import save_pixels, to_bytes
+
+    save_pixels(to_bytes(image), path, is_photo=False)
 
 
 def _preview(images, masks):

@@ -34,11 +34,21 @@ FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF", "JPEG2000")
 always gets these.
 """
 
+RAW_SUFFIXES = (
+    *(".dng", ".nef", ".cr2", ".cr3", ".arw", ".raf", ".rw2", ".orf", ".pef", ".srw"),
+    *(".nrw", ".x3f", ".3fr", ".iiq"),
+)
+"""Files of cameras that hold what the sensor saw, and a small picture beside it."""
+DEVELOP = "develop raw photos first, and export JPEG or TIFF."
+
 # [mm]; CIPA DCG-001 defines the 35 mm equivalent by the diagonal.
 _FULL_FRAME_DIAGONAL = math.hypot(36, 24)
 
 # FocalPlaneResolutionUnit: inch, cm, mm, um.
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
+
+# Tags of TIFF.
+_DNG_VERSION, _NEW_SUBFILE_TYPE, _IMAGE_LENGTH = 50706, 254, 257
 
 _HEIC_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
 
@@ -89,7 +99,11 @@ def image_size(path: str | Path) -> tuple[int, int]:
     path = Path(path)
     with _opened(path) as image:
         turned = _orientation(image, path) in (5, 6, 7, 8)
-        return image.size if turned else image.size[::-1]
+        width, height = image.size
+        if image.format == "TIFF":  # which Pillow may have turned already
+            tags = image.tag_v2  # type: ignore[attr-defined]
+            width, height = tags[ExifTags.Base.ImageWidth], tags[_IMAGE_LENGTH]
+        return (width, height) if turned else (height, width)
 
 
 # Opening
@@ -107,6 +121,8 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         except Image.DecompressionBombError:
             raise _too_large(path, "far too many pixels") from None
         except UnidentifiedImageError:
+            if path.suffix.lower() in RAW_SUFFIXES:
+                raise InputError(f"{path}: a raw file; {DEVELOP}") from None
             raise InputError(
                 f"{path}: not an image that can be read; expected {READABLE}."
             ) from None
@@ -119,6 +135,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
                 f"{path}: the image is damaged ({_reason(error)}); copy it again."
             ) from None
         with image:
+            _check_is_developed(image, path)
             yield image
 
 
@@ -158,6 +175,17 @@ def _register_heic(path: Path) -> None:
             "the photo as JPEG."
         ) from None
     register_heif_opener()
+
+
+def _check_is_developed(image: Image.Image, path: Path) -> None:
+    """Raise InputError for a raw file: what would be read is a thumbnail."""
+    if image.format != "TIFF":
+        return
+    tags = image.tag_v2  # type: ignore[attr-defined]
+    reduced = tags.get(_NEW_SUBFILE_TYPE, 0)
+    named = path.suffix.lower() in RAW_SUFFIXES
+    if named or _DNG_VERSION in tags or (isinstance(reduced, int) and reduced & 1):
+        raise InputError(f"{path}: a raw file, with a thumbnail in front; {DEVELOP}")
 
 
 def _check_size(image: Image.Image, path: Path) -> None:
@@ -302,6 +330,7 @@ def _exif_focal(image: Image.Image, path: Path) -> tuple[float | None, str]:
         density = _positive(tags.get(ExifTags.Base.FocalPlaneXResolution))
         unit = _UNIT_MM.get(int(tags.get(ExifTags.Base.FocalPlaneResolutionUnit, 2)))
         recorded = _positive(tags.get(ExifTags.Base.ExifImageWidth)) or image.width
+        height = _positive(tags.get(ExifTags.Base.ExifImageHeight))
     except Exception:  # see _orientation
         return None, ""
     if equivalent:
@@ -312,10 +341,22 @@ def _exif_focal(image: Image.Image, path: Path) -> tuple[float | None, str]:
         source = f"EXIF focal length and sensor resolution ({millimetres:g} mm)"
     else:
         return None, ""
+    if height and not _same_shape((recorded, height), image.size):
+        warn(
+            f"{path}: EXIF tells of {recorded:g}x{height:g} pixels, so the photo was cropped, and "
+            "what EXIF says of the lens is not believed; --fov tells it."
+        )
+        return None, ""
     if not 0.1 < focal / max(image.size) < 50:
         warn(f"{path}: EXIF states an impossible focal length; it is ignored.")
         return None, ""
     return focal, source
+
+
+def _same_shape(first: tuple[float, float], second: tuple[float, float]) -> bool:
+    """Whether two sizes have one shape, upright or on its side."""
+    shapes = [max(size) / min(size) for size in (first, second)]
+    return abs(shapes[0] / shapes[1] - 1) < 0.02
 
 
 def _positive(value: object) -> float | None:

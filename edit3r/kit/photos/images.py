@@ -4,6 +4,7 @@ Photos of one run may differ in size, shape and camera. Each is scaled to cover 
 cropped around its middle; intrinsics follow exactly.
 """
 
+import glob
 import itertools
 import re
 import unicodedata
@@ -17,7 +18,8 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
-from PIL import Image
+from PIL import ExifTags, Image
+from PIL.PngImagePlugin import PngInfo
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
@@ -32,13 +34,20 @@ from edit3r.kit.photos.coverage import (
     origin,
     take_frames,
 )
-from edit3r.kit.photos.decode import decode, image_size, read_image
+from edit3r.kit.photos.decode import (
+    DEVELOP,
+    RAW_SUFFIXES,
+    decode,
+    image_size,
+    read_image,
+)
 from edit3r.kit.photos.framing import Frame, common_size, frame_for
 from edit3r.kit.photos.intrinsics import (
     Intrinsics,
     IntrinsicsFinder,
     known_poses,
 )
+from edit3r.kit.photos.only_photos import MADE_HERE, only_photos
 
 __all__ = [
     "SUFFIXES",
@@ -47,7 +56,9 @@ __all__ = [
     "Pixels",
     "encode_png",
     "evenly",
+    "expand",
     "find_photos",
+    "images_of_folder",
     "is_plain_name",
     "load_photos",
     "load_views",
@@ -203,7 +214,7 @@ def find_photos(
     """
     paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
     files: list[Path] = []
-    for path in map(Path, paths):
+    for path in (one for given in paths for one in expand(given)):
         if path.is_dir():
             files += _images_in(path)
         elif path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():
@@ -216,7 +227,7 @@ def find_photos(
         raise InputError(
             "No photos given: name two or more image files, or a folder of them."
         )
-    return files
+    return only_photos(files)
 
 
 def packaged_pair() -> tuple[list[str], Path]:
@@ -317,13 +328,26 @@ def save_image(image: Float[Tensor, "3 height width"], path: str | Path) -> None
     save_pixels(to_bytes(image), path)
 
 
-def save_pixels(pixels: Pixels, path: str | Path) -> None:
-    """`save_image` for an image that is bytes already."""
+def save_pixels(pixels: Pixels, path: str | Path, *, is_photo: bool = True) -> None:
+    """`save_image` for an image that is bytes already.
+
+    Not `is_photo`: the file says so, and is left out where a folder of photos is read.
+    """
     with atomic_write(path) as partial:
-        if partial.suffix.lower() == ".png":
+        if not is_photo:
+            _save_marked(Image.fromarray(pixels), partial)
+        elif partial.suffix.lower() == ".png":
             partial.write_bytes(encode_png(pixels))
         else:
             Image.fromarray(pixels).save(partial, quality=95)  # of JPEG and WebP
+
+
+def _save_marked(image: Image.Image, path: Path) -> None:
+    text = PngInfo()
+    text.add_text("Software", MADE_HERE)
+    exif = Image.Exif()
+    exif[ExifTags.Base.Software] = MADE_HERE
+    image.save(path, quality=95, pnginfo=text, exif=exif, compress_level=1)
 
 
 def to_bytes(image: Float[Tensor, "3 height width"]) -> Pixels:
@@ -360,16 +384,44 @@ def _check_arguments(fov: float | None, size: int | None) -> None:
         raise InputError(f"--size: expected at least 1 pixel, got {size}.")
 
 
+def expand(path: str | Path) -> list[Path]:
+    """The files that a path with * or ? stands for, where no shell expanded it; else itself."""
+    text = str(path)
+    if not any(sign in text for sign in "*?[") or Path(text).exists():
+        return [Path(path)]
+    found = sorted(map(Path, glob.glob(text)), key=_natural)
+    if not found:
+        raise InputError(f"{path}: no such file or folder.")
+    return found
+
+
+def images_of_folder(folder: Path) -> list[Path]:
+    """The images that lie in the folder itself, in natural order."""
+    found = []
+    for path in folder.iterdir() if folder.is_dir() else ():
+        hidden = path.name.startswith(".")  # such as macOS's ._IMG_0001.jpg
+        if path.suffix.lower() in SUFFIXES and not hidden and path.is_file():
+            found.append(path)
+    return sorted(found, key=_natural)
+
+
 def _images_in(folder: Path) -> list[Path]:
     for place in (folder, folder / "images"):
-        found = []
-        for path in place.iterdir() if place.is_dir() else ():
-            hidden = path.name.startswith(".")  # such as macOS's ._IMG_0001.jpg
-            if path.suffix.lower() in SUFFIXES and not hidden and path.is_file():
-                found.append(path)
-        if found:
-            return sorted(found, key=_natural)
-    raise InputError(f"{folder}: no images in this folder.")
+        if found := images_of_folder(place):
+            return found
+    raise InputError(f"{folder}: {_what_else(folder)}")
+
+
+def _what_else(folder: Path) -> str:
+    """Why there are no images in a folder, and where some are."""
+    inside = sorted(folder.iterdir(), key=_natural)
+    raw = [path.name for path in inside if path.suffix.lower() in RAW_SUFFIXES]
+    if raw:
+        return f"only raw files ({raw[0]}); {DEVELOP}"
+    places = [str(path) for path in inside if path.is_dir() and images_of_folder(path)]
+    if places:
+        return f"no images in this folder, but in {', '.join(places[:6])}: give these."
+    return "no images in this folder."
 
 
 def _natural(path: Path) -> tuple:

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float
-from PIL import Image
+from jaxtyping import Float, Int
+from PIL import Image, ImageChops
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
@@ -37,6 +37,76 @@ def load_masks(
     return torch.stack(masks)[None]
 
 
+_FADED = 12  # most that the channels of a grey differ [levels]
+_DARK = 32  # below which the values of a mask are numbers of labels, not greys
+_LEAST_SHARE = 0.002  # of the picture that a label takes
+_MOST_LABELS = 12
+
+
+def _without_labels(pixels: Image.Image, path: Path) -> Image.Image:
+    """The grey mask of a picture whose object is a colour or a number, as annotation tools write.
+
+    Raises InputError for several labels.
+    """
+    grey = pixels.convert("L")
+    red, green, blue = pixels.split()
+    colour = ImageChops.subtract(
+        ImageChops.lighter(ImageChops.lighter(red, green), blue),
+        ImageChops.darker(ImageChops.darker(red, green), blue),
+    )
+    is_grey = bool(np.mean(np.asarray(colour) > _FADED) < _LEAST_SHARE)
+    brightest = int(np.asarray(grey).max())
+    if is_grey and not 0 < brightest < _DARK:
+        return grey
+    values = np.asarray(pixels, np.int16)
+    labels = _labels(np.asarray(grey)[..., None] if is_grey else values, is_grey)
+    names = [str(one[0]) if is_grey else ",".join(map(str, one)) for one in labels]
+    if len(labels) != 1:
+        listed = " and ".join(names[:_MOST_LABELS]) or "many colours"
+        raise InputError(
+            f"{path}: holds {listed}, as a label image or a photo does; expected a mask of one "
+            "thing, black (keep) and white (may change)."
+        )
+    if names == ["1"]:  # as programs write truth values
+        warn(f"{path}: holds only the values 0 and 1; 1 is taken as white.")
+    else:
+        warn(f"{path}: a label image; its one label, {names[0]}, is taken as white.")
+    label = np.array(labels[0] if not is_grey else labels[0] * 3, np.float32)
+    share = (values @ label / (label @ label)).clip(0, 1)  # soft at soft edges
+    return Image.fromarray((255 * share).round().astype(np.uint8))
+
+
+def _labels(
+    values: Int[np.ndarray, "height width channel"], is_grey: bool
+) -> list[tuple[int, ...]]:
+    """The values that take a part of the picture, but for black; most first."""
+    step = 1 if is_grey else 24  # JPEG and soft edges bring other shades
+    kinds = np.zeros(values.shape[:2], np.int64)
+    for channel in range(values.shape[-1]):
+        kinds = 256 * kinds + values[..., channel] // step
+    found: list[np.ndarray] = []
+    shares: list[float] = []
+    for kind, count in sorted(
+        zip(*np.unique(kinds, return_counts=True)), key=lambda one: -one[1]
+    ):
+        share = count / kinds.size
+        if share < _LEAST_SHARE or len(found) > _MOST_LABELS:
+            break
+        mean = np.rint(values[kinds == kind].mean(0)).astype(int)
+        apart = min(np.abs(mean - other).max() for other in (0 * mean, *found))
+        rim = found and share < 0.1 * shares[0] and _is_shade(mean, found[0])
+        if apart >= (1 if is_grey else 3 * _FADED) and not (rim and not is_grey):
+            found.append(mean)
+            shares.append(share)
+    return [tuple(int(value) for value in one) for one in found]
+
+
+def _is_shade(colour: np.ndarray, label: np.ndarray) -> bool:
+    """Whether a colour lies between black and a label, as soft edges do."""
+    nearest = (colour @ label) / (label @ label) * label
+    return bool(np.abs(colour - nearest).max() < 4 * _FADED)
+
+
 def read_mask(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
     """One mask file, of the photo's shape or the view's size, on the view that `frame` cuts from
     the photo.
@@ -47,10 +117,7 @@ def read_mask(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
             f"{path}: this mask has transparent parts; expected black (keep) and white (may "
             "change)."
         )
-    image, (height, width) = decoded.pixels.convert("L"), frame.source
-    if image.getextrema() == (0, 1):  # as programs write truth values
-        warn(f"{path}: holds only the values 0 and 1; 1 is taken as white.")
-        image = image.point(lambda value: 255 * value)
+    image, (height, width) = _without_labels(decoded.pixels, path), frame.source
     if image.size != frame.target[::-1]:
         if abs(image.width / image.height * height / width - 1) > SHAPE_TOLERANCE:
             raise InputError(

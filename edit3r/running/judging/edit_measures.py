@@ -16,11 +16,16 @@ from edit3r.contract.wishes import Change, Wish
 from edit3r.kit.compute.changes import change_uptake
 from edit3r.kit.compute.colour import rgb_to_lab
 from edit3r.kit.geometry.warping import shared_surface, warp
-from edit3r.running.judging.edit_verdict import EditMeasures
+from edit3r.running.judging.edit_verdict import (
+    MIN_CHANGED,
+    MIN_SHARE,
+    EditMeasures,
+)
 from edit3r.running.scene import Scene
 
 SIDE = 256  # pixels of the longer side at which signs are read, for which limits hold
 VISIBLE = 8 / 255  # change of a channel that one sees
+UNCHANGED = 0.01  # share of what may change below which a picture came back as it was
 REACH = 3  # pixels between an outline and the edge that it follows
 MAX_CHANCE = 0.85  # share of a photo near edges, above which an outline tells nothing
 EDGE = 6.0  # difference of colours across an edge [CIE Lab, over two pixels]
@@ -52,14 +57,21 @@ def measure_edit(
     if scene.regions is not None:
         regions = _small(scene.regions[:, 0, views])
     reached = _reached(before, after, visibly, wishes, regions)
+    names = [
+        scene.start.names[view] if scene.start.names else f"view {view}"
+        for view in views
+    ]
     if scene.masks is None:
         shares = (1.0,) * len(before)
-        return EditMeasures(shares, float(visibly.double().mean()), reached=reached)
+        faults = _unchanged(visibly, torch.ones_like(visibly), names)
+        changed = float(visibly.double().mean())
+        return EditMeasures(shares, changed, faults, reached=reached)
     masks = _small(scene.masks[0, views])
     inside = masks > 0.5
     shares = tuple(inside.double().mean((1, 2)).tolist())
     changed = float((visibly & inside).sum() / inside.sum().clamp(min=1))
-    measures = EditMeasures(shares, changed, reached=reached)
+    faults = _unchanged(visibly, inside, names)
+    measures = EditMeasures(shares, changed, faults, reached=reached)
     if _means_one_clicked_thing(scene, wishes):
         measures = replace(measures, clicked=max(shares), pieces=pieces(masks))
     if any(wish.action == "remove" for wish in wishes):  # its shadow and rim go with it
@@ -75,6 +87,24 @@ def measure_edit(
         outline=outline_on_edges(before, masks),
         open_outline=open_outline(before, masks),
         taken=taken(before, after, masks) if _gives_one_colour(wishes) else None,
+    )
+
+
+def _unchanged(
+    visibly: Bool[Tensor, "view height width"],
+    inside: Bool[Tensor, "view height width"],
+    names: Sequence[str],
+) -> tuple[str, ...]:
+    """That pictures came back as they were, where others did not."""
+    areas = inside.double().mean((1, 2))
+    changed = (visibly & inside).double().mean((1, 2)) / areas.clamp(min=1e-9)
+    if float(changed.amax()) < MIN_CHANGED:
+        return ()  # told of all of them
+    same = (areas > MIN_SHARE) & (changed < UNCHANGED)
+    return tuple(
+        f"the edit of {name} is its photo, unchanged"
+        for name, it_is in zip(names, same.tolist())
+        if it_is
     )
 
 

@@ -38,6 +38,10 @@ class EditMeasures:
     shares: tuple[float, ...]
     # share of what may change that visibly changed
     changed: float
+    # what shows that pictures of the editor are not edits of their photos, a clause each
+    faults: tuple[str, ...] = ()
+    # what was undone of pictures that had moved against their photos, a clause each
+    moved: tuple[str, ...] = ()
     # share of a photo that a click or a box without a name took; the largest over the photos
     clicked: float | None = None
     # share of what a click took that lies apart from its largest piece; the largest
@@ -86,6 +90,7 @@ def judge_edit(measures: EditMeasures, surety: float | None = None) -> EditVerdi
 
 def _doubts(found: EditMeasures, surety: float | None) -> Iterator[str]:
     """What speaks against the edit: against what was selected, then against what was made."""
+    yield from found.faults
     yield from _doubts_of_meaning(found, surety)
     yield from _doubts_of_selection(found)
     yield from _doubts_of_change(found)

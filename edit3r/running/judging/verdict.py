@@ -31,6 +31,14 @@ LABELS: tuple[Label, ...] = ("good", "fair", "poor", "failed")
 
 
 @dataclass(frozen=True)
+class Doubt:
+    """What speaks against a scene though it may show its photos well."""
+
+    clause: str  # what was found and what to do, instead of advice about the photos
+    best: Label = "fair"  # that the scene can get
+
+
+@dataclass(frozen=True)
 class Verdict:
     """The label of a run, why, and the figures behind it; the lists have one entry for each photo
     used, in order.
@@ -59,6 +67,7 @@ def judge(
     rendered: Rendering,
     placed: Sequence[bool],
     measured: Float[Tensor, "batch view"] | None,
+    doubt: Doubt | None = None,
 ) -> Verdict:
     """Judge the rendering of the placed views against their edited images.
 
@@ -66,13 +75,14 @@ def judge(
     worse: photometric steps make every scene show its own photos, whether other viewpoints gain or
     not. It is compared at its own size, that of the grid of Gaussians. `placed` has one entry for
     each photo used; `edited`, the renderings and `measured` (share of pixels with measured depth,
-    None where nobody knows it) hold the placed ones only. Of several scenes the worst counts.
+    None where nobody knows it) hold the placed ones only. Of several scenes the worst counts. A
+    `doubt` is what else speaks against the scene.
     """
     before, psnr = (_psnr(rendering, edited) for rendering in (first, rendered))
     coverage = rendered.alphas.mean((2, 3, 4)).amin(0).tolist()
     filled = [None] * len(psnr) if measured is None else (1 - measured.amin(0)).tolist()
     label, reason = _label(
-        edited, [min(pair) for pair in zip(before, psnr)], psnr, filled, placed
+        edited, [min(pair) for pair in zip(before, psnr)], psnr, filled, placed, doubt
     )
     return Verdict(
         label,
@@ -98,6 +108,7 @@ def _label(
     psnr: list[float],
     filled: list[float | None],
     placed: Sequence[bool],
+    doubt: Doubt | None,
 ) -> tuple[Label, str]:
     """The best label whose conditions hold, and one sentence for it; `evidence` and `psnr` of the
     placed views [dB].
@@ -115,6 +126,8 @@ def _label(
         return agrees and seen and left_out <= MOST_LEFT_OUT[label] * len(placed)
 
     found = next((label for label in LABELS[:-1] if holds(label)), LABELS[-1])
+    if doubt is not None:
+        found = max(found, doubt.best, key=LABELS.index)
     names = [
         edited.names[view] if edited.names else f"view {view}"
         for view in range(len(psnr))
@@ -130,6 +143,8 @@ def _label(
         shown += (
             f"; {guessed:.0%} of the depth is guessed, {most_guessed:.0%} in {view}"
         )
+    if doubt is not None and found != "good":
+        return found, f"{shown}; {doubt.clause}."
     return found, shown + _way_out(found, name, names[0], evidence, left_out) + "."
 
 

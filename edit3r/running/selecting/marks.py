@@ -5,12 +5,16 @@ from dataclasses import dataclass, replace
 from itertools import cycle
 from pathlib import Path
 
+from jaxtyping import Float
+from torch import Tensor
+
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Reader
 from edit3r.contract.lens import Lens
 from edit3r.contract.wishes import Thing
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import LoadedPhotos
+from edit3r.kit.photos.mask_files import masks_by_photo
 from edit3r.kit.photos.masks import load_masks, read_mask
 from edit3r.running.config import MAX_PROMPT
 from edit3r.running.reading import usual_reader
@@ -61,13 +65,7 @@ class MarkTexts:
             _point("--not-point", text, frames) for text in self.not_points
         )
         boxes = dict(_box("--box", text, frames) for text in self.boxes)
-        if len(self.mask_files) == len(frames):
-            masks = dict(enumerate(load_masks(self.mask_files, photos)[0]))
-        else:
-            masks = {}
-            for path in map(Path, self.mask_files):
-                view = self._view_of_mask(path, photos)
-                masks[view] = read_mask(path, frames[view])
+        masks = self._masks(photos)
         thing = self._named(reader)
         return Selection(
             positive,
@@ -90,28 +88,23 @@ class MarkTexts:
 
     def for_photos(self, found: list[str], used: list[str]) -> "MarkTexts":
         """The same marks where only some of the photos that were found are used."""
-        if len(self.mask_files) != len(found):
+        if not self.mask_files:
             return self
-        kept = tuple(
-            mask for mask, photo in zip(self.mask_files, found) if photo in used
-        )
-        return replace(self, mask_files=kept)
+        masks = masks_by_photo(self.mask_files, [(Path(file).name,) for file in found])
+        kept = [mask for view, mask in masks.items() if found[view] in used]
+        # A single mask of no photo's name is the first one's that is used.
+        return replace(self, mask_files=tuple(map(str, kept or masks.values())))
 
-    def _view_of_mask(self, path: Path, photos: LoadedPhotos) -> int:
-        """The photo that a mask's name begins with; the first for a single mask of another name."""
-        named = [
-            view
-            for view, photo in enumerate(photos.photos)
-            if path.stem.startswith(Path(photo.file).stem)
-        ]
-        if len(named) == 1:
-            return named[0]
-        if len(self.mask_files) == 1 and not named:
-            return 0
-        raise InputError(
-            f"--mask {path}: {len(self.mask_files)} masks for {len(photos.photos)} photos; give "
-            "one per photo, or name each after its photo, such as left_mask.png for left.jpg."
-        )
+    def _masks(self, photos: LoadedPhotos) -> dict[int, Float[Tensor, "height width"]]:
+        """The mask of each photo that has one."""
+        if not self.mask_files:
+            return {}
+        names = [(Path(photo.file).name, photo.name) for photo in photos.photos]
+        found = masks_by_photo(self.mask_files, names)
+        if len(found) == len(names):
+            return dict(enumerate(load_masks(list(found.values()), photos)[0]))
+        frames = [photo.frame for photo in photos.photos]
+        return {view: read_mask(path, frames[view]) for view, path in found.items()}
 
 
 def _point(flag: str, text: str, frames: list[Frame]) -> tuple[int, float, float]:

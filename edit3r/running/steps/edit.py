@@ -8,11 +8,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import Editor, EditsRegions
-from edit3r.contract.reporting import note, stage, warn
+from edit3r.contract.reporting import note, say, stage, warn
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.checks import check_edit, errors_named_after
 from edit3r.kit.geometry.maps import composite
 from edit3r.running.editors import request_of
+from edit3r.running.in_place import InPlace, put_in_place
 from edit3r.running.judging.edit_measures import measure_edit
 from edit3r.running.judging.edit_verdict import judge_edit
 from edit3r.running.parts import Parts
@@ -26,37 +27,62 @@ def edit(scene: Scene, parts: Parts) -> Scene:
     with stage(f"edit ({parts.editor_names})"):
         count = views.count if config.edit_views == "all" else 1
         chosen = views.select(range(count))
-        edited, done = chosen, 0
+        edited, done, found = chosen, 0, []
         for task in parts.tasks:
             request = request_of(
                 task, scene, config.seed, range(done, done + len(task.wishes))
-            )
-            edited = _edited(task.editor, edited, request.of_views(range(count)))
+            ).of_views(range(count))
+            answer = _answer(task.editor, edited, request)
+            if config.moved_edits == "undo":
+                found.append(_in_place(edited, answer, request.masks))
+                answer = replace(answer, images=found[-1].images)
+            edited = _held_to_masks(task.editor, edited, answer, request.masks)
             done += len(task.wishes)
         _note_change(edited.images - chosen.images)
         images = torch.cat((edited.images, views.images[:, count:]), dim=1)
         scene = replace(scene, edited=replace(views, images=images))
-        return _with_edit_verdict(scene, parts, range(count))
+        return _with_edit_verdict(scene, parts, range(count), found)
 
 
-def _with_edit_verdict(scene: Scene, parts: Parts, views: Sequence[int]) -> Scene:
+def _with_edit_verdict(
+    scene: Scene, parts: Parts, views: Sequence[int], found: Sequence[InPlace]
+) -> Scene:
     """The scene with what can be said of the edit of these views before anything is in 3D."""
     if not parts.config.prompt and torch.equal(scene.edited.images, scene.start.images):
         return scene
     wishes = scene.wishes or [wish for task in parts.tasks for wish in task.wishes]
     measures = measure_edit(scene, wishes, views)
+    faults = [fault for one in found for fault in one.faults]
+    moved = tuple(clause for one in found for clause in one.moved)
+    measures = replace(measures, faults=(*faults, *measures.faults), moved=moved)
     verdict = judge_edit(measures, _surety(scene))
     if verdict.label == "doubtful":
         warn(f"the edit is doubtful: {verdict.reason}.")
     return replace(scene, edit_verdict=verdict)
 
 
-def _edited(editor: Editor, views: Views, request: EditRequest) -> Views:
-    """The editor's answer, held to its contract, with the pixels outside the masks as they were."""
+def _answer(editor: Editor, views: Views, request: EditRequest) -> Views:
+    """The editor's answer, held to its contract."""
     with errors_named_after(editor):
         answer = editor.edit(views, request)
     check_edit(editor, views, answer)
-    masks = request.masks
+    return answer
+
+
+def _in_place(views: Views, answer: Views, masks: Tensor | None) -> InPlace:
+    """The answer with what moved moved back, and what is wrong with the rest."""
+    names = views.names or [f"view {view}" for view in range(views.count)]
+    found = put_in_place(views.images, answer.images, names, masks is not None)
+    if found.moved:
+        clauses = "; ".join(found.moved)
+        say("edit.moved_back", f"{clauses} (--moved-edits keep: as it is)")
+    return found
+
+
+def _held_to_masks(
+    editor: Editor, views: Views, answer: Views, masks: Tensor | None
+) -> Views:
+    """The answer with the pixels outside the masks as they were."""
     if masks is None:
         return replace(views, images=answer.images)
     _note_spill(views, answer, masks)

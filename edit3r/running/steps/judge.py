@@ -9,9 +9,19 @@ from edit3r.contract.types import Rendering
 from edit3r.kit.rendering import render_each
 from edit3r.running.judging.edit_measures import measure_edit_in_3d
 from edit3r.running.judging.edit_verdict import judge_edit
+from edit3r.running.judging.verdict import Doubt
 from edit3r.running.judging.verdict import judge as judged
 from edit3r.running.parts import Parts
 from edit3r.running.scene import Scene, known_cameras
+
+FLAT = (
+    "all that the photos share lies on one plane: a flat thing, or photos from one place. Take a "
+    "step to the side between photos, or tell the lens (--fov)"
+)
+MOVED = (
+    "the 2D edits had moved against their photos and were moved back, which cannot bring back what "
+    "left the picture. Let the editor leave everything where it is"
+)
 
 
 @torch.no_grad()
@@ -29,10 +39,27 @@ def judge(scene: Scene, parts: Parts) -> Scene:
             )
         )
         verdict = judged(
-            scene.edited, first, rendered, scene.placed, reconstruction.measured
+            scene.edited,
+            first,
+            rendered,
+            scene.placed,
+            reconstruction.measured,
+            _doubt(scene),
         )
         scene = replace(scene, rendered=rendered, verdict=verdict)
         return _with_edit_judged_in_3d(scene, parts)
+
+
+def _doubt(scene: Scene) -> Doubt | None:
+    """What else speaks against the scene: edits that are none, photos without depth."""
+    edit = scene.edit_verdict
+    if edit is not None and edit.measures.faults:
+        return Doubt("the 2D edits do not show what their photos show (see the edit)")
+    if scene.flat:
+        return Doubt(FLAT)
+    if edit is not None and edit.measures.moved:
+        return Doubt(MOVED, best="good")
+    return None
 
 
 def _in_own_light(rendering: Rendering, scene: Scene) -> Rendering:

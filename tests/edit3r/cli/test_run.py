@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 import edit3r
 from edit3r.cli.main import main
@@ -117,6 +118,19 @@ def test_a_matcher_that_was_chosen_stays(posed_photos, tmp_path):
     ]
     given, used, _ = run(posed_photos, tmp_path / "out", *options)
     assert np.abs(used - given).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    "name, said", [("a.png", "one of the photos"), ("look.pdf", "name of an image")]
+)
+def test_a_preview_is_an_image_and_replaces_no_photo(tmp_path, capsys, name, said):
+    for photo in ("a.png", "b.png"):
+        Image.new("RGB", (8, 8)).save(tmp_path / photo)
+    before = (tmp_path / "a.png").read_bytes()
+    words = ["--preview", str(tmp_path / name), "--overwrite"]
+    assert main(["run", str(tmp_path), *words]) == 2
+    assert said in capsys.readouterr().err
+    assert (tmp_path / "a.png").read_bytes() == before
 
 
 def test_a_preview_is_one_image_file_and_nothing_in_3d(posed_photos, tmp_path, capsys):

@@ -7,12 +7,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from PIL import ExifTags, Image, ImageCms
+from PIL import ExifTags, Image, ImageCms, TiffImagePlugin
 
 import edit3r
 from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.photos.decode import decode, image_size, read_image
+from edit3r.kit.photos.images import find_photos
 
 
 @pytest.fixture
@@ -53,9 +54,10 @@ def test_all_exif_orientations_come_back_upright(tmp_path, pattern, orientation)
     }[orientation]
     exif = Image.Exif()
     exif[ExifTags.Base.Orientation] = orientation
-    Image.fromarray(np.ascontiguousarray(stored)).save(tmp_path / "a.png", exif=exif)
-    assert difference(tmp_path / "a.png", pattern) == 0
-    assert image_size(tmp_path / "a.png") == (12, 20)
+    for name in ("a.png", "a.tif"):  # Pillow turns TIFFs by itself
+        Image.fromarray(np.ascontiguousarray(stored)).save(tmp_path / name, exif=exif)
+        assert difference(tmp_path / name, pattern) == 0
+        assert image_size(tmp_path / name) == (12, 20)
 
 
 @pytest.mark.parametrize("channels", [1, 3, 4])
@@ -277,3 +279,64 @@ def test_pillow_is_always_told_what_a_file_may_be():
     source = "".join(file.read_text(encoding="utf-8") for file in files)
     calls = re.findall(r"Image\.open\(.*", source)
     assert calls and all("formats=" in call for call in calls), calls
+
+
+@pytest.mark.parametrize(
+    ("size", "recorded", "believed"),
+    [
+        ((400, 300), (4032, 3024), True),
+        ((300, 400), (4032, 3024), True),  # turned, the tags are not
+        ((400, 300), None, True),
+        ((400, 400), (4032, 3024), False),
+        ((400, 225), (4032, 3024), False),
+    ],
+)
+def test_a_cropped_photo_does_not_know_its_lens(tmp_path, size, recorded, believed):
+    exif = Image.Exif()
+    tags = exif.get_ifd(ExifTags.IFD.Exif)
+    tags[ExifTags.Base.FocalLengthIn35mmFilm] = 26
+    if recorded:
+        tags[ExifTags.Base.ExifImageWidth], tags[ExifTags.Base.ExifImageHeight] = (
+            recorded
+        )
+    Image.new("RGB", size, "grey").save(tmp_path / "a.jpg", exif=exif)
+    report = Report()
+    with collecting(report):
+        assert (decode(tmp_path / "a.jpg").focal is not None) == believed
+    assert [("was cropped" in text) for text in report.warnings] == [True] * (
+        not believed
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "tags"),
+    [
+        ("a.dng", {50706: b"\1\4\0\0"}),
+        ("a.tif", {50706: b"\1\4\0\0"}),  # told by content
+        ("a.nef", {254: 1}),
+        ("a.arw", {}),
+    ],
+)
+def test_a_raw_file_is_no_thumbnail(tmp_path, pattern, name, tags):
+    known = TiffImagePlugin.ImageFileDirectory_v2()
+    for tag, value in tags.items():
+        known[tag] = value
+        if isinstance(value, bytes):
+            known.tagtype[tag] = 1
+    path = tmp_path / name
+    Image.fromarray(pattern).save(path, format="TIFF", tiffinfo=known)
+    for read in (decode, image_size):
+        with pytest.raises(InputError, match=r"raw file.*develop.*JPEG or TIFF"):
+            read(path)
+
+
+def test_a_folder_that_has_no_images_says_what_it_has(tmp_path, pattern):
+    (tmp_path / "a.CR3").write_bytes(b"raw")
+    with pytest.raises(InputError, match=r"only raw files \(a.CR3\); develop"):
+        find_photos(tmp_path)
+    (tmp_path / "a.CR3").unlink()
+    (tmp_path / "front").mkdir()
+    Image.fromarray(pattern).save(tmp_path / "front" / "1.png")
+    with pytest.raises(InputError, match=r"no images.*but in .*front: give"):
+        find_photos(tmp_path)
+    assert len(find_photos(str(tmp_path / "fr*" / "*.png"))) == 1

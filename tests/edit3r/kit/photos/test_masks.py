@@ -6,7 +6,7 @@ from PIL import Image
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.photos.images import load_photos
-from edit3r.kit.photos.masks import load_masks
+from edit3r.kit.photos.masks import load_masks, read_mask
 
 
 @pytest.fixture
@@ -88,3 +88,49 @@ def test_transparent_mask_is_an_error(tmp_path, photos):
     Image.new("RGBA", (300, 300), (255, 255, 255, 0)).save(tmp_path / "m.png")
     with pytest.raises(InputError, match="transparent"):
         load_masks([tmp_path / "m.png"] * 2, photos)
+
+
+def outlined(kind):
+    """The same square as annotation tools write it."""
+    inside = np.zeros((300, 400), np.uint8)
+    inside[100:200, 100:300] = 1
+    if kind == "palette":
+        image = Image.fromarray(inside, "P")
+        image.putpalette([0, 0, 0, 128, 0, 0] + [0] * 762)
+        return image
+    colours = {"red": (250, 50, 83), "green": (0, 255, 0), "index": (2, 2, 2)}
+    return Image.fromarray(inside[..., None] * np.array(colours[kind], np.uint8))
+
+
+@pytest.mark.parametrize("kind", ["palette", "red", "green", "index"])
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_one_label_of_any_colour_is_white(tmp_path, photos, kind, suffix):
+    path = tmp_path / f"m{suffix}"
+    image = outlined(kind)
+    if suffix == ".jpg":
+        if kind == "index":
+            pytest.skip("JPEG keeps no numbers")
+        image = image.convert("RGB")
+    image.save(path)
+    with pytest.warns(UserWarning, match="label image.*taken as white"):
+        found = read_mask(path, photos.photos[0].frame)
+    assert found[110:190, 60:240].min() > 0.95 and found[:90].max() < 0.05
+
+
+def test_several_labels_are_listed(tmp_path, photos):
+    for image, listed in (
+        (np.array([0, 1, 3], np.uint8), "1 and 3"),
+        (np.array([[0, 0, 0], [128, 0, 0], [0, 128, 0]], np.uint8), "128,0,0"),
+    ):
+        Image.fromarray(image[np.arange(400) % 3][None].repeat(300, 0)).save(
+            tmp_path / "m.png"
+        )
+        with pytest.raises(InputError, match=f"holds .*{listed}.*one thing"):
+            read_mask(tmp_path / "m.png", photos.photos[0].frame)
+
+
+def test_greys_stay_as_they_are(tmp_path, photos):
+    path = mask(tmp_path / "m.png", np.full((300, 400), 100))
+    assert read_mask(path, photos.photos[0].frame).unique().tolist() == [
+        pytest.approx(100 / 255)
+    ]

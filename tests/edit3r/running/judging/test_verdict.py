@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from edit3r.contract.types import Rendering, Views
-from edit3r.running.judging.verdict import MEAN_PSNR, WORST_PSNR, judge
+from edit3r.running.judging.verdict import MEAN_PSNR, WORST_PSNR, Doubt, judge
 
 EDITED = Views(
     torch.full((1, 3, 3, 8, 8), 0.5), torch.eye(3).expand(1, 3, 3, 3), ("a", "b", "c")
@@ -55,6 +55,20 @@ def test_what_is_bad_is_said_with_the_photo_and_the_way_out():
         verdict.label == "failed"
         and "the worst (b) at 10.0 dB; leave b out, or" in verdict.reason
     )
+
+
+def test_where_the_photos_are_not_to_blame_the_advice_is_about_what_is():
+    doubt = Doubt("look at the edits")
+    for psnr, label in ((40.0, "fair"), (15.0, "poor")):
+        rendering = rendered(psnr, psnr, psnr)
+        verdict = judge(EDITED, rendering, rendering, [True] * 3, None, doubt)
+        assert verdict.label == label
+        assert verdict.reason.endswith("; look at the edits.")
+        assert "add photos" not in verdict.reason
+    good = judge(
+        EDITED, *[rendered(40.0, 40.0, 40.0)] * 2, [True] * 3, None, Doubt("x", "good")
+    )
+    assert good.label == "good" and "x" not in good.reason.split("average")[1]
 
 
 def test_a_photo_that_was_left_out_has_no_figures_and_the_run_is_not_good():

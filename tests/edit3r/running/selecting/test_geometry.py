@@ -5,9 +5,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from edit3r.contract.errors import MatchingError
+from edit3r.contract.errors import MatchingError, PluginError
 from edit3r.contract.interfaces import MatchedGeometry
-from edit3r.running.selecting.geometry import geometry_of, locate, of_scene
+from edit3r.running.selecting.geometry import (
+    geometry_of,
+    lies_flat,
+    locate,
+    of_scene,
+)
 from edit3r_testing.scenes import photograph
 
 SCENE = photograph(3, (48, 64), batch=2)
@@ -46,6 +51,17 @@ def test_a_camera_that_stood_still_tells_no_depth_however_much_was_measured():
     assert still is None
 
 
+def test_one_plane_is_told_from_things_in_depth():
+    true = true_geometry()
+    facing = torch.eye(4).expand_as(true.c2w).clone()
+    facing[..., 0, 3] = 0.1 * torch.arange(3)
+    card = replace(true, c2w=facing, depths=torch.full_like(true.depths, 2.0))
+    assert lies_flat(card, SCENE.views) and not lies_flat(true, SCENE.views)
+    assert not lies_flat(None, SCENE.views)
+    alone = torch.zeros_like(card.registered)
+    assert not lies_flat(replace(card, registered=alone), SCENE.views)
+
+
 def test_photos_that_cannot_be_placed_are_told_and_selected_without():
     with pytest.warns(UserWarning, match="what the photos show alone: too few points"):
         found = geometry_of(Knows(MatchingError("too few points")), SCENE.views)
@@ -57,3 +73,20 @@ def test_one_scene_of_a_batch_keeps_its_own_geometry():
     second = of_scene(both, 1)
     assert torch.equal(second.depths, both.depths[1:])
     assert second.intrinsics.shape[0] == len(second.c2w) == 1
+
+
+@pytest.mark.parametrize(
+    "answer, said",
+    [
+        (ValueError("no luck"), "raised ValueError: no luck"),
+        (None, "must return edit3r.MatchedGeometry, got NoneType"),
+        (
+            replace(true_geometry(), depths=true_geometry().depths.double()),
+            "must return depths in torch.float32",
+        ),
+        (of_scene(true_geometry(), 0), r"must return c2w of shape \[2, 3, 4, 4\]"),
+    ],
+)
+def test_a_matcher_that_breaks_its_contract_is_named(answer, said):
+    with pytest.raises(PluginError, match=said):
+        locate(Knows(answer), SCENE.views)

@@ -1,0 +1,110 @@
+"""What among image files is not a photo of the scene: masks, our own sheets, and photos twice."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from PIL import ExifTags, Image
+
+from edit3r.contract.errors import InputError, MissingDependencyError
+from edit3r.contract.reporting import say
+from edit3r.kit.photos.decode import FORMATS, decode, image_size
+
+MADE_HERE = "edit3r, no photo"
+"""What sheets, previews and masks of ours carry as their software."""
+_OWN_NAMES = ("edit3r-preview", "before_after")
+_MASK_SIGN = re.compile(r"[ _.-]?masks?\d?$|^masks?[ _.-]")
+_SUFFIX = re.compile(r"\.(jpe?g|png|tiff?|webp|heic|bmp)$")
+_LIKE = 0.95  # correlation of small copies of one photo
+_SMALL = (32, 32)  # their size [pixels]
+
+
+def only_photos(files: Sequence[Path]) -> list[Path]:
+    """The files without masks, sheets of ours and photos in a second format; says what was left
+    out.
+    """
+    kept = _without_doubles([file for file in files if not _is_none(file, files)])
+    left_out = [file.name for file in files if file not in kept]
+    if not kept or not left_out:
+        return list(files)
+    listed = ", ".join(left_out[:6]) + (", ..." if len(left_out) > 6 else "")
+    say(
+        "photos.left_out",
+        f"{listed}: no photo of its own (a mask, a sheet, or a photo twice)",
+    )
+    return kept
+
+
+def _is_none(file: Path, files: Sequence[Path]) -> bool:
+    """Whether a file is a mask of another, or a sheet that was made here."""
+    stem = file.stem.casefold()
+    others = {other.stem.casefold() for other in files if other != file}
+    without = _SUFFIX.sub("", _MASK_SIGN.sub("", stem))
+    return (
+        stem in _OWN_NAMES
+        or (without != stem and without in others)
+        or _made_here(file)
+    )
+
+
+def _made_here(file: Path) -> bool:
+    """Whether the file says of itself that it was made here."""
+    try:
+        with Image.open(file, formats=FORMATS) as image:
+            software = image.info.get("Software") or image.getexif().get(
+                ExifTags.Base.Software
+            )
+    except Exception:  # told where it is read
+        return False
+    return software == MADE_HERE
+
+
+def _without_doubles(files: Sequence[Path]) -> list[Path]:
+    """Of files of one stem that show the same, the one with most pixels alone."""
+    by_stem: dict[str, list[Path]] = {}
+    for file in files:
+        by_stem.setdefault(file.stem.casefold(), []).append(file)
+    left_out: set[Path] = set()
+    for twins in by_stem.values():
+        best = twins[0]
+        for twin in twins[1:]:
+            if best.suffix == twin.suffix or not _show_the_same(best, twin):
+                continue
+            worse = twin if _pixels(best) >= _pixels(twin) else best
+            best = twin if worse is best else best
+            left_out.add(worse)
+    return [file for file in files if file not in left_out]
+
+
+def _show_the_same(first: Path, second: Path) -> bool:
+    """Whether small copies of two files are alike; of two formats one may need a package that is
+    missing, and then the other is enough.
+    """
+    try:
+        sizes = [image_size(file) for file in (first, second)]
+        shapes = [width / height for height, width in sizes]
+        if abs(shapes[0] / shapes[1] - 1) > 0.02:
+            return False
+        one, other = (_small_copy(file) for file in (first, second))
+    except MissingDependencyError:
+        return True
+    except InputError:
+        return False
+    if min(one.std(), other.std()) < 1:
+        return False
+    return float(np.corrcoef(one, other)[0, 1]) > _LIKE
+
+
+def _small_copy(file: Path) -> np.ndarray:
+    small = decode(file).pixels.convert("L").resize(_SMALL)
+    return np.asarray(small, np.float64).ravel()
+
+
+def _pixels(file: Path) -> int:
+    """Of a file that can be read here, else 0."""
+    try:
+        height, width = image_size(file)
+    except (InputError, MissingDependencyError):
+        return 0
+    return height * width

@@ -1,0 +1,81 @@
+"""Masks find their photos by name, from files, folders and wildcards."""
+
+import pytest
+from PIL import Image
+
+from edit3r.contract.errors import InputError
+from edit3r.kit.photos.mask_files import masks_by_photo
+
+PHOTOS = [("img2.jpg",), ("img10.jpg",)]
+
+
+@pytest.fixture
+def masks(tmp_path):
+    def write(*names):
+        for name in names:
+            file = tmp_path / name
+            file.parent.mkdir(exist_ok=True)
+            Image.new("L", (4, 4), 255).save(file, format="PNG")
+        return [str(tmp_path / name) for name in names]
+
+    return write
+
+
+def paired(given, photos=PHOTOS):
+    return [found.name for found in masks_by_photo(given, photos).values()]
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        ("img10_mask.png", "img2_mask.png"),  # as a shell sorts them
+        ("img10.png", "img2.png"),
+        ("img10.jpg.png", "img2.jpg.png"),
+        ("mask_img10.png", "mask_img2.png"),
+        ("IMG10-mask.PNG", "IMG2-mask.PNG"),
+    ],
+)
+@pytest.mark.parametrize("how", ["files", "folder", "wildcard"])
+def test_each_goes_to_the_photo_of_its_name(masks, tmp_path, names, how):
+    files = masks(*names)
+    masks("preview.png")
+    given = {
+        "files": files,
+        "folder": [str(tmp_path)],
+        "wildcard": [str(tmp_path / "*[02]*")],
+    }
+    assert paired(given[how]) == list(names[::-1])
+
+
+def test_img10_is_not_named_after_img1(masks):
+    assert paired(masks("img10_mask.png"), [("img1.jpg",), ("img2.jpg",)]) == [
+        "img10_mask.png"
+    ]  # a single one, of no photo's name: the first photo's
+    (view,) = masks_by_photo(masks("img10_m.png"), [("img1.jpg",), ("img10.jpg",)])
+    assert view == 1
+
+
+def test_other_names_go_in_the_order_given(masks):
+    given = masks("b.png", "x.png")
+    assert paired(given, [("left.jpg",), ("right.jpg",)]) == ["b.png", "x.png"]
+    mixed = masks("right_mask.png", "thing.png")
+    assert paired(mixed, [("left.jpg",), ("right.jpg",)]) == [
+        "thing.png",
+        "right_mask.png",
+    ]
+
+
+def test_masks_of_photos_that_are_not_used_are_left(masks):
+    given = masks("img1_m.png", "img2_m.png", "img3_m.png", "img10_m.png")
+    assert paired(given) == ["img2_m.png", "img10_m.png"]
+
+
+def test_what_fits_no_photo_is_an_error_with_the_way_out(masks, tmp_path):
+    three = [*PHOTOS, ("c.jpg",)]
+    with pytest.raises(InputError, match=r"2 masks for 3 photos.*name each after"):
+        masks_by_photo(masks("x.png", "y.png"), three)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="no images in this folder"):
+        masks_by_photo([str(tmp_path / "empty")], three)
+    with pytest.raises(InputError, match="no such file"):
+        masks_by_photo([str(tmp_path / "no*.png")], three)

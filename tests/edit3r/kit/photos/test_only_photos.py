@@ -1,0 +1,66 @@
+"""Masks, sheets of ours and a photo's second format are no photos of a scene."""
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from edit3r.kit.photos.images import find_photos, save_pixels
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for seed, name in enumerate(("left.jpg", "right.jpg")):
+        Image.fromarray(picture(seed)).save(tmp_path / name, quality=95)
+    return tmp_path
+
+
+def picture(seed, size=48):
+    coarse = np.random.default_rng(seed).integers(0, 255, (6, 8, 3), dtype=np.uint8)
+    return np.asarray(Image.fromarray(coarse).resize((size, size)))
+
+
+def names(folder):
+    return [file.name for file in find_photos(folder)]
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "edit3r-preview.png",
+        "before_after.png",
+        "left_mask.png",
+        "right-mask.png",
+        "mask_left.png",
+        "left.mask.png",
+        "left.jpg.png",
+        "left.png",
+        "left.webp",
+    ],
+)
+def test_what_is_no_photo_of_its_own_is_left_out(folder, name):
+    Image.open(folder / "left.jpg").save(folder / name)
+    assert names(folder) == ["left.jpg", "right.jpg"]
+    assert len(find_photos(sorted(folder.iterdir()))) == 2  # as a shell lists them
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp"])
+def test_what_was_made_here_is_told_whatever_it_is_called(folder, suffix):
+    save_pixels(picture(2), folder / f"a{suffix}", is_photo=False)
+    assert names(folder) == ["left.jpg", "right.jpg"]
+    save_pixels(picture(3), folder / f"b{suffix}")
+    assert names(folder) == [f"b{suffix}", "left.jpg", "right.jpg"]
+
+
+def test_the_format_with_most_pixels_is_taken(folder):
+    Image.fromarray(picture(0, 96)).save(folder / "left.png")
+    assert names(folder) == ["left.png", "right.jpg"]
+
+
+def test_another_photo_of_that_name_stays(folder):
+    Image.fromarray(picture(5)).save(folder / "left.png")
+    assert names(folder) == ["left.jpg", "left.png", "right.jpg"]
+
+
+def test_a_photo_called_mask_stays(folder):
+    Image.fromarray(picture(5)).save(folder / "venice_mask.jpg")
+    assert len(names(folder)) == 3
