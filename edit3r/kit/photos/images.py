@@ -32,7 +32,7 @@ from edit3r.kit.photos.coverage import (
     origin,
     take_frames,
 )
-from edit3r.kit.photos.decode import decode, image_size, read_image
+from edit3r.kit.photos.decode import SUFFIXES, decode, image_size, read_image
 from edit3r.kit.photos.framing import Frame, common_size, frame_for
 from edit3r.kit.photos.intrinsics import (
     Intrinsics,
@@ -61,12 +61,6 @@ __all__ = [
 
 Pixels = UInt8[np.ndarray, "height width 3"]
 Item = TypeVar("Item")
-
-SUFFIXES = (
-    *(".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".webp", ".tif", ".tiff"),
-    *(".heic", ".heif", ".avif", ".bmp", ".ppm", ".pgm", ".jp2"),
-)
-"""Files taken from a folder; a file given by itself may be called anything."""
 
 MAX_CHARACTERS = 100  # of a name from `unique_names`
 MAX_BYTES = 200  # file systems allow 255 with the suffix
