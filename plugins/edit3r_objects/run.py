@@ -19,7 +19,9 @@ from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import LoadedPhotos, save_image, unique_names
 from edit3r.kit.rendering import render_each
 from edit3r.kit.run_folder import RunFolder, continue_run
-from edit3r.kit.scenes.ply import load_ply, save_ply
+from edit3r.kit.scenes.files import scene_file
+from edit3r.kit.scenes.ply import save_ply
+from edit3r.kit.scenes.read import load_scene
 from edit3r.kit.sheet import draw_sheet
 from edit3r.running import (
     MIN_AREA,
@@ -80,7 +82,7 @@ class Run:
 def read_run(root: Path) -> Run:
     """The run in a folder. Raises InputError, naming the file, for what is none."""
     folder = RunFolder(root)
-    gaussians = load_ply(folder.scene, visible=True)
+    gaussians = load_scene(scene_file(str(root)))
     cameras, posed = read_scene_cameras(folder.cameras)
     try:
         manifest = json.loads(folder.manifest.read_text(encoding="utf-8"))

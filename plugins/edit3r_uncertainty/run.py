@@ -21,7 +21,9 @@ from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.kit.rendering import render_each, render_uncertainty
 from edit3r.kit.run_folder import RunFolder, continue_run
-from edit3r.kit.scenes.ply import load_ply, save_ply
+from edit3r.kit.scenes.files import scene_file
+from edit3r.kit.scenes.ply import save_ply
+from edit3r.kit.scenes.read import load_scene
 from edit3r.kit.sheet import draw_sheet
 from edit3r.running import read_views_of_run
 from edit3r_uncertainty.signals import photos_of, uncertainty
@@ -60,7 +62,7 @@ class JudgedRun:
 def read_run(root: Path) -> JudgedRun:
     """The run in a folder. Raises InputError, naming the file, for what is none."""
     folder = RunFolder(root)
-    gaussians = load_ply(folder.scene, visible=True)
+    gaussians = load_scene(scene_file(str(root)))
     if not (root / "inputs").is_dir():
         raise InputError(
             f"{root}: has no photos (its scene was edited, or the run kept no images); give a run "
