@@ -11,7 +11,7 @@ from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Gaussians
 from edit3r.kit.scenes.placement import (
     PLACED,
-    Placement,
+    FilePlacement,
     fitting,
     placed,
     with_placement,
@@ -66,7 +66,7 @@ class CompressedPlyWriter(Writer):
 def _write(path: Path, gaussians: Gaussians, form: str, spz_version: int = 3) -> None:
     """Let gaussforge write one of its formats, and say what is lost that a viewer would show."""
     tell_of_losses(gaussians, form)
-    placement = Placement()
+    placement = FilePlacement()
     if form in PLACED:
         every = gaussians.count
         gaussians, placement = fitting(gaussians, form)
@@ -82,7 +82,7 @@ def _write(path: Path, gaussians: Gaussians, form: str, spz_version: int = 3) ->
         save_ply(plain, placed(gaussians, placement), degree=VIEWER_DEGREE)
         convert(plain, made, "ply", form, spz_version=spz_version)
         content = made.read_bytes()
-    if placement != Placement():
+    if placement != FilePlacement():
         content = with_placement(content, form, placement)
         say(
             f"{form}.unit",

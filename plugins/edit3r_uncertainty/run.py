@@ -61,8 +61,10 @@ class JudgedRun:
 
 def read_run(root: Path) -> JudgedRun:
     """The run in a folder. Raises InputError, naming the file, for what is none."""
+    scene = scene_file(str(root))
+    root = root if root.is_dir() else root.parent
     folder = RunFolder(root)
-    gaussians = load_scene(scene_file(str(root)))
+    gaussians = load_scene(scene)
     if not (root / "inputs").is_dir():
         raise InputError(
             f"{root}: has no photos (its scene was edited, or the run kept no images); give a run "

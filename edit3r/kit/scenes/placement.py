@@ -42,7 +42,7 @@ Positions = Float64[np.ndarray, "gaussian 3"]
 
 
 @dataclass(frozen=True)
-class Placement:
+class FilePlacement:
     """Positions in the file are (those of the scene - `centre`) * `factor`."""
 
     factor: float = 1.0
@@ -60,7 +60,7 @@ class Placement:
         return ", then ".join(parts)
 
 
-def placed(gaussians: Gaussians, placement: Placement) -> Gaussians:
+def placed(gaussians: Gaussians, placement: FilePlacement) -> Gaussians:
     """The scene (batch 1) as it stands in the file."""
     means = gaussians.means.double() - torch.tensor(placement.centre).double()
     return replace(
@@ -70,7 +70,7 @@ def placed(gaussians: Gaussians, placement: Placement) -> Gaussians:
     )
 
 
-def placed_back(gaussians: Gaussians, placement: Placement) -> Gaussians:
+def placed_back(gaussians: Gaussians, placement: FilePlacement) -> Gaussians:
     """The scene as it stood before `placed`."""
     means = gaussians.means.double() / placement.factor
     return replace(
@@ -83,7 +83,7 @@ def placed_back(gaussians: Gaussians, placement: Placement) -> Gaussians:
 # The choice
 
 
-def fitting(gaussians: Gaussians, form: str) -> tuple[Gaussians, Placement]:
+def fitting(gaussians: Gaussians, form: str) -> tuple[Gaussians, FilePlacement]:
     """The Gaussians that a file of this form can hold, and where they stand in it.
 
     Usually all, and where they are. Raises InputError where no unit fits.
@@ -93,11 +93,11 @@ def fitting(gaussians: Gaussians, form: str) -> tuple[Gaussians, Placement]:
     everything = gaussians.means[0].detach().double().cpu().numpy()
     sizes = gaussians.scales[0].detach().double().amax(1).cpu().numpy()
     if not drawn.any():
-        return gaussians, Placement()
+        return gaussians, FilePlacement()
     low, high = np.quantile(everything[drawn], (FAR, 1 - FAR), axis=0)
     reach = 2 * (high - low).max()  # also of what lies a little further out
     near = (abs(everything - (low + high) / 2) <= reach).all(1)
-    best = (0.0, Placement(), drawn)
+    best = (0.0, FilePlacement(), drawn)
     for kept in (drawn, drawn & near):
         for placement in _placements(everything[kept]):
             means = (everything[kept] - placement.centre) * placement.factor
@@ -119,19 +119,19 @@ def fitting(gaussians: Gaussians, form: str) -> tuple[Gaussians, Placement]:
     return gaussians.select(torch.from_numpy(~lost)), placement
 
 
-def _placements(means: Positions) -> Iterator[Placement]:
-    yield Placement()
+def _placements(means: Positions) -> Iterator[FilePlacement]:
+    yield FilePlacement()
     low, high = means.min(0), means.max(0)
     middle = (low + high) / 2
     # Rounded, so that people can read it and it costs no bit.
     digits = -int(np.floor(np.log10(max((high - low).max(), 1e-30)))) + 1
     centre = tuple(float(np.round(value, digits)) + 0.0 for value in middle)
-    yield Placement(1.0, centre)
+    yield FilePlacement(1.0, centre)
     for place in ((0.0, 0.0, 0.0), centre):
         extent = abs(means - place).max()
         for wanted in EXTENTS:
             factor = 2.0 ** np.floor(np.log2(wanted / max(extent, 1e-30)))
-            yield Placement(float(factor), place)
+            yield FilePlacement(float(factor), place)
 
 
 def _spz_steps(means: Positions, sizes: Float64[np.ndarray, "gaussian"]) -> float:
@@ -172,7 +172,7 @@ PLACED = tuple(_STEPS)
 # In the file
 
 
-def with_placement(content: bytes, form: str, placement: Placement) -> bytes:
+def with_placement(content: bytes, form: str, placement: FilePlacement) -> bytes:
     """A file's content with its placement, where programs that do not know it pass over it."""
     text = placement.text
     if form == "compressed.ply":
@@ -198,10 +198,10 @@ def with_placement(content: bytes, form: str, placement: Placement) -> bytes:
     )
 
 
-def placement_of(path: Path, form: str) -> Placement:
+def placement_of(path: Path, form: str) -> FilePlacement:
     """The placement that a file states, if any."""
     if form not in PLACED:
-        return Placement()
+        return FilePlacement()
     with path.open("rb") as file:
         start = file.read(MOST_HEADER_BYTES if form == "compressed.ply" else 512)
     if form == "sog":
@@ -216,8 +216,8 @@ def placement_of(path: Path, form: str) -> Placement:
     except ValueError:
         numbers = []
     if not (numbers and np.isfinite(numbers).all() and numbers[0] > 0):
-        return Placement()
-    return Placement(numbers[0], (numbers[1], numbers[2], numbers[3]))
+        return FilePlacement()
+    return FilePlacement(numbers[0], (numbers[1], numbers[2], numbers[3]))
 
 
 def _comment_of_archive(path: Path) -> bytes:

@@ -13,7 +13,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Gaussians
-from edit3r.kit.scenes.placement import Placement, fitting, placed, placed_back
+from edit3r.kit.scenes.placement import FilePlacement, fitting, placed, placed_back
 from edit3r.kit.scenes.read import load_scene
 
 SIZE = 0.06
@@ -90,7 +90,7 @@ def test_a_few_far_away_are_left_out_and_all_else_keeps_its_steps():
     made = replace(made, means=means)
     kept, placement = fitting(made, "spz")
     assert kept.count == 1999
-    assert placement == Placement()
+    assert placement == FilePlacement()
 
 
 def test_what_fits_in_no_unit_is_refused():
@@ -102,7 +102,7 @@ def test_what_fits_in_no_unit_is_refused():
 
 def test_a_placement_is_undone():
     made = scene(3.0, (100, 200, 300))
-    where = Placement(0.25, (96.0, 200.0, 304.0))
+    where = FilePlacement(0.25, (96.0, 200.0, 304.0))
     back = placed_back(placed(made, where), where)
     torch.testing.assert_close(back.means, made.means)
     torch.testing.assert_close(back.scales, made.scales)
