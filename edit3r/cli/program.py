@@ -36,7 +36,8 @@ def steady_streams() -> None:
             setattr(sys, name, stream)
         if mode == "w" and isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
-    if isinstance(sys.stderr, io.TextIOWrapper):
+    # The old one is kept by `sys.__stderr__`: thrown away, it would close what lies below it.
+    if sys.stderr is sys.__stderr__ and isinstance(sys.stderr, io.TextIOWrapper):
         sys.stderr = SteadyText(
             sys.stderr.buffer,
             encoding=sys.stderr.encoding,
