@@ -93,7 +93,7 @@ class ProgressLines:
     def __init__(self, console: Console, every: float = EVERY) -> None:
         self.console = console
         self.every = every
-        self.doing: list[str] = []  # stages that have begun, the inner ones last
+        self.doing: dict[str, float] = {}  # when stages began; the inner ones come last
         self.counted: tuple[str, int, int, float] | None = (
             None  # text, done, total, begun
         )
@@ -109,9 +109,9 @@ class ProgressLines:
 
     def hear(self, event: str, text: str, done: int, total: int) -> None:
         if event == "start":
-            self.doing.append(text)
+            self.doing[text] = time.perf_counter()
         elif event == "end":
-            self.doing = [stage for stage in self.doing if stage != text]
+            self.doing.pop(text, None)
             self.counted = None
         elif event == "progress":
             known = self.counted
@@ -123,7 +123,8 @@ class ProgressLines:
         """What to say now; "" where nothing is being done."""
         counted = self.counted
         if counted is None or counted[1] >= counted[2]:
-            return f"{self.doing[-1]} ..." if self.doing else ""
+            *_, (stage, begun) = (("", 0.0), *self.doing.items())
+            return f"{stage}: {duration(time.perf_counter() - begun)} so far" * bool(stage)
         text, done, total, begun = counted
         told = f"{text}: {done} of {total}"
         if not done:

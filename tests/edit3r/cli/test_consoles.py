@@ -92,14 +92,14 @@ def test_a_line_says_what_is_done_and_how_long_it_takes_yet(monkeypatch):
     said = lines()
     assert said.line() == ""
     said.hear("start", "edit photos", 0, 0)
-    assert said.line() == "edit photos ..."
+    assert said.line() == "edit photos: 0 s so far"
     said.hear("progress", "match", 0, 40)
     assert said.line() == "match: 0 of 40"
     now[0] = 30.0
     said.hear("progress", "match", 10, 40)
-    assert said.line() == "match: 10 of 40, about 90 s left".replace("90 s", "2 min")
+    assert said.line() == "match: 10 of 40, about 2 min left"
     said.hear("progress", "match", 40, 40)
-    assert said.line() == "edit photos ..."
+    assert said.line() == "edit photos: 30 s so far"
     said.hear("end", "edit photos", 0, 0)
     assert said.line() == ""
 
@@ -108,7 +108,7 @@ def test_lines_come_again_and_again_and_stop():
     said = lines(every=0.01)
     said.hear("start", "reconstruct", 0, 0)
     said.start()
-    while said.console.file.getvalue().count("reconstruct ...") < 2:
+    while said.console.file.getvalue().count("reconstruct: 0 s so far") < 2:
         time.sleep(0.01)
     said.stop()
     length = len(said.console.file.getvalue())
