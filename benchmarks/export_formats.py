@@ -3,7 +3,7 @@ folder of a run; left out, the packaged pair with one Gaussian a pixel.
 
 Size, CPU time, and the error after a round trip: of the centres and sizes as medians, in standard
 deviations of the Gaussian itself; of the pictures from the run's cameras, against those of
-scene.ply. GLB is read here, as nothing that is installed reads it.
+scene.ply.
 """
 
 import resource

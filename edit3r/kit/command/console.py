@@ -124,7 +124,9 @@ class ProgressLines:
         counted = self.counted
         if counted is None or counted[1] >= counted[2]:
             *_, (stage, begun) = (("", 0.0), *self.doing.items())
-            return f"{stage}: {duration(time.perf_counter() - begun)} so far" * bool(stage)
+            return f"{stage}: {duration(time.perf_counter() - begun)} so far" * bool(
+                stage
+            )
         text, done, total, begun = counted
         told = f"{text}: {done} of {total}"
         if not done:

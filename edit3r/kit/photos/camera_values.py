@@ -52,7 +52,7 @@ class PosedCamera:
 
     def says_the_same_as(self, other: "PosedCamera") -> bool:
         """Whether both have the same lens and pose."""
-        numbers = (
+        numbers: tuple[tuple[Any, Any], ...] = (
             ((self.width, self.height), (other.width, other.height)),
             (self.K, other.K),
             (self.c2w, other.c2w),

@@ -26,7 +26,7 @@ SPZ_STEP = 1 / 4096
 SPZ_LARGEST = 300.0  # size of a Gaussian: its logarithm is kept from -10 to 5.9
 SOG_STEPS = 65535  # of the logarithms of positions, from the least to the most
 SMALLEST_EXTENT = 1e-3  # gaussforge takes less for nothing
-GOOD = 8.0  # steps a Gaussian: beyond it, images no longer change
+GOOD = 4.0  # steps a Gaussian, as most scenes have: beyond it, images hardly change
 LEAST = 2.0  # steps below which a file would not show the scene
 EXTENTS = (16.0, 256.0, SPZ_RANGE - 1)  # that a scene may be given, small ones first
 FEW = 0.1  # share of the Gaussians that may have fewer steps
@@ -125,7 +125,8 @@ def _placements(means: Positions) -> Iterator[FilePlacement]:
     middle = (low + high) / 2
     # Rounded, so that people can read it and it costs no bit.
     digits = -int(np.floor(np.log10(max((high - low).max(), 1e-30)))) + 1
-    centre = tuple(float(np.round(value, digits)) + 0.0 for value in middle)
+    x, y, z = (float(np.round(value, digits)) + 0.0 for value in middle)
+    centre = (x, y, z)
     yield FilePlacement(1.0, centre)
     for place in ((0.0, 0.0, 0.0), centre):
         extent = abs(means - place).max()
