@@ -16,6 +16,6 @@ import pycolmap  # noqa: E402
 if _SET is not None:
     _SET(signal.SIGTERM, _AT_TERM)
 # Ceres warns on the terminal of each step that it takes back; the run judges the outcome itself.
-pycolmap.logging.minloglevel = pycolmap.logging.ERROR
+pycolmap.logging.minloglevel = int(pycolmap.logging.ERROR)
 
 __all__ = ["pycolmap"]
