@@ -15,6 +15,7 @@ from edit3r import default_registry
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import NamedObjects, Rasterizer, SceneToWrite
 from edit3r.contract.types import Cameras, Gaussians
+from edit3r.kit.files.text import read_plain
 from edit3r.kit.photos.images import LoadedPhotos, save_image, unique_names
 from edit3r.kit.rendering import render_each
 from edit3r.kit.run_folder import RunFolder, continue_run
@@ -106,7 +107,7 @@ def _manifest_of(folder: RunFolder) -> dict[str, Any]:
     """What run.json says; nothing of a scene that was made elsewhere."""
     if not folder.manifest.exists():
         return {}
-    content: dict[str, Any] = json.loads(folder.manifest.read_text(encoding="utf-8"))
+    content: dict[str, Any] = json.loads(read_plain(folder.manifest))
     return content
 
 

@@ -245,10 +245,13 @@ def unique_names(names: Sequence[str]) -> list[str]:
     counts = Counter(map(_same_file, safe))
     alone = {folded for folded, count in counts.items() if count == 1}
     taken = set(alone)
+    # Where counting goes on: thousands of equal names are no reason to count from 1 again.
+    numbers: Counter[str] = Counter()
     result = []
     for name in safe:
         if _same_file(name) not in alone:
-            name = _numbered(name, taken)
+            own = _same_file(name)
+            name, numbers[own] = _numbered(name, taken, numbers[own] + 1)
             taken.add(_same_file(name))
         result.append(name)
     return result
@@ -269,12 +272,13 @@ def _safe_name(name: str) -> str:
     return _cut(f"_{name}" if _RESERVED.fullmatch(name) else name)
 
 
-def _numbered(name: str, taken: set[str]) -> str:
-    for number in itertools.count(1):
+def _numbered(name: str, taken: set[str], first: int) -> tuple[str, int]:
+    """The name with the first number, from `first` on, that nobody has; and that number."""
+    for number in itertools.count(first):
         ending = f"-{number}"
         unique = _cut(name, len(ending)) + ending
         if _same_file(unique) not in taken:
-            return unique
+            return unique, number
     raise AssertionError
 
 
