@@ -1,6 +1,7 @@
 """COLMAP's models, in text and binary, read by pycolmap: the cameras and poses, not the points."""
 
 import shutil
+import struct
 import tempfile
 from functools import partial
 from pathlib import Path
@@ -25,7 +26,9 @@ from edit3r.kit.photos.camera_values import (
     size_from_outside,
 )
 
-_FURTHER = ("rigs", "frames")  # which older models have not
+LEAST_CAMERA = 24 + 3 * 8  # bytes of one with three numbers
+IMAGE = 64  # bytes of one before its name
+POINT = 24  # bytes of a point in an image
 # OpenCV's numbers, as places among COLMAP's parameters after focal lengths and centre
 _LENSES = {
     "SIMPLE_PINHOLE": 0,
@@ -65,12 +68,13 @@ def _copy_without_points(folder: Path, scratch: Path) -> dict[int, str]:
     a space, and needs a line for the points of each image, which those who write by hand leave out.
     """
     ending = ending_of(folder)
-    for part in (*MODEL_PARTS, *_FURTHER):
+    for part in MODEL_PARTS:
         source = folder / f"{part}{ending}"
         if source.is_file():
             shutil.copyfile(source, scratch / source.name)
     (scratch / f"points3D{ending}").write_bytes(bytes(8) if ending == ".bin" else b"")
     if ending == ".bin":
+        _check_counts(scratch)
         return {}
     text = (folder / "images.txt").read_text("utf-8-sig", errors="surrogateescape")
     lines = [line.split(maxsplit=9) for line in text.splitlines()]
@@ -78,6 +82,23 @@ def _copy_without_points(folder: Path, scratch: Path) -> dict[int, str]:
     kept = "".join(f"{' '.join(fields[:9])} {fields[0]}\n\n" for fields in images)
     (scratch / "images.txt").write_text(kept, "utf-8")
     return {int(fields[0]): fields[9].strip() for fields in images}
+
+
+def _check_counts(scratch: Path) -> None:
+    """Raise ValueError for files that promise more than they hold: pycolmap would read on."""
+    cameras, images = ((scratch / f"{part}.bin").read_bytes() for part in MODEL_PARTS)
+    try:
+        if struct.unpack_from("<Q", cameras)[0] * LEAST_CAMERA > len(cameras):
+            raise ValueError("it is cut off")
+        place = 8
+        for _ in range(struct.unpack_from("<Q", images)[0]):
+            name_end = images.index(b"\0", place + IMAGE)
+            (points,) = struct.unpack_from("<Q", images, name_end + 1)
+            place = name_end + 9 + points * POINT
+    except (struct.error, OverflowError):
+        raise ValueError("it is cut off") from None
+    if place > len(images):
+        raise ValueError("it is cut off")
 
 
 def _is_image(fields: list[str]) -> bool:
