@@ -26,9 +26,9 @@ from edit3r.kit.photos.camera_values import (
     size_from_outside,
 )
 
-LEAST_CAMERA = 24 + 3 * 8  # bytes of one with three numbers
-IMAGE = 64  # bytes of one before its name
-POINT = 24  # bytes of a point in an image
+_LEAST_CAMERA = 24 + 3 * 8  # bytes of one with three numbers
+_IMAGE = 64  # bytes of one before its name
+_POINT = 24  # bytes of a point in an image
 # OpenCV's numbers, as places among COLMAP's parameters after focal lengths and centre
 _LENSES = {
     "SIMPLE_PINHOLE": 0,
@@ -88,13 +88,13 @@ def _check_counts(scratch: Path) -> None:
     """Raise ValueError for files that promise more than they hold: pycolmap would read on."""
     cameras, images = ((scratch / f"{part}.bin").read_bytes() for part in MODEL_PARTS)
     try:
-        if struct.unpack_from("<Q", cameras)[0] * LEAST_CAMERA > len(cameras):
+        if struct.unpack_from("<Q", cameras)[0] * _LEAST_CAMERA > len(cameras):
             raise ValueError("it is cut off")
         place = 8
         for _ in range(struct.unpack_from("<Q", images)[0]):
-            name_end = images.index(b"\0", place + IMAGE)
+            name_end = images.index(b"\0", place + _IMAGE)
             (points,) = struct.unpack_from("<Q", images, name_end + 1)
-            place = name_end + 9 + points * POINT
+            place = name_end + 9 + points * _POINT
     except (struct.error, OverflowError):
         raise ValueError("it is cut off") from None
     if place > len(images):
