@@ -3,24 +3,20 @@ folder of a run; left out, the packaged pair with one Gaussian a pixel.
 
 Size, CPU time, and the error after a round trip: of the centres and sizes as medians, in standard
 deviations of the Gaussian itself; of the pictures from the run's cameras, against those of
-scene.ply. GLB is read here, as nothing that is installed reads it.
+scene.ply.
 """
 
-import json
 import resource
-import struct
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from edit3r import build
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Gaussians
-from edit3r.kit.geometry.harmonics import basis
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.rendering import render_each
 from edit3r.kit.scenes.read import load_scene
@@ -43,7 +39,7 @@ def main(folder: Path) -> None:
             file, start = Path(scratch) / writer.offer.component.file_name(), _cpu()
             writer.write(file, SceneToWrite(scene))
             spent = _cpu() - start
-            back = read_glb(file) if form == "glb" else load_scene(file)
+            back = load_scene(file)
             picture = render_each(rasterizer, back, cameras, "").images.clamp(0, 1)
             error = float((picture - whole).square().mean())
             psnr = f"{-10 * np.log10(error):.1f} dB" if error else "equal"
@@ -71,37 +67,6 @@ def _errors(scene: Gaussians, back: Gaussians) -> tuple[float, float]:
     size, found = (g.scales[0].double().mean(-1).numpy() for g in (scene, back))
     return float(np.median(gaps / size)), float(
         np.median(np.abs(found[index] / size - 1))
-    )
-
-
-def read_glb(file: Path) -> Gaussians:
-    """The Gaussians of a GLB as the writer leaves it, turned back to the frame of view 0."""
-    content = file.read_bytes()
-    length = struct.unpack_from("<I", content, 12)[0]
-    tree, data = json.loads(content[20 : 20 + length]), content[28 + length :]
-    columns = {}
-    for name, index in tree["meshes"][0]["primitives"][0]["attributes"].items():
-        accessor, view = tree["accessors"][index], tree["bufferViews"][index]
-        width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
-        values = np.frombuffer(
-            data, "<f4", accessor["count"] * width, view["byteOffset"]
-        )
-        columns[name.rpartition(":")[2]] = torch.from_numpy(
-            values.reshape(-1, width).copy()
-        )
-    coefficients = [each for name, each in columns.items() if name.startswith("SH_")]
-    harmonics = torch.stack(coefficients, 1)
-    turn = torch.tensor([1.0, -1.0, -1.0])
-    anywhere = torch.nn.functional.normalize(torch.tensor([0.2, 0.5, 0.8]), dim=0)
-    degree = round(harmonics.shape[1] ** 0.5) - 1
-    signs = basis(anywhere * turn, degree).sign() * basis(anywhere, degree).sign()
-    x, y, z, w = columns["ROTATION"].unbind(-1)
-    return Gaussians(
-        (columns["POSITION"] * turn)[None],
-        columns["SCALE"][None],
-        torch.stack((-x, w, -z, y), -1)[None],  # half a turn about x first
-        columns["OPACITY"][None, :, 0],
-        (harmonics * signs[:, None])[None],
     )
 
 

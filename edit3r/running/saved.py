@@ -17,6 +17,7 @@ from edit3r.kit.files.atomic import atomic_folder, atomic_write
 from edit3r.kit.photos.cameras import PosedCamera, read_cameras, read_scene_cameras
 from edit3r.kit.photos.images import read_image, unique_names
 from edit3r.kit.rendering import Flight, path_around, render_each
+from edit3r.kit.scenes.look import camera_file_of, look_at
 from edit3r.kit.scenes.read import load_scene
 from edit3r.loading.registry import Registry
 from edit3r.running.config import RunConfig
@@ -52,17 +53,15 @@ class SavedScene:
 
     @cached_property
     def _posed(self) -> tuple[Cameras, list[PosedCamera]]:
-        file = self.file.with_name("cameras.json")
-        if not file.is_file():
-            raise InputError(
-                f"{file.parent}: holds no cameras.json; this is written of the folder of a run."
-            )
+        file = camera_file_of(self.file)
+        if file is None:
+            return look_at(self.file, None, self.gaussians)
         cameras, views = read_scene_cameras(file)
         without = {view.file for view in read_cameras(file)}
         without -= {view.file for view in views}
         if without:
             told = ", ".join(sorted(without))
-            warn(f"{told}: without a pose in cameras.json, so left out.")
+            warn(f"{told}: without a pose in {file.name}, so left out.")
         return cameras, views
 
     @property
@@ -84,6 +83,11 @@ class SavedScene:
         return self._views("edited", "inputs")
 
     def _views(self, *folders: str) -> Views:
+        if camera_file_of(self.file) is None:
+            raise InputError(
+                f"{self.file.parent}: holds no cameras.json; this is written of the folder "
+                "of a run."
+            )
         cameras, views = self._posed
         images = [self._image(Path(view.file).name, folders) for view in views]
         pixels = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2)
@@ -101,8 +105,8 @@ class SavedScene:
                     )
                 return np.array(image)
         raise InputError(
-            f"{self.file.parent}: has no image {name}; repeat the run with `--outputs "
-            "scene,images`."
+            f"{self.file.parent}: has no image {name}; this is written of the folder of a run with "
+            "its images (`--outputs scene,images`)."
         )
 
     @cached_property

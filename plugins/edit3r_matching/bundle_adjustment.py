@@ -15,6 +15,7 @@ from jaxtyping import Float, Int
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
+from edit3r.kit.geometry.quiet_pycolmap import pycolmap
 from edit3r_matching.cameras import (
     CalibratedImage,
     Pose,
@@ -24,7 +25,6 @@ from edit3r_matching.cameras import (
     triangulate,
 )
 from edit3r_matching.pairs import MIN_PARALLAX
-from edit3r_matching.relative_pose import pycolmap
 
 __all__ = ["adjust"]
 

@@ -108,7 +108,7 @@ def measure_depths(
         if settings.ground
         else None
     )
-    for view in raw:
+    for view in reporting.track(raw, "filling depth"):
         inverse = fill(
             raw[view].inverse, measured[view], raw[view].step, small[view].pixels
         )

@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float, Int
 from pydantic import Field
 
 from edit3r.contract import settings as config
+from edit3r.contract.reporting import track
 from edit3r.kit.weights.find import at_hand, find
 from edit3r_matching import ALIKED
 from edit3r_matching.cameras import CalibratedImage, rays_through
@@ -140,13 +141,14 @@ def find_features(
     """
     keypoints = tuple(
         detect(image.pixels, settings.keypoints, settings.detection_size)
-        for image in images
+        for image in track(images, "find features")
     )
     pairs = likely_pairs(keypoints, settings.ratio)
-    found = FoundFeatures(
-        keypoints,
-        {(a, b): match(keypoints[a], keypoints[b], settings.ratio) for a, b in pairs},
-    )
+    matches = {
+        (a, b): match(keypoints[a], keypoints[b], settings.ratio)
+        for a, b in track(pairs, "match photos")
+    }
+    found = FoundFeatures(keypoints, matches)
     asked = settings.matches == "learned"
     few = [
         pair
@@ -174,7 +176,7 @@ def likely_pairs(keypoints: Sequence[Keypoints], ratio: float) -> list[tuple[int
         for keys in keypoints
     ]
     alike = np.zeros((len(keypoints), len(keypoints)))
-    for a, b in every:
+    for a, b in track(every, "compare photos"):
         alike[a, b] = alike[b, a] = len(match(samples[a], keypoints[b], ratio))
     nearest = np.argsort(-alike, axis=1, kind="stable")[:, :NEIGHBOURS]
     chosen = {

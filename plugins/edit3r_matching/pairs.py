@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from edit3r.contract.reporting import track
 from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, triangulate
 from edit3r_matching.features import FoundFeatures
 from edit3r_matching.relative_pose import (
@@ -126,7 +127,7 @@ def agreeing_pairs(
     """The epipolar geometry of every two images that show one; for the others, why not."""
     pairs: dict[tuple[int, int], PairView] = {}
     failures: dict[tuple[int, int], str] = {}
-    for (a, b), indices in features.indices.items():
+    for (a, b), indices in track(features.indices.items(), "compare cameras"):
         limit = threshold * max(*images[a].size, *images[b].size) / 256
         matches = features.matches(images, a, b)
         found = _moved(matches, indices, features.learned(a, b), limit, seed)

@@ -18,6 +18,7 @@ from pydantic import BaseModel, Field
 from edit3r import default_registry
 from edit3r.contract.component import Component
 from edit3r.kit.children import PYTHON
+from edit3r.kit.files.text import read_plain
 from edit3r.kit.photos.decode import read_image
 
 MAX_SIDE = 1600  # of an image that is sent [pixels]: assistants reduce larger ones
@@ -89,7 +90,7 @@ class Tools:
         folder = self._found(run)
         lines = [f"run: {run} (walk through it in {folder / 'viewer.html'})"]
         try:
-            about = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+            about = json.loads(read_plain(folder / "run.json"))
             for what, key in (("scene", "verdict"), ("edit", "edit_verdict")):
                 verdict = about.get(key)
                 if verdict:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 from edit3r.contract.command import Command
 from edit3r.contract.errors import SettingsError
 from edit3r.kit.command.flags import add_output_flags
+from edit3r.kit.scenes.files import scene_file
 from edit3r.running import add_mark_flags
 
 if TYPE_CHECKING:
@@ -38,7 +39,9 @@ class ObjectsCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add("run", type=Path, metavar="RUN", help="folder of a run")
+        add(
+            "run", type=Path, metavar="RUN", help="folder of a run, or its scene's file"
+        )
         add(
             "action",
             nargs="?",
@@ -72,7 +75,7 @@ class ObjectsCommand(Command):
             raise SettingsError(
                 f"{args.action}: say with --out where the new run goes."
             )
-        check_apart(args.out, args.run / "scene.ply", *map(Path, args.mask))
+        check_apart(args.out, scene_file(str(args.run)), *map(Path, args.mask))
         with torch.no_grad(), atomic_folder(args.out, args.overwrite) as folder:
             new = _edited(run, args, numbers, rasterizer)
             write_run(folder, run, new, rasterizer)

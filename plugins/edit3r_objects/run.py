@@ -15,11 +15,14 @@ from edit3r import default_registry
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import NamedObjects, Rasterizer, SceneToWrite
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.kit.photos.cameras import read_scene_cameras
+from edit3r.kit.files.text import read_plain
 from edit3r.kit.photos.images import LoadedPhotos, save_image, unique_names
 from edit3r.kit.rendering import render_each
 from edit3r.kit.run_folder import RunFolder, continue_run
-from edit3r.kit.scenes.ply import load_ply, save_ply
+from edit3r.kit.scenes.files import scene_file
+from edit3r.kit.scenes.look import look_at
+from edit3r.kit.scenes.ply import save_ply
+from edit3r.kit.scenes.read import load_scene
 from edit3r.kit.sheet import draw_sheet
 from edit3r.running import (
     MIN_AREA,
@@ -78,12 +81,17 @@ class Run:
 
 
 def read_run(root: Path) -> Run:
-    """The run in a folder. Raises InputError, naming the file, for what is none."""
+    """The run in a folder, or the scene in a file, with what lies beside it.
+
+    Raises InputError, naming the file, for what is none.
+    """
+    scene = scene_file(str(root))
+    root = root if root.is_dir() else root.parent
     folder = RunFolder(root)
-    gaussians = load_ply(folder.scene, visible=True)
-    cameras, posed = read_scene_cameras(folder.cameras)
+    gaussians = load_scene(scene)
+    cameras, posed = look_at(scene, None, gaussians)
     try:
-        manifest = json.loads(folder.manifest.read_text(encoding="utf-8"))
+        manifest = _manifest_of(folder)
         names = {
             str(name): int(index) for name, index in manifest.get("objects", {}).items()
         }
@@ -93,6 +101,14 @@ def read_run(root: Path) -> Run:
         raise InputError(f"{folder.manifest}: cannot be read ({error}).") from None
     views = unique_names([Path(camera.file).stem for camera in posed])
     return Run(root, gaussians, cameras, views, manifest, names, edits)
+
+
+def _manifest_of(folder: RunFolder) -> dict[str, Any]:
+    """What run.json says; nothing of a scene that was made elsewhere."""
+    if not folder.manifest.exists():
+        return {}
+    content: dict[str, Any] = json.loads(read_plain(folder.manifest))
+    return content
 
 
 def _check(names: Mapping[str, int]) -> None:

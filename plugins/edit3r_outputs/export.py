@@ -22,7 +22,8 @@ class ExportCommand(Command):
             "scene",
             type=scene_file,
             metavar="SCENE",
-            help="folder of a run, or a file: .ply, .compressed.ply, .spz, .sog or .splat",
+            help="folder of a run, or a scene's file: .ply, .compressed.ply, .spz, .sog, .splat or "
+            ".glb",
         )
         add(
             "--to",

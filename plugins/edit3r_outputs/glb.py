@@ -10,15 +10,18 @@ import torch
 from edit3r.contract.interfaces import SceneToWrite, Writer
 from edit3r.contract.types import Gaussians
 from edit3r.kit.compute.colour import srgb_to_linear
-from edit3r.kit.geometry.harmonics import basis, dc_to_colour
+from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.geometry.rotations import normalise_quats
+from edit3r.kit.scenes.glb import FLOAT, OWN, TURN, turned_signs
 from edit3r.kit.scenes.ply import SMALLEST_SCALE, VIEWER_DEGREE
+from edit3r_outputs.formats import tell_of_losses
 
 
 class GlbWriter(Writer):
     """glTF 2.0 with the extension KHR_gaussian_splatting."""
 
     def write(self, path: Path, scene: SceneToWrite) -> None:
+        tell_of_losses(scene.gaussians, "glb")
         path.write_bytes(_glb(scene.gaussians))
 
 
@@ -30,19 +33,15 @@ def _glb(gaussians: Gaussians) -> bytes:
     and no node has a rotation, since programs need not apply one to harmonics.
     """
     columns = gaussians.to("cpu")
-    turn = torch.tensor([1.0, -1.0, -1.0])
     w, x, y, z = normalise_quats(columns.quats[0]).unbind(-1)
     harmonics = columns.harmonics[0, :, : (VIEWER_DEGREE + 1) ** 2]
     plain = dc_to_colour(harmonics[:, 0]).clamp(0, 1)
     opacities = columns.opacities[0].clamp(0, 1)
-    # Each basis function of a turned direction is the same or its negative.
-    anywhere = torch.nn.functional.normalize(torch.tensor([0.2, 0.5, 0.8]), dim=0)
     degree = round(harmonics.shape[1] ** 0.5) - 1
-    signs = basis(anywhere * turn, degree).sign() * basis(anywhere, degree).sign()
-    harmonics = harmonics * signs[:, None]
-    own = "KHR_gaussian_splatting"
+    harmonics = harmonics * turned_signs(degree)[:, None]
+    own = OWN
     attributes = {
-        "POSITION": columns.means[0] * turn,
+        "POSITION": columns.means[0] * TURN,
         # linear, as glTF wants it
         "COLOR_0": torch.column_stack((srgb_to_linear(plain), opacities)),
         f"{own}:ROTATION": torch.stack((w, -z, y, -x), -1),  # half a turn first; xyzw
@@ -61,7 +60,7 @@ def _glb(gaussians: Gaussians) -> bytes:
     accessors = [
         {
             "bufferView": i,
-            "componentType": 5126,
+            "componentType": FLOAT,
             "count": len(p),
             "type": kinds[1 if p.ndim == 1 else p.shape[1]],
         }

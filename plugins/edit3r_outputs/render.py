@@ -26,12 +26,14 @@ class RenderCommand(Command):
             "scene",
             type=scene_file,
             metavar="SCENE",
-            help="folder of a run, or Gaussians as 3DGS PLY",
+            help="folder of a run, or a scene's file: .ply, .compressed.ply, .spz, .sog, .splat or "
+            ".glb",
         )
         add(
             "--cameras",
             metavar="FILE",
-            help="cameras.json or transforms.json; default: cameras.json beside the scene",
+            help="cameras.json, transforms.json or a COLMAP model; default: what lies beside the "
+            "scene, else looks from outside",
         )
         add(
             "--make",
@@ -119,7 +121,7 @@ def _render(
 
     with stage("read scene"):
         gaussians = _gaussians(args)
-        cameras, names = _cameras(args)
+        cameras, names = _cameras(args, gaussians)
     with stage("render input views"):
         views = render_each(rasterizer, gaussians, cameras, "views")
         if not views.alphas.any():
@@ -159,9 +161,9 @@ def _rasterizer(args: argparse.Namespace) -> "Rasterizer":
 
 def _gaussians(args: argparse.Namespace) -> "Gaussians":
     """The file's Gaussians, those of one view alone where that is asked for."""
-    from edit3r.kit.scenes.ply import load_ply
+    from edit3r.kit.scenes.read import load_scene
 
-    gaussians = load_ply(args.scene, visible=True)
+    gaussians = load_scene(args.scene)
     if args.only_view is None:
         return gaussians
     known = [view for view in gaussians.view_index.unique().tolist() if view >= 0]
@@ -175,13 +177,14 @@ def _gaussians(args: argparse.Namespace) -> "Gaussians":
     return gaussians.from_view(args.only_view)
 
 
-def _cameras(args: argparse.Namespace) -> "tuple[Cameras, list[str]]":
+def _cameras(
+    args: argparse.Namespace, gaussians: "Gaussians"
+) -> "tuple[Cameras, list[str]]":
     """The file's cameras as one scene, at one image size, and a name for each."""
-    from edit3r.kit.photos.cameras import read_scene_cameras
     from edit3r.kit.photos.images import unique_names
+    from edit3r.kit.scenes.look import look_at
 
-    beside = Path(args.scene).parent / "cameras.json"
-    cameras, posed = read_scene_cameras(args.cameras or beside)
+    cameras, posed = look_at(args.scene, args.cameras, gaussians)
     if args.size is not None:
         if not 1 <= args.size <= 8192:
             raise InputError(f"--size: expected 1 to 8192 pixels, got {args.size}.")

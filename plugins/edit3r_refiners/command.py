@@ -1,7 +1,6 @@
 """`edit3r simplify`: a saved scene with only the Gaussians it requires."""
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edit3r.contract.command import Command
@@ -20,12 +19,14 @@ class SimplifyCommand(Command):
             "scene",
             type=scene_file,
             metavar="SCENE",
-            help="folder of a run, or Gaussians as 3DGS PLY",
+            help="folder of a run, or a scene's file: .ply, .compressed.ply, .spz, .sog, .splat or "
+            ".glb",
         )
         add(
             "--cameras",
             metavar="FILE",
-            help="cameras.json or transforms.json of the views; default: beside the scene",
+            help="cameras.json, transforms.json or a COLMAP model of the views; default: what lies "
+            "beside the scene, else looks from outside",
         )
         add(
             "--gaussians",
@@ -67,8 +68,9 @@ class SimplifyCommand(Command):
         from edit3r.contract.reporting import Report, collecting
         from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.atomic import check_new_file
-        from edit3r.kit.photos.cameras import read_scene_cameras
-        from edit3r.kit.scenes.ply import load_ply, save_ply
+        from edit3r.kit.scenes.look import SIDES, look_at
+        from edit3r.kit.scenes.ply import save_ply
+        from edit3r.kit.scenes.read import load_scene
         from edit3r_refiners.simplify import simplify
 
         check_new_file(args.out, args.overwrite, source=args.scene)
@@ -81,10 +83,8 @@ class SimplifyCommand(Command):
             collecting(Report(on_event=console)) as report,
         ):
             with report.stage("read scene"):
-                gaussians = load_ply(args.scene)
-                cameras, _ = read_scene_cameras(
-                    args.cameras or Path(args.scene).parent / "cameras.json"
-                )
+                gaussians = load_scene(args.scene, visible=False)
+                cameras, _ = look_at(args.scene, args.cameras, gaussians, len(SIDES))
             with report.stage("simplify"):
                 result = simplify(gaussians, cameras, rasterizer, most, settings)
             with report.stage("write scene"):

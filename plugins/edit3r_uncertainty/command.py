@@ -5,6 +5,7 @@ from pathlib import Path
 
 from edit3r.contract.command import Command
 from edit3r.kit.command.flags import add_output_flags
+from edit3r.kit.scenes.files import scene_file
 
 
 class UncertaintyCommand(Command):
@@ -12,7 +13,9 @@ class UncertaintyCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add("run", type=Path, metavar="RUN", help="folder of a run")
+        add(
+            "run", type=Path, metavar="RUN", help="folder of a run, or its scene's file"
+        )
         add(
             "--out",
             metavar="DIR",
@@ -35,7 +38,7 @@ class UncertaintyCommand(Command):
 
         rasterizer = default_registry().build("rasterizer", "auto")
         run = read_run(args.run)
-        check_apart(args.out, args.run / "scene.ply")
+        check_apart(args.out, scene_file(str(args.run)))
         with torch.no_grad(), atomic_folder(args.out, args.overwrite) as folder:
             judged = judge(run, rasterizer)
             write_run(folder, judged, rasterizer, maps=args.maps)

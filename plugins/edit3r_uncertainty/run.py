@@ -16,12 +16,15 @@ from edit3r import build
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Rasterizer, SceneToWrite, SecondLook
 from edit3r.contract.types import Cameras, Gaussians
+from edit3r.kit.files.text import read_plain
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.kit.rendering import render_each, render_uncertainty
 from edit3r.kit.run_folder import RunFolder, continue_run
-from edit3r.kit.scenes.ply import load_ply, save_ply
+from edit3r.kit.scenes.files import scene_file
+from edit3r.kit.scenes.ply import save_ply
+from edit3r.kit.scenes.read import load_scene
 from edit3r.kit.sheet import draw_sheet
 from edit3r.running import read_views_of_run
 from edit3r_uncertainty.signals import photos_of, uncertainty
@@ -59,8 +62,10 @@ class JudgedRun:
 
 def read_run(root: Path) -> JudgedRun:
     """The run in a folder. Raises InputError, naming the file, for what is none."""
+    scene = scene_file(str(root))
+    root = root if root.is_dir() else root.parent
     folder = RunFolder(root)
-    gaussians = load_ply(folder.scene, visible=True)
+    gaussians = load_scene(scene)
     if not (root / "inputs").is_dir():
         raise InputError(
             f"{root}: has no photos (its scene was edited, or the run kept no images); give a run "
@@ -73,7 +78,7 @@ def read_run(root: Path) -> JudgedRun:
             f"{folder.cameras}: has {cameras.count} cameras of {cameras.image_size} pixels, "
             f"expected one of {photos.image_size} for each of {photos.count} photos."
         )
-    manifest = json.loads(folder.manifest.read_text(encoding="utf-8"))
+    manifest = json.loads(read_plain(folder.manifest))
     images = photos.images[0], edited.images[0]
     return JudgedRun(root, gaussians, cameras, photos.names, *images, manifest)
 

@@ -4,6 +4,7 @@ they come.
 
 import json
 import sys
+import threading
 import time
 from types import TracebackType
 
@@ -14,30 +15,39 @@ from rich.progress import (
     TaskID,
     TextColumn,
     TimeElapsedColumn,
+    TimeRemainingColumn,
 )
+
+EVERY = 15.0  # seconds between lines where no bar can be drawn
 
 
 class StageConsole:
     """Listener for `Report.on_event`; use as a context manager around the run."""
 
     def __init__(self, quiet: bool = False) -> None:
-        self.console = Console(stderr=True, quiet=quiet, highlight=False)
+        self.console = Console(
+            stderr=True, quiet=quiet, highlight=False, soft_wrap=True
+        )
         columns = (
             TextColumn("  {task.description}"),
             BarColumn(bar_width=24),
             TimeElapsedColumn(),
+            TimeRemainingColumn(elapsed_when_finished=False),
         )
+        # closed for programs that services start, and for those without a window
+        is_terminal = sys.stderr is not None and sys.stderr.isatty()
+        has_bars = is_terminal or self.console.is_jupyter
         self.progress = Progress(
-            *columns,
-            console=self.console,
-            transient=True,
-            disable=not (sys.stderr.isatty() or self.console.is_jupyter),
+            *columns, console=self.console, transient=True, disable=not has_bars
         )
+        self.lines = None if has_bars or quiet else ProgressLines(self.console)
         self.tasks: dict[str, TaskID] = {}
         self.started: dict[str, float] = {}
 
     def __enter__(self) -> "StageConsole":
         self.progress.start()
+        if self.lines is not None:
+            self.lines.start()
         return self
 
     def __exit__(
@@ -47,9 +57,13 @@ class StageConsole:
         trace: TracebackType | None,
     ) -> None:
         self.progress.stop()
+        if self.lines is not None:
+            self.lines.stop()
 
     def __call__(self, event: str, text: str, done: int, total: int) -> None:
         text = printable(text)
+        if self.lines is not None:
+            self.lines.hear(event, text, done, total)
         if event == "start":
             self.started[text] = time.perf_counter()
             self.tasks[text] = self.progress.add_task(text, total=None)
@@ -71,6 +85,65 @@ class StageConsole:
         for task in self.tasks.values():
             self.progress.remove_task(task)
         self.tasks.clear()
+
+
+class ProgressLines:
+    """What is being done, as a line every `EVERY` seconds, for outputs that are no terminal."""
+
+    def __init__(self, console: Console, every: float = EVERY) -> None:
+        self.console = console
+        self.every = every
+        self.doing: dict[str, float] = {}  # when stages began; the inner ones come last
+        self.counted: tuple[str, int, int, float] | None = (
+            None  # text, done, total, begun
+        )
+        self.over = threading.Event()
+        self.thread = threading.Thread(target=self._speak, daemon=True)
+
+    def start(self) -> None:
+        self.thread.start()
+
+    def stop(self) -> None:
+        self.over.set()
+        self.thread.join()
+
+    def hear(self, event: str, text: str, done: int, total: int) -> None:
+        if event == "start":
+            self.doing[text] = time.perf_counter()
+        elif event == "end":
+            self.doing.pop(text, None)
+            self.counted = None
+        elif event == "progress":
+            known = self.counted
+            is_same = known is not None and known[0] == text and known[1] <= done
+            begun = known[3] if known and is_same else time.perf_counter()
+            self.counted = (text, done, total, begun)
+
+    def line(self) -> str:
+        """What to say now; "" where nothing is being done."""
+        counted = self.counted
+        if counted is None or counted[1] >= counted[2]:
+            *_, (stage, begun) = (("", 0.0), *self.doing.items())
+            return f"{stage}: {duration(time.perf_counter() - begun)} so far" * bool(
+                stage
+            )
+        text, done, total, begun = counted
+        told = f"{text}: {done} of {total}"
+        if not done:
+            return told
+        left = (time.perf_counter() - begun) / done * (total - done)
+        return f"{told}, about {duration(left)} left"
+
+    def _speak(self) -> None:
+        while not self.over.wait(self.every):
+            line = self.line()
+            if line:
+                self.console.print(f"  {line}", style="dim", markup=False)
+
+
+def duration(seconds: float) -> str:
+    """A time as people say it, such as "40 s" or "3 min"."""
+    return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
 def print_json(event: str, text: str, done: int, total: int) -> None:

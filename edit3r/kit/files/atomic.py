@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Literal
 
 from edit3r.contract.errors import InputError, RunError
+from edit3r.kit.files.text import read_plain
 
 try:
     import fcntl
@@ -401,7 +402,7 @@ def _read_marker(folder: Path) -> tuple[dict[str, int | None], int]:
     """What the marker lists and when it was written [ns]; nothing without a readable marker."""
     marker = folder / MARKER
     try:
-        listed = json.loads(marker.read_text(encoding="utf-8"))["files"]
+        listed = json.loads(read_plain(marker))["files"]
         written = _time(marker.stat())
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return {}, 0

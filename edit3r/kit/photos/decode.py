@@ -27,6 +27,12 @@ the memory.
 MAX_LAYERS = 8
 """How often the pieces of a file may cover its image: once, or once per channel and mask."""
 
+SUFFIXES = (
+    *(".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".webp", ".tif", ".tiff"),
+    *(".heic", ".heif", ".avif", ".bmp", ".ppm", ".pgm", ".jp2"),
+)
+"""Files taken from a folder; a file given by itself may be called anything."""
+
 READABLE = "JPEG, PNG, WebP, TIFF, AVIF, or HEIC with the extra edit3r[heic]"
 
 FORMATS = ("JPEG", "PNG", "BMP", "GIF", "PPM", "WEBP", "TIFF", "JPEG2000")

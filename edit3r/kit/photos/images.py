@@ -37,6 +37,7 @@ from edit3r.kit.photos.coverage import (
 from edit3r.kit.photos.decode import (
     DEVELOP,
     RAW_SUFFIXES,
+    SUFFIXES,
     decode,
     image_size,
     read_image,
@@ -72,12 +73,6 @@ __all__ = [
 
 Pixels = UInt8[np.ndarray, "height width 3"]
 Item = TypeVar("Item")
-
-SUFFIXES = (
-    *(".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".webp", ".tif", ".tiff"),
-    *(".heic", ".heif", ".avif", ".bmp", ".ppm", ".pgm", ".jp2"),
-)
-"""Files taken from a folder; a file given by itself may be called anything."""
 
 MAX_CHARACTERS = 100  # of a name from `unique_names`
 MAX_BYTES = 200  # file systems allow 255 with the suffix
@@ -262,10 +257,13 @@ def unique_names(names: Sequence[str]) -> list[str]:
     counts = Counter(map(_same_file, safe))
     alone = {folded for folded, count in counts.items() if count == 1}
     taken = set(alone)
+    # Where counting goes on: thousands of equal names are no reason to count from 1 again.
+    numbers: Counter[str] = Counter()
     result = []
     for name in safe:
         if _same_file(name) not in alone:
-            name = _numbered(name, taken)
+            own = _same_file(name)
+            name, numbers[own] = _numbered(name, taken, numbers[own] + 1)
             taken.add(_same_file(name))
         result.append(name)
     return result
@@ -286,12 +284,13 @@ def _safe_name(name: str) -> str:
     return _cut(f"_{name}" if _RESERVED.fullmatch(name) else name)
 
 
-def _numbered(name: str, taken: set[str]) -> str:
-    for number in itertools.count(1):
+def _numbered(name: str, taken: set[str], first: int) -> tuple[str, int]:
+    """The name with the first number, from `first` on, that nobody has; and that number."""
+    for number in itertools.count(first):
         ending = f"-{number}"
         unique = _cut(name, len(ending)) + ending
         if _same_file(unique) not in taken:
-            return unique
+            return unique, number
     raise AssertionError
 
 

@@ -3,6 +3,9 @@ default.
 """
 
 import math
+import re
+import unicodedata
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +16,11 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.lens import Lens
-from edit3r.contract.reporting import warn
+from edit3r.contract.reporting import say, warn
 from edit3r.kit.geometry.cameras import from_pixels, intrinsics_from_fov
-from edit3r.kit.photos.cameras import CAMERA_FILES, PosedCamera, read_cameras
+from edit3r.kit.photos.camera_entries import CameraEntry, Size
+from edit3r.kit.photos.camera_values import PosedCamera
+from edit3r.kit.photos.cameras import SPLITS, camera_entries, camera_files_in
 from edit3r.kit.photos.decode import DecodedImage
 
 DEFAULT_FOV = 60.0
@@ -35,16 +40,20 @@ class Intrinsics:
     normalised: Float64[Tensor, "3 3"]
     source: str
     c2w: Float64[Tensor, "4 4"] | None = None  # in the file's own frame and unit
+    frame: str = ""  # equal for poses in one frame and unit; empty: `source`
     assumed: bool = False  # nobody knows them
     lens: Lens | None = None  # one that bends straight lines, to be straightened
 
 
 def known_poses(found: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | None:
     """The photos' poses where one file knows all of them: those of two files have no frame in
-    common.
+    common, but for the parts of a data set.
     """
     poses = [one.c2w for one in found if one.c2w is not None]
-    complete = len(poses) == len(found) and len({one.source for one in found}) == 1
+    complete = (
+        len(poses) == len(found)
+        and len({one.frame or one.source for one in found}) == 1
+    )
     return torch.stack(poses) if complete else None
 
 
@@ -55,6 +64,7 @@ class IntrinsicsFinder:
         """`cameras`: a file to use, None to look beside each photo. `fov`: horizontal [degrees]."""
         self.fov = fov
         self.given = None if cameras is None else _CameraFile(Path(cameras))
+        self._files_in: dict[Path, list[Path]] = {}
         self._found: dict[Path, _CameraFile | None] = {}
 
     def find(self, file: Path, image: DecodedImage) -> Intrinsics:
@@ -62,16 +72,18 @@ class IntrinsicsFinder:
         width, height = image.pixels.size
         size = (height, width)
         for camera_file in self._camera_files(file):
-            camera = camera_file.find(file, by_name=camera_file is self.given)
+            camera = self._camera(camera_file, file, (width, height))
             if (
                 camera is not None
                 and camera.K is not None
                 and self._fits(camera, camera_file, file, size)
             ):
-                c2w = None if camera.c2w is None else torch.from_numpy(camera.c2w)
-                source = f"camera file {camera_file.path}"
                 return Intrinsics(
-                    torch.from_numpy(camera.intrinsics), source, c2w, lens=camera.lens
+                    torch.from_numpy(camera.intrinsics),
+                    f"camera file {camera_file.path}",
+                    None if camera.c2w is None else torch.from_numpy(camera.c2w),
+                    camera_file.frame,
+                    lens=camera.lens,
                 )
         if self.fov is not None:
             return Intrinsics(_from_fov(self.fov, size), f"--fov {self.fov:g}")
@@ -87,9 +99,7 @@ class IntrinsicsFinder:
         """
         if self.given is None:
             return
-        unknown = [
-            file.name for file in files if self.given.find(file, by_name=True) is None
-        ]
+        unknown = [file.name for file in files if not self.given.entries_of(file, True)]
         if len(unknown) == len(files):
             raise InputError(
                 f"{self.given.path}: has no camera for any of the photos (looked for {unknown[0]})."
@@ -102,21 +112,36 @@ class IntrinsicsFinder:
             yield self.given
             return
         for folder in (file.parent, file.parent.parent):
-            for name in CAMERA_FILES:
-                found = self._beside(folder / name)
+            if folder not in self._files_in:
+                self._files_in[folder] = camera_files_in(folder)
+            for path in self._files_in[folder]:
+                found = self._beside(path)
                 if found is not None:
                     yield found
 
     def _beside(self, path: Path) -> "_CameraFile | None":
         if path not in self._found:
             self._found[path] = None
-            if path.is_file():
-                try:
-                    self._found[path] = _CameraFile(path)
-                # found, not given: it may be another program's file of that name
-                except InputError as error:
-                    warn(f"{error} It is ignored.")
+            try:
+                self._found[path] = _CameraFile(path)
+            # found, not given: it may be another program's file of that name
+            except InputError as error:
+                warn(f"{error} It is ignored.")
         return self._found[path]
+
+    def _camera(
+        self, camera_file: "_CameraFile", file: Path, size: Size
+    ) -> PosedCamera | None:
+        """What a camera file says of a photo; of a file that was not given, a fault is a
+        warning.
+        """
+        try:
+            return camera_file.find(file, camera_file is self.given, size)
+        except InputError as error:
+            if camera_file is self.given:
+                raise
+            warn(f"{error} It is ignored.")
+            return None
 
     def _fits(
         self,
@@ -139,22 +164,74 @@ class IntrinsicsFinder:
 
 
 class _CameraFile:
-    """A camera file indexed by where its images lie and by what they are called."""
+    """A camera file indexed by what its images are called."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._by_path: dict[Path, PosedCamera] = {}
-        self._by_name: dict[str, PosedCamera | None] = {}
-        for camera in read_cameras(path):
-            self._by_path[(path.parent / camera.file).resolve()] = camera
-            name = Path(camera.file).name
-            self._by_name[name] = (
-                None if name in self._by_name else camera
-            )  # None: two images of that name
+        self.folder = path if path.is_dir() else path.parent
+        self.frame = str(self.folder if path.name in SPLITS else path)
+        self._entries: dict[str, list[CameraEntry]] = defaultdict(list)
+        for entry in camera_entries(path):
+            self._entries[_key(entry.file)].append(entry)
 
-    def find(self, file: Path, by_name: bool) -> PosedCamera | None:
-        camera = self._by_path.get(file.resolve())
-        return self._by_name.get(file.name) if camera is None and by_name else camera
+    def find(self, file: Path, given: bool, size: Size) -> PosedCamera | None:
+        """The photo's camera; None where the file has none, or none that is certain.
+
+        Raises InputError for two cameras of one image that differ.
+        """
+        entries = self.entries_of(file, given)
+        if not entries or len({entry.file for entry in entries}) > 1:
+            return None
+        if any(entry.has_mask for entry in entries):
+            say(
+                "masks.of the camera file",
+                f"{self.path} names masks (mask_path), which are not used; give those of what "
+                "is to be edited with --mask",
+            )
+        first, *others = (entry.camera(size) for entry in entries)
+        if any(not first.says_the_same_as(other) for other in others):
+            raise InputError(
+                f"{self.path}: names {first.file} {len(entries)} times, with cameras that differ."
+            )
+        return first
+
+    def entries_of(self, file: Path, given: bool) -> list[CameraEntry]:
+        """What may speak of a photo, by where it lies, else by what it is called.
+
+        Names alone count where the file was given by the user, or where no image lies at the place
+        that it states: it may have been made elsewhere.
+        """
+        named = self._named(file.name) or self._named(file.stem)
+        place = file.resolve()
+        here = [one for one in named if (self.folder / one.file).resolve() == place]
+        if here:
+            return here
+        loose = [one for one in named if given or self._is_moved(one, file)]
+        parts = place.parts
+        for ends_alike in (
+            lambda one: parts[-len(Path(one).parts) :] == Path(one).parts,
+            lambda one: Path(one).name == file.name,
+        ):
+            better = [one for one in loose if ends_alike(one.file)]
+            loose = better or loose
+        return loose
+
+    def _named(self, name: str) -> list[CameraEntry]:
+        return self._entries.get(_key(name), [])
+
+    def _is_moved(self, entry: CameraEntry, file: Path) -> bool:
+        listed = self.folder / entry.file
+        smaller = re.fullmatch(
+            re.escape(listed.parent.name) + r"_\d+", file.parent.name
+        )
+        return not listed.is_file() or smaller is not None
+
+
+def _key(name: str) -> str:
+    """Equal for two names that some system takes for one: by case, or by how accents are
+    written.
+    """
+    return unicodedata.normalize("NFC", name.rpartition("/")[2]).casefold()
 
 
 def _from_fov(fov: float, size: tuple[int, int]) -> Float64[Tensor, "3 3"]:

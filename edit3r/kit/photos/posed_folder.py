@@ -2,14 +2,19 @@
 evaluation uses it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
 from edit3r.contract.errors import InputError
-from edit3r.kit.photos.cameras import CAMERA_FILES, PosedCamera, read_cameras
+from edit3r.kit.photos.cameras import (
+    CAMERA_FILES,
+    PosedCamera,
+    camera_files_in,
+    read_cameras,
+)
 from edit3r.kit.photos.decode import read_image
 from edit3r.kit.photos.framing import frame_for
 
@@ -52,13 +57,16 @@ class PosedFolder:
 def read_posed_folder(path: str | Path) -> PosedFolder:
     """Read the folder's camera file. Raises InputError naming the file and what it lacks."""
     path = Path(path)
-    found = [path / name for name in CAMERA_FILES if (path / name).is_file()]
+    found = camera_files_in(path)
     if not found:
         raise InputError(
-            f"{path}: expected a folder of photos with a {' or a '.join(CAMERA_FILES)}."
+            f"{path}: expected a folder of photos with a {' or a '.join(CAMERA_FILES)}, or with a "
+            "COLMAP model."
         )
+    # COLMAP's names are those in the folder of images, wherever that is.
+    images = "images" if found[0].is_dir() and (path / "images").is_dir() else ""
     cameras = tuple(
-        camera
+        replace(camera, file=str(Path(images, camera.file)))
         for camera in read_cameras(found[0])
         if camera.K is not None and camera.c2w is not None
     )

@@ -6,8 +6,10 @@ One `vertex` element of little-endian float32: x y z, nx ny nz (zero), f_dc_0..2
 estimated has uncertainty (in [0, 1]). The header's comments say in which frame.
 """
 
+import math
 import os
 import re
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,9 +20,10 @@ from jaxtyping import Float, Float64, Int64
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.reporting import warn
+from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import MAX_DEGREE, Gaussians
 from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.geometry.harmonics import DC
 
 __all__ = ["LEAST_OPACITY", "SMALLEST_SCALE", "VIEWER_DEGREE", "load_ply", "save_ply"]
 
@@ -36,9 +39,12 @@ _FRAME = "frame: camera of view 0, OpenCV axes (x right, y down, z forward), cam
 _VIEWS = "view_index runs (view:count)"
 _RUN = re.compile(r"(-1|[0-9]{1,9}):([0-9]{1,12})")
 _REQUIRED = (
-    *("x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
-    *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+    *("x", "y", "z", "opacity", "scale_0"),
+    *("rot_0", "rot_1", "rot_2", "rot_3"),
 )
+_PLAIN = ("f_dc_0", "f_dc_1", "f_dc_2")
+_COLOURS = ("red", "green", "blue")  # of scenes without harmonics: bytes, or shares
+FLAT = 1e-3  # thickness of a disc with two scales, as 2DGS has them, in its smaller one
 
 MOST_HEADER_BYTES = 1 << 20
 # characters of one comment: a header beyond `MOST_HEADER_BYTES` is not read again
@@ -66,6 +72,7 @@ _TYPES = {
     **{"double": "f8", "float64": "f8"},
 }
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
+_ASCII = "ascii"
 
 
 def save_ply(
@@ -104,15 +111,18 @@ def save_ply(
 
 
 def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
-    """Read a binary 3DGS PLY (any number type, extra properties ignored) as one scene on the CPU.
+    """Read a 3DGS PLY (binary or text, any number type, extra properties ignored) as one scene on
+    the CPU.
 
-    Degree 0 to 4; quaternions come back normalised; Gaussians with values that are not finite are
+    Degree 0 to 4, or colours alone; two scales are those of flat discs, one that of balls.
+    Quaternions come back normalised; Gaussians with values that are not finite are
     left out with a warning. Raises InputError for a file that is no such PLY, or is cut off; with
     `visible` also for a scene in which nothing can be drawn.
     """
     path = Path(path)
     header = read_header(path)
-    missing = [name for name in _REQUIRED if name not in header.names]
+    plain = _COLOURS if {*_COLOURS} <= {*header.names} - {*_PLAIN} else _PLAIN
+    missing = [name for name in (*_REQUIRED, *plain) if name not in header.names]
     if missing:
         raise InputError(
             f"{path}: this PLY does not hold 3D Gaussians, it lacks {', '.join(missing)}."
@@ -235,7 +245,7 @@ def _read_view_runs(header: "PlyHeader") -> Int64[np.ndarray, "gaussian"]:
 def _from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
     degree = _degree(header)
     rest = (degree + 1) ** 2 - 1  # coefficients per colour above degree 0
-    dc = _columns(table, ("f_dc_0", "f_dc_1", "f_dc_2"))[:, None]
+    dc = _plain_colours(table, header)[:, None]
     higher = _columns(table, [f"f_rest_{i}" for i in range(3 * rest)]).reshape(
         header.count, 3, rest
     )
@@ -243,7 +253,7 @@ def _from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
         quats = _columns(table, ("rot_0", "rot_1", "rot_2", "rot_3"))
         columns = {
             "means": _columns(table, ("x", "y", "z")),
-            "scales": np.exp(_columns(table, ("scale_0", "scale_1", "scale_2"))),
+            "scales": np.exp(_log_scales(table, header)),
             "quats": _unit(quats),
             "opacities": 1 / (1 + np.exp(-_columns(table, ("opacity",))[:, 0])),
             "harmonics": np.concatenate((dc, higher.transpose(0, 2, 1)), 1),
@@ -268,6 +278,29 @@ def _from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
         object_index=_read_objects(table, header, finite),
         uncertainty=_read_uncertainty(table, header, finite),
     )
+
+
+def _plain_colours(
+    table: np.ndarray, header: "PlyHeader"
+) -> Float64[np.ndarray, "gaussian 3"]:
+    """The harmonics of degree 0, or those of colours as bytes."""
+    if _PLAIN[0] in header.names:
+        return _columns(table, _PLAIN)
+    whole = dict(header.columns)[_COLOURS[0]].startswith(("u", "i"))
+    return (_columns(table, _COLOURS) / (255 if whole else 1) - 0.5) / DC
+
+
+def _log_scales(
+    table: np.ndarray, header: "PlyHeader"
+) -> Float64[np.ndarray, "gaussian 3"]:
+    """The logarithms of three scales, of two of a flat disc, or of one of a ball."""
+    names = [name for name in ("scale_0", "scale_1", "scale_2") if name in header.names]
+    scales = _columns(table, names)
+    if len(names) == 2:
+        thin = scales.min(1, keepdims=True) + math.log(FLAT)
+        say("scene.flat", "its Gaussians have two scales and are read as flat discs")
+        return np.concatenate((scales, thin), 1)
+    return np.broadcast_to(scales, (len(table), 3))
 
 
 def _read_objects(
@@ -324,7 +357,7 @@ class PlyHeader:
     """Where a PLY's vertices lie and what columns they have."""
 
     path: Path
-    format: str  # binary_little_endian or binary_big_endian
+    format: str  # binary_little_endian, binary_big_endian or ascii
     comments: tuple[str, ...]
     count: int  # of vertices
     columns: tuple[tuple[str, str], ...]  # (name, numpy type without byte order)
@@ -336,6 +369,8 @@ class PlyHeader:
 
     def read_vertices(self) -> np.ndarray:
         """Structured array of `count` vertices. Raises InputError when the file ends too soon."""
+        if self.format == _ASCII:
+            return self._read_text()
         order = _BYTE_ORDERS[self.format]
         dtype = np.dtype([(name, order + kind) for name, kind in self.columns])
         available = max(0, os.path.getsize(self.path) - self.offset) // dtype.itemsize
@@ -345,6 +380,28 @@ class PlyHeader:
                 "are there."
             )
         return np.fromfile(self.path, dtype, self.count, offset=self.offset)
+
+    def _read_text(self) -> np.ndarray:
+        with self.path.open("rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a scene without Gaussians
+            file.seek(self.offset)
+            try:
+                numbers = np.loadtxt(
+                    file, comments=None, max_rows=max(1, self.count), ndmin=2
+                )
+            except ValueError as error:
+                raise InputError(
+                    f"{self.path}: its numbers cannot be read ({error})."
+                ) from None
+        if numbers.size == 0 or self.count == 0:
+            numbers = np.empty((0, len(self.columns)))
+        if numbers.shape != (self.count, len(self.columns)):
+            raise InputError(
+                f"{self.path}: the header promises {self.count} Gaussians of {len(self.columns)} "
+                f"numbers, {len(numbers)} of {numbers.shape[1]} are there."
+            )
+        dtype = np.dtype([(name, "<f8") for name, _ in self.columns])
+        return np.ascontiguousarray(numbers).view(dtype)[:, 0]
 
 
 def read_header(path: Path) -> PlyHeader:
@@ -391,11 +448,7 @@ def _parse(path: Path, lines: list[str], offset: int) -> PlyHeader:
             counts.setdefault(element, _count(path, counts, *fields))
         elif word == "property" and element == "vertex":
             columns.append(_column(path, fields))
-    if layout == "ascii":
-        raise InputError(
-            f"{path}: a PLY in ASCII; save it as binary PLY, as splat viewers do."
-        )
-    if layout not in _BYTE_ORDERS or not counts or not columns:
+    if layout not in (*_BYTE_ORDERS, _ASCII) or not counts or not columns:
         raise InputError(
             f"{path}: a PLY header without a known format or without vertices."
         )
@@ -410,7 +463,8 @@ def _count(path: Path, before: Mapping[str, int], element: str, count: str) -> i
     """How many of an element follow; only the vertices, which come first, are ever read."""
     if not before and element != "vertex":
         raise InputError(
-            f"{path}: its first element is {element!r}, expected 'vertex'."
+            f"{path}: its first element is {element!r}, expected 'vertex'; a compressed PLY "
+            "is made a plain one by: edit3r export FILE --to ply."
         )
     if element != "vertex":
         return 0

@@ -1,22 +1,30 @@
-"""Scenes of other programs, read by gaussforge (extra `export`).
+"""Scenes of any program, told by their content: PLY and GLB by own code, others by gaussforge
+(extra `export`).
 
 gaussforge works in a process of its own: a damaged file can end it, and it prints.
 """
 
 import subprocess
 import tempfile
+import zlib
 from pathlib import Path
+
+import numpy as np
 
 from edit3r.contract.errors import InputError, MissingDependencyError, RunError
 from edit3r.contract.types import Gaussians
 from edit3r.kit.children import PYTHON
+from edit3r.kit.scenes.glb import load_glb
+from edit3r.kit.scenes.placement import placed_back, placement_of
 from edit3r.kit.scenes.ply import load_ply
 
 LONGEST = (
     600  # seconds of one conversion: SOG takes half a minute for 380,000 Gaussians
 )
-READ = (".spz", ".sog", ".splat", ".compressed.ply")
-"""Ends of the files that gaussforge reads; without the first dot, its names of the formats."""
+SPLAT_BYTES = 32  # of one Gaussian in a .splat, which has no header
+MANY = 1_000_000  # Gaussians; fewer are no danger, whatever a file promises
+_GZIP = b"\x1f\x8b"
+_MAGIC = {b"ply": "ply", b"NGSP": "spz", b"glTF": "glb", b"PK": "sog"}
 _CONVERT = """
 import sys, gaussforge
 data = open(sys.argv[1], "rb").read()
@@ -28,30 +36,92 @@ open(sys.argv[2], "wb").write(answer["data"])
 """
 
 
-def load_scene(path: str | Path) -> Gaussians:
-    """Read a scene as PLY or one of `READ`, told by its suffix. Raises InputError for a file that
-    is damaged.
+def load_scene(path: str | Path, *, visible: bool = True) -> Gaussians:
+    """Read a scene of any format that `edit3r export` writes, told by its content.
+
+    Where positions were brought into a unit that a format can hold, they come back in the scene's
+    own. Raises InputError for a file that is damaged, and with `visible` for a scene in which
+    nothing can be drawn.
     """
     path = Path(path)
-    found = [end for end in READ if path.name.lower().endswith(end)]
-    if path.suffix.lower() == ".glb":
-        raise InputError(
-            f"{path}: GLB is written but not read; export from the scene.ply of the run."
-        )
-    if not found:
-        return load_ply(path, visible=True)
-    if not path.is_file():
-        raise InputError(f"{path}: no such file.")
-    form = found[0][1:]
+    form = form_of(path)
+    if form == "ply":
+        return load_ply(path, visible=visible)
+    if form == "glb":
+        return load_glb(path)
     with tempfile.TemporaryDirectory() as scratch:
         plain = Path(scratch) / "scene.ply"
         try:
             convert(path, plain, form, "ply")
-            return load_ply(plain, visible=True)
+            gaussians = load_ply(plain, visible=visible)
         except (RunError, InputError) as error:
             raise InputError(
                 f"{path}: cannot be read as {form}; {error}".replace(str(plain), "it")
             ) from None
+    return placed_back(gaussians, placement_of(path, form))
+
+
+def form_of(path: Path) -> str:
+    """The format of a scene's file: ply, glb, or gaussforge's name of one. Raises InputError."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such file.")
+    try:
+        with path.open("rb") as file:
+            start = file.read(1 << 16)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from None
+    if start.startswith(_GZIP):
+        start = _unpacked(start)
+        if not start.startswith(b"NGSP"):
+            raise InputError(f"{path}: packed with gzip, and no SPZ; unpack it first.")
+    form = next((form for magic, form in _MAGIC.items() if start.startswith(magic)), "")
+    if form == "ply" and b" packed_position" in start.partition(b"end_header")[0]:
+        return "compressed.ply"
+    if form == "spz":
+        _check_count(path, int.from_bytes(start[8:12], "little"))
+    return form or _form_without_magic(path, start)
+
+
+def _form_without_magic(path: Path, start: bytes) -> str:
+    ending = path.suffix.lower()
+    if ending in (".splat", ".ksplat") or _is_splat(path, start):
+        return ending[1:] if ending == ".ksplat" else "splat"
+    raise InputError(
+        f"{path}: not a PLY file, nor SPZ, SOG, splat or GLB; its content is of none of them."
+    )
+
+
+def _unpacked(start: bytes) -> bytes:
+    """The first bytes of what a gzip stream that begins so holds."""
+    try:
+        return zlib.decompressobj(wbits=31).decompress(start, 64)
+    except zlib.error:
+        return b""
+
+
+def _check_count(path: Path, count: int) -> None:
+    """A Gaussian takes some bytes however well it is packed; less is made to fill the memory."""
+    size = path.stat().st_size
+    if count > MANY and size < count:
+        raise InputError(
+            f"{path}: promises {count:,} Gaussians in {size:,} bytes; it is damaged."
+        )
+
+
+def _is_splat(path: Path, start: bytes) -> bool:
+    """Whether these are Gaussians of 32 bytes: finite centres and sizes, unit quaternions."""
+    if not start or path.stat().st_size % SPLAT_BYTES:
+        return False
+    rows = np.frombuffer(start[: len(start) // SPLAT_BYTES * SPLAT_BYTES], np.uint8)
+    rows = rows.reshape(-1, SPLAT_BYTES)
+    numbers = rows[:, :24].copy().view("<f4")
+    quaternions = (rows[:, 28:].astype(float) - 128) / 128
+    norms = np.linalg.norm(quaternions, axis=1)
+    return bool(
+        np.isfinite(numbers).all()
+        and (numbers[:, 3:] >= 0).all()
+        and (abs(norms - 1) < 0.1).all()
+    )
 
 
 def convert(source: Path, target: Path, *forms: str, spz_version: int = 3) -> None:

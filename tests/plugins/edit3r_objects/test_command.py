@@ -156,3 +156,15 @@ def test_a_strangers_list_of_objects_is_read_with_care(made, names, capsys):
     assert objects(made, "strange") == 2
     said = capsys.readouterr().err
     assert "run.json: cannot be read" in said and "\x1b" not in said
+
+
+@pytest.mark.parametrize("form", ["spz", "glb", "ply"])
+def test_a_scene_from_elsewhere_is_listed_without_run_or_cameras(
+    made, tmp_path, form, capsys
+):
+    if form == "spz":
+        pytest.importorskip("gaussforge", reason="needs the extra export")
+    file = tmp_path / "theirs.bin"
+    line = ["export", str(made / "run"), "--to", form, "--out", str(file), "--quiet"]
+    assert main(line) == 0 and main(["objects", str(file)]) == 0
+    assert "no objects" in capsys.readouterr().out

@@ -15,7 +15,7 @@ from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.geometry.rotations import quats_to_matrices
 from edit3r.kit.photos.cameras import posed_cameras, read_scene_cameras, write_cameras
-from edit3r.kit.photos.images import save_image
+from edit3r.kit.photos.images import load_views, save_image
 from edit3r.kit.scenes.ply import save_ply
 
 NAMES = ["one photo.png", "two.png"]  # COLMAP's text form would cut a name at its space
@@ -89,6 +89,16 @@ def test_transforms_are_read_as_the_cameras_they_were_written_from(run, tmp_path
     ours = pixels(read_scene_cameras(run / "cameras.json")[0])
     np.testing.assert_allclose(pixels(read), ours, atol=PIXEL)
     assert [view.file for view in views] == [f"images/{name}" for name in NAMES]
+
+
+@pytest.mark.parametrize("form", ["colmap", "nerfstudio"])
+def test_what_is_exported_is_read_back_with_the_same_poses(run, tmp_path, form):
+    out = tmp_path / "out"
+    assert main(["export", str(run), "--to", form, "--out", str(out)]) == 0
+    ours, _ = read_scene_cameras(run / "cameras.json")
+    views = load_views(out, size=None)  # finds the cameras beside the images
+    np.testing.assert_allclose(views.c2w.numpy(), ours.c2w.numpy(), atol=1e-6)
+    np.testing.assert_allclose(views.intrinsics, ours.intrinsics, atol=1e-6)
 
 
 @pytest.mark.parametrize("form", ["colmap", "nerfstudio"])

@@ -249,7 +249,7 @@ def test_foreign_cameras_json_beside_the_photos_is_ignored_with_a_warning(tmp_pa
     (tmp_path / "cameras.json").write_text('[{"id": 0, "img_name": "a"}]')
     with collecting(Report()) as report:
         load_photos(path)
-    assert any("lacks 'file'. It is ignored" in warning for warning in report.warnings)
+    assert any("lacks 'width'. It is ignored" in warning for warning in report.warnings)
 
 
 @pytest.mark.parametrize("fov", [0, 180, -20, math.nan])

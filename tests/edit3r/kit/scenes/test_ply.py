@@ -8,7 +8,8 @@ import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Gaussians
-from edit3r.kit.scenes.ply import load_ply, save_ply
+from edit3r.kit.geometry.harmonics import dc_to_colour
+from edit3r.kit.scenes.ply import load_ply, read_header, save_ply
 
 
 def scene(count=50, degree=0, seed=0, view_index=None):
@@ -330,14 +331,77 @@ def test_plain_point_cloud_is_told_apart(tmp_path):
     lines = ["ply", "format binary_little_endian 1.0", "element vertex 1"]
     lines += [*(f"property float {n}" for n in "xyz"), "end_header", ""]
     (tmp_path / "a.ply").write_bytes("\n".join(lines).encode() + bytes(12))
-    assert "does not hold 3D Gaussians, it lacks f_dc_0" in complain(tmp_path / "a.ply")
-
-
-def test_ascii_is_refused_with_the_way_out(tmp_path):
-    (tmp_path / "a.ply").write_text(
-        "ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nend_header\n0\n"
+    assert "does not hold 3D Gaussians, it lacks opacity" in complain(
+        tmp_path / "a.ply"
     )
-    assert "save it as binary PLY" in complain(tmp_path / "a.ply")
+
+
+def as_text(path, more=""):
+    """A saved scene's file as text, with `more` elements behind its vertices."""
+    header = read_header(path)
+    table = header.read_vertices()
+    lines = ["ply", "format ascii 1.0", f"element vertex {header.count}"]
+    lines += [f"property float {name}" for name in header.names]
+    lines += [*(more and ["element face 1", more]), "end_header"]
+    rows = [" ".join(f"{value:.9g}" for value in row) for row in table.tolist()]
+    path.write_text("\n".join([*lines, *rows, *(more and ["3 0 1 2"])]) + "\n")
+
+
+@pytest.mark.parametrize("more", ["", "property list uchar int vertex_indices"])
+def test_text_holds_the_same_scene(tmp_path, more):
+    save_ply(tmp_path / "a.ply", scene(degree=2))
+    binary = load_ply(tmp_path / "a.ply")
+    as_text(tmp_path / "a.ply", more)
+    text = load_ply(tmp_path / "a.ply")
+    torch.testing.assert_close(text.means, binary.means)
+    torch.testing.assert_close(text.harmonics, binary.harmonics)
+    torch.testing.assert_close(text.scales, binary.scales)
+
+
+@pytest.mark.parametrize(("end", "told"), [("0 1", "cannot be read"), ("", "promises")])
+def test_text_that_is_cut_off_or_no_number_is_one_sentence(tmp_path, end, told):
+    save_ply(tmp_path / "a.ply", scene(degree=0))
+    as_text(tmp_path / "a.ply")
+    lines = (tmp_path / "a.ply").read_text().splitlines()[:-1]
+    (tmp_path / "a.ply").write_text("\n".join([*lines, end]))
+    assert told in complain(tmp_path / "a.ply")
+
+
+def without(path, *names, colours=()):
+    """The scene's file without some properties, and with others of bytes."""
+    header = read_header(path)
+    table = header.read_vertices()
+    kept = [name for name in header.names if name not in names]
+    kinds = [(name, "<f4") for name in kept] + [(name, "u1") for name in colours]
+    new = np.zeros(len(table), kinds)
+    for name in kept:
+        new[name] = table[name]
+    for level, name in enumerate(colours):
+        new[name] = 100 + 50 * level
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(new)}"]
+    lines += [f"property {'float' if k == '<f4' else 'uchar'} {n}" for n, k in kinds]
+    head = "\n".join([*lines, "end_header", ""]).encode()
+    path.write_bytes(head + new.tobytes())
+
+
+def test_two_scales_are_those_of_flat_discs_and_one_that_of_a_ball(tmp_path):
+    made = scene(degree=0)
+    save_ply(tmp_path / "a.ply", made)
+    without(tmp_path / "a.ply", "scale_2")
+    flat = load_ply(tmp_path / "a.ply", visible=True).scales
+    torch.testing.assert_close(flat[..., :2], made.scales[..., :2])
+    torch.testing.assert_close(flat[..., 2], flat[..., :2].amin(-1) * 1e-3)
+    without(tmp_path / "a.ply", "scale_1")
+    ball = load_ply(tmp_path / "a.ply").scales
+    torch.testing.assert_close(ball, made.scales[..., :1].expand_as(ball))
+
+
+def test_colours_stand_in_for_harmonics(tmp_path):
+    save_ply(tmp_path / "a.ply", scene(degree=0))
+    plain = ("f_dc_0", "f_dc_1", "f_dc_2")
+    without(tmp_path / "a.ply", *plain, colours=("red", "green", "blue"))
+    colours = dc_to_colour(load_ply(tmp_path / "a.ply").harmonics[0, 0, 0])
+    np.testing.assert_allclose(colours, np.array([100, 150, 200]) / 255, atol=1e-6)
 
 
 def test_a_scene_that_was_saved_and_loaded_keeps_its_bytes_when_it_is_saved_again(

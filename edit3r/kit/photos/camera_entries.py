@@ -1,0 +1,271 @@
+"""What other programs' camera files say, image by image.
+
+Read are our `cameras.json`, that of 3D Gaussian Splatting, nerfstudio's, instant-ngp's and
+Blender's `transforms.json`, and COLMAP's models. An entry is checked when its camera is asked for:
+a fault in it concerns nobody else.
+"""
+
+import json
+import math
+from collections import ChainMap
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from edit3r.contract.errors import InputError
+from edit3r.contract.lens import Lens
+from edit3r.kit.photos.camera_values import (
+    Matrix3,
+    PosedCamera,
+    file_name,
+    intrinsics_from_outside,
+    pose_from_outside,
+    require,
+    size_from_outside,
+)
+from edit3r.kit.photos.decode import SUFFIXES, image_size
+
+OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+MOST_BYTES = (
+    1 << 26
+)  # of a camera file: 100,000 cameras; as objects they take 20 times as much
+_PINHOLES = (
+    *("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE"),
+    *("OPENCV", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV"),
+)
+_DISTORTION = ("k1", "k2", "p1", "p2", "k3")  # OpenCV's order
+_RATIONAL = ("k4", "k5", "k6")  # OpenCV's next: only FULL_OPENCV means these by them
+_OTHER_LENSES = ("is_fisheye", "ftheta_p0", "latlong", "equirectangular")
+
+MODEL_PARTS = ("cameras", "images")
+"""The files of a COLMAP model that its cameras need."""
+
+Size = tuple[int, int]
+"""Width and height [pixels]."""
+
+
+class NoSizeError(ValueError):
+    """The entry states no size, and its image is not there to ask."""
+
+
+@dataclass(frozen=True)
+class CameraEntry:
+    """One image of a camera file."""
+
+    where: str  # such as "cameras.json: camera 3"
+    file: str  # as written, with its suffix where it was found without
+    read: Callable[[Size | None], PosedCamera]
+    has_mask: bool = False
+
+    def camera(self, size: Size | None = None) -> PosedCamera:
+        """What it says, for an image of `size` where it states none itself.
+
+        Raises InputError naming what is wrong.
+        """
+        with _faults_named(self.where):
+            return self.read(size)
+
+
+@contextmanager
+def _faults_named(where: str) -> Iterator[None]:
+    try:
+        yield
+    except NoSizeError:
+        raise
+    except KeyError as error:
+        raise InputError(f"{where} lacks {error.args[0]!r}.") from None
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise InputError(f"{where} cannot be used ({error}).") from None
+
+
+def json_entries(path: Path) -> list[CameraEntry]:
+    """The entries of a camera file in JSON, told apart by content. Raises InputError."""
+    content = _read_json(path)
+    dialect = _Dialect("file", _from_list_entry)
+    if isinstance(content, dict) and isinstance(content.get("frames"), list):
+        # What is said at the top holds for every frame.
+        top = {name: value for name, value in content.items() if name != "frames"}
+        content = [
+            ChainMap(f, top) if isinstance(f, dict) else f for f in content["frames"]
+        ]
+        dialect = _Dialect("file_path", _from_frame)
+    if not isinstance(content, list):
+        raise InputError(
+            f"{path}: expected a list of cameras, or nerfstudio's layout with 'frames'."
+        )
+    if content and isinstance(content[0], dict) and "img_name" in content[0]:
+        dialect = _Dialect("img_name", _from_trained)
+    return [
+        dialect.entry(entry, path.parent, f"{path}: camera {index}")
+        for index, entry in enumerate(content)
+    ]
+
+
+@dataclass(frozen=True)
+class _Dialect:
+    name: str  # of the key with the image
+    parse: Callable[[Mapping[str, Any], Path, Size | None], PosedCamera]
+
+    def entry(self, content: Any, folder: Path, where: str) -> CameraEntry:
+        with _faults_named(where):
+            file = _existing(folder, file_name(content[self.name]))
+            has_mask = bool(content.get("mask_path"))
+        read = partial(self._read, content, folder, file)
+        return CameraEntry(where, file, read, has_mask)
+
+    def _read(
+        self, content: Any, folder: Path, file: str, size: Size | None
+    ) -> PosedCamera:
+        return replace(self.parse(content, folder / file, size), file=file)
+
+
+def _existing(folder: Path, file: str) -> str:
+    """The image's path where it is written with backslashes or without its suffix."""
+    if "\\" in file and not (folder / file).is_file():
+        file = file_name(file.replace("\\", "/"))
+    if Path(file).suffix.lower() in SUFFIXES or (folder / file).is_file():
+        return file
+    endings = (ending for one in SUFFIXES for ending in (one, one.upper()))
+    named = (f"{file}{ending}" for ending in endings)
+    return next((name for name in named if (folder / name).is_file()), file)
+
+
+def _read_json(path: Path) -> Any:
+    if not path.is_file():
+        raise InputError(f"{path}: no such camera file.")
+    try:
+        if path.stat().st_size > MOST_BYTES:
+            raise InputError(
+                f"{path}: {path.stat().st_size / 1e6:.0f} MB, expected a camera file of at most "
+                f"{MOST_BYTES / 1e6:.0f} MB."
+            )
+        # of bytes: PowerShell writes UTF-16, Notepad a mark before UTF-8
+        return json.loads(path.read_bytes())
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not valid JSON ({error}).") from None
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror}).") from None
+
+
+def _from_list_entry(
+    entry: Mapping[str, Any], image: Path, size: Size | None
+) -> PosedCamera:
+    width, height = size_from_outside(entry["width"], entry["height"])
+    k = intrinsics_from_outside(entry.get("K"), width, height)
+    pose = pose_from_outside(entry.get("c2w"), "c2w")
+    return PosedCamera(image.name, width, height, k, pose)
+
+
+def _from_trained(
+    entry: Mapping[str, Any], image: Path, size: Size | None
+) -> PosedCamera:
+    """Of the list that 3D Gaussian Splatting leaves beside its scene."""
+    width, height = size_from_outside(entry["width"], entry["height"])
+    fx, fy = float(entry["fx"]), float(entry["fy"])
+    cx, cy = float(entry.get("cx", width / 2)), float(entry.get("cy", height / 2))
+    k = intrinsics_from_outside([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], width, height)
+    turn = np.array(entry["rotation"], dtype=np.float64)
+    place = np.array(entry["position"], dtype=np.float64)
+    require(
+        turn.shape == (3, 3) and place.shape == (3,),
+        "expected a rotation of 3x3 and a position of 3 numbers",
+    )
+    pose = pose_from_outside(np.column_stack((turn, place)), "rotation and position")
+    return PosedCamera(image.name, width, height, k, pose)
+
+
+def _from_frame(
+    frame: Mapping[str, Any], image: Path, size: Size | None
+) -> PosedCamera:
+    distortion = _distortion(frame)
+    width, height = _size_of_frame(frame, image, size)
+    pose = pose_from_outside(frame.get("transform_matrix"), "transform_matrix")
+    return PosedCamera(
+        image.name,
+        width,
+        height,
+        K=_frame_intrinsics(frame, width, height),
+        c2w=None if pose is None else pose @ OPENGL_TO_OPENCV,
+        distortion=distortion,
+    )
+
+
+def _distortion(frame: Mapping[str, Any]) -> tuple[float, ...]:
+    """The lens of a frame in OpenCV's numbers; raises ValueError for one that is none of its."""
+    model = str(frame.get("camera_model") or "PINHOLE").upper()
+    require(
+        model in _PINHOLES,
+        f"camera model {model}, expected a pinhole; undistort the photos first",
+    )
+    for name in _OTHER_LENSES:
+        require(
+            not frame.get(name),
+            f"{name}: a fisheye or panorama, expected a pinhole; undistort the photos first",
+        )
+    names = _DISTORTION + _RATIONAL * (model == "FULL_OPENCV")
+    distortion = tuple(float(frame.get(name) or 0.0) for name in names)
+    for name in _RATIONAL:
+        require(
+            name in names or not float(frame.get(name) or 0.0),
+            f"{name} is {frame.get(name)}, which cannot be undone; undistort the photos first",
+        )
+    return lens_numbers(distortion)
+
+
+def lens_numbers(distortion: tuple[float, ...]) -> tuple[float, ...]:
+    """OpenCV's numbers as they are used; raises ValueError where they are no lens."""
+    Lens((1.0, 1.0), (0.5, 0.5), distortion)
+    return distortion if any(distortion) else ()
+
+
+def _size_of_frame(frame: Mapping[str, Any], image: Path, size: Size | None) -> Size:
+    if "w" in frame and "h" in frame:
+        return size_from_outside(frame["w"], frame["h"])
+    if size is not None:
+        return size
+    if not image.is_file():
+        raise NoSizeError(f"{image}: no such file, and no size (w, h) is stated")
+    height, width = image_size(image)
+    return width, height
+
+
+def _frame_intrinsics(
+    frame: Mapping[str, Any], width: int, height: int
+) -> Matrix3 | None:
+    x = _focal(frame, "fl_x", "camera_angle_x", width)
+    y = _focal(frame, "fl_y", "camera_angle_y", height)
+    if not x and not y:
+        return None
+    # One angle alone means square pixels.
+    rows = [
+        [x or y, 0, float(frame.get("cx", width / 2))],
+        [0, y or x, float(frame.get("cy", height / 2))],
+        [0, 0, 1.0],
+    ]
+    return intrinsics_from_outside(rows, width, height)
+
+
+def _focal(frame: Mapping[str, Any], focal: str, angle: str, size: int) -> float | None:
+    if frame.get(focal) is not None:
+        return float(frame[focal])
+    if frame.get(angle) is None:
+        return None
+    radians = float(frame[angle])
+    require(
+        0 < radians < math.pi,
+        f"{angle} is {radians:g}, expected radians above 0 and below pi",
+    )
+    return 0.5 * size / math.tan(0.5 * radians)
+
+
+def ending_of(model: Path) -> str:
+    """ ".bin" or ".txt" for the folder of a COLMAP model; "" for one of anything else."""
+    for ending in (".bin", ".txt"):
+        if all((model / f"{part}{ending}").is_file() for part in MODEL_PARTS):
+            return ending
+    return ""
