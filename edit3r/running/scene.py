@@ -56,6 +56,8 @@ class Scene:
     edited: Views = NOT_YET  # after the 2D editor and the composite with the masks
     # how the photos' colours become the first one's; None: they are taken as they are
     light: Light | None = None
+    # fields of view [degrees] that explain the photos alike, where they do not tell their lens
+    lenses: tuple[float, float] | None = None
     # the scene as it was before this edit, where somebody needs it
     before: Reconstruction | None = None
     reconstruction: Reconstruction = NOT_YET  # of the edited views

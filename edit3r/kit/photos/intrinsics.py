@@ -13,7 +13,7 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.lens import Lens
-from edit3r.contract.reporting import warn
+from edit3r.contract.reporting import say, warn
 from edit3r.kit.geometry.cameras import from_pixels, intrinsics_from_fov
 from edit3r.kit.photos.cameras import CAMERA_FILES, PosedCamera, read_cameras
 from edit3r.kit.photos.decode import DecodedImage
@@ -22,6 +22,9 @@ DEFAULT_FOV = 60.0
 """Field of view across the longer side [degrees] when nothing is known: a 31 mm lens, between a
 phone's main camera (about 67) and a standard lens (about 40).
 """
+
+NO_CAMERAS = "none"
+"""Said in the place of a camera file: none is looked for beside the photos either."""
 
 SHAPE_TOLERANCE = (
     0.01  # relative difference of aspect ratios that rounding of scaled sizes explains
@@ -52,9 +55,13 @@ class IntrinsicsFinder:
     """Looks up intrinsics photo by photo; camera files are read once."""
 
     def __init__(self, cameras: str | Path | None, fov: float | None) -> None:
-        """`cameras`: a file to use, None to look beside each photo. `fov`: horizontal [degrees]."""
+        """`cameras`: a file to use, None to look beside each photo, NO_CAMERAS for neither. `fov`:
+        horizontal [degrees].
+        """
         self.fov = fov
-        self.given = None if cameras is None else _CameraFile(Path(cameras))
+        self.looks = str(cameras) != NO_CAMERAS
+        given = None if cameras is None or not self.looks else Path(cameras)
+        self.given = None if given is None else _CameraFile(given)
         self._found: dict[Path, _CameraFile | None] = {}
 
     def find(self, file: Path, image: DecodedImage) -> Intrinsics:
@@ -70,6 +77,13 @@ class IntrinsicsFinder:
             ):
                 c2w = None if camera.c2w is None else torch.from_numpy(camera.c2w)
                 source = f"camera file {camera_file.path}"
+                if camera_file is not self.given:
+                    source += ", found beside the photos"
+                    say(
+                        "cameras.found",
+                        f"the lens from {camera_file.path}, found beside the photos; "
+                        f"--cameras {NO_CAMERAS} to ignore it",
+                    )
                 return Intrinsics(
                     torch.from_numpy(camera.intrinsics), source, c2w, lens=camera.lens
                 )
@@ -101,7 +115,7 @@ class IntrinsicsFinder:
         if self.given is not None:
             yield self.given
             return
-        for folder in (file.parent, file.parent.parent):
+        for folder in (file.parent, file.parent.parent) if self.looks else ():
             for name in CAMERA_FILES:
                 found = self._beside(folder / name)
                 if found is not None:

@@ -5,7 +5,7 @@ better. The thresholds were calibrated on views that no scene had seen; see docs
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -51,6 +51,19 @@ class Verdict:
     filled: tuple[
         float | None, ...
     ]  # share of the view's pixels whose depth was guessed; None: not known
+
+    def with_lens_unsure(self, lenses: tuple[float, float] | None) -> "Verdict":
+        """The verdict where fields of view between these [degrees] explain the photos alike: with a
+        wrong one the scene is bent, and its own photos do not show it.
+        """
+        if lenses is None:
+            return self
+        said = (
+            "; the lens is not sure, for fields of view from {:.0f} to {:.0f} degrees explain the "
+            "photos alike: give --fov if you know it, or more photos from other sides"
+        ).format(*lenses)
+        label: Label = "fair" if self.label == "good" else self.label
+        return replace(self, label=label, reason=f"{self.reason.rstrip('.')}{said}.")
 
 
 def judge(

@@ -31,6 +31,7 @@ def judge(scene: Scene, parts: Parts) -> Scene:
         verdict = judged(
             scene.edited, first, rendered, scene.placed, reconstruction.measured
         )
+        verdict = verdict.with_lens_unsure(scene.lenses)
         scene = replace(scene, rendered=rendered, verdict=verdict)
         return _with_edit_judged_in_3d(scene, parts)
 
