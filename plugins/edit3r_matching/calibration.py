@@ -93,12 +93,7 @@ def calibrate(
     best = max(scanned, key=lambda trial: trial.score)
     if best.score < _LEAST_SUPPORT:
         return None
-    for step in _STEPS:
-        near = [
-            search.with_poses_near(best.log_focal + sign * step, best.poses)
-            for sign in (-1, 1)
-        ]
-        best = max(best, *near, key=lambda trial: trial.score)
+    best = search.between(best)
     fov = search.fov(best.log_focal)
     alike = [
         search.fov(trial.log_focal)
@@ -124,7 +119,7 @@ def contradiction(
     if search is None or not search.doubted():
         return None
     given, *others = search.scan()
-    best = max(others, key=lambda trial: trial.score)
+    best = search.between(max(others, key=lambda trial: trial.score))
     beyond = max(others[0].score, others[-1].score)
     clear = (
         given.score < (1 - _CLEAR) * best.score
@@ -145,14 +140,18 @@ def _search(
     longest = max(max(image.size) for image in images)
     limit = threshold * longest / 256
     enough = [matches for matches in found.values() if len(matches) >= _FEWEST_MATCHES]
-    telling = sorted(enough, key=lambda matches: -_telling(matches, limit))
-    pairs = [_sample(matches) for matches in telling[:_MOST_PAIRS]]
-    return _FocalSearch(pairs, longest, limit, seed, preference) if pairs else None
+    if not enough:
+        return None
+    told = [_telling(matches, limit) for matches in enough]
+    most = np.argsort(told)[::-1][:_MOST_PAIRS]
+    shares = np.array([told[pair] / len(enough[pair]) for pair in most])
+    weights = tuple((shares / max(shares.mean(), 1e-9)).tolist())
+    pairs = [_sample(enough[pair]) for pair in most]
+    return _FocalSearch(pairs, weights, longest, limit, seed, preference)
 
 
 def _telling(matches: Matches, threshold: float) -> float:
-    """How many matches agree with an epipolar geometry but with no homography, each counted by how
-    much of the picture they fill.
+    """How many matches agree with an epipolar geometry but with no homography.
 
     A homography explains a flat scene and a camera that only turned: they tell little or nothing.
     """
@@ -212,6 +211,7 @@ class _FocalSearch:
     """Scores focal lengths by how well the matches agree with the best motion at each."""
 
     pairs: list[Matches]
+    weights: tuple[float, ...]  # of each pair, in the mean 1: how much of it tells
     longest: int  # side [pixels]
     threshold: float  # [pixels]
     seed: int
@@ -233,9 +233,10 @@ class _FocalSearch:
         scan's time.
         """
         given = self.with_new_poses(self.assumed)
+        aside = [self.assumed + sign * _ASIDE for sign in (-1, 1)]
         others = [
-            self.with_poses_near(self.assumed + sign * _ASIDE, given.poses)
-            for sign in (-1, 1)
+            self.with_poses_near(one, given.poses).or_better(self.with_new_poses(one))
+            for one in aside
         ]
         again = [self.with_poses_near(self.assumed, other.poses) for other in others]
         return max(trial.score for trial in others) > max(
@@ -254,6 +255,16 @@ class _FocalSearch:
                 near = self.with_poses_near(log_focal, trials[before].poses)
                 trials[log_focal] = trials[log_focal].or_better(near)
         return [trials[log_focal] for log_focal in tried]
+
+    def between(self, best: _Trial) -> _Trial:
+        """The best trial between the neighbours of the `best` of a scan."""
+        for step in _STEPS:
+            near = [
+                self.with_poses_near(best.log_focal + sign * step, best.poses)
+                for sign in (-1, 1)
+            ]
+            best = max(best, *near, key=lambda trial: trial.score)
+        return best
 
     def with_new_poses(self, log_focal: float) -> _Trial:
         """The score with poses found anew."""
@@ -279,11 +290,13 @@ class _FocalSearch:
         supports = tuple(
             0.0
             if pose is None
-            else sharp_support(self._with_focal(pair, log_focal), pose, self.threshold)
-            for pair, pose in zip(self.pairs, poses)
+            else weight
+            * sharp_support(self._with_focal(pair, log_focal), pose, self.threshold)
+            for pair, weight, pose in zip(self.pairs, self.weights, poses)
         )
         off = (log_focal - self.assumed) ** 2
-        penalty = self.preference * off * sum(map(len, self.pairs))
+        asked = sum(w * len(pair) for w, pair in zip(self.weights, self.pairs))
+        penalty = self.preference * off * asked
         return _Trial(log_focal, supports, poses, penalty)
 
     def _with_focal(self, pair: Matches, log_focal: float) -> Matches:

@@ -148,3 +148,13 @@ def test_where_most_photos_do_not_find_to_the_first_it_is_to_blame():
         None,
     )
     assert "share with a: begin with another photo" in verdict.reason
+
+
+def test_a_scene_whose_lens_is_not_sure_is_not_good_and_fov_is_the_cure():
+    sure = shown(EDITED, rendered(40.0, 40.0, 40.0), [True] * 3, None)
+    assert sure.label == "good" and sure.with_lens_unsure(None) == sure
+    unsure = sure.with_lens_unsure((31.0, 75.2))
+    assert unsure.label == "fair"
+    assert "from 31 to 75 degrees" in unsure.reason and "--fov" in unsure.reason
+    poor = shown(EDITED, rendered(15.0, 15.0, 15.0), [True] * 3, None)
+    assert poor.with_lens_unsure((31.0, 75.2)).label == "poor"
