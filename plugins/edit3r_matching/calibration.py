@@ -48,7 +48,7 @@ WIDE_PREFERENCE = 0.05
 """The same for photos from wide apart, of whose few matches more are wrong."""
 APART = 20.0
 """Fields of view so far apart are two answers [degrees]."""
-ALIKE = 0.8
+ALIKE = 0.4
 """Matches by which another answer must be worse, times the root of all that agree."""
 _SURE = 80.0  # score below which the matches never contradict what the user says of the lens
 # share of the best score by which what the user says must be worse to be contradicted
