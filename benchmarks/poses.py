@@ -95,7 +95,8 @@ def measure(
         fov = calibrate(
             images, {(0, 1): found.matches(images, 0, 1)}, args.threshold, 0
         )
-        images = images if fov is None else [image.with_fov(fov) for image in images]
+        if fov is not None:
+            images = [image.with_fov(fov.fov) for image in images]
     try:
         registration = register(
             images, [camera.file for camera in pair], found, args.threshold, 0

@@ -263,7 +263,9 @@ class JobInputs(Settings):
         None, description="edit the scene of an earlier run again (its --out folder)"
     )
     cameras: str | None = Field(
-        None, description="cameras.json or transforms.json with the photos' intrinsics"
+        None,
+        description="cameras.json or transforms.json with the photos' intrinsics; 'none': not even "
+        "one that lies beside the photos",
     )
     refine_poses: bool = Field(
         False, description="refine the given poses by bundle adjustment"

@@ -58,6 +58,8 @@ class Scene:
     light: Light | None = None
     # nobody knows the lens, and all that the photos share lies on one plane
     flat: bool = False
+    # fields of view [degrees] that explain the photos alike, where they do not tell their lens
+    lenses: tuple[float, float] | None = None
     # the scene as it was before this edit, where somebody needs it
     before: Reconstruction | None = None
     reconstruction: Reconstruction = NOT_YET  # of the edited views

@@ -14,6 +14,7 @@ from edit3r.contract.errors import Edit3rError, InputError, SettingsError, sugge
 from edit3r.contract.settings import make_settings, merge, of_file
 from edit3r.kit.photos.coverage import VIDEO_SUFFIXES
 from edit3r.kit.photos.images import find_photos, unique_names
+from edit3r.kit.photos.intrinsics import NO_CAMERAS
 from edit3r.kit.run_folder import recorded
 from edit3r.running import (
     PART_KEYS,
@@ -163,7 +164,7 @@ def _absolute(inputs: JobInputs, folder: Path) -> JobInputs:
         "photos": tuple(str(folder / name) for name in inputs.photos),
         "mask": tuple(str(folder / name) for name in inputs.mask),
     }
-    if inputs.cameras:
+    if inputs.cameras not in (None, "", NO_CAMERAS):
         changes["cameras"] = str(folder / inputs.cameras)
     return inputs.model_copy(update=changes)
 
@@ -173,7 +174,8 @@ def _check(job: BatchJob, registry: Registry, checked: set[str]) -> None:
 
     `checked` are choices of components that were right.
     """
-    cameras = [job.inputs.cameras] if job.inputs.cameras else []
+    given = job.inputs.cameras
+    cameras = [given] if given not in (None, "", NO_CAMERAS) else []
     try:
         for path in map(Path, job.inputs.photos):
             is_video = path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()

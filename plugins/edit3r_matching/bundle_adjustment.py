@@ -37,6 +37,9 @@ LEAST_POINTS = 20
 MOST_ZOOM = 1.25
 """Change of a focal length beyond which the matches do not tell it: then it stays as it was."""
 
+MOST_TRACKS = 2000
+"""More are not adjusted: those of most views are enough to settle poses and lens."""
+
 Tracks = list[dict[int, int]]  # view: keypoint, of each track
 
 
@@ -117,8 +120,9 @@ def join_tracks(
     matches: dict[tuple[int, int], Int[np.ndarray, "match 2"]],
     keypoints: Sequence[Float[np.ndarray, "keypoint 2"]],
 ) -> Tracks:
-    """Join matches that share a keypoint. A track that sees one view twice is left out: one of its
-    matches is wrong.
+    """Join matches that share a keypoint; the tracks of most views, if there are very many.
+
+    A track that sees one view twice is left out: one of its matches is wrong.
     """
     starts = np.cumsum([0, *(len(points) for points in keypoints)])
     links = [
@@ -142,7 +146,7 @@ def join_tracks(
         views = np.searchsorted(starts, group, side="right") - 1
         if len(set(views)) == len(views):
             tracks.append(dict(zip(views.tolist(), (group - starts[views]).tolist())))
-    return tracks
+    return sorted(tracks, key=len, reverse=True)[:MOST_TRACKS]
 
 
 def _scene(

@@ -3,32 +3,42 @@
 A wrong focal length bends the epipolar geometry, and fewer matches agree with any camera motion. So
 the focal length is looked for with which most matches agree: a scan over plausible fields of view,
 then between the best neighbours. Photos without known intrinsics are taken to share one field of
-view across their longer side. A weak preference for what was assumed decides where the matches do
-not care, as when a camera only moved sideways.
+view across their longer side. The pairs that are asked are those that can tell: many matches, all
+over the picture, that no homography explains. A weak preference for what was assumed decides where
+the matches do not care, as when a camera only moved sideways; then the reading says so.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import cv2
+import numpy as np
 
 from edit3r_matching.cameras import CalibratedImage, Pose
-from edit3r_matching.relative_pose import Matches, refine, rough_pose, sharp_support
+from edit3r_matching.relative_pose import Matches, quick_pose, refine, sharp_support
 
 __all__ = [
     "PREFERENCE",
     "WIDE_PREFERENCE",
+    "LensReading",
     "PointPairs",
     "calibrate",
     "contradiction",
 ]
 
-FIELDS_OF_VIEW = (28.0, 36.0, 46.0, 57.0, 68.0, 80.0, 94.0)
-"""Across the longer side [degrees], from a short telephoto lens to an action camera."""
+FIELDS_OF_VIEW = (
+    *(20.0, 25.0, 31.0, 38.0, 46.0, 55.0, 65.0),
+    *(75.0, 85.0, 95.0, 104.0, 112.0, 119.0, 125.0),
+)
+"""Across the longer side [degrees], from a telephoto lens to an action camera."""
 
 PointPairs = Mapping[tuple[int, int], Matches]
 """Matches of two images, their rays made with the intrinsics that the images have now."""
 
-_MOST_PAIRS = 2
+_MOST_PAIRS = 4
+_MOST_MATCHES = 400  # of a pair that are asked
 _FEWEST_MATCHES = 40
 PREFERENCE = 0.01
 """Share of the matches that a focal length e times larger or smaller has to win over before it is
@@ -36,6 +46,10 @@ believed.
 """
 WIDE_PREFERENCE = 0.05
 """The same for photos from wide apart, of whose few matches more are wrong."""
+APART = 20.0
+"""Fields of view so far apart are two answers [degrees]."""
+ALIKE = 0.4
+"""Matches by which another answer must be worse, times the root of all that agree."""
 _SURE = 80.0  # score below which the matches never contradict what the user says of the lens
 # share of the best score by which what the user says must be worse to be contradicted
 _CLEAR = 0.08
@@ -50,33 +64,45 @@ _STEPS = (
 )  # between two fields of view of the scan, shorter and shorter [log focal length]
 
 
+@dataclass(frozen=True)
+class LensReading:
+    """The field of view that photos tell, across the longer side [degrees]."""
+
+    fov: float
+    alike: tuple[float, float] | None = None
+    """The narrowest and the widest that explain the matches as well, where they are far apart."""
+
+
 def calibrate(
     images: Sequence[CalibratedImage],
     found: PointPairs,
     threshold: float,
     seed: int,
     preference: float = PREFERENCE,
-) -> float | None:
+) -> LensReading | None:
     """The field of view that `images`, all taken to have the same one, agree on best; None with too
     few matches.
 
-    It is measured across the longer side [degrees]. `threshold` is in pixels at a long side of 256.
-    A focal length e times as large as what was assumed has to win over a share `preference` of the
-    matches.
+    `threshold` is in pixels at a long side of 256. A focal length e times as large as what was
+    assumed has to win over a share `preference` of the matches.
     """
     search = _search(images, found, threshold, seed, preference)
     if search is None:
         return None
-    best = max(search.scan(), key=lambda trial: trial.score)
+    scanned = search.scan()
+    best = max(scanned, key=lambda trial: trial.score)
     if best.score < _LEAST_SUPPORT:
         return None
-    for step in _STEPS:
-        near = [
-            search.with_poses_near(best.log_focal + sign * step, best.poses)
-            for sign in (-1, 1)
-        ]
-        best = max(best, *near, key=lambda trial: trial.score)
-    return search.fov(best.log_focal)
+    best = search.between(best)
+    fov = search.fov(best.log_focal)
+    alike = [
+        search.fov(trial.log_focal)
+        for trial in scanned
+        if trial.support >= best.support - ALIKE * math.sqrt(best.support)
+    ]
+    span = min([fov, *alike]), max([fov, *alike])
+    unsure = max(fov - span[0], span[1] - fov) >= APART
+    return LensReading(fov, span if unsure else None)
 
 
 def contradiction(
@@ -93,7 +119,7 @@ def contradiction(
     if search is None or not search.doubted():
         return None
     given, *others = search.scan()
-    best = max(others, key=lambda trial: trial.score)
+    best = search.between(max(others, key=lambda trial: trial.score))
     beyond = max(others[0].score, others[-1].score)
     clear = (
         given.score < (1 - _CLEAR) * best.score
@@ -110,24 +136,74 @@ def _search(
     seed: int,
     preference: float = PREFERENCE,
 ) -> "_FocalSearch | None":
-    """A search on the pairs with most matches; None where no pair has enough."""
-    richest = sorted(found.items(), key=lambda item: -len(item[1]))[:_MOST_PAIRS]
-    pairs = [matches for _, matches in richest if len(matches) >= _FEWEST_MATCHES]
+    """A search on the pairs that can tell most; None where no pair has enough matches."""
     longest = max(max(image.size) for image in images)
-    return (
-        _FocalSearch(pairs, longest, threshold * longest / 256, seed, preference)
-        if pairs
-        else None
+    limit = threshold * longest / 256
+    enough = [matches for matches in found.values() if len(matches) >= _FEWEST_MATCHES]
+    if not enough:
+        return None
+    told = [_telling(matches, limit) for matches in enough]
+    most = np.argsort(told)[::-1][:_MOST_PAIRS]
+    shares = np.array([told[pair] / len(enough[pair]) for pair in most])
+    weights = tuple((shares / max(shares.mean(), 1e-9)).tolist())
+    pairs = [_sample(enough[pair]) for pair in most]
+    return _FocalSearch(pairs, weights, longest, limit, seed, preference)
+
+
+def _telling(matches: Matches, threshold: float) -> float:
+    """How many matches agree with an epipolar geometry but with no homography.
+
+    A homography explains a flat scene and a camera that only turned: they tell little or nothing.
+    """
+    first, second = (
+        np.ascontiguousarray(matches.focal * rays[:, :2])
+        for rays in (matches.rays_a, matches.rays_b)
     )
+    _, moved = cv2.findFundamentalMat(
+        first, second, cv2.USAC_MAGSAC, threshold, 0.999, 2000
+    )
+    _, flat = cv2.findHomography(
+        first, second, cv2.USAC_MAGSAC, 2 * threshold, maxIters=1000
+    )
+    if moved is None:
+        return 0.0
+    kept = moved[:, 0] > 0
+    deep = kept if flat is None else kept & (flat[:, 0] == 0)
+    return float(deep.sum() + 0.1 * kept.sum())
+
+
+def _sample(matches: Matches) -> Matches:
+    """At most so many of the matches, evenly from all."""
+    if len(matches) <= _MOST_MATCHES:
+        return matches
+    chosen = np.zeros(len(matches), bool)
+    chosen[np.linspace(0, len(matches) - 1, _MOST_MATCHES).round().astype(int)] = True
+    return matches.select(chosen)
 
 
 @dataclass(frozen=True)
 class _Trial:
     """How well the matches agree with one focal length."""
 
-    score: float  # higher is better
     log_focal: float  # [log pixels]
-    poses: tuple[Pose | None, ...]  # one a pair
+    supports: tuple[float, ...]  # of each pair; higher is better
+    poses: tuple[Pose | None, ...]  # of each pair
+    penalty: float  # of its distance from what was assumed
+
+    @property
+    def support(self) -> float:
+        return sum(self.supports)
+
+    @property
+    def score(self) -> float:
+        return self.support - self.penalty
+
+    def or_better(self, other: "_Trial") -> "_Trial":
+        """Of two trials of one focal length the better motion of each pair."""
+        pairs = zip(zip(self.supports, self.poses), zip(other.supports, other.poses))
+        best = [max(both, key=lambda one: one[0]) for both in pairs]
+        supports, poses = zip(*best)
+        return replace(self, supports=supports, poses=poses)
 
 
 @dataclass(frozen=True)
@@ -135,6 +211,7 @@ class _FocalSearch:
     """Scores focal lengths by how well the matches agree with the best motion at each."""
 
     pairs: list[Matches]
+    weights: tuple[float, ...]  # of each pair, in the mean 1: how much of it tells
     longest: int  # side [pixels]
     threshold: float  # [pixels]
     seed: int
@@ -156,9 +233,10 @@ class _FocalSearch:
         scan's time.
         """
         given = self.with_new_poses(self.assumed)
+        aside = [self.assumed + sign * _ASIDE for sign in (-1, 1)]
         others = [
-            self.with_poses_near(self.assumed + sign * _ASIDE, given.poses)
-            for sign in (-1, 1)
+            self.with_poses_near(one, given.poses).or_better(self.with_new_poses(one))
+            for one in aside
         ]
         again = [self.with_poses_near(self.assumed, other.poses) for other in others]
         return max(trial.score for trial in others) > max(
@@ -168,19 +246,30 @@ class _FocalSearch:
     def scan(self) -> list[_Trial]:
         """What was assumed, then all fields of view from narrow to wide."""
         tried = [self.assumed, *(self.log_focal(fov) for fov in FIELDS_OF_VIEW)]
-        scanned = [self.with_new_poses(log_focal) for log_focal in tried]
-        best = max(scanned, key=lambda trial: trial.score)
-        # A robust estimate may miss the motion at one focal length and find it at the next: all try
-        # the best one's.
-        again = [self.with_poses_near(trial.log_focal, best.poses) for trial in scanned]
-        return [
-            max(pair, key=lambda trial: trial.score) for pair in zip(scanned, again)
-        ]
+        trials = {log_focal: self.with_new_poses(log_focal) for log_focal in tried}
+        # A robust estimate may miss the motion at one focal length and find it at the next: each
+        # tries its neighbours', on the way to the widest and back.
+        order = sorted(trials)
+        for way in (order, order[::-1]):
+            for before, log_focal in pairwise(way):
+                near = self.with_poses_near(log_focal, trials[before].poses)
+                trials[log_focal] = trials[log_focal].or_better(near)
+        return [trials[log_focal] for log_focal in tried]
+
+    def between(self, best: _Trial) -> _Trial:
+        """The best trial between the neighbours of the `best` of a scan."""
+        for step in _STEPS:
+            near = [
+                self.with_poses_near(best.log_focal + sign * step, best.poses)
+                for sign in (-1, 1)
+            ]
+            best = max(best, *near, key=lambda trial: trial.score)
+        return best
 
     def with_new_poses(self, log_focal: float) -> _Trial:
         """The score with poses found anew."""
         found = (
-            rough_pose(self._with_focal(pair, log_focal), self.threshold, self.seed)
+            quick_pose(self._with_focal(pair, log_focal), self.threshold, self.seed)
             for pair in self.pairs
         )
         return self._trial(log_focal, tuple(found))
@@ -192,23 +281,23 @@ class _FocalSearch:
         refined = (
             None
             if pose is None
-            else refine(self._with_focal(pair, log_focal), pose, self.threshold)
+            else refine(self._with_focal(pair, log_focal), pose, self.threshold, 1)
             for pair, pose in zip(self.pairs, poses)
         )
         return self._trial(log_focal, tuple(refined))
 
     def _trial(self, log_focal: float, poses: tuple[Pose | None, ...]) -> _Trial:
-        agreeing = sum(
-            sharp_support(self._with_focal(pair, log_focal), pose, self.threshold)
-            for pair, pose in zip(self.pairs, poses)
-            if pose is not None
+        supports = tuple(
+            0.0
+            if pose is None
+            else weight
+            * sharp_support(self._with_focal(pair, log_focal), pose, self.threshold)
+            for pair, weight, pose in zip(self.pairs, self.weights, poses)
         )
-        penalty = (
-            self.preference
-            * (log_focal - self.assumed) ** 2
-            * sum(len(pair) for pair in self.pairs)
-        )
-        return _Trial(agreeing - penalty, log_focal, poses)
+        off = (log_focal - self.assumed) ** 2
+        asked = sum(w * len(pair) for w, pair in zip(self.weights, self.pairs))
+        penalty = self.preference * off * asked
+        return _Trial(log_focal, supports, poses, penalty)
 
     def _with_focal(self, pair: Matches, log_focal: float) -> Matches:
         """The same points seen with another focal length."""

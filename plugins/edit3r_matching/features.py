@@ -150,17 +150,22 @@ def find_features(
     }
     found = FoundFeatures(keypoints, matches)
     asked = settings.matches == "learned"
-    few = [
-        pair
-        for pair, indices in found.indices.items()
-        if asked or len(indices) < ENOUGH_MATCHES
-    ]
+    few = list(found.indices) if asked else _loose_pairs(found)
     if settings.matches == "sift" or not few:
         return found
     folder = find(ALIKED) if asked else at_hand(ALIKED)
     return (
         found if folder is None else _with_learned(found, few, images, folder, settings)
     )
+
+
+def _loose_pairs(found: FoundFeatures) -> list[tuple[int, int]]:
+    """Pairs with few matches whose images no row of pairs with enough of them joins."""
+    group = list(range(len(found.keypoints)))
+    for (a, b), indices in found.indices.items():
+        if len(indices) >= ENOUGH_MATCHES:
+            group = [group[a] if one == group[b] else one for one in group]
+    return [(a, b) for a, b in found.indices if group[a] != group[b]]
 
 
 def likely_pairs(keypoints: Sequence[Keypoints], ratio: float) -> list[tuple[int, int]]:

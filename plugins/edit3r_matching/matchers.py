@@ -95,11 +95,15 @@ class ClassicalMatcher(Matcher):
         scenes = [
             self._match_scene(views, scene) for scene in range(views.images.shape[0])
         ]
+        *measured, intrinsics, lenses = zip(*scenes)
         *measured, intrinsics = (
-            torch.stack(field).to(views.images.device) for field in zip(*scenes)
+            torch.stack(field).to(views.images.device)
+            for field in (*measured, intrinsics)
         )
         return MatchedGeometry(
-            *measured, intrinsics if self._reads_fov(views) else None
+            *measured,
+            intrinsics if self._reads_fov(views) else None,
+            next(filter(None, lenses), None),
         )
 
     def _reads_fov(self, views: Views) -> bool:
@@ -139,9 +143,9 @@ class ClassicalMatcher(Matcher):
 
     def _match_scene(
         self, views: Views, scene: int
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Fields of `MatchedGeometry` of one scene: poses, depths, confidence, registered flags and
-        intrinsics.
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, tuple[float, float] | None]:
+        """Fields of `MatchedGeometry` of one scene: poses, depths, confidence, registered flags,
+        intrinsics and lenses.
         """
         unknown = self._reads_fov(views)
         found = (
@@ -171,6 +175,7 @@ class ClassicalMatcher(Matcher):
             confidence,
             torch.from_numpy(registration.registered),
             intrinsics,
+            found.lenses,
         )
 
     def register(self, views: Views, scene: int) -> "_Registered":
@@ -208,13 +213,15 @@ class ClassicalMatcher(Matcher):
         unknown = self._reads_fov(views)
         pairs = {(a, b): features.matches(images, a, b) for a, b in features.indices}
         asked = images, pairs, chosen.threshold, chosen.seed
+        told, lenses = None, None
         if unknown:
             preference = WIDE_PREFERENCE if features.tilted else PREFERENCE
-            told = calibrate(*asked, preference)
+            reading = calibrate(*asked, preference)
+            if reading is not None:
+                told, lenses = reading.fov, reading.alike
+                images = [image.with_fov(told) for image in images]
         else:
             told = contradiction(*asked)
-        if unknown and told is not None:
-            images = [image.with_fov(told) for image in images]
         try:
             registration = register(
                 images,
@@ -227,7 +234,7 @@ class ClassicalMatcher(Matcher):
         except MatchingError as error:
             return error
         zoomed = tuple(image.zoomed(registration.zoom) for image in images)
-        return _Registered(zoomed, features, registration, told)
+        return _Registered(zoomed, features, registration, told, lenses)
 
 
 @dataclass(frozen=True)
@@ -238,6 +245,8 @@ class _Registered:
     features: FoundFeatures
     registration: Registration
     told: float | None  # field of view that the matches tell [degrees]
+    # the narrowest and widest that explain them alike, where these are far apart
+    lenses: tuple[float, float] | None = None
 
     def normalised(self, size: tuple[int, int]) -> Float[Tensor, "view 3 3"]:
         """The intrinsics as shares of the photos' (height, width)."""

@@ -96,6 +96,9 @@ class MatchedGeometry:
     registered: Bool[Tensor, "batch view"]  # False: the view could not be placed
     # normalised, as read from the photos; None: as given
     intrinsics: Float[Tensor, "batch view 3 3"] | None = None
+    # where the photos do not tell their lens: the narrowest and the widest field of view across the
+    # longer side that explain them alike [degrees]
+    lenses: tuple[float, float] | None = None
 
     @property
     def measured(self) -> Float[Tensor, "batch view"]:

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.contract.types import Cameras, Gaussians
+from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.geometry.harmonics import colour_to_dc
 
 
@@ -22,6 +22,13 @@ def intrinsics_from_fov(
     height, width = image_size
     focal = 0.5 / math.tan(0.5 * fov_x)  # in widths
     return torch.tensor([[focal, 0, 0.5], [0, focal * width / height, 0.5], [0, 0, 1]])
+
+
+def field_of_view(views: Views) -> float:
+    """Of view 0, across its longer side [degrees]."""
+    height, width = views.image_size
+    focal = float(views.intrinsics[0, 0, 0, 0]) * width  # [pixels]
+    return math.degrees(2 * math.atan(0.5 * max(height, width) / focal))
 
 
 def to_pixels(

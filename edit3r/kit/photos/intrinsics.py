@@ -28,6 +28,9 @@ DEFAULT_FOV = 60.0
 phone's main camera (about 67) and a standard lens (about 40).
 """
 
+NO_CAMERAS = "none"
+"""Said in the place of a camera file: none is looked for beside the photos either."""
+
 SHAPE_TOLERANCE = (
     0.01  # relative difference of aspect ratios that rounding of scaled sizes explains
 )
@@ -61,9 +64,13 @@ class IntrinsicsFinder:
     """Looks up intrinsics photo by photo; camera files are read once."""
 
     def __init__(self, cameras: str | Path | None, fov: float | None) -> None:
-        """`cameras`: a file to use, None to look beside each photo. `fov`: horizontal [degrees]."""
+        """`cameras`: a file to use, None to look beside each photo, NO_CAMERAS for neither. `fov`:
+        horizontal [degrees].
+        """
         self.fov = fov
-        self.given = None if cameras is None else _CameraFile(Path(cameras))
+        self.looks = str(cameras) != NO_CAMERAS
+        given = None if cameras is None or not self.looks else Path(cameras)
+        self.given = None if given is None else _CameraFile(given)
         self._files_in: dict[Path, list[Path]] = {}
         self._found: dict[Path, _CameraFile | None] = {}
 
@@ -78,9 +85,17 @@ class IntrinsicsFinder:
                 and camera.K is not None
                 and self._fits(camera, camera_file, file, size)
             ):
+                source = f"camera file {camera_file.path}"
+                if camera_file is not self.given:
+                    source += ", found beside the photos"
+                    say(
+                        "cameras.found",
+                        f"the lens from {camera_file.path}, found beside the photos; "
+                        f"--cameras {NO_CAMERAS} to ignore it",
+                    )
                 return Intrinsics(
                     torch.from_numpy(camera.intrinsics),
-                    f"camera file {camera_file.path}",
+                    source,
                     None if camera.c2w is None else torch.from_numpy(camera.c2w),
                     camera_file.frame,
                     lens=camera.lens,
@@ -111,7 +126,7 @@ class IntrinsicsFinder:
         if self.given is not None:
             yield self.given
             return
-        for folder in (file.parent, file.parent.parent):
+        for folder in (file.parent, file.parent.parent) if self.looks else ():
             if folder not in self._files_in:
                 self._files_in[folder] = camera_files_in(folder)
             for path in self._files_in[folder]:

@@ -18,6 +18,10 @@ FLAT = (
     "all that the photos share lies on one plane: a flat thing, or photos from one place. Take a "
     "step to the side between photos, or tell the lens (--fov)"
 )
+UNSURE_LENS = (
+    "the lens is not sure: fields of view from {:.0f} to {:.0f} degrees explain the photos alike. "
+    "Give --fov if you know it, or more photos from other sides"
+)
 MOVED = (
     "the 2D edits had moved against their photos and were moved back, which cannot bring back what "
     "left the picture. Let the editor leave everything where it is"
@@ -44,19 +48,21 @@ def judge(scene: Scene, parts: Parts) -> Scene:
             rendered,
             scene.placed,
             reconstruction.measured,
-            _doubt(scene),
+            doubt_of(scene),
         )
         scene = replace(scene, rendered=rendered, verdict=verdict)
         return _with_edit_judged_in_3d(scene, parts)
 
 
-def _doubt(scene: Scene) -> Doubt | None:
-    """What else speaks against the scene: edits that are none, photos without depth."""
+def doubt_of(scene: Scene) -> Doubt | None:
+    """What else speaks against the scene: its edits, or photos that tell no depth or no lens."""
     edit = scene.edit_verdict
     if edit is not None and edit.measures.faults:
         return Doubt("the 2D edits do not show what their photos show (see the edit)")
     if scene.flat:
         return Doubt(FLAT)
+    if scene.lenses is not None:
+        return Doubt(UNSURE_LENS.format(*scene.lenses))
     if edit is not None and edit.measures.moved:
         return Doubt(MOVED, best="good")
     return None

@@ -439,3 +439,17 @@ def test_a_lens_that_the_photos_tell_straightens_those_of_one_unknown_lens_only(
 
     load_photos(files, fov=50, read_lens=never)
     load_photos([*files, photo(tmp_path / "other.png", size=(60, 30))], read_lens=never)
+
+
+def test_a_camera_file_beside_the_photos_is_named_and_can_be_ignored(tmp_path):
+    paths = [photo(tmp_path / f"{name}.png") for name in "ab"]
+    camera_file(
+        tmp_path / "cameras.json",
+        *((path.name, 40, 30, 50, 20, 15) for path in paths),
+    )
+    with collecting(Report()) as report:
+        sources = [p.intrinsics_source for p in load_photos(paths).photos]
+    assert all(source.endswith("found beside the photos") for source in sources)
+    assert "--cameras none to ignore it" in report.notes["cameras.found"]
+    ignored = load_photos(paths, cameras="none")
+    assert all(ignored.views.assumed)
