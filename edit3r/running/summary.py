@@ -64,6 +64,8 @@ def _field_of_view(result: RunResult) -> str:
     degrees = math.degrees(2 * math.atan(0.5 / focal))
     if not any(result.photos.assumed):
         source = "known"
+    elif "lens.alike" in result.report.notes:
+        source = "guessed, for the photos do not tell it; --fov or --cameras does"
     elif "matcher.fov" in result.report.notes:
         source = "read from the photos"
     else:
