@@ -21,13 +21,10 @@ from edit3r.cli.main import main
 from edit3r.contract.weights import Weights
 from edit3r.kit.cache import Cache
 from edit3r.kit.files import atomic
-from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import packaged_pair
-from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.weights.fetch import fetch
 from edit3r.kit.weights.find import find
 from edit3r.kit.workers import run_resumable
-from edit3r_testing import cameras_around, gaussian_cloud
 from edit3r_testing.training import tiny_job
 
 pytestmark = pytest.mark.skipif(atomic.fcntl is None, reason="no file locks here")
@@ -149,33 +146,6 @@ def test_a_killed_run_over_an_earlier_one_leaves_that_or_the_new_one(
         assert contents(out) == contents(old) and left_in(out.parent) == {"out"}, step
 
 
-@pytest.mark.slow
-def test_a_killed_simplify_leaves_the_old_scene_or_the_new_one(tmp_path, kills):
-    old, cameras = tmp_path / "old.ply", tmp_path / "cameras.json"
-    save_ply(old, gaussian_cloud(300))
-    write_cameras(cameras, posed_cameras(cameras_around(2), ["a.png", "b.png"]))
-    options = (
-        f"--cameras {cameras} --gaussians 100 --rasterizer torch --quiet --overwrite"
-    )
-
-    def command(place):
-        out = place / "small.ply"
-        shutil.copyfile(old, out)
-        assert main(["simplify", str(old), "--out", str(out), *options.split()]) == 0
-
-    (tmp_path / "whole").mkdir()
-    command(tmp_path / "whole")
-    new = (tmp_path / "whole" / "small.ply").read_bytes()
-    seen = []
-    for place in kills(command):
-        out = place / "small.ply"
-        seen.append(out.read_bytes() if out.exists() else None)
-        command(place)
-        assert left_in(place) == {"small.ply"}
-    assert len(seen) > 2 and old.read_bytes() in seen
-    assert set(seen) <= {None, old.read_bytes(), new}
-
-
 HUB_FILES = {"config.json": b"{}", "model.bin": bytes(range(256)) * 40}
 
 
@@ -215,14 +185,16 @@ def test_killed_fetching_leaves_no_half_weights_and_the_next_try_ends_it(kills, 
         return {name: (place / name).read_bytes() for name in HUB_FILES}
 
     places = []
-    for place in kills(lambda place: fetch(weights, place, report=str), range(200)):
+    for place in kills(
+        lambda place: fetch(weights, place, report=str), range(0, 200, 3)
+    ):
         thing = place / "thing"
         assert not thing.exists() or fetched(thing) == HUB_FILES, place
         assert fetch(weights, place, report=str) == find(weights, place) == thing
         assert fetched(thing) == HUB_FILES, place
         assert left_in(place) <= {"thing", ".lock"}, place
         places.append(place)
-    assert len(places) > 15
+    assert len(places) > 5
 
 
 @pytest.mark.slow
@@ -240,7 +212,7 @@ def test_an_app_killed_at_an_upload_or_a_new_job_starts_again_with_whole_ones(ki
         folder.new_job(AppJob("", scene, settings={"prompt": "paint it red"}))
 
     seen = set()
-    for root in kills(act, range(100)):
+    for root in kills(act, range(0, 100, 3)):
         folder = JobsFolder(root)
         runner = Runner(folder)
         runner.clear_left_over()
