@@ -11,6 +11,7 @@ NAME/                  a set of photos (`NAME/images`, as `edit3r run NAME` take
 
 import itertools
 import json
+import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -66,6 +67,8 @@ class AppJob:
 
 
 _JOB = TypeAdapter(AppJob)
+_NAMING = threading.Lock()
+"""Sets of photos and jobs take their names from one stock, each under this lock."""
 
 
 class JobsFolder:
@@ -109,9 +112,13 @@ class JobsFolder:
 
     def new_scene(self, wanted: str) -> str:
         """Make an empty set of photos, called as wanted as far as that can be a name."""
-        taken = [path.name for path in self.root.iterdir()]
-        name = unique_names([*taken, wanted.strip(". ") or "scene"])[-1]
-        (self.root / name / "images").mkdir(parents=True)
+        with _NAMING:
+            # A job that waits has no folder yet, but its name.
+            taken = [path.name for path in self.root.iterdir()]
+            taken += [path.stem for path in self.private.glob("*.json")]
+            taken += [path.name for path in self.private.iterdir() if path.is_dir()]
+            name = unique_names([*taken, wanted.strip(". ") or "scene"])[-1]
+            (self.root / name / "images").mkdir(parents=True)
         return name
 
     def scenes(self) -> list[str]:
@@ -142,7 +149,7 @@ class JobsFolder:
         """A free name STEM-N, taken by making its folder."""
         for number in itertools.count(1):
             name = f"{stem}-{number}"
-            with suppress(FileExistsError):
+            with _NAMING, suppress(FileExistsError):
                 if not (self.root / name).exists():
                     (self.private / name).mkdir()
                     return name

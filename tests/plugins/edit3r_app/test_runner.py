@@ -100,6 +100,18 @@ def test_a_cancelled_run_ends_and_leaves_nothing_half_written(folder):
     runner.stop()
 
 
+KILLED_CHILD = f"{SLOW.replace('time.sleep(60)', 'import os; os.kill(os.getpid(), 9)')}"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
+def test_the_workspace_of_a_killed_run_does_not_stay(folder):
+    runner, job = runner_of(folder, KILLED_CHILD), queued(folder)
+    wait_until(runner, lambda: states(folder) == ["failed"])
+    assert begun(folder, job)()
+    assert not list(folder.root.glob(".*partial*"))
+    runner.stop()
+
+
 def test_a_waiting_job_can_be_cancelled(folder):
     runner, job = runner_of(folder, QUICK), queued(folder)
     runner.cancel(job.name)
