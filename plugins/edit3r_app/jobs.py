@@ -11,6 +11,7 @@ NAME/                  a set of photos (`NAME/images`, as `edit3r run NAME` take
 
 import itertools
 import json
+import shutil
 import threading
 import time
 from collections.abc import Iterable, Iterator
@@ -117,7 +118,9 @@ class JobsFolder:
             taken = [path.name for path in self.root.iterdir()]
             taken += [path.stem for path in self.private.glob("*.json")]
             taken += [path.name for path in self.private.iterdir() if path.is_dir()]
-            name = unique_names([*taken, wanted.strip(". ") or "scene"])[-1]
+            name = unique_names([*sorted(set(taken)), wanted.strip(". ") or "scene"])[
+                -1
+            ]
             (self.root / name / "images").mkdir(parents=True)
         return name
 
@@ -132,15 +135,23 @@ class JobsFolder:
     # ---- jobs ----
 
     def new_job(
-        self, job: AppJob, masks: Iterable[Float[Tensor, "height width"]] = ()
+        self,
+        job: AppJob,
+        masks: Iterable[Float[Tensor, "height width"]] = (),
+        known: Path | None = None,
     ) -> AppJob:
-        """Queue a job, after writing its masks, under a name that is free; its own is ignored."""
+        """Queue a job, after writing its masks, under a name that is free; its own is ignored.
+
+        `known` is a folder with what was read from the photos already; beside masks a run finds it.
+        """
         name = self._reserved(job.scene[:80])
         count = 0
         for mask in masks:
             file = self.beside(name) / f"{count:03}.png"
             save_image(mask.expand(3, -1, -1), file)
             count += 1
+        if count and known is not None and known.is_dir():
+            shutil.copytree(known, self.beside(name) / known.name)
         job = replace(job, name=name, masks=count, made=time.time())
         self.write(job)
         return job
