@@ -42,6 +42,7 @@ _HOME = {
     "MarkTexts": "edit3r.running.selecting.marks",
     "Box": "edit3r.running.selecting.select",
     "MIN_AREA": "edit3r.running.selecting.select",
+    "Reading": "edit3r.running.selecting.select",
     "Selection": "edit3r.running.selecting.select",
     "geometry_of": "edit3r.running.selecting.geometry",
     "default_matcher": "edit3r.running.selecting.geometry",
@@ -72,6 +73,7 @@ __all__ = [
     "MeasuredPoint",
     "Parts",
     "Quality",
+    "Reading",
     "RunConfig",
     "RunJob",
     "RunResult",
@@ -148,6 +150,7 @@ if TYPE_CHECKING:
         MIN_AREA,
         SURE,
         Box,
+        Reading,
         Selection,
         select_masks,
     )

@@ -14,7 +14,7 @@ def register_commands() -> list[Component]:
             "app",
             "edit3r_app.command:AppCommand",
             "edit in the browser: click the object, say what to change, see before and after in 3D",
-            requires=("nicegui",),
+            requires=("starlette", "uvicorn"),
             extra="app",
         ),
     ]

@@ -69,8 +69,6 @@ class AppCommand(Command):
         host = LOCAL[0] if args.host == "localhost" else args.host
         port = free_port(host, args.port)
         folder = JobsFolder(args.jobs)
-        # The page library, once imported, would keep its files in the current folder.
-        os.environ.setdefault("NICEGUI_STORAGE_PATH", str(folder.private / ".pages"))
         # No process that this one starts looks for modules in the current folder.
         os.environ["PYTHONSAFEPATH"] = "1"
         from edit3r_app.server import serve

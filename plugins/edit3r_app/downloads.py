@@ -4,6 +4,7 @@ import os
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from edit3r import default_registry
 from edit3r.contract.component import Offer
@@ -19,6 +20,8 @@ OF_EVERY_RUN = {
     "run.json": "how it was made",
     ARCHIVE: "everything in one file",
 }
+FIRST = ("viewer.html", "video.webm", "before_after.png", "scene.ply", ARCHIVE)
+"""What most people want, above all else."""
 
 
 def downloads() -> dict[str, str]:
@@ -29,6 +32,36 @@ def downloads() -> dict[str, str]:
         for file, one in _writers().items()
     }
     return {**told, **OF_EVERY_RUN}
+
+
+def offered_files(folder: JobsFolder, run: str) -> list[dict[str, Any]]:
+    """Every download of a run: its file, what it is for, what it keeps and loses, and its size, or
+    none where it is made when asked for.
+    """
+    source = folder.path(run)
+    writers = _writers()
+    found = []
+    for what in sorted(downloads(), key=_place):
+        offer = writers.get(what)
+        one = offer.component if offer else None
+        there = (source / what, folder.beside(run) / what)
+        sizes = [path.stat().st_size for path in there if path.is_file()]
+        found.append(
+            {
+                "file": what,
+                "what": one.summary if one else OF_EVERY_RUN[what],
+                "keeps": one.keeps if one else "",
+                "loses": one.loses if one else "",
+                "bytes": sizes[0] if sizes else None,
+                "usual": what in FIRST,
+            }
+        )
+    return found
+
+
+def _place(what: str) -> tuple[int, str]:
+    """Among the downloads: what most want first, in its order, the rest by name."""
+    return (FIRST.index(what) if what in FIRST else len(FIRST), what)
 
 
 def _writers() -> dict[str, Offer]:

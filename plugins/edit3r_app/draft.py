@@ -4,7 +4,7 @@ Marks and steps are a list in the order of making, so that the last can be undon
 """
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from typing import Annotated, Any, Literal
@@ -32,9 +32,9 @@ Share = Annotated[float, Field(ge=0, le=1)]
 class Mark:
     """One step of selecting; places are x and y in [0, 1] of a photo."""
 
-    kind: Literal["add", "remove", "box", "paint", "erase"]
+    kind: Literal["add", "remove", "stroke", "box", "exact", "paint", "erase"]
     photo: str  # its name
-    # one, or two corners of a box, or those of a stroke
+    # one; or two corners of a box, which is sought in or taken exactly; or those along a stroke
     places: Annotated[list[tuple[Share, Share]], Field(min_length=1)]
     radius: Annotated[float, Field(ge=0, le=0.5)] = (
         0.0  # of the brush, of the longer side
@@ -45,8 +45,9 @@ class Mark:
 class Step:
     """One step from what the marks or the sentence select to another reading of it."""
 
-    kind: Literal["larger", "grow", "invert"]  # settings of a run
-    # 1 for a larger reading, -1 for a smaller one; of grow its pixels; of invert nothing
+    kind: Literal["larger", "reading", "grow", "invert"]  # settings of a run
+    # 1 for a larger reading, -1 for a smaller one; of reading its number; of grow its pixels; of
+    # invert nothing
     value: Annotated[float, Field(ge=-MAX_GROWTH, le=MAX_GROWTH)] = 0.0
 
 
@@ -55,6 +56,7 @@ class Draft:
     """Marks and form of one state of a scene."""
 
     marks: list[Mark | Step] = field(default_factory=list)
+    undone: list[Mark | Step] = field(default_factory=list)  # the last taken back last
     words: str = ""  # name the thing where nothing is marked
     guess: bool = False  # take what stands out most where words are not known
     # what was typed: the sentence, names of components, settings
@@ -66,14 +68,15 @@ class Draft:
     def selects(self) -> bool:
         """Whether it says what is meant, and not only what is not."""
         kinds = {mark.kind for mark in self.marks}
-        return bool(self.words or kinds & {"add", "box", "paint"})
+        return bool(self.words or kinds & {"add", "stroke", "box", "exact", "paint"})
 
     @property
     def outline(self) -> dict[str, Any]:
-        """What the steps come to: the settings larger, grow and invert of a run."""
+        """What the steps come to: the settings larger, reading, grow and invert of a run."""
         larger = sum(int(value) for value in self._steps("larger"))
         return {
             "larger": min(max(larger, -MAX_STEPS), MAX_STEPS),
+            "reading": int(min(max([1.0, *self._steps("reading")][-1], 1), MAX_STEPS)),
             "grow": [0.0, *self._steps("grow")][-1],
             "invert": len(self._steps("invert")) % 2 == 1,
         }
@@ -83,17 +86,24 @@ class Draft:
 
     def take(self, mark: Mark | Step) -> None:
         """Add a mark or a step; a further number of pixels replaces the one just given."""
-        if mark.kind == "grow" and self.marks and self.marks[-1].kind == "grow":
+        replaced = mark.kind in ("grow", "reading")
+        if replaced and self.marks and self.marks[-1].kind == mark.kind:
             self.marks.pop()
         self.marks.append(mark)
+        self.undone = []
 
     def take_back(self) -> None:
         """Forget the last mark or step; the words where there is none."""
         if self.marks:
-            self.marks.pop()
+            self.undone.append(self.marks.pop())
         else:
             self.words = ""
             self.guess = False
+
+    def take_again(self) -> None:
+        """Take the mark or step again that was taken back last."""
+        if self.undone:
+            self.marks.append(self.undone.pop())
 
     def selection(self, views: Views) -> Selection:
         """The marks on these views; those on photos that a run left out are passed over.
@@ -111,12 +121,14 @@ class Draft:
             positive=tuple((view, *mark.places[0]) for view, mark in of("add")),
             negative=tuple((view, *mark.places[0]) for view, mark in of("remove")),
             boxes={view: _box(mark) for view, mark in of("box")},
-            added=_painted(of("paint"), views.image_size),
+            strokes=tuple((view, tuple(mark.places)) for view, mark in of("stroke")),
+            added=_painted([*of("paint"), *of("exact")], views.image_size),
             removed=_painted(of("erase"), views.image_size),
             words=thing.name,
             which=thing.which,
             guess=self.guess,
             larger=self.outline["larger"],
+            reading=self.outline["reading"],
         )
 
     def as_json(self) -> str:
@@ -124,6 +136,7 @@ class Draft:
 
 
 MARK = TypeAdapter(Mark)
+STEP = TypeAdapter(Step)
 DRAFT = TypeAdapter(Draft)
 
 
@@ -154,14 +167,18 @@ def _box(mark: Mark) -> Box:
 
 
 def _painted(
-    strokes: Iterator[tuple[int, Mark]], size: tuple[int, int]
+    strokes: Iterable[tuple[int, Mark]], size: tuple[int, int]
 ) -> dict[int, Float[Tensor, "height width"]]:
-    """What strokes of the brush cover, as masks of 0 and 1 by view."""
+    """What strokes of the brush and exact boxes cover, as masks of 0 and 1 by view."""
     height, width = size
     masks: dict[int, np.ndarray] = {}
     for view, stroke in strokes:
         mask = masks.setdefault(view, np.zeros(size, np.float32))
         places = np.rint(np.multiply(stroke.places, (width, height)))
+        places = places.astype(np.int32)
+        if stroke.kind == "exact":
+            cv2.rectangle(mask, places[0].tolist(), places[-1].tolist(), 1, cv2.FILLED)
+            continue
         thickness = max(1, round(2 * stroke.radius * max(size)))
-        cv2.polylines(mask, [places.astype(np.int32)], False, 1, thickness)
+        cv2.polylines(mask, [places], False, 1, thickness)
     return {view: torch.from_numpy(mask) for view, mask in masks.items()}

@@ -18,21 +18,191 @@ RUNS_PROGRAMS = "command"
 """An editor that starts a program of the user's choice: not for a page that others may reach."""
 MAX_TYPED = 2000  # characters of one setting
 
-WORDS = {
-    r" or null\b": ", or empty",
-    r"^list of (\d+) float": r"\1 numbers, such as [0.1, 0.2]",
-    r"^list of [^,]*": "a list, such as [a, b]",
-    r"^mapping of [^,]*|^[A-Z]\w+": "settings, such as {a: 1}",
-    r"\bfloat\b": "a number",
-    r"\bint\b": "a whole number",
-    r"\bcomponent\b": "the name of a component",
-    r" \| ": ", ",
-    "≥": "at least",
-    "≤": "at most",
-    ">": "above",
-    "<": "below",
+EXPLAINED = {
+    "light": (
+        "Light of the photos",
+        "one: photos of other brightness or tint are brought to the light of the first. own: each "
+        "is taken as it is.",
+        "",
+    ),
+    "gaussians": (
+        "Detail of the scene",
+        "auto keeps what the scene needs, all keeps everything (a larger file); or the most points "
+        "there may be, such as 50000.",
+        "points",
+    ),
+    "refine": (
+        "Polishing steps",
+        "Each brings the scene closer to the photos; twice as many take twice as long.",
+        "steps",
+    ),
+    "grid": (
+        "Points for each pixel side",
+        "1 makes a point for every pixel: finer, slower, and a larger file.",
+        "",
+    ),
+    "views": (
+        "Most photos to use",
+        "Those that show most together. Fewer are quicker: time grows with their number.",
+        "photos",
+    ),
+    "fov": (
+        "Width of the lens",
+        "Only for photos that do not tell it; a phone's main camera has about 65.",
+        "degrees",
+    ),
+    "frames": (
+        "Length of the flight video",
+        "Each picture is drawn: twice as many take twice as long.",
+        "pictures",
+    ),
+    "edit_views": (
+        "Photos that are edited",
+        "All, or the first alone, whose edit is carried to the others.",
+        "",
+    ),
+    "seed": ("Variant", "Another number gives another variant of the same.", ""),
+    "sure": (
+        "Ask before guessing",
+        "Refuse words that were found unsurely, instead of calling the edit doubtful.",
+        "",
+    ),
 }
-"""How types and ranges are said in a form."""
+"""Settings of the run in words: their label, what they do and cost, and their unit."""
+EXPERT = (
+    "rasterizer",
+    "segmenter",
+    "refiners",
+    "device",
+    "outputs",
+    "export",
+    "max_gaussians",
+)
+"""Settings of the run that name parts of edit3r; `reading` has its place beside the outline."""
+COSTS = {
+    "": "a good middle",
+    "best": "finer depth and more polishing; takes longer",
+}
+"""Of the presets; the others differ in the photos' size, which is the app's own."""
+LARGEST_SLIDER = 1000  # steps: what has more is typed
+
+
+def settings_form(draft: Draft, registry: Registry) -> list[dict[str, Any]]:
+    """Groups of fields as the dialog shows them: a title, and fields with their words."""
+    form = draft.form
+    groups = [_group("How good and how long", "", [_quality(form)])]
+    for kind, title in zip(CHOSEN, ("Who edits the photos", "Who builds the scene")):
+        names = offered(registry, kind)
+        chosen = form.get(kind) if form.get(kind) in names else ""
+        options = [_option("", "automatic", "the one that can do what you ask for")]
+        options += [_option(name, name, told) for name, told in names.items()]
+        fields = [_select(kind, "Chosen", options, chosen)]
+        groups.append(_group(title, "", fields))
+        if chosen:
+            typed = _texts(form, f"{kind} {chosen}")
+            lines = form_lines(registry, kind, chosen)
+            fields = [_field(line, typed) for line in lines]
+            groups.append(_group(f"Settings of {chosen}", f"{kind} {chosen}", fields))
+    typed = _texts(form, "run")
+    lines = {line.name: line for line in form_lines(registry, "run", "")}
+    usual = [_field(lines[name], typed) for name in EXPLAINED if name in lines]
+    groups.append(_group("This edit", "run", usual))
+    rest = [_field(lines[name], typed) for name in EXPERT if name in lines]
+    return [*groups, _group("For experts", "run", rest)]
+
+
+def set_by_hand(settings: dict[str, Any]) -> list[str]:
+    """What was set for a run beside its sentence, in words."""
+    said = []
+    for name, value in settings.items():
+        if name in ("prompt", "guess") or value in ("", None, False):
+            continue
+        label = EXPLAINED.get(name, (name.replace("_", " "),))[0]
+        shown = value.get("name", value) if isinstance(value, dict) else value
+        said.append(f"{label}: {shown}"[:80])
+    return said
+
+
+def _group(title: str, group: str, fields: list[dict[str, Any]]) -> dict[str, Any]:
+    return {"title": title, "group": group, "fields": fields}
+
+
+def _option(value: str, label: str, told: str = "") -> dict[str, str]:
+    return {"value": value, "label": label, "told": told}
+
+
+def _select(
+    name: str, label: str, options: list[dict[str, str]], value: str, help: str = ""
+) -> dict[str, Any]:
+    made = {"name": name, "label": label, "kind": "select", "options": options}
+    return {**made, "value": value, "help": help, "unit": ""}
+
+
+def _quality(form: dict[str, Any]) -> dict[str, Any]:
+    options = [_option(name, name or "automatic", told) for name, told in COSTS.items()]
+    return _select("quality", "Quality", options, form.get("quality", ""))
+
+
+def _texts(form: dict[str, Any], group: str) -> dict[str, Any]:
+    return form.get("settings", {}).get(group, {})
+
+
+def _field(line: SettingLine, typed: dict[str, Any]) -> dict[str, Any]:
+    """One setting as a switch, a select, a slider, a number or a text, with its words."""
+    plain = line.name.replace("_", " ")
+    sentence = FLAGS.sub("", line.sentence)
+    usual = (plain[:1].upper() + plain[1:], sentence, "")
+    label, told, unit = EXPLAINED.get(line.name, usual)
+    default = "" if line.default is None else _as_text(line.default)
+    value = str(typed.get(line.name, ""))
+    made = {"name": line.name, "label": label, "help": told, "unit": unit}
+    made |= {"value": value, "default": default}
+    kind = line.type.removesuffix(" or null")
+    low, high = _bounds(line.range)
+    if kind == "true or false":
+        return {**made, "kind": "switch"}
+    if " | " in kind and " or " not in kind:
+        options = [_option(name, name.replace("_", " ")) for name in kind.split(" | ")]
+        return {**made, "kind": "select", "options": options}
+    if kind not in ("int", "float"):
+        return {**made, "kind": "text"}
+    step = 1.0 if kind == "int" else 0.01
+    limits = {"min": low, "max": high, "step": step}
+    narrow = low is not None and high is not None
+    if narrow and default and (high - low) / step <= LARGEST_SLIDER:
+        return {**made, "kind": "slider", **limits}
+    if (
+        high is not None and high > MOST_SAID
+    ):  # a limit of the machine, not of the thing
+        limits["max"] = None
+    return {**made, "kind": "number", **limits}
+
+
+FLAGS = re.compile(
+    r"[;,]? ?\(?(?:where |see )?--[\w-]+[^;,.)]*\)?|\(?see docs/[^)]*\)?"
+)
+"""What speaks of the command line in the sentence of a setting."""
+MOST_SAID = 1e6
+
+
+def _as_text(value: Any) -> str:
+    """As it is typed: YAML of plain data."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, dict):
+        return "as they are"
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(str, value))
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _bounds(text: str) -> tuple[float | None, float | None]:
+    """The least and the greatest number of "≥ 1, ≤ 9"."""
+    found = {
+        sign: float(number)
+        for sign, number in re.findall(r"([≥>≤<]) ?(\S+?)(?:,|$)", text)
+    }
+    return found.get("≥", found.get(">")), found.get("≤", found.get("<"))
 
 
 def form_lines(registry: Registry, kind: str, name: str) -> tuple[SettingLine, ...]:
@@ -48,14 +218,6 @@ def form_lines(registry: Registry, kind: str, name: str) -> tuple[SettingLine, .
     )
 
 
-def in_words(line: SettingLine) -> str:
-    """What a setting is for and may be; "float or null" is "a number, or empty"."""
-    allowed = line.allowed
-    for pattern, words in WORDS.items():
-        allowed = re.sub(pattern, words, allowed)
-    return f"{line.sentence} ({allowed}; default {line.default_yaml})"
-
-
 def run_settings(draft: Draft, registry: Registry) -> dict[str, Any]:
     """The settings of a run as a draft says; raises SettingsError where they are none.
 
@@ -67,7 +229,9 @@ def run_settings(draft: Draft, registry: Registry) -> dict[str, Any]:
     settings = _typed(form, "run")
     settings["prompt"] = str(form.get("prompt", "")).strip()
     settings["guess"] = draft.guess
-    settings |= {key: value for key, value in draft.outline.items() if value}
+    usual = Draft().outline
+    steps = draft.outline.items()
+    settings |= {key: value for key, value in steps if value != usual[key]}
     if form.get("quality"):
         settings["quality"] = form["quality"]
     for kind in CHOSEN:

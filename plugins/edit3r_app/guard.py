@@ -16,6 +16,8 @@ HEADERS = {
     # Nothing is fetched from elsewhere, and no other page may show this one in a frame.
     "content-security-policy": "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
     "frame-ancestors 'self'",
+    # An image here tells another page nothing, not even that it is there.
+    "cross-origin-resource-policy": "same-origin",
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
 }
@@ -56,6 +58,8 @@ class Guard:
             return PlainTextResponse("This server answers to localhost only.", 421)
         if origin is not None and _host_of(origin) != host:
             return PlainTextResponse("Requests of other pages are refused.", 403)
+        if _is_of_another_page(asked):
+            return PlainTextResponse("Requests of other pages are refused.", 403)
         if self.token is not None:
             given = asked.query_params.get("token") or asked.cookies.get(COOKIE, "")
             if not hmac.compare_digest(given.encode(), self.token.encode()):
@@ -66,6 +70,13 @@ class Guard:
             told = f"At most {self.max_bytes >> 20} MB are taken at once."
             return PlainTextResponse(told, 413)
         return None
+
+
+def _is_of_another_page(asked: HTTPConnection) -> bool:
+    """Whether a browser says that a page from elsewhere asks; a link that leads here may."""
+    site = asked.headers.get("sec-fetch-site", "none")
+    is_link = asked.headers.get("sec-fetch-dest") == "document"
+    return site not in ("same-origin", "none") and not is_link
 
 
 def _host_of(origin: str) -> str:

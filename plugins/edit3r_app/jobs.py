@@ -11,6 +11,8 @@ NAME/                  a set of photos (`NAME/images`, as `edit3r run NAME` take
 
 import itertools
 import json
+import shutil
+import threading
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
@@ -66,6 +68,8 @@ class AppJob:
 
 
 _JOB = TypeAdapter(AppJob)
+_NAMING = threading.Lock()
+"""Sets of photos and jobs take their names from one stock, each under this lock."""
 
 
 class JobsFolder:
@@ -109,9 +113,15 @@ class JobsFolder:
 
     def new_scene(self, wanted: str) -> str:
         """Make an empty set of photos, called as wanted as far as that can be a name."""
-        taken = [path.name for path in self.root.iterdir()]
-        name = unique_names([*taken, wanted.strip(". ") or "scene"])[-1]
-        (self.root / name / "images").mkdir(parents=True)
+        with _NAMING:
+            # A job that waits has no folder yet, but its name.
+            taken = [path.name for path in self.root.iterdir()]
+            taken += [path.stem for path in self.private.glob("*.json")]
+            taken += [path.name for path in self.private.iterdir() if path.is_dir()]
+            name = unique_names([*sorted(set(taken)), wanted.strip(". ") or "scene"])[
+                -1
+            ]
+            (self.root / name / "images").mkdir(parents=True)
         return name
 
     def scenes(self) -> list[str]:
@@ -125,15 +135,23 @@ class JobsFolder:
     # ---- jobs ----
 
     def new_job(
-        self, job: AppJob, masks: Iterable[Float[Tensor, "height width"]] = ()
+        self,
+        job: AppJob,
+        masks: Iterable[Float[Tensor, "height width"]] = (),
+        known: Path | None = None,
     ) -> AppJob:
-        """Queue a job, after writing its masks, under a name that is free; its own is ignored."""
+        """Queue a job, after writing its masks, under a name that is free; its own is ignored.
+
+        `known` is a folder with what was read from the photos already; beside masks a run finds it.
+        """
         name = self._reserved(job.scene[:80])
         count = 0
         for mask in masks:
             file = self.beside(name) / f"{count:03}.png"
             save_image(mask.expand(3, -1, -1), file)
             count += 1
+        if count and known is not None and known.is_dir():
+            shutil.copytree(known, self.beside(name) / known.name)
         job = replace(job, name=name, masks=count, made=time.time())
         self.write(job)
         return job
@@ -142,7 +160,7 @@ class JobsFolder:
         """A free name STEM-N, taken by making its folder."""
         for number in itertools.count(1):
             name = f"{stem}-{number}"
-            with suppress(FileExistsError):
+            with _NAMING, suppress(FileExistsError):
                 if not (self.root / name).exists():
                     (self.private / name).mkdir()
                     return name

@@ -6,8 +6,9 @@ Found in the warm process of the server, by the steps that `edit3r run` takes.
 import io
 import json
 import threading
+import time
 from collections.abc import Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
 from concurrent.futures import TimeoutError as NotYet
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
@@ -15,6 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from PIL import Image
@@ -35,6 +37,7 @@ from edit3r.running import (
     DEFAULTS,
     EditVerdict,
     Parts,
+    Reading,
     RunJob,
     Scene,
     Selection,
@@ -49,12 +52,19 @@ from edit3r_app.draft import DRAFT, Draft
 from edit3r_app.forms import run_settings
 from edit3r_app.jobs import PREVIEW, JobsFolder
 
-GEOMETRY_PATIENCE = 3.0
-"""[s] that a mark waits for poses and depths before masks are carried by what the photos show."""
+GEOMETRY_PATIENCE = 0.0
+"""[s] that a mark waits for poses and depths before masks are carried by what the photos show; it
+is answered anew once they are there.
+"""
+USUAL_PACE = 5.0
+"""[s] that the geometry of one photo takes, as long as this machine has not shown its own."""
+POINTED_FIRST = 10.0
+"""[s] at most that reading photos ahead waits for somebody who points."""
 MAX_CLICKED_AHEAD = 8
 """Photos that the segmenter reads before anybody clicks."""
 DIMMED = 0.55
 """Brightness of what is not selected."""
+THUMBNAIL = 240  # [pixels], longer side of the picture of a reading
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +82,8 @@ class DraftAnswer:
     asks: bool = False  # a click, or a guess, would help
     told: tuple[str, ...] = ()  # choices and warnings
     surety: float | None = None  # of what words found, in [0, 1]; None: it was marked
+    is_sure: bool = True  # False: the user is asked whether it is this one
+    readings: tuple[Reading, ...] = ()  # what else may be meant, the most likely first
     job: RunJob | None = (
         None  # the run that it asks for; None where something is missing
     )
@@ -105,6 +117,17 @@ class _Opened:
     views: Views  # its photos, edited where it is a run
     cache: Cache
     geometry: "Future[MatchedGeometry | None]"
+    clicked: "Future[None]"  # the segmenter has read the photos
+    began: float  # when they began to be read [seconds since 1970]
+
+
+@dataclass(frozen=True)
+class BeingRead:
+    """What of a state's photos is read already, beside the user's looking."""
+
+    photos: bool = False  # a click is answered at once
+    geometry: bool = False  # poses and depths are known, or cannot be
+    left: float = 0.0  # of the geometry, about [s]
 
 
 class Looker:
@@ -115,21 +138,62 @@ class Looker:
         self.registry = KeepingRegistry(registry)
         self.size = size  # of the photos [pixels]
         self._working = threading.RLock()
-        self._background = ThreadPoolExecutor(2)
+        # Pointing has components and a lock of its own: it never waits for an answer in full.
+        self._pointer = KeepingRegistry(registry)
+        self._pointing = threading.RLock()
+        self._opening = threading.RLock()
+        self._nobody_points = threading.Event()
+        self._nobody_points.set()
+        self._background = ThreadPoolExecutor(6)
+        self._pace = USUAL_PACE
+        self._known: set[tuple[str, tuple[str, ...]]] = set()  # what was opened
         self._opened = lru_cache(maxsize=4)(self._open)
         self._looks = lru_cache(maxsize=64)(self._look)
+        self._points = lru_cache(maxsize=64)(self._point)
         self._edits = lru_cache(maxsize=4)(self._edit)
 
+    def begin(self, state: str) -> BeingRead:
+        """Read a state's photos in the background, from the first call on; say how far it is."""
+        if not self._opening.acquire(blocking=False):
+            return BeingRead(left=self._pace * len(self.folder.photos(state)))
+        self._opening.release()
+        if self._is_open(state):
+            opened = self._open_once(state)
+            spent = time.time() - opened.began
+            left = max(1.0, self._pace * opened.views.count - spent)
+            ready = opened.geometry.done()
+            return BeingRead(opened.clicked.done(), ready, 0.0 if ready else left)
+        self._background.submit(self._open_once, state).add_done_callback(_said)
+        return BeingRead(left=self._pace * len(self.folder.photos(state)))
+
+    def _is_open(self, state: str) -> bool:
+        return (state, tuple(self.folder.photos(state))) in self._known
+
+    def _open_once(self, state: str) -> _Opened:
+        with self._opening:
+            return self._opened(state, tuple(self.folder.photos(state)))
+
     def look(self, state: str, draft: Draft) -> DraftAnswer:
+        opened = self._open_once(state)
+        if draft.selects:  # what is read already need not be read twice
+            wait([opened.clicked])
         with self._working:
-            opened = self._opened(state, tuple(self.folder.photos(state)))
-            return self._looks(opened, draft.as_json())
+            located = _ready(opened.geometry)
+            return self._looks(opened, draft.as_json(), located)
+
+    def is_located(self, state: str) -> bool:
+        """Whether answers know the geometry of the photos; they are others before."""
+        if not (self.folder.root / state).is_dir():  # an edit that waits
+            return False
+        return self._is_open(state) and _ready(self._open_once(state).geometry)
 
     def renew(self) -> None:
         """Answer anew from now on: other weights are on this machine."""
-        with self._working:
+        with self._working, self._pointing:
             self.registry.forget()
+            self._pointer.forget()
             self._looks.cache_clear()
+            self._points.cache_clear()
             self._edits.cache_clear()
 
     def changes(self, state: str, before: Draft, after: Draft) -> bool:
@@ -140,19 +204,59 @@ class Looker:
             return old is not new
         return not torch.equal(old, new)
 
-    def image(self, state: str, draft: Draft, name: str) -> bytes:
-        """JPEG of one photo; what is selected is outlined, and the rest is darker."""
+    def photo(self, state: str, name: str) -> bytes:
+        """JPEG of one photo as the run sees it."""
+        views = self._open_once(state).views
+        return _jpeg(views.images[0, _place(views, name)])
+
+    def overlay(self, state: str, draft: Draft, name: str) -> bytes:
+        """PNG to lie over one photo: what is selected is outlined, and the rest is darker."""
         look = self.look(state, draft)
-        if name not in look.views.names:
-            raise InputError(f"{name[:60]!r}: no photo of that name.")
-        view = look.views.names.index(name)
-        image = look.views.images[0, view]
-        if look.masks is not None:
-            mask = look.masks[view]
-            image = outlined(image * (DIMMED + (1 - DIMMED) * mask), mask)
-        content = io.BytesIO()
-        Image.fromarray(to_bytes(image)).save(content, "JPEG", quality=88)
-        return content.getvalue()
+        view = _place(look.views, name)
+        return _over(None if look.masks is None else look.masks[view])
+
+    def pointed(self, state: str, draft: Draft, name: str, line: bool = False) -> bytes:
+        """The same by the marks on that photo alone, at once: before the others were asked.
+
+        With `line` nothing is darker.
+        """
+        opened = self._open_once(state)
+        _place(opened.views, name)
+        own = [one for one in draft.marks if getattr(one, "photo", name) == name]
+        alone = Draft(own)
+        return _over(self._points(opened, alone.as_json(), name), line)
+
+    def _point(self, opened: _Opened, text: str, name: str) -> Tensor | None:
+        draft = DRAFT.validate_json(text)
+        if not draft.selects:
+            return None
+        view = _place(opened.views, name)
+        alone = opened.views.select([view])
+        choice = PartChoice(name=DEFAULTS["segmenter"])
+        selection = replace(
+            draft.selection(alone),
+            grow=draft.outline["grow"],
+            inverted=draft.outline["invert"],
+        )
+        self._nobody_points.clear()
+        try:
+            with self._pointing, _working_with(opened.cache), suppress(Edit3rError):
+                segmenter = self._pointer.build_choice("segmenter", choice)
+                return select_masks(alone.images[0], selection, segmenter).masks[0, 0]
+        finally:
+            self._nobody_points.set()
+        return None
+
+    def reading(self, state: str, draft: Draft, number: int) -> bytes:
+        """JPEG of a reading of what is selected, on the photo where it was found."""
+        look = self.look(state, draft)
+        found = [one for one in look.readings if one.number == number]
+        if not found:
+            raise InputError("there is no such reading of what is selected.")
+        image = look.views.images[0, found[0].view]
+        mask = found[0].mask
+        dimmed = image * (DIMMED + (1 - DIMMED) * mask)
+        return _jpeg(outlined(dimmed, mask), THUMBNAIL)
 
     def edit_verdict(self, look: DraftAnswer) -> EditVerdict | None:
         """What is to be said of the 2D edit; None of slow editors, and where there is no edit."""
@@ -186,6 +290,7 @@ class Looker:
     def _open(self, state: str, names: tuple[str, ...]) -> _Opened:
         """Read a state's photos as a run does; `names` says which there are."""
         path = self.folder.path(state)
+        began = time.time()
         if self.folder.is_run(state):
             cache = Cache(path / CACHE)
             photos, views = read_views_of_run(path)
@@ -195,12 +300,14 @@ class Looker:
             with _working_with(cache):
                 photos = views = load_photos(files, size=self.size).views
         geometry = self._background.submit(self._geometry, photos, cache)
+        geometry.add_done_callback(_said)
         clicked = self._background.submit(self._click_ahead, views, cache)
-        clicked.add_done_callback(Future.result)  # prints what nobody expected
+        clicked.add_done_callback(_said)
         if not self.folder.is_run(state):
             for reading in (geometry, clicked):
                 reading.add_done_callback(lambda _: self._keep_answers(state, cache))
-        return _Opened(views, cache, geometry)
+        self._known.add((state, names))
+        return _Opened(views, cache, geometry, clicked, began)
 
     def _click_ahead(self, photos: Views, cache: Cache) -> None:
         """Click on the photos, so that the segmenter has read them when the user does."""
@@ -208,13 +315,19 @@ class Looker:
         middle = Marks(positive=((0.5, 0.5),))
         for image in photos.images[0, :MAX_CLICKED_AHEAD]:
             # Between two photos a waiting user comes first.
-            with self._working, _working_with(cache), suppress(Edit3rError):
-                segmenter = self.registry.build_choice("segmenter", choice)
+            self._nobody_points.wait(POINTED_FIRST)
+            with self._pointing, _working_with(cache), suppress(Edit3rError):
+                segmenter = self._pointer.build_choice("segmenter", choice)
                 segmenter.segment_marks(image, middle)
 
     def _answers(self, state: str) -> Path:
         """Where what was read from a set of photos is kept; changed by nothing but this."""
         return self.folder.beside(state) / CACHE
+
+    def keep_answers(self, state: str) -> Path:
+        """Write what was read from a set of photos until now, and return the folder."""
+        self._keep_answers(state, self._open_once(state).cache)
+        return self._answers(state)
 
     def _keep_answers(self, state: str, cache: Cache) -> None:
         """Keep what was read from a set of photos for the next start of the server."""
@@ -225,10 +338,15 @@ class Looker:
 
     def _geometry(self, photos: Views, cache: Cache) -> MatchedGeometry | None:
         """Poses and depths, as a run with the default reconstructor finds them."""
+        began = time.time()
         with _working_with(cache):
-            return geometry_of(default_matcher(self.registry), photos)
+            found = geometry_of(default_matcher(self.registry), photos)
+        if "match" in cache.computed:
+            self._pace = (time.time() - began) / photos.count
+        return found
 
-    def _look(self, opened: _Opened, text: str) -> DraftAnswer:
+    def _look(self, opened: _Opened, text: str, located: bool) -> DraftAnswer:
+        """`located`: whether the geometry is known, so that it is asked anew when it is."""
         draft = DRAFT.validate_json(text)
         look = DraftAnswer(opened.views)
         with _working_with(opened.cache) as told:
@@ -263,6 +381,8 @@ class Looker:
             masks=None if scene.masks is None else scene.masks[0],
             job=job,
             surety=min(sureties, default=look.surety),
+            is_sure=look.is_sure and all(one.is_sure for one in scene.selected),
+            readings=look.readings or _readings(scene),
             is_quick=not any(one.weights or one.needs_network for one in used),
         )
 
@@ -297,7 +417,64 @@ def _with_marks(
         inverted=parts.config.invert,
     )
     masks = select_masks(images, outline, parts.segmenter).masks[:, 0]
-    return replace(look, marked=marked, masks=masks, surety=found.surety)
+    return replace(
+        look,
+        marked=marked,
+        masks=masks,
+        surety=found.surety,
+        is_sure=found.is_sure,
+        readings=found.readings,
+    )
+
+
+def _readings(scene: Scene) -> tuple[Reading, ...]:
+    """What else words may mean, where they were unsure."""
+    return next((one.readings for one in scene.selected if one.readings), ())
+
+
+def _ready(reading: Future) -> bool:
+    """Whether something that is read in the background is there; it may be waited for a little."""
+    with suppress(NotYet):
+        reading.result(GEOMETRY_PATIENCE)
+    return reading.done()
+
+
+def _said(done: Future) -> None:
+    """Print what nobody expected; what the user can mend is told with each answer."""
+    with suppress(Edit3rError, CancelledError):
+        done.result()
+
+
+def _place(views: Views, name: str) -> int:
+    """Of a photo among the views; raises InputError where there is none of that name."""
+    if name not in views.names:
+        raise InputError(f"{name[:60]!r}: no photo of that name.")
+    return views.names.index(name)
+
+
+def _jpeg(image: Float[Tensor, "3 height width"], most: int = 0) -> bytes:
+    content = io.BytesIO()
+    made = Image.fromarray(to_bytes(image))
+    if most:
+        made.thumbnail((most, most))
+    made.save(content, "JPEG", quality=88)
+    return content.getvalue()
+
+
+def _over(mask: Float[Tensor, "height width"] | None, line: bool = False) -> bytes:
+    """PNG that darkens what is not in a mask and outlines what is; clear without one."""
+    content = io.BytesIO()
+    if mask is None:
+        Image.new("RGBA", (1, 1)).save(content, "PNG")
+        return content.getvalue()
+    darker = (255 * (1 - DIMMED) * (1 - mask)).round().byte().cpu().numpy()
+    drawn = outlined(torch.full((3, *mask.shape), 0.5), mask)[0].cpu().numpy()
+    lit = np.abs(drawn - 0.5) > 0.02
+    pixels = np.zeros((*mask.shape, 4), np.uint8)
+    pixels[..., :3] = (255 * drawn * lit).astype(np.uint8)[..., None]
+    pixels[..., 3] = np.where(lit, 255, 0 if line else darker)
+    Image.fromarray(pixels).save(content, "PNG", compress_level=1)
+    return content.getvalue()
 
 
 @contextmanager

@@ -179,6 +179,7 @@ class Runner:
         if job.state == "running":
             error = read_progress(self.folder.log(job.name)).error
             job = replace(job, state="failed", sentence=error or INTERRUPTED)
+            remove_abandoned(self.folder.root / job.name)  # it may have been killed
         self.folder.write(replace(job, pid=0))
 
 

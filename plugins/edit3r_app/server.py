@@ -1,28 +1,39 @@
-"""The parts of the app in one process, and the addresses of its images, uploads and downloads."""
+"""The app in one process: its one page, and the addresses of its data, images and files."""
 
 import io
-import logging
+import json
 import urllib.parse
+import webbrowser
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
-from fastapi import Request
-from fastapi.responses import FileResponse, PlainTextResponse, Response
-from nicegui import app, ui
+import uvicorn
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
 
 from edit3r import default_registry
 from edit3r.contract.errors import Edit3rError, InputError
 from edit3r.kit.photos.decode import read_image
 from edit3r_app import downloads, uploads
-from edit3r_app.draft import read_draft
+from edit3r_app.draft import MARK, read_draft
+from edit3r_app.essentials import Essentials
 from edit3r_app.guard import Guard
 from edit3r_app.jobs import KINDS, JobsFolder
 from edit3r_app.looking import Looker
-from edit3r_app.pages import add_pages
-from edit3r_app.pages.parts import Tab
 from edit3r_app.runner import Runner
+from edit3r_app.studio import Studio
 
+STATIC = Path(__file__).with_name("static")
 THUMBNAIL = 320  # [pixels], longer side
+MAX_ASKED = 1 << 20  # bytes of what a page asks for, other than photos
 SANDBOX = (
     "sandbox allow-scripts allow-downloads; default-src 'unsafe-inline' 'unsafe-eval' data: blob:; "
     "frame-ancestors 'self'"
@@ -43,48 +54,48 @@ def serve(
     show: bool,
 ) -> None:
     """Serve the app until it is interrupted; `start` is the path that the browser opens."""
-    runner = Runner(folder)
-    looker = Looker(folder, default_registry(), size)
-    app.add_middleware(Guard, token=token, max_bytes=uploads.MAX_BYTES)
-    app.add_static_files("/static", Path(__file__).with_name("static"))
-    _add_routes(Answers(folder, looker))
-    add_pages(Tab(folder, runner, looker))
-    app.on_startup(runner.start)
-    app.on_shutdown(runner.stop)
-    logging.getLogger("nicegui").addFilter(_is_unexpected)
     path = f"{start}?token={urllib.parse.quote(token)}" if token else start
     name = "localhost" if host == "127.0.0.1" else host
-    print(
-        f"edit3r app: http://{name}:{port}{path}\n  jobs are kept in {folder.root}\n"
-        "  Ctrl-C ends it",
-        flush=True,
+    address = f"http://{name}:{port}{path}"
+
+    def ready() -> None:
+        print(
+            f"edit3r app: {address}\n  jobs are kept in {folder.root}\n  Ctrl-C ends it",
+            flush=True,
+        )
+        if show:
+            webbrowser.open(address)
+
+    app = make_app(folder, token=token, size=size, ready=ready)
+    uvicorn.run(
+        app, host=host, port=port, log_level="warning", timeout_graceful_shutdown=2
     )
-    ui.run(
-        host=host,
-        port=port,
-        title="edit3r",
-        favicon="✏️",
-        show=path if show else False,
-        reload=False,
-        show_welcome_message=False,
-        reconnect_timeout=20,
+
+
+def make_app(
+    folder: JobsFolder,
+    *,
+    token: str | None,
+    size: int,
+    ready: Callable[[], None] = lambda: None,
+) -> Starlette:
+    """The app with its queue, which runs while the app is up; `ready` is called when it is."""
+    runner = Runner(folder)
+    looker = Looker(folder, default_registry(), size)
+
+    @asynccontextmanager
+    async def running(_: Starlette) -> AsyncIterator[None]:
+        runner.start()
+        ready()
+        yield
+        await run_in_threadpool(runner.stop)
+
+    guard = Middleware(Guard, token=token, max_bytes=uploads.MAX_BYTES)
+    refusals = {Edit3rError: refused, OSError: refused}
+    routes = Answers(Studio(folder, runner, looker)).routes()
+    return Starlette(
+        routes=routes, middleware=[guard], exception_handlers=refusals, lifespan=running
     )
-
-
-def _is_unexpected(record: logging.LogRecord) -> bool:
-    """Whether a logged error is none of those that the page has told the user."""
-    return not (record.exc_info and isinstance(record.exc_info[1], Edit3rError))
-
-
-def _add_routes(answers: "Answers") -> None:
-    app.add_exception_handler(Edit3rError, refused)
-    app.add_exception_handler(OSError, refused)
-    app.post("/upload/{scene}")(answers.upload)
-    app.get("/thumbnail/{scene}/{name}")(answers.thumbnail)
-    app.get("/marked/{state}/{name}")(answers.marked)
-    app.get("/image/{state}/{kind}/{name}")(answers.image)
-    app.get("/viewer/{run}")(answers.viewer)
-    app.get("/download/{run}/{what}")(answers.download)
 
 
 def refused(request: Request, error: Exception) -> Response:
@@ -93,13 +104,78 @@ def refused(request: Request, error: Exception) -> Response:
 
 
 class Answers:
-    """Answers to all addresses that are no page."""
+    """Answers to all addresses."""
 
-    def __init__(self, folder: JobsFolder, looker: Looker) -> None:
-        self.folder = folder
-        self.looker = looker
+    def __init__(self, studio: Studio) -> None:
+        self.studio = studio
+        self.folder = studio.folder
+        self.looker = studio.looker
+        self.essentials = Essentials(studio.looker.renew)
 
-    async def upload(self, scene: str, request: Request) -> Response:
+    def routes(self) -> list[Route | Mount]:
+        studio, get, post = self.studio, _asked, _told
+        return [
+            Route("/", _page),
+            Route("/s/{scene}", _page),
+            Mount("/static", StaticFiles(directory=STATIC)),
+            Route("/api/home", get(lambda: self.home())),
+            Route("/api/scene/{scene}", get(studio.scene, "scene", at="")),
+            Route("/api/look/{state}", get(studio.look, "state")),
+            Route("/api/verdict/{state}", get(studio.verdict, "state")),
+            Route("/api/settings/{state}", get(studio.settings, "state")),
+            Route("/api/files/{run}", get(studio.files, "run")),
+            post("/api/essentials", lambda asked: self.essentials.fetch()),
+            post("/api/example", lambda asked: studio.example()),
+            post("/api/draft/{state}", studio.change, "state"),
+            post(
+                "/api/step/{state}",
+                lambda state, asked: studio.step(state, _way(asked)),
+                "state",
+            ),
+            post("/api/go/{scene}", self.go, "scene"),
+            post(
+                "/api/cancel/{run}", lambda run, asked: studio.runner.cancel(run), "run"
+            ),
+            post("/api/remove/{scene}", self.take_out, "scene"),
+            post("/api/prepare/{run}", self.prepare, "run"),
+            Route("/upload/{scene}", self.upload, methods=["POST"]),
+            Route("/thumbnail/{scene}/{name}", self.thumbnail),
+            Route("/photo/{state}/{name}", self.photo),
+            Route("/overlay/{state}/{name}", self.overlay),
+            Route("/pointed/{state}/{name}", self.pointed),
+            Route("/reading/{state}/{number:int}", self.reading),
+            Route("/image/{state}/{kind}/{name}", self.image),
+            Route("/viewer/{run}", self.viewer),
+            Route("/download/{run}/{what}", self.download),
+        ]
+
+    # ---- data ----
+
+    def home(self) -> dict[str, Any]:
+        return {
+            "scenes": self.studio.scenes(),
+            "essentials": self.essentials.state(),
+            "most": {
+                "photos": uploads.MAX_PHOTOS,
+                "megabytes": uploads.MAX_BYTES >> 20,
+            },
+        }
+
+    def go(self, scene: str, asked: dict[str, Any]) -> str:
+        return self.studio.go(
+            scene, str(asked.get("at", "")), str(asked.get("say", ""))
+        )
+
+    def take_out(self, scene: str, asked: dict[str, Any]) -> None:
+        self.studio.take_out(scene, str(asked.get("photo", "")))
+
+    def prepare(self, run: str, asked: dict[str, Any]) -> int:
+        """Make a download, and return its size [bytes]."""
+        file = downloads.prepared(self.folder, run, str(asked.get("file", "")))
+        return file.stat().st_size
+
+    async def upload(self, request: Request) -> Response:
+        scene = request.path_params["scene"]
         name, wanted = (
             urllib.parse.unquote(request.headers.get(key, ""))
             for key in ("x-name", "x-folder")
@@ -118,31 +194,104 @@ class Answers:
             raise
         return PlainTextResponse(scene)
 
-    def thumbnail(self, scene: str, name: str) -> Response:
+    # ---- images and files ----
+
+    def thumbnail(self, request: Request) -> Response:
+        scene, name = _named(request, "scene", "name")
         photo = _there(self.folder.photos(scene).get(name))
-        content = _small(photo, photo.stat().st_mtime_ns)
-        return Response(content, media_type="image/jpeg")
+        return _jpeg(_small(photo, photo.stat().st_mtime_ns))
 
-    def marked(self, state: str, name: str) -> Response:
-        content = self.looker.image(state, read_draft(self.folder, state), name)
-        return Response(content, media_type="image/jpeg")
+    def photo(self, request: Request) -> Response:
+        return _jpeg(self.looker.photo(*_named(request, "state", "name")))
 
-    def image(self, state: str, kind: str, name: str) -> Response:
+    def overlay(self, request: Request) -> Response:
+        state, name = _named(request, "state", "name")
+        draft = read_draft(self.folder, state)
+        return Response(self.looker.overlay(state, draft, name), media_type="image/png")
+
+    def pointed(self, request: Request) -> Response:
+        """What is pointed at on one photo; with `mark`, as if that mark were made as well."""
+        state, name = _named(request, "state", "name")
+        draft = read_draft(self.folder, state)
+        mark = request.query_params.get("mark")
+        if mark:
+            draft.take(_mark_of(mark))
+        content = self.looker.pointed(state, draft, name, line=bool(mark))
+        return Response(content, media_type="image/png")
+
+    def reading(self, request: Request) -> Response:
+        state, number = request.path_params["state"], request.path_params["number"]
+        self.folder.path(state)
+        draft = read_draft(self.folder, state)
+        return _jpeg(self.looker.reading(state, draft, number))
+
+    def image(self, request: Request) -> Response:
+        state, kind, name = _named(request, "state", "kind", "name")
         if kind not in KINDS:
             raise InputError(f"{kind[:20]!r}: no images of that kind.")
         self.folder.job(state)
         return FileResponse(_there(self.folder.images(state, kind).get(name)))
 
-    def viewer(self, run: str) -> Response:
-        file = _there(self.folder.path(run) / "viewer.html")
+    def viewer(self, request: Request) -> Response:
+        """The page of a run's scene, made where the run did not write it."""
+        run = request.path_params["run"]
+        file = _there(downloads.prepared(self.folder, run, "viewer.html"))
         policy = {"content-security-policy": SANDBOX}
         return FileResponse(file, media_type="text/html", headers=policy)
 
-    def download(self, run: str, what: str) -> Response:
+    def download(self, request: Request) -> Response:
+        run, what = _named(request, "run", "what")
         file = downloads.prepared(self.folder, run, what)
-        return FileResponse(
-            file, media_type="application/octet-stream", filename=f"{run}-{what}"
-        )
+        name = f"{run}-{what}"
+        return FileResponse(file, media_type="application/octet-stream", filename=name)
+
+
+def _page(request: Request) -> Response:
+    return FileResponse(STATIC / "index.html", media_type="text/html")
+
+
+def _named(request: Request, *names: str) -> tuple[str, ...]:
+    return tuple(request.path_params[name] for name in names)
+
+
+def _asked(call: Callable[..., Any], *names: str, **defaults: str) -> Callable:
+    """An answer in JSON to a question: parts of the path, and of the query with defaults."""
+
+    def answer(request: Request) -> Response:
+        query = request.query_params
+        more = [query.get(name, default) for name, default in defaults.items()]
+        return JSONResponse(call(*_named(request, *names), *more))
+
+    return answer
+
+
+def _told(path: str, call: Callable[..., Any], *names: str) -> Route:
+    """An address that is told something in JSON, as `call`'s last argument."""
+
+    async def answer(request: Request) -> Response:
+        content = await request.body()
+        try:
+            asked = json.loads(content[:MAX_ASKED] or b"{}")
+        except ValueError:
+            raise InputError("expected JSON.") from None
+        if not isinstance(asked, dict):
+            raise InputError("expected an object of JSON.")
+        done = await run_in_threadpool(call, *_named(request, *names), asked)
+        return JSONResponse(done)
+
+    return Route(path, answer, methods=["POST"])
+
+
+def _way(asked: dict[str, Any]) -> int:
+    """1 for the next larger reading, -1 for the next smaller one."""
+    return 1 if asked.get("value") == 1 else -1
+
+
+def _mark_of(text: str) -> Any:
+    try:
+        return MARK.validate_json(text[:4000])
+    except ValueError:
+        raise InputError("not a mark that can be made.") from None
 
 
 def _there(file: Path | None) -> Path:
@@ -150,6 +299,10 @@ def _there(file: Path | None) -> Path:
     if file is None or not file.is_file() or file.is_symlink():
         raise InputError("no such image or file.")
     return file
+
+
+def _jpeg(content: bytes) -> Response:
+    return Response(content, media_type="image/jpeg")
 
 
 @lru_cache(maxsize=512)

@@ -4,7 +4,7 @@ import zipfile
 
 import pytest
 import torch
-from edit3r_app.downloads import downloads, prepared
+from edit3r_app.downloads import downloads, offered_files, prepared
 from edit3r_app.jobs import JobsFolder
 
 from edit3r import Cameras, save_ply
@@ -62,3 +62,14 @@ def test_a_folder_is_sent_as_an_archive(folder):
 def test_what_is_no_download_is_refused(folder, what, told):
     with pytest.raises(InputError, match=told):
         prepared(folder, "run", what)
+
+
+def test_each_download_says_what_it_is_for_and_its_size(folder):
+    files = {one["file"]: one for one in offered_files(folder, "run")}
+    assert set(files) == set(downloads())
+    assert all(one["what"] for one in files.values())
+    assert files["scene.ply"]["bytes"] == (folder.root / "run/scene.ply").stat().st_size
+    assert files["viewer.html"]["bytes"] is None  # made when asked for
+    prepared(folder, "run", "viewer.html")
+    again = {one["file"]: one["bytes"] for one in offered_files(folder, "run")}
+    assert again["viewer.html"] > 1000

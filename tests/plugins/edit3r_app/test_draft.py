@@ -98,13 +98,47 @@ def test_steps_add_up_and_are_taken_back_one_by_one():
     draft.take(Step("invert"))
     draft.take(Step("grow", 1))
     draft.take(Step("grow", 12))  # typed on: one step
-    assert draft.outline == {"larger": -1, "grow": 12, "invert": True}
+    assert draft.outline == {"larger": -1, "reading": 1, "grow": 12, "invert": True}
     draft.take_back()
-    assert draft.outline == {"larger": -1, "grow": 0, "invert": True}
-    draft.take_back()
-    draft.take_back()
-    assert draft.outline == {"larger": 0, "grow": 0, "invert": False}
+    assert draft.outline == {"larger": -1, "reading": 1, "grow": 0, "invert": True}
     draft.take_back()
     draft.take_back()
+    assert draft.outline == {"larger": 0, "reading": 1, "grow": 0, "invert": False}
     draft.take_back()
-    assert draft == Draft()
+    draft.take_back()
+    draft.take_back()
+    assert (draft.marks, draft.words) == ([], "")
+
+
+def test_what_was_taken_back_can_be_taken_again_until_something_new_is_marked():
+    first, second = Mark("add", "a", [(0.1, 0.2)]), Mark("add", "a", [(0.3, 0.2)])
+    draft = Draft()
+    for mark in (first, second):
+        draft.take(mark)
+    draft.take_back()
+    draft.take_back()
+    draft.take_again()
+    assert draft.marks == [first]
+    draft.take(first)
+    draft.take_again()
+    assert draft.marks == [first, first]
+
+
+def test_a_stroke_is_looked_for_and_an_exact_box_is_taken_as_it_is():
+    views = Views(torch.zeros(1, 1, 3, 40, 40), torch.eye(3)[None, None], ("a",))
+    line = [(0.1, 0.1), (0.2, 0.2), (0.3, 0.2)]
+    chosen = Draft(
+        [Mark("stroke", "a", line), Mark("exact", "a", [(0.5, 0.5), (0.75, 1)])]
+    )
+    found = chosen.selection(views)
+    assert chosen.selects
+    assert found.strokes == ((0, tuple(line)),)
+    rows, columns = found.added[0].nonzero().T
+    assert (rows.min(), columns.min(), columns.max()) == (20, 20, 30)
+
+
+def test_the_last_reading_that_was_picked_counts():
+    draft = Draft([Mark("add", "a", [(0.1, 0.2)])])
+    for number in (2, 3):
+        draft.take(Step("reading", number))
+    assert len(draft.marks) == 2 and draft.outline["reading"] == 3

@@ -8,9 +8,10 @@ from edit3r_app.forms import (
     CHOSEN,
     NOT_IN_FORM,
     form_lines,
-    in_words,
     offered,
     run_settings,
+    set_by_hand,
+    settings_form,
 )
 
 from edit3r.contract.errors import SettingsError
@@ -21,12 +22,47 @@ from edit3r.running.config import RunConfig, make_run_config
 REGISTRY = default_registry()
 
 
-def test_every_setting_is_said_with_its_words_range_and_default():
-    told = {line.name: in_words(line) for line in form_lines(REGISTRY, "run", "")}
-    assert set(told) == set(RunConfig.model_fields) - set(NOT_IN_FORM)
-    assert "whole number" in told["seed"]
-    assert "at least 0" in told["seed"]
-    assert not re.search(r"≥|\| |\bint\b|\bfloat\b", " ".join(told.values()))
+def fields_of(form=None):
+    groups = settings_form(Draft(form=form or {}), REGISTRY)
+    return {
+        (one["group"], field["name"]): field
+        for one in groups
+        for field in one["fields"]
+    }
+
+
+def test_every_setting_of_the_run_is_in_the_dialog_in_plain_words():
+    fields = fields_of()
+    named = {name for group, name in fields if group == "run"}
+    assert named == set(RunConfig.model_fields) - set(NOT_IN_FORM)
+    forms = [{kind: name} for kind in CHOSEN for name in offered(REGISTRY, kind)]
+    for form in [{}, *forms]:
+        for key, field in fields_of(form).items():
+            said = f"{field['label']} {field['help']} {field['unit']}"
+            assert not re.search(r"--\w|≥|\| |\bnull\b|2\.14748e|docs/", said), (
+                key,
+                said,
+            )
+
+
+def test_settings_are_switches_selects_sliders_and_numbers():
+    fields = fields_of({"editor": "recolor"})
+    kinds = {name: field["kind"] for (_, name), field in fields.items()}
+    assert (kinds["sure"], kinds["light"], kinds["grid"]) == (
+        "switch",
+        "select",
+        "slider",
+    )
+    assert (kinds["strength"], kinds["frames"]) == ("slider", "number")
+    assert fields["run", "seed"]["max"] is None  # no limit that anybody meets
+    assert fields["run", "fov"]["unit"] == "degrees"
+
+
+def test_what_was_set_beside_the_sentence_is_told_in_words():
+    told = set_by_hand(
+        {"prompt": "x", "fov": 65.0, "editor": {"name": "looks"}, "guess": True}
+    )
+    assert told == ["Width of the lens: 65.0", "editor: looks"]
 
 
 def test_settings_that_only_the_user_may_give_are_not_offered():
@@ -98,6 +134,8 @@ def test_a_sentence_may_say_any_word():
 
 
 def test_steps_are_settings_of_the_run():
-    draft = Draft([Step("larger", -1), Step("grow", 2.5), Step("invert")])
-    config = make_run_config(run_settings(draft, REGISTRY))
-    assert (config.larger, config.grow, config.invert) == (-1, 2.5, True)
+    steps = [Step("larger", -1), Step("reading", 2), Step("grow", 2.5), Step("invert")]
+    config = make_run_config(run_settings(Draft(steps), REGISTRY))
+    assert (config.larger, config.reading) == (-1, 2)
+    assert (config.grow, config.invert) == (2.5, True)
+    assert "reading" not in run_settings(Draft([Step("reading", 1)]), REGISTRY)

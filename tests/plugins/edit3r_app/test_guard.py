@@ -70,6 +70,26 @@ def test_other_pages_may_not(kind, origin):
     assert ask(kind, host="localhost:8090", origin=origin)[0] in (403, 4403)
 
 
+@pytest.mark.parametrize(
+    ("site", "dest", "status"),
+    [
+        ("cross-site", "image", 403),
+        ("same-site", "image", 403),  # another port of this machine
+        ("cross-site", "iframe", 403),
+        ("cross-site", "script", 403),
+        ("cross-site", "document", 200),  # a link that was followed
+        ("same-origin", "image", 200),
+        ("none", "document", 200),  # typed
+    ],
+)
+def test_images_are_for_our_own_pages(site, dest, status):
+    told = {"sec_fetch_site": site, "sec_fetch_dest": dest}
+    answer, headers = ask(host="localhost:8090", **told)
+    assert answer == status
+    if status == 200:
+        assert headers[b"cross-origin-resource-policy"] == b"same-origin"
+
+
 def test_elsewhere_a_token_is_asked_for():
     assert ask(token="s3cret", host="192.168.0.7:8090")[0] == 401
     assert ask("websocket", token="s3cret", host="192.168.0.7:8090")[0] == 4403

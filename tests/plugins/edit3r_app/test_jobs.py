@@ -61,6 +61,12 @@ def test_new_sets_lie_directly_in_the_jobs_folder(folder, wish):
         assert folder.path(name).parent == folder.root and folder.photos(name) == {}
 
 
+def test_photos_dropped_while_an_edit_waits_do_not_take_its_name(folder):
+    job = folder.new_job(AppJob("", folder.new_scene("bear")))
+    assert folder.new_scene(job.name) != job.name
+    assert not (folder.root / job.name).exists()
+
+
 def test_a_run_of_the_command_line_is_listed_with_its_wish_and_verdict(folder):
     make_run(
         folder,

@@ -59,19 +59,25 @@ def test_a_click_gives_a_mask_on_every_photo(looker, scene):
     assert (look.marked[0] > 0.5).any()
     assert looker.look(scene, draft) is look  # asked for again by every image
     name = look.views.names[0]
-    plain, marked = (
-        Image.open(io.BytesIO(looker.image(scene, one, name)))
-        for one in (Draft(), draft)
+    photo = Image.open(io.BytesIO(looker.photo(scene, name)))
+    drawn = [looker.overlay(scene, draft, name), looker.pointed(scene, draft, name)]
+    over, alone = (Image.open(io.BytesIO(content)) for content in drawn)
+    assert photo.size == over.size == alone.size
+    assert (
+        over.getchannel("A").getextrema()[0] < 10 < over.getchannel("A").getextrema()[1]
     )
-    assert plain.size == marked.size
-    assert plain.tobytes() != marked.tobytes()
-    with pytest.raises(InputError, match="no photo of that name"):
-        looker.image(scene, draft, "../x")
+    assert Image.open(io.BytesIO(looker.overlay(scene, Draft(), name))).size == (1, 1)
+    assert Image.open(io.BytesIO(looker.reading(scene, draft, 1))).size == photo.size
+    for asked in (looker.overlay, looker.pointed):
+        with pytest.raises(InputError, match="no photo of that name"):
+            asked(scene, draft, "../x")
+    with pytest.raises(InputError, match="no such reading"):
+        looker.reading(scene, draft, 9)
 
 
 def test_the_segmenter_has_read_the_photos_before_the_first_click(folder, scene):
     looker = Looker(folder, default_registry(), SIZE)
-    build = looker.registry.build_choice
+    build = looker._pointer.build_choice
     clicked = []
 
     class Watched:
@@ -79,7 +85,7 @@ def test_the_segmenter_has_read_the_photos_before_the_first_click(folder, scene)
             clicked.append((image, marks))
             raise InputError("nothing at this click")
 
-    looker.registry.build_choice = lambda kind, choice: (
+    looker._pointer.build_choice = lambda kind, choice: (
         Watched()
         if (kind, choice.name) == ("segmenter", "auto")
         else build(kind, choice)
@@ -107,6 +113,19 @@ def test_the_brush_paints_exactly_and_the_eraser_takes_away(looker, scene):
     lost = (look.marked[0] > 0.5) & (erased[0] <= 0.5)
     assert lost[height // 2, width // 2]
     assert not lost[height // 2, width // 4]
+
+
+def test_photos_are_read_beside_the_users_looking_and_it_is_said_how_far(folder, scene):
+    looker = Looker(folder, default_registry(), SIZE)
+    began = time.monotonic()
+    first = looker.begin(scene)
+    assert time.monotonic() - began < 0.5
+    assert not first.geometry and first.left > 0
+    for _ in range(600):
+        if (now := looker.begin(scene)).geometry:
+            break
+        time.sleep(0.1)
+    assert now.left == 0 and looker.is_located(scene)
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from edit3r_app.progress import read_progress
 from edit3r_app.runner import EDIT3R, Runner, command_of
 
 from edit3r.contract.errors import InputError
+from edit3r.running import CACHE
 
 QUICK = """
 import pathlib, sys
@@ -100,6 +101,18 @@ def test_a_cancelled_run_ends_and_leaves_nothing_half_written(folder):
     runner.stop()
 
 
+KILLED_CHILD = f"{SLOW.replace('time.sleep(60)', 'import os; os.kill(os.getpid(), 9)')}"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="needs SIGKILL")
+def test_the_workspace_of_a_killed_run_does_not_stay(folder):
+    runner, job = runner_of(folder, KILLED_CHILD), queued(folder)
+    wait_until(runner, lambda: states(folder) == ["failed"])
+    assert begun(folder, job)()
+    assert not list(folder.root.glob(".*partial*"))
+    runner.stop()
+
+
 def test_a_waiting_job_can_be_cancelled(folder):
     runner, job = runner_of(folder, QUICK), queued(folder)
     runner.cancel(job.name)
@@ -175,6 +188,16 @@ def test_the_command_names_photos_masks_settings_and_the_earlier_run(folder):
         command[command.index("--from") + 1] == str(folder.path(scene))
         and str(photo) not in command
     )
+
+
+def test_what_was_read_from_the_photos_lies_where_the_run_finds_it(folder, tmp_path):
+    known = tmp_path / CACHE
+    known.mkdir()
+    (known / "match-0.safetensors").write_bytes(b"x")
+    asked = AppJob("", folder.new_scene("bear"))
+    command = command_of(folder, folder.new_job(asked, torch.ones(2, 4, 4), known))
+    beside = Path(command[command.index("--mask") + 1]).parent
+    assert (beside / CACHE / "match-0.safetensors").is_file()
 
 
 def test_a_damaged_record_does_not_stop_the_queue(folder):

@@ -186,6 +186,18 @@ def test_the_switch_shows_the_look_before_and_keeps_the_camera(page):
     assert page.evaluate("JSON.stringify(pose)") == pose
 
 
+def test_a_handle_divides_the_picture_between_both_looks(page):
+    after = seen(page)
+    page.click("#switch")
+    before = seen(page)
+    page.keyboard.press("c")
+    page.locator("#cut").press("ArrowLeft")  # to 45 %
+    settle(page)
+    both, column = seen(page), round(0.45 * WIDTH)
+    np.testing.assert_array_equal(both[:, :column], before[:, :column])
+    np.testing.assert_array_equal(both[:, column:], after[:, column:])
+
+
 def test_a_second_look_has_its_name_and_one_colour_from_all_sides(
     browser, scene, cameras, tmp_path
 ):

@@ -1,0 +1,309 @@
+"""What the page shows of a scene, and what it may ask for: plain data in, plain data out."""
+
+import re
+import threading
+import zlib
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from edit3r.contract.errors import InputError
+from edit3r.kit.photos.images import packaged_pair
+from edit3r.running import MAX_PROMPT
+from edit3r_app import uploads
+from edit3r_app.downloads import offered_files
+from edit3r_app.draft import MARK, STEP, Draft, read_draft, write_draft
+from edit3r_app.forms import run_settings, set_by_hand, settings_form
+from edit3r_app.jobs import PREVIEW, AppJob, JobsFolder, manifest_of, tree
+from edit3r_app.looking import BeingRead, DraftAnswer, Looker
+from edit3r_app.progress import read_progress, time_left
+from edit3r_app.runner import Runner
+
+SAY = "Say what to change first, such as: paint it golden."
+MAX_SCENES = 200  # on the first page
+_CHANGING = threading.Lock()
+"""A draft is read, changed and written under this lock: several requests come at once."""
+
+
+@dataclass(frozen=True)
+class Studio:
+    """The parts of the app that pages ask."""
+
+    folder: JobsFolder
+    runner: Runner
+    looker: Looker
+
+    # ---- what there is ----
+
+    def scenes(self) -> list[dict[str, Any]]:
+        """Every scene with its first photo; one that cannot be read does not hide the others."""
+        found = []
+        for name in self.folder.scenes()[:MAX_SCENES]:
+            photos = list(self.folder.photos(name))
+            edits = len(self.folder.history(name))
+            found.append({"name": name, "photos": photos[:1], "edits": edits})
+            found[-1]["count"] = len(photos)
+        return found
+
+    def example(self) -> str:
+        """A new scene of the photos that edit3r brings along."""
+        pair = [Path(file) for file in packaged_pair()[0]]
+        return uploads.copied(self.folder, "motorcycle", pair)
+
+    def scene(self, scene: str, at: str) -> dict[str, Any]:
+        """All that the page of a scene shows at one of its states."""
+        folder, state = self.folder, self._state(scene, at)
+        is_run = folder.is_run(state)
+        waits = state != scene and not is_run
+        draft = read_draft(folder, state)
+        photos = list(folder.photos(scene if waits else state))
+        history = folder.history(scene)
+        reading = BeingRead() if waits else self.looker.begin(state)
+        return {
+            "scene": scene,
+            "state": state,
+            "isRun": is_run,
+            "photos": photos,
+            "fixed": bool(history) or folder.is_run(scene),
+            "fromRun": folder.is_run(scene),
+            "history": [self._told(job, depth) for depth, job in tree(history)],
+            "job": self._work(state) if waits else None,
+            "preview": list(folder.images(state, PREVIEW)) if waits else [],
+            "reading": asdict(reading),
+            "draft": self._drawn(draft, state),
+        }
+
+    def _state(self, scene: str, at: str) -> str:
+        self.folder.path(scene)
+        if at and at != scene and self.folder.job(at).scene != scene:
+            raise InputError(f"{at}: not an edit of {scene}.")
+        return at or scene
+
+    def _told(self, job: AppJob, depth: int) -> dict[str, Any]:
+        """One edit of the history."""
+        shown = list(self.folder.photos(job.name)) if job.state == "done" else []
+        return {
+            "name": job.name,
+            "parent": job.parent,
+            "depth": depth,
+            "prompt": job.prompt,
+            "state": job.state,
+            "sentence": in_app(job.sentence),
+            "photo": shown[0] if shown else "",
+            "set": set_by_hand(job.settings),
+            "verdicts": list(verdicts(self.folder, job.name)),
+        }
+
+    def _work(self, name: str) -> dict[str, Any]:
+        """How far an edit is that waits, is being made, or failed."""
+        job = self.folder.job(name)
+        progress = read_progress(self.folder.log(name))
+        left = time_left(self.folder, job, progress) if job.state == "running" else None
+        return {
+            "state": job.state,
+            "prompt": job.prompt,
+            "parent": job.parent,
+            "sentence": in_app(job.sentence),
+            "active": job.is_active,
+            "stage": progress.stage,
+            "share": progress.share,
+            "left": left,
+            "done": [
+                {"name": stage, "seconds": round(seconds, 1)}
+                for stage, seconds in progress.done.items()
+            ],
+            "told": [in_app(text) for text in progress.told],
+            "trouble": self.runner.trouble,
+        }
+
+    # ---- marks, words, settings ----
+
+    def _drawn(self, draft: Draft, state: str) -> dict[str, Any]:
+        """A draft as the page draws it, and the version that images are asked for by."""
+        located = self.looker.is_located(state)
+        version = zlib.crc32(f"{draft.as_json()}{located}".encode())
+        return {
+            **asdict(draft),
+            "outline": draft.outline,
+            "selects": draft.selects,
+            "version": version,
+            "named": sorted(read_draft(self.folder, state).named),
+        }
+
+    def change(self, state: str, asked: dict[str, Any]) -> dict[str, Any]:
+        """Change the draft of a state: `do` says how; returns it as the page draws it.
+
+        Raises InputError for what is no change.
+        """
+        self._is_state(state)
+        with _CHANGING:
+            draft = read_draft(self.folder, state)
+            _change(draft, str(asked.get("do")), asked.get("value"))
+            write_draft(self.folder, state, draft)
+        return self._drawn(draft, state)
+
+    def step(self, state: str, value: int) -> dict[str, Any]:
+        """Take the next larger or smaller reading; one that shows nothing new is taken back."""
+        before = read_draft(self.folder, state)
+        drawn = self.change(state, {"do": "step", "value": ["larger", value]})
+        after = read_draft(self.folder, state)
+        if self.looker.changes(state, before, after):
+            return drawn
+        if read_draft(self.folder, state) == after:  # meanwhile nothing else was said
+            write_draft(self.folder, state, before)
+        word = "larger" if value > 0 else "smaller"
+        raise InputError(f"there is no {word} reading of what is selected.")
+
+    def look(self, state: str) -> dict[str, Any]:
+        """What the draft means: how the sentence is read, and what is selected."""
+        self._is_state(state)
+        draft = read_draft(self.folder, state)
+        look = self.looker.look(state, draft)
+        return {
+            "version": self._drawn(draft, state)["version"],
+            "understood": look.understood,
+            "problem": in_app(look.problem),
+            "asks": look.asks and not draft.guess,
+            "told": [in_app(text) for text in look.told],
+            "surety": look.surety,
+            "sure": look.is_sure,
+            "selected": look.masks is not None,
+            "runs": look.job is not None,
+            "readings": [one.number for one in look.readings],
+        }
+
+    def verdict(self, state: str) -> dict[str, str] | None:
+        """What the 2D edit of a quick editor is worth; None of others."""
+        self._is_state(state)
+        draft = read_draft(self.folder, state)
+        judged = self.looker.edit_verdict(self.looker.look(state, draft))
+        return judged and {"label": judged.label, "reason": judged.reason}
+
+    def settings(self, state: str) -> list[dict[str, Any]]:
+        """The settings of a state's draft as groups of fields."""
+        self._is_state(state)
+        return settings_form(read_draft(self.folder, state), self.looker.registry)
+
+    # ---- edits ----
+
+    def go(self, scene: str, at: str, sentence: str) -> str:
+        """Put the edit that a draft asks for into the queue; returns its name."""
+        state = self._state(scene, at)
+        self.change(state, {"do": "say", "value": sentence})
+        draft = read_draft(self.folder, state)
+        look = self.looker.look(state, draft)
+        if look.job is None:
+            raise InputError(look.problem or SAY)
+        job = AppJob(
+            name="",
+            scene=scene,
+            parent=state if self.folder.is_run(state) else "",
+            settings=run_settings(draft, self.looker.registry),
+            size=self.looker.size,
+        )
+        return self._queued(job, look)
+
+    def _queued(self, job: AppJob, look: DraftAnswer) -> str:
+        known = None if job.parent else self.looker.keep_answers(job.scene)
+        masks = () if look.marked is None else look.marked
+        job = self.folder.new_job(job, masks, known)
+        self.looker.begin_preview(look, job.name)
+        return job.name
+
+    def take_out(self, scene: str, photo: str) -> None:
+        uploads.remove(self.folder, scene, photo)
+
+    def files(self, run: str) -> list[dict[str, Any]]:
+        """What there is to download of a run."""
+        return offered_files(self.folder, run)
+
+    def _is_state(self, state: str) -> None:
+        self.folder.path(state)
+
+
+def _change(draft: Draft, do: str, value: Any) -> None:
+    """Change a draft as the page asked; raises InputError for anything else."""
+    try:
+        if do == "mark":
+            draft.take(MARK.validate_python(value))
+        elif do == "step":
+            kind, by = value
+            draft.take(STEP.validate_python({"kind": kind, "value": by}))
+        elif do == "undo":
+            draft.take_back()
+        elif do == "redo":
+            draft.take_again()
+        elif do in _WAYS:
+            _WAYS[do](draft, value)
+        else:
+            raise InputError(f"{do[:40]!r}: no such change of a draft.")
+    except (ValidationError, TypeError, ValueError, KeyError):
+        raise InputError(f"{do[:40]!r}: not a change that can be made.") from None
+
+
+def _select(draft: Draft, words: Any) -> None:
+    """Begin anew, with nothing or with words that name the thing."""
+    draft.marks, draft.undone, draft.guess = [], [], False
+    draft.words = str(words or "")[:200]
+
+
+def _say(draft: Draft, sentence: Any) -> None:
+    draft.form["prompt"] = str(sentence)[: MAX_PROMPT + 1]
+
+
+def _guess(draft: Draft, _: Any) -> None:
+    draft.guess = True
+
+
+def _set(draft: Draft, asked: Any) -> None:
+    """One setting: its group ("" for what is chosen), its name, and what was typed."""
+    group, name, text = map(str, asked)
+    if not group:
+        draft.form[name] = text
+        return
+    draft.form.setdefault("settings", {}).setdefault(group, {})[name] = text
+
+
+def _keep(draft: Draft, name: Any) -> None:
+    if not draft.marks or not str(name).strip():
+        raise InputError("point at something first, then give it a name to keep.")
+    draft.named[str(name)[:60]] = list(draft.marks)
+
+
+def _recall(draft: Draft, name: Any) -> None:
+    draft.marks, draft.undone, draft.words = list(draft.named[name]), [], ""
+
+
+_WAYS = {
+    "select": _select,
+    "say": _say,
+    "guess": _guess,
+    "set": _set,
+    "keep": _keep,
+    "recall": _recall,
+}
+
+
+def verdicts(folder: JobsFolder, run: str) -> Iterator[dict[str, str]]:
+    """A run's verdicts on its scene and on its edit; of one that is not finished that on its
+    preview.
+    """
+    beside = folder.private / run / PREVIEW
+    manifest = manifest_of(folder.root / run) or manifest_of(beside)
+    for on, key in (("scene", "verdict"), ("edit", "edit_verdict")):
+        verdict = manifest.get(key)
+        if isinstance(verdict, dict):
+            label, reason = str(verdict.get("label")), str(verdict.get("reason", ""))
+            yield {"on": on, "label": label[:40], "reason": reason[:1000]}
+
+
+def in_app(sentence: str) -> str:
+    """A sentence of edit3r without the flags of the command line."""
+    sentence = sentence.replace("add --guess to take", "let the app take")
+    sentence = re.sub(r" \(--[^)]*\)", "", sentence)
+    sentence = re.sub(r",? take --[^,.;]*, or", "", sentence)
+    sentence = re.sub(r", or leave out --sure[^.;]*", "", sentence)
+    return re.sub(r"--(\w[\w-]*)", r"the setting \1", sentence)

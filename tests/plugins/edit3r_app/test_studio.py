@@ -1,0 +1,100 @@
+"""What the page asks for: plain data in and out, and every press that is impossible said."""
+
+import json
+from pathlib import Path
+
+import pytest
+from edit3r_app import uploads
+from edit3r_app.draft import read_draft
+from edit3r_app.jobs import AppJob, JobsFolder
+from edit3r_app.looking import Looker
+from edit3r_app.runner import Runner
+from edit3r_app.studio import Studio, in_app
+
+from edit3r.contract.errors import InputError
+from edit3r.kit.photos.images import packaged_pair
+from edit3r.loading.registry import default_registry
+
+CLICK = {"kind": "add", "photo": "motorcycle", "places": [[0.5, 0.5]]}
+
+
+@pytest.fixture(scope="module")
+def studio(tmp_path_factory):
+    folder = JobsFolder(tmp_path_factory.mktemp("jobs"))
+    yield Studio(folder, Runner(folder), Looker(folder, default_registry(), 64))
+
+
+@pytest.fixture
+def scene(studio):
+    return uploads.copied(
+        studio.folder, "motorcycle", [Path(one) for one in packaged_pair()[0]]
+    )
+
+
+def test_a_scene_is_plain_data(studio, scene):
+    told = studio.scene(scene, "")
+    assert json.loads(json.dumps(told)) == told
+    assert (told["state"], told["isRun"], told["fixed"]) == (scene, False, False)
+    assert len(told["photos"]) == 2 and told["draft"]["selects"] is False
+    job = studio.folder.new_job(AppJob("", scene, settings={"prompt": "gold"}))
+    waits = studio.scene(scene, job.name)
+    assert (waits["job"]["state"], waits["job"]["prompt"]) == ("queued", "gold")
+    assert waits["fixed"] and waits["photos"] == told["photos"]
+    assert [one["prompt"] for one in waits["history"]] == ["gold"]
+
+
+def test_a_state_of_another_scene_is_refused(studio, scene):
+    other = studio.folder.new_scene("other")
+    job = studio.folder.new_job(AppJob("", other))
+    with pytest.raises(InputError, match="not an edit of"):
+        studio.scene(scene, job.name)
+
+
+def test_a_draft_is_changed_undone_and_redone(studio, scene):
+    first = studio.change(scene, {"do": "mark", "value": CLICK})
+    assert first["selects"]
+    assert not studio.change(scene, {"do": "undo"})["selects"]
+    assert studio.change(scene, {"do": "redo"})["version"] == first["version"]
+    studio.change(scene, {"do": "say", "value": "paint it red"})
+    studio.change(scene, {"do": "set", "value": ["run", "seed", "7"]})
+    studio.change(scene, {"do": "set", "value": ["", "editor", "recolor"]})
+    form = read_draft(studio.folder, scene).form
+    assert form == {
+        "prompt": "paint it red",
+        "editor": "recolor",
+        "settings": {"run": {"seed": "7"}},
+    }
+    assert not studio.change(scene, {"do": "select", "value": ""})["selects"]
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ({}, "no such change"),
+        ({"do": "burn"}, "no such change"),
+        ({"do": "mark", "value": {**CLICK, "places": [[2, 0]]}}, "not a change"),
+        ({"do": "mark", "value": None}, "not a change"),
+        ({"do": "step", "value": ["larger"]}, "not a change"),
+        ({"do": "set", "value": "x"}, "not a change"),
+        ({"do": "recall", "value": "nothing"}, "not a change"),
+        ({"do": "keep", "value": "door"}, "point at something first"),
+    ],
+)
+def test_what_is_no_change_is_refused_and_changes_nothing(studio, scene, asked, told):
+    before = read_draft(studio.folder, scene)
+    with pytest.raises(InputError, match=told):
+        studio.change(scene, asked)
+    assert read_draft(studio.folder, scene) == before
+
+
+def test_no_edit_without_a_sentence(studio, scene):
+    with pytest.raises(InputError, match="such as: paint it golden"):
+        studio.go(scene, "", "")
+
+
+def test_sentences_speak_of_no_flags():
+    told = "click on it (--point X,Y), or add --guess to take what stands out."
+    assert in_app(told) == "click on it, or let the app take what stands out."
+    assert "--" not in in_app(
+        "To correct it, take --reading 2 or --reading 3, or click on it."
+    )
