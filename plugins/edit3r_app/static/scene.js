@@ -159,7 +159,8 @@ export function scenePage(page, scene, at, beside) {
   const hint = () => (s.photos.length < 2 ? "One more photo at least, taken from another place." : s.draft.selects ? "Now say what shall change." : view === "3d" ? "Name the thing in your sentence, or point at it under Photos." : "Click the thing on the photo, or name it in your sentence.");
   function drawChip() {
     const has = s.draft.selects;
-    chip.replaceChildren(has ? "what you marked" : look && look.selected ? "what you named" : "nothing marked", has ? icon("close") : "");
+    const by = has ? "marked" : look && look.selected ? "named" : "";
+    chip.replaceChildren(...(by ? [el("span", {}, el("span", { class: "wide-only" }, "what you "), by)] : ["nothing marked"]), has ? icon("close") : "");
     chip.disabled = !has;
     chip.title = has ? "forget what is marked" : "point at the photo, or name the thing";
   }
@@ -217,12 +218,12 @@ export function scenePage(page, scene, at, beside) {
       tool === "box" ? pressed("keep", exact, "exactly this box, without looking for the thing in it", () => { exact = !exact; drawTools(); }, "E") : "",
       pressed("away", minus, "take away instead of adding (or hold Shift)", () => { minus = !minus; drawTools(); }, "X"),
       el("span", { class: "gap" }),
+      able("undo", "undo", () => change("undo"), "Ctrl-Z", any, "there is nothing to take back"),
       able("minus", "something smaller", () => larger(-1), "-", selected, "nothing is selected yet"),
       able("plus", "something larger", () => larger(1), "+", selected, "nothing is selected yet"),
       able("which", "what else may be meant", () => askWhich("Which one?"), "W", look && look.readings.length > 1, "there is one reading only"),
       able("invert", "all but this", () => change("step", ["invert", 0]), "I", selected, "nothing is selected yet"),
       el("span", { class: "gap" }),
-      able("undo", "undo", () => change("undo"), "Ctrl-Z", any, "there is nothing to take back"),
       able("redo", "redo", () => change("redo"), "Ctrl-Y", s.draft.undone.length, "nothing was taken back"));
     if (focused >= 0) tools.children[focused]?.focus();
     box.dataset.tool = tool;
@@ -275,7 +276,7 @@ export function scenePage(page, scene, at, beside) {
     views.hidden = !s.isRun;
     compareButton.hidden = kind !== "3d";
     files.hidden = !s.isRun;
-    dock.hidden = Boolean(s.job);
+    dock.inert = Boolean(s.job); // it keeps its place, so that nothing shifts
     if (kind !== "3d" && s.photos.length) {
       const name = current();
       const source = kind === "job" ? (s.preview.includes(name) ? path("image", state(), "preview", name) : path("thumbnail", scene, name)) : path("photo", state(), name);
