@@ -29,7 +29,7 @@ from edit3r_app.guard import Guard
 from edit3r_app.jobs import KINDS, JobsFolder
 from edit3r_app.looking import Looker
 from edit3r_app.runner import Runner
-from edit3r_app.studio import Studio
+from edit3r_app.studio import Studio, in_app
 
 STATIC = Path(__file__).with_name("static")
 THUMBNAIL = 320  # [pixels], longer side
@@ -100,7 +100,7 @@ def make_app(
 
 def refused(request: Request, error: Exception) -> Response:
     """What the user can act on, in a sentence; also of a disk that is full."""
-    return PlainTextResponse(str(error), 400 if isinstance(error, Edit3rError) else 507)
+    return PlainTextResponse(in_app(str(error)), 400 if isinstance(error, Edit3rError) else 507)
 
 
 class Answers:

@@ -34,7 +34,7 @@ export function scenePage(page, scene, at, beside) {
   const understood = el("p", { class: "understood", role: "status", "aria-live": "polite" });
   const tools = el("div", { class: "tools", role: "toolbar", "aria-label": "how to point" });
   const bar = el("form", { class: "bar", onsubmit: submit }, chip, said, goButton);
-  const dock = el("footer", { class: "dock" }, tools, el("div", { class: "saying" }, understood, bar));
+  const dock = el("footer", { class: "dock unready" }, tools, el("div", { class: "saying" }, understood, bar));
   const drawer = el("aside", { class: "drawer", "aria-label": "history", hidden: true });
   const files = button("download", "take it along", () => openFiles(), { key: "D" });
   const compareButton = button("compare", "before and after", () => compare(!comparing), { key: "C" });
@@ -50,13 +50,14 @@ export function scenePage(page, scene, at, beside) {
 
   // ---- the photo, and pointing on it ----
   const base = el("img", { class: "base", alt: "", draggable: "false" }), over = el("img", { class: "over", alt: "", draggable: "false", hidden: true }), hover = el("img", { class: "over", alt: "", draggable: "false", hidden: true });
-  const box = el("div", { class: "box", tabindex: "0", role: "application", "aria-label": "the photo; arrow keys move a cross, Enter points at it" }, base, over, hover);
+  const box = el("div", { class: "box unready", tabindex: "0", role: "application", "aria-label": "the photo; arrow keys move a cross, Enter points at it" }, base, over, hover);
   const marks = pointing(box, () => ({ kind: tool, minus, exact, radius: BRUSH }), made, rests);
   function fit() {
     const [width, height] = [base.naturalWidth || 4, base.naturalHeight || 3], room = stage.getBoundingClientRect();
     const scale = Math.min(room.width / width, room.height / height);
     box.style.width = `${width * scale}px`;
     box.style.height = `${height * scale}px`;
+    box.classList.toggle("unready", !base.naturalWidth);
     marks.draw();
   }
   base.addEventListener("load", fit);
@@ -410,6 +411,7 @@ export function scenePage(page, scene, at, beside) {
     if (!stop.signal.aborted) timer = setTimeout(refresh, s && (s.job || !s.reading.geometry) ? 500 : 1500);
   }
   function begin() {
+    dock.classList.remove("unready"); // shown when it keeps its place
     view = s.isRun ? "3d" : "photo";
     said.value = s.draft.form.prompt || "";
     if (s.isRun) said.placeholder = "And what next? Such as: make it blue";

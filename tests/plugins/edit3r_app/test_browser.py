@@ -245,7 +245,7 @@ def test_from_photos_to_a_download(server, tab, size):
 def test_an_edit_outlives_a_server_that_is_killed(server, tab):
     page = tab()
     drop(page, server)
-    page.get_by_label("what to change").fill("make all of it grey")
+    page.get_by_label("what to change").fill("make everything grey")
     page.get_by_label("what to change").press("Enter")  # at once, as people who type do
     page.wait_for_url("**at=**")
     for _ in range(600):
