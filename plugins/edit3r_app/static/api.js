@@ -6,7 +6,11 @@ export const path = (...parts) => "/" + parts.map(part).join("/");
 async function answer(response) {
   if (response.ok) return response.json();
   const text = await response.text();
-  throw new Error(response.status < 500 || response.status === 507 ? text : "Something went wrong in the app; its window says what.");
+  throw new Error(
+    response.status < 500 || response.status === 507
+      ? text
+      : "Something went wrong in the app; its window says what.",
+  );
 }
 async function reach(address, options) {
   try {
@@ -15,7 +19,18 @@ async function reach(address, options) {
     throw new Error("The app does not answer; is it still running?");
   }
 }
-export const ask = async (...parts) => answer(await reach(path("api", ...parts.filter((one) => typeof one === "string")) + query(parts.at(-1))));
+export const ask = async (...parts) =>
+  answer(
+    await reach(
+      path("api", ...parts.filter((one) => typeof one === "string")) + query(parts.at(-1)),
+    ),
+  );
 const query = (last) => (typeof last === "object" ? "?" + new URLSearchParams(last) : "");
 export const tell = async (parts, body = {}) =>
-  answer(await reach(path("api", ...parts), { method: "POST", body: JSON.stringify(body), headers: { "Content-Type": "application/json" } }));
+  answer(
+    await reach(path("api", ...parts), {
+      method: "POST",
+      body: JSON.stringify(body),
+      headers: { "Content-Type": "application/json" },
+    }),
+  );

@@ -9,18 +9,26 @@ export function go(address) {
   show();
 }
 export const sceneAddress = (scene, at = "", beside = "") => {
-  const query = new URLSearchParams({ ...(at && at !== scene ? { at } : {}), ...(beside ? { beside } : {}) });
+  const query = new URLSearchParams({
+    ...(at && at !== scene ? { at } : {}),
+    ...(beside ? { beside } : {}),
+  });
   return `/s/${encodeURIComponent(scene)}${query.size ? "?" + query : ""}`;
 };
 function show() {
   leave();
   for (const open of document.querySelectorAll("dialog")) open.close();
-  const query = new URLSearchParams(location.search), [, kind, name] = location.pathname.split("/");
+  const query = new URLSearchParams(location.search),
+    [, kind, name] = location.pathname.split("/");
   const page = document.getElementById("page");
-  leave = kind === "s" ? scenePage(page, decodeURIComponent(name), query.get("at") || "", query.get("beside") || "") : home(page);
+  leave =
+    kind === "s"
+      ? scenePage(page, decodeURIComponent(name), query.get("at") || "", query.get("beside") || "")
+      : home(page);
 }
 addEventListener("popstate", show);
-document.addEventListener("click", (event) => { // links of ours without loading the page anew
+document.addEventListener("click", (event) => {
+  // links of ours without loading the page anew
   const link = event.target.closest("a[data-ours]");
   if (!link || event.ctrlKey || event.metaKey || event.shiftKey) return;
   event.preventDefault();

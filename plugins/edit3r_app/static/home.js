@@ -5,49 +5,123 @@ import { button, el, icon, toast } from "./dom.js";
 import { ADVICE, STORY } from "./pictures.js";
 import { choose, dropAnywhere, send } from "./upload.js";
 
-const drawn = (svg) => { const holder = el("div", { class: "picture" }); holder.innerHTML = svg; return holder; };
+const drawn = (svg) => {
+  const holder = el("div", { class: "picture" });
+  holder.innerHTML = svg;
+  return holder;
+};
 
 export function home(page) {
   document.title = "edit3r";
   document.body.className = "home";
   const told = el("p", { class: "told", role: "status", "aria-live": "polite" });
-  const scenes = el("ul", { class: "scenes" }), yours = el("section", { hidden: true }, el("h2", {}, "Your scenes"), scenes);
+  const scenes = el("ul", { class: "scenes" }),
+    yours = el("section", { hidden: true }, el("h2", {}, "Your scenes"), scenes);
   const essentials = el("section", { hidden: true });
 
   async function take(files, folder) {
-    if (!files.length) return toast("There is no photo among these; expected JPEG, PNG, WebP, TIFF, AVIF or a video.", true);
-    const { scene, refused } = await send(files, "", folder, (text) => { told.textContent = text; });
-    told.replaceChildren(...refused.slice(0, 10).map((text) => el("span", { class: "problem" }, text)));
+    if (!files.length)
+      return toast(
+        "There is no photo among these; expected JPEG, PNG, WebP, TIFF, AVIF or a video.",
+        true,
+      );
+    const { scene, refused } = await send(files, "", folder, (text) => {
+      told.textContent = text;
+    });
+    told.replaceChildren(
+      ...refused.slice(0, 10).map((text) => el("span", { class: "problem" }, text)),
+    );
     if (scene && !refused.length) return go(sceneAddress(scene));
-    if (refused.length > 10) told.append(el("span", { class: "problem" }, `and ${refused.length - 10} more`));
-    if (scene) told.append(el("a", { href: sceneAddress(scene), "data-ours": true }, "Go on with the photos that were taken"));
+    if (refused.length > 10)
+      told.append(el("span", { class: "problem" }, `and ${refused.length - 10} more`));
+    if (scene)
+      told.append(
+        el(
+          "a",
+          { href: sceneAddress(scene), "data-ours": true },
+          "Go on with the photos that were taken",
+        ),
+      );
   }
   async function example(event) {
     event.currentTarget.disabled = true;
-    try { go(sceneAddress(await tell(["example"]))); } catch (error) { toast(error.message, true); }
+    try {
+      go(sceneAddress(await tell(["example"])));
+    } catch (error) {
+      toast(error.message, true);
+    }
   }
 
   page.replaceChildren(
-    el("header", { class: "top" }, el("a", { href: "/", "data-ours": true, class: "brand" }, icon("cube"), "edit3r"), el("span", { class: "grow" }), button("theme", "dark or light", changeTheme)),
-    el("main", {},
-      el("section", { class: "hero" },
+    el(
+      "header",
+      { class: "top" },
+      el("a", { href: "/", "data-ours": true, class: "brand" }, icon("cube"), "edit3r"),
+      el("span", { class: "grow" }),
+      button("theme", "dark or light", changeTheme),
+    ),
+    el(
+      "main",
+      {},
+      el(
+        "section",
+        { class: "hero" },
         el("h1", {}, "Two photos and a sentence: your thing, changed, in 3D."),
-        el("p", {}, "edit3r builds a 3D scene from a few photos and changes in it what you point at and say. Everything runs on this machine; nothing is sent anywhere."),
-        el("div", { class: "drop" }, el("strong", {}, "Drop two or more photos of one scene here, or a folder of them"),
-          el("div", { class: "row" },
-            el("button", { type: "button", class: "primary", onclick: () => choose(false, take) }, "Choose photos"),
+        el(
+          "p",
+          {},
+          "edit3r builds a 3D scene from a few photos and changes in it what you point at and say. Everything runs on this machine; nothing is sent anywhere.",
+        ),
+        el(
+          "div",
+          { class: "drop" },
+          el("strong", {}, "Drop two or more photos of one scene here, or a folder of them"),
+          el(
+            "div",
+            { class: "row" },
+            el(
+              "button",
+              { type: "button", class: "primary", onclick: () => choose(false, take) },
+              "Choose photos",
+            ),
             el("button", { type: "button", onclick: () => choose(true, take) }, "Choose a folder"),
-            el("button", { type: "button", onclick: example }, "Try it with a motorcycle")),
-          el("small", {}, "JPEG, PNG, WebP, TIFF, AVIF, or a video; up to 60 photos of 100 MB.")),
-        told),
-      el("section", { class: "story" }, STORY.map(([svg, title, text]) => el("figure", {}, drawn(svg), el("figcaption", {}, el("strong", {}, title), " ", text)))),
+            el("button", { type: "button", onclick: example }, "Try it with a motorcycle"),
+          ),
+          el("small", {}, "JPEG, PNG, WebP, TIFF, AVIF, or a video; up to 60 photos of 100 MB."),
+        ),
+        told,
+      ),
+      el(
+        "section",
+        { class: "story" },
+        STORY.map(([svg, title, text]) =>
+          el("figure", {}, drawn(svg), el("figcaption", {}, el("strong", {}, title), " ", text)),
+        ),
+      ),
       yours,
-      el("section", {}, el("h2", {}, "Photos that work"),
-        el("div", { class: "advice" }, ADVICE.map(([svg, works, text]) =>
-          el("figure", { class: works ? "good" : "bad" }, drawn(svg), el("figcaption", {}, el("strong", {}, works ? "Works: " : "Does not: "), text))))),
-      essentials));
+      el(
+        "section",
+        {},
+        el("h2", {}, "Photos that work"),
+        el(
+          "div",
+          { class: "advice" },
+          ADVICE.map(([svg, works, text]) =>
+            el(
+              "figure",
+              { class: works ? "good" : "bad" },
+              drawn(svg),
+              el("figcaption", {}, el("strong", {}, works ? "Works: " : "Does not: "), text),
+            ),
+          ),
+        ),
+      ),
+      essentials,
+    ),
+  );
 
-  let timer = 0, gone = false;
+  let timer = 0,
+    gone = false;
   async function refresh() {
     try {
       const found = await ask("home");
@@ -56,17 +130,35 @@ export function home(page) {
       scenes.replaceChildren(...found.scenes.map(card));
       showEssentials(essentials, found.essentials, refresh);
       if (found.essentials.fetching) timer = setTimeout(refresh, 700);
-    } catch (error) { toast(error.message, true); }
+    } catch (error) {
+      toast(error.message, true);
+    }
   }
   refresh();
   const stop = dropAnywhere(take);
-  return () => { gone = true; clearTimeout(timer); stop(); };
+  return () => {
+    gone = true;
+    clearTimeout(timer);
+    stop();
+  };
 }
 
 function card({ name, photos, count, edits }) {
-  const image = photos.length ? el("img", { src: path("thumbnail", name, photos[0]), alt: "", loading: "lazy" }) : icon("photos");
+  const image = photos.length
+    ? el("img", { src: path("thumbnail", name, photos[0]), alt: "", loading: "lazy" })
+    : icon("photos");
   const facts = `${count} photo${count === 1 ? "" : "s"}, ${edits} edit${edits === 1 ? "" : "s"}`;
-  return el("li", {}, el("a", { href: sceneAddress(name), "data-ours": true }, el("span", { class: "cover" }, image), el("span", { class: "name" }, name), el("small", {}, facts)));
+  return el(
+    "li",
+    {},
+    el(
+      "a",
+      { href: sceneAddress(name), "data-ours": true },
+      el("span", { class: "cover" }, image),
+      el("span", { class: "name" }, name),
+      el("small", {}, facts),
+    ),
+  );
 }
 
 let agreed = false;
@@ -75,15 +167,45 @@ function showEssentials(place, { missing, fetching, lines }, refresh) {
   if (place.hidden) return;
   const megabytes = missing.reduce((sum, one) => sum + one.megabytes, 0);
   const again = () => showEssentials(place, { missing, fetching, lines }, refresh);
-  place.replaceChildren(el("h2", {}, "Better outlines and depth"),
+  place.replaceChildren(
+    el("h2", {}, "Better outlines and depth"),
     el("p", {}, `${missing.length} small networks (${megabytes} MB) select and match far better.`),
     agreed
-      ? el("ul", {}, missing.map((one) => el("li", {}, `${one.name}: ${one.purpose} `, el("small", {}, one.terms))))
-      : el("button", { type: "button", onclick: () => { agreed = true; again(); } }, "Fetch what makes a CPU complete"),
+      ? el(
+          "ul",
+          {},
+          missing.map((one) =>
+            el("li", {}, `${one.name}: ${one.purpose} `, el("small", {}, one.terms)),
+          ),
+        )
+      : el(
+          "button",
+          {
+            type: "button",
+            onclick: () => {
+              agreed = true;
+              again();
+            },
+          },
+          "Fetch what makes a CPU complete",
+        ),
     agreed && missing.length
-      ? el("button", { type: "button", class: "primary", disabled: fetching, onclick: () => tell(["essentials"]).then(refresh, (error) => toast(error.message, true)) }, "Accept the licences and fetch")
+      ? el(
+          "button",
+          {
+            type: "button",
+            class: "primary",
+            disabled: fetching,
+            onclick: () =>
+              tell(["essentials"]).then(refresh, (error) => toast(error.message, true)),
+          },
+          "Accept the licences and fetch",
+        )
       : "",
-    lines.length ? el("pre", { tabindex: "0", "aria-label": "what was said while fetching" }, lines.join("\n")) : "");
+    lines.length
+      ? el("pre", { tabindex: "0", "aria-label": "what was said while fetching" }, lines.join("\n"))
+      : "",
+  );
 }
 
 export function changeTheme() {

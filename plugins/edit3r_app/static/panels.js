@@ -3,24 +3,79 @@ import { go, sceneAddress } from "./app.js";
 import { path, tell } from "./api.js";
 import { button, dialog, el, icon, size, toast } from "./dom.js";
 
-const WORD = { queued: "waits", running: "being made", failed: "did not work", cancelled: "cancelled" };
+const WORD = {
+  queued: "waits",
+  running: "being made",
+  failed: "did not work",
+  cancelled: "cancelled",
+};
 
 export function showHistory(drawer, s, close) {
-  const here = s.state, steps = [];
-  if (!s.fromRun) steps.push(step(s, { name: s.scene, depth: -1, prompt: "The photos as they are", photo: "", state: "done", verdicts: [], set: [] }, path("thumbnail", s.scene, s.photos[0] || "")));
-  for (const one of s.history) steps.push(step(s, one, one.photo ? path("image", one.name, "renders", one.photo) : ""));
-  drawer.replaceChildren(el("header", {}, el("h2", {}, "History"), button("close", "close", close, { key: "Esc" })), el("ol", {}, steps),
-    s.history.length ? "" : el("p", { class: "quiet" }, "Every edit is kept here. One of an earlier state begins a branch."));
+  const here = s.state,
+    steps = [];
+  if (!s.fromRun)
+    steps.push(
+      step(
+        s,
+        {
+          name: s.scene,
+          depth: -1,
+          prompt: "The photos as they are",
+          photo: "",
+          state: "done",
+          verdicts: [],
+          set: [],
+        },
+        path("thumbnail", s.scene, s.photos[0] || ""),
+      ),
+    );
+  for (const one of s.history)
+    steps.push(step(s, one, one.photo ? path("image", one.name, "renders", one.photo) : ""));
+  drawer.replaceChildren(
+    el("header", {}, el("h2", {}, "History"), button("close", "close", close, { key: "Esc" })),
+    el("ol", {}, steps),
+    s.history.length
+      ? ""
+      : el(
+          "p",
+          { class: "quiet" },
+          "Every edit is kept here. One of an earlier state begins a branch.",
+        ),
+  );
   drawer.querySelector('[aria-current="page"]')?.scrollIntoView({ block: "nearest" });
 
   function step(all, one, image) {
-    const labels = one.verdicts.map(({ on, label, reason }) => el("span", { class: `badge ${label}`, title: reason }, `${on}: ${label}`));
+    const labels = one.verdicts.map(({ on, label, reason }) =>
+      el("span", { class: `badge ${label}`, title: reason }, `${on}: ${label}`),
+    );
     const words = one.state === "done" ? labels : el("span", { class: "badge" }, WORD[one.state]);
-    const item = el("li", { style: `margin-left:${Math.min(6, one.depth + 1) * 14}px` },
-      el("a", { href: sceneAddress(all.scene, one.name), "data-ours": true, "aria-current": one.name === here ? "page" : false },
+    const item = el(
+      "li",
+      { style: `margin-left:${Math.min(6, one.depth + 1) * 14}px` },
+      el(
+        "a",
+        {
+          href: sceneAddress(all.scene, one.name),
+          "data-ours": true,
+          "aria-current": one.name === here ? "page" : false,
+        },
         el("span", { class: "cover" }, image ? el("img", { src: image, alt: "" }) : icon("cube")),
-        el("span", { class: "text" }, el("strong", {}, one.prompt || "no edit"), el("span", { class: "badges" }, words), one.set.length ? el("small", {}, one.set.join(" · ")) : "", one.sentence ? el("small", { class: "problem" }, one.sentence) : "")));
-    if (all.isRun && one.state === "done" && one.name !== here && one.name !== all.scene) item.append(button("compare", `beside: ${one.prompt || one.name}`, () => go(sceneAddress(all.scene, here, one.name))));
+        el(
+          "span",
+          { class: "text" },
+          el("strong", {}, one.prompt || "no edit"),
+          el("span", { class: "badges" }, words),
+          one.set.length ? el("small", {}, one.set.join(" · ")) : "",
+          one.sentence ? el("small", { class: "problem" }, one.sentence) : "",
+        ),
+      ),
+    );
+    if (all.isRun && one.state === "done" && one.name !== here && one.name !== all.scene)
+      item.append(
+        button("compare", `beside: ${one.prompt || one.name}`, () =>
+          go(sceneAddress(all.scene, here, one.name)),
+        ),
+      );
     return item;
   }
 }
@@ -29,9 +84,24 @@ export function showHistory(drawer, s, close) {
 
 export function showSettings(groups, set, again) {
   const content = el("div", { class: "settings" });
-  const draw = (found) => content.replaceChildren(...found.map(({ title, group, fields }) => (title === "For experts" || title.startsWith("Settings of")
-    ? el("details", {}, el("summary", {}, title), fields.map((one) => field(group, one)))
-    : el("section", {}, el("h3", {}, title), fields.map((one) => field(group, one))))));
+  const draw = (found) =>
+    content.replaceChildren(
+      ...found.map(({ title, group, fields }) =>
+        title === "For experts" || title.startsWith("Settings of")
+          ? el(
+              "details",
+              {},
+              el("summary", {}, title),
+              fields.map((one) => field(group, one)),
+            )
+          : el(
+              "section",
+              {},
+              el("h3", {}, title),
+              fields.map((one) => field(group, one)),
+            ),
+      ),
+    );
   async function keep(group, name, text) {
     await set(group, name, text);
     if (!group) draw(await again());
@@ -40,23 +110,82 @@ export function showSettings(groups, set, again) {
   dialog("Settings", content);
 
   function field(group, one) {
-    const id = `set-${group}-${one.name}`.replace(/\W/g, "-"), told = `${id}-told`;
-    const label = el("label", { for: id }, one.label, one.unit ? el("small", {}, ` (${one.unit})`) : "");
+    const id = `set-${group}-${one.name}`.replace(/\W/g, "-"),
+      told = `${id}-told`;
+    const label = el(
+      "label",
+      { for: id },
+      one.label,
+      one.unit ? el("small", {}, ` (${one.unit})`) : "",
+    );
     const inside = { id, "aria-describedby": told };
-    const number = () => el("input", { ...inside, type: "number", value: one.value, placeholder: one.default || "automatic", min: one.min, max: one.max, step: one.step === 1 ? 1 : "any", onchange: (event) => keep(group, one.name, event.target.value) });
+    const number = () =>
+      el("input", {
+        ...inside,
+        type: "number",
+        value: one.value,
+        placeholder: one.default || "automatic",
+        min: one.min,
+        max: one.max,
+        step: one.step === 1 ? 1 : "any",
+        onchange: (event) => keep(group, one.name, event.target.value),
+      });
     const kinds = {
-      switch: () => el("input", { ...inside, type: "checkbox", role: "switch", checked: (one.value || one.default) === "true", onchange: (event) => keep(group, one.name, String(event.target.checked)) }),
-      select: () => el("select", { ...inside, onchange: (event) => keep(group, one.name, event.target.value) }, one.options.map(({ value, label: text, told: why }) =>
-        el("option", { value, selected: value === (one.value || one.default || "") }, why ? `${text}: ${why}`.slice(0, 110) : text))),
+      switch: () =>
+        el("input", {
+          ...inside,
+          type: "checkbox",
+          role: "switch",
+          checked: (one.value || one.default) === "true",
+          onchange: (event) => keep(group, one.name, String(event.target.checked)),
+        }),
+      select: () =>
+        el(
+          "select",
+          { ...inside, onchange: (event) => keep(group, one.name, event.target.value) },
+          one.options.map(({ value, label: text, told: why }) =>
+            el(
+              "option",
+              { value, selected: value === (one.value || one.default || "") },
+              why ? `${text}: ${why}`.slice(0, 110) : text,
+            ),
+          ),
+        ),
       slider: () => {
-        const value = one.value || one.default, shown = el("output", { for: id }, value);
-        const slider = el("input", { ...inside, type: "range", min: one.min, max: one.max, step: one.step, value, oninput: () => { shown.textContent = slider.value; }, onchange: () => keep(group, one.name, slider.value) });
+        const value = one.value || one.default,
+          shown = el("output", { for: id }, value);
+        const slider = el("input", {
+          ...inside,
+          type: "range",
+          min: one.min,
+          max: one.max,
+          step: one.step,
+          value,
+          oninput: () => {
+            shown.textContent = slider.value;
+          },
+          onchange: () => keep(group, one.name, slider.value),
+        });
         return el("span", { class: "slider" }, slider, shown);
       },
       number,
-      text: () => el("input", { ...inside, type: "text", value: one.value, placeholder: one.default || "automatic", maxlength: "2000", onchange: (event) => keep(group, one.name, event.target.value) }),
+      text: () =>
+        el("input", {
+          ...inside,
+          type: "text",
+          value: one.value,
+          placeholder: one.default || "automatic",
+          maxlength: "2000",
+          onchange: (event) => keep(group, one.name, event.target.value),
+        }),
     };
-    return el("div", { class: "field" }, label, kinds[one.kind](), el("small", { id: told }, one.help));
+    return el(
+      "div",
+      { class: "field" },
+      label,
+      kinds[one.kind](),
+      el("small", { id: told }, one.help),
+    );
   }
 }
 
@@ -70,28 +199,65 @@ export function showFiles(files, run) {
       const bytes = await tell(["prepare", run], { file: one.file });
       row.querySelector(".size").textContent = size(bytes);
       el("a", { href: path("download", run, one.file), download: "" }).click();
-    } catch (error) { toast(error.message, true); }
+    } catch (error) {
+      toast(error.message, true);
+    }
     row.removeAttribute("aria-busy");
   }
   const row = (one) => {
-    const about = [one.keeps && `Keeps ${one.keeps}.`, one.loses && `Loses ${one.loses}.`].filter(Boolean).join(" ");
-    const made = el("button", { type: "button", class: "file", onclick: () => take(one, made) },
-      el("strong", {}, one.file), el("span", { class: "size" }, one.bytes === null ? "made when asked for" : size(one.bytes)), el("span", {}, one.what), about ? el("small", {}, about) : "");
+    const about = [one.keeps && `Keeps ${one.keeps}.`, one.loses && `Loses ${one.loses}.`]
+      .filter(Boolean)
+      .join(" ");
+    const made = el(
+      "button",
+      { type: "button", class: "file", onclick: () => take(one, made) },
+      el("strong", {}, one.file),
+      el("span", { class: "size" }, one.bytes === null ? "made when asked for" : size(one.bytes)),
+      el("span", {}, one.what),
+      about ? el("small", {}, about) : "",
+    );
     return made;
   };
-  dialog("Take it along", el("p", {}, "viewer.html is the one file to send: it opens in any browser, without this app."),
+  dialog(
+    "Take it along",
+    el("p", {}, "viewer.html is the one file to send: it opens in any browser, without this app."),
     el("div", { class: "files" }, files.filter((one) => one.usual).map(row)),
-    el("details", {}, el("summary", {}, "For other programs"), el("div", { class: "files" }, files.filter((one) => !one.usual).map(row))));
+    el(
+      "details",
+      {},
+      el("summary", {}, "For other programs"),
+      el("div", { class: "files" }, files.filter((one) => !one.usual).map(row)),
+    ),
+  );
 }
 
 // ---- keys ----
 
 const KEYS = [
-  ["P · B · R", "point · box · brush"], ["X, or hold Shift", "take away instead of adding"], ["E", "exactly the box that is drawn"], ["+ · - · wheel", "something larger · smaller"], ["W", "what else may be meant"], ["I", "all but what is selected"],
-  ["Ctrl-Z · Ctrl-Y", "undo · redo"], ["1 to 9", "photo, or fly to where it was taken"], ["arrow keys, Enter", "on the photo: move a cross, point at it"], ["/ · Enter", "to the sentence · Go"], ["M", "photos or 3D"], ["C · B in 3D", "handle between before and after · switch"],
-  ["arrows, W A S D in 3D", "turn and fly"], ["V · H · D · S", "photos · history · downloads · settings"], ["F · Esc", "the scene alone · back"],
+  ["P · B · R", "point · box · brush"],
+  ["X, or hold Shift", "take away instead of adding"],
+  ["E", "exactly the box that is drawn"],
+  ["+ · - · wheel", "something larger · smaller"],
+  ["W", "what else may be meant"],
+  ["I", "all but what is selected"],
+  ["Ctrl-Z · Ctrl-Y", "undo · redo"],
+  ["1 to 9", "photo, or fly to where it was taken"],
+  ["arrow keys, Enter", "on the photo: move a cross, point at it"],
+  ["/ · Enter", "to the sentence · Go"],
+  ["M", "photos or 3D"],
+  ["C · B in 3D", "handle between before and after · switch"],
+  ["arrows, W A S D in 3D", "turn and fly"],
+  ["V · H · D · S", "photos · history · downloads · settings"],
+  ["F · Esc", "the scene alone · back"],
 ];
 export function showKeys(changeTheme) {
-  dialog("Keys", el("dl", { class: "keys" }, KEYS.flatMap(([keys, what]) => [el("dt", {}, keys), el("dd", {}, what)])),
-    el("button", { type: "button", onclick: changeTheme }, "Light or dark"));
+  dialog(
+    "Keys",
+    el(
+      "dl",
+      { class: "keys" },
+      KEYS.flatMap(([keys, what]) => [el("dt", {}, keys), el("dd", {}, what)]),
+    ),
+    el("button", { type: "button", onclick: changeTheme }, "Light or dark"),
+  );
 }

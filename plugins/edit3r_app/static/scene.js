@@ -17,43 +17,113 @@ const BRUSH = 0.03; // radius, of the photo's longer side
 export function scenePage(page, scene, at, beside) {
   document.title = `${scene} · edit3r`;
   document.body.className = "studio";
-  const stop = new AbortController(), on = { signal: stop.signal };
-  let s = null, look = null, photo = 0, view = "photo", tool = "point", minus = false, exact = false, comparing = true, answered = 0, shown = "";
-  const state = () => at || scene, current = () => s.photos[photo];
-  const attempt = async (work) => { try { return await work(); } catch (error) { toast(error.message, true); return null; } };
+  const stop = new AbortController(),
+    on = { signal: stop.signal };
+  let s = null,
+    look = null,
+    photo = 0,
+    view = "photo",
+    tool = "point",
+    minus = false,
+    exact = false,
+    comparing = true,
+    answered = 0,
+    shown = "";
+  const state = () => at || scene,
+    current = () => s.photos[photo];
+  const attempt = async (work) => {
+    try {
+      return await work();
+    } catch (error) {
+      toast(error.message, true);
+      return null;
+    }
+  };
 
   // ---- what stands where ----
   const stage = el("section", { class: "stage", "aria-label": "the scene" });
   const pill = el("div", { class: "pill", role: "status", "aria-live": "polite", hidden: true });
-  const question = el("div", { class: "question", role: "group", "aria-label": "which one is meant", hidden: true });
+  const question = el("div", {
+    class: "question",
+    role: "group",
+    "aria-label": "which one is meant",
+    hidden: true,
+  });
   const strip = el("nav", { class: "strip", "aria-label": "photos" });
   const views = el("div", { class: "switch", role: "group", "aria-label": "what is shown" });
-  const said = el("input", { type: "text", placeholder: "What shall change? Such as: paint it golden", "aria-label": "what to change", maxlength: "2000", autocomplete: "off", enterkeyhint: "go" });
+  const said = el("input", {
+    type: "text",
+    placeholder: "What shall change? Such as: paint it golden",
+    "aria-label": "what to change",
+    maxlength: "2000",
+    autocomplete: "off",
+    enterkeyhint: "go",
+  });
   const chip = el("button", { type: "button", class: "chip", onclick: () => change("select", "") });
   const goButton = el("button", { type: "submit", class: "primary" }, "Go");
   const understood = el("p", { class: "understood", role: "status", "aria-live": "polite" });
   const tools = el("div", { class: "tools", role: "toolbar", "aria-label": "how to point" });
   const bar = el("form", { class: "bar", onsubmit: submit }, chip, said, goButton);
-  const dock = el("footer", { class: "dock unready" }, tools, el("div", { class: "saying" }, understood, bar));
+  const dock = el(
+    "footer",
+    { class: "dock unready" },
+    tools,
+    el("div", { class: "saying" }, understood, bar),
+  );
   const drawer = el("aside", { class: "drawer", "aria-label": "history", hidden: true });
   const files = button("download", "take it along", () => openFiles(), { key: "D" });
-  const compareButton = button("compare", "before and after", () => compare(!comparing), { key: "C" });
-  const top = el("header", { class: "top" },
-    el("a", { href: "/", "data-ours": true, class: "brand", title: "all scenes" }, icon("cube"), el("span", {}, "edit3r")),
-    el("h1", {}, scene), el("span", { class: "grow" }), views, compareButton, files,
+  const compareButton = button("compare", "before and after", () => compare(!comparing), {
+    key: "C",
+  });
+  const top = el(
+    "header",
+    { class: "top" },
+    el(
+      "a",
+      { href: "/", "data-ours": true, class: "brand", title: "all scenes" },
+      icon("cube"),
+      el("span", {}, "edit3r"),
+    ),
+    el("h1", {}, scene),
+    el("span", { class: "grow" }),
+    views,
+    compareButton,
+    files,
     button("photos", "photos", () => toggleStrip(), { key: "V", "aria-expanded": "true" }),
     button("history", "history", () => toggleHistory(), { key: "H", "aria-expanded": "false" }),
     button("settings", "settings", () => openSettings(), { key: "S" }),
     button("full", "full screen", fullScreen, { key: "F", class: "icon wide-only" }),
-    button("help", "keys, and light or dark", () => showKeys(changeTheme), { key: "?", class: "icon wide-only" }));
-  page.replaceChildren(top, el("main", {}, strip, el("div", { class: "middle" }, stage, pill, question), drawer), dock);
+    button("help", "keys, and light or dark", () => showKeys(changeTheme), {
+      key: "?",
+      class: "icon wide-only",
+    }),
+  );
+  page.replaceChildren(
+    top,
+    el("main", {}, strip, el("div", { class: "middle" }, stage, pill, question), drawer),
+    dock,
+  );
 
   // ---- the photo, and pointing on it ----
-  const base = el("img", { class: "base", alt: "", draggable: "false" }), over = el("img", { class: "over", alt: "", draggable: "false", hidden: true }), hover = el("img", { class: "over", alt: "", draggable: "false", hidden: true });
-  const box = el("div", { class: "box unready", tabindex: "0", role: "application", "aria-label": "the photo; arrow keys move a cross, Enter points at it" }, base, over, hover);
+  const base = el("img", { class: "base", alt: "", draggable: "false" }),
+    over = el("img", { class: "over", alt: "", draggable: "false", hidden: true }),
+    hover = el("img", { class: "over", alt: "", draggable: "false", hidden: true });
+  const box = el(
+    "div",
+    {
+      class: "box unready",
+      tabindex: "0",
+      role: "application",
+      "aria-label": "the photo; arrow keys move a cross, Enter points at it",
+    },
+    base,
+    over,
+    hover,
+  );
   const marks = pointing(box, () => ({ kind: tool, minus, exact, radius: BRUSH }), made, rests);
   function fit() {
-    const [width, height] = [base.naturalWidth || 4, base.naturalHeight || 3], room = stage.getBoundingClientRect();
+    const [width, height] = [base.naturalWidth || 4, base.naturalHeight || 3],
+      room = stage.getBoundingClientRect();
     const scale = Math.min(room.width / width, room.height / height);
     box.style.width = `${width * scale}px`;
     box.style.height = `${height * scale}px`;
@@ -63,9 +133,16 @@ export function scenePage(page, scene, at, beside) {
   base.addEventListener("load", fit);
   const resized = new ResizeObserver(fit);
   resized.observe(stage);
-  const imageThere = (address) => new Promise((done) => { const one = new Image(); one.onload = () => done(true); one.onerror = () => done(false); one.src = address; });
+  const imageThere = (address) =>
+    new Promise((done) => {
+      const one = new Image();
+      one.onload = () => done(true);
+      one.onerror = () => done(false);
+      one.src = address;
+    });
 
-  let hovered = 0, pressed = 0;
+  let hovered = 0,
+    pressed = 0;
   async function rests(mark) {
     const number = ++hovered;
     if (!mark) return void (hover.hidden = true);
@@ -82,7 +159,9 @@ export function scenePage(page, scene, at, beside) {
     busy(s.reading.photos ? "Looking for what you mean" : "Reading the photos first");
     const before = s.draft.marks.concat({ ...mark, photo: name });
     marks.show(before.filter((one) => one.photo === name));
-    const draft = await attempt(() => tell(["draft", state()], { do: "mark", value: { ...mark, photo: name } }));
+    const draft = await attempt(() =>
+      tell(["draft", state()], { do: "mark", value: { ...mark, photo: name } }),
+    );
     if (!draft) return void drawMarks();
     took(draft);
     const full = answer();
@@ -94,7 +173,11 @@ export function scenePage(page, scene, at, beside) {
   }
   const drawMarks = () => marks.show(s.draft.marks.filter((one) => one.photo === current()));
   function setOver(name, address) {
-    for (const image of strip.querySelectorAll("img.over")) if (image.dataset.photo === name) { image.src = address; image.hidden = false; }
+    for (const image of strip.querySelectorAll("img.over"))
+      if (image.dataset.photo === name) {
+        image.src = address;
+        image.hidden = false;
+      }
     if (name !== current()) return;
     over.src = address;
     over.hidden = view !== "photo";
@@ -110,11 +193,15 @@ export function scenePage(page, scene, at, beside) {
     await answer();
   }
   async function larger(way) {
-    if (!s.draft.selects && !(look && look.selected)) return toast("Nothing is selected yet: point at something first.", true);
+    if (!s.draft.selects && !(look && look.selected))
+      return toast("Nothing is selected yet: point at something first.", true);
     busy(way > 0 ? "Looking for something larger" : "Looking for something smaller");
     const draft = await attempt(() => tell(["step", state()], { value: way }));
     busy("");
-    if (draft) { took(draft); await answer(); }
+    if (draft) {
+      took(draft);
+      await answer();
+    }
   }
   function took(draft) {
     s.draft = draft;
@@ -123,8 +210,11 @@ export function scenePage(page, scene, at, beside) {
     drawChip();
   }
   let asking = 0;
-  async function answer() { // what the draft means, on every photo
-    const number = ++asking, version = s.draft.version, place = state();
+  async function answer() {
+    // what the draft means, on every photo
+    const number = ++asking,
+      version = s.draft.version,
+      place = state();
     busy(s.draft.selects || s.draft.form.prompt ? "Finding it on every photo" : "");
     const found = await attempt(() => ask("look", place, { v: version }));
     if (number !== asking) return;
@@ -137,31 +227,61 @@ export function scenePage(page, scene, at, beside) {
     drawTools();
     for (const name of s.photos) {
       const address = `${path("overlay", place, name)}?v=${found.version}`;
-      imageThere(address).then((there) => { if (there && number === asking) setOver(name, address); });
+      imageThere(address).then((there) => {
+        if (there && number === asking) setOver(name, address);
+      });
     }
     if (!found.runs) return;
     const judged = await ask("verdict", place, { v: version }).catch(() => null);
-    if (number === asking && judged) { look.judged = judged; drawUnderstood(); }
+    if (number === asking && judged) {
+      look.judged = judged;
+      drawUnderstood();
+    }
   }
 
   // ---- the bar ----
   function drawUnderstood() {
     const { understood: text, problem, judged, surety } = look;
-    understood.className = problem && (s.draft.form.prompt || s.draft.selects) ? "understood problem" : "understood";
+    understood.className =
+      problem && (s.draft.form.prompt || s.draft.selects) ? "understood problem" : "understood";
     const parts = [problem || (text && `Understood: ${text}`) || hint()];
-    if (!problem && surety !== null) parts.push(`found by its name, ${Math.round(100 * surety)} % sure`);
-    if (!problem && judged) parts.push(`this edit looks ${judged.label}${judged.label === "good" ? "" : `: ${judged.reason}`}`);
+    if (!problem && surety !== null)
+      parts.push(`found by its name, ${Math.round(100 * surety)} % sure`);
+    if (!problem && judged)
+      parts.push(
+        `this edit looks ${judged.label}${judged.label === "good" ? "" : `: ${judged.reason}`}`,
+      );
     const line = parts.join(" · ");
     understood.replaceChildren(line);
     understood.title = line;
-    if (look.asks && s.draft.form.prompt) understood.append(" ", el("button", { type: "button", class: "link", onclick: () => change("guess") }, "Take what stands out most"));
+    if (look.asks && s.draft.form.prompt)
+      understood.append(
+        " ",
+        el(
+          "button",
+          { type: "button", class: "link", onclick: () => change("guess") },
+          "Take what stands out most",
+        ),
+      );
     goButton.title = look.runs ? "make it (Enter)" : problem || hint();
   }
-  const hint = () => (s.photos.length < 2 ? "One more photo at least, taken from another place." : s.draft.selects ? "Now say what shall change." : view === "3d" ? "Name the thing in your sentence, or point at it under Photos." : "Click the thing on the photo, or name it in your sentence.");
+  const hint = () =>
+    s.photos.length < 2
+      ? "One more photo at least, taken from another place."
+      : s.draft.selects
+        ? "Now say what shall change."
+        : view === "3d"
+          ? "Name the thing in your sentence, or point at it under Photos."
+          : "Click the thing on the photo, or name it in your sentence.";
   function drawChip() {
     const has = s.draft.selects;
     const by = has ? "marked" : look && look.selected ? "named" : "";
-    chip.replaceChildren(...(by ? [el("span", {}, el("span", { class: "wide-only" }, "what you "), by)] : ["nothing marked"]), has ? icon("close") : "");
+    chip.replaceChildren(
+      ...(by
+        ? [el("span", {}, el("span", { class: "wide-only" }, "what you "), by)]
+        : ["nothing marked"]),
+      has ? icon("close") : "",
+    );
     chip.disabled = !has;
     chip.title = has ? "forget what is marked" : "point at the photo, or name the thing";
   }
@@ -173,8 +293,12 @@ export function scenePage(page, scene, at, beside) {
   async function submit(event) {
     event.preventDefault();
     clearTimeout(typing);
-    if (s.photos.length < 2) return toast("One more photo at least, taken from another place.", true);
-    if (!said.value.trim() && !s.draft.form.editor) { said.focus(); return toast("Say what shall change first, such as: paint it golden.", true); }
+    if (s.photos.length < 2)
+      return toast("One more photo at least, taken from another place.", true);
+    if (!said.value.trim() && !s.draft.form.editor) {
+      said.focus();
+      return toast("Say what shall change first, such as: paint it golden.", true);
+    }
     goButton.disabled = true;
     busy("Beginning");
     const job = await attempt(() => tell(["go", scene], { at, say: said.value }));
@@ -182,18 +306,49 @@ export function scenePage(page, scene, at, beside) {
     busy("");
     if (job) go(sceneAddress(scene, job));
   }
-  function drawQuestion() { // what is unsure is asked once, with what else may be meant
+  function drawQuestion() {
+    // what is unsure is asked once, with what else may be meant
     const doubt = look.readings.length > 1 && !look.sure && answered !== look.version;
     question.hidden = !doubt;
     if (doubt) askWhich("Is it this one?");
   }
   function askWhich(text) {
-    const taken = s.draft.outline.reading, others = look.readings;
+    const taken = s.draft.outline.reading,
+      others = look.readings;
     question.hidden = false;
-    question.replaceChildren(el("strong", {}, text),
-      el("div", { class: "row" }, others.map((number) => el("button", { type: "button", class: "reading", "aria-pressed": String(number === taken), onclick: () => pick(number), "aria-label": `reading ${number} of ${others.length}${number === taken ? ", which is taken" : ""}` },
-        el("img", { src: `${path("reading", state(), String(number))}?v=${look.version}`, alt: "" }), el("span", {}, number === taken ? "Yes, this one" : "This one")))),
-      el("div", { class: "row" }, el("small", {}, "None of these? Point at it, or draw a box."), button("close", "close", () => { answered = look.version; question.hidden = true; })));
+    question.replaceChildren(
+      el("strong", {}, text),
+      el(
+        "div",
+        { class: "row" },
+        others.map((number) =>
+          el(
+            "button",
+            {
+              type: "button",
+              class: "reading",
+              "aria-pressed": String(number === taken),
+              onclick: () => pick(number),
+              "aria-label": `reading ${number} of ${others.length}${number === taken ? ", which is taken" : ""}`,
+            },
+            el("img", {
+              src: `${path("reading", state(), String(number))}?v=${look.version}`,
+              alt: "",
+            }),
+            el("span", {}, number === taken ? "Yes, this one" : "This one"),
+          ),
+        ),
+      ),
+      el(
+        "div",
+        { class: "row" },
+        el("small", {}, "None of these? Point at it, or draw a box."),
+        button("close", "close", () => {
+          answered = look.version;
+          question.hidden = true;
+        }),
+      ),
+    );
   }
   async function pick(number) {
     question.hidden = true;
@@ -203,29 +358,90 @@ export function scenePage(page, scene, at, beside) {
   }
 
   // ---- tools ----
-  function take(name) { // points on photos; in 3D the photos come first
+  function take(name) {
+    // points on photos; in 3D the photos come first
     tool = name;
     view = "photo";
     drawTools();
     drawStage();
   }
   function drawTools() {
-    const any = s.draft.marks.length || s.draft.words, selected = s.draft.selects || (look && look.selected);
-    const pressed = (name, is, label, act, key, text = "") => button(name, label, act, { key, text, "aria-pressed": String(is) });
-    const able = (name, label, act, key, can, why) => button(name, can ? label : `${label}: ${why}`, () => (can ? act() : toast(why, true)), { key, "aria-disabled": String(!can) });
-    const focused = document.activeElement && tools.contains(document.activeElement) ? [...tools.children].indexOf(document.activeElement) : -1;
+    const any = s.draft.marks.length || s.draft.words,
+      selected = s.draft.selects || (look && look.selected);
+    const pressed = (name, is, label, act, key, text = "") =>
+      button(name, label, act, { key, text, "aria-pressed": String(is) });
+    const able = (name, label, act, key, can, why) =>
+      button(name, can ? label : `${label}: ${why}`, () => (can ? act() : toast(why, true)), {
+        key,
+        "aria-disabled": String(!can),
+      });
+    const focused =
+      document.activeElement && tools.contains(document.activeElement)
+        ? [...tools.children].indexOf(document.activeElement)
+        : -1;
     tools.replaceChildren(
-      ...Object.entries(TOOLS).map(([name, [label, key]]) => pressed(name, view === "photo" && tool === name, label, () => take(name), key)),
-      tool === "box" ? pressed("keep", exact, "exactly this box, without looking for the thing in it", () => { exact = !exact; drawTools(); }, "E") : "",
-      pressed("away", minus, "take away instead of adding (or hold Shift)", () => { minus = !minus; drawTools(); }, "X"),
+      ...Object.entries(TOOLS).map(([name, [label, key]]) =>
+        pressed(name, view === "photo" && tool === name, label, () => take(name), key),
+      ),
+      tool === "box"
+        ? pressed(
+            "keep",
+            exact,
+            "exactly this box, without looking for the thing in it",
+            () => {
+              exact = !exact;
+              drawTools();
+            },
+            "E",
+          )
+        : "",
+      pressed(
+        "away",
+        minus,
+        "take away instead of adding (or hold Shift)",
+        () => {
+          minus = !minus;
+          drawTools();
+        },
+        "X",
+      ),
       el("span", { class: "gap" }),
       able("undo", "undo", () => change("undo"), "Ctrl-Z", any, "there is nothing to take back"),
-      able("minus", "something smaller", () => larger(-1), "-", selected, "nothing is selected yet"),
+      able(
+        "minus",
+        "something smaller",
+        () => larger(-1),
+        "-",
+        selected,
+        "nothing is selected yet",
+      ),
       able("plus", "something larger", () => larger(1), "+", selected, "nothing is selected yet"),
-      able("which", "what else may be meant", () => askWhich("Which one?"), "W", look && look.readings.length > 1, "there is one reading only"),
-      able("invert", "all but this", () => change("step", ["invert", 0]), "I", selected, "nothing is selected yet"),
+      able(
+        "which",
+        "what else may be meant",
+        () => askWhich("Which one?"),
+        "W",
+        look && look.readings.length > 1,
+        "there is one reading only",
+      ),
+      able(
+        "invert",
+        "all but this",
+        () => change("step", ["invert", 0]),
+        "I",
+        selected,
+        "nothing is selected yet",
+      ),
       el("span", { class: "gap" }),
-      able("redo", "redo", () => change("redo"), "Ctrl-Y", s.draft.undone.length, "nothing was taken back"));
+      able(
+        "redo",
+        "redo",
+        () => change("redo"),
+        "Ctrl-Y",
+        s.draft.undone.length,
+        "nothing was taken back",
+      ),
+    );
     if (focused >= 0) tools.children[focused]?.focus();
     box.dataset.tool = tool;
   }
@@ -233,18 +449,41 @@ export function scenePage(page, scene, at, beside) {
   // ---- photos, scene, edit that is being made ----
   const thumbnails = () => `${s.state} ${s.photos} ${s.fixed} ${s.job ? s.preview : ""}`;
   function drawStrip() {
-    strip.replaceChildren(...s.photos.map((name, index) => {
-      const source = s.job ? (s.preview.includes(name) ? path("image", state(), "preview", name) : path("thumbnail", scene, name)) : path(s.isRun ? "photo" : "thumbnail", state(), name);
-      const thumb = el("button", { type: "button", class: "thumb", "aria-label": `photo ${index + 1}: ${name}`, title: `${name}${index < 9 ? ` (${index + 1})` : ""}`, onclick: () => showPhoto(index) },
-        el("img", { src: source, alt: "" }), el("img", { class: "over", alt: "", "data-photo": name, hidden: true }));
-      const holder = el("div", { class: "thumb-holder" }, thumb);
-      if (!s.fixed) holder.append(button("close", `take out ${name}`, () => takeOut(name), { class: "icon out" }));
-      return holder;
-    }));
-    if (!s.fixed && !s.fromRun) strip.append(button("add", "add photos", () => choose(false, add), { class: "icon add" }));
+    strip.replaceChildren(
+      ...s.photos.map((name, index) => {
+        const source = s.job
+          ? s.preview.includes(name)
+            ? path("image", state(), "preview", name)
+            : path("thumbnail", scene, name)
+          : path(s.isRun ? "photo" : "thumbnail", state(), name);
+        const thumb = el(
+          "button",
+          {
+            type: "button",
+            class: "thumb",
+            "aria-label": `photo ${index + 1}: ${name}`,
+            title: `${name}${index < 9 ? ` (${index + 1})` : ""}`,
+            onclick: () => showPhoto(index),
+          },
+          el("img", { src: source, alt: "" }),
+          el("img", { class: "over", alt: "", "data-photo": name, hidden: true }),
+        );
+        const holder = el("div", { class: "thumb-holder" }, thumb);
+        if (!s.fixed)
+          holder.append(
+            button("close", `take out ${name}`, () => takeOut(name), { class: "icon out" }),
+          );
+        return holder;
+      }),
+    );
+    if (!s.fixed && !s.fromRun)
+      strip.append(button("add", "add photos", () => choose(false, add), { class: "icon add" }));
     markThumb();
   }
-  const markThumb = () => [...strip.querySelectorAll(".thumb")].forEach((one, k) => one.setAttribute("aria-current", String(k === photo)));
+  const markThumb = () =>
+    [...strip.querySelectorAll(".thumb")].forEach((one, k) =>
+      one.setAttribute("aria-current", String(k === photo)),
+    );
   function showPhoto(index) {
     photo = index;
     markThumb();
@@ -271,7 +510,16 @@ export function scenePage(page, scene, at, beside) {
     if (wanted !== shown) {
       shown = wanted;
       if (kind === "3d") stage.replaceChildren(...[state(), beside].filter(Boolean).map(viewer));
-      else stage.replaceChildren(s.photos.length ? box : el("p", { class: "empty" }, "No photos yet: drop two or more of one scene anywhere here."));
+      else
+        stage.replaceChildren(
+          s.photos.length
+            ? box
+            : el(
+                "p",
+                { class: "empty" },
+                "No photos yet: drop two or more of one scene anywhere here.",
+              ),
+        );
     }
     stage.classList.toggle("two", kind === "3d" && Boolean(beside));
     views.hidden = !s.isRun;
@@ -280,57 +528,167 @@ export function scenePage(page, scene, at, beside) {
     dock.inert = Boolean(s.job); // it keeps its place, so that nothing shifts
     if (kind !== "3d" && s.photos.length) {
       const name = current();
-      const source = kind === "job" ? (s.preview.includes(name) ? path("image", state(), "preview", name) : path("thumbnail", scene, name)) : path("photo", state(), name);
-      if (base.getAttribute("src") !== source) { base.src = source; base.alt = name; over.hidden = true; }
+      const source =
+        kind === "job"
+          ? s.preview.includes(name)
+            ? path("image", state(), "preview", name)
+            : path("thumbnail", scene, name)
+          : path("photo", state(), name);
+      if (base.getAttribute("src") !== source) {
+        base.src = source;
+        base.alt = name;
+        over.hidden = true;
+      }
       const ours = strip.querySelector(`img.over[data-photo="${CSS.escape(name)}"]`);
-      if (kind === "photo" && ours && !ours.hidden) { over.src = ours.src; over.hidden = false; }
+      if (kind === "photo" && ours && !ours.hidden) {
+        over.src = ours.src;
+        over.hidden = false;
+      }
       drawMarks();
     }
-    views.replaceChildren(...[["photo", "Photos"], ["3d", "3D"]].map(([key, text]) => el("button", { type: "button", "aria-pressed": String(view === key), onclick: () => { view = key; drawStage(); drawTools(); if (look) drawUnderstood(); } }, text)));
+    views.replaceChildren(
+      ...[
+        ["photo", "Photos"],
+        ["3d", "3D"],
+      ].map(([key, text]) =>
+        el(
+          "button",
+          {
+            type: "button",
+            "aria-pressed": String(view === key),
+            onclick: () => {
+              view = key;
+              drawStage();
+              drawTools();
+              if (look) drawUnderstood();
+            },
+          },
+          text,
+        ),
+      ),
+    );
   }
   // The page of a run may come from a stranger: it is shown in a sandbox, and told things by messages.
-  const viewer = (run) => el("iframe", { src: `${path("viewer", run)}?embed`, sandbox: "allow-scripts allow-downloads", title: `the scene in 3D: ${run}`, onload: () => post({ compare: comparing && !beside }) });
+  const viewer = (run) =>
+    el("iframe", {
+      src: `${path("viewer", run)}?embed`,
+      sandbox: "allow-scripts allow-downloads",
+      title: `the scene in 3D: ${run}`,
+      onload: () => post({ compare: comparing && !beside }),
+    });
   const frames = () => [...stage.querySelectorAll("iframe")];
-  const post = (message, but = null) => frames().forEach((one) => { if (one.contentWindow !== but) one.contentWindow.postMessage({ edit3r: message }, "*"); });
+  const post = (message, but = null) =>
+    frames().forEach((one) => {
+      if (one.contentWindow !== but) one.contentWindow.postMessage({ edit3r: message }, "*");
+    });
   function compare(wanted) {
     comparing = wanted;
     compareButton.setAttribute("aria-pressed", String(wanted));
     post({ compare: wanted });
   }
-  addEventListener("message", (event) => {
-    const frame = frames().find((one) => one.contentWindow === event.source), message = event.data && event.data.edit3r;
-    if (!frame || !message) return;
-    if (message.camera && beside) post({ camera: message.camera }, event.source);
-    if (message.turn !== undefined) frame.replaceWith(Object.assign(viewer(state()), { src: `${path("viewer", state())}?embed#turn=${Number(message.turn)}` }));
-    if (["f", "h", "?"].includes(message.key)) shortcut(message.key);
-  }, on);
+  addEventListener(
+    "message",
+    (event) => {
+      const frame = frames().find((one) => one.contentWindow === event.source),
+        message = event.data && event.data.edit3r;
+      if (!frame || !message) return;
+      if (message.camera && beside) post({ camera: message.camera }, event.source);
+      if (message.turn !== undefined)
+        frame.replaceWith(
+          Object.assign(viewer(state()), {
+            src: `${path("viewer", state())}?embed#turn=${Number(message.turn)}`,
+          }),
+        );
+      if (["f", "h", "?"].includes(message.key)) shortcut(message.key);
+    },
+    on,
+  );
 
   function drawPill() {
-    const job = s.job, reading = s.reading;
+    const job = s.job,
+      reading = s.reading;
     pill.classList.toggle("large", Boolean(job));
     if (job) {
-      const line = job.state === "queued" ? "Waiting for the edit before it" : job.active ? `${stageWords(job.stage)}${job.left === null ? "" : ` · about ${seconds(job.left + 1)} left`}` : job.state === "cancelled" ? "Cancelled" : "It did not work";
+      const line =
+        job.state === "queued"
+          ? "Waiting for the edit before it"
+          : job.active
+            ? `${stageWords(job.stage)}${job.left === null ? "" : ` · about ${seconds(job.left + 1)} left`}`
+            : job.state === "cancelled"
+              ? "Cancelled"
+              : "It did not work";
       const act = job.active
-        ? el("button", { type: "button", onclick: (event) => { event.currentTarget.disabled = true; event.currentTarget.textContent = "Stopping"; attempt(() => tell(["cancel", state()])); } }, "Cancel")
-        : el("button", { type: "button", class: "primary", onclick: () => go(sceneAddress(scene, job.parent)) }, "Go back and change it");
+        ? el(
+            "button",
+            {
+              type: "button",
+              onclick: (event) => {
+                event.currentTarget.disabled = true;
+                event.currentTarget.textContent = "Stopping";
+                attempt(() => tell(["cancel", state()]));
+              },
+            },
+            "Cancel",
+          )
+        : el(
+            "button",
+            {
+              type: "button",
+              class: "primary",
+              onclick: () => go(sceneAddress(scene, job.parent)),
+            },
+            "Go back and change it",
+          );
       if (pill.dataset.line !== line + job.state + job.share) {
         pill.dataset.line = line + job.state + job.share;
-        pill.replaceChildren(el("strong", {}, job.prompt || "the scene as it is"), el("span", {}, line),
-          job.active ? el("progress", { "aria-label": "share of this step", ...(job.share === null ? {} : { value: job.share, max: 1 }) }) : el("span", { class: "problem" }, job.sentence), job.trouble ? el("span", { class: "problem" }, job.trouble) : "", act);
+        pill.replaceChildren(
+          el("strong", {}, job.prompt || "the scene as it is"),
+          el("span", {}, line),
+          job.active
+            ? el("progress", {
+                "aria-label": "share of this step",
+                ...(job.share === null ? {} : { value: job.share, max: 1 }),
+              })
+            : el("span", { class: "problem" }, job.sentence),
+          job.trouble ? el("span", { class: "problem" }, job.trouble) : "",
+          act,
+        );
       }
       pill.hidden = false;
       return;
     }
-    const slow = !reading.photos ? "Reading the photos" : !reading.geometry && s.photos.length > 1 ? `Finding depth · about ${seconds(reading.left)} left; you can go on` : "";
+    const slow = !reading.photos
+      ? "Reading the photos"
+      : !reading.geometry && s.photos.length > 1
+        ? `Finding depth · about ${seconds(reading.left)} left; you can go on`
+        : "";
     const line = working || slow;
     pill.hidden = !line;
-    if (pill.dataset.line !== line) { pill.dataset.line = line; pill.replaceChildren(el("span", { class: "spin", "aria-hidden": "true" }), line); }
+    if (pill.dataset.line !== line) {
+      pill.dataset.line = line;
+      pill.replaceChildren(el("span", { class: "spin", "aria-hidden": "true" }), line);
+    }
   }
-  const STAGES = { "": "Starting", start: "Starting", "load components": "Loading", "read photos": "Reading the photos", "read scene": "Reading the scene", geometry: "Finding depth", select: "Finding the thing", edit: "Editing the photos",
-    reconstruct: "Building the scene", check: "Looking at the result", render: "Drawing it", "write files": "Writing the files" };
+  const STAGES = {
+    "": "Starting",
+    start: "Starting",
+    "load components": "Loading",
+    "read photos": "Reading the photos",
+    "read scene": "Reading the scene",
+    geometry: "Finding depth",
+    select: "Finding the thing",
+    edit: "Editing the photos",
+    reconstruct: "Building the scene",
+    check: "Looking at the result",
+    render: "Drawing it",
+    "write files": "Writing the files",
+  };
   const stageWords = (name) => STAGES[name.replace(/ \(.*$/, "")] || "Polishing";
   let working = "";
-  function busy(text) { working = text; if (s) drawPill(); }
+  function busy(text) {
+    working = text;
+    if (s) drawPill();
+  }
 
   // ---- drawers and dialogs ----
   function toggleStrip() {
@@ -340,50 +698,98 @@ export function scenePage(page, scene, at, beside) {
   function toggleHistory(open = drawer.hidden) {
     drawer.hidden = !open;
     top.querySelector('[aria-label="history"]').setAttribute("aria-expanded", String(open));
-    if (open) { showHistory(drawer, s, () => toggleHistory(false)); drawer.querySelector("button, a").focus(); }
+    if (open) {
+      showHistory(drawer, s, () => toggleHistory(false));
+      drawer.querySelector("button, a").focus();
+    }
   }
-  const openSettings = () => attempt(async () => showSettings(await ask("settings", state()), (group, name, text) => change("set", [group, name, text]), () => ask("settings", state())));
-  const openFiles = () => (s.isRun ? attempt(async () => showFiles(await ask("files", state()), state())) : toast("There is nothing to take along yet: make an edit first.", true));
+  const openSettings = () =>
+    attempt(async () =>
+      showSettings(
+        await ask("settings", state()),
+        (group, name, text) => change("set", [group, name, text]),
+        () => ask("settings", state()),
+      ),
+    );
+  const openFiles = () =>
+    s.isRun
+      ? attempt(async () => showFiles(await ask("files", state()), state()))
+      : toast("There is nothing to take along yet: make an edit first.", true);
   function fullScreen() {
     const is = document.body.classList.toggle("only-scene");
-    if (is && document.documentElement.requestFullscreen) document.documentElement.requestFullscreen().catch(() => {});
+    if (is && document.documentElement.requestFullscreen)
+      document.documentElement.requestFullscreen().catch(() => {});
     else if (document.fullscreenElement) document.exitFullscreen();
   }
 
   function shortcut(key) {
-    const acts = { p: () => take("point"), b: () => take("box"), r: () => take("brush"), x: () => { minus = !minus; drawTools(); }, e: () => { exact = !exact; drawTools(); },
-      "+": () => larger(1), "=": () => larger(1), "-": () => larger(-1), i: () => change("step", ["invert", 0]), w: () => look && look.readings.length > 1 && askWhich("Which one?"),
-      c: () => compare(!comparing), h: () => toggleHistory(), d: openFiles, s: openSettings, v: toggleStrip, f: fullScreen, "?": () => showKeys(changeTheme), "/": () => said.focus(), m: () => s.isRun && (view = view === "3d" ? "photo" : "3d", drawStage()) };
+    const acts = {
+      p: () => take("point"),
+      b: () => take("box"),
+      r: () => take("brush"),
+      x: () => {
+        minus = !minus;
+        drawTools();
+      },
+      e: () => {
+        exact = !exact;
+        drawTools();
+      },
+      "+": () => larger(1),
+      "=": () => larger(1),
+      "-": () => larger(-1),
+      i: () => change("step", ["invert", 0]),
+      w: () => look && look.readings.length > 1 && askWhich("Which one?"),
+      c: () => compare(!comparing),
+      h: () => toggleHistory(),
+      d: openFiles,
+      s: openSettings,
+      v: toggleStrip,
+      f: fullScreen,
+      "?": () => showKeys(changeTheme),
+      "/": () => said.focus(),
+      m: () => s.isRun && ((view = view === "3d" ? "photo" : "3d"), drawStage()),
+    };
     if (acts[key]) acts[key]();
     else if (Number(key) && s.photos[key - 1]) showPhoto(key - 1);
     else return false;
     return true;
   }
-  addEventListener("keydown", (event) => {
-    if (!s || document.querySelector("dialog[open]")) return;
-    if (event.key === "Escape") {
-      if (!drawer.hidden) toggleHistory(false);
-      else if (document.body.classList.contains("only-scene")) fullScreen();
-      question.hidden = true;
-      return;
-    }
-    const typed = event.target.closest("input, textarea, select"), key = event.key.toLowerCase();
-    if (typed) return;
-    if (event.ctrlKey || event.metaKey) {
-      if (key !== "z" && key !== "y") return;
-      event.preventDefault();
-      return void change(key === "y" || event.shiftKey ? "redo" : "undo");
-    }
-    if (!event.altKey && shortcut(key)) event.preventDefault();
-  }, on);
+  addEventListener(
+    "keydown",
+    (event) => {
+      if (!s || document.querySelector("dialog[open]")) return;
+      if (event.key === "Escape") {
+        if (!drawer.hidden) toggleHistory(false);
+        else if (document.body.classList.contains("only-scene")) fullScreen();
+        question.hidden = true;
+        return;
+      }
+      const typed = event.target.closest("input, textarea, select"),
+        key = event.key.toLowerCase();
+      if (typed) return;
+      if (event.ctrlKey || event.metaKey) {
+        if (key !== "z" && key !== "y") return;
+        event.preventDefault();
+        return void change(key === "y" || event.shiftKey ? "redo" : "undo");
+      }
+      if (!event.altKey && shortcut(key)) event.preventDefault();
+    },
+    on,
+  );
   let turned = 0;
-  stage.addEventListener("wheel", (event) => { // larger and smaller readings of what is selected
-    if (document.body.dataset.view !== "photo" || event.ctrlKey) return;
-    event.preventDefault();
-    if (performance.now() - turned < 400 || !s.draft.selects) return;
-    turned = performance.now();
-    larger(event.deltaY < 0 ? 1 : -1);
-  }, { passive: false, ...on });
+  stage.addEventListener(
+    "wheel",
+    (event) => {
+      // larger and smaller readings of what is selected
+      if (document.body.dataset.view !== "photo" || event.ctrlKey) return;
+      event.preventDefault();
+      if (performance.now() - turned < 400 || !s.draft.selects) return;
+      turned = performance.now();
+      larger(event.deltaY < 0 ? 1 : -1);
+    },
+    { passive: false, ...on },
+  );
 
   // ---- following the server ----
   let timer = 0;
@@ -392,23 +798,45 @@ export function scenePage(page, scene, at, beside) {
     try {
       const found = await ask("scene", scene, { at });
       if (stop.signal.aborted) return;
-      const first = s === null, last = s;
+      const first = s === null,
+        last = s;
       s = found;
       photo = Math.min(photo, Math.max(0, s.photos.length - 1));
       if (first) begin();
       if (last && last.job && s.isRun) view = "3d";
-      if (first || thumbnails() !== refresh.drawn) { refresh.drawn = thumbnails(); drawStrip(); drawStage(); }
-      else if (last.isRun !== s.isRun) drawStage();
+      if (first || thumbnails() !== refresh.drawn) {
+        refresh.drawn = thumbnails();
+        drawStrip();
+        drawStage();
+      } else if (last.isRun !== s.isRun) drawStage();
       drawPill();
-      if (!drawer.hidden && JSON.stringify(last && last.history) !== JSON.stringify(s.history)) showHistory(drawer, s, () => toggleHistory(false));
-      if (first || last.draft.version !== s.draft.version) { took(s.draft); if (!s.job) answer(); }
+      if (!drawer.hidden && JSON.stringify(last && last.history) !== JSON.stringify(s.history))
+        showHistory(drawer, s, () => toggleHistory(false));
+      if (first || last.draft.version !== s.draft.version) {
+        took(s.draft);
+        if (!s.job) answer();
+      }
       if (last && last.job && s.isRun) said.value = s.draft.form.prompt || "";
     } catch (error) {
       if (stop.signal.aborted) return;
-      if (s === null) stage.replaceChildren(el("p", { class: "empty problem" }, error.message, " ", el("a", { href: "/", "data-ours": true }, "All scenes")));
-      else { pill.hidden = false; pill.dataset.line = error.message; pill.replaceChildren(error.message); }
+      if (s === null)
+        stage.replaceChildren(
+          el(
+            "p",
+            { class: "empty problem" },
+            error.message,
+            " ",
+            el("a", { href: "/", "data-ours": true }, "All scenes"),
+          ),
+        );
+      else {
+        pill.hidden = false;
+        pill.dataset.line = error.message;
+        pill.replaceChildren(error.message);
+      }
     }
-    if (!stop.signal.aborted) timer = setTimeout(refresh, s && (s.job || !s.reading.geometry) ? 500 : 1500);
+    if (!stop.signal.aborted)
+      timer = setTimeout(refresh, s && (s.job || !s.reading.geometry) ? 500 : 1500);
   }
   function begin() {
     dock.classList.remove("unready"); // shown when it keeps its place
@@ -419,6 +847,18 @@ export function scenePage(page, scene, at, beside) {
     drawChip();
   }
   refresh();
-  const undrop = dropAnywhere((chosen, folder) => (s && s.fixed ? toast("Edits were made from these photos; begin with new photos on the first page.", true) : add(chosen, folder)));
-  return () => { stop.abort(); clearTimeout(timer); clearTimeout(typing); resized.disconnect(); undrop(); document.body.classList.remove("no-strip", "only-scene"); delete document.body.dataset.view; };
+  const undrop = dropAnywhere((chosen, folder) =>
+    s && s.fixed
+      ? toast("Edits were made from these photos; begin with new photos on the first page.", true)
+      : add(chosen, folder),
+  );
+  return () => {
+    stop.abort();
+    clearTimeout(timer);
+    clearTimeout(typing);
+    resized.disconnect();
+    undrop();
+    document.body.classList.remove("no-strip", "only-scene");
+    delete document.body.dataset.view;
+  };
 }

@@ -1,16 +1,24 @@
 // Photos from the disk, from a drop, or from a phone's camera to the server, one after the other.
 
 const PHOTO = /\.(jpe?g|jpe|jfif|mpo|png|webp|tiff?|hei[cf]|avif|bmp|p[pg]m|jp2)$/i;
-const inOrder = (files) => [...files].sort((a, b) => a.name.localeCompare(b.name, undefined, { numeric: true }));
+const inOrder = (files) =>
+  [...files].sort((a, b) => a.name.localeCompare(b.name, undefined, { numeric: true }));
 
 // Returns the scene and the sentences about what was refused; `told` hears how far it is.
 export async function send(files, scene, folder, told) {
   const refused = [];
   for (const [index, file] of [...files].entries()) {
     told(`Sending ${index + 1} of ${files.length}: ${file.name}`);
-    const headers = { "X-Name": encodeURIComponent(file.name), "X-Folder": encodeURIComponent(folder || "") };
+    const headers = {
+      "X-Name": encodeURIComponent(file.name),
+      "X-Folder": encodeURIComponent(folder || ""),
+    };
     try {
-      const answer = await fetch("/upload/" + encodeURIComponent(scene || "-"), { method: "POST", body: file, headers });
+      const answer = await fetch("/upload/" + encodeURIComponent(scene || "-"), {
+        method: "POST",
+        body: file,
+        headers,
+      });
       const text = await answer.text();
       if (answer.ok) scene = text;
       else refused.push(answer.status === 413 ? `${file.name}: ${text}` : text);
@@ -23,10 +31,13 @@ export async function send(files, scene, folder, told) {
 
 // Files of dropped things, and the folder's name; a folder stands for all photos in it.
 export async function dropped(items) {
-  const entries = [...items].map((item) => item.webkitGetAsEntry && item.webkitGetAsEntry()).filter(Boolean);
+  const entries = [...items]
+    .map((item) => item.webkitGetAsEntry && item.webkitGetAsEntry())
+    .filter(Boolean);
   const files = [];
   const walk = async (entry) => {
-    if (entry.isFile) return void files.push(await new Promise((done, failed) => entry.file(done, failed)));
+    if (entry.isFile)
+      return void files.push(await new Promise((done, failed) => entry.file(done, failed)));
     const reader = entry.createReader();
     for (;;) {
       const some = await new Promise((done, failed) => reader.readEntries(done, failed));
@@ -43,11 +54,19 @@ export async function dropped(items) {
 export function choose(isFolder, chosen) {
   // Without HEIC in the list, phones send JPEG instead.
   const accept = "image/jpeg,image/png,image/webp,image/tiff,image/avif,video/*";
-  const input = Object.assign(document.createElement("input"), { type: "file", multiple: true, accept });
+  const input = Object.assign(document.createElement("input"), {
+    type: "file",
+    multiple: true,
+    accept,
+  });
   if (isFolder) input.webkitdirectory = true;
   input.onchange = () => {
-    const name = isFolder && input.files.length ? input.files[0].webkitRelativePath.split("/")[0] : "";
-    chosen(inOrder(isFolder ? [...input.files].filter((file) => PHOTO.test(file.name)) : input.files), name);
+    const name =
+      isFolder && input.files.length ? input.files[0].webkitRelativePath.split("/")[0] : "";
+    chosen(
+      inOrder(isFolder ? [...input.files].filter((file) => PHOTO.test(file.name)) : input.files),
+      name,
+    );
   };
   input.click();
 }
@@ -63,7 +82,8 @@ export function dropAnywhere(chosen) {
     if (event.dataTransfer.items.length) chosen(...(await dropped(event.dataTransfer.items)));
   };
   const stop = new AbortController();
-  for (const kind of ["dragover", "dragleave"]) document.addEventListener(kind, over, { signal: stop.signal });
+  for (const kind of ["dragover", "dragleave"])
+    document.addEventListener(kind, over, { signal: stop.signal });
   document.addEventListener("drop", drop, { signal: stop.signal });
   return () => stop.abort();
 }
