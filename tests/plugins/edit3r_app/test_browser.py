@@ -18,6 +18,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from edit3r_app.draft import read_draft
 from edit3r_app.jobs import JobsFolder
 
 from edit3r.kit.photos.images import packaged_pair
@@ -242,6 +243,67 @@ def test_from_photos_to_a_download(server, tab, size):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="restarting needs flock")
+def test_marks_by_stroke_box_keys_and_two_tabs(server, tab):
+    page, folder = tab(), JobsFolder(server.folder)
+    address = drop(page, server)
+    scene = address.rpartition("/")[2]
+
+    def kinds(expected):
+        for _ in range(600):
+            found = [one.kind for one in read_draft(folder, scene).marks]
+            if found == expected:
+                return
+            time.sleep(0.1)
+        raise AssertionError(f"{found} instead of {expected}")
+
+    def drag(tool, shift=False):
+        page.keyboard.press(tool)
+        place = page.locator(".box").bounding_box()
+        if shift:
+            page.keyboard.down("Shift")
+        page.mouse.move(place["x"] + 60, place["y"] + 60)
+        page.mouse.down()
+        page.mouse.move(place["x"] + 160, place["y"] + 130, steps=5)
+        assert page.locator(".marks :is(polyline, rect)").count() == 1
+        page.mouse.up()
+        page.keyboard.up("Shift")
+
+    drag("p")
+    kinds(["stroke"])
+    drag("r", shift=True)
+    kinds(["stroke", "erase"])
+    page.keyboard.press("b")
+    page.keyboard.press("e")
+    drag("b")
+    kinds(["stroke", "erase", "exact"])
+    page.keyboard.press("Control+z")
+    kinds(["stroke", "erase"])
+    page.keyboard.press("Control+y")
+    kinds(["stroke", "erase", "exact"])
+    page.keyboard.press("i")
+    kinds(["stroke", "erase", "exact", "invert"])
+    other = tab()  # what one tab marks another shows
+    other.goto(address)
+    other.locator(".chip", has_text="what you marked").wait_for()
+    page.locator(".chip").click()
+    kinds([])
+    other.locator(".chip", has_text="nothing marked").wait_for()
+    page.keyboard.press("p")
+    page.locator(".box").focus()
+    for key in ("ArrowLeft", "Enter"):
+        page.keyboard.press(key)
+    kinds(["add"])
+    page.locator(".chip").click()
+    kinds([])
+    page.get_by_role("button", name="something larger").first.dispatch_event(
+        "click"
+    )  # of nothing
+    page.locator(".toast", has_text="othing is selected yet").wait_for()
+    page.get_by_role("button", name="Go", exact=True).click()
+    page.get_by_text("Say what shall change first").wait_for()
+    assert tab.problems == []
+
+
 def test_an_edit_outlives_a_server_that_is_killed(server, tab):
     page = tab()
     drop(page, server)
