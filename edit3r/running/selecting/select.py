@@ -327,8 +327,9 @@ class _Work:
         """
         words = self.selection.words
         found = self.segmenter.segment_text(self.images[view], words)
-        sure = bool(found) and found[0].surety >= SURE
-        if found is None or sure or self.selection.which:
+        if found is None or self.selection.which:
+            return view, found
+        if found and found[0].surety >= SURE:
             return view, found
         asked = {view: found}
         for other in [one for one in range(len(self.images)) if one != view][

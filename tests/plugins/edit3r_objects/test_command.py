@@ -8,7 +8,7 @@ import edit3r_objects.run
 import numpy as np
 import pytest
 import torch
-from edit3r_objects.finding import Tools
+from edit3r_objects.finding import Finders
 from PIL import Image
 
 from edit3r.cli.main import main
@@ -101,7 +101,9 @@ class Half(Segmenter):
 
 
 def test_things_are_found_by_one_press(made, monkeypatch, capsys):
-    monkeypatch.setattr(edit3r_objects.run, "usual_tools", lambda: Tools(Half(), None))
+    monkeypatch.setattr(
+        edit3r_objects.run, "usual_tools", lambda: Finders(Half(), None)
+    )
     assert objects(made, f"run find --out {made}/found") == 0
     assert manifest_of(made / "found")["objects"] == {"thing 1": 0}
     share = (scene_of(made / "found").object_index == 0).float().mean()
