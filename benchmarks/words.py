@@ -1,10 +1,11 @@
 """How well a word finds the thing, and how surely: objects of real photos whose outlines were drawn
 by hand (`clicks.json`), and words for things that the photos do not show.
 
-    python benchmarks/words.py DATA [--segmenter auto] [--only bear fox]
+    python benchmarks/words.py DATA [--segmenter auto] [--only bear fox] [--beside]
 
 DATA is a folder of photo sets, as for `benchmarks/clicks.py`. An answer is right where its overlap
-with the outline is above one half; what is called sure is what a run takes unasked.
+with the outline is above one half; what is called sure is what a run takes unasked. With --beside
+another photo of the folder, two steps on, comes before the outlined one.
 """
 
 import argparse
@@ -15,12 +16,22 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from clicks import SAID, filled, iou
+from clicks import FOV, SAID, filled, iou
 from PIL import Image
 
-from edit3r import build
+from edit3r import Views, build, default_registry
 from edit3r.contract.errors import InputError
-from edit3r.running import SURE, Selection, select_masks, usual_reader
+from edit3r.kit.geometry.cameras import intrinsics_from_fov
+from edit3r.running import (
+    SURE,
+    Selection,
+    default_matcher,
+    select_masks,
+    usual_reader,
+)
+from edit3r.running.selecting.geometry import locate
+
+MATCHER = default_matcher(default_registry())
 
 ABSENT = (
     "car",
@@ -49,6 +60,9 @@ def main() -> None:
     parser.add_argument("data", type=Path, help="folder of photo sets")
     parser.add_argument("--segmenter", default="auto")
     parser.add_argument("--only", nargs="*", default=[], help="names of the objects")
+    parser.add_argument(
+        "--beside", action="store_true", help="begin with another photo of the folder"
+    )
     args = parser.parse_args()
     objects = json.loads(Path(__file__).with_name("clicks.json").read_text())
     segmenter = build("segmenter", args.segmenter)
@@ -60,6 +74,8 @@ def main() -> None:
         image = np.asarray(Image.open(args.data / file).convert("RGB"))
         truth = filled(polygons[file], image.shape[:2])
         tensor = torch.from_numpy(image.copy()).permute(2, 0, 1).float()[None] / 255
+        if args.beside:
+            tensor = torch.cat((beside(args.data / file, image.shape[1::-1]), tensor))
         rows.append((name, *answer(tensor, SAID.get(name, name), segmenter, truth)))
         print(
             "{:14} overlap {:.2f}  surety {!s:.4}  {:.1f} s".format(*rows[-1]),
@@ -76,19 +92,32 @@ def main() -> None:
     told(rows, absent)
 
 
+def beside(file: Path, size: tuple[int, int]) -> torch.Tensor:
+    """The photo two steps on in the folder, in the other one's size."""
+    files = sorted(file.parent.iterdir())
+    place = files.index(file)
+    other = files[place + 2 if place + 2 < len(files) else place - 2]
+    image = np.asarray(Image.open(other).convert("RGB").resize(size))
+    return torch.from_numpy(image.copy()).permute(2, 0, 1).float()[None] / 255
+
+
 def answer(tensor, text, segmenter, truth) -> tuple[float, float | None, float]:
     """Overlap, surety (None: not found) and seconds."""
     thing = usual_reader().read_thing(text)
     asked = Selection(words=thing.name, which=thing.which)
     start = time.perf_counter()
     try:
-        found = select_masks(tensor, replace(asked, guess=True), segmenter)
+        lens = intrinsics_from_fov(FOV, tensor.shape[-2:]).expand(1, len(tensor), 3, 3)
+        geometry = locate(MATCHER, Views(tensor[None], lens)).told()
+        found = select_masks(
+            tensor, replace(asked, guess=True), segmenter, geometry, lens
+        )
     except InputError:
         return 0.0, None, time.perf_counter() - start
     seconds = time.perf_counter() - start
     if "guess" in found.how:
         return 0.0, None, seconds
-    return iou(found.masks[0, 0].numpy() > 0.5, truth), found.surety, seconds
+    return iou(found.masks[-1, 0].numpy() > 0.5, truth), found.surety, seconds
 
 
 def told(rows, absent) -> None:

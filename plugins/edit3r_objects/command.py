@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 VALUES = {
     "list": "",
+    "find": "",
     "add": "",
     "remove": "",
     "isolate": "",
@@ -29,6 +30,8 @@ VALUES = {
     "copy": "NEW_NAME RIGHT UP NEARER",
 }
 """What follows the name of the object."""
+NAMELESS = ("list", "find")
+"""Actions that take no name."""
 OPENS = ("remove", "move", "turn", "scale")
 """Actions after which the place behind the object is seen."""
 MAX_NUMBER = 1000  # of a step, an angle or a factor
@@ -47,7 +50,7 @@ class ObjectsCommand(Command):
             nargs="?",
             choices=VALUES,
             default="list",
-            help="what to do (default list)",
+            help="what to do (default list); find: look for the things of the scene",
         )
         add("name", nargs="?", default="", metavar="NAME", help="of the object")
         after = "; ".join(
@@ -80,6 +83,8 @@ class ObjectsCommand(Command):
             new = _edited(run, args, numbers, rasterizer)
             write_run(folder, run, new, rasterizer)
         if not args.quiet:
+            if args.action == "find":
+                print("\n".join(describe(new, rasterizer)))
             if new.guessed:
                 print(
                     f"{new.guessed:,} Gaussians are guesses: no photo shows what the object hid."
@@ -94,7 +99,9 @@ def _numbers(args: argparse.Namespace) -> tuple[float, ...]:
     usage = f"edit3r objects RUN {args.action} NAME {VALUES[args.action]}".strip()
     if len(args.values) != len(expected) and args.action != "recolor":
         raise SettingsError(f"{args.action}: expected {usage}.")
-    if args.action != "list" and not args.name:
+    if args.action == "find" and args.name:
+        raise SettingsError("find names what it finds; use rename afterwards.")
+    if args.action not in NAMELESS and not args.name:
         raise SettingsError(f"{args.action}: name the object: {usage}.")
     if args.action == "recolor" and not args.values:
         raise SettingsError(f"recolor: name a colour: {usage}.")
@@ -124,10 +131,12 @@ def _edited(
     from edit3r.contract.types import Gaussians
     from edit3r_objects import edits
     from edit3r_objects.holes import without_object
-    from edit3r_objects.run import add_object
+    from edit3r_objects.run import add_object, find_objects
 
-    done = " ".join((args.action, args.name, *args.values))
+    done = " ".join((args.action, args.name, *args.values)).strip()
     run = replace(run, edits=(*run.edits, done))
+    if args.action == "find":
+        return find_objects(run, rasterizer)
     if args.action == "add":
         return add_object(run, args, rasterizer)
     scene = run.gaussians

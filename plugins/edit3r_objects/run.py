@@ -31,13 +31,15 @@ from edit3r.running import (
     read_earlier_run,
     select_with,
 )
-from edit3r_objects.lifting import lift
+from edit3r_objects.finding import find_things, usual_tools
+from edit3r_objects.lifting import lift, lift_all
 
 MAX_NAME = 80
+NEW = 0.5  # share of a found thing that no object has, for it to be one
 MAX_INDEX = 2**31 - 1  # of an object
 PHOTOS = ("inputs", "edited", "masks")  # true only while the scene looks as it did
 GO_ON = "edit3r objects {run} remove {name} --out {run}-without-{name}"
-LOOK_ALIKE = ("add", "rename")  # actions that change no pixel
+LOOK_ALIKE = ("add", "find", "rename")  # actions that change no pixel
 
 
 @dataclass(frozen=True)
@@ -153,11 +155,7 @@ def add_object(run: Run, args: argparse.Namespace, rasterizer: Rasterizer) -> Ru
     """The run with one more object: what is marked, or what the run itself selected."""
     name = args.name
     run = run.named(name, run.free)
-    if not (run.root / "inputs").is_dir():
-        raise InputError(
-            f"{run.root}: has no photos to mark the object on, since its scene was edited; add "
-            "all objects before the first edit, or begin with a run that kept its images."
-        )
+    _check_photos(run)
     chosen = lift(run.gaussians, run.cameras, _masks(run, args), rasterizer)
     if not chosen.any():
         raise InputError(
@@ -166,6 +164,44 @@ def add_object(run: Run, args: argparse.Namespace, rasterizer: Rasterizer) -> Ru
         )
     index = torch.where(chosen, run.names[name], run.gaussians.objects)
     return replace(run, gaussians=replace(run.gaussians, object_index=index))
+
+
+def _check_photos(run: Run) -> None:
+    if not (run.root / "inputs").is_dir():
+        raise InputError(
+            f"{run.root}: has no photos to mark the object on, since its scene was edited; add "
+            "all objects before the first edit, or begin with a run that kept its images."
+        )
+
+
+def find_objects(run: Run, rasterizer: Rasterizer) -> Run:
+    """The run with an object for each thing that is found; what is an object already stays one."""
+    _check_photos(run)
+    images = read_earlier_run(run.root).photos.images[0]
+    rendered = render_each(rasterizer, run.gaussians, run.cameras, "depth")
+    depths = rendered.depths[0, :, 0]
+    things = find_things(images, depths, run.cameras, usual_tools())
+    if not things:
+        raise InputError(f"{run.root}: no thing was found; mark one with: add NAME.")
+    masks = torch.stack([thing.masks for thing in things])
+    lifted = lift_all(run.gaussians, run.cameras, masks, rasterizer)
+    index = run.gaussians.objects.clone()
+    for thing, chosen in zip(things, lifted):
+        free = chosen & (index < 0)
+        if free.sum() > NEW * chosen.sum():
+            run = run.named(_free_name(run, thing.name), run.free)
+            index[free] = run.free - 1
+    return replace(run, gaussians=replace(run.gaussians, object_index=index))
+
+
+def _free_name(run: Run, name: str) -> str:
+    """The word and the first number that is free; the first of a kind goes without."""
+    numbered = [
+        f"{name or 'thing'} {number}" for number in range(1, len(run.names) + 2)
+    ]
+    if name:
+        numbered[0] = name
+    return next(one for one in numbered if one not in run.names)
 
 
 def _masks(run: Run, args: argparse.Namespace) -> Tensor:

@@ -28,7 +28,9 @@ LEVELS = (
 
 
 class CocoDetector(Detector):
-    """Knows the words of COCO and their synonyms; for other words it finds nothing."""
+    """Knows the words of COCO and their synonyms; for other words it finds nothing, for no words
+    all that it knows.
+    """
 
     class Settings(Settings):
         min_score: float = Field(0.1, ge=0, le=1, description="least score of a box")
@@ -47,7 +49,7 @@ class CocoDetector(Detector):
     def detect(
         self, image: Float[Tensor, "3 height width"], text: str
     ) -> tuple[Detection, ...]:
-        classes = coco_classes(text)
+        classes = coco_classes(text) if text else tuple(range(len(COCO)))
         if not classes:
             return ()
         height, width = image.shape[-2:]

@@ -199,4 +199,7 @@ class Detector(Configured, ABC):
     def detect(
         self, image: Float[Tensor, "3 height width"], text: str
     ) -> tuple[Detection, ...]:
-        """Boxes of `text` (such as "the bike"), best first; empty when there is none."""
+        """Boxes of `text` (such as "the bike"), best first; empty when there is none.
+
+        An empty text asks for all that the detector knows by name, where it can list them.
+        """

@@ -28,6 +28,7 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import note, say, warn
 from edit3r.kit.geometry.warping import shared_surface, warp
+from edit3r.running.selecting.confirming import ASKED, surest
 from edit3r.running.selecting.obeying import (
     SAME_SURFACE,
     Point,
@@ -298,11 +299,11 @@ class _Work:
     def look_up(self, view: int) -> None:
         """The mask of what the words name, or of what stands out where a guess is allowed."""
         words, guess = self.selection.words, self.selection.guess
-        image, found = self.images[view], None
+        found = None
         if words:
-            found = self.segmenter.segment_text(image, words)
+            view, found = self._named_on(view)
         elif self.selection.which:  # "the big one" may be one of anything
-            proposals = self.segmenter.propose(image)
+            proposals = self.segmenter.propose(self.images[view])
             found = tuple(replace(one, surety=SURE / 2) for one in proposals)
         if found:
             self._take_named(view, found)
@@ -317,6 +318,26 @@ class _Work:
             f"what stands out most on photo {view + 1} is taken, which is a guess; to be sure, "
             f"{ASK}."
         )
+
+    def _named_on(self, view: int) -> tuple[int, tuple[Proposal, ...] | None]:
+        """The photo on which the words are found, and what they name there.
+
+        Others than the first are asked where that one is not sure; which is the left one is said
+        of the first.
+        """
+        words = self.selection.words
+        found = self.segmenter.segment_text(self.images[view], words)
+        if found is None or self.selection.which:
+            return view, found
+        if found and found[0].surety >= SURE:
+            return view, found
+        asked = {view: found}
+        for other in [one for one in range(len(self.images)) if one != view][
+            : ASKED - 1
+        ]:
+            there = self.segmenter.segment_text(self.images[other], words)
+            asked[other] = there or ()
+        return surest(asked, view, self._shared)
 
     def _take_named(self, view: int, found: tuple[Proposal, ...]) -> None:
         """The mask of those of `found` that are meant. Raises InputError for an unsure one where

@@ -4,12 +4,15 @@ import json
 import shutil
 from pathlib import Path
 
+import edit3r_objects.run
 import numpy as np
 import pytest
 import torch
+from edit3r_objects.finding import Finders
 from PIL import Image
 
 from edit3r.cli.main import main
+from edit3r.contract.interfaces import Segmenter, as_proposal
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.scenes.ply import load_ply
 from edit3r_testing import CommandContract
@@ -77,6 +80,38 @@ def test_removing_and_isolating_part_the_scene(made, capsys):
     assert only == (scene_of(made / "left").object_index == 0).sum()
     assert manifest_of(made / "without")["objects"] == {}
     assert (made / "without" / "before_after.png").is_file()
+
+
+class Half(Segmenter):
+    """Whatever is clicked on is a part of the left half."""
+
+    def __init__(self):
+        pass
+
+    def propose(self, image):
+        return ()
+
+    def segment_marks(self, image, marks):
+        mask = torch.zeros_like(image[0])
+        mask[6:26, 4:20] = 1
+        return as_proposal(mask)
+
+    def track(self, images, masks):
+        raise NotImplementedError
+
+
+def test_things_are_found_by_one_press(made, monkeypatch, capsys):
+    monkeypatch.setattr(
+        edit3r_objects.run, "usual_tools", lambda: Finders(Half(), None)
+    )
+    assert objects(made, f"run find --out {made}/found") == 0
+    assert manifest_of(made / "found")["objects"] == {"thing 1": 0}
+    share = (scene_of(made / "found").object_index == 0).float().mean()
+    assert 0.1 < share < 0.3  # of the pixels 0.21
+    assert objects(made, f"left find --out {made}/more") == 0  # it is an object already
+    assert manifest_of(made / "more")["objects"] == {"left": 0}
+    assert objects(made, f"run find it --out {made}/no") == 2
+    assert "find names what it finds" in capsys.readouterr().err
 
 
 def test_links_among_the_photos_are_not_followed(made):
