@@ -77,7 +77,10 @@ def errors(found, true):
     return max(turns), float(np.abs(own - other).max())
 
 
-def test_disturbed_poses_come_back(scene):
+@pytest.mark.parametrize("few", [VIEWS, VIEWS - 1])
+def test_disturbed_poses_come_back(scene, few, monkeypatch):
+    """Where an adjustment of many views ends early, too."""
+    monkeypatch.setattr(bundle_adjustment, "FEW_VIEWS", few)
     images, keypoints, matches, true = scene
     before = disturbed(true)
     after = adjust(images, keypoints, matches, before, threshold=2.0)[0]
