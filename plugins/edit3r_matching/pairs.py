@@ -36,8 +36,6 @@ MIN_LOG_EVIDENCE = 6.0
 """A pose counts when random matches would agree as well less than once in 10^6 tries."""
 MIN_PARALLAX = 0.4
 """Median angle between rays to the same point below which depth cannot be read [degrees]."""
-FEW_IMAGES = 7
-"""Images up to which the motion of every pair is searched thoroughly."""
 ENOUGH_PARALLAX = 5.0
 """Angle beyond which more does not make a better pair [degrees]."""
 MOST_PARALLAX = 30.0
@@ -132,8 +130,7 @@ def agreeing_pairs(
     for (a, b), indices in track(features.indices.items(), "compare cameras"):
         limit = threshold * max(*images[a].size, *images[b].size) / 256
         matches = features.matches(images, a, b)
-        learned = features.learned(a, b)
-        found = _moved(matches, indices, learned, limit, seed, len(images) > FEW_IMAGES)
+        found = _moved(matches, indices, features.learned(a, b), limit, seed)
         if isinstance(found, str):
             failures[a, b] = found
             continue
@@ -213,12 +210,11 @@ def _moved(
     learned: Bool[np.ndarray, "match"],
     threshold: float,
     seed: int,
-    quick: bool,
 ) -> PairView | str:
     """The motion that the matches of two images show, with those that agree, or why there is
     none.
     """
-    found = estimate_pose(matches, threshold, seed, quick)
+    found = estimate_pose(matches, threshold, seed)
     evident = _evident(found, matches, learned, threshold)
     if (
         not evident and learned.any()

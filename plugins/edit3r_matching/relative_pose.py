@@ -34,9 +34,6 @@ LEAST_SHARE = 0.3
 """Share of the matches that must agree on a motion which the estimate without the lens does not
 show.
 """
-MANY_INLIERS = 100
-MOST_SHARE = 0.6
-"""Agreeing matches, and share of all, from which a pose needs no thorough search."""
 _REFINEMENT_ROUNDS = 3
 _MOST_STEPS = 30
 _LEAST_GAIN = 1e-6  # share of the loss below which a step is the last
@@ -92,26 +89,13 @@ class TwoViewPose:
     )
 
 
-def estimate_pose(
-    matches: Matches, threshold: float, seed: int, quick: bool = False
-) -> TwoViewPose | None:
+def estimate_pose(matches: Matches, threshold: float, seed: int) -> TwoViewPose | None:
     """The pose that most matches agree on within `threshold` [pixels]; None when there is nothing
     to agree on.
-
-    `quick`: a pose that is found in a tenth of the time is taken where most of many matches agree.
     """
-    pose = quick_pose(matches, threshold, seed) if quick else None
-    if pose is not None:
-        found = _signed(matches, pose, threshold)
-        agreeing = int(found.inliers.sum())
-        if agreeing >= max(MANY_INLIERS, MOST_SHARE * len(matches)):
-            return found
     pose = rough_pose(matches, threshold, seed)
-    return None if pose is None else _signed(matches, pose, threshold)
-
-
-def _signed(matches: Matches, pose: Pose, threshold: float) -> TwoViewPose:
-    """The pose with the sign of its translation that its matches tell, and what agrees with it."""
+    if pose is None:
+        return None
     # The epipolar geometry does not tell the sign of the translation; points in front of both
     # cameras do.
     signed = [Pose(pose.rotation, sign * pose.translation) for sign in (1, -1)]

@@ -3,7 +3,6 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
-from edit3r_matching import relative_pose
 from edit3r_matching.cameras import Pose, cross_matrix, parallax_degrees, triangulate
 from edit3r_matching.relative_pose import (
     Matches,
@@ -171,20 +170,3 @@ def test_too_few_matches_give_no_pose(pose):
 def test_a_pose_and_its_inverse_cancel(pose):
     there_and_back = pose.inverse().after(pose)
     assert np.allclose(there_and_back.matrix, np.eye(4))
-
-
-@pytest.mark.parametrize("wrong, thorough", [(60, False), (160, True)])
-def test_a_quick_pose_is_taken_only_where_most_matches_agree(
-    pose, monkeypatch, wrong, thorough
-):
-    asked = []
-    search = relative_pose.rough_pose
-    monkeypatch.setattr(
-        relative_pose, "rough_pose", lambda *a: asked.append(a) or search(*a)
-    )
-    world = points(300)
-    a, b = seen(world), seen(pose.apply(world))
-    b[:wrong] = seen(points(wrong, seed=9))
-    found = estimate_pose(Matches(a, b, FOCAL, CHANCE), 1.0, 0, quick=True)
-    assert rotation_degrees(found.pose.rotation, pose.rotation) < 0.1
-    assert bool(asked) == thorough
