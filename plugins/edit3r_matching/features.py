@@ -189,14 +189,14 @@ def _agree(found: FoundFeatures, a: int, b: int) -> bool:
     """Whether far more matches agree on one motion, whatever the lens, than chance gives."""
     if len(found.indices[a, b]) < ENOUGH_AGREEING:
         return False
-    points = [
+    first, second = (
         keypoints.points[own]
         for keypoints, own in zip(
             (found.keypoints[a], found.keypoints[b]), found.indices[a, b].T
         )
-    ]
+    )
     cv2.setRNGSeed(0)
-    _, kept = cv2.findFundamentalMat(*points, cv2.USAC_MAGSAC, 1.0, 0.999, 2000)
+    _, kept = cv2.findFundamentalMat(first, second, cv2.USAC_MAGSAC, 1.0, 0.999, 2000)
     return kept is not None and int(kept.sum()) >= ENOUGH_AGREEING
 
 

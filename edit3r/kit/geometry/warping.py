@@ -162,7 +162,7 @@ def nearest_views(
     ahead = depths.flatten(2).median(-1).values[..., None]
     centres = c2w[..., :3, 3]
     targets = centres + ahead * c2w[..., :3, 2]
-    apart = sum(torch.cdist(ends, ends) for ends in (centres, targets)).sum(0)
+    apart = (torch.cdist(centres, centres) + torch.cdist(targets, targets)).sum(0)
     apart.fill_diagonal_(torch.inf)
     return apart.argsort(dim=1, stable=True)[:, :most].sort(1).values.tolist()
 
