@@ -37,13 +37,6 @@ LEAST_POINTS = 20
 MOST_ZOOM = 1.25
 """Change of a focal length beyond which the matches do not tell it: then it stays as it was."""
 
-FEW_VIEWS = 7
-"""Views up to which an adjustment goes on to the last digit."""
-SETTLED = 1e-5
-"""Of more views, the relative gain of a step below which an adjustment ends: most steps of most
-time gain less.
-"""
-
 MOST_TRACKS = 2000
 """More are not adjusted: those of most views are enough to settle poses and lens."""
 
@@ -78,7 +71,7 @@ def adjust(
             return start, 1.0
         # Not pycolmap.bundle_adjustment, which writes to the terminal.
         pycolmap.create_default_bundle_adjuster(
-            _options(threshold, free_focal, len(placed)), _problem(scene), scene
+            _options(threshold, free_focal), _problem(scene), scene
         ).solve()
         poses = _poses_of(scene, placed, poses)
         zoom *= float(
@@ -112,7 +105,7 @@ def fit_distortion(
         )
         if scene.num_points3D() < LEAST_POINTS:
             return 0.0, 0.0
-        options = _options(threshold, True, len(poses))
+        options = _options(threshold, True)
         options.refine_extra_params = free
         pycolmap.create_default_bundle_adjuster(options, _problem(scene), scene).solve()
         scene.update_point_3d_errors()
@@ -251,9 +244,7 @@ def _problem(scene: pycolmap.Reconstruction) -> pycolmap.BundleAdjustmentConfig:
     return problem
 
 
-def _options(
-    threshold: float, free_focal: bool, views: int
-) -> pycolmap.BundleAdjustmentOptions:
+def _options(threshold: float, free_focal: bool) -> pycolmap.BundleAdjustmentOptions:
     """Poses and points, and the focal length where it is free.
 
     A robust loss, and one thread, so that the same matches give the same poses.
@@ -267,8 +258,6 @@ def _options(
     options.ceres.loss_function_type = pycolmap.LossFunctionType.SOFT_L1
     options.ceres.loss_function_scale = 0.5 * threshold
     options.ceres.solver_options.num_threads = 1
-    if views > FEW_VIEWS:
-        options.ceres.solver_options.function_tolerance = SETTLED
     return options
 
 

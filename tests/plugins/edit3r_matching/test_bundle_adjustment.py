@@ -77,10 +77,7 @@ def errors(found, true):
     return max(turns), float(np.abs(own - other).max())
 
 
-@pytest.mark.parametrize("few", [VIEWS, VIEWS - 1])
-def test_disturbed_poses_come_back(scene, few, monkeypatch):
-    """Where an adjustment of many views ends early, too."""
-    monkeypatch.setattr(bundle_adjustment, "FEW_VIEWS", few)
+def test_disturbed_poses_come_back(scene):
     images, keypoints, matches, true = scene
     before = disturbed(true)
     after = adjust(images, keypoints, matches, before, threshold=2.0)[0]
