@@ -4,7 +4,7 @@ SIFT with the square-root descriptor (Arandjelovic and Zisserman 2012) finds the
 networks where few match, and looks into tilted images for photos from wide apart.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from pathlib import Path
@@ -33,6 +33,7 @@ __all__ = [
     "likely_pairs",
     "match",
     "match_tilted",
+    "most_alike",
     "with_tilted",
 ]
 
@@ -49,6 +50,14 @@ NEIGHBOURS = 8
 """Others with which each one of more images is matched, at least."""
 SAMPLED = 16
 """One in so many features tells which others these are."""
+LEARNED_NEIGHBOURS = 4
+"""Others with which each one of more than `MAX_ALL_LEARNED` images gets learned matches, at least:
+a pair of them takes thirty times as long as with SIFT.
+"""
+MAX_ALL_LEARNED = 7
+"""Images up to which all pairs that few matches join get learned ones."""
+ENOUGH_AGREEING = 60
+"""Of more images, matches that agree on one motion from which a pair needs no learned ones."""
 ENOUGH_MATCHES = 250
 """Matches of SIFT that place two views without help."""
 TILTS = ((2**0.5, 0.0), (2.0, 0.0), (2.0, 36.0), (2.0, 144.0))
@@ -161,11 +170,34 @@ def find_features(
 
 def _loose_pairs(found: FoundFeatures) -> list[tuple[int, int]]:
     """Pairs with few matches whose images no row of pairs with enough of them joins."""
+    group = _groups(found)
+    return [(a, b) for a, b in found.indices if group[a] != group[b]]
+
+
+def _groups(found: FoundFeatures) -> list[int]:
+    """The group of each image: within one, pairs with enough matches join all."""
+    many = len(found.keypoints) > MAX_ALL_LEARNED
     group = list(range(len(found.keypoints)))
     for (a, b), indices in found.indices.items():
-        if len(indices) >= ENOUGH_MATCHES:
+        enough = len(indices) >= ENOUGH_MATCHES
+        if group[a] != group[b] and (enough or (many and _agree(found, a, b))):
             group = [group[a] if one == group[b] else one for one in group]
-    return [(a, b) for a, b in found.indices if group[a] != group[b]]
+    return group
+
+
+def _agree(found: FoundFeatures, a: int, b: int) -> bool:
+    """Whether far more matches agree on one motion, whatever the lens, than chance gives."""
+    if len(found.indices[a, b]) < ENOUGH_AGREEING:
+        return False
+    first, second = (
+        keypoints.points[own]
+        for keypoints, own in zip(
+            (found.keypoints[a], found.keypoints[b]), found.indices[a, b].T
+        )
+    )
+    cv2.setRNGSeed(0)
+    _, kept = cv2.findFundamentalMat(first, second, cv2.USAC_MAGSAC, 1.0, 0.999, 2000)
+    return kept is not None and int(kept.sum()) >= ENOUGH_AGREEING
 
 
 def likely_pairs(keypoints: Sequence[Keypoints], ratio: float) -> list[tuple[int, int]]:
@@ -239,20 +271,42 @@ def _with_learned(
 
     networks = LearnedFeatures.load(folder, settings.learned_keypoints)
     views = sorted({view for pair in pairs for view in pair})
-    more, own = networks.between(
-        {view: images[view].pixels for view in views}, pairs, settings.detection_size
-    )
+    more = {
+        view: networks.detect(images[view].pixels, settings.detection_size)
+        for view in track(views, "find learned features")
+    }
+    if len(images) > MAX_ALL_LEARNED:
+        groups = _groups(found)
+        largest = max(groups, key=groups.count)
+        apart = [view for view, group in enumerate(groups) if group != largest]
+        pairs = most_alike(apart or views, more, pairs, settings.ratio)
     sift = tuple(map(len, found.keypoints))
     indices = dict(found.indices)
-    for a, b in pairs:
+    for a, b in track(pairs, "match learned features"):
+        own = networks.match(more[a], more[b], (images[a].size, images[b].size))
         indices[a, b] = np.concatenate(
-            (indices[a, b], own[a, b] + np.array([sift[a], sift[b]]))
+            (indices[a, b], own + np.array([sift[a], sift[b]]))
         )
     keypoints = tuple(
         k.followed_by(more[view]) if view in more else k
         for view, k in enumerate(found.keypoints)
     )
     return FoundFeatures(keypoints, indices, sift, LEARNED)
+
+
+def most_alike(
+    views: Sequence[int],
+    keypoints: Mapping[int, Keypoints],
+    pairs: Sequence[tuple[int, int]],
+    ratio: float,
+) -> list[tuple[int, int]]:
+    """Of `pairs` for each of the `views` those with the `LEARNED_NEIGHBOURS` most like it."""
+    alike = {(a, b): len(match(keypoints[a], keypoints[b], ratio)) for a, b in pairs}
+    chosen = set()
+    for view in views:
+        own = sorted((pair for pair in pairs if view in pair), key=lambda p: -alike[p])
+        chosen.update(own[:LEARNED_NEIGHBOURS])
+    return sorted(chosen)
 
 
 def detect(

@@ -4,7 +4,7 @@ They find motions between wide views that SIFT misses; where both work SIFT's po
 exact ones.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +17,6 @@ from torch import Tensor, nn
 
 from edit3r.contract.errors import InputError
 from edit3r_matching.keypoints import Keypoints
-
-Between = tuple[dict[int, Keypoints], dict[tuple[int, int], Int[np.ndarray, "match 2"]]]
-"""Features of each view, and the indices of those that match of each pair of views."""
 
 _PREFIX = "matcher."
 
@@ -51,22 +48,6 @@ class LearnedFeatures:
         }
         _load(matcher, folder / "aliked_lightglue.pth", renamed)
         return LearnedFeatures(detector.eval(), matcher.eval())
-
-    def between(
-        self,
-        images: Mapping[int, Float[np.ndarray, "height width 3"]],
-        pairs: Sequence[tuple[int, int]],
-        size: int,
-    ) -> Between:
-        """Features of `images` in [0, 1], looked for at a long side of `size` [pixels], and the
-        matches of `pairs`.
-        """
-        found = {view: self.detect(image, size) for view, image in images.items()}
-        sizes = {view: image.shape[:2] for view, image in images.items()}
-        return found, {
-            (a, b): self.match(found[a], found[b], (sizes[a], sizes[b]))
-            for a, b in pairs
-        }
 
     def detect(
         self, image: Float[np.ndarray, "height width 3"], detection_size: int

@@ -7,7 +7,6 @@ law such as sRGB's. Offsets stand for haze and for the ends of a camera's curve.
 
 import math
 from dataclasses import dataclass
-from itertools import combinations
 
 import torch
 import torch.nn.functional as F
@@ -16,13 +15,14 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import MatchedGeometry
 from edit3r.contract.types import Views
-from edit3r.kit.geometry.warping import shared_surface, warp
+from edit3r.kit.geometry.warping import nearest_views, shared_surface, warp
 
 SIDE = 128  # pixels of the longer side at which photos are compared
 SAME_SURFACE = (
     0.03  # relative difference in depth within which two views show one surface
 )
 EXPOSED = (0.03, 0.97)  # sRGB values outside are clipped and tell nothing
+NEAR_VIEWS = 8  # others with which each of many photos is compared
 MIN_PIXELS = 200  # that two photos must share to say anything about each other
 MIN_CORRELATION = 0.6  # of what they share; below, they show other things
 MIN_CHANGE = (
@@ -100,9 +100,12 @@ def _of_scene(
 ) -> tuple[Float[Tensor, "view 3"], Float[Tensor, "view 3"]]:
     """Gains and offsets of one scene of the batch."""
     count = views.count
+    geometry = geometry.at(_reduced_size(views))
+    nearest = nearest_views(geometry.c2w, geometry.depths, NEAR_VIEWS)
+    near = {(min(a, b), max(a, b)) for a, row in enumerate(nearest) for b in row}
     pairs = [
         _Pair(*ends, *_shared(views, geometry, scene, list(ends)))
-        for ends in combinations(range(count), 2)
+        for ends in sorted(near)
         if geometry.registered[scene, list(ends)].all()
     ]
     pairs = [pair for pair in pairs if pair.tells]
@@ -179,20 +182,28 @@ def _linked(pairs: list[_Pair], count: int) -> Bool[Tensor, "view"]:
     return linked
 
 
+def _reduced_size(views: Views) -> tuple[int, int]:
+    """(height, width) at which photos are compared."""
+    height, width = views.image_size
+    scale = min(1.0, SIDE / max(height, width))
+    return round(scale * height), round(scale * width)
+
+
 def _shared(
     views: Views, geometry: MatchedGeometry, scene: int, pair: list[int]
 ) -> tuple[Float[Tensor, "pixel 3"], Float[Tensor, "pixel 3"]]:
-    """Colours of the surfaces that two views surely show, as each shows them."""
-    height, width = views.image_size
-    scale = min(1.0, SIDE / max(height, width))
-    size = (round(scale * height), round(scale * width))
-    images = F.adaptive_avg_pool2d(views.images[scene, pair], size)
-    known = geometry.at(size)
+    """Colours of the surfaces that two views surely show, as each shows them; the geometry is at
+    the reduced size.
+    """
+    images = F.adaptive_avg_pool2d(views.images[scene, pair], _reduced_size(views))
     intrinsics = geometry.calibrated(views).intrinsics[scene, pair]
     grid, same = shared_surface(
-        known.depths[scene, pair], intrinsics, known.c2w[scene, pair], SAME_SURFACE
+        geometry.depths[scene, pair],
+        intrinsics,
+        geometry.c2w[scene, pair],
+        SAME_SURFACE,
     )
-    sure = (known.confidence[scene, pair, None] >= 0.5).to(images)
+    sure = (geometry.confidence[scene, pair, None] >= 0.5).to(images)
     seen = warp(torch.cat((images[1:], sure[1:]), 1), grid[None])[0]
     same = same & (sure[0, 0] > 0) & (seen[3] > 0.99)
     for image in (images[0], seen[:3]):

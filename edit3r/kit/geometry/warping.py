@@ -18,6 +18,7 @@ __all__ = [
     "Correspondences",
     "contradicted",
     "find_correspondences",
+    "nearest_views",
     "partner_views",
     "seen_by",
     "seen_by_others",
@@ -29,6 +30,12 @@ __all__ = [
 TOLERANCE = 0.03
 """Relative difference in depth by which a pixel must stand before a surface to hide it; below, it
 shows it too.
+"""
+
+
+NEAR_VIEWS = 12
+"""Others that tell of each view's pixels which ones they contradict: asking all of many views takes
+time with the square of their number.
 """
 
 
@@ -107,7 +114,7 @@ def contradicted(
     """Pixels that other registered views show better or see through.
 
     Guesses (confidence below 0.5) on or before a surface that another view measured, and measured
-    pixels that more views see through than confirm.
+    pixels that more views see through than confirm. Of many views, the nearest are asked.
     """
     points = unproject(geometry.depths, intrinsics, geometry.c2w)
     guessed = geometry.confidence < 0.5
@@ -118,23 +125,46 @@ def contradicted(
     through, confirmed = (
         torch.zeros_like(guessed, dtype=torch.int16) for _ in range(2)
     )
-    for view, other in permutations(range(points.shape[1]), 2):
-        _, seen, z = _seen_there(
+    for view, other in _near_views(geometry):
+        grid, seen, z = _seen_there(
             points[:, view],
             surfaces[:, other],
             intrinsics[:, other],
             geometry.c2w[:, other],
         )
-        _, close, _ = _seen_there(
-            points[:, view],
-            nearest[:, other],
-            intrinsics[:, other],
-            geometry.c2w[:, other],
-        )
+        close = warp(nearest[:, other, None], grid, mode="nearest", padding="zeros")
+        close = close[:, 0]
         edge = torch.where(guessed[:, view], seen, close)
         through[:, view] += (z > 0) & (z < (1 - TOLERANCE) * edge)
         confirmed[:, view] += (z > 0) & ((z - seen).abs() <= TOLERANCE * seen)
     return torch.where(guessed, through + confirmed > 0, through > confirmed)
+
+
+def _near_views(geometry: MatchedGeometry) -> list[tuple[int, int]]:
+    """Each view with each other one, or with the `NEAR_VIEWS` nearest to it."""
+    nearest = nearest_views(geometry.c2w, geometry.depths, NEAR_VIEWS)
+    return [(view, other) for view, row in enumerate(nearest) for other in row]
+
+
+def nearest_views(
+    c2w: Float[Tensor, "batch view 4 4"],
+    depths: Float[Tensor, "batch view height width"],
+    most: int,
+) -> list[list[int]]:
+    """For each view at most `most` others, in order: those whose camera, and what it looks at,
+    are nearest.
+    """
+    count = c2w.shape[1]
+    if count - 1 <= most:
+        return [
+            [other for other in range(count) if other != view] for view in range(count)
+        ]
+    ahead = depths.flatten(2).median(-1).values[..., None]
+    centres = c2w[..., :3, 3]
+    targets = centres + ahead * c2w[..., :3, 2]
+    apart = (torch.cdist(centres, centres) + torch.cdist(targets, targets)).sum(0)
+    apart.fill_diagonal_(torch.inf)
+    return apart.argsort(dim=1, stable=True)[:, :most].sort(1).values.tolist()
 
 
 def stands_before_others(

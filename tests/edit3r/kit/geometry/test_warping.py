@@ -8,6 +8,7 @@ from edit3r.kit.geometry.cameras import unproject
 from edit3r.kit.geometry.warping import (
     contradicted,
     find_correspondences,
+    nearest_views,
     partner_views,
     seen_by,
     seen_by_others,
@@ -96,3 +97,12 @@ def test_a_view_that_is_not_registered_sees_nothing(truth):
     alone = dataclasses.replace(truth, registered=torch.tensor([[True, False]]))
     assert not seen_by_others(alone, INTRINSICS)[:, 0].any()
     assert seen_by_others(alone, INTRINSICS)[:, 1].any()
+
+
+def test_the_nearest_views_are_those_that_stand_and_look_alike():
+    c2w = torch.eye(4).repeat(1, 6, 1, 1)
+    c2w[0, :, 0, 3] = torch.arange(6.0)
+    c2w[0, 1, :3, :3] = torch.diag(torch.tensor([-1.0, 1, -1]))  # looks back
+    nearest = nearest_views(c2w, torch.full((1, 6, 4, 4), 5.0), 2)
+    assert nearest[0] == [2, 3] and nearest[4] == [3, 5]
+    assert nearest_views(c2w, torch.ones(1, 6, 4, 4), 5)[1] == [0, 2, 3, 4, 5]
