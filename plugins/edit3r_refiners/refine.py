@@ -30,7 +30,7 @@ CALM, LAST_SHARE = (
     0.6,
     0.2,
 )  # share of the steps after which they get shorter, and how short the last one is
-MORE_STEPS = 16  # most steps for each view beyond two
+ENOUGH_VIEWS = 4  # from which views settle enough between them: no Gaussian is left out
 # error of a pixel [sRGB] below which its square counts, and beyond which its size
 SQUARED_BELOW = 0.05
 
@@ -59,8 +59,8 @@ class RefineSettings(Settings):
         0.2,
         ge=0,
         le=0.9,
-        description="share of the Gaussians that a step leaves out; the others are more opaque "
-        "meanwhile",
+        description="share of the Gaussians that a step leaves out where there are two views, half "
+        "of it where three; the others are more opaque meanwhile",
     )
     seed: int = Field(
         0, ge=0, description="chooses the held-back pixels and the Gaussians left out"
@@ -163,8 +163,8 @@ class RefineRefiner(Refiner):
             14,
             ge=0,
             le=10000,
-            description="most steps for two views, each towards one; a further view adds as "
-            "many, but at most 16",
+            description="most steps for each view, each towards one; two views take as many "
+            "together",
         )
 
     def __call__(self, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
@@ -172,11 +172,11 @@ class RefineRefiner(Refiner):
         views = inputs.views
         shown = inputs.cameras.select(range(views.count)).at(views.image_size)
         # Two photos settle little between them: more steps only make each view show its own photo.
-        steps = self.settings.steps + max(0, views.count - 2) * min(
-            self.settings.steps, MORE_STEPS
-        )
+        steps = self.settings.steps * (views.count if views.count > 2 else 1)
+        left_out = self.settings.left_out * max(0, ENOUGH_VIEWS - views.count) / 2
+        settings = self.settings.model_copy(update={"left_out": min(0.9, left_out)})
         refined = refine(
-            gaussians, shown, views.images, inputs.rasterizer, steps, self.settings
+            gaussians, shown, views.images, inputs.rasterizer, steps, settings
         )
         note("refine", refined.facts)
         return refined.gaussians

@@ -73,10 +73,24 @@ def test_each_step_leaves_out_other_gaussians_and_the_result_has_all(rasterizer,
     assert torch.equal(again.gaussians.means, result.gaussians.means)
 
 
+def test_from_four_photos_on_no_gaussian_is_left_out(rasterizer):
+    truth = gaussian_cloud(40)
+    spoilt = replace(truth, harmonics=truth.harmonics * 0.5 + 0.1)
+    refiner = RefineRefiner(RefineRefiner.Settings(steps=2, left_out=0.5))
+    for count, expected in ((2, 0.5), (3, 0.25), (4, 0), (6, 0)):
+        watched, cameras = Watched(rasterizer), cameras_around(count)
+        with torch.no_grad():
+            views = Views(rasterizer.render(truth, cameras).images, cameras.intrinsics)
+        refiner(spoilt, RefineInputs(cameras, views, watched))
+        out = torch.stack([one == 0 for one in watched.opacities]).double().mean()
+        assert float(out) == pytest.approx(expected, abs=0.2)
+        assert (float(out) == 0) == (expected == 0)
+
+
 def test_more_photos_get_more_steps(rasterizer):
     truth = gaussian_cloud(40)
     spoilt = replace(truth, harmonics=truth.harmonics * 0.5 + 0.1)
-    for asked, count, steps in ((8, 2, 8), (8, 6, 40), (20, 3, 36)):
+    for asked, count, steps in ((8, 2, 8), (8, 6, 48), (20, 3, 60)):
         refiner = RefineRefiner(RefineRefiner.Settings(steps=asked))
         cameras, taken = cameras_around(count), []
         with torch.no_grad():
