@@ -15,7 +15,7 @@ from edit3r.kit.run_folder import installed_versions
 from edit3r.running import PRESETS, Expected, MeasuredPoint, Quality, write_quality
 from edit3r_measure.report import grouped
 
-APART = 1.5  # how many times as quick each preset is as the next, at least
+APART = 1.25  # how many times as quick each preset is as the next, at least
 
 Rows = Sequence[Mapping[str, Any]]
 """Lines of `measurements.jsonl`, with the labels of their points."""
@@ -114,8 +114,8 @@ def choose_presets(
     are no three such points.
 
     `best` is the most accurate point at the largest size of photos for which the other two exist.
-    `balanced` is the most accurate point that costs at most 1/`apart` of it on every kind of scene,
-    and `fast` the same below `balanced`.
+    `balanced` is the most accurate point that costs at most 1/`apart` of it over all kinds of scene
+    together, and `fast` the same below `balanced`.
     """
     if not points:
         return {}
@@ -134,15 +134,15 @@ def choose_presets(
 def _most_accurate_below(
     slower: MeasuredPoint, points: Sequence[MeasuredPoint], apart: float
 ) -> MeasuredPoint | None:
-    """Return the most accurate point that costs at most 1/`apart` of `slower` on every kind of
-    scene.
+    """The most accurate point that costs at most 1/`apart` of `slower`, all kinds of scene
+    together.
     """
-    quick = []
-    for point in points:
-        pairs = [(point.expected[kind], own) for kind, own in slower.expected.items()]
-        if all(apart * own.seconds <= limit.seconds for own, limit in pairs):
-            quick.append(point)
+    quick = [point for point in points if apart * _seconds(point) <= _seconds(slower)]
     return max(quick, key=lambda point: point.accuracy, default=None)
+
+
+def _seconds(point: MeasuredPoint) -> float:
+    return sum(own.seconds for own in point.expected.values())
 
 
 def write_presets(quality: Quality) -> Path:
