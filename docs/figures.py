@@ -62,12 +62,6 @@ TABLES = {
         10,
     ),
     "full-run": Table("docs/notes/network.md", "python benchmarks/full_run.py", 4),
-    "default-pairs": Table(
-        "docs/simplify.md",
-        "python benchmarks/default_pairs.py photos/bear photos/dinosaur photos/fern "
-        "photos/fox photos/monstree --pairs 5 --refine 16 24 28 30",
-        8,
-    ),
 }
 
 
