@@ -330,7 +330,7 @@ def run_folders(rng, folder, given):
         len(set(earlier.photos.names)) == len(earlier.records) == earlier.photos.count
     )
     mask = folder / "mask.png"
-    Image.new("L", (64, 64), 255).save(mask)
+    Image.new("L", (32, 24), 255).save(mask)
     load_masks(
         [mask] * earlier.photos.count,
         SimpleNamespace(photos=earlier.records),
