@@ -33,7 +33,7 @@ from scenes import for_tuning
 import edit3r
 from edit3r.contract.errors import Edit3rError
 from edit3r.contract.reporting import Report, collecting
-from edit3r.kit.geometry.cameras import intrinsics_from_fov
+from edit3r.kit.geometry.cameras import field_of_view, intrinsics_from_fov
 from edit3r.kit.photos.intrinsics import DEFAULT_FOV
 from edit3r.kit.photos.posed_folder import read_posed_folder
 
@@ -56,9 +56,7 @@ class PhotoSet:
     @property
     def fov(self) -> float:
         """Across the longer side [degrees]."""
-        height, width = self.views.image_size
-        focal = float(self.views.intrinsics[0, 0, 0, 0]) * width
-        return math.degrees(2 * math.atan(0.5 * max(height, width) / focal))
+        return field_of_view(self.views)
 
     def through(self, fov: float | None) -> edit3r.Views:
         """The given photos without poses, their lens said to be that; None: nobody knows it."""

@@ -92,6 +92,11 @@ class Views(_Tensors):
         return self.images.shape[1]
 
     @property
+    def called(self) -> tuple[str, ...]:
+        """What messages call each view: its name, or "view 0" and so on where they have none."""
+        return self.names or tuple(f"view {view}" for view in range(self.count))
+
+    @property
     def image_size(self) -> tuple[int, int]:
         """(height, width) [pixels]."""
         return self.images.shape[3], self.images.shape[4]

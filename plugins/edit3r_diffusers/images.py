@@ -60,7 +60,7 @@ def edit_one_by_one(
         )
         if mask is not None and not mask.any():
             return photo
-        name = view_name(views, view)
+        name = views.called[view]
         size = working_size(*photo.shape[-2:], longer_side, multiple)
         with (
             torch.no_grad(),
@@ -146,8 +146,3 @@ def checked(
         )
     image = image.to(like.device, torch.float32).clamp(0, 1)
     return resize(image, like.shape[-2:]).to(like.dtype)
-
-
-def view_name(views: Views, view: int) -> str:
-    """Say what to call a view in messages."""
-    return views.names[view] if views.names else f"view {view}"

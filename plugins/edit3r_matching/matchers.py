@@ -156,7 +156,7 @@ class ClassicalMatcher(Matcher):
         registration = found.registration
         if unknown and (found.told is not None or registration.zoom != 1):
             reporting.note("matcher.fov", round(found.images[0].fov, 1))
-        _report(registration, found.features, _names(views))
+        _report(registration, found.features, views.called)
         if unknown and found.features.tilted:
             reporting.warn(
                 "The photos were taken from wide apart, and such photos tell little about their "
@@ -225,7 +225,7 @@ class ClassicalMatcher(Matcher):
         try:
             registration = register(
                 images,
-                _names(views),
+                views.called,
                 features,
                 chosen.threshold,
                 chosen.seed,
@@ -282,10 +282,6 @@ class _Asked:
 @functools.lru_cache(maxsize=1)  # who reads the lens of photos matches them next
 def _registered(asked: _Asked) -> _Registered:
     return asked.matcher.register(asked.views, asked.scene)
-
-
-def _names(views: Views) -> tuple[str, ...]:
-    return views.names or tuple(f"view {index}" for index in range(views.count))
 
 
 class PosedMatcher(Matcher):

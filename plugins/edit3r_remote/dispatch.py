@@ -66,7 +66,7 @@ class Dispatcher:
             view = index % views.count
             sent = mask is not None and send_masks
             jobs[index] = Request(
-                name=views.names[view] if views.names else f"view {view}",
+                name=views.called[view],
                 prompt=request.prompt,
                 seed=request.seed,
                 image=encode_png(frame.enclose(photo.cpu().float())),

@@ -123,10 +123,11 @@ class ProgressLines:
         """What to say now; "" where nothing is being done."""
         counted = self.counted
         if counted is None or counted[1] >= counted[2]:
-            *_, (stage, begun) = (("", 0.0), *self.doing.items())
-            return f"{stage}: {duration(time.perf_counter() - begun)} so far" * bool(
-                stage
-            )
+            doing = list(self.doing.items())  # at once: the run goes on meanwhile
+            if not doing:
+                return ""
+            stage, begun = doing[-1]
+            return f"{stage}: {duration(time.perf_counter() - begun)} so far"
         text, done, total, begun = counted
         told = f"{text}: {done} of {total}"
         if not done:

@@ -58,7 +58,7 @@ def _scene_poses(
         if not len(points):
             raise MatchingError(f"view {view} has 0 Gaussians, expected one per pixel.")
         layout = pixel_layout(len(points), views.image_size)
-        name = views.names[view] if views.names else f"view {view}"
+        name = views.called[view]
         poses.append(
             _pose(
                 points,

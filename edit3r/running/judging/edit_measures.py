@@ -57,10 +57,7 @@ def measure_edit(
     if scene.regions is not None:
         regions = _small(scene.regions[:, 0, views])
     reached = _reached(before, after, visibly, wishes, regions)
-    names = [
-        scene.start.names[view] if scene.start.names else f"view {view}"
-        for view in views
-    ]
+    names = [scene.start.called[view] for view in views]
     if scene.masks is None:
         shares = (1.0,) * len(before)
         faults = _unchanged(visibly, torch.ones_like(visibly), names)

@@ -128,10 +128,7 @@ def _label(
     found = next((label for label in LABELS[:-1] if holds(label)), LABELS[-1])
     if doubt is not None:
         found = max(found, doubt.best, key=LABELS.index)
-    names = [
-        edited.names[view] if edited.names else f"view {view}"
-        for view in range(len(psnr))
-    ]
+    names = edited.called
     name = names[evidence.index(worst)]
     shown = f"the scene shows its photos at {sum(psnr) / len(psnr):.1f} dB on average"
     if found != "good":

@@ -71,8 +71,7 @@ def _answer(editor: Editor, views: Views, request: EditRequest) -> Views:
 
 def _in_place(views: Views, answer: Views, masks: Tensor | None) -> InPlace:
     """The answer with what moved moved back, and what is wrong with the rest."""
-    names = views.names or [f"view {view}" for view in range(views.count)]
-    found = put_in_place(views.images, answer.images, names, masks is not None)
+    found = put_in_place(views.images, answer.images, views.called, masks is not None)
     if found.moved:
         clauses = "; ".join(found.moved)
         say("edit.moved_back", f"{clauses} (--moved-edits keep: as it is)")

@@ -13,7 +13,6 @@ from edit3r.contract.reporting import note, say, stage, warn
 from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.cache import recall
 from edit3r.kit.checks import check_reconstruction, errors_named_after
-from edit3r.kit.geometry.cameras import field_of_view
 from edit3r.kit.geometry.gravity import quarter_turns
 from edit3r.kit.geometry.light import estimate_light
 from edit3r.kit.geometry.pose import estimate_cameras
@@ -28,7 +27,6 @@ def reconstruct(scene: Scene, parts: Parts) -> Scene:
     with stage(f"reconstruct ({component_name(parts.reconstructor)})"):
         scene = _with_light(scene, parts)
         reconstruction = _reconstructed(scene, parts)
-        scene = _with_lens(scene, parts)
         scene = replace(scene, masks=_masks_of_change(scene, parts))
         before = _before(scene, parts)
     if before is not None:
@@ -78,21 +76,6 @@ def _with_light(scene: Scene, parts: Parts) -> Scene:
             "of the first (--light own: each its own)",
         )
     return replace(scene, light=light)
-
-
-def _with_lens(scene: Scene, parts: Parts) -> Scene:
-    """The scene with what is not sure about its lens; `run.json` says who told the lens."""
-    told = [record.intrinsics_source for record in scene.records]
-    unknown = bool(scene.photos.assumed) and all(scene.photos.assumed)
-    geometry = parts.located(scene.photos).geometry if unknown else None
-    if geometry is not None and geometry.intrinsics is not None:
-        fov = field_of_view(geometry.calibrated(scene.photos))
-        told = [f"read from the photos: {fov:.1f} degrees across the longer side"]
-    note("lens.source", list(dict.fromkeys(told)))
-    if geometry is None or geometry.lenses is None:
-        return scene
-    note("lens.alike", [round(fov, 1) for fov in geometry.lenses])
-    return replace(scene, lenses=geometry.lenses)
 
 
 def _reconstructed(scene: Scene, parts: Parts) -> Reconstruction:
