@@ -15,6 +15,9 @@ _OF_BOTTLES_AND_TREES = words_of(
     "wine beer water milk juice glass plastic apple pear orange lemon lime cherry fig olive "
     "banana palm pine oak birch maple christmas"
 )
+_BEFORE_SNOW = words_of("of into to like in with")
+PERCENT_AS_NAMED = 30
+"""What "brighter" alone adds to a medium grey [%]."""
 
 
 @dataclass(frozen=True)
@@ -74,8 +77,16 @@ def scaled(change: Change, amount: float) -> Change:
     return replace(change, amount=min(1.0, amount) if change.kind == "tint" else amount)
 
 
+def is_percentage(token: str) -> bool:
+    """Whether a word says a share of what is: "30percent", as "30 %" is written here."""
+    return token.removesuffix("percent").isdigit() and token.endswith("percent")
+
+
 def amount_of(tokens: list[str]) -> float:
     """How strong the change shall be, 1 as named."""
+    for token in tokens:
+        if is_percentage(token):
+            return min(3.0, int(token.removesuffix("percent")) / PERCENT_AS_NAMED)
     if set(tokens) & words.WEAK:
         return 0.5
     return 1.7 if set(tokens) & words.STRONG else 1.0
@@ -129,7 +140,7 @@ def _change_at(tokens: list[str], start: int) -> Found | None:
 
 def _paint_at(tokens: list[str], start: int) -> Found | None:
     before, rest = tokens[:start], tokens[start:]
-    if rest[0] == "snow" and not set(before[-1:]) & {"of", "into", "to", "like", "in"}:
+    if rest[0] == "snow" and not set(before[-1:]) & _BEFORE_SNOW:
         return None  # "make it snow"
     found = read_paint(rest)
     if found is None:
@@ -142,7 +153,13 @@ def _paint_at(tokens: list[str], start: int) -> Found | None:
         return None  # "the wine bottle green", though "bottle green" is a colour
     if set(after) & words.PARTS:
         return None  # "the red parts" are a thing
-    paint = Found(start, start + found.length, found.change, found.left_out)
+    adjusted = before[-1:] == ["the"] and bool(set(after) & set(words.ADJUSTMENTS))
+    if adjusted and not set(before) - words.FILLERS:
+        return None  # "make the blue darker"
+    change = found.change
+    if "tint" in before and change.colour is not None and not change.material:
+        change = Change("tint", change.colour, amount=words.TINT_SHARE)
+    paint = Found(start, start + found.length, change, found.left_out)
     return None if _is_thing_too(paint) and _stands_as_thing(before, after) else paint
 
 

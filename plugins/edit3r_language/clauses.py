@@ -5,7 +5,14 @@ from dataclasses import dataclass, field, replace
 from edit3r.contract.wishes import FLOOD, Action, Change, Colour, Thing
 from edit3r.kit.compute.colour_names import read_colour
 from edit3r_language import vocabulary as words
-from edit3r_language.changes import Found, amount_of, find_changes, last_group, scaled
+from edit3r_language.changes import (
+    Found,
+    amount_of,
+    find_changes,
+    is_percentage,
+    last_group,
+    scaled,
+)
 from edit3r_language.nouns import is_noun
 from edit3r_language.paints import read_paint
 from edit3r_language.places import read_region, unclear_place
@@ -64,7 +71,7 @@ def read_kept(tokens: list[str]) -> list[Thing] | None:
 
 def read_clause(tokens: list[str]) -> Clause:
     """What a clause says that keeps nothing as it is."""
-    clause = Clause(text=" ".join(tokens))
+    clause = Clause(text=" ".join(tokens).replace("percent", " %"))
     tokens, clause.without = _without(_without_negated_colour(tokens))
     if not tokens:  # "but not the wheels"
         return clause
@@ -172,7 +179,9 @@ def _repaints(tokens: list[str]) -> bool:
 
 def _read_change(tokens: list[str], clause: Clause) -> Clause:
     """A clause that changes colours, gives a look, or only names a thing."""
-    told = _as_told(tokens)
+    amount = amount_of(tokens)
+    shares = tuple(filter(is_percentage, tokens))
+    told = _as_told([token for token in tokens if token not in shares])
     tokens, origin = _origin(told)
     if not tokens:  # "from red" names neither a thing nor what it shall become
         return clause.not_understood(*told)
@@ -183,13 +192,14 @@ def _read_change(tokens: list[str], clause: Clause) -> Clause:
     if not changes:
         return _only_names(tokens, clause, origin)
     group = last_group(changes, tokens)
-    amount = amount_of(tokens)
     clause.action = "paint"
     clause.verb_first = tokens[group[0].start] in words.IMPERATIVES | words.RANDOM
     clause.changes = tuple(scaled(found.change, amount) for found in group)
     clause.left_out = tuple(word for found in group for word in found.left_out)
     named, unread = _split_around(tokens, group)
     clause.thing = _flooded(_painted_thing(named, origin), tokens)
+    if any(found.change.kind == "paint" for found in group):  # "30 % red"
+        unread += shares
     return clause.not_understood(*unread) if unread else clause
 
 
@@ -272,6 +282,9 @@ def _painted_thing(named: list[str], origin: Colour | None) -> Thing:
     content = [t for t in named if t not in words.FILLERS | words.PAINT]
     colour = read_colour(content)
     determined = bool(set(named) & {"the", "a", "an", "my"})
+    basic = colour is not None and colour[0].name in words.BASIC
+    if basic and not is_noun(colour[0].name):
+        determined = bool(set(named) & {"a", "an", "my"})  # "make the blue darker"
     only_colour = colour is not None and colour[1] == len(content)
     if origin is None and colour is not None and only_colour and not determined:
         return Thing("whole", part=colour[0])

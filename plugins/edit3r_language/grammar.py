@@ -29,6 +29,7 @@ MAX_WORDS = 80
 _SEPARATORS = re.compile(
     r"([,.;!?:]+|\band\b|\bthen\b|&|\bwhile\b|\bwhereas\b|\bbut\b)"
 )
+_RGB = re.compile(r"\brgb ?\(? ?(\d{1,3})[, ]+(\d{1,3})[, ]+(\d{1,3})\)?")
 _TOKEN = re.compile(r"#[0-9a-z]+|[^\W_]+(?:['-][^\W_]+)*")
 
 
@@ -81,7 +82,7 @@ class GrammarReader(Reader):
 
 def clauses_of(prompt: str) -> Iterator[list[str]]:
     """The words of each clause, lower-case, with spellings and set phrases brought to one form."""
-    text = prompt.lower().replace("’", "'")
+    text = _RGB.sub(_hex_of, prompt.lower().replace("’", "'"))
     for pattern, instead in words.PHRASES:
         text = " ".join(re.sub(pattern, instead, text).split())
     text = _exceptions(text)
@@ -92,6 +93,11 @@ def clauses_of(prompt: str) -> Iterator[list[str]]:
             tokens = tokens[1:]
         if tokens and not _SEPARATORS.fullmatch(part):
             yield _parts_before(tokens)
+
+
+def _hex_of(match: re.Match) -> str:
+    """ "rgb(255, 136, 0)" as "#ff8800"; a number beyond 255 makes a word that is no colour."""
+    return "#" + "".join(f"{int(number):02x}" for number in match.groups())
 
 
 def _parts_before(tokens: list[str]) -> list[str]:

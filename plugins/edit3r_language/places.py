@@ -31,7 +31,8 @@ def read_region(tokens: list[str]) -> Thing | None:
     if not named or not set(named) <= _SIDES | set(_PARTS) | _COUNTS:
         return None
     parts = [word for word in named if word in _PARTS]
-    if not of_picture and not parts:  # "the left", of things of one name
+    alone = set(named) <= _MIDDLE and not {*tokens} & {"one", "ones"}
+    if not of_picture and not parts and not alone:  # "the left", of things of one name
         return None
     across = [_ACROSS[word] for word in named if word in _ACROSS]
     down = [_DOWN[word] for word in named if word in _DOWN]
@@ -60,8 +61,10 @@ def _region(*sides: str, part: str, middle: bool) -> Thing | None:
     if middle:
         free = not sides and part in ("", "part", "area")
         return _thing("middle", (0.25, 0.25, 0.5, 0.5)) if free else None
-    if not sides or (part == "corner" and len(sides) < 2):
+    if not sides:
         return None
+    if part == "corner" and len(sides) == 1:  # of a room: from top to bottom
+        part = "third"
     share = _PARTS[part or "part"]
     if part == "quarter" and len(sides) == 2:
         share = 1 / 2

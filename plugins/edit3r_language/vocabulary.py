@@ -98,7 +98,7 @@ INSTEAD = {
     "undo": "To undo an edit, go on with --from the folder of the run before it.",
     "rusty": "'rust' and 'rusty red' are colours; rust itself is not drawn.",
     "pastel": "A shade needs a colour: pastel pink.",
-    "corner": "Say which: the top right corner, the bottom left corner.",
+    "corner": "Say which: the top right corner, the corner at the left.",
     "half": "Halves are of the picture: the left half.",
     "third": "Thirds are of the picture: the lower third.",
     "quarter": "Quarters are of the picture: the top left quarter.",
@@ -195,7 +195,8 @@ FILLERS = words_of(
 
 POLITENESS = words_of("please thanks thank you ok okay hello hi kindly just")
 OPENINGS = POLITENESS | words_of(
-    "could can would will i i'd we want like to now also so let's lets if then should need"
+    "could can would will i i'd we want like to now also so let's lets if then should need think "
+    "apply"
 )
 """Words that a clause may begin with and that ask for nothing: "could you please"."""
 
@@ -206,7 +207,7 @@ NICE = words_of(
 
 STYLE_NOUNS = words_of(
     "drawing sketch painting style look effect colours tones tone time mood scene picture image "
-    "photo photograph print film movie atmosphere light in a the"
+    "photo photograph print film filter movie atmosphere light in a the"
 )
 """Nouns after the word for a look: "a pencil drawing"."""
 
@@ -220,12 +221,39 @@ SPELLINGS = {
     "grayish": "greyish",
     "watercolor": "watercolour",
     "center": "centre",
+    "rear": "back",
 }
 """Words that mean another one."""
 
 _IN_COLOUR = r"(?:in (?:full )?colou?r|colou?red|colou?rful)\b"
 
+_CHANGES = "paint|make|turn|colour|color|darken|brighten|lighten|remove|change"
+_WAYS = "bright|dark|warm|cold|saturated|colou?rful|vivid|contrasty"
+
 PHRASES = (
+    (rf"^\W*first(?:ly)?,? (?={_CHANGES})", " "),
+    (r"\b(\d+) ?(?:%|percent\b|per cent\b)", r" \1percent "),
+    (rf"\btwice as ({_WAYS})\b", r" much more \1 "),
+    (rf"\bhalf as ({_WAYS})\b", r" much less \1 "),
+    (
+        r"\b(?:remove|take|delete) (?:all |the )*colou?rs? (?:from|off|out of|in|of) "
+        r"([^,.;]+)",
+        r" \1 greyscale ",
+    ),
+    (r"\b(warm|cold|cool|bright|dim|dark)er light(?:ing)?\b", r" \1er "),
+    (r"\b(?:turn )?(?:from )?day (?:in)?to night\b", " look like night "),
+    (r"\bhigh(?:er)? (?=contrast\b|saturation\b)", " more "),
+    (r"\blow(?:er)? (?=contrast\b|saturation\b)", " less "),
+    (r"\bdouble the (?=contrast\b|saturation\b|brightness\b)", " much more "),
+    (r"\blooks? better (?=in\b)", " be "),
+    (
+        r"\b(upper|lower|top|bottom|left|right|front|back) (?:part|end|side) of "
+        r"(?!(?:the |this |my )?(?:picture|photo|image|scene|view|frame))",
+        r" \1 of ",
+    ),
+    (r"\bnext to\b", " beside "),
+    (r"(?<=\w) (?:and |but )?not (?=(?:the|its|their|my)\b)", ", not "),
+    (r"^\W*(?:no|without) (?:more |any )?(?=the\b|people\b|cars\b)", " remove "),
     (
         r"\bblack[\s-]*(?:and|&|n)[\s-]*white\b|\bb\s*&\s*w\b|\bgr[ea]y[\s-]+scale\b",
         " greyscale ",
@@ -274,6 +302,7 @@ PHRASES = (
     (r"\bplease painting\b", " paint "),
     (r"\b(?:i|we) (?:do not|don't|dont) want to see\b|\baway with\b", " remove "),
     (r"\bget (.+?) out of (?:the|this|my) (?:picture|photo|image)s?\b", r" remove \1 "),
+    (r"\bout of (?=\w+\W*$)", " of "),
     (r"\beverything around\b|\ball around\b", " everything except "),
     (r"\bas well as\b", " and "),
     (r"\bas well\b|\btoo\b", " "),

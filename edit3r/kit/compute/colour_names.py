@@ -6,6 +6,7 @@ Names come from three lists: everyday words as a painter would mix them, CSS (in
 
 import colorsys
 import difflib
+import math
 import re
 from functools import cache
 from importlib.resources import files
@@ -130,6 +131,7 @@ _NO_COLOURS = _words_of(
 _STUFF = _NO_COLOURS - {"snow", "dark", "pale", "sepia", "water"}
 
 MAX_WORDS = 6
+_A_KIND = 0.45  # how far a colour may be from the basic one that it is a kind of [RGB]
 
 
 def read_colour(words: list[str]) -> tuple[Colour, int] | None:
@@ -187,8 +189,17 @@ def _toned(words: list[str]) -> RGB | None:
     if words[0] in VERY and len(words) > 2:
         strength, words = 1.5, words[1:]
     if words[0] not in TONES:
-        return None
+        return _kind_of_basic(words)
     return _shaded(_toned(words[1:]), *TONES[words[0]], strength)
+
+
+def _kind_of_basic(words: list[str]) -> RGB | None:
+    """The colour of "ruby red": a ruby, which is a kind of red; None for "ruby blue"."""
+    if len(words) != 2 or words[1] not in BASIC_COLOURS or words[0] in BASIC_COLOURS:
+        return None
+    kind, basic = _named(words[0]), _named(words[1])
+    near = kind is not None and basic is not None and math.dist(kind, basic) < _A_KIND
+    return kind if near else None
 
 
 def _shaded(
