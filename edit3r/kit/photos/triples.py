@@ -45,7 +45,7 @@ def photos_between(poses: Sequence[Pose], first: int, second: int) -> list[int]:
     ends = [poses[first], poses[second]]
     angle = rotation_degrees(*ends)
     start, end = (pose[:3, 3] for pose in ends)
-    limit = MAX_OFF_MIDDLE * max(np.linalg.norm(end - start), 1e-12)
+    limit = MAX_OFF_MIDDLE * max(float(np.linalg.norm(end - start)), 1e-12)
     distances = {}
     for index, pose in enumerate(poses):
         turn = max(rotation_degrees(pose, other) for other in ends)

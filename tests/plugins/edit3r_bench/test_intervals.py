@@ -23,15 +23,15 @@ def test_few_scenes_have_no_interval():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scenes", [5, 8, 20])
+@pytest.mark.parametrize("scenes", [5, 20])
 def test_intervals_hold_the_true_mean_in_93_to_97_percent_of_samples(scenes):
     rng = np.random.default_rng(scenes)
     hits = 0
-    for _ in range(2000):
+    for _ in range(500):
         values = enumerate(rng.normal(3.0, 2.0, scenes))
         interval = mean_over_scenes({str(scene): [own] for scene, own in values})
         hits += interval.low <= 3.0 <= interval.high
-    assert 0.93 <= hits / 2000 <= 0.97
+    assert 0.93 <= hits / 500 <= 0.97
 
 
 def test_values_that_agree_have_a_p_value_that_says_so():

@@ -1,13 +1,11 @@
-"""Killed at any moment and resumed, or spread over processes: the same report as the straight
-run.
-"""
+"""Interrupted and resumed, in another place and process: the same report as the straight run."""
 
 import json
 import os
+import pickle
 import shutil
 import subprocess
 import sys
-import time
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -34,6 +32,7 @@ from edit3r.kit.files.configs import find_config
 from edit3r.kit.files.yaml import read_yaml
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.weights.files import WEIGHTS, save_weights
+from edit3r.kit.workers import run_resumable
 
 pytestmark = pytest.mark.slow
 
@@ -83,14 +82,21 @@ def test_a_run_measures_every_edit_leaves_sheets_and_does_nothing_again(straight
     assert (run.out / RESULTS).read_bytes() == before
 
 
-def test_two_processes_give_the_same_results(straight, run):
-    run_bench(with_options(run, workers=2))
-    assert report_of(run) == straight
+@pytest.mark.parametrize(("ray", "spread"), [(False, "processes"), (True, "ray")])
+def test_workers_get_the_run_as_it_can_be_pickled(
+    straight, run, monkeypatch, ray, spread
+):
+    """What workers do with it is proven in tests of the kit."""
+    asked = []
 
+    def elsewhere(jobs, function, path, *, workers, **more):
+        asked.append(workers)
+        copy = pickle.loads(pickle.dumps(function))
+        return run_resumable(jobs, copy, path, **more)
 
-def test_two_ray_workers_give_the_same_results(straight, run):
-    pytest.importorskip("ray", reason="Ray is not installed (extra ray)")
-    run_bench(with_options(run, workers=2, ray=True))
+    monkeypatch.setattr(bench_run, "run_resumable", elsewhere)
+    run_bench(with_options(run, workers=2, ray=ray))
+    assert [(one.count, one.spread) for one in asked] == [(2, spread)]
     assert report_of(run) == straight
 
 
@@ -118,33 +124,6 @@ def test_interrupted_inside_an_edit_and_resumed_gives_the_same_report(
 
 
 OPTIONS = "--recon cards --set label=cards --no-effnet --edits 3 --quiet"
-
-
-def test_killed_and_resumed_gives_the_same_report(straight, run, cards):
-    command = (
-        f"bench run {run.manifest_file} --plugin {cards} --out {run.out} {OPTIONS}"
-    )
-    program = [sys.executable, "-m", "edit3r.cli.main"]
-    process = subprocess.Popen([*program, *command.split()])
-    try:
-        wait_for(lambda: process.poll() is not None or lines(run.out) >= 2)
-    finally:
-        process.kill()
-        process.wait()
-    run_bench(run)
-    assert report_of(run) == straight
-
-
-def lines(out):
-    path = out / RESULTS
-    return path.read_bytes().count(b"\n") if path.is_file() else 0
-
-
-def wait_for(condition, seconds=300):
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "the run did not get that far"
-        time.sleep(0.005)
 
 
 def test_a_failure_is_a_result_with_its_sentence(manifest_file, cards, tmp_path):
