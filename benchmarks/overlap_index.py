@@ -22,7 +22,6 @@ import numpy as np
 import torch
 from edit3r_measure.novel_view import views_of
 from edit3r_measure.protocol import CLASSES, IndexEntry
-from edit3r_measure.scene_sources import photos_between, rotation_degrees
 from jaxtyping import Float
 
 from edit3r import build
@@ -32,6 +31,7 @@ from edit3r.contract.types import Views
 from edit3r.kit.geometry.warping import find_correspondences
 from edit3r.kit.photos.images import evenly
 from edit3r.kit.photos.posed_folder import PosedFolder, PosedPhoto, read_posed_folder
+from edit3r.kit.photos.triples import photos_between, rotation_degrees
 
 TARGETS, MOST_PHOTOS = 3, 16
 MOST_DEGREES = 60.0  # from farther round, a floor that both photos show looks another

@@ -15,11 +15,11 @@ from dataclasses import replace
 from statistics import fmean
 
 import torch
-from edit3r_measure.metrics import psnr
 
 import edit3r
 from edit3r.contract.interfaces import SceneSample
 from edit3r.contract.types import EditRequest, Gaussians, Views
+from edit3r.kit.compute.likeness import psnr
 
 METHODS = ("refit", "instruct-nerf2nerf", "gaussctrl", "editsplat")
 SCENE_SEED = 3  # of the data set; training and the benchmark use others

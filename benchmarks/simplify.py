@@ -20,9 +20,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from edit3r_measure.metrics import psnr, ssim
 from edit3r_measure.novel_view import PredictedScene, views_of
-from edit3r_measure.report import markdown_table
 from edit3r_measure.scene_sources import (
     EvaluationScene,
     SceneOptions,
@@ -36,6 +34,8 @@ from edit3r import default_registry
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import RefineInputs
 from edit3r.contract.types import Gaussians, Reconstruction, Views
+from edit3r.kit.command.results import markdown_table
+from edit3r.kit.compute.likeness import psnr, ssim
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.workers import run_resumable
 

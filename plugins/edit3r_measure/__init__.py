@@ -1,6 +1,4 @@
-"""Measuring: metrics, `edit3r evaluate`, `edit3r bench` and `edit3r tradeoff`, and a data set to
-measure on.
-"""
+"""Measuring: `edit3r evaluate` and `edit3r tradeoff`, and a data set to measure on."""
 
 from edit3r import Component, hookimpl
 
@@ -26,11 +24,6 @@ def register_commands() -> list[Component]:
             "evaluate",
             "edit3r_measure.evaluate:EvaluateCommand",
             "measure a reconstructor on photos with known cameras or on generated scenes",
-        ),
-        Component(
-            "bench",
-            "edit3r_measure.bench:BenchCommand",
-            "the editing benchmark: build its items, run methods on them, report the results",
         ),
         Component(
             "tradeoff",

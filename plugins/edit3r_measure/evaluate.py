@@ -6,11 +6,11 @@ from pathlib import Path
 from edit3r.contract.command import Command
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.settings import make_settings, merge
+from edit3r.kit.command.results import add_common, shown_stages, write_json, write_text
 from edit3r.kit.files.atomic import check_new_file
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.running import add_flags, given_flags
 from edit3r_measure.evaluate_options import PARTS, EvaluateOptions, Evaluation
-from edit3r_measure.report import add_common, shown_stages, write_json, write_text
 
 
 class EvaluateCommand(Command):

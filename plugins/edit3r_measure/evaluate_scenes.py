@@ -6,6 +6,7 @@ from pathlib import Path
 from edit3r import Registry
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, track
+from edit3r.kit.command.results import grouped
 from edit3r_measure.evaluate_options import PARTS, Evaluation
 from edit3r_measure.novel_view import (
     SceneScore,
@@ -14,7 +15,6 @@ from edit3r_measure.novel_view import (
     score_scene,
 )
 from edit3r_measure.protocol import PairProtocol, index_scenes, read_index
-from edit3r_measure.report import grouped
 from edit3r_measure.scene_sources import SceneOptions, SceneSource, find_scenes
 
 # Settings of data sets; the seeds of training are others

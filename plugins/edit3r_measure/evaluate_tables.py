@@ -6,9 +6,9 @@ from dataclasses import asdict
 from statistics import fmean, median
 from typing import Any
 
+from edit3r.kit.command.results import grouped, markdown_table
 from edit3r_measure.novel_view import SceneScore
 from edit3r_measure.protocol import AUC_DEGREES, CLASSES, NOT_CLASSED, auc
-from edit3r_measure.report import grouped, markdown_table
 
 Scores = Sequence[SceneScore]
 

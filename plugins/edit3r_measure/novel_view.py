@@ -6,24 +6,26 @@ of length that makes the predicted baseline the true one.
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
+from scipy.ndimage import gaussian_filter
 
 from edit3r.contract.errors import MatchingError, PluginError
 from edit3r.contract.interfaces import Rasterizer, Reconstructor
 from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.compute.changes import change_error, change_uptake
+from edit3r.kit.compute.likeness import Image, Region, psnr, ssim
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.photos.posed_folder import PosedPhoto
-from edit3r_measure.metrics import best_blurred_copy, psnr, ssim
-from edit3r_measure.scene_sources import EvaluationScene, Pose, rotation_degrees
+from edit3r.kit.photos.triples import Pose, rotation_degrees
+from edit3r_measure.scene_sources import EvaluationScene
 
-Region = Bool[np.ndarray, "height width"]
-
+# Standard deviations tried for the best-blurred copy [pixels]
+BLURS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 COVERED = 0.5  # alpha above which a pixel of a rendering counts as covered
 CHANGED = 2 / 255  # mean change of colour above which a pixel belongs to a true edit
 # Relative difference of depth below which two views show one surface
@@ -320,3 +322,19 @@ def _is_edited(before: PosedPhoto, after: PosedPhoto) -> Region:
 def _opposite(before: PosedPhoto, after: PosedPhoto) -> PosedPhoto:
     """Return the photo with the opposite of the change from `before` to `after`."""
     return replace(before, image=np.clip(2 * before.image - after.image, 0, 1))
+
+
+def best_blurred_copy(
+    photos: Iterable[Image], target: Image, covered: Region | None = None
+) -> tuple[float, float]:
+    """Return the highest PSNR [dB] that any photo reaches under any Gaussian blur, and the SSIM of
+    that copy.
+
+    It is the baseline without geometry. The PSNR counts the `covered` pixels only, if given, the
+    SSIM all.
+    """
+    copies = (
+        gaussian_filter(photo, (sigma, sigma, 0)) for photo in photos for sigma in BLURS
+    )
+    best = max(copies, key=lambda copy: psnr(copy, target, covered))
+    return psnr(best, target, covered), ssim(best, target)

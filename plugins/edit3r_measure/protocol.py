@@ -33,12 +33,13 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.settings import Settings, make_settings
 from edit3r.contract.types import Cameras
+from edit3r.kit.command.results import read_json
+from edit3r.kit.compute.likeness import psnr, ssim
 from edit3r.kit.geometry.rotations import cross_matrix
 from edit3r.kit.photos.posed_folder import PosedPhoto, read_posed_folder
-from edit3r_measure.metrics import psnr, ssim
+from edit3r.kit.photos.triples import Pose
 from edit3r_measure.novel_view import PredictedScene, pose_errors, views_of
-from edit3r_measure.report import read_json
-from edit3r_measure.scene_sources import EvaluationScene, Pose, SceneSource
+from edit3r_measure.scene_sources import EvaluationScene, SceneSource
 
 # step of Adam, of a turn [radians] and of a shift [distances between the input cameras]
 RATE = 0.005

@@ -9,12 +9,10 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -22,15 +20,12 @@ from edit3r import Registry
 from edit3r.contract.errors import InputError, UnknownComponentError
 from edit3r.contract.interfaces import SceneSample
 from edit3r.contract.types import Cameras
-from edit3r.kit.geometry.rotations import rotation_angle
-from edit3r.kit.photos.images import evenly
 from edit3r.kit.photos.posed_folder import PosedFolder, PosedPhoto, read_posed_folder
+from edit3r.kit.photos.triples import choose_triples
 
 Pose = Float[np.ndarray, "4 4"]  # camera to world
 
 PHOTOS = "photos"
-# How far a photo between two others may be from the middle [baselines]
-MAX_OFF_MIDDLE = 0.4
 
 
 @dataclass(frozen=True)
@@ -68,51 +63,6 @@ class SceneOptions:
     size: int  # side of the square photos [pixels]
     # settings of data sets by name
     datasets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-
-
-# ---- pairs of photos and the photo between them ----
-
-
-def rotation_degrees(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n n"]) -> float:
-    """Return the angle between two rotation matrices or poses [degrees], accurate for small
-    angles.
-    """
-    rotations = (torch.from_numpy(matrix[:3, :3]) for matrix in (a, b))
-    return float(torch.rad2deg(rotation_angle(*rotations)))
-
-
-def choose_triples(
-    poses: Sequence[Pose], count: int, degrees: tuple[float, float] = (5.0, 30.0)
-) -> list[tuple[int, int, int]]:
-    """Return at most `count` triples (first, second, a photo between them), spread evenly over all
-    pairs that are `degrees` apart.
-    """
-    triples = []
-    for first, second in combinations(range(len(poses)), 2):
-        if degrees[0] <= rotation_degrees(poses[first], poses[second]) <= degrees[1]:
-            for target in photos_between(poses, first, second)[:1]:
-                triples.append((first, second, target))
-    return evenly(triples, count)
-
-
-def photos_between(poses: Sequence[Pose], first: int, second: int) -> list[int]:
-    """Return the photos near the middle of the baseline that look the same way, nearest to it
-    first.
-    """
-    ends = [poses[first], poses[second]]
-    angle = rotation_degrees(*ends)
-    start, end = (pose[:3, 3] for pose in ends)
-    limit = MAX_OFF_MIDDLE * max(np.linalg.norm(end - start), 1e-12)
-    distances = {}
-    for index, pose in enumerate(poses):
-        turn = max(rotation_degrees(pose, other) for other in ends)
-        distance = np.linalg.norm(pose[:3, 3] - (start + end) / 2)
-        if index not in (first, second) and turn <= angle and distance < limit:
-            distances[index] = distance
-    return sorted(distances, key=distances.__getitem__)
-
-
-# ---- the two sources ----
 
 
 def find_scenes(

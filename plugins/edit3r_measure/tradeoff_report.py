@@ -11,9 +11,9 @@ from typing import Any
 import yaml
 
 from edit3r.contract.errors import Edit3rError, RunError
+from edit3r.kit.command.results import grouped
 from edit3r.kit.run_folder import installed_versions
 from edit3r.running import PRESETS, Expected, MeasuredPoint, Quality, write_quality
-from edit3r_measure.report import grouped
 
 APART = 1.25  # how many times as quick each preset is as the next, at least
 

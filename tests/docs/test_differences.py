@@ -4,8 +4,8 @@ import re
 from pathlib import Path
 
 import pytest
-from edit3r_measure.bench_report import EXPLANATION
-from edit3r_measure.features import CROPS, crops
+from edit3r_bench.features import CROPS, crops
+from edit3r_bench.report import EXPLANATION
 from edit3r_recolor.scene import RecoloringSettings
 from torch import rand
 

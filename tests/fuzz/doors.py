@@ -339,7 +339,7 @@ def run_folders(rng, folder, given):
 
 
 def manifests(rng, folder, given):
-    from edit3r_measure.bench_manifest import load_item, read_bench_manifest
+    from edit3r_bench.manifest import load_item, read_bench_manifest
 
     hashes = {photo.name: edit3r_hash(photo) for photo in given.photos}
     frames = [{"file": name, "sha256": digest} for name, digest in hashes.items()]
@@ -619,7 +619,7 @@ DOORS: dict[str, Callable] = {
 
 
 def edit3r_hash(file: Path) -> str:
-    from edit3r_measure.bench_manifest import hash_of_file
+    from edit3r_bench.manifest import hash_of_file
 
     return hash_of_file(file)
 

@@ -1,37 +1,27 @@
 """Files and folders that appear whole or not at all.
 
 The method: what is written to `NAME` is first written into a hidden workspace beside it, a folder
-`.NAME.partial-XXXXXXXX`, under the same name. When it is whole, one rename moves it into place.
-After a kill at any moment `NAME` is the old result or the new one, never half of one.
+`.NAME.partial-XXXXXXXX`, under the same name. When it is whole, a rename moves it into place. After
+a kill `NAME` is the old result or the new one, never half of one.
 
-A kill can leave the workspace behind. In each workspace lies a file `edit3r.lock`. Its writer holds
-the lock of this file (flock), which the operating system releases when that process ends. So a
-workspace that can be locked is abandoned, and the next writer to the same place removes it.
+A kill can leave the workspace behind. In each workspace lies a file `edit3r.lock`, which its writer
+holds locked. The operating system releases it when that process ends. So a workspace that can be
+locked is abandoned, and the next writer to the same place removes it.
 """
 
-import ctypes
-import errno
 import hashlib
 import json
 import os
 import re
 import secrets
 import shutil
-import stat
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Literal
 
 from edit3r.contract.errors import InputError, RunError
 from edit3r.kit.files.text import read_plain
-
-try:
-    import fcntl
-except ImportError:  # Windows: no locks, and abandoned workspaces stay
-    fcntl = None  # type: ignore[assignment]
 
 __all__ = [
     "MARKER",
@@ -52,11 +42,7 @@ Only a folder that holds just that is replaced without being asked to.
 """
 
 _LOCK = "edit3r.lock"  # in every workspace; what has none is not ours
-_MAX_ATTEMPTS = 20  # to move a folder to a place where other runs write too
-_AT_FDCWD = -100
-_RENAME_EXCHANGE = 2  # linux/fs.h
-_RENAME_SWAP = 2  # macOS sys/stdio.h
-_CANNOT_SWAP = (errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP)
+_MAX_ATTEMPTS = 8  # to move a folder to a place where other runs write too
 
 
 @contextmanager
@@ -93,8 +79,8 @@ def atomic_folder(out: str | Path, overwrite: bool = False) -> Iterator[Path]:
     """Yield a temporary folder that becomes `out` when the block ends well.
 
     It vanishes when the block raises. `out` may be new, empty, or an earlier run, which is then
-    replaced in one step. An earlier run in which something was added or changed by hand is replaced
-    only with `overwrite`. Anything else is refused at once (InputError), so that nobody's files are
+    replaced. An earlier run in which something was added, or is of another size, is replaced only
+    with `overwrite`. Anything else is refused at once (InputError), so that nobody's files are
     lost and no minutes are spent before saying so.
     """
     final = _resolved(out)
@@ -179,16 +165,20 @@ def check_replaceable(out: Path, overwrite: bool = False) -> None:
 
 def remove_abandoned(final: Path) -> None:
     """Delete the workspaces that killed writers of `final` left, and nothing else."""
-    if fcntl is None:
-        return
+    from filelock import FileLock, Timeout
+
     pattern = re.compile(rf"\.{re.escape(final.name)}\.partial-[0-9a-f]{{8}}")
     with suppress(PermissionError):
         for name in filter(pattern.fullmatch, os.listdir(final.parent)):
             workspace = final.with_name(name)
             with suppress(OSError):
                 workspace.rmdir()  # works only on an empty one: killed before it had a lock
-            with suppress(OSError), _locked(workspace, "r+"):
-                _clear(workspace, final)
+            if (workspace / _LOCK).is_file():
+                with (
+                    suppress(OSError, Timeout),
+                    FileLock(workspace / _LOCK, blocking=False),
+                ):
+                    _clear(workspace, final)
 
 
 def write_between(page: Path, start: str, end: str, text: str) -> None:
@@ -236,15 +226,17 @@ def _resolved(out: str | Path) -> Path:
 @contextmanager
 def _workspace(final: Path) -> Iterator[Path]:
     """Yield a new hidden folder beside `final`, locked in the block and removed after it."""
+    from filelock import FileLock, Timeout
+
     remove_abandoned(final)
     with ExitStack() as stack:
         while True:
             workspace = final.with_name(f".{final.name}.partial-{secrets.token_hex(4)}")
             workspace.mkdir()
             try:
-                stack.enter_context(_locked(workspace, "x"))
+                stack.enter_context(FileLock(workspace / _LOCK, blocking=False))
                 break
-            except (BlockingIOError, FileNotFoundError):
+            except (Timeout, FileNotFoundError):
                 continue  # before it was locked, another process took it for abandoned
         try:
             yield workspace
@@ -252,41 +244,14 @@ def _workspace(final: Path) -> Iterator[Path]:
             _clear(workspace, final)
 
 
-@contextmanager
-def _locked(workspace: Path, mode: Literal["x", "r+"]) -> Iterator[None]:
-    """Hold the lock of a workspace, whose file is made with mode "x".
-
-    Raises OSError where another process holds the lock or has removed it. A file system without
-    locks is no error for the writer ("x"): nobody else can lock its workspace either.
-    """
-    if fcntl is None:
-        yield
-        return
-    path = workspace / _LOCK
-    with path.open(mode) as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
-            if mode == "r+" or isinstance(error, BlockingIOError):
-                raise
-        path.stat()  # raises where it was removed before it was locked
-        yield
-
-
 def _clear(workspace: Path, final: Path) -> None:
-    """Remove a workspace, but never the last whole result.
-
-    A folder with a marker is whole. A kill between the renames of `_swap` leaves whole folders in
-    the workspace while nothing is called `final`: the first of them gets that name.
-    """
-    new = workspace / final.name
-    for path in (new, _aside(new)):
-        with suppress(OSError):
-            if final.exists():
-                (path / MARKER).unlink()  # first: what is half removed is not whole
-            elif (path / MARKER).is_file():
-                os.rename(path, final)
+    """Remove a workspace, but never an earlier result that nothing has taken the place of."""
+    old = _aside(workspace / final.name)
     with suppress(OSError):
+        if (
+            old.exists() and not final.exists()
+        ):  # killed between the renames of `_replace`
+            os.rename(old, final)
         for path in workspace.iterdir():
             if path.name != _LOCK:
                 shutil.rmtree(path, ignore_errors=True)
@@ -301,18 +266,34 @@ def _clear(workspace: Path, final: Path) -> None:
 def _move_into_place(new: Path, final: Path, overwrite: bool) -> None:
     """Give the finished folder its name; an earlier run of that name goes into the workspace."""
     for attempt in range(_MAX_ATTEMPTS):
-        check_replaceable(final, overwrite)
         try:
-            if final.exists():
-                _swap(new, final)
-            else:
-                os.rename(new, final)
+            check_replaceable(final, overwrite)
+            _replace(new, final)
             return
-        except OSError:
+        except (InputError, OSError):
             # Another run to the same place may be in the middle of its own step.
             if attempt == _MAX_ATTEMPTS - 1 or not new.exists():
                 raise
-            time.sleep(0.01 * attempt)
+            time.sleep(0.02 * attempt)
+
+
+def _replace(new: Path, final: Path) -> None:
+    """Rename a folder to `final`; what has that name is moved aside, and back where it fails."""
+    old = _aside(new)
+    if final.exists():
+        shutil.rmtree(old, ignore_errors=True)  # of an attempt before
+        os.rename(final, old)
+    try:
+        os.rename(new, final)
+    except OSError:
+        if old.exists() and not final.exists():
+            os.rename(old, final)
+        raise
+
+
+def _aside(new: Path) -> Path:
+    """Where the earlier result waits while the new one takes its name."""
+    return new.with_name(f"{new.name}.old")
 
 
 def _keep(new: Path, final: Path) -> str:
@@ -325,115 +306,42 @@ def _keep(new: Path, final: Path) -> str:
     return f" The finished results are in {kept}."
 
 
-def _swap(new: Path, final: Path) -> None:
-    """Swap the names of two folders.
-
-    One step on Linux and macOS. Elsewhere, or on a file system that cannot, it takes renames:
-    between them, for an instant, nothing is called `final`, but both folders are whole. See
-    `_clear` for a kill in that instant.
-    """
-    if _swap_in_one_step(os.fsencode(new), os.fsencode(final)):
-        return
-    os.rename(final, _aside(new))
-    try:
-        os.rename(new, final)
-    except OSError:
-        os.rename(_aside(new), final)
-        raise
-
-
-def _aside(new: Path) -> Path:
-    """Where the earlier result waits while the new one takes its name."""
-    return new.with_name(f"{new.name}.old")
-
-
-def _swap_in_one_step(new: bytes, final: bytes) -> bool:
-    """Swap two names; False where the system or the file system cannot.
-
-    Raises OSError for any other failure.
-    """
-    if not sys.platform.startswith(("linux", "darwin")):
-        return False
-    library = ctypes.CDLL(None, use_errno=True)
-    try:
-        if sys.platform == "darwin":
-            failed = library.renamex_np(new, final, _RENAME_SWAP)
-        else:
-            failed = library.renameat2(
-                _AT_FDCWD, new, _AT_FDCWD, final, _RENAME_EXCHANGE
-            )
-    except AttributeError:  # a C library without the call
-        return False
-    reason = ctypes.get_errno()
-    if failed and reason not in _CANNOT_SWAP:
-        raise OSError(reason, os.strerror(reason), os.fsdecode(final))
-    return not failed
-
-
 # What a finished folder holds
 
 
 def _write_marker(folder: Path) -> None:
-    """List what the finished folder holds, whole or not at all."""
-    sizes = {name: _size(state) for name, state in _entries(folder).items()}
-    content = json.dumps({"files": sizes}, indent=1) + "\n"
-    draft = folder / f"{MARKER}-draft"
-    draft.write_text(content, encoding="utf-8")
-    os.replace(draft, folder / MARKER)
+    """List what the finished folder holds."""
+    content = json.dumps({"files": _sizes(folder)}, indent=1) + "\n"
+    (folder / MARKER).write_text(content, encoding="utf-8")
 
 
 def _changed(folder: Path) -> list[str]:
-    """Names in the folder that its marker does not list, or that changed after it was written."""
-    for _ in range(100):
-        before = _identity(folder)
-        listed, written = _read_marker(folder)
-        entries = _entries(folder)
-        if _identity(folder) == before:
-            break  # else another run has replaced the folder meanwhile
+    """Names in the folder that its marker does not list, or lists with another size."""
+    listed = _listed(folder)
     return [
-        name
-        for name, state in entries.items()
-        if listed.get(name, "") != _size(state)
-        or (_size(state) is not None and _time(state) > written)
+        name for name, size in _sizes(folder).items() if listed.get(name, "") != size
     ]
 
 
-def _read_marker(folder: Path) -> tuple[dict[str, int | None], int]:
-    """What the marker lists and when it was written [ns]; nothing without a readable marker."""
-    marker = folder / MARKER
+def _listed(folder: Path) -> dict[str, int | None]:
+    """What the marker lists; nothing without a readable marker."""
     try:
-        listed = json.loads(read_plain(marker))["files"]
-        written = _time(marker.stat())
+        listed = json.loads(read_plain(folder / MARKER))["files"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return {}, 0
-    return (listed, written) if isinstance(listed, dict) else ({}, 0)
+        return {}
+    return listed if isinstance(listed, dict) else {}
 
 
-def _entries(folder: Path) -> dict[str, os.stat_result]:
-    """All files and folders inside but the marker, by their path in the folder."""
-    entries = {}
+def _sizes(folder: Path) -> dict[str, int | None]:
+    """All inside but the marker by their path in the folder: sizes of files [bytes], None of
+    folders.
+    """
+    sizes: dict[str, int | None] = {}
     for place, folders, files in os.walk(folder):
         for name in folders + files:
             path = Path(place, name)
             with suppress(FileNotFoundError):
-                entries[path.relative_to(folder).as_posix()] = path.lstat()
-    entries.pop(MARKER, None)
-    return dict(sorted(entries.items()))
-
-
-def _size(state: os.stat_result) -> int | None:
-    """Size of a file [bytes]; None for a folder."""
-    return None if stat.S_ISDIR(state.st_mode) else state.st_size
-
-
-def _time(state: os.stat_result) -> int:
-    """When a file was written or put where it is [ns]; copied file times do not hide that."""
-    return max(state.st_mtime_ns, state.st_ctime_ns)
-
-
-def _identity(folder: Path) -> tuple[int, int]:
-    """Equal for the same folder in which nothing was added or taken away."""
-    with suppress(FileNotFoundError):
-        state = folder.stat()
-        return state.st_ino, state.st_ctime_ns
-    return 0, 0
+                size = path.lstat().st_size if name in files else None
+                sizes[path.relative_to(folder).as_posix()] = size
+    sizes.pop(MARKER, None)
+    return dict(sorted(sizes.items()))

@@ -64,10 +64,6 @@ def weights(folder):
     return ["weights", "get", "u2netp", "--yes"]
 
 
-def plugins(folder):
-    return ["list-plugins"]
-
-
 # SECURITY.md says so, too.
 needs_safe_path = pytest.mark.skipif(
     sys.version_info < (3, 11), reason="Python 3.10 knows no safe path"
@@ -76,7 +72,7 @@ needs_safe_path = pytest.mark.skipif(
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "command", [scene, pytest.param(jobs, marks=needs_safe_path), weights, plugins]
+    "command", [scene, pytest.param(jobs, marks=needs_safe_path), weights]
 )
 def test_a_command_imports_nothing_from_the_folder_it_is_started_in(trapped, command):
     paths = [str(ROOT), str(ROOT / "plugins"), os.environ.get("PYTHONPATH", "")]

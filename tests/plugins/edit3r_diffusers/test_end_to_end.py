@@ -43,10 +43,6 @@ def choices(tiny):
     """The flags that name each editor's weights."""
     return {
         "instruct-pix2pix": [f"editor.model={tiny.instruct_pix2pix()}"],
-        "flux-kontext": [f"editor.model={tiny.flux_kontext()}"],
-        "qwen-image-edit": [f"editor.model={tiny.qwen_image_edit()}"],
-        "flux2-klein": [f"editor.model={tiny.flux2_klein()}"],
-        "longcat-image-edit": [f"editor.model={tiny.longcat_image_edit()}"],
         "controlnet-depth": [
             f"editor.model={tiny.stable_diffusion()}",
             f"editor.controlnet={tiny.controlnet()}",
@@ -85,35 +81,21 @@ def run(
     return np.stack(edited), json.loads((out / "run.json").read_text())
 
 
-EDITORS = (
-    "instruct-pix2pix",
-    "flux-kontext",
-    "qwen-image-edit",
-    "flux2-klein",
-    "longcat-image-edit",
-)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("editor", [*EDITORS, "controlnet-depth"])
-def test_a_two_view_edit_runs_end_to_end(photos, choices, tmp_path, editor):
-    first, manifest = run(photos, tmp_path / "1", editor, choices[editor])
-    again, _ = run(photos, tmp_path / "2", editor, choices[editor])
-    other, _ = run(photos, tmp_path / "3", editor, choices[editor], "--seed", "4")
-    assert np.array_equal(first, again) and not np.array_equal(first, other)
-    noted = json.dumps(manifest)
-    assert "editor.weights" in noted and ("editor.consistency" in noted) == (
-        editor != "controlnet-depth"
-    )
-
+@pytest.mark.parametrize("editor", ["instruct-pix2pix", "controlnet-depth"])
+def test_a_masked_edit_of_two_views_runs_end_to_end(photos, choices, tmp_path, editor):
+    """One of each kind; that every editor obeys prompt, seed and masks is in its contract."""
     mask = photos[2]
-    masked, _ = run(
-        photos, tmp_path / "4", editor, choices[editor], "--mask", mask, mask
+    edited, manifest = run(
+        photos, tmp_path, editor, choices[editor], "--mask", mask, mask
     )
+    noted = json.dumps(manifest)
+    assert "editor.weights" in noted
+    assert ("editor.consistency" in noted) == (editor != "controlnet-depth")
     originals = np.stack([np.array(Image.open(file)) for file in photos[:2]])
     half = SIDE // 2
-    assert np.array_equal(masked[:, :, half:], originals[:, :, half:])
-    assert not np.array_equal(masked[:, :, :half], originals[:, :, :half])
+    assert np.array_equal(edited[:, :, half:], originals[:, :, half:])
+    assert not np.array_equal(edited[:, :, :half], originals[:, :, :half])
 
 
 def test_weights_that_are_not_there_end_with_exit_code_2_and_one_sentence(

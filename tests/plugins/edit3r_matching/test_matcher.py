@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 import torch
 from edit3r_matching import matchers
-from edit3r_measure.scene_sources import rotation_degrees
 
 import edit3r
 from edit3r import Views
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.photos.images import packaged_pair
+from edit3r.kit.photos.triples import rotation_degrees
 
 pytestmark = pytest.mark.slow
 

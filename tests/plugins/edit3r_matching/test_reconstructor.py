@@ -2,12 +2,13 @@ import dataclasses
 
 import pytest
 import torch
-from edit3r_measure.metrics import best_blurred_copy, psnr
+from edit3r_measure.novel_view import best_blurred_copy
 
 import edit3r
 from edit3r import Cameras, Views
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import MatchedGeometry, Matcher
+from edit3r.kit.compute.likeness import psnr
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.geometry.surroundings import background_layer

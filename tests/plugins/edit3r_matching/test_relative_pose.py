@@ -14,8 +14,9 @@ from edit3r_matching.relative_pose import (
     sharp_support,
     support,
 )
-from edit3r_measure.scene_sources import rotation_degrees
 from scipy.optimize import least_squares
+
+from edit3r.kit.photos.triples import rotation_degrees
 
 FOCAL = 250.0
 CHANCE = 0.011

@@ -1,10 +1,12 @@
 """The tools as an assistant calls them: through the protocol, with the official client."""
 
 import base64
+import contextlib
 import io
 import os
 import shutil
 import sys
+from types import SimpleNamespace
 
 import anyio
 import pytest
@@ -38,8 +40,17 @@ def place(tmp_path_factory):
     return place
 
 
+async def in_this_process(command, **_):
+    """What a command would have answered in a process of its own, without its imports."""
+    out, error = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
+        code = main(command[command.index("edit3r") + 1 :])
+    said = (out.getvalue().encode(), error.getvalue().encode())
+    return SimpleNamespace(returncode=code, stdout=said[0], stderr=said[1])
+
+
 @pytest.fixture(scope="module")
-def call(place):
+def call_a_process(place):
     """Call one tool: (its text, its image or None, whether it is an error)."""
 
     async def asked(name, arguments):
@@ -57,10 +68,17 @@ def call(place):
     return call
 
 
+@pytest.fixture
+def call(call_a_process, monkeypatch):
+    """The same, but that commands run in this process."""
+    monkeypatch.setattr(anyio, "run_process", in_this_process)
+    return call_a_process
+
+
 @pytest.fixture(scope="module")
-def edited(call):
+def edited(call_a_process):
     """The answer of the one edit that all tests share."""
-    return call("edit", prompt="make it warmer", photos=["a.png", "b.png"])
+    return call_a_process("edit", prompt="make it warmer", photos=["a.png", "b.png"])
 
 
 def test_a_selection_is_shown_on_every_photo(call, place):
@@ -83,7 +101,7 @@ def test_an_edit_answers_with_its_verdicts_and_its_sheet(edited, place):
     assert (place / "work" / "edit-1" / "scene.ply").is_file()
 
 
-def test_a_run_is_looked_at_again_and_edited_again(call, edited, place):
+def test_a_run_is_looked_at_again_and_edited_again(edited, call, place):
     assert call("look", run="edit-1")[0] == edited[0]
     text, _, failed = call("edit", prompt="make it colder", earlier="edit-1")
     assert not failed and text.startswith("run: edit-2")
@@ -93,13 +111,13 @@ def test_a_run_is_looked_at_again_and_edited_again(call, edited, place):
     ("form", "made"),
     [("ply", ".ply"), ("colmap", "-colmap"), ("viewer", "-viewer.html")],
 )
-def test_a_run_is_exported_beside_it(call, edited, place, form, made):
+def test_a_run_is_exported_beside_it(edited, call, place, form, made):
     text, _, failed = call("export", run="edit-1", form=form)
     out = place / "work" / f"edit-1{made}"
     assert not failed and out.exists() and str(out) in text
 
 
-def test_an_export_replaces_no_file(call, edited, place):
+def test_an_export_replaces_no_file(edited, call, place):
     mine = place / "work" / "edit-1.glb"
     mine.write_text("mine")
     text, _, failed = call("export", run="edit-1", form="glb")
@@ -121,7 +139,7 @@ def test_an_export_replaces_no_file(call, edited, place):
         ("select", {"photos": ["a.png"], "marks": {"points": ["9"]}}, "expected X,Y"),
     ],
 )
-def test_an_error_is_one_sentence(call, edited, name, arguments, told):
+def test_an_error_is_one_sentence(edited, call, name, arguments, told):
     text, image, failed = call(name, **arguments)
     assert failed and told in text and image is None and "\n" not in text
 
@@ -135,7 +153,7 @@ def test_an_error_is_one_sentence(call, edited, name, arguments, told):
         ("before_after.png", b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 9 9\n"),
     ],
 )
-def test_a_strangers_run_is_refused_in_one_sentence(call, edited, place, file, content):
+def test_a_strangers_run_is_refused_in_one_sentence(edited, call, place, file, content):
     shutil.copytree(place / "work" / "edit-1", place / "work" / "strange")
     (place / "work" / "strange" / file).write_bytes(content)
     text, _, failed = call("look", run="strange")
@@ -144,12 +162,12 @@ def test_a_strangers_run_is_refused_in_one_sentence(call, edited, place, file, c
     assert file == "run.json" or "not an image" in text
 
 
-def test_a_word_that_no_program_takes_is_one_sentence(call):
-    text, _, failed = call("edit", prompt="a\0b", photos=["a.png", "b.png"])
+def test_a_word_that_no_program_takes_is_one_sentence(call_a_process):
+    text, _, failed = call_a_process("edit", prompt="a\0b", photos=["a.png", "b.png"])
     assert failed and "cannot be passed on" in text
 
 
-def test_links_lead_nothing_out_of_the_folder(call, edited, place):
+def test_links_lead_nothing_out_of_the_folder(edited, call, place):
     for name in ("edit-1.ply", "selection-2"):
         (place / "work" / name).unlink(missing_ok=True)
         (place / "work" / name).symlink_to(place / "outside")

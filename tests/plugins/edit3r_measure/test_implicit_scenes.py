@@ -9,6 +9,7 @@ import edit3r_measure.implicit_scenes as implicit
 import numpy as np
 import pytest
 import torch
+from edit3r_bench.metrics import warped_difference, warped_image
 from edit3r_measure.implicit_scenes import (
     BALL,
     DOME,
@@ -17,7 +18,6 @@ from edit3r_measure.implicit_scenes import (
     draw_scene,
     render,
 )
-from edit3r_measure.metrics import warped_difference, warped_image
 
 K = np.array([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]])
 

@@ -1,13 +1,14 @@
 import json
+import math
 from dataclasses import replace
 from functools import partial
 
-import cv2
 import numpy as np
 import pytest
 import torch
 from edit3r_measure.evaluate_tables import as_markdown, as_records
 from edit3r_measure.novel_view import (
+    best_blurred_copy,
     carried_edit,
     novel_view,
     relative_pose,
@@ -16,11 +17,10 @@ from edit3r_measure.novel_view import (
 )
 from edit3r_measure.scene_sources import (
     SceneOptions,
-    choose_triples,
     find_scenes,
     photo_scene,
-    rotation_degrees,
 )
+from scipy.ndimage import gaussian_filter
 
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError
@@ -63,24 +63,6 @@ def test_transforms_json_is_read_with_opencv_axes(tmp_path):
     }
     (tmp_path / "transforms.json").write_text(json.dumps(content))
     assert np.allclose(read_posed_folder(tmp_path).cameras[0].c2w, np.eye(4))
-
-
-def test_triples_are_pairs_of_the_wanted_angle_with_a_photo_between(wall):
-    cameras = [wall.camera(x, -10 * x).c2w for x in (0, 0.25, 0.5, 1, 5)]
-    assert choose_triples(cameras, 9, (8, 30)) == [(0, 3, 2)]
-    assert choose_triples(cameras[:2], 9) == []
-
-
-def test_triples_are_spread_over_all_pairs(wall):
-    cameras = [wall.camera(0.1 * i, -2.5 * i).c2w for i in range(12)]
-    every = choose_triples(cameras, 999)
-    few = choose_triples(cameras, 3)
-    assert few == [every[0], few[1], every[-1]]
-
-
-def test_rotation_degrees_is_exact_for_small_angles():
-    turn = cv2.Rodrigues(np.array([0, np.radians(1e-4), 0]))[0]
-    assert rotation_degrees(turn, np.eye(3)) == pytest.approx(1e-4, rel=1e-6)
 
 
 def test_true_geometry_in_another_unit_scores_well(folder, wall):
@@ -218,3 +200,27 @@ def test_a_place_that_is_neither_folder_nor_data_set_is_one_sentence():
 def test_wrong_use_of_the_command_is_one_sentence(folder, options, sentence, capsys):
     assert main(["evaluate", str(folder.path), "--recon", "classical", *options]) == 2
     assert sentence in capsys.readouterr().err
+
+
+@pytest.fixture
+def picture():
+    return np.random.default_rng(0).random((32, 40, 3)).astype(np.float32)
+
+
+def test_best_blurred_copy_finds_photo_and_blur(picture):
+    other = np.random.default_rng(1).random(picture.shape).astype(np.float32)
+    best_psnr, best_ssim = best_blurred_copy(
+        (other, picture), gaussian_filter(picture, (2, 2, 0))
+    )
+    assert math.isinf(best_psnr) and best_ssim == pytest.approx(
+        1
+    )  # that very blur was among those tried
+
+
+def test_best_blurred_copy_can_count_covered_pixels_alone(picture):
+    covered = np.zeros((32, 40), bool)
+    covered[:, :20] = True
+    target = picture.copy()
+    target[:, 20:] = 0
+    assert math.isinf(best_blurred_copy([picture], target, covered)[0])
+    assert best_blurred_copy([picture], target)[0] < 20

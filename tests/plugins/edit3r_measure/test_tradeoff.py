@@ -6,7 +6,6 @@ from itertools import pairwise
 import pytest
 import yaml
 from edit3r_measure import tradeoff_measure
-from edit3r_measure.report import alone_in
 from edit3r_measure.scene_sources import EvaluationScene, SceneSource
 from edit3r_measure.tradeoff_measure import measure_points
 from edit3r_measure.tradeoff_plan import read_plan
@@ -16,6 +15,7 @@ from hypothesis import strategies as st
 
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError, SettingsError
+from edit3r.kit.command.results import alone_in
 from edit3r.kit.workers import read_rows
 from edit3r.loading.registry import default_registry
 from edit3r.running.config import PART_KEYS, RunConfig, make_run_config

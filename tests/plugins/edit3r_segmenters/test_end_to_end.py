@@ -63,19 +63,17 @@ def found_in(manifest: dict, key: str):
 
 
 @pytest.mark.slow
-def test_the_default_editor_finds_what_the_prompt_names(photos, sam2, tmp_path):
-    manifest = run(photos, tmp_path / "out", "--prompt", "paint the bike red", *sam2)
-    assert found_in(manifest, "selection")["how"][0] == "words"
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("prompt", ["paint the bike red", "make it winter"])
-def test_an_editor_that_takes_any_sentence_is_confined_where_a_segmenter_is_named(
-    photos, sam2, tmp_path, prompt
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--prompt", "paint the bike red"],  # by the default editor
+        ["--editor", "mock-diffusion", "--prompt", "make it winter", "--thing", "door"],
+    ],
+)
+def test_an_edit_is_confined_to_words_where_a_segmenter_is_named(
+    photos, sam2, tmp_path, words
 ):
-    thing = ["--thing", "the door"] if "winter" in prompt else []
-    command = ["--editor", "mock-diffusion", "--prompt", prompt]
-    manifest = run(photos, tmp_path / "out", *command, *sam2, *thing)
+    manifest = run(photos, tmp_path / "out", *words, *sam2)
     assert found_in(manifest, "selection")["how"][0] == "words"
 
 

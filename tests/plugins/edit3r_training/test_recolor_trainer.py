@@ -146,9 +146,9 @@ def test_a_stopped_and_resumed_run_has_the_straight_run_s_weights(
     tmp_path, number, done
 ):
     """Ctrl-C leaves the second step at once; SIGTERM ends it first."""
-    straight = _job(tmp_path / "straight")
+    straight = tiny_job(tmp_path / "straight")
     _trainer(steps=4).train(straight)
-    stopped = _job(tmp_path / "stopped")
+    stopped = tiny_job(tmp_path / "stopped")
     data = _StopAt(
         stopped.train_data, at=4, number=number
     )  # the first is looked at before the first step
@@ -159,7 +159,7 @@ def test_a_stopped_and_resumed_run_has_the_straight_run_s_weights(
         _trainer(steps=4).train(replace(stopped, train_data=data))
     signal.signal(signal.SIGINT, before)
     assert torch.load(tmp_path / "stopped" / LAST, weights_only=True)["step"] == done
-    resumed = _job(tmp_path / "stopped", resume=True)
+    resumed = replace(tiny_job(tmp_path / "stopped"), resume=True)
     _trainer(steps=4).train(resumed)
     expected = _weights(straight)
     for name, tensor in _weights(resumed).items():
@@ -173,7 +173,7 @@ def test_a_stopped_and_resumed_run_has_the_straight_run_s_weights(
 
 @pytest.mark.slow
 def test_a_step_that_is_not_finite_is_skipped_and_counted(tmp_path):
-    job = _job(tmp_path)
+    job = tiny_job(tmp_path)
 
     class Broken:
         def __call__(self, inputs):
@@ -323,7 +323,7 @@ def test_a_loss_without_a_gradient_is_a_sentence(tmp_path):
 @pytest.mark.slow
 def test_a_training_begun_anew_leaves_no_checkpoint_of_the_one_before(tmp_path):
     """A run that is killed before its first checkpoint must not be resumed from another one's."""
-    _trainer(steps=1).train(_job(tmp_path))
+    _trainer(steps=1).train(tiny_job(tmp_path))
     assert (tmp_path / LAST).is_file()
 
     class Killed:
@@ -332,7 +332,7 @@ def test_a_training_begun_anew_leaves_no_checkpoint_of_the_one_before(tmp_path):
 
     with pytest.raises(SystemExit):
         _trainer(steps=2, render_every=1).train(
-            _job(tmp_path, losses={"killed": (1.0, Killed())})
+            replace(tiny_job(tmp_path), losses={"killed": (1.0, Killed())})
         )
     assert not (tmp_path / LAST).exists()
 
@@ -350,7 +350,7 @@ def test_training_lowers_the_error_it_is_given(tmp_path):
 
 @pytest.mark.slow
 def test_logs_sheets_and_best_weights_are_left_behind(tmp_path):
-    best = _trainer(steps=2).train(_job(tmp_path))
+    best = _trainer(steps=2).train(tiny_job(tmp_path))
     assert (best / "weights.safetensors").is_file()
     assert (tmp_path / "sheets" / "0000002.png").is_file()
     kinds = [

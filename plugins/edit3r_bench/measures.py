@@ -1,0 +1,356 @@
+"""All metrics of one benchmark item, from what a method shows at the scene's frames, and the score
+made of them.
+"""
+
+import math
+from collections.abc import Mapping
+from itertools import combinations, permutations, product
+from pathlib import Path
+from statistics import fmean
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r import Registry
+from edit3r.contract.interfaces import LossInputs
+from edit3r.contract.settings import Settings
+from edit3r.contract.types import Cameras
+from edit3r.kit.compute.likeness import psnr, ssim
+from edit3r.kit.files.yaml import read_yaml
+from edit3r_bench import metrics
+from edit3r_bench.features import (
+    ClipSimilarity,
+    EffnetFeatures,
+    FeatureNetwork,
+    InceptionFeatures,
+    crops,
+    direction_similarity,
+    prompt_quality,
+)
+from edit3r_bench.item import MethodOutput
+from edit3r_bench.manifest import Images, LoadedItem
+from edit3r_bench.options import MetricSettings
+
+Found = dict[str, float]
+"""Values by the name of the measure; NaN where one means nothing."""
+
+
+class MeasureForm(Settings):
+    """A measure as reports show it."""
+
+    better: Literal["↑", "↓", ""]  # "": neither is
+    form: str  # of its numbers
+    about: str
+
+
+def _read_measures() -> dict[str, MeasureForm]:
+    content = read_yaml(Path(__file__).with_name("measures.yaml"))
+    return {name: MeasureForm(**values) for name, values in content.items()}
+
+
+METRICS = _read_measures()
+"""The measures of the main table, in the order of reports."""
+
+BY_REGION = {
+    f"{name}-in-{region}{frames}": METRICS[name]
+    for name in ("psnr", "ssim", "lpips", "perceptual")
+    for frames in ("", "-inputs")
+    for region in metrics.REGIONS
+    if (name, region, frames) != ("psnr", "edit", "")
+}
+"""The measures against the truth by region: at held-back views, and at those that the method was
+given.
+"""
+
+# Change of the 2D edit below which the editor did nothing [sRGB, low-passed]
+LEFT_ALONE = 0.005
+NOT_CARRIED = 0.15  # share of the 2D edit below which the scene counts as unchanged
+# Change of the 2D edit from which it counts as one, where no truth says how strong it should be
+# [sRGB, low-passed]
+FULL_STRENGTH = 0.04
+# Disagreement between views, or change outside the masks, at which nothing is left of that share
+# [sRGB]
+SPOILED = 0.1
+MAX_PHOTOS_KEPT = (
+    8  # scenes whose photos' features are kept for the scene's other edits
+)
+
+
+class MetricNetworks:
+    """The networks that metrics need; what is not asked for is absent and not measured."""
+
+    def __init__(self, settings: MetricSettings, registry: Registry) -> None:
+        """Load them. Raises MissingDependencyError when the package of one is not installed."""
+        self.features: list[FeatureNetwork] = []
+        self.distances = {}
+        self.clip = ClipSimilarity(settings.clip) if settings.clip else None
+        if settings.inception:
+            self.features.append(InceptionFeatures(settings.inception))
+        if settings.lpips:
+            self.distances["lpips"] = registry.build("loss", "lpips")
+        if not settings.no_effnet:
+            self.features.append(EffnetFeatures())
+            self.distances["perceptual"] = registry.build("loss", "perceptual")
+        self._of_photos: dict[tuple[str, bytes], np.ndarray] = {}
+
+    def photo_features(
+        self, network: FeatureNetwork, photos: Images
+    ) -> metrics.Features:
+        """Return the features of a scene's photos, which are kept for its other edits."""
+        key = (network.suffix, photos.numpy().tobytes())
+        if key not in self._of_photos:
+            if len(self._of_photos) > MAX_PHOTOS_KEPT:
+                self._of_photos.clear()
+            self._of_photos[key] = network(crops(photos))
+        return self._of_photos[key]
+
+
+def measure(item: LoadedItem, output: MethodOutput, networks: MetricNetworks) -> Found:
+    """Return every metric by name, NaN where one means nothing for this item."""
+    found = {
+        **_changes(item, output),
+        **_consistency(item, output),
+        **_looks(item, output),
+        **_features(item, output, networks),
+    }
+    if output.has_truth:
+        found |= _against_truth(item, output.images, networks.distances)
+    if output.reordered is not None:
+        held_back = len(output.reordered) - 1
+        frames = [0, *range(item.inputs, item.inputs + held_back)]
+        change = output.reordered - output.images[frames]
+        found["order-change"] = float(change.abs().mean())
+    if networks.clip is not None:
+        found |= _by_clip(item, output, networks.clip)
+    return found
+
+
+def measure_failure(
+    item: LoadedItem, has_truth: bool, networks: MetricNetworks
+) -> Found:
+    """Return the metrics of a failure: black images against the truth, nothing of the edit; the
+    rest is not known.
+    """
+    if not has_truth:
+        return {"edit-uptake-2d": 0.0}
+    black = torch.zeros_like(item.truth)
+    return {**_against_truth(item, black, networks.distances), "edit-uptake": 0.0}
+
+
+def score(found: Mapping[str, float], failure: str = "") -> float:
+    """Return one number in [0, 1] for an edit: arrived x sqrt(agrees x stays put); 0 for a failure.
+
+    No single virtue wins: C-FID, C-KID and consistency reward doing nothing, strength rewards
+    destroying the scene. Arrived is the uptake of the true change at held-back views; without
+    truth, the uptake of the 2D edit at its own view times min(1, its strength / FULL_STRENGTH).
+    Agrees is 1 - (mean of both consistencies) / SPOILED, and 0 where no point is seen twice. Stays
+    put is 1 - change outside / SPOILED, and 1 for global edits. All are held in [0, 1]. What is not
+    in it: whether the edit is the one that was asked for where there is no truth (CLIP), and how
+    sharp it is (PSNR, SSIM, C-KID).
+    """
+    if failure:
+        return 0.0
+    if "edit-uptake" in found:
+        arrived = _share(found["edit-uptake"])
+    else:
+        strength = min(1.0, found["edit-strength-2d"] / FULL_STRENGTH)
+        arrived = _share(found["edit-uptake-2d"]) * strength
+    differences = [found["consistency-warped"], found["consistency-held-back"]]
+    known = [value for value in differences if math.isfinite(value)]
+    agrees = _share(1 - fmean(known) / SPOILED) if known else 0.0
+    outside = found["change-outside"]
+    stays_put = 1.0 if math.isnan(outside) else _share(1 - outside / SPOILED)
+    return arrived * math.sqrt(agrees * stays_put)
+
+
+def _share(value: float) -> float:
+    return min(1.0, max(0.0, value))
+
+
+def remark(found: Mapping[str, float]) -> str:
+    """Return in words what the numbers of an edit without failure hide: that nothing was edited, or
+    nothing arrived.
+    """
+    strength = found.get("edit-strength-2d", math.nan)
+    shown = found.get("edit-uptake-2d", math.nan)
+    if strength < LEFT_ALONE:
+        return "the 2D editor left the reference as it was."
+    if shown < NOT_CARRIED:
+        return (
+            f"edit ran, scene unchanged: the scene shows {shown:.0%} of the 2D edit (mean change "
+            f"{strength:.3f})."
+        )
+    return ""
+
+
+def _changes(item: LoadedItem, output: MethodOutput) -> Found:
+    """Measure all frames whose mask is known, and the reference's own 2D edit at its camera."""
+    photos = _array(item.photos.images[0])
+    images = _array(output.images)
+    edited = _array(output.edited[:1])
+    masks = reference = None
+    outside = math.nan
+    if item.masks is not None:
+        masks = _array(item.masks)
+        known = np.isfinite(masks).all((1, 2))
+        photos, images, masks = photos[known], images[known], masks[known]
+        reference = masks[:1]
+        outside = metrics.change_outside(images, photos, masks)
+    return {
+        "edit-strength": metrics.edit_strength(images, photos, masks),
+        "change-outside": outside,
+        "edit-uptake-2d": metrics.edit_uptake(
+            images[:1], photos[:1], edited, reference
+        ),
+        "edit-strength-2d": metrics.edit_strength(edited, photos[:1], reference),
+    }
+
+
+def _consistency(item: LoadedItem, output: MethodOutput) -> Found:
+    """Compare the frames along true depth where it is known, else along the method's own."""
+    depths, cameras = output.depths, output.cameras
+    if item.depths is not None and item.cameras is not None:
+        depths, cameras = item.depths, item.cameras
+    masks = None if item.masks is None else item.masks.nan_to_num(1.0)
+    inputs = range(item.inputs)
+    held_back = range(item.inputs, len(output.images))
+    between_inputs = list(permutations(inputs, 2))
+    across = [*product(inputs, held_back), *product(held_back, inputs)]
+    compared = {
+        "consistency-2d": (output.edited, between_inputs),
+        "consistency-warped": (output.images, between_inputs),
+        "consistency-held-back": (output.images, across),
+    }
+    found = {
+        name: metrics.warped_difference(images, depths, cameras, pairs, masks)
+        for name, (images, pairs) in compared.items()
+    }
+    return found | _matching(_array(output.images), cameras)
+
+
+def _matching(images: metrics.Images, cameras: Cameras) -> Found:
+    """Match every two frames; the error is the median over the matches of all of them."""
+    pairs = list(combinations(range(len(images)), 2))
+    errors = []
+    for a, b in pairs:
+        points = metrics.matched_points(images[a], images[b])
+        errors += metrics.epipolar_distances(*points, cameras.select([a, b])).tolist()
+    return {
+        "matches": len(errors) / len(pairs),
+        "epipolar-error": float(np.median(errors)) if errors else math.nan,
+    }
+
+
+def _looks(item: LoadedItem, output: MethodOutput) -> Found:
+    """Return means over all frames of what is judged by each image alone, or beside its photo."""
+    images = _array(output.images)
+    photos = _array(item.photos.images[0])
+    return {
+        "sharpness": fmean(map(metrics.sharpness, images, photos)),
+        "blur": fmean(map(metrics.blur, images)),
+    }
+
+
+def _features(
+    item: LoadedItem, output: MethodOutput, networks: MetricNetworks
+) -> Found:
+    """Compare pieces of this edit's renderings with those of its own scene's photos."""
+    found = {}
+    for network in networks.features:
+        photos = networks.photo_features(network, item.photos.images[0])
+        rendered = network(crops(output.images))
+        found[f"c-fid{network.suffix}"] = metrics.frechet_distance(rendered, photos)
+        found[f"c-kid{network.suffix}"] = metrics.kernel_distance(rendered, photos)
+    return found
+
+
+def _by_clip(item: LoadedItem, output: MethodOutput, clip: ClipSimilarity) -> Found:
+    images = output.images
+    prompt = item.record.prompt
+    before = item.record.before
+    after = item.record.description or prompt
+    described, instructed = clip(images, [after, prompt]).mean(0).tolist()
+    found = {
+        "clip-t2i": described,
+        "clip-t2i-prompt": instructed,
+        "clip-iqa": prompt_quality(clip, images, "Good photo.", "Bad photo."),
+        "clip-iqa-sharp": prompt_quality(clip, images, "Sharp photo.", "Blurry photo."),
+    }
+    if before:
+        photos = item.photos.images[0]
+        moved = direction_similarity(clip, photos, images, before, after)
+        found["clip-direction"] = float(moved.mean())
+    return found
+
+
+def _against_truth(
+    item: LoadedItem,
+    shown: Images,
+    distances: Mapping[str, Any],
+) -> Found:
+    """Return means over the held-back frames, of which the method was given no image, and by region
+    over the inputs.
+    """
+    images, truth = _array(shown), _array(item.truth)
+    photos = _array(item.photos.images[0])
+    inside = np.ones(truth.shape[:3]) if item.masks is None else _array(item.masks)
+    held = slice(item.inputs, None)
+    found = _distances(images[held], truth[held], None, distances)
+    found["edit-uptake"] = metrics.edit_uptake(
+        images[held], photos[held], truth[held], inside[held]
+    )
+    parts = {"": held, "-inputs": slice(item.inputs)}
+    for region, covered in metrics.regions(inside).items():
+        for frames, part in parts.items():
+            own = _distances(images[part], truth[part], covered[part], distances)
+            for name, value in own.items():
+                found[f"{name}-in-{region}{frames}"] = value
+    return found
+
+
+def _distances(
+    images: metrics.Images,
+    truth: metrics.Images,
+    covered: metrics.Regions | None,
+    distances: Mapping[str, Any],
+) -> Found:
+    """Return means over the views, of the `covered` pixels if given; views where nothing is covered
+    do not count.
+
+    Networks see the truth with only the covered pixels replaced; their distance is divided by the
+    share of these.
+    """
+    areas = [None] * len(truth)
+    shown = images
+    share = 1.0
+    if covered is not None:
+        used = covered.any((1, 2))
+        if not used.any():
+            return dict.fromkeys(("psnr", "ssim", *distances), math.nan)
+        images, truth, areas = images[used], truth[used], covered[used]
+        shown = np.where(areas[..., None], images, truth)
+        share = float(areas.mean())
+    found = {
+        "psnr": fmean(map(psnr, images, truth, areas)),
+        "ssim": fmean(map(ssim, images, truth, areas)),
+    }
+    rendered, target = (
+        torch.from_numpy(own).permute(0, 3, 1, 2)[None].float()
+        for own in (shown, truth)
+    )
+    inputs = LossInputs(rendered=rendered, target=target)
+    for name, distance in distances.items():
+        found[name] = float(distance(inputs)) / share
+    return found
+
+
+def _array(tensor: Float[Tensor, "frame *shape"]) -> Float[np.ndarray, "frame *shape"]:
+    """Return images `[frame, 3, height, width]` with channels last and masks `[frame, height,
+    width]`, in float64.
+    """
+    if tensor.ndim == 4:
+        tensor = tensor.permute(0, 2, 3, 1)
+    return tensor.double().numpy()

@@ -1,0 +1,170 @@
+"""CLIP similarity and the clip loss on a tiny random CLIP, loaded the way users load theirs."""
+
+import json
+
+import pytest
+import torch
+from edit3r_bench.features import ClipSimilarity, central_square, direction_similarity
+
+import edit3r
+from edit3r.contract.errors import MissingDependencyError
+from edit3r.contract.interfaces import LossInputs
+from edit3r_testing import CONTRACTS, Contract, claims, contract_for
+
+transformers = pytest.importorskip("transformers")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Vocabulary: the 256 bytes, alone and at word end."""
+    from transformers.convert_slow_tokenizer import bytes_to_unicode
+
+    folder = tmp_path_factory.mktemp("clip")
+    letters = list(bytes_to_unicode().values())
+    words = [
+        *letters,
+        *(letter + "</w>" for letter in letters),
+        "<|startoftext|>",
+        "<|endoftext|>",
+    ]
+    (folder / "vocab.json").write_text(
+        json.dumps({word: index for index, word in enumerate(words)})
+    )
+    (folder / "merges.txt").write_text("#version: 0.2\n")
+    transformers.CLIPTokenizerFast.from_pretrained(
+        folder, model_max_length=77
+    ).save_pretrained(folder)
+    small = {
+        "projection_dim": 16,
+        "hidden_size": 32,
+        "intermediate_size": 37,
+        "num_hidden_layers": 2,
+        "num_attention_heads": 4,
+    }
+    tokens = {
+        "vocab_size": 514,
+        "bos_token_id": 512,
+        "eos_token_id": 513,
+        "pad_token_id": 513,
+    }
+    config = transformers.CLIPConfig(
+        text_config={**small, **tokens},
+        vision_config={**small, "image_size": 32, "patch_size": 8},
+        projection_dim=16,
+    )
+    torch.manual_seed(0)
+    transformers.CLIPModel(config).save_pretrained(folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def similarity(folder):
+    return ClipSimilarity(str(folder), local_files_only=True)
+
+
+@pytest.fixture
+def images():
+    return torch.rand(2, 3, 40, 56, generator=torch.Generator().manual_seed(0))
+
+
+def test_similarity_is_a_cosine_for_every_picture_and_text(similarity, images):
+    cosines = similarity(images, ["a red bike", "snow", "a red bike"])
+    assert cosines.shape == (2, 3) and cosines.abs().max() <= 1
+    assert torch.allclose(cosines[:, 0], cosines[:, 2], atol=1e-6)
+    assert not torch.allclose(cosines[:, 0], cosines[:, 1], atol=1e-4)
+
+
+def test_it_agrees_with_transformers_own_forward(similarity, images):
+    tokens = similarity.tokenizer(
+        ["a red bike", "snow"], padding=True, return_tensors="pt"
+    )
+    with torch.no_grad():
+        output = similarity.model(pixel_values=central_square(images, 32), **tokens)
+        cosines = output.logits_per_image / similarity.model.logit_scale.exp()
+    assert torch.allclose(
+        similarity(images, ["a red bike", "snow"]), cosines, atol=1e-5
+    )
+
+
+def test_the_central_square_is_cut_without_stretching():
+    images = torch.zeros(1, 3, 32, 64)
+    images[..., 16:48] = 1
+    square = central_square(images, 32)
+    assert square.shape == (1, 3, 32, 32)
+    assert torch.allclose(square, square[..., :1, :1].expand_as(square))
+
+
+def test_colours_are_normalised_as_clip_was_trained():
+    """As published with CLIP: openai/CLIP, clip/clip.py."""
+    mean = torch.tensor([0.48145466, 0.4578275, 0.40821073])
+    deviation = torch.tensor([0.26862954, 0.26130258, 0.27577711])
+    for colour in (0.0, 1.0):
+        given = central_square(torch.full((1, 3, 40, 56), colour), 32)
+        expected = (colour - mean) / deviation
+        assert torch.allclose(given.mean((0, 2, 3)), expected, atol=1e-5)
+
+
+def test_gradients_reach_the_pictures(similarity, images):
+    images.requires_grad_()
+    similarity(images, ["a red bike"]).sum().backward()
+    assert torch.isfinite(images.grad).all() and images.grad.abs().max() > 0
+
+
+def test_a_very_long_text_is_cut(similarity, images):
+    assert similarity(images, ["bike " * 100]).shape == (2, 1)
+
+
+def test_missing_weights_are_a_sentence():
+    with pytest.raises(MissingDependencyError, match="hf download openai/clip"):
+        ClipSimilarity(local_files_only=True)
+
+
+def test_the_clip_loss_is_zero_at_the_target_and_pulls_towards_it(folder):
+    loss = edit3r.build("loss", "clip", model=str(folder))
+    target = torch.rand(1, 2, 3, 32, 32, generator=torch.Generator().manual_seed(1))
+    rendered = torch.rand(
+        1, 2, 3, 32, 32, generator=torch.Generator().manual_seed(2)
+    ).requires_grad_()
+    assert abs(loss(LossInputs(rendered=target, target=target)).item()) < 1e-5
+    value = loss(LossInputs(rendered=rendered, target=target))
+    (gradient,) = torch.autograd.grad(value, rendered)
+    assert 0 < value.item() <= 2
+    step = rendered.detach() - 1e-2 * gradient / gradient.norm()
+    assert loss(LossInputs(rendered=step, target=target)) < value
+
+
+@pytest.mark.parametrize(
+    "claim", sorted({*claims(CONTRACTS["loss"])} - {*claims(Contract)})
+)
+def test_the_clip_loss_keeps_the_contract(folder, claim):
+    getattr(contract_for("loss", "clip", model=str(folder))(), claim)()
+
+
+class TwoAxes:
+    """In the place of CLIP: pictures are told apart by red and blue, texts by their first
+    letter.
+    """
+
+    def embed_images(self, images):
+        return torch.nn.functional.normalize(images[:, [0, 2]].mean((2, 3)), dim=-1)
+
+    def embed_texts(self, texts):
+        return torch.tensor(
+            [[1.0, 0.0] if text.startswith("r") else [0.0, 1.0] for text in texts]
+        )
+
+
+def test_direction_is_one_for_the_wished_change_and_zero_for_none():
+    red, blue = torch.zeros(1, 3, 4, 4), torch.zeros(1, 3, 4, 4)
+    red[:, 0], blue[:, 2] = 1, 1
+    wished = ("red", "blue")
+    assert direction_similarity(TwoAxes(), red, blue, *wished) == pytest.approx(1)
+    assert direction_similarity(TwoAxes(), blue, red, *wished) == pytest.approx(-1)
+    assert direction_similarity(TwoAxes(), red, red, *wished) == 0
+
+
+def test_direction_runs_on_a_real_network(similarity, images):
+    value = direction_similarity(
+        similarity, images, 1 - images, "a house", "a red house"
+    )
+    assert value.shape == (2,) and value.abs().max() <= 1

@@ -1,0 +1,126 @@
+"""The manifest says everything, once, and notices what it was not made with."""
+
+import json
+from collections import Counter
+
+import pytest
+import torch
+from edit3r_bench.generated import build_generated, is_visible
+from edit3r_bench.manifest import (
+    change_masks,
+    load_item,
+    load_sample,
+    read_bench_manifest,
+    write_bench_manifest,
+)
+
+from edit3r.contract.errors import Edit3rError, InputError
+from edit3r.loading.registry import default_registry
+
+
+def test_a_generated_scene_has_five_visible_edits_of_the_four_types(manifest, small):
+    types = Counter(item.type for item in manifest.items)
+    assert types == {"Add": 1, "Remove": 1, "Modify": 2, "Global": 1}
+    for item in manifest.items:
+        sample = load_sample(item.sample, default_registry())
+        assert is_visible(sample, item.type == "Global", small)
+    first, second = (own.sample for own in manifest.items if own.type == "Modify")
+    assert first.sha256 != second.sha256
+
+
+def test_the_same_seed_gives_the_same_manifest_and_another_another(manifest, small):
+    again = build_generated(1, small, default_registry())
+    assert again == manifest
+    assert again.sha256 == manifest.sha256
+    other = build_generated(1, small.model_copy(update={"seed": 4}), default_registry())
+    assert other.sha256 != manifest.sha256
+
+
+def test_what_is_written_is_read_back(manifest, manifest_file):
+    assert read_bench_manifest(manifest_file) == manifest
+
+
+def test_names_and_versions_do_not_make_another_benchmark(manifest):
+    renamed = manifest.model_copy(update={"name": "x", "made_with": {}, "notes": {}})
+    assert renamed.sha256 == manifest.sha256
+    assert manifest.model_copy(update={"image_size": 64}).sha256 != manifest.sha256
+
+
+def test_only_a_part_may_be_asked_for(manifest):
+    assert [item.type for item in manifest.limited(1, 2).items] == ["Add", "Remove"]
+
+
+def load(manifest, record, root):
+    return load_item(manifest, record, root, default_registry())
+
+
+def test_an_item_holds_the_truth_and_where_it_differs(manifest, tmp_path):
+    record = next(item for item in manifest.items if item.type == "Remove")
+    item = load(manifest, record, tmp_path)
+    assert item.inputs == 2
+    assert item.photos.count == 4
+    difference = (item.truth - item.photos.images[0]).abs().amax(1)
+    assert difference[item.masks == 0].max() < 0.01
+    assert 0 < item.masks.mean() < 0.9
+    assert torch.equal(item.cameras.c2w[0, 0], torch.eye(4))
+    assert (item.depths > 0).all()
+
+
+def test_a_global_edit_has_no_mask(manifest, tmp_path):
+    record = next(item for item in manifest.items if item.type == "Global")
+    assert load(manifest, record, tmp_path).masks is None
+
+
+def test_change_masks_reach_a_little_further_than_the_change():
+    photos = torch.zeros(1, 3, 40, 40)
+    truth = photos.clone()
+    truth[:, 1, 20, 20] = 0.5
+    masks = change_masks(photos, truth)
+    assert masks[0, 19:22, 19:22].all()
+    assert masks.sum() == 9
+
+
+def test_another_image_or_frame_than_the_manifests_is_noticed(manifest, tmp_path):
+    record = manifest.items[0]
+    sample = record.sample.model_copy(update={"sha256": "0" * 64})
+    with pytest.raises(InputError, match="not the manifest's"):
+        load(manifest, record.model_copy(update={"sample": sample}), tmp_path)
+    with pytest.raises(InputError, match="uses frame 99"):
+        load(manifest, record.model_copy(update={"inputs": (0, 99)}), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("whole", "first_item", "words"),
+    [
+        ({"version": 2}, {}, "version: input should be 1"),
+        ({"format": "other"}, {}, "edit3r-bench"),
+        ({}, {"type": "Rotate"}, "items.0.type"),
+        ({}, {"promt": "x"}, "promt"),
+        ({}, {"id": "scene000-global"}, "two items are called"),
+        ({}, {"scene": "nowhere"}, "not in the manifest"),
+        ({}, {"inputs": (0, -1)}, r"uses frame \[-1\], which its scene does not have"),
+        ({}, {"held_back": (-2,)}, r"uses frame \[-2\]"),
+        ({}, {"inputs": (0, 1, 1)}, "uses a frame twice"),
+        ({}, {"inputs": (0, 5), "sample": None}, r"uses frame \[0\], which"),
+        ({}, {"id": "../../escaped"}, "no plain file name"),
+        ({}, {"id": "."}, "no plain file name"),
+    ],
+)
+def test_a_broken_manifest_is_one_sentence(
+    manifest, tmp_path, whole, first_item, words
+):
+    content = {**manifest.model_dump(mode="json"), **whole}
+    last = content["items"][-1]["id"]
+    content["items"][0] |= first_item
+    (tmp_path / "m.json").write_text(
+        json.dumps(content).replace("scene000-global", last)
+    )
+    with pytest.raises(Edit3rError, match=words):
+        read_bench_manifest(tmp_path / "m.json")
+
+
+def test_a_manifest_is_written_whole_or_not_at_all(manifest, tmp_path):
+    twice = manifest.model_copy(update={"items": manifest.items * 2})
+    with pytest.raises(InputError):
+        write_bench_manifest(tmp_path / "bench.json", twice)
+    assert not list(tmp_path.iterdir())
