@@ -95,15 +95,17 @@ class ClassicalMatcher(Matcher):
         scenes = [
             self._match_scene(views, scene) for scene in range(views.images.shape[0])
         ]
-        *measured, intrinsics, lenses = zip(*scenes)
+        *measured, intrinsics, lenses, told = zip(*scenes)
+        known = not self._reads_fov(views)
         *measured, intrinsics = (
             torch.stack(field).to(views.images.device)
             for field in (*measured, intrinsics)
         )
         return MatchedGeometry(
             *measured,
-            intrinsics if self._reads_fov(views) else None,
+            None if known else intrinsics,
             next(filter(None, lenses), None),
+            next(filter(None, told), None) if known else None,
         )
 
     def _reads_fov(self, views: Views) -> bool:
@@ -143,9 +145,9 @@ class ClassicalMatcher(Matcher):
 
     def _match_scene(
         self, views: Views, scene: int
-    ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor, tuple[float, float] | None]:
+    ) -> tuple[Any, ...]:
         """Fields of `MatchedGeometry` of one scene: poses, depths, confidence, registered flags,
-        intrinsics and lenses.
+        intrinsics, lenses, and the field of view that the matches tell.
         """
         unknown = self._reads_fov(views)
         found = (
@@ -176,6 +178,7 @@ class ClassicalMatcher(Matcher):
             torch.from_numpy(registration.registered),
             intrinsics,
             found.lenses,
+            found.told,
         )
 
     def register(self, views: Views, scene: int) -> "_Registered":

@@ -60,7 +60,6 @@ class CameraEntry:
     where: str  # such as "cameras.json: camera 3"
     file: str  # as written, with its suffix where it was found without
     read: Callable[[Size | None], PosedCamera]
-    has_mask: bool = False
 
     def camera(self, size: Size | None = None) -> PosedCamera:
         """What it says, for an image of `size` where it states none itself.
@@ -114,14 +113,14 @@ class _Dialect:
     def entry(self, content: Any, folder: Path, where: str) -> CameraEntry:
         with _faults_named(where):
             file = _existing(folder, file_name(content[self.name]))
-            has_mask = bool(content.get("mask_path"))
-        read = partial(self._read, content, folder, file)
-        return CameraEntry(where, file, read, has_mask)
+        return CameraEntry(where, file, partial(self._read, content, folder, file))
 
     def _read(
         self, content: Any, folder: Path, file: str, size: Size | None
     ) -> PosedCamera:
-        return replace(self.parse(content, folder / file, size), file=file)
+        named = content.get("mask_path")
+        mask = _existing(folder, file_name(named)) if named else ""
+        return replace(self.parse(content, folder / file, size), file=file, mask=mask)
 
 
 def _existing(folder: Path, file: str) -> str:

@@ -34,6 +34,7 @@ class PosedCamera:
     c2w: Matrix4 | None  # OpenCV axes, the file's own scale; None: not known
     # OpenCV's k1, k2, p1, p2, k3; () for a plain pinhole
     distortion: tuple[float, ...] = ()
+    mask: str = ""  # file of a mask of the image, relative to the camera file's folder
 
     @property
     def intrinsics(self) -> Matrix3 | None:

@@ -68,7 +68,7 @@ class DecodedImage:
     focal_source: (
         str  # such as "EXIF 35 mm equivalent (26 mm)"; "" without a focal length
     )
-    transparent: bool = False  # some of it was see-through and now shows white
+    alpha: Image.Image | None = None  # mode L, where some of it is see-through
 
 
 def decode(path: str | Path) -> DecodedImage:
@@ -83,8 +83,10 @@ def decode(path: str | Path) -> DecodedImage:
         _check_size(image, path)
         try:
             stored = _loaded(image, path)
-            pixels, transparent = _to_srgb(stored, path)
-            upright = _upright(pixels, _orientation(image, path))
+            turn = _orientation(image, path)
+            pixels, alpha = _to_srgb(stored, path)
+            upright = _upright(pixels, turn)
+            alpha = None if alpha is None else _upright(alpha, turn)
         except InputError:
             raise
         except Exception as error:  # Pillow's decoders raise almost anything
@@ -92,7 +94,7 @@ def decode(path: str | Path) -> DecodedImage:
                 f"{path}: the image is damaged or cut off ({_reason(error)}); copy it again."
             ) from None
         focal, source = _exif_focal(image, path)
-    return DecodedImage(upright, focal, source, transparent)
+    return DecodedImage(upright, focal, source, alpha)
 
 
 def read_image(path: str | Path) -> Image.Image:
@@ -269,17 +271,17 @@ def _warn_of_small_values(path: Path) -> None:
     warn(f"{path}: holds 16-bit values of 255 at most; they are taken as 8-bit ones.")
 
 
-def _to_srgb(image: Image.Image, path: Path) -> tuple[Image.Image, bool]:
-    """Any Pillow mode of 8 bits to RGB in sRGB, and whether some of it was see-through."""
+def _to_srgb(image: Image.Image, path: Path) -> tuple[Image.Image, Image.Image | None]:
+    """Any Pillow mode of 8 bits to RGB in sRGB, and its alpha where some of it is see-through."""
     profile = image.info.get("icc_profile")
     if not image.has_transparency_data:
-        return _through_profile(image, profile, path), False
+        return _through_profile(image, profile, path), None
     image = image.convert("RGBA")
     alpha = image.getchannel("A")
     opaque = _through_profile(image.convert("RGB"), profile, path)
     white = Image.new("RGB", image.size, "white")
     white.paste(opaque, mask=alpha)
-    return white, bool((np.asarray(alpha) < 255).any())
+    return white, alpha if alpha.getextrema() != (255, 255) else None
 
 
 def _through_profile(

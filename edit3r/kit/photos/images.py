@@ -95,6 +95,7 @@ class Photo:
     # such as "camera file cameras.json", "--fov 60", "EXIF 35 mm equivalent (26 mm)"
     intrinsics_source: str
     focal: tuple[float, float]  # fx, fy [pixels of the original]
+    mask: str | None = None  # file of its mask, where its camera file names one
 
 
 @dataclass(frozen=True)
@@ -388,7 +389,7 @@ def expand(path: str | Path) -> list[Path]:
     text = str(path)
     if not any(sign in text for sign in "*?[") or Path(text).exists():
         return [Path(path)]
-    found = sorted(map(Path, glob.glob(text)), key=_natural)
+    found = sorted(map(Path, glob.glob(text)), key=natural)
     if not found:
         raise InputError(f"{path}: no such file or folder.")
     return found
@@ -401,7 +402,7 @@ def images_of_folder(folder: Path) -> list[Path]:
         hidden = path.name.startswith(".")  # such as macOS's ._IMG_0001.jpg
         if path.suffix.lower() in SUFFIXES and not hidden and path.is_file():
             found.append(path)
-    return sorted(found, key=_natural)
+    return sorted(found, key=natural)
 
 
 def _images_in(folder: Path) -> list[Path]:
@@ -413,7 +414,7 @@ def _images_in(folder: Path) -> list[Path]:
 
 def _what_else(folder: Path) -> str:
     """Why there are no images in a folder, and where some are."""
-    inside = sorted(folder.iterdir(), key=_natural)
+    inside = sorted(folder.iterdir(), key=natural)
     raw = [path.name for path in inside if path.suffix.lower() in RAW_SUFFIXES]
     if raw:
         return f"only raw files ({raw[0]}); {DEVELOP}"
@@ -423,7 +424,7 @@ def _what_else(folder: Path) -> str:
     return "no images in this folder."
 
 
-def _natural(path: Path) -> tuple:
+def natural(path: Path) -> tuple:
     """Sort key in which digits count as numbers; the plain name decides between equals."""
     key = []
     for part in re.split(r"(\d+)", path.name.casefold()):
@@ -454,6 +455,7 @@ def _record(name: str, file: Path, frame: Frame, intrinsics: Intrinsics) -> Phot
         frame=frame,
         intrinsics_source=intrinsics.source,
         focal=(fx * width, fy * height),
+        mask=None if intrinsics.mask is None else str(intrinsics.mask),
     )
 
 

@@ -46,6 +46,7 @@ class Intrinsics:
     frame: str = ""  # equal for poses in one frame and unit; empty: `source`
     assumed: bool = False  # nobody knows them
     lens: Lens | None = None  # one that bends straight lines, to be straightened
+    mask: Path | None = None  # of the photo, as its camera file says
 
 
 def known_poses(found: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | None:
@@ -99,6 +100,7 @@ class IntrinsicsFinder:
                     None if camera.c2w is None else torch.from_numpy(camera.c2w),
                     camera_file.frame,
                     lens=camera.lens,
+                    mask=camera_file.folder / camera.mask if camera.mask else None,
                 )
         if self.fov is not None:
             return Intrinsics(_from_fov(self.fov, size), f"--fov {self.fov:g}")
@@ -197,12 +199,6 @@ class _CameraFile:
         entries = self.entries_of(file, given)
         if not entries or len({entry.file for entry in entries}) > 1:
             return None
-        if any(entry.has_mask for entry in entries):
-            say(
-                "masks.of the camera file",
-                f"{self.path} names masks (mask_path), which are not used; give those of what "
-                "is to be edited with --mask",
-            )
         first, *others = (entry.camera(size) for entry in entries)
         if any(not first.says_the_same_as(other) for other in others):
             raise InputError(

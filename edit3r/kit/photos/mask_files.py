@@ -1,11 +1,12 @@
 """Which mask files belong to which photos: by name, else in the order given."""
 
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import say
-from edit3r.kit.photos.images import expand, images_of_folder
+from edit3r.kit.photos.images import expand, images_of_folder, natural
 
 _Names = Sequence[str]
 """What one photo is called: its file's name, and its view's."""
@@ -16,16 +17,18 @@ def masks_by_photo(given: Sequence[str], photos: Sequence[_Names]) -> dict[int, 
 
     `given` are files, folders of masks, and wildcards that no shell expanded. A mask whose name is
     a photo's with something before or behind, such as left_mask.png or left.jpg.png, is that
-    photo's. Others follow in the order given, where there is one for each photo; a single one is
-    the first photo's. Raises InputError where that leaves a mask without a photo.
+    photo's; else one with the photo's number, such as mask_2.png of IMG_2.jpg. Others follow in the
+    order given, where there is one for each photo; a single one is the first photo's. Raises
+    InputError where that leaves a mask without a photo.
     """
     files, folders = _files(given, photos)
     named = {file: _photo_named(file, photos) for file in files}
+    way = "by name"
+    if not any(view is not None for view in named.values()):
+        named, way = _photos_numbered(files, photos), "by number"
     views = [view for view in named.values() if view is not None]
     if len(set(views)) < len(views):
-        if len(files) != len(photos):
-            raise _confusing(given, len(files), photos)
-        views, named = [], dict.fromkeys(files)
+        raise _confusing(given, len(files), photos)
     rest = [file for file in files if named[file] is None]
     free = [view for view in range(len(photos)) if view not in views]
     if len(rest) != len(free) and rest:
@@ -36,11 +39,14 @@ def masks_by_photo(given: Sequence[str], photos: Sequence[_Names]) -> dict[int, 
         else:
             raise _confusing(given, len(files), photos)
     found = {view: file for file, view in named.items() if view is not None}
-    found |= dict(zip(free, rest))
-    if folders or list(found.values()) != [found[view] for view in sorted(found)]:
+    found |= dict(zip(free, _as_photos_lie(rest, photos)))
+    paired = [found[view] for view in sorted(found)]
+    if folders or paired != files[: len(paired)] or (views and way == "by number"):
         pairs = ", ".join(f"{photos[v][0]} <- {found[v].name}" for v in sorted(found))
-        way = "by name" if views else "in order"
-        say("selection.masks", f"paired with the photos {way}: {pairs}")
+        say(
+            "selection.masks",
+            f"paired with the photos {way if views else 'in order'}: {pairs}",
+        )
     return {view: found[view] for view in sorted(found)}
 
 
@@ -49,6 +55,7 @@ def _files(given: Iterable[str], photos: Sequence[_Names]) -> tuple[list[Path], 
     count: it may hold other pictures too.
     """
     files, folders = [], False
+    numbers = {_number(names[0]) for names in photos} - {None}
     for path in (one for text in given for one in expand(text)):
         if not path.is_dir():
             files.append(path)
@@ -56,6 +63,7 @@ def _files(given: Iterable[str], photos: Sequence[_Names]) -> tuple[list[Path], 
         folders = True
         inside = images_of_folder(path)
         own = [file for file in inside if _photo_named(file, photos) is not None]
+        own = own or [file for file in inside if _number(file.name) in numbers]
         files += own or inside
         if not inside:
             raise InputError(f"--mask {path}: no images in this folder.")
@@ -64,7 +72,7 @@ def _files(given: Iterable[str], photos: Sequence[_Names]) -> tuple[list[Path], 
 
 def _photo_named(file: Path, photos: Sequence[_Names]) -> int | None:
     """The photo whose name a mask's holds, the longest such name; None for none, or several."""
-    text = file.stem.casefold()
+    text = _spelled(file.stem)
     lengths = [
         max((len(name) for name in _stems(names) if _speaks_of(text, name)), default=0)
         for names in photos
@@ -75,19 +83,44 @@ def _photo_named(file: Path, photos: Sequence[_Names]) -> int | None:
 
 
 def _stems(names: _Names) -> set[str]:
-    return {
-        stem for name in names for stem in (name.casefold(), Path(name).stem.casefold())
-    }
+    return {_spelled(stem) for name in names for stem in (name, Path(name).stem)}
+
+
+def _spelled(name: str) -> str:
+    """A name as programs that rename files leave it recognisable: in any case and signs."""
+    return re.sub(r"[ _.-]+", "_", name.casefold())
 
 
 def _speaks_of(text: str, name: str) -> bool:
     """Whether a mask is named after a photo; img10 is not after img1."""
-    before, found, behind = text.partition(name)
-    if not found:
-        return False
-    if not before:
-        return not (name[-1:].isdigit() and behind[:1].isdigit())
-    return not behind and before[-1] in "_-. "
+    if text.startswith(name):
+        return not (name[-1:].isdigit() and text[len(name) :][:1].isdigit())
+    return bool(re.search(rf"(^masks?|_){re.escape(name)}(_|$)", text))
+
+
+def _photos_numbered(
+    files: Sequence[Path], photos: Sequence[_Names]
+) -> dict[Path, int | None]:
+    """The photo of each mask's number; of none where one number is no photo's, or two are alike."""
+    numbers = {_number(names[0]): view for view, names in enumerate(photos)}
+    found = {file: numbers.get(_number(file.name)) for file in files}
+    clear = len(numbers) == len(photos) and None not in {*numbers, *found.values()}
+    return found if clear else dict.fromkeys(files)
+
+
+def _number(name: str) -> int | None:
+    """The last number of a file's name."""
+    digits = re.findall(r"\d+", Path(name).stem)
+    return int(digits[-1]) if digits else None
+
+
+def _as_photos_lie(files: list[Path], photos: Sequence[_Names]) -> list[Path]:
+    """The masks in natural order where a shell sorted them, and the photos lie in that order."""
+    names = [Path(photo[0]) for photo in photos]
+    by_shell = [file.name for file in files] == sorted(file.name for file in files)
+    if by_shell and names == sorted(names, key=natural):
+        return sorted(files, key=lambda file: natural(Path(file.stem)))
+    return files
 
 
 def _confusing(

@@ -10,8 +10,8 @@ from PIL import Image, ImageChops
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.reporting import warn
-from edit3r.kit.photos.decode import decode
+from edit3r.contract.reporting import say, warn
+from edit3r.kit.photos.decode import DecodedImage, decode
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import LoadedPhotos
 from edit3r.kit.photos.intrinsics import SHAPE_TOLERANCE
@@ -37,8 +37,28 @@ def load_masks(
     return torch.stack(masks)[None]
 
 
+def _grey(decoded: DecodedImage, path: Path) -> Image.Image:
+    """The mask in a picture, black to white: its alpha where all that is opaque has one colour."""
+    if decoded.alpha is None:
+        return _without_labels(decoded.pixels, path)
+    opaque = np.asarray(decoded.pixels)[np.asarray(decoded.alpha) == 255]
+    # A hole in a picture may mean black to one program and white to another.
+    if not len(opaque) or np.ptp(opaque, axis=0).max() > _FADED:
+        raise InputError(
+            f"{path}: this mask has transparent parts in a picture; expected black (keep) and "
+            "white (may change), or one colour where it may change and else nothing."
+        )
+    say(
+        "selection.alpha",
+        f"what is opaque in {path.name} may change; --invert for the contrary",
+    )
+    return decoded.alpha
+
+
 _FADED = 12  # most that the channels of a grey differ [levels]
 _DARK = 32  # below which the values of a mask are numbers of labels, not greys
+_DARK_ALONE = 128  # the same of the only value besides black
+_VOID = {(255,), (224, 224, 192)}  # what data sets draw around their labels
 _LEAST_SHARE = 0.002  # of the picture that a label takes
 _MOST_LABELS = 12
 
@@ -55,11 +75,11 @@ def _without_labels(pixels: Image.Image, path: Path) -> Image.Image:
         ImageChops.darker(ImageChops.darker(red, green), blue),
     )
     is_grey = bool(np.mean(np.asarray(colour) > _FADED) < _LEAST_SHARE)
-    brightest = int(np.asarray(grey).max())
-    if is_grey and not 0 < brightest < _DARK:
+    if is_grey and not _holds_numbers(grey):
         return grey
     values = np.asarray(pixels, np.int16)
     labels = _labels(np.asarray(grey)[..., None] if is_grey else values, is_grey)
+    labels = [one for one in labels if one not in _VOID] or labels
     names = [str(one[0]) if is_grey else ",".join(map(str, one)) for one in labels]
     if len(labels) != 1:
         listed = " and ".join(names[:_MOST_LABELS]) or "many colours"
@@ -73,7 +93,17 @@ def _without_labels(pixels: Image.Image, path: Path) -> Image.Image:
         warn(f"{path}: a label image; its one label, {names[0]}, is taken as white.")
     label = np.array(labels[0] if not is_grey else labels[0] * 3, np.float32)
     share = (values @ label / (label @ label)).clip(0, 1)  # soft at soft edges
+    for void in _VOID:
+        share[(values == np.array(void)).all(-1)] = 0
     return Image.fromarray((255 * share).round().astype(np.uint8))
+
+
+def _holds_numbers(grey: Image.Image) -> bool:
+    """Whether the few values of a grey picture are numbers of labels, not how much may change."""
+    values = {value for _, value in grey.getcolors() or ()}
+    inside = values - {0, 255}
+    alone = len(values) == 2 and 0 in values and max(values) < _DARK_ALONE
+    return alone or 0 < max(inside, default=0) < _DARK
 
 
 def _labels(
@@ -112,12 +142,7 @@ def read_mask(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
     the photo.
     """
     decoded = decode(path)
-    if decoded.transparent:  # a hole may mean black to one program and white to another
-        raise InputError(
-            f"{path}: this mask has transparent parts; expected black (keep) and white (may "
-            "change)."
-        )
-    image, (height, width) = _without_labels(decoded.pixels, path), frame.source
+    image, (height, width) = _grey(decoded, path), frame.source
     if image.size != frame.target[::-1]:
         if abs(image.width / image.height * height / width - 1) > SHAPE_TOLERANCE:
             raise InputError(

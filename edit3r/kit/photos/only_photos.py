@@ -14,9 +14,14 @@ from edit3r.kit.photos.decode import FORMATS, decode, image_size
 MADE_HERE = "edit3r, no photo"
 """What sheets, previews and masks of ours carry as their software."""
 _OWN_NAMES = ("edit3r-preview", "before_after")
-_MASK_SIGN = re.compile(r"[ _.-]?masks?\d?$|^masks?[ _.-]")
+_MAPS = "masks?|mattes?|alpha|depth|disparity|normals?|seg(?:mentation)?|labels?"
+_MAP_SIGN = re.compile(rf"[ _.-]?masks?\d?$|[ _.-](?:{_MAPS})\d?$|^(?:{_MAPS})[ _.-]")
 _SUFFIX = re.compile(r"\.(jpe?g|png|tiff?|webp|heic|bmp)$")
-_LIKE = 0.95  # correlation of small copies of one photo
+_COPY_SIGN = re.compile(
+    r"( ?\(\d+\)| - copy.*|[-_ ](copy|thumb(nail)?|small|resized|edit(ed)?))$"
+)
+_LIKE = 0.95  # correlation of small copies of one photo in two formats
+_COPIED = 0.995  # the same where the names differ: photos side by side are alike too
 _SMALL = (32, 32)  # their size [pixels]
 
 
@@ -37,10 +42,10 @@ def only_photos(files: Sequence[Path]) -> list[Path]:
 
 
 def _is_none(file: Path, files: Sequence[Path]) -> bool:
-    """Whether a file is a mask of another, or a sheet that was made here."""
+    """Whether a file is a mask or another map of a photo, or a sheet that was made here."""
     stem = file.stem.casefold()
     others = {other.stem.casefold() for other in files if other != file}
-    without = _SUFFIX.sub("", _MASK_SIGN.sub("", stem))
+    without = _SUFFIX.sub("", _MAP_SIGN.sub("", stem))
     return (
         stem in _OWN_NAMES
         or (without != stem and without in others)
@@ -61,15 +66,21 @@ def _made_here(file: Path) -> bool:
 
 
 def _without_doubles(files: Sequence[Path]) -> list[Path]:
-    """Of files of one stem that show the same, the one with most pixels alone."""
+    """Of files of one stem, or named as its copies, that show the same, the one with most pixels
+    alone.
+    """
+    stems = {file.stem.casefold() for file in files}
     by_stem: dict[str, list[Path]] = {}
     for file in files:
-        by_stem.setdefault(file.stem.casefold(), []).append(file)
+        by_stem.setdefault(_copied_from(file.stem.casefold(), stems), []).append(file)
     left_out: set[Path] = set()
     for twins in by_stem.values():
         best = twins[0]
         for twin in twins[1:]:
-            if best.suffix == twin.suffix or not _show_the_same(best, twin):
+            renamed = best.stem.casefold() != twin.stem.casefold()
+            if best.suffix == twin.suffix and not renamed:
+                continue  # of two folders
+            if not _show_the_same(best, twin, _COPIED if renamed else _LIKE):
                 continue
             worse = twin if _pixels(best) >= _pixels(twin) else best
             best = twin if worse is best else best
@@ -77,7 +88,15 @@ def _without_doubles(files: Sequence[Path]) -> list[Path]:
     return [file for file in files if file not in left_out]
 
 
-def _show_the_same(first: Path, second: Path) -> bool:
+def _copied_from(stem: str, stems: set[str]) -> str:
+    """The stem of the file that this one is named as a copy of; its own without one."""
+    for original in (_COPY_SIGN.sub("", stem), re.sub(r"^img_e(?=\d)", "img_", stem)):
+        if original != stem and original in stems:
+            return original
+    return stem
+
+
+def _show_the_same(first: Path, second: Path, like: float) -> bool:
     """Whether small copies of two files are alike; of two formats one may need a package that is
     missing, and then the other is enough.
     """
@@ -93,7 +112,7 @@ def _show_the_same(first: Path, second: Path) -> bool:
         return False
     if min(one.std(), other.std()) < 1:
         return False
-    return float(np.corrcoef(one, other)[0, 1]) > _LIKE
+    return float(np.corrcoef(one, other)[0, 1]) > like
 
 
 def _small_copy(file: Path) -> np.ndarray:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import torch
 
 from edit3r.contract.interfaces import MatchedGeometry
-from edit3r.contract.reporting import note, stage
+from edit3r.contract.reporting import note, say, stage
 from edit3r.kit.geometry.cameras import field_of_view
 from edit3r.running.parts import Parts
 from edit3r.running.scene import Scene
@@ -19,9 +19,36 @@ def locate(scene: Scene, parts: Parts) -> Scene:
     if parts.matcher is not None:
         with stage("geometry"):
             geometry = parts.located(scene.photos).geometry
+            if _by_exif(scene) and (geometry is None or geometry.contradicts):
+                scene, geometry = _without_exif(scene, geometry, parts)
             if any(scene.photos.assumed):
                 scene = replace(scene, flat=lies_flat(geometry, scene.photos))
     return _with_lens(scene, geometry)
+
+
+def _by_exif(scene: Scene) -> bool:
+    """Whether EXIF alone tells the lens of all photos: photo apps keep it when they crop."""
+    told = [record.intrinsics_source for record in scene.records]
+    return bool(told) and all(source.startswith("EXIF") for source in told)
+
+
+def _without_exif(
+    scene: Scene, geometry: MatchedGeometry | None, parts: Parts
+) -> tuple[Scene, MatchedGeometry | None]:
+    """The photos as if nobody knew their lens, where that is how they fit together."""
+    unknown = (True,) * scene.photos.count
+    photos, start = (
+        replace(views, assumed=unknown) for views in (scene.photos, scene.start)
+    )
+    found = parts.located(photos).geometry
+    if found is None or found.intrinsics is None:
+        return scene, geometry
+    say(
+        "lens.exif",
+        "what EXIF says of the lens does not fit the photos, as where they were cropped; it is "
+        "read from the photos instead, unless --fov tells it",
+    )
+    return replace(scene, photos=photos, start=start), found
 
 
 def _with_lens(scene: Scene, geometry: MatchedGeometry | None) -> Scene:

@@ -8,11 +8,12 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Reader
-from edit3r.contract.reporting import stage
+from edit3r.contract.reporting import say, stage, warn
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import sha256_of
 from edit3r.kit.photos.coverage import USUAL_FRAMES, choose_photos, origin
 from edit3r.kit.photos.images import LoadedPhotos, find_photos, load_photos
+from edit3r.kit.photos.masks import read_mask
 from edit3r.loading.registry import Registry
 from edit3r.running.earlier import EarlierRun
 from edit3r.running.job import RunJob
@@ -20,6 +21,9 @@ from edit3r.running.parts import read_lens
 from edit3r.running.scene import Scene
 from edit3r.running.selecting.marks import MarkTexts
 from edit3r.running.selecting.select import Selection
+
+_MOST_OF_A_THING = 0.5
+"""Share of the photos [mean of the masks] above which masks are of no thing."""
 
 
 def read(job: RunJob, registry: Registry) -> Scene:
@@ -35,6 +39,8 @@ def read(job: RunJob, registry: Registry) -> Scene:
             if isinstance(masks, MarkTexts):
                 used = [record.file for record in scene.records]
                 masks = masks.for_photos([origin(path) for path in found], used)
+            if masks is None and job.config.prompt:
+                scene = _with_masks_of_cameras(scene)
         scene = replace(scene, prompts=(*scene.prompts, job.config.prompt))
         return _with_marks(scene, masks, job.components["reader"])
 
@@ -64,6 +70,35 @@ def _read_files(
         read_lens=partial(read_lens, config, registry),
     )
     return found, Scene(photos=loaded.views, start=loaded.views, records=loaded.photos)
+
+
+def _with_masks_of_cameras(scene: Scene) -> Scene:
+    """The scene with the masks that its camera file names, where they are of a thing.
+
+    Such masks also leave out of training what moves: then they are white nearly everywhere.
+    """
+    named = {view: one for view, one in enumerate(scene.records) if one.mask}
+    files = {view: str(record.mask) for view, record in named.items()}
+    try:
+        masks = {v: read_mask(Path(files[v]), one.frame) for v, one in named.items()}
+    except InputError as error:
+        warn(f"{error} The masks of the camera file (mask_path) are not used.")
+        return scene
+    if not masks:
+        return scene
+    share = sum(float(mask.mean()) for mask in masks.values()) / len(masks)
+    used = share < _MOST_OF_A_THING
+    says = (
+        f"those of the camera file (mask_path), {share:.0%} of the photos; marks of your own"
+        f" (--mask, --point) come before them"
+        if used
+        else f"those of the camera file (mask_path) are not used: with {share:.0%} of the photos"
+        " white they rather leave out what moves"
+    )
+    say("selection.masks", says)
+    hashes = {file: sha256_of(Path(file)) for file in files.values()}
+    marked = Selection(masks=masks)
+    return replace(scene, marked=marked, mask_files=hashes) if used else scene
 
 
 def _with_marks(

@@ -172,11 +172,12 @@ def test_a_camera_named_twice_with_two_answers_is_refused(tmp_path, changed):
         loaded(files, path)
 
 
-def test_masks_that_a_camera_file_names_are_spoken_of(tmp_path):
+def test_masks_that_a_camera_file_names_are_their_photos(tmp_path):
     files = photos(tmp_path / "images")
-    content = {"frames": frames(NAMES, mask_path="masks/left.png")}
+    content = {"frames": frames(NAMES, mask_path="masks\\left.png")}
     (tmp_path / "transforms.json").write_text(json.dumps(content))
-    assert "mask_path" in str(loaded(files)[1].notes)
+    (mask,) = {photo.mask for photo in load_photos(files).photos}
+    assert Path(mask) == tmp_path / "masks" / "left.png"
 
 
 # The list of 3D Gaussian Splatting

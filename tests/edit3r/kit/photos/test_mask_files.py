@@ -33,6 +33,10 @@ def paired(given, photos=PHOTOS):
         ("img10.jpg.png", "img2.jpg.png"),
         ("mask_img10.png", "mask_img2.png"),
         ("IMG10-mask.PNG", "IMG2-mask.PNG"),
+        ("maskimg10.png", "maskimg2.png"),
+        ("seg-img10-0.png", "seg-img2-0.png"),
+        ("mask_10.png", "mask_2.png"),  # by the photos' numbers
+        ("00010.png", "00002.png"),
     ],
 )
 @pytest.mark.parametrize("how", ["files", "folder", "wildcard"])
@@ -53,6 +57,25 @@ def test_img10_is_not_named_after_img1(masks):
     ]  # a single one, of no photo's name: the first photo's
     (view,) = masks_by_photo(masks("img10_m.png"), [("img1.jpg",), ("img10.jpg",)])
     assert view == 1
+
+
+def test_of_few_masks_each_goes_to_its_number(masks):
+    photos = [(f"IMG_{number}.jpg",) for number in (1, 2, 3)]
+    for names, views in ((("mask_2.png",), [1]), (("m_3.png", "m_2.png"), [1, 2])):
+        assert list(masks_by_photo(masks(*names), photos)) == views
+
+
+def test_what_a_shell_sorted_goes_in_natural_order(masks):
+    photos = [(f"{name}.jpg",) for name in "abcdefghijk"]
+    by_shell = sorted(f"m{number}.png" for number in range(11))
+    assert paired(masks(*by_shell), photos) == [f"m{i}.png" for i in range(11)]
+    by_hand = [f"m{i}.png" for i in (*range(1, 11), 0)]
+    assert paired(masks(*by_hand), photos) == by_hand
+
+
+def test_two_masks_of_one_photo_are_an_error(masks):
+    with pytest.raises(InputError, match="2 masks for 2 photos"):
+        masks_by_photo(masks("img2_a.png", "img2_b.png"), PHOTOS)
 
 
 def test_other_names_go_in_the_order_given(masks):

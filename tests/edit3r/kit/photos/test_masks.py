@@ -84,10 +84,32 @@ def test_wrong_number_and_wrong_shape_are_errors(tmp_path, photos):
         load_masks([path, path], photos)
 
 
-def test_transparent_mask_is_an_error(tmp_path, photos):
-    Image.new("RGBA", (300, 300), (255, 255, 255, 0)).save(tmp_path / "m.png")
-    with pytest.raises(InputError, match="transparent"):
-        load_masks([tmp_path / "m.png"] * 2, photos)
+@pytest.mark.parametrize("mode", ["RGBA", "LA"])
+@pytest.mark.parametrize("colour", ["black", "white"])
+def test_alpha_is_the_mask_where_all_that_is_opaque_has_one_colour(
+    tmp_path, photos, mode, colour
+):
+    alpha = np.zeros((300, 400), np.uint8)
+    alpha[100:200, 100:300], alpha[100:200, 300:] = 255, 51
+    image = Image.new("RGB", (400, 300), colour).convert(mode)
+    image.putalpha(Image.fromarray(alpha))
+    image.save(tmp_path / "m.png")
+    with collecting(Report()) as report:
+        found = read_mask(tmp_path / "m.png", photos.photos[0].frame)
+    assert found[150, 100] == 1 and found[150, 299] == pytest.approx(0.2)
+    assert found[:90].max() == 0 and "selection.alpha" in report.notes
+
+
+def test_a_picture_with_holes_is_no_mask(tmp_path, photos):
+    image = Image.open(tmp_path / "a.png").convert("RGBA")
+    image.putalpha(outlined("index").convert("L"))
+    image.putpixel((0, 0), (9, 9, 9, 255))
+    image.putpixel((1, 0), (99, 9, 9, 255))
+    image.save(tmp_path / "m.png")
+    Image.new("RGBA", (300, 300), (255, 255, 255, 0)).save(tmp_path / "n.png")
+    for name in ("m.png", "n.png"):
+        with pytest.raises(InputError, match="transparent"):
+            read_mask(tmp_path / name, photos.photos[0].frame)
 
 
 def outlined(kind):
@@ -98,19 +120,35 @@ def outlined(kind):
         image = Image.fromarray(inside, "P")
         image.putpalette([0, 0, 0, 128, 0, 0] + [0] * 762)
         return image
-    colours = {"red": (250, 50, 83), "green": (0, 255, 0), "index": (2, 2, 2)}
-    return Image.fromarray(inside[..., None] * np.array(colours[kind], np.uint8))
+    colours = {
+        "red": (250, 50, 83),
+        "green": (0, 255, 0),
+        "index": (2, 2, 2),
+        "large index": (38, 38, 38),
+        "index and void": (15, 15, 15),
+        "colour and void": (0, 128, 0),
+    }
+    pixels = inside[..., None] * np.array(colours[kind], np.uint8)
+    if "void" in kind:  # as VOC draws it around things, and leaves out others
+        pixels[200:204] = pixels[:60] = (
+            255 if kind.startswith("index") else (224, 224, 192)
+        )
+    return Image.fromarray(pixels)
 
 
-@pytest.mark.parametrize("kind", ["palette", "red", "green", "index"])
-@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+@pytest.mark.parametrize(
+    "kind, suffix",
+    [
+        *((kind, ".png") for kind in ("palette", "red", "green", "index")),
+        *((kind, ".jpg") for kind in ("palette", "red", "green")),
+        *((f"{kind} and void", ".png") for kind in ("index", "colour")),
+        ("large index", ".png"),
+    ],
+)
 def test_one_label_of_any_colour_is_white(tmp_path, photos, kind, suffix):
     path = tmp_path / f"m{suffix}"
     image = outlined(kind)
-    if suffix == ".jpg":
-        if kind == "index":
-            pytest.skip("JPEG keeps no numbers")
-        image = image.convert("RGB")
+    image = image.convert("RGB") if suffix == ".jpg" else image
     image.save(path)
     with pytest.warns(UserWarning, match="label image.*taken as white"):
         found = read_mask(path, photos.photos[0].frame)

@@ -32,6 +32,8 @@ def names(folder):
         "right-mask.png",
         "mask_left.png",
         "left.mask.png",
+        "left_depth.png",
+        "seg-right.png",
         "left.jpg.png",
         "left.png",
         "left.webp",
@@ -54,6 +56,25 @@ def test_what_was_made_here_is_told_whatever_it_is_called(folder, suffix):
 def test_the_format_with_most_pixels_is_taken(folder):
     Image.fromarray(picture(0, 96)).save(folder / "left.png")
     assert names(folder) == ["left.png", "right.jpg"]
+
+
+@pytest.mark.parametrize(
+    "name", ["left (1).jpg", "left_thumb.jpg", "left - Copy.jpg", "left-edited.jpg"]
+)
+def test_copies_are_no_photos_but_others_of_such_names_are(folder, name):
+    copy = Image.open(folder / "left.jpg").resize((40, 40)).point(lambda v: 0.9 * v)
+    copy.save(folder / name, quality=95)
+    assert names(folder) == ["left.jpg", "right.jpg"]
+    Image.fromarray(np.roll(picture(0), 3, axis=1)).save(folder / name)
+    assert len(names(folder)) == 3
+
+
+def test_numbers_in_brackets_alone_are_no_copies(folder):
+    for number in (1, 2):
+        Image.open(folder / "left.jpg").save(folder / f"photo ({number}).jpg")
+    Image.open(folder / "left.jpg").save(folder / "IMG_0004.jpg")
+    Image.open(folder / "left.jpg").save(folder / "IMG_E0004.jpg")
+    assert len(names(folder)) == 5
 
 
 def test_another_photo_of_that_name_stays(folder):

@@ -1,0 +1,60 @@
+"""EXIF is believed of the lens as long as the photos fit together with it."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.reporting import Report, collecting
+from edit3r.contract.types import Views
+from edit3r.running.scene import Scene
+from edit3r.running.steps.locate import locate
+
+K = torch.eye(3).expand(1, 2, 3, 3)
+PHOTOS = Views(torch.rand(1, 2, 3, 8, 8), K)
+
+
+def geometry(**fields):
+    ones = torch.ones(1, 2, 8, 8)
+    poses = torch.eye(4).expand(1, 2, 4, 4)
+    return MatchedGeometry(poses, ones, ones, torch.ones(1, 2).bool(), **fields)
+
+
+def located(source, known, unknown):
+    """What becomes of photos whose lens `source` tells, by what is found with it and without."""
+    records = tuple(SimpleNamespace(intrinsics_source=source) for _ in range(2))
+    parts = SimpleNamespace(
+        matcher=object(),
+        located=lambda photos: SimpleNamespace(
+            geometry=unknown if photos.assumed else known
+        ),
+    )
+    scene = Scene(photos=PHOTOS, start=replace(PHOTOS), records=records)
+    with collecting(Report()) as report:
+        return locate(scene, parts), report.notes
+
+
+EXIF = "EXIF 35 mm equivalent (26 mm)"
+READ = geometry(intrinsics=K)
+
+
+@pytest.mark.parametrize("known", [None, geometry(contradicts=30.0)])
+def test_exif_that_does_not_fit_the_photos_is_not_believed(known):
+    scene, notes = located(EXIF, known, READ)
+    assert scene.photos.assumed == scene.start.assumed == (True, True)
+    assert "lens.exif" in notes and "read from the photos" in notes["lens.source"][0]
+
+
+@pytest.mark.parametrize(
+    "source, known, unknown",
+    [
+        (EXIF, geometry(), READ),  # it fits
+        (EXIF, None, None),  # nor do they fit together without it
+        ("--fov 60", geometry(contradicts=30.0), READ),  # the user knows
+    ],
+)
+def test_else_it_is(source, known, unknown):
+    scene, notes = located(source, known, unknown)
+    assert scene.photos.assumed == () and notes["lens.source"] == [source]
