@@ -186,7 +186,7 @@ class Answers:
         size = int(length) if length else None
         is_new = scene == "-"
         if is_new:
-            scene = self.folder.new_scene(wanted or Path(name).stem)
+            scene = self.folder.new_scene(wanted or uploads.title_of(name))
         self.folder.path(scene)
         try:
             await uploads.receive(self.folder, scene, name, size, request.stream())

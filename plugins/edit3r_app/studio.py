@@ -4,7 +4,7 @@ import re
 import threading
 import zlib
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -130,7 +130,7 @@ class Studio:
             "outline": draft.outline,
             "selects": draft.selects,
             "version": version,
-            "named": sorted(read_draft(self.folder, state).named),
+            "named": sorted(read_draft(self.folder, self._home(state)).named),
         }
 
     def change(self, state: str, asked: dict[str, Any]) -> dict[str, Any]:
@@ -139,11 +139,19 @@ class Studio:
         Raises InputError for what is no change.
         """
         self._is_state(state)
+        do, home = str(asked.get("do")), self._home(state)
         with _CHANGING:
-            draft = read_draft(self.folder, state)
-            _change(draft, str(asked.get("do")), asked.get("value"))
+            draft, kept = (read_draft(self.folder, one) for one in (state, home))
+            draft.named = kept.named
+            _change(draft, do, asked.get("value"))
+            if do in _NAMING:
+                write_draft(self.folder, home, replace(kept, named=draft.named))
             write_draft(self.folder, state, draft)
         return self._drawn(draft, state)
+
+    def _home(self, state: str) -> str:
+        """The set of photos of a state, where its named selections are."""
+        return self.folder.job(state).scene if self.folder.is_run(state) else state
 
     def step(self, state: str, value: int) -> dict[str, Any]:
         """Take the next larger or smaller reading; one that shows nothing new is taken back."""
@@ -277,6 +285,11 @@ def _recall(draft: Draft, name: Any) -> None:
     draft.marks, draft.undone, draft.words = list(draft.named[name]), [], ""
 
 
+def _drop(draft: Draft, name: Any) -> None:
+    del draft.named[name]
+
+
+_NAMING = ("keep", "drop")  # change what is kept by name
 _WAYS = {
     "select": _select,
     "say": _say,
@@ -284,6 +297,7 @@ _WAYS = {
     "set": _set,
     "keep": _keep,
     "recall": _recall,
+    "drop": _drop,
 }
 
 

@@ -27,6 +27,7 @@ const PATHS = {
   point: "M6 3l12 9-6 1-3 6z",
   box: "M5 5h14v14H5z",
   brush: "M14 4l6 6-8 7H6v-5zM4 21h16",
+  lasso: "M12 4c5 0 8 2.4 8 5.5S17 15 12 15s-8-2.4-8-5.5S7 4 12 4zM8 14.5c-2 1-2 4 .5 4S10 22 7 22",
   minus: "M5 12h14",
   plus: "M12 5v14M5 12h14",
   undo: "M9 6L4 11l5 5M4 11h10a6 6 0 0 1 0 12",

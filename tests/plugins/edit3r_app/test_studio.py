@@ -67,6 +67,18 @@ def test_a_draft_is_changed_undone_and_redone(studio, scene):
     assert not studio.change(scene, {"do": "select", "value": ""})["selects"]
 
 
+def test_selections_kept_by_name_are_there_for_every_edit_of_the_photos(studio, scene):
+    studio.change(scene, {"do": "mark", "value": CLICK})
+    assert studio.change(scene, {"do": "keep", "value": "door"})["named"] == ["door"]
+    run = studio.folder.new_job(AppJob("", scene)).name
+    (studio.folder.root / run).mkdir()
+    (studio.folder.root / run / "run.json").write_text("{}")
+    assert studio.change(run, {"do": "recall", "value": "door"})["selects"]
+    studio.change(run, {"do": "keep", "value": "it"})
+    told = studio.change(scene, {"do": "drop", "value": "door"})
+    assert told["named"] == ["it"] and told["selects"]
+
+
 @pytest.mark.parametrize(
     ("asked", "told"),
     [
@@ -77,6 +89,7 @@ def test_a_draft_is_changed_undone_and_redone(studio, scene):
         ({"do": "step", "value": ["larger"]}, "not a change"),
         ({"do": "set", "value": "x"}, "not a change"),
         ({"do": "recall", "value": "nothing"}, "not a change"),
+        ({"do": "drop", "value": "nothing"}, "not a change"),
         ({"do": "keep", "value": "door"}, "point at something first"),
     ],
 )
