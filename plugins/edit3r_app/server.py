@@ -135,6 +135,7 @@ class Answers:
                 "state",
             ),
             post("/api/go/{scene}", self.go, "scene"),
+            post("/api/object/{scene}", self.act, "scene"),
             post(
                 "/api/cancel/{run}", lambda run, asked: studio.runner.cancel(run), "run"
             ),
@@ -167,6 +168,10 @@ class Answers:
         return self.studio.go(
             scene, str(asked.get("at", "")), str(asked.get("say", ""))
         )
+
+    def act(self, scene: str, asked: dict[str, Any]) -> str:
+        at = str(asked.pop("at", ""))
+        return self.studio.act(scene, at, asked)
 
     def take_out(self, scene: str, asked: dict[str, Any]) -> None:
         self.studio.take_out(scene, str(asked.get("photo", "")))

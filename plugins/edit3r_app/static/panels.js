@@ -295,7 +295,7 @@ const KEYS = [
   ["M", "photos or 3D"],
   ["C · B in 3D", "handle between before and after · switch"],
   ["arrows, W A S D in 3D", "turn and fly"],
-  ["V · H · D · S", "photos · history · downloads · settings"],
+  ["V · O · H · D · S", "photos · things · history · downloads · settings"],
   ["F · Esc", "the scene alone · back"],
 ];
 export function showKeys(changeTheme) {

@@ -4,6 +4,7 @@ import { ask, path, tell } from "./api.js";
 import { button, el, icon, seconds, toast } from "./dom.js";
 import { changeTheme } from "./home.js";
 import { showFiles, showHistory, showKeys, showNames, showSettings } from "./panels.js";
+import { showObjects } from "./objects.js";
 import { pointing } from "./pointing.js";
 import { choose, dropAnywhere, send } from "./upload.js";
 
@@ -13,8 +14,20 @@ const TOOLS = {
   brush: ["Brush: takes exactly what it covers", "R"],
   lasso: ["Lasso: takes exactly what you draw around", "L"],
 };
+// Of the scene that was open last: the drawer and the chosen thing stay as they are with its next state.
+let kept = { scene: "", drawer: "", chosen: "", hidden: new Set() };
 const undone = new Map(); // of each scene: the states that undo went back from, the last one last
 let looked = { scene: "", camera: null }; // where a scene was looked at last: its other states are seen from there
+const ACTIONS = {
+  add: "taking hold of it",
+  remove: "removing it",
+  recolor: "painting it",
+  rename: "another name",
+  move: "moving it",
+  turn: "turning it",
+  scale: "resizing it",
+  copy: "copying it",
+};
 const OF_PAGE = ["f", "h", "i", "l", "m", "n", "o", "v", "x", "/", "?"]; // keys that 3D leaves to the page
 const BRUSH = 0.03; // radius, of the photo's longer side
 
@@ -74,8 +87,18 @@ export function scenePage(page, scene, at, beside) {
     tools,
     el("div", { class: "saying" }, understood, bar),
   );
-  const drawer = el("aside", { class: "drawer", "aria-label": "history", hidden: true });
+  const drawer = el("aside", { class: "drawer", hidden: true });
+  if (kept.scene !== scene) kept = { scene, drawer: "", chosen: "", hidden: new Set() };
   const files = button("download", "take it along", () => openFiles(), { key: "D" });
+  const objectsButton = button("things", "things", () => toggleDrawer("objects"), {
+    key: "O",
+    "aria-expanded": "false",
+    hidden: true,
+  });
+  const historyButton = button("history", "history", () => toggleDrawer("history"), {
+    key: "H",
+    "aria-expanded": "false",
+  });
   const compareButton = button("compare", "before and after", () => compare(!comparing), {
     key: "C",
   });
@@ -94,7 +117,8 @@ export function scenePage(page, scene, at, beside) {
     compareButton,
     files,
     button("photos", "photos", () => toggleStrip(), { key: "V", "aria-expanded": "true" }),
-    button("history", "history", () => toggleHistory(), { key: "H", "aria-expanded": "false" }),
+    objectsButton,
+    historyButton,
     button("settings", "settings", () => openSettings(), { key: "S" }),
     button("full", "full screen", fullScreen, { key: "F", class: "icon wide-only" }),
     button("help", "keys, and light or dark", () => showKeys(changeTheme), {
@@ -300,6 +324,7 @@ export function scenePage(page, scene, at, beside) {
           : "Click the thing on the photo, or name it in your sentence.";
   function drawChip() {
     const has = s.draft.selects;
+    chip.hidden = s.byHand;
     const by = has ? "marked" : look && look.selected ? "named" : "";
     chip.replaceChildren(
       ...(by
@@ -384,6 +409,7 @@ export function scenePage(page, scene, at, beside) {
 
   // ---- tools ----
   function take(name) {
+    if (s.byHand) return;
     // points on photos and in 3D; for the others the photos come first
     tool = name;
     if (name !== "point") view = "photo";
@@ -416,6 +442,11 @@ export function scenePage(page, scene, at, beside) {
       document.activeElement && tools.contains(document.activeElement)
         ? [...tools.children].indexOf(document.activeElement)
         : -1;
+    const back = [
+      able("undo", "Undo", "undo", undo, "Ctrl-Z", canUndo(), "there is nothing to take back"),
+      able("redo", "Redo", "redo", redo, "Ctrl-Y", canRedo(), "nothing was taken back"),
+    ];
+    if (s.byHand) return tools.replaceChildren(...back);
     tools.replaceChildren(
       ...Object.entries(TOOLS).map(([name, [label, key]]) =>
         pressed(
@@ -446,8 +477,7 @@ export function scenePage(page, scene, at, beside) {
         "X",
       ),
       el("span", { class: "gap" }),
-      able("undo", "Undo", "undo", undo, "Ctrl-Z", canUndo(), "there is nothing to take back"),
-      able("redo", "Redo", "redo", redo, "Ctrl-Y", canRedo(), "nothing was taken back"),
+      ...back,
       el("span", { class: "gap" }),
       able("minus", "Smaller", "something smaller", () => larger(-1), "-", selected, nothing),
       able("plus", "Larger", "something larger", () => larger(1), "+", selected, nothing),
@@ -510,11 +540,13 @@ export function scenePage(page, scene, at, beside) {
   function drawStrip() {
     strip.replaceChildren(
       ...s.photos.map((name, index) => {
-        const source = s.job
-          ? s.preview.includes(name)
-            ? path("image", state(), "preview", name)
-            : path("thumbnail", scene, name)
-          : path(s.isRun ? "photo" : "thumbnail", state(), name);
+        const source = s.byHand
+          ? path("image", state(), "renders", name)
+          : s.job
+            ? s.preview.includes(name)
+              ? path("image", state(), "preview", name)
+              : path("thumbnail", scene, name)
+            : path(s.isRun ? "photo" : "thumbnail", state(), name);
         const thumb = el(
           "button",
           {
@@ -581,9 +613,10 @@ export function scenePage(page, scene, at, beside) {
         );
     }
     stage.classList.toggle("two", kind === "3d" && Boolean(beside));
-    views.hidden = !s.isRun;
+    views.hidden = !s.isRun || s.byHand;
     compareButton.hidden = kind !== "3d";
     files.hidden = !s.isRun;
+    objectsButton.hidden = !s.isRun;
     dock.inert = Boolean(s.job); // it keeps its place, so that nothing shifts
     if (kind !== "3d" && s.photos.length) {
       const name = current();
@@ -635,8 +668,10 @@ export function scenePage(page, scene, at, beside) {
       title: `the scene in 3D: ${run}`,
       onload: () => {
         post({
-          compare: comparing && !beside,
-          pointing: true,
+          compare: comparing && !beside && kept.drawer !== "objects",
+          pointing: kept.drawer !== "objects",
+          chosen: kept.drawer === "objects" ? kept.chosen : "",
+          hidden: [...kept.hidden],
           ...(looked.scene === scene ? { camera: looked.camera } : {}),
         });
         post({ selected: [...tints.values()] });
@@ -672,6 +707,8 @@ export function scenePage(page, scene, at, beside) {
         if (beside) post({ camera: message.camera }, event.source);
       }
       if (message.pointed !== undefined) pointed(message);
+      if (message.object) shape(message.object.action, message.object.name, message.object);
+      if (typeof message.chosen === "string" && kept.drawer === "objects") choose3d(message.chosen);
       if (message.turn !== undefined)
         frame.replaceWith(
           Object.assign(viewer(state()), {
@@ -778,12 +815,81 @@ export function scenePage(page, scene, at, beside) {
     const open = document.body.classList.toggle("no-strip");
     top.querySelector('[aria-label="photos"]').setAttribute("aria-expanded", String(!open));
   }
-  function toggleHistory(open = drawer.hidden) {
-    drawer.hidden = !open;
-    top.querySelector('[aria-label="history"]').setAttribute("aria-expanded", String(open));
-    if (open) {
-      showHistory(drawer, s, () => toggleHistory(false));
-      drawer.querySelector("button, a").focus();
+  function toggleDrawer(kind, open = kept.drawer !== kind) {
+    kept.drawer = open ? kind : "";
+    drawDrawer();
+    post({ pointing: kept.drawer !== "objects" });
+    post({ compare: comparing && !beside && kept.drawer !== "objects" });
+    if (open) drawer.querySelector("button, a").focus();
+  }
+  function drawDrawer() {
+    if (kept.drawer === "objects" && !s.isRun) kept.drawer = "";
+    const kind = kept.drawer,
+      close = () => toggleDrawer(kind, false);
+    drawer.hidden = !kind;
+    drawer.dataset.kind = kind;
+    drawer.setAttribute("aria-label", kind === "objects" ? "things" : "history");
+    historyButton.setAttribute("aria-expanded", String(kind === "history"));
+    objectsButton.setAttribute("aria-expanded", String(kind === "objects"));
+    if (kind === "history") showHistory(drawer, s, close);
+    if (kind !== "objects") return;
+    if (!s.objects.includes(kept.chosen)) kept.chosen = "";
+    const acts = {
+      chosen: kept.chosen,
+      hidden: kept.hidden,
+      busy: shaping,
+      ask: shape,
+      choose: (name) => {
+        kept.chosen = name;
+        post({ chosen: name });
+        drawDrawer();
+      },
+      hide: (name) => {
+        if (!kept.hidden.delete(name)) kept.hidden.add(name);
+        post({ hidden: [...kept.hidden] });
+        drawDrawer();
+      },
+    };
+    showObjects(drawer, s, acts, close);
+  }
+  function choose3d(name) {
+    if (name === kept.chosen) return;
+    kept.chosen = name;
+    drawDrawer();
+  }
+
+  // ---- things: an action is a state of its own, so that it can be undone ----
+  let shaping = false;
+  async function shape(action, name, { numbers = [], text = "" } = {}) {
+    if (shaping) return;
+    shaping = true;
+    if (kept.drawer) drawDrawer();
+    busy(action === "find" ? "Looking for things" : `${name}: ${ACTIONS[action] || action}`);
+    const asked = { at, action, name, numbers, text };
+    const job = await attempt(async () => {
+      const made = await tell(["object", scene], asked);
+      await finished(made);
+      return made;
+    });
+    shaping = false;
+    busy("");
+    if (stop.signal.aborted) return;
+    if (!job) {
+      for (const frame of frames()) frame.replaceWith(viewer(state())); // as it was
+      if (kept.drawer) drawDrawer();
+      return;
+    }
+    undone.delete(scene);
+    if (action === "copy" || action === "rename") kept.chosen = text;
+    if (action === "add") kept.chosen = name;
+    go(sceneAddress(scene, job));
+  }
+  async function finished(job) {
+    while (!stop.signal.aborted) {
+      const found = await ask("scene", scene, { at: job });
+      if (found.isRun) return;
+      if (!found.job.active) throw new Error(found.job.sentence);
+      await new Promise((done) => setTimeout(done, 300));
     }
   }
   const openSettings = () =>
@@ -826,14 +932,15 @@ export function scenePage(page, scene, at, beside) {
       i: () => change("step", ["invert", 0]),
       w: () => look && look.readings.length > 1 && askWhich("Which one?"),
       c: () => compare(!comparing),
-      h: () => toggleHistory(),
+      h: () => toggleDrawer("history"),
+      o: () => s.isRun && toggleDrawer("objects"),
       d: openFiles,
       s: openSettings,
       v: toggleStrip,
       f: fullScreen,
       "?": () => showKeys(changeTheme),
       "/": () => said.focus(),
-      m: () => s.isRun && ((view = view === "3d" ? "photo" : "3d"), drawStage()),
+      m: () => s.isRun && !s.byHand && ((view = view === "3d" ? "photo" : "3d"), drawStage()),
     };
     if (acts[key]) acts[key]();
     else if (Number(key) && s.photos[key - 1]) showPhoto(key - 1);
@@ -845,7 +952,7 @@ export function scenePage(page, scene, at, beside) {
     (event) => {
       if (!s || document.querySelector("dialog[open]")) return;
       if (event.key === "Escape") {
-        if (!drawer.hidden) toggleHistory(false);
+        if (kept.drawer) toggleDrawer(kept.drawer, false);
         else if (document.body.classList.contains("only-scene")) fullScreen();
         question.hidden = true;
         return;
@@ -895,11 +1002,10 @@ export function scenePage(page, scene, at, beside) {
         drawStage();
       } else if (last.isRun !== s.isRun) drawStage();
       drawPill();
-      if (!drawer.hidden && JSON.stringify(last && last.history) !== JSON.stringify(s.history))
-        showHistory(drawer, s, () => toggleHistory(false));
+      if (first || JSON.stringify(last.history) !== JSON.stringify(s.history)) drawDrawer();
       if (first || last.draft.version !== s.draft.version) {
         took(s.draft);
-        if (!s.job) answer();
+        if (!s.job && !s.byHand) answer();
       }
       if (last && last.job && s.isRun) said.value = s.draft.form.prompt || "";
     } catch (error) {
@@ -928,6 +1034,11 @@ export function scenePage(page, scene, at, beside) {
     view = s.isRun ? "3d" : "photo";
     said.value = s.draft.form.prompt || "";
     if (s.isRun) said.placeholder = "And what next? Such as: make it blue";
+    if (s.byHand) {
+      // a sentence edits photos, and none shows what was changed by hand
+      said.placeholder = "Changed by hand: say more in a state before it, or go on with Things";
+      said.disabled = goButton.disabled = true;
+    }
     drawTools();
     drawChip();
   }
