@@ -24,6 +24,8 @@ from edit3r_app.jobs import JobsFolder
 
 MAX_MARKS = 200
 MAX_PLACES = 4000  # of all strokes of the brush on a scene
+SELECTS = {"add", "stroke", "box", "exact", "paint", "lasso"}
+"""Marks that say what is meant, and not only what is not."""
 
 Share = Annotated[float, Field(ge=0, le=1)]
 
@@ -32,9 +34,12 @@ Share = Annotated[float, Field(ge=0, le=1)]
 class Mark:
     """One step of selecting; places are x and y in [0, 1] of a photo."""
 
-    kind: Literal["add", "remove", "stroke", "box", "exact", "paint", "erase"]
+    kind: Literal[
+        "add", "remove", "stroke", "box", "exact", "paint", "erase", "lasso", "carve"
+    ]
     photo: str  # its name
-    # one; or two corners of a box, which is sought in or taken exactly; or those along a stroke
+    # one; or two corners of a box, which is sought in or taken exactly; or those along a stroke, or
+    # around what a lasso takes or carves away
     places: Annotated[list[tuple[Share, Share]], Field(min_length=1)]
     radius: Annotated[float, Field(ge=0, le=0.5)] = (
         0.0  # of the brush, of the longer side
@@ -61,14 +66,14 @@ class Draft:
     guess: bool = False  # take what stands out most where words are not known
     # what was typed: the sentence, names of components, settings
     form: dict[str, Any] = field(default_factory=dict)
-    # of a set of photos: marks by the name that the user gave them
+    # of a set of photos, for all edits of it: marks by the name that the user gave them
     named: dict[str, list[Mark | Step]] = field(default_factory=dict)
 
     @property
     def selects(self) -> bool:
         """Whether it says what is meant, and not only what is not."""
         kinds = {mark.kind for mark in self.marks}
-        return bool(self.words or kinds & {"add", "stroke", "box", "exact", "paint"})
+        return bool(self.words or kinds & SELECTS)
 
     @property
     def outline(self) -> dict[str, Any]:
@@ -122,8 +127,10 @@ class Draft:
             negative=tuple((view, *mark.places[0]) for view, mark in of("remove")),
             boxes={view: _box(mark) for view, mark in of("box")},
             strokes=tuple((view, tuple(mark.places)) for view, mark in of("stroke")),
-            added=_painted([*of("paint"), *of("exact")], views.image_size),
-            removed=_painted(of("erase"), views.image_size),
+            added=_painted(
+                [*of("paint"), *of("exact"), *of("lasso")], views.image_size
+            ),
+            removed=_painted([*of("erase"), *of("carve")], views.image_size),
             words=thing.name,
             which=thing.which,
             guess=self.guess,
@@ -169,13 +176,16 @@ def _box(mark: Mark) -> Box:
 def _painted(
     strokes: Iterable[tuple[int, Mark]], size: tuple[int, int]
 ) -> dict[int, Float[Tensor, "height width"]]:
-    """What strokes of the brush and exact boxes cover, as masks of 0 and 1 by view."""
+    """What strokes of the brush, exact boxes and lassos cover, as masks of 0 and 1 by view."""
     height, width = size
     masks: dict[int, np.ndarray] = {}
     for view, stroke in strokes:
         mask = masks.setdefault(view, np.zeros(size, np.float32))
         places = np.rint(np.multiply(stroke.places, (width, height)))
         places = places.astype(np.int32)
+        if stroke.kind in ("lasso", "carve"):
+            cv2.fillPoly(mask, [places], 1)
+            continue
         if stroke.kind == "exact":
             cv2.rectangle(mask, places[0].tolist(), places[-1].tolist(), 1, cv2.FILLED)
             continue

@@ -21,8 +21,7 @@ MAX_TYPED = 2000  # characters of one setting
 EXPLAINED = {
     "light": (
         "Light of the photos",
-        "one: photos of other brightness or tint are brought to the light of the first. own: each "
-        "is taken as it is.",
+        "Photos of other brightness or tint are brought to the light of the first.",
         "",
     ),
     "gaussians": (
@@ -90,6 +89,11 @@ COSTS = {
     "best": "finer depth and more polishing; takes longer",
 }
 """Of the presets; the others differ in the photos' size, which is the app's own."""
+CHOICES = {
+    ("light", "one"): "alike, as in the first",
+    ("light", "own"): "each as it is",
+}
+"""What a setting may be, in words, where its own name is none."""
 LARGEST_SLIDER = 1000  # steps: what has more is typed
 
 
@@ -102,7 +106,7 @@ def settings_form(draft: Draft, registry: Registry) -> list[dict[str, Any]]:
         chosen = form.get(kind) if form.get(kind) in names else ""
         options = [_option("", "automatic", "the one that can do what you ask for")]
         options += [_option(name, name, told) for name, told in names.items()]
-        fields = [_select(kind, "Chosen", options, chosen)]
+        fields = [_select(kind, kind.capitalize(), options, chosen)]
         groups.append(_group(title, "", fields))
         if chosen:
             typed = _texts(form, f"{kind} {chosen}")
@@ -168,7 +172,10 @@ def _field(line: SettingLine, typed: dict[str, Any]) -> dict[str, Any]:
     if kind == "true or false":
         return {**made, "kind": "switch"}
     if " | " in kind and " or " not in kind:
-        options = [_option(name, name.replace("_", " ")) for name in kind.split(" | ")]
+        options = [
+            _option(name, CHOICES.get((line.name, name), name.replace("_", " ")))
+            for name in kind.split(" | ")
+        ]
         return {**made, "kind": "select", "options": options}
     if kind not in ("int", "float"):
         return {**made, "kind": "text"}

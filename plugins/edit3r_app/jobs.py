@@ -49,6 +49,8 @@ class AppJob:
     parent: str = ""  # the run whose scene is edited again; "": from the photos
     # of the run, as a configuration file holds them
     settings: dict[str, Any] = field(default_factory=dict)
+    # what `edit3r objects` is asked for instead of an edit: an action, a name, values
+    object: tuple[str, ...] = ()
     masks: int = 0  # how many mask files there are, one for each photo; 0: none
     size: int = 512  # of the photos [pixels]
     state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"

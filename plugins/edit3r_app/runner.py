@@ -40,17 +40,22 @@ INTERRUPTED = "the run ended without saying why; start it again."
 def command_of(folder: JobsFolder, job: AppJob) -> list[str]:
     """The arguments of `edit3r` that carry out a job; its settings are written beside it first."""
     beside = folder.beside(job.name)
+    masks = [str(beside / f"{index:03}.png") for index in range(job.masks)]
+    out = ["--out", str(folder.root / job.name)]
+    if job.object:
+        marked = ["--mask", *masks] if masks else []
+        run = str(folder.path(job.parent))
+        return ["objects", "--quiet", *out, *marked, "--", run, *job.object]
     settings = beside / "settings.yaml"
     content = yaml.safe_dump({"size": job.size, **job.settings}, allow_unicode=True)
     settings.write_text(content, encoding="utf-8")
     command = ["run", "--config", str(settings), "--progress", "json"]
-    command += ["--out", str(folder.root / job.name)]
+    command += out
     if job.parent:
         command += ["--from", str(folder.path(job.parent))]
     else:
         command += [str(photo) for photo in folder.photos(job.scene).values()]
     if job.masks:
-        masks = [str(beside / f"{index:03}.png") for index in range(job.masks)]
         command += ["--mask", *masks]
     return command
 

@@ -135,6 +135,7 @@ class Answers:
                 "state",
             ),
             post("/api/go/{scene}", self.go, "scene"),
+            post("/api/object/{scene}", self.act, "scene"),
             post(
                 "/api/cancel/{run}", lambda run, asked: studio.runner.cancel(run), "run"
             ),
@@ -168,6 +169,10 @@ class Answers:
             scene, str(asked.get("at", "")), str(asked.get("say", ""))
         )
 
+    def act(self, scene: str, asked: dict[str, Any]) -> str:
+        at = str(asked.pop("at", ""))
+        return self.studio.act(scene, at, asked)
+
     def take_out(self, scene: str, asked: dict[str, Any]) -> None:
         self.studio.take_out(scene, str(asked.get("photo", "")))
 
@@ -186,7 +191,7 @@ class Answers:
         size = int(length) if length else None
         is_new = scene == "-"
         if is_new:
-            scene = self.folder.new_scene(wanted or Path(name).stem)
+            scene = self.folder.new_scene(wanted or uploads.title_of(name))
         self.folder.path(scene)
         try:
             await uploads.receive(self.folder, scene, name, size, request.stream())

@@ -4,7 +4,7 @@ import re
 import threading
 import zlib
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from edit3r_app.draft import MARK, STEP, Draft, read_draft, write_draft
 from edit3r_app.forms import run_settings, set_by_hand, settings_form
 from edit3r_app.jobs import PREVIEW, AppJob, JobsFolder, manifest_of, tree
 from edit3r_app.looking import BeingRead, DraftAnswer, Looker
+from edit3r_app.objects import MARKED, objects_of, read_action
 from edit3r_app.progress import read_progress, time_left
 from edit3r_app.runner import Runner
 
@@ -60,12 +61,19 @@ class Studio:
         waits = state != scene and not is_run
         draft = read_draft(folder, state)
         photos = list(folder.photos(scene if waits else state))
+        # An object's edit leaves no photos that show its scene.
+        by_hand = is_run and not photos
+        if by_hand:
+            photos = list(folder.images(state, "renders"))
         history = folder.history(scene)
-        reading = BeingRead() if waits else self.looker.begin(state)
+        at_rest = waits or by_hand
+        reading = BeingRead(by_hand, by_hand) if at_rest else self.looker.begin(state)
         return {
             "scene": scene,
             "state": state,
             "isRun": is_run,
+            "byHand": by_hand,
+            "objects": objects_of(folder, state),
             "photos": photos,
             "fixed": bool(history) or folder.is_run(scene),
             "fromRun": folder.is_run(scene),
@@ -84,7 +92,8 @@ class Studio:
 
     def _told(self, job: AppJob, depth: int) -> dict[str, Any]:
         """One edit of the history."""
-        shown = list(self.folder.photos(job.name)) if job.state == "done" else []
+        is_done = job.state == "done"
+        shown = list(self.folder.images(job.name, "renders")) if is_done else []
         return {
             "name": job.name,
             "parent": job.parent,
@@ -94,14 +103,16 @@ class Studio:
             "sentence": in_app(job.sentence),
             "photo": shown[0] if shown else "",
             "set": set_by_hand(job.settings),
-            "verdicts": list(verdicts(self.folder, job.name)),
+            # of an object's edit there is none: those of the run before are kept with it
+            "verdicts": [] if job.object else list(verdicts(self.folder, job.name)),
         }
 
     def _work(self, name: str) -> dict[str, Any]:
         """How far an edit is that waits, is being made, or failed."""
         job = self.folder.job(name)
         progress = read_progress(self.folder.log(name))
-        left = time_left(self.folder, job, progress) if job.state == "running" else None
+        timed = job.state == "running" and not job.object
+        left = time_left(self.folder, job, progress) if timed else None
         return {
             "state": job.state,
             "prompt": job.prompt,
@@ -130,7 +141,7 @@ class Studio:
             "outline": draft.outline,
             "selects": draft.selects,
             "version": version,
-            "named": sorted(read_draft(self.folder, state).named),
+            "named": sorted(read_draft(self.folder, self._home(state)).named),
         }
 
     def change(self, state: str, asked: dict[str, Any]) -> dict[str, Any]:
@@ -139,11 +150,19 @@ class Studio:
         Raises InputError for what is no change.
         """
         self._is_state(state)
+        do, home = str(asked.get("do")), self._home(state)
         with _CHANGING:
-            draft = read_draft(self.folder, state)
-            _change(draft, str(asked.get("do")), asked.get("value"))
+            draft, kept = (read_draft(self.folder, one) for one in (state, home))
+            draft.named = kept.named
+            _change(draft, do, asked.get("value"))
+            if do in _NAMING:
+                write_draft(self.folder, home, replace(kept, named=draft.named))
             write_draft(self.folder, state, draft)
         return self._drawn(draft, state)
+
+    def _home(self, state: str) -> str:
+        """The set of photos of a state, where its named selections are."""
+        return self.folder.job(state).scene if self.folder.is_run(state) else state
 
     def step(self, state: str, value: int) -> dict[str, Any]:
         """Take the next larger or smaller reading; one that shows nothing new is taken back."""
@@ -205,6 +224,25 @@ class Studio:
             size=self.looker.size,
         )
         return self._queued(job, look)
+
+    def act(self, scene: str, at: str, asked: dict[str, Any]) -> str:
+        """Put an action on an object into the queue; returns the name of its run."""
+        state, action = self._state(scene, at), read_action(asked)
+        if not self.folder.is_run(state):
+            raise InputError("there is no scene yet: make an edit first, then take it.")
+        masks = None
+        if action.action == MARKED:
+            masks = self.looker.look(state, read_draft(self.folder, state)).marked
+            if masks is None:
+                raise InputError("point at the thing first, then give it a name.")
+        job = AppJob(
+            name="",
+            scene=scene,
+            parent=state,
+            settings={"prompt": action.in_words},
+            object=action.call,
+        )
+        return self.folder.new_job(job, () if masks is None else masks).name
 
     def _queued(self, job: AppJob, look: DraftAnswer) -> str:
         known = None if job.parent else self.looker.keep_answers(job.scene)
@@ -277,6 +315,11 @@ def _recall(draft: Draft, name: Any) -> None:
     draft.marks, draft.undone, draft.words = list(draft.named[name]), [], ""
 
 
+def _drop(draft: Draft, name: Any) -> None:
+    del draft.named[name]
+
+
+_NAMING = ("keep", "drop")  # change what is kept by name
 _WAYS = {
     "select": _select,
     "say": _say,
@@ -284,6 +327,7 @@ _WAYS = {
     "set": _set,
     "keep": _keep,
     "recall": _recall,
+    "drop": _drop,
 }
 
 

@@ -26,6 +26,10 @@ DRAFT = ".upload-"  # how names of files begin that are still being received
 MAX_PHOTOS = 60  # of one set: more take hours on the machine of one person
 MAX_BYTES = 100 * 1024**2  # of one photo
 
+UNNAMED = re.compile(
+    r"(dsc[fn]?|frame|gopr|image|img|mvimg|photo|pxl|wp)?[\W\d_]*", re.I
+)
+"""Names that cameras give; they say nothing of what a photo shows."""
 _KEEPING = threading.Lock()
 """Several uploads come at once: a free name is found and taken under this lock."""
 
@@ -51,6 +55,12 @@ def refuse_unwanted(
         raise InputError(
             f"{label}: at most {MAX_PHOTOS} photos are taken; leave some out."
         )
+
+
+def title_of(photo: str) -> str:
+    """What a set of photos is called by its first one."""
+    stem = Path(_label(photo)).stem
+    return "scene" if UNNAMED.fullmatch(stem) else stem
 
 
 async def receive(

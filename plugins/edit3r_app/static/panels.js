@@ -231,23 +231,71 @@ export function showFiles(files, run) {
   );
 }
 
+// ---- selections kept by a name ----
+
+// `change(kind, name)` keeps, recalls or drops one and returns the names.
+export function showNames(names, has, change) {
+  const list = el("ul", { class: "names" }),
+    field = el("input", {
+      type: "text",
+      "aria-label": "name of what is marked",
+      placeholder: "Name of what is marked, such as: door",
+      maxlength: "60",
+      disabled: !has,
+    });
+  const draw = (found) =>
+    list.replaceChildren(
+      ...found.map((name) =>
+        el(
+          "li",
+          {},
+          el("button", { type: "button", onclick: () => take(name) }, name),
+          button("clear", `forget ${name}`, async () => draw(await change("drop", name))),
+        ),
+      ),
+    );
+  const keep = async (event) => {
+    event.preventDefault();
+    if (!field.value.trim()) return field.focus();
+    draw(await change("keep", field.value.trim()));
+    field.value = "";
+  };
+  const shown = dialog(
+    "Selections",
+    el("p", {}, "Kept with the photos, for every edit of them. Press one to select it again."),
+    list,
+    el(
+      "form",
+      { class: "row", onsubmit: keep },
+      field,
+      el("button", { type: "submit", class: "primary", disabled: !has }, "Keep"),
+    ),
+  );
+  const take = async (name) => {
+    shown.close();
+    await change("recall", name);
+  };
+  draw(names);
+}
+
 // ---- keys ----
 
 const KEYS = [
-  ["P · B · R", "point · box · brush"],
+  ["P · B · R · L", "point · box · brush · lasso"],
   ["X, or hold Shift", "take away instead of adding"],
   ["E", "exactly the box that is drawn"],
   ["+ · - · wheel", "something larger · smaller"],
   ["W", "what else may be meant"],
   ["I", "all but what is selected"],
-  ["Ctrl-Z · Ctrl-Y", "undo · redo"],
+  ["N", "selections kept by a name"],
+  ["Ctrl-Z · Ctrl-Shift-Z", "undo · redo, of marks and edits"],
   ["1 to 9", "photo, or fly to where it was taken"],
   ["arrow keys, Enter", "on the photo: move a cross, point at it"],
   ["/ · Enter", "to the sentence · Go"],
   ["M", "photos or 3D"],
   ["C · B in 3D", "handle between before and after · switch"],
   ["arrows, W A S D in 3D", "turn and fly"],
-  ["V · H · D · S", "photos · history · downloads · settings"],
+  ["V · O · H · D · S", "photos · things · history · downloads · settings"],
   ["F · Esc", "the scene alone · back"],
 ];
 export function showKeys(changeTheme) {

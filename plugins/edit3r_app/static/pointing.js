@@ -9,7 +9,7 @@ const node = (tag, values) => {
   return made;
 };
 
-// `tool()` says how is marked now: {kind: point | box | brush, minus, exact, radius}; `done(mark)` takes what was made,
+// `tool()` says how is marked now: {kind: point | box | brush | lasso, minus, exact, radius}; `done(mark)` takes what was made,
 // and `rests(mark)` hears where a mouse rests, null where it left.
 export function pointing(box, tool, done, rests) {
   const drawing = node("svg", { class: "marks", "aria-hidden": "true" });
@@ -36,6 +36,7 @@ export function pointing(box, tool, done, rests) {
     if (kind === "brush")
       return { kind: minus ? "erase" : "paint", places: [...places, places.at(-1)], radius };
     const long = places.some((one) => far(one, places[0]) > MOVED);
+    if (kind === "lasso" && long) return { kind: minus ? "carve" : "lasso", places };
     if (long && minus) return { kind: "erase", places, radius: 0.015 };
     return long
       ? { kind: "stroke", places }
@@ -127,7 +128,11 @@ export function pointing(box, tool, done, rests) {
         drawing.append(rectangle(...points[0], ...points.at(-1)));
       else if (points.length > 1)
         drawing.append(
-          node("polyline", { points: points.join(" "), "stroke-width": width2, class: mark.kind }),
+          node(mark.kind === "lasso" || mark.kind === "carve" ? "polygon" : "polyline", {
+            points: points.join(" "),
+            "stroke-width": width2,
+            class: mark.kind,
+          }),
         );
       else
         drawing.append(

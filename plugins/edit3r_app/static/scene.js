@@ -3,7 +3,8 @@ import { go, sceneAddress } from "./app.js";
 import { ask, path, tell } from "./api.js";
 import { button, el, icon, seconds, toast } from "./dom.js";
 import { changeTheme } from "./home.js";
-import { showFiles, showHistory, showKeys, showSettings } from "./panels.js";
+import { showFiles, showHistory, showKeys, showNames, showSettings } from "./panels.js";
+import { showObjects } from "./objects.js";
 import { pointing } from "./pointing.js";
 import { choose, dropAnywhere, send } from "./upload.js";
 
@@ -11,7 +12,23 @@ const TOOLS = {
   point: ["Point: click the thing, or draw a line over it", "P"],
   box: ["Box: draw it around the thing", "B"],
   brush: ["Brush: takes exactly what it covers", "R"],
+  lasso: ["Lasso: takes exactly what you draw around", "L"],
 };
+// Of the scene that was open last: the drawer and the chosen thing stay as they are with its next state.
+let kept = { scene: "", drawer: "", chosen: "", hidden: new Set() };
+const undone = new Map(); // of each scene: the states that undo went back from, the last one last
+let looked = { scene: "", camera: null }; // where a scene was looked at last: its other states are seen from there
+const ACTIONS = {
+  add: "taking hold of it",
+  remove: "removing it",
+  recolor: "painting it",
+  rename: "another name",
+  move: "moving it",
+  turn: "turning it",
+  scale: "resizing it",
+  copy: "copying it",
+};
+const OF_PAGE = ["f", "h", "i", "l", "m", "n", "o", "v", "x", "/", "?"]; // keys that 3D leaves to the page
 const BRUSH = 0.03; // radius, of the photo's longer side
 
 export function scenePage(page, scene, at, beside) {
@@ -70,8 +87,18 @@ export function scenePage(page, scene, at, beside) {
     tools,
     el("div", { class: "saying" }, understood, bar),
   );
-  const drawer = el("aside", { class: "drawer", "aria-label": "history", hidden: true });
+  const drawer = el("aside", { class: "drawer", hidden: true });
+  if (kept.scene !== scene) kept = { scene, drawer: "", chosen: "", hidden: new Set() };
   const files = button("download", "take it along", () => openFiles(), { key: "D" });
+  const objectsButton = button("things", "things", () => toggleDrawer("objects"), {
+    key: "O",
+    "aria-expanded": "false",
+    hidden: true,
+  });
+  const historyButton = button("history", "history", () => toggleDrawer("history"), {
+    key: "H",
+    "aria-expanded": "false",
+  });
   const compareButton = button("compare", "before and after", () => compare(!comparing), {
     key: "C",
   });
@@ -90,7 +117,8 @@ export function scenePage(page, scene, at, beside) {
     compareButton,
     files,
     button("photos", "photos", () => toggleStrip(), { key: "V", "aria-expanded": "true" }),
-    button("history", "history", () => toggleHistory(), { key: "H", "aria-expanded": "false" }),
+    objectsButton,
+    historyButton,
     button("settings", "settings", () => openSettings(), { key: "S" }),
     button("full", "full screen", fullScreen, { key: "F", class: "icon wide-only" }),
     button("help", "keys, and light or dark", () => showKeys(changeTheme), {
@@ -152,13 +180,12 @@ export function scenePage(page, scene, at, beside) {
     hover.src = address;
     hover.hidden = false;
   }
-  async function made(mark) {
+  async function made(mark, name = current()) {
     hovered++;
-    const name = current();
     pressed = performance.now();
     busy(s.reading.photos ? "Looking for what you mean" : "Reading the photos first");
     const before = s.draft.marks.concat({ ...mark, photo: name });
-    marks.show(before.filter((one) => one.photo === name));
+    marks.show(before.filter((one) => one.photo === current()));
     const draft = await attempt(() =>
       tell(["draft", state()], { do: "mark", value: { ...mark, photo: name } }),
     );
@@ -178,11 +205,33 @@ export function scenePage(page, scene, at, beside) {
         image.src = address;
         image.hidden = false;
       }
-    if (name !== current()) return;
-    over.src = address;
-    over.hidden = view !== "photo";
+    if (view === "3d") tint(name, address);
+    if (name === current()) {
+      over.src = address;
+      over.hidden = view !== "photo";
+    } else if (view !== "3d") return;
     if (pressed) document.body.dataset.outlined = Math.round(performance.now() - pressed); // [ms], for those who measure
     pressed = 0;
+  }
+
+  // What is selected on the photos is tinted in 3D: the viewer hears which of their pixels it covers.
+  const tints = new Map();
+  async function tint(name, address) {
+    const image = new Image();
+    image.src = address;
+    await image.decode().catch(() => {});
+    const { naturalWidth: width, naturalHeight: height } = image;
+    if (width > 1) {
+      const canvas = new OffscreenCanvas(width, height),
+        ink = canvas.getContext("2d");
+      ink.drawImage(image, 0, 0);
+      const { data } = ink.getImageData(0, 0, width, height);
+      const inside = Uint8Array.from({ length: width * height }, (_, k) =>
+        Number(!data[4 * k + 3]),
+      );
+      tints.set(name, { name, width, height, inside });
+    } else tints.delete(name);
+    post({ selected: [...tints.values()] });
   }
 
   // ---- the draft: changed, then answered ----
@@ -271,10 +320,11 @@ export function scenePage(page, scene, at, beside) {
       : s.draft.selects
         ? "Now say what shall change."
         : view === "3d"
-          ? "Name the thing in your sentence, or point at it under Photos."
+          ? "Click the thing in the scene, or name it in your sentence."
           : "Click the thing on the photo, or name it in your sentence.";
   function drawChip() {
     const has = s.draft.selects;
+    chip.hidden = s.byHand;
     const by = has ? "marked" : look && look.selected ? "named" : "";
     chip.replaceChildren(
       ...(by
@@ -359,65 +409,81 @@ export function scenePage(page, scene, at, beside) {
 
   // ---- tools ----
   function take(name) {
-    // points on photos; in 3D the photos come first
+    if (s.byHand) return;
+    // points on photos and in 3D; for the others the photos come first
     tool = name;
-    view = "photo";
+    if (name !== "point") view = "photo";
     drawTools();
     drawStage();
   }
   function drawTools() {
-    const any = s.draft.marks.length || s.draft.words,
-      selected = s.draft.selects || (look && look.selected);
-    const pressed = (name, is, label, act, key, text = "") =>
-      button(name, label, act, { key, text, "aria-pressed": String(is) });
-    const able = (name, label, act, key, can, why) =>
-      button(name, can ? label : `${label}: ${why}`, () => (can ? act() : toast(why, true)), {
+    const selected = s.draft.selects || (look && look.selected);
+    const tool3 = (name, text, label, act, key, more = {}) =>
+      button(name, label, act, { key, text, class: "icon tool", ...more });
+    const pressed = (name, text, is, label, act, key) =>
+      tool3(name, text, label, act, key, { "aria-pressed": String(is) });
+    const able = (name, text, label, act, key, can, why) =>
+      tool3(
+        name,
+        text,
+        can ? label : `${label}: ${why}`,
+        () => (can ? act() : toast(why, true)),
         key,
-        "aria-disabled": String(!can),
-      });
+        {
+          "aria-disabled": String(!can),
+        },
+      );
+    const flip = (act) => () => {
+      act();
+      drawTools();
+    };
+    const nothing = "nothing is selected yet";
     const focused =
       document.activeElement && tools.contains(document.activeElement)
         ? [...tools.children].indexOf(document.activeElement)
         : -1;
+    const back = [
+      able("undo", "Undo", "undo", undo, "Ctrl-Z", canUndo(), "there is nothing to take back"),
+      able("redo", "Redo", "redo", redo, "Ctrl-Y", canRedo(), "nothing was taken back"),
+    ];
+    if (s.byHand) return tools.replaceChildren(...back);
     tools.replaceChildren(
       ...Object.entries(TOOLS).map(([name, [label, key]]) =>
-        pressed(name, view === "photo" && tool === name, label, () => take(name), key),
+        pressed(
+          name,
+          label.split(":")[0],
+          tool === name && (view === "photo" || name === "point"),
+          label,
+          () => take(name),
+          key,
+        ),
       ),
       tool === "box"
         ? pressed(
             "keep",
+            "Exactly",
             exact,
             "exactly this box, without looking for the thing in it",
-            () => {
-              exact = !exact;
-              drawTools();
-            },
+            flip(() => (exact = !exact)),
             "E",
           )
         : "",
       pressed(
         "away",
+        "Minus",
         minus,
         "take away instead of adding (or hold Shift)",
-        () => {
-          minus = !minus;
-          drawTools();
-        },
+        flip(() => (minus = !minus)),
         "X",
       ),
       el("span", { class: "gap" }),
-      able("undo", "undo", () => change("undo"), "Ctrl-Z", any, "there is nothing to take back"),
-      able(
-        "minus",
-        "something smaller",
-        () => larger(-1),
-        "-",
-        selected,
-        "nothing is selected yet",
-      ),
-      able("plus", "something larger", () => larger(1), "+", selected, "nothing is selected yet"),
+      ...back,
+      el("span", { class: "gap" }),
+      able("minus", "Smaller", "something smaller", () => larger(-1), "-", selected, nothing),
+      able("plus", "Larger", "something larger", () => larger(1), "+", selected, nothing),
       able(
         "which",
+        "Others",
         "what else may be meant",
         () => askWhich("Which one?"),
         "W",
@@ -426,36 +492,61 @@ export function scenePage(page, scene, at, beside) {
       ),
       able(
         "invert",
+        "Inverse",
         "all but this",
         () => change("step", ["invert", 0]),
         "I",
         selected,
-        "nothing is selected yet",
+        nothing,
       ),
-      el("span", { class: "gap" }),
       able(
-        "redo",
-        "redo",
-        () => change("redo"),
-        "Ctrl-Y",
-        s.draft.undone.length,
-        "nothing was taken back",
+        "keep",
+        "Names",
+        "keep what is marked by a name, or take it again",
+        openNames,
+        "N",
+        s.draft.marks.length || s.draft.named.length,
+        "mark something first",
       ),
     );
     if (focused >= 0) tools.children[focused]?.focus();
     box.dataset.tool = tool;
   }
 
+  // ---- undo and redo: of marks, and where there are none of edits ----
+  const marked = () => Boolean(s.draft.marks.length || s.draft.words);
+  const canUndo = () => marked() || (s.isRun && !(s.fromRun && state() === scene));
+  const canRedo = () => Boolean(s.draft.undone.length || undone.get(scene)?.length);
+  function undo() {
+    if (marked()) return change("undo");
+    if (!canUndo()) return;
+    const one = s.history.find(({ name }) => name === state());
+    undone.set(scene, [...(undone.get(scene) || []), state()]);
+    go(sceneAddress(scene, (one && one.parent) || ""));
+  }
+  function redo() {
+    if (s.draft.undone.length) return change("redo");
+    const states = undone.get(scene);
+    if (states?.length) go(sceneAddress(scene, states.pop()));
+  }
+  const openNames = () =>
+    showNames(s.draft.named, s.draft.marks.length > 0, async (kind, name) => {
+      await change(kind, name);
+      return s.draft.named;
+    });
+
   // ---- photos, scene, edit that is being made ----
   const thumbnails = () => `${s.state} ${s.photos} ${s.fixed} ${s.job ? s.preview : ""}`;
   function drawStrip() {
     strip.replaceChildren(
       ...s.photos.map((name, index) => {
-        const source = s.job
-          ? s.preview.includes(name)
-            ? path("image", state(), "preview", name)
-            : path("thumbnail", scene, name)
-          : path(s.isRun ? "photo" : "thumbnail", state(), name);
+        const source = s.byHand
+          ? path("image", state(), "renders", name)
+          : s.job
+            ? s.preview.includes(name)
+              ? path("image", state(), "preview", name)
+              : path("thumbnail", scene, name)
+            : path(s.isRun ? "photo" : "thumbnail", state(), name);
         const thumb = el(
           "button",
           {
@@ -522,9 +613,10 @@ export function scenePage(page, scene, at, beside) {
         );
     }
     stage.classList.toggle("two", kind === "3d" && Boolean(beside));
-    views.hidden = !s.isRun;
+    views.hidden = !s.isRun || s.byHand;
     compareButton.hidden = kind !== "3d";
     files.hidden = !s.isRun;
+    objectsButton.hidden = !s.isRun;
     dock.inert = Boolean(s.job); // it keeps its place, so that nothing shifts
     if (kind !== "3d" && s.photos.length) {
       const name = current();
@@ -574,8 +666,26 @@ export function scenePage(page, scene, at, beside) {
       src: `${path("viewer", run)}?embed`,
       sandbox: "allow-scripts allow-downloads",
       title: `the scene in 3D: ${run}`,
-      onload: () => post({ compare: comparing && !beside }),
+      onload: () => {
+        post({
+          compare: comparing && !beside && kept.drawer !== "objects",
+          pointing: kept.drawer !== "objects",
+          chosen: kept.drawer === "objects" ? kept.chosen : "",
+          hidden: [...kept.hidden],
+          ...(looked.scene === scene ? { camera: looked.camera } : {}),
+        });
+        post({ selected: [...tints.values()] });
+      },
     });
+  // A click on the scene is a mark on the photo that shows the place best.
+  function pointed({ pointed: hit, minus: away }) {
+    const known = hit && s.photos.includes(hit.name) && Array.isArray(hit.place);
+    if (!known) return toast("No photo shows this place; point at it under Photos.", true);
+    const kind = minus !== Boolean(away) ? "remove" : "add";
+    photo = s.photos.indexOf(hit.name);
+    markThumb();
+    made({ kind, places: [hit.place.map(Number)] }, hit.name);
+  }
   const frames = () => [...stage.querySelectorAll("iframe")];
   const post = (message, but = null) =>
     frames().forEach((one) => {
@@ -592,14 +702,21 @@ export function scenePage(page, scene, at, beside) {
       const frame = frames().find((one) => one.contentWindow === event.source),
         message = event.data && event.data.edit3r;
       if (!frame || !message) return;
-      if (message.camera && beside) post({ camera: message.camera }, event.source);
+      if (message.camera) {
+        looked = { scene, camera: message.camera };
+        if (beside) post({ camera: message.camera }, event.source);
+      }
+      if (message.pointed !== undefined) pointed(message);
+      if (message.object) shape(message.object.action, message.object.name, message.object);
+      if (typeof message.chosen === "string" && kept.drawer === "objects") choose3d(message.chosen);
       if (message.turn !== undefined)
         frame.replaceWith(
           Object.assign(viewer(state()), {
             src: `${path("viewer", state())}?embed#turn=${Number(message.turn)}`,
           }),
         );
-      if (["f", "h", "?"].includes(message.key)) shortcut(message.key);
+      if (OF_PAGE.includes(message.key)) shortcut(message.key);
+      if (message.undo !== undefined) message.undo ? undo() : redo();
     },
     on,
   );
@@ -657,11 +774,14 @@ export function scenePage(page, scene, at, beside) {
       pill.hidden = false;
       return;
     }
-    const slow = !reading.photos
-      ? "Reading the photos"
-      : !reading.geometry && s.photos.length > 1
-        ? `Finding depth · about ${seconds(reading.left)} left; you can go on`
-        : "";
+    const slow =
+      view === "3d"
+        ? ""
+        : !reading.photos
+          ? "Reading the photos"
+          : !reading.geometry && s.photos.length > 1
+            ? `Finding depth · about ${seconds(reading.left)} left; you can go on`
+            : "";
     const line = working || slow;
     pill.hidden = !line;
     if (pill.dataset.line !== line) {
@@ -695,12 +815,81 @@ export function scenePage(page, scene, at, beside) {
     const open = document.body.classList.toggle("no-strip");
     top.querySelector('[aria-label="photos"]').setAttribute("aria-expanded", String(!open));
   }
-  function toggleHistory(open = drawer.hidden) {
-    drawer.hidden = !open;
-    top.querySelector('[aria-label="history"]').setAttribute("aria-expanded", String(open));
-    if (open) {
-      showHistory(drawer, s, () => toggleHistory(false));
-      drawer.querySelector("button, a").focus();
+  function toggleDrawer(kind, open = kept.drawer !== kind) {
+    kept.drawer = open ? kind : "";
+    drawDrawer();
+    post({ pointing: kept.drawer !== "objects" });
+    post({ compare: comparing && !beside && kept.drawer !== "objects" });
+    if (open) drawer.querySelector("button, a").focus();
+  }
+  function drawDrawer() {
+    if (kept.drawer === "objects" && !s.isRun) kept.drawer = "";
+    const kind = kept.drawer,
+      close = () => toggleDrawer(kind, false);
+    drawer.hidden = !kind;
+    drawer.dataset.kind = kind;
+    drawer.setAttribute("aria-label", kind === "objects" ? "things" : "history");
+    historyButton.setAttribute("aria-expanded", String(kind === "history"));
+    objectsButton.setAttribute("aria-expanded", String(kind === "objects"));
+    if (kind === "history") showHistory(drawer, s, close);
+    if (kind !== "objects") return;
+    if (!s.objects.includes(kept.chosen)) kept.chosen = "";
+    const acts = {
+      chosen: kept.chosen,
+      hidden: kept.hidden,
+      busy: shaping,
+      ask: shape,
+      choose: (name) => {
+        kept.chosen = name;
+        post({ chosen: name });
+        drawDrawer();
+      },
+      hide: (name) => {
+        if (!kept.hidden.delete(name)) kept.hidden.add(name);
+        post({ hidden: [...kept.hidden] });
+        drawDrawer();
+      },
+    };
+    showObjects(drawer, s, acts, close);
+  }
+  function choose3d(name) {
+    if (name === kept.chosen) return;
+    kept.chosen = name;
+    drawDrawer();
+  }
+
+  // ---- things: an action is a state of its own, so that it can be undone ----
+  let shaping = false;
+  async function shape(action, name, { numbers = [], text = "" } = {}) {
+    if (shaping) return;
+    shaping = true;
+    if (kept.drawer) drawDrawer();
+    busy(action === "find" ? "Looking for things" : `${name}: ${ACTIONS[action] || action}`);
+    const asked = { at, action, name, numbers, text };
+    const job = await attempt(async () => {
+      const made = await tell(["object", scene], asked);
+      await finished(made);
+      return made;
+    });
+    shaping = false;
+    busy("");
+    if (stop.signal.aborted) return;
+    if (!job) {
+      for (const frame of frames()) frame.replaceWith(viewer(state())); // as it was
+      if (kept.drawer) drawDrawer();
+      return;
+    }
+    undone.delete(scene);
+    if (action === "copy" || action === "rename") kept.chosen = text;
+    if (action === "add") kept.chosen = name;
+    go(sceneAddress(scene, job));
+  }
+  async function finished(job) {
+    while (!stop.signal.aborted) {
+      const found = await ask("scene", scene, { at: job });
+      if (found.isRun) return;
+      if (!found.job.active) throw new Error(found.job.sentence);
+      await new Promise((done) => setTimeout(done, 300));
     }
   }
   const openSettings = () =>
@@ -727,6 +916,8 @@ export function scenePage(page, scene, at, beside) {
       p: () => take("point"),
       b: () => take("box"),
       r: () => take("brush"),
+      l: () => take("lasso"),
+      n: () => (s.draft.marks.length || s.draft.named.length) && openNames(),
       x: () => {
         minus = !minus;
         drawTools();
@@ -741,14 +932,15 @@ export function scenePage(page, scene, at, beside) {
       i: () => change("step", ["invert", 0]),
       w: () => look && look.readings.length > 1 && askWhich("Which one?"),
       c: () => compare(!comparing),
-      h: () => toggleHistory(),
+      h: () => toggleDrawer("history"),
+      o: () => s.isRun && toggleDrawer("objects"),
       d: openFiles,
       s: openSettings,
       v: toggleStrip,
       f: fullScreen,
       "?": () => showKeys(changeTheme),
       "/": () => said.focus(),
-      m: () => s.isRun && ((view = view === "3d" ? "photo" : "3d"), drawStage()),
+      m: () => s.isRun && !s.byHand && ((view = view === "3d" ? "photo" : "3d"), drawStage()),
     };
     if (acts[key]) acts[key]();
     else if (Number(key) && s.photos[key - 1]) showPhoto(key - 1);
@@ -760,7 +952,7 @@ export function scenePage(page, scene, at, beside) {
     (event) => {
       if (!s || document.querySelector("dialog[open]")) return;
       if (event.key === "Escape") {
-        if (!drawer.hidden) toggleHistory(false);
+        if (kept.drawer) toggleDrawer(kept.drawer, false);
         else if (document.body.classList.contains("only-scene")) fullScreen();
         question.hidden = true;
         return;
@@ -771,7 +963,7 @@ export function scenePage(page, scene, at, beside) {
       if (event.ctrlKey || event.metaKey) {
         if (key !== "z" && key !== "y") return;
         event.preventDefault();
-        return void change(key === "y" || event.shiftKey ? "redo" : "undo");
+        return void (key === "y" || event.shiftKey ? redo() : undo());
       }
       if (!event.altKey && shortcut(key)) event.preventDefault();
     },
@@ -810,11 +1002,10 @@ export function scenePage(page, scene, at, beside) {
         drawStage();
       } else if (last.isRun !== s.isRun) drawStage();
       drawPill();
-      if (!drawer.hidden && JSON.stringify(last && last.history) !== JSON.stringify(s.history))
-        showHistory(drawer, s, () => toggleHistory(false));
+      if (first || JSON.stringify(last.history) !== JSON.stringify(s.history)) drawDrawer();
       if (first || last.draft.version !== s.draft.version) {
         took(s.draft);
-        if (!s.job) answer();
+        if (!s.job && !s.byHand) answer();
       }
       if (last && last.job && s.isRun) said.value = s.draft.form.prompt || "";
     } catch (error) {
@@ -843,6 +1034,11 @@ export function scenePage(page, scene, at, beside) {
     view = s.isRun ? "3d" : "photo";
     said.value = s.draft.form.prompt || "";
     if (s.isRun) said.placeholder = "And what next? Such as: make it blue";
+    if (s.byHand) {
+      // a sentence edits photos, and none shows what was changed by hand
+      said.placeholder = "Changed by hand: say more in a state before it, or go on with Things";
+      said.disabled = goButton.disabled = true;
+    }
     drawTools();
     drawChip();
   }

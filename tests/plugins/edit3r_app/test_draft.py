@@ -137,6 +137,17 @@ def test_a_stroke_is_looked_for_and_an_exact_box_is_taken_as_it_is():
     assert (rows.min(), columns.min(), columns.max()) == (20, 20, 30)
 
 
+def test_a_lasso_takes_what_it_goes_around_and_carves_it_away():
+    views = Views(torch.zeros(1, 1, 3, 40, 40), torch.eye(3)[None, None], ("a",))
+    around = [(0.25, 0.25), (0.75, 0.25), (0.75, 0.75), (0.25, 0.75)]
+    assert not Draft([Mark("carve", "a", around)]).selects
+    chosen = Draft([Mark("lasso", "a", around), Mark("carve", "a", around[:3])])
+    found = chosen.selection(views)
+    assert chosen.selects
+    assert found.added[0].sum() == 21 * 21 and found.added[0][20, 20] == 1
+    assert found.removed[0][12, 28] == 1 and found.removed[0][28, 12] == 0
+
+
 def test_the_last_reading_that_was_picked_counts():
     draft = Draft([Mark("add", "a", [(0.1, 0.2)])])
     for number in (2, 3):

@@ -10,6 +10,7 @@ from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.looking import Looker
 from edit3r_app.runner import Runner
 from edit3r_app.studio import Studio, in_app
+from PIL import Image
 
 from edit3r.contract.errors import InputError
 from edit3r.kit.photos.images import packaged_pair
@@ -67,6 +68,18 @@ def test_a_draft_is_changed_undone_and_redone(studio, scene):
     assert not studio.change(scene, {"do": "select", "value": ""})["selects"]
 
 
+def test_selections_kept_by_name_are_there_for_every_edit_of_the_photos(studio, scene):
+    studio.change(scene, {"do": "mark", "value": CLICK})
+    assert studio.change(scene, {"do": "keep", "value": "door"})["named"] == ["door"]
+    run = studio.folder.new_job(AppJob("", scene)).name
+    (studio.folder.root / run).mkdir()
+    (studio.folder.root / run / "run.json").write_text("{}")
+    assert studio.change(run, {"do": "recall", "value": "door"})["selects"]
+    studio.change(run, {"do": "keep", "value": "it"})
+    told = studio.change(scene, {"do": "drop", "value": "door"})
+    assert told["named"] == ["it"] and told["selects"]
+
+
 @pytest.mark.parametrize(
     ("asked", "told"),
     [
@@ -77,6 +90,7 @@ def test_a_draft_is_changed_undone_and_redone(studio, scene):
         ({"do": "step", "value": ["larger"]}, "not a change"),
         ({"do": "set", "value": "x"}, "not a change"),
         ({"do": "recall", "value": "nothing"}, "not a change"),
+        ({"do": "drop", "value": "nothing"}, "not a change"),
         ({"do": "keep", "value": "door"}, "point at something first"),
     ],
 )
@@ -85,6 +99,25 @@ def test_what_is_no_change_is_refused_and_changes_nothing(studio, scene, asked, 
     with pytest.raises(InputError, match=told):
         studio.change(scene, asked)
     assert read_draft(studio.folder, scene) == before
+
+
+def test_a_thing_is_taken_of_a_scene_only_and_its_edit_is_a_state_of_its_own(
+    studio, scene
+):
+    with pytest.raises(InputError, match="no scene yet"):
+        studio.act(scene, "", {"action": "find"})
+    run = studio.folder.new_job(AppJob("", scene)).name
+    renders = studio.folder.root / run / "renders"
+    renders.mkdir(parents=True)
+    Image.new("RGB", (8, 6)).save(renders / "left.png")
+    (renders.parent / "run.json").write_text('{"objects": {"bike": 0}}')
+    name = studio.act(scene, run, {"action": "remove", "name": "bike"})
+    job = studio.folder.job(name)
+    assert (job.parent, job.object) == (run, ("remove", "bike"))
+    assert job.prompt == "remove bike"
+    told = studio.scene(scene, run)  # without photos, it is shown by what was rendered
+    assert told["byHand"] and told["photos"] == ["left"]
+    assert told["objects"] == ["bike"] and told["reading"]["geometry"]
 
 
 def test_no_edit_without_a_sentence(studio, scene):

@@ -151,6 +151,21 @@ def test_names_never_become_paths(name, folder, scene, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["jobs"]
 
 
+@pytest.mark.parametrize(
+    ("photo", "title"),
+    [
+        ("IMG_2034.JPG", "scene"),
+        ("000.jpg", "scene"),
+        ("PXL_20240102_1.jpg", "scene"),
+        ("my cat 2.png", "my cat 2"),
+        ("dscf.png", "scene"),
+        ("", "scene"),
+    ],
+)
+def test_a_set_is_called_by_its_photo_where_no_camera_named_that(photo, title):
+    assert uploads.title_of(photo) == title
+
+
 def test_a_claim_of_a_gigabyte_is_refused_before_anything_is_read(folder, scene):
     with pytest.raises(InputError, match="1,024 MB; photos of at most 100 MB"):
         send(folder, scene, "x.png", b"", size=2**30)

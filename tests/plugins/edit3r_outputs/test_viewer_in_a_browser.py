@@ -416,3 +416,54 @@ def test_keys_fly_faster_with_shift_and_no_farther_than_the_photos_show(
     page.keyboard.press("r")
     settle(page)
     assert page.evaluate("pose.t") == [0, 0, 0]
+
+
+AROUND = """<body style="margin: 0"><iframe src="v.html?embed" style="border: 0; width: 100vw;
+height: 100vh"></iframe><script>heard = []; addEventListener("message", (e) =>
+heard.push(e.data.edit3r)); tell = (message) => frames[0].postMessage({edit3r: message}, "*");
+</script>"""
+
+
+def test_inside_of_the_app_a_click_points_and_handles_ask_for_the_object(
+    opened, tmp_path
+):
+    page = opened()
+    (tmp_path / "around.html").write_text(AROUND)
+    page.goto((tmp_path / "around.html").as_uri())
+    inner = page.frame_locator("iframe")
+    inner.locator("body[data-drawn]").wait_for()
+
+    def heard(key):
+        page.wait_for_function(f"heard.some((one) => one.{key} !== undefined)")
+        return page.evaluate(f"heard.findLast((one) => one.{key} !== undefined)")[key]
+
+    page.evaluate("tell({pointing: true})")
+    inner.locator("body.pointing").wait_for()
+    page.mouse.click(WIDTH / 2, HEIGHT / 2)
+    hit = heard("pointed")
+    assert hit["name"] == "view 0"
+    assert hit["place"] == pytest.approx([0.5, 0.5], abs=0.01)
+    # what the photo's mask holds is tinted: its left half, so about half of all
+    one = "{name: 'view 0', width: 2, height: 1, inside: Uint8Array.of(1, 0)}"
+    page.evaluate(f"tell({{selected: [{one}]}})")
+    share = inner.locator("body[data-marked]").get_attribute("data-marked")
+    count = page.frames[1].evaluate("meta.count")
+    assert 0.3 * count < int(share) < 0.7 * count
+    for harmless in ("{name: 'none', width: 1, height: 1, inside: 1}", "null"):
+        page.evaluate(f"try {{ tell({{selected: [{harmless}]}}) }} catch {{}}")
+
+    page.evaluate("heard.length = 0; tell({pointing: false})")
+    inner.locator("body:not(.pointing)").wait_for()
+    page.mouse.click(WIDTH / 2, HEIGHT / 2)
+    assert heard("chosen") == "the ball's"
+    page.mouse.move(WIDTH / 2, HEIGHT / 2)
+    page.mouse.down()
+    page.mouse.move(WIDTH / 2 + 30, HEIGHT / 2, steps=3)
+    page.mouse.up()
+    asked = heard("object")
+    assert (asked["action"], asked["name"]) == ("move", "the ball's")
+    right, up, nearer = asked["numbers"]
+    assert right > 0.05 and abs(up) < 0.01 and abs(nearer) < 0.01
+    inner.get_by_label("scale; arrow keys").press("ArrowUp")
+    page.wait_for_function("heard.some((one) => one.object?.action === 'scale')")
+    assert heard("object")["numbers"][0] > 1
