@@ -73,6 +73,11 @@ def test_what_a_shell_sorted_goes_in_natural_order(masks):
     assert paired(masks(*by_hand), photos) == by_hand
 
 
+def test_a_mask_that_two_photos_names_fit_alike_is_no_photos_by_name(masks):
+    photos = [("ab.jpg",), ("cd.jpg",)]
+    assert paired(masks("ab_cd.png", "ab.png"), photos) == ["ab.png", "ab_cd.png"]
+
+
 def test_two_masks_of_one_photo_are_an_error(masks):
     with pytest.raises(InputError, match="2 masks for 2 photos"):
         masks_by_photo(masks("img2_a.png", "img2_b.png"), PHOTOS)
