@@ -97,6 +97,12 @@ def test_to_changes_float_fields_and_keeps_indices_whole():
     assert features.levels[0].dtype == torch.float64
 
 
+def test_views_without_names_are_called_by_their_numbers():
+    views = Views(torch.rand(1, 2, 3, 4, 4), torch.eye(3).expand(1, 2, 3, 3))
+    assert views.called == ("view 0", "view 1")
+    assert replace(views, names=("a", "b")).called == ("a", "b")
+
+
 def test_views_select_keeps_names_with_their_pictures():
     views = Views(
         torch.arange(3.0).view(1, 3, 1, 1, 1).expand(1, 3, 3, 2, 2),

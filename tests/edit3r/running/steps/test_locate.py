@@ -58,3 +58,9 @@ def test_exif_that_does_not_fit_the_photos_is_not_believed(known):
 def test_else_it_is(source, known, unknown):
     scene, notes = located(source, known, unknown)
     assert scene.photos.assumed == () and notes["lens.source"] == [source]
+
+
+def test_fields_that_explain_the_photos_alike_go_on_to_the_verdict():
+    unsure = replace(READ, lenses=(30.0, 55.0))
+    scene, notes = located(EXIF, geometry(contradicts=30.0), unsure)
+    assert scene.lenses == (30.0, 55.0) and notes["lens.alike"] == [30.0, 55.0]
