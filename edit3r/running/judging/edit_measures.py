@@ -368,9 +368,7 @@ def _reached(
     wishes: Sequence[Wish],
     regions: Float[Tensor, "wish view height width"] | None,
 ) -> float | None:
-    """Share of the visibly changed pixels that look as their wish asks; None where none can be
-    checked.
-    """
+    """Share of the visible change that looks as its wish asks; None where none can be checked."""
     shares = []
     colours_before = rgb_to_lab(before).movedim(1, -1)
     colours_after = rgb_to_lab(after).movedim(1, -1)
@@ -391,21 +389,35 @@ def _shares(
     old: Float[Tensor, "pixel 3"],
     new: Float[Tensor, "pixel 3"],
 ) -> Iterator[float]:
+    """Each change's share of the difference of colours that is as it asks.
+
+    By how much pixels changed, not by their number: a rim or a reflection that took a little of
+    the colour stays grey, and nobody sees it.
+    """
     chroma = new[:, 1:].norm(dim=1)
+    size = (new - old).norm(dim=1)
     for change in changes:
         if change.kind == "paint" and change.colour is not None:
-            wanted = rgb_to_lab(new.new_tensor(change.colour.rgb)[:, None, None])[
-                :, 0, 0
-            ]
-            if float(wanted[1:].norm()) < 2 * GREY:
-                yield float((chroma < 2 * GREY).double().mean())
-            else:
-                yield float((_hue_apart(new, wanted) < HUE_TOLERANCE).double().mean())
+            yield _part(size, _has_colour(new, change.colour.rgb))
         elif change.kind == "greyscale":
-            yield float((chroma < GREY).double().mean())
+            yield _part(size, chroma < GREY)
         elif change.kind == "brightness":
             moved = (new[:, 0] - old[:, 0]).mean() * change.amount
             yield float(moved > 0)
+
+
+def _part(size: Float[Tensor, "pixel"], where: Bool[Tensor, "pixel"]) -> float:
+    return float((size * where).sum() / size.sum())
+
+
+def _has_colour(
+    colours: Float[Tensor, "pixel 3"], rgb: tuple[float, float, float]
+) -> Bool[Tensor, "pixel"]:
+    """Whether each has the hue of a colour, or is as grey as it."""
+    wanted = rgb_to_lab(colours.new_tensor(rgb)[:, None, None])[:, 0, 0]
+    if float(wanted[1:].norm()) < 2 * GREY:
+        return colours[:, 1:].norm(dim=1) < 2 * GREY
+    return _hue_apart(colours, wanted) < HUE_TOLERANCE
 
 
 def _hue_apart(

@@ -89,6 +89,20 @@ def test_another_colour_than_was_asked_for_is_not_reached(scene):
     assert figures(scene, replace(PAINT_RED, changes=(blue,))).reached == 0
 
 
+def test_reflections_that_hardly_changed_and_stay_grey_do_not_count_as_another_colour(
+    scene,
+):
+    images = scene.edited.images.clone()
+    before = scene.start.images
+    images[..., 14:20, :] = torch.where(  # a third of the painted square
+        images[..., 14:20, :] == before[..., 14:20, :],
+        before[..., 14:20, :],
+        before[..., 14:20, :] - 10 / 255,
+    )
+    found = figures(replace(scene, edited=views(images[0])))
+    assert found.changed == 1 and 0.9 < found.reached < 1
+
+
 @pytest.mark.parametrize(("amount", "reached"), [(1.0, 0.0), (-1.0, 1.0)])
 def test_darker_is_not_brighter(scene, amount, reached):
     darker = torch.where(scene.masks[0, :, None] > 0, 0.2, scene.start.images[0])
