@@ -77,22 +77,16 @@ def test_the_installed_packages_are_listed_with_their_licences_and_weights(site)
     assert '"anysplat"' in weights and "CC BY-NC 4.0" in weights
 
 
-def test_edit3r_run_uses_the_installed_editor(site, tmp_path):
-    run(
-        *(
-            "-m",
-            "edit3r.cli.main",
-            "run",
-            "--editor",
-            "sepia",
-            "--recon",
-            "classical",
-            "--size",
-            "96",
-        ),
-        *("--frames", "2", "--refine", "0", "--out", str(tmp_path / "out")),
-        site=site,
-    )
+def test_edit3r_run_uses_the_installed_editor_and_a_program_as_reconstructor(
+    site, tmp_path
+):
+    tool = EXAMPLES / "edit3r-program" / "tests" / "tool.py"
+    command = f"'{sys.executable}' '{tool}' {{photos}} {{result}}"
+    words = ["run", "--editor", "sepia", "--recon", "program", "--size", "64"]
+    words += ["--set", f"reconstructor.command={command}", "--frames", "2"]
+    words += ["--refine", "0", "--out", str(tmp_path / "out")]
+    run("-m", "edit3r.cli.main", *words, site=site)
+    assert (tmp_path / "out" / "scene.ply").is_file()
     edited = sorted((tmp_path / "out" / "edited").iterdir())
     assert len(edited) == 2
     red, _, blue = np.asarray(
@@ -101,44 +95,12 @@ def test_edit3r_run_uses_the_installed_editor(site, tmp_path):
     assert (red >= blue).mean() > 0.999  # PNG or JPEG, sepia has no blue
 
 
-def test_edit3r_run_uses_a_program_as_its_reconstructor(site, tmp_path):
-    tool = EXAMPLES / "edit3r-program" / "tests" / "tool.py"
-    command = f"'{sys.executable}' '{tool}' {{photos}} {{result}}"
-    run(
-        *(
-            "-m",
-            "edit3r.cli.main",
-            "run",
-            "--recon",
-            "program",
-            "--set",
-            f"reconstructor.command={command}",
-        ),
-        *(
-            "--size",
-            "64",
-            "--frames",
-            "2",
-            "--refine",
-            "0",
-            "--out",
-            str(tmp_path / "out"),
-        ),
-        site=site,
-    )
-    assert (tmp_path / "out" / "scene.ply").is_file()
-
-
-@pytest.mark.parametrize("package", PACKAGES)
-def test_its_own_tests_pass(site, package):
-    if package == "edit3r-ffgs" and not importlib.util.find_spec("ffgs"):
-        pytest.skip("needs ffgs, and torchvision for the torch that is installed")
-    run(
-        "-m",
-        "pytest",
-        "-q",
-        "-p",
-        "no:cacheprovider",
-        str(EXAMPLES / package / "tests"),
-        site=site,
-    )
+def test_their_own_tests_pass(site):
+    tried = [
+        package
+        for package in PACKAGES
+        if package != "edit3r-ffgs" or importlib.util.find_spec("ffgs")
+    ]
+    tests = [str(EXAMPLES / package / "tests") for package in tried]
+    alone = ("-n", "0", "-p", "no:cacheprovider")  # one process is enough
+    run("-m", "pytest", "-q", *alone, *tests, site=site)

@@ -3,6 +3,7 @@
 import os
 import time
 from collections import Counter
+from contextlib import contextmanager
 
 import pytest
 
@@ -13,25 +14,23 @@ from edit3r.kit.workers import Workers, read_rows, run_resumable
 pytestmark = pytest.mark.slow
 
 
-@pytest.fixture(scope="module")
-def cluster():
-    """A cluster of two nodes on this machine, which all tests share, and its second node."""
+@contextmanager
+def cluster_of_two(monkeypatch, **node):
+    """A cluster on this machine; yields it and its second node."""
     ray = pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 
-    node = {"num_cpus": 8, "num_gpus": 1}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-        cluster = Cluster(
-            initialize_head=True, head_node_args={**node, "include_dashboard": False}
-        )
-        try:
-            second = cluster.add_node(**node)
-            patch.setenv("RAY_ADDRESS", cluster.address)
-            yield cluster, second
-        finally:
-            ray.shutdown()
-            cluster.shutdown()
+    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+    cluster = Cluster(
+        initialize_head=True, head_node_args={**node, "include_dashboard": False}
+    )
+    try:
+        second = cluster.add_node(**node)
+        monkeypatch.setenv("RAY_ADDRESS", cluster.address)
+        yield cluster, second
+    finally:
+        ray.shutdown()
+        cluster.shutdown()
 
 
 def logs_itself(job):
@@ -59,13 +58,26 @@ def most_at_once(log):
     return max(sum(b <= begin < e for b, e in spans) for begin, _ in spans)
 
 
-def test_a_cluster_without_room_for_one_worker_ends_the_run(
-    tmp_path, cluster, monkeypatch
+def test_shares_of_gpus_bound_the_workers_and_a_dead_node_loses_no_row(
+    tmp_path, monkeypatch
 ):
-    monkeypatch.setattr(crews, "MOST_WAIT", 3)
-    asked = Workers(2, "ray", gpus=1, memory=10**6)
-    with pytest.raises(RunError, match=r"'num_gpus': 1.*--gpus-per-worker"):
-        run_resumable(jobs_of(tmp_path, 2), logs_itself, tmp_path / "r", workers=asked)
+    log = tmp_path / "log"
+    log.mkdir()
+    path, jobs = tmp_path / "rows.jsonl", jobs_of(log, 16, 0.5)
+    asked = Workers(40, "ray", gpus=0.5, may_die=True)
+    with cluster_of_two(monkeypatch, num_cpus=8, num_gpus=1) as (cluster, second):
+
+        def kill_once(progress):
+            if progress.done == 6:
+                cluster.remove_node(second, allow_graceful=False)
+
+        rows = run_resumable(jobs, logs_itself, path, workers=asked, on_done=kill_once)
+    assert list(rows) == list(jobs) and list(read_rows(path)) == list(jobs)
+    assert all(row.keys() == {"key", "gpus"} for row in rows.values())
+    assert {row["gpus"] for row in rows.values()} == {"0"}
+    assert 2 <= most_at_once(log) <= 4
+    done = Counter(file.name.partition("-")[0] for file in log.iterdir())
+    assert set(done.values()) == {1}  # a killed job had written nothing
 
 
 def fails(job):
@@ -76,38 +88,23 @@ def dies(job):
     os._exit(9)
 
 
-def test_an_error_is_raised_as_it_was_and_a_job_that_kills_twice_is_a_failure(
-    tmp_path, cluster
+def test_a_cluster_without_room_an_error_and_a_job_that_kills_twice_are_told(
+    tmp_path, monkeypatch
 ):
     jobs = jobs_of(tmp_path, 1)
     asked = Workers(2, "ray", may_die=True)
-    with pytest.raises(InputError, match="no such photo"):
-        run_resumable(jobs, fails, tmp_path / "one", workers=asked)
-    rows = run_resumable(jobs, dies, tmp_path / "two", workers=asked)
+    with cluster_of_two(monkeypatch, num_cpus=1):
+        too_large = Workers(2, "ray", gpus=1, memory=10**6)
+        with (
+            monkeypatch.context() as patch,
+            pytest.raises(RunError, match=r"'num_gpus': 1.*--gpus-per-worker"),
+        ):
+            patch.setattr(crews, "MOST_WAIT", 3)
+            run_resumable(jobs, logs_itself, tmp_path / "r", workers=too_large)
+        with pytest.raises(InputError, match="no such photo"):
+            run_resumable(jobs, fails, tmp_path / "one", workers=asked)
+        rows = run_resumable(jobs, dies, tmp_path / "two", workers=asked)
     assert "worker process died" in rows["j0"]["failure"]
-
-
-def test_shares_of_gpus_bound_the_workers_and_a_dead_node_loses_no_row(
-    tmp_path, cluster
-):
-    """The last that uses the cluster."""
-    log = tmp_path / "log"
-    log.mkdir()
-    path, jobs = tmp_path / "rows.jsonl", jobs_of(log, 16, 0.5)
-    asked = Workers(40, "ray", gpus=0.5, may_die=True)
-    both, second = cluster
-
-    def kill_once(progress):
-        if progress.done == 6:
-            both.remove_node(second, allow_graceful=False)
-
-    rows = run_resumable(jobs, logs_itself, path, workers=asked, on_done=kill_once)
-    assert list(rows) == list(jobs) and list(read_rows(path)) == list(jobs)
-    assert all(row.keys() == {"key", "gpus"} for row in rows.values())
-    assert {row["gpus"] for row in rows.values()} == {"0"}
-    assert 2 <= most_at_once(log) <= 4
-    done = Counter(file.name.partition("-")[0] for file in log.iterdir())
-    assert set(done.values()) == {1}  # a killed job had written nothing
 
 
 def test_jobs_of_one_group_go_to_one_worker(tmp_path):

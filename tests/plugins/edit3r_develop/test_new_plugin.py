@@ -144,7 +144,6 @@ def test_the_wheel_installs_beside_edit3r_is_listed_and_passes_its_test(tmp_path
             "edit3r.cli.main",
             "list-plugins",
             "--json",
-            "--check",
             "--kind",
             "editor",
         )
@@ -156,4 +155,13 @@ def test_the_wheel_installs_beside_edit3r_is_listed_and_passes_its_test(tmp_path
         "",
         "",
     )
-    python("-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder / "tests"))
+    python(
+        "-m",
+        "pytest",
+        "-q",
+        "-p",
+        "no:xdist",
+        "-p",
+        "no:cacheprovider",
+        str(folder / "tests"),
+    )
