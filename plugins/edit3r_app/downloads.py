@@ -14,6 +14,7 @@ from edit3r.running import SavedScene, write_saved
 from edit3r_app.jobs import JobsFolder
 
 ARCHIVE = "all.zip"
+FILM = "flight.webm"  # of a flight that the user made
 OF_EVERY_RUN = {
     "scene.ply": "3D Gaussians, for most programs",
     "cameras.json": "where the photos were taken from",
@@ -79,6 +80,8 @@ def prepared(folder: JobsFolder, run: str, what: str) -> Path:
     Raises InputError for what is no download, and for what the run left out.
     """
     source = folder.path(run)
+    if what == FILM and (folder.beside(run) / FILM).is_file():
+        return folder.beside(run) / FILM
     if what not in downloads():
         raise InputError(f"{what[:40]!r}: not a file of a run.")
     file = source / what

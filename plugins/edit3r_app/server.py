@@ -25,9 +25,12 @@ from edit3r.kit.photos.decode import read_image
 from edit3r_app import downloads, uploads
 from edit3r_app.draft import MARK, read_draft
 from edit3r_app.essentials import Essentials
+from edit3r_app.flights import film
 from edit3r_app.guard import Guard
 from edit3r_app.jobs import KINDS, JobsFolder
 from edit3r_app.looking import Looker
+from edit3r_app.made_scenes import offered_scenes, photo_of
+from edit3r_app.phone import phone_link
 from edit3r_app.runner import Runner
 from edit3r_app.studio import Studio, in_app
 
@@ -66,7 +69,7 @@ def serve(
         if show:
             webbrowser.open(address)
 
-    app = make_app(folder, token=token, size=size, ready=ready)
+    app = make_app(folder, token=token, size=size, ready=ready, place=(host, port))
     uvicorn.run(
         app, host=host, port=port, log_level="warning", timeout_graceful_shutdown=2
     )
@@ -78,8 +81,12 @@ def make_app(
     token: str | None,
     size: int,
     ready: Callable[[], None] = lambda: None,
+    place: tuple[str, int] = ("localhost", 0),
 ) -> Starlette:
-    """The app with its queue, which runs while the app is up; `ready` is called when it is."""
+    """The app with its queue, which runs while the app is up; `ready` is called when it is.
+
+    `place` is the host and port that it listens on.
+    """
     runner = Runner(folder)
     looker = Looker(folder, default_registry(), size)
 
@@ -92,7 +99,7 @@ def make_app(
 
     guard = Middleware(Guard, token=token, max_bytes=uploads.MAX_BYTES)
     refusals = {Edit3rError: refused, OSError: refused}
-    routes = Answers(Studio(folder, runner, looker)).routes()
+    routes = Answers(Studio(folder, runner, looker), place, token).routes()
     return Starlette(
         routes=routes, middleware=[guard], exception_handlers=refusals, lifespan=running
     )
@@ -108,8 +115,11 @@ def refused(request: Request, error: Exception) -> Response:
 class Answers:
     """Answers to all addresses."""
 
-    def __init__(self, studio: Studio) -> None:
+    def __init__(
+        self, studio: Studio, place: tuple[str, int], token: str | None
+    ) -> None:
         self.studio = studio
+        self.place, self.token = place, token
         self.folder = studio.folder
         self.looker = studio.looker
         self.essentials = Essentials(studio.looker.renew)
@@ -127,7 +137,7 @@ class Answers:
             Route("/api/settings/{state}", get(studio.settings, "state")),
             Route("/api/files/{run}", get(studio.files, "run")),
             post("/api/essentials", lambda asked: self.essentials.fetch()),
-            post("/api/example", lambda asked: studio.example()),
+            post("/api/made/{name}", lambda name, asked: studio.made(name), "name"),
             post("/api/draft/{state}", studio.change, "state"),
             post(
                 "/api/step/{state}",
@@ -141,8 +151,11 @@ class Answers:
             ),
             post("/api/remove/{scene}", self.take_out, "scene"),
             post("/api/prepare/{run}", self.prepare, "run"),
+            post("/api/film/{run}", self.film, "run"),
+            post("/api/phone", self.phone),
             Route("/upload/{scene}", self.upload, methods=["POST"]),
             Route("/thumbnail/{scene}/{name}", self.thumbnail),
+            Route("/made/{name}", self.made),
             Route("/photo/{state}/{name}", self.photo),
             Route("/overlay/{state}/{name}", self.overlay),
             Route("/pointed/{state}/{name}", self.pointed),
@@ -157,6 +170,7 @@ class Answers:
     def home(self) -> dict[str, Any]:
         return {
             "scenes": self.studio.scenes(),
+            "made": list(offered_scenes()),
             "essentials": self.essentials.state(),
             "most": {
                 "photos": uploads.MAX_PHOTOS,
@@ -180,6 +194,14 @@ class Answers:
         """Make a download, and return its size [bytes]."""
         file = downloads.prepared(self.folder, run, str(asked.get("file", "")))
         return file.stat().st_size
+
+    def film(self, run: str, asked: dict[str, Any]) -> int:
+        """Make the video of a flight, and return its size [bytes]."""
+        made = film(self.folder, run, asked.get("keys"), default_registry())
+        return made.stat().st_size
+
+    def phone(self, asked: dict[str, Any]) -> dict[str, Any]:
+        return phone_link(*self.place, self.token, str(asked.get("page", "/")))
 
     async def upload(self, request: Request) -> Response:
         scene = request.path_params["scene"]
@@ -206,6 +228,10 @@ class Answers:
     def thumbnail(self, request: Request) -> Response:
         scene, name = _named(request, "scene", "name")
         photo = _there(self.folder.photos(scene).get(name))
+        return _jpeg(_small(photo, photo.stat().st_mtime_ns))
+
+    def made(self, request: Request) -> Response:
+        photo = photo_of(*_named(request, "name"))
         return _jpeg(_small(photo, photo.stat().st_mtime_ns))
 
     def photo(self, request: Request) -> Response:

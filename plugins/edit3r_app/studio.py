@@ -5,13 +5,11 @@ import threading
 import zlib
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from edit3r.contract.errors import InputError
-from edit3r.kit.photos.images import packaged_pair
 from edit3r.running import MAX_PROMPT
 from edit3r_app import uploads
 from edit3r_app.downloads import offered_files
@@ -19,6 +17,7 @@ from edit3r_app.draft import MARK, STEP, Draft, read_draft, write_draft
 from edit3r_app.forms import run_settings, set_by_hand, settings_form
 from edit3r_app.jobs import PREVIEW, AppJob, JobsFolder, manifest_of, tree
 from edit3r_app.looking import BeingRead, DraftAnswer, Looker
+from edit3r_app.made_scenes import open_made
 from edit3r_app.objects import MARKED, objects_of, read_action
 from edit3r_app.progress import read_progress, time_left
 from edit3r_app.runner import Runner
@@ -49,10 +48,9 @@ class Studio:
             found[-1]["count"] = len(photos)
         return found
 
-    def example(self) -> str:
-        """A new scene of the photos that edit3r brings along."""
-        pair = [Path(file) for file in packaged_pair()[0]]
-        return uploads.copied(self.folder, "motorcycle", pair)
+    def made(self, name: str) -> dict[str, Any]:
+        """A scene to try; see `open_made`."""
+        return open_made(self.folder, name, self.looker.size)
 
     def scene(self, scene: str, at: str) -> dict[str, Any]:
         """All that the page of a scene shows at one of its states."""

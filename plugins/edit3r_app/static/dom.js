@@ -35,6 +35,8 @@ const PATHS = {
   invert: "M12 4a8 8 0 1 0 0 16zM12 4a8 8 0 0 1 0 16",
   compare: "M12 3v18M9 8l-4 4 4 4M15 8l4 4-4 4",
   theme: "M12 4a8 8 0 1 0 8 8 6 6 0 0 1-8-8z",
+  film: "M4 6h16v12H4zM8 6v12M16 6v12M4 12h16",
+  phone: "M7 3h10v18H7zM11 18h2",
   things: "M4 8l5-3 5 3v6l-5 3-5-3zM4 8l5 3 5-3M9 11v6M17 12a3.5 3.5 0 1 0 .1 0",
   shown: "M2.5 12c5-8 14-8 19 0-5 8-14 8-19 0zM12 9a3 3 0 1 0 .1 0",
   hidden: "M2.5 12c5-8 14-8 19 0-5 8-14 8-19 0zM4 20L20 4",
@@ -58,6 +60,7 @@ export function icon(name) {
 
 // A button with an icon; `key` is shown in its tooltip. With `text` the word stands beside.
 export function button(name, label, onclick, { key = "", text = "", ...props } = {}) {
+  if (!label.toLowerCase().includes(text.toLowerCase())) label = `${text}: ${label}`; // as it is seen
   const title = key ? `${label} (${key})` : label;
   return el(
     "button",

@@ -43,14 +43,27 @@ export function home(page) {
         ),
       );
   }
-  async function example(event) {
-    event.currentTarget.disabled = true;
+  const tries = el("ul", { class: "scenes tries" });
+  async function openMade(name, button) {
+    button.disabled = true;
     try {
-      go(sceneAddress(await tell(["example"])));
+      const { scene, at } = await tell(["made", name]);
+      go(sceneAddress(scene, at));
     } catch (error) {
+      button.disabled = false;
       toast(error.message, true);
     }
   }
+  const madeCard = ({ name, title, prompt }) => {
+    const made = el(
+      "button",
+      { type: "button", class: "try", onclick: () => openMade(name, made) },
+      el("span", { class: "cover" }, el("img", { src: path("made", name), alt: "" })),
+      el("span", { class: "name" }, title),
+      el("small", {}, `“${prompt}”`),
+    );
+    return el("li", {}, made);
+  };
 
   page.replaceChildren(
     el(
@@ -85,7 +98,6 @@ export function home(page) {
               "Choose photos",
             ),
             el("button", { type: "button", onclick: () => choose(true, take) }, "Choose a folder"),
-            el("button", { type: "button", onclick: example }, "Try it with a motorcycle"),
           ),
           el("small", {}, "JPEG, PNG, WebP, TIFF, AVIF, or a video; up to 60 photos of 100 MB."),
         ),
@@ -97,6 +109,17 @@ export function home(page) {
         STORY.map(([svg, title, text]) =>
           el("figure", {}, drawn(svg), el("figcaption", {}, el("strong", {}, title), " ", text)),
         ),
+      ),
+      el(
+        "section",
+        {},
+        el("h2", {}, "Or open one of these"),
+        el(
+          "p",
+          {},
+          "Made on this machine the first time, in half a minute; then they open at once.",
+        ),
+        tries,
       ),
       yours,
       el(
@@ -126,6 +149,7 @@ export function home(page) {
     try {
       const found = await ask("home");
       if (gone) return;
+      if (!tries.children.length) tries.replaceChildren(...found.made.map(madeCard));
       yours.hidden = !found.scenes.length;
       scenes.replaceChildren(...found.scenes.map(card));
       showEssentials(essentials, found.essentials, refresh);

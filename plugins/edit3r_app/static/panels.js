@@ -191,7 +191,8 @@ export function showSettings(groups, set, again) {
 
 // ---- downloads ----
 
-export function showFiles(files, run) {
+// `film()` begins a flight of one's own, `phone()` shows the link for a phone.
+export function showFiles(files, run, film, phone) {
   async function take(one, row) {
     if (row.getAttribute("aria-busy") === "true") return;
     row.setAttribute("aria-busy", "true");
@@ -218,8 +219,16 @@ export function showFiles(files, run) {
     );
     return made;
   };
-  dialog(
+  const other = (name, text, act) =>
+    button(name, text, () => (shown.close(), act()), { text, class: "other" });
+  const shown = dialog(
     "Take it along",
+    el(
+      "div",
+      { class: "row" },
+      other("film", "Film a flight", film),
+      other("phone", "Open it on a phone", phone),
+    ),
     el("p", {}, "viewer.html is the one file to send: it opens in any browser, without this app."),
     el("div", { class: "files" }, files.filter((one) => one.usual).map(row)),
     el(
@@ -228,6 +237,27 @@ export function showFiles(files, run) {
       el("summary", {}, "For other programs"),
       el("div", { class: "files" }, files.filter((one) => !one.usual).map(row)),
     ),
+  );
+}
+
+// ---- on a phone ----
+
+export function showPhone({ how, address, code }) {
+  const holder = el("div", { class: "code", role: "img", "aria-label": "the address as a code" });
+  holder.innerHTML = code;
+  dialog(
+    "Open it on a phone",
+    ...(how
+      ? [el("p", {}, how)]
+      : [
+          holder,
+          el(
+            "p",
+            {},
+            "Scan it with a phone in the same network. Whoever has the address can use this app:",
+          ),
+          el("pre", { tabindex: "0", "aria-label": "the address" }, address),
+        ]),
   );
 }
 

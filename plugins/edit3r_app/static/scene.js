@@ -1,9 +1,10 @@
 // The page of a scene: the scene, or before there is one the photo, fills it.
 import { go, sceneAddress } from "./app.js";
 import { ask, path, tell } from "./api.js";
-import { button, el, icon, seconds, toast } from "./dom.js";
+import { button, el, icon, seconds, size, toast } from "./dom.js";
 import { changeTheme } from "./home.js";
-import { showFiles, showHistory, showKeys, showNames, showSettings } from "./panels.js";
+import { showFiles, showHistory, showKeys, showNames, showPhone, showSettings } from "./panels.js";
+import { showFilm } from "./film.js";
 import { showObjects } from "./objects.js";
 import { pointing } from "./pointing.js";
 import { choose, dropAnywhere, send } from "./upload.js";
@@ -15,7 +16,8 @@ const TOOLS = {
   lasso: ["Lasso: takes exactly what you draw around", "L"],
 };
 // Of the scene that was open last: the drawer and the chosen thing stay as they are with its next state.
-let kept = { scene: "", drawer: "", chosen: "", hidden: new Set() };
+const nothingKept = (scene) => ({ scene, drawer: "", chosen: "", hidden: new Set(), keys: [] });
+let kept = nothingKept("");
 const undone = new Map(); // of each scene: the states that undo went back from, the last one last
 let looked = { scene: "", camera: null }; // where a scene was looked at last: its other states are seen from there
 const ACTIONS = {
@@ -88,7 +90,7 @@ export function scenePage(page, scene, at, beside) {
     el("div", { class: "saying" }, understood, bar),
   );
   const drawer = el("aside", { class: "drawer", hidden: true });
-  if (kept.scene !== scene) kept = { scene, drawer: "", chosen: "", hidden: new Set() };
+  if (kept.scene !== scene) kept = nothingKept(scene);
   const files = button("download", "take it along", () => openFiles(), { key: "D" });
   const objectsButton = button("things", "things", () => toggleDrawer("objects"), {
     key: "O",
@@ -116,7 +118,11 @@ export function scenePage(page, scene, at, beside) {
     views,
     compareButton,
     files,
-    button("photos", "photos", () => toggleStrip(), { key: "V", "aria-expanded": "true" }),
+    button("photos", "photos", () => toggleStrip(), {
+      key: "V",
+      "aria-expanded": "true",
+      class: "icon wide-only",
+    }),
     objectsButton,
     historyButton,
     button("settings", "settings", () => openSettings(), { key: "S" }),
@@ -823,15 +829,16 @@ export function scenePage(page, scene, at, beside) {
     if (open) drawer.querySelector("button, a").focus();
   }
   function drawDrawer() {
-    if (kept.drawer === "objects" && !s.isRun) kept.drawer = "";
+    if (kept.drawer !== "history" && !s.isRun) kept.drawer = "";
     const kind = kept.drawer,
       close = () => toggleDrawer(kind, false);
     drawer.hidden = !kind;
     drawer.dataset.kind = kind;
-    drawer.setAttribute("aria-label", kind === "objects" ? "things" : "history");
+    drawer.setAttribute("aria-label", { objects: "things", film: "a flight" }[kind] || "history");
     historyButton.setAttribute("aria-expanded", String(kind === "history"));
     objectsButton.setAttribute("aria-expanded", String(kind === "objects"));
     if (kind === "history") showHistory(drawer, s, close);
+    if (kind === "film") drawFilm(close);
     if (kind !== "objects") return;
     if (!s.objects.includes(kept.chosen)) kept.chosen = "";
     const acts = {
@@ -852,6 +859,45 @@ export function scenePage(page, scene, at, beside) {
     };
     showObjects(drawer, s, acts, close);
   }
+  // ---- a flight ----
+  let filming = false;
+  function drawFilm(close) {
+    const changed = (keys) => {
+      kept.keys = keys;
+      drawDrawer();
+    };
+    showFilm(
+      drawer,
+      {
+        keys: kept.keys,
+        busy: filming,
+        add: () => looked.camera && changed([...kept.keys, looked.camera]),
+        look: (key) => post({ camera: key }),
+        drop: (key) => changed(kept.keys.filter((one) => one !== key)),
+        make: film,
+      },
+      close,
+    );
+  }
+  async function film() {
+    filming = true;
+    drawDrawer();
+    busy("Drawing the flight");
+    const keys = kept.keys.map(({ pose, K }) => ({ ...pose, K }));
+    const bytes = await attempt(() => tell(["film", state()], { keys }));
+    filming = false;
+    busy("");
+    if (stop.signal.aborted) return;
+    if (kept.drawer === "film") drawDrawer();
+    if (!bytes) return;
+    el("a", { href: path("download", state(), "flight.webm"), download: "" }).click();
+    toast(`flight.webm is made: ${size(bytes)}.`);
+  }
+  const openPhone = () =>
+    attempt(async () =>
+      showPhone(await tell(["phone"], { page: location.pathname + location.search })),
+    );
+
   function choose3d(name) {
     if (name === kept.chosen) return;
     kept.chosen = name;
@@ -902,7 +948,18 @@ export function scenePage(page, scene, at, beside) {
     );
   const openFiles = () =>
     s.isRun
-      ? attempt(async () => showFiles(await ask("files", state()), state()))
+      ? attempt(async () =>
+          showFiles(
+            await ask("files", state()),
+            state(),
+            () => {
+              view = "3d";
+              drawStage();
+              toggleDrawer("film", true);
+            },
+            openPhone,
+          ),
+        )
       : toast("There is nothing to take along yet: make an edit first.", true);
   function fullScreen() {
     const is = document.body.classList.toggle("only-scene");

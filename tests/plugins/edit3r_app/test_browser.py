@@ -187,6 +187,29 @@ def shifts(page):
     return page.evaluate("window.shifted")
 
 
+def things_of_the_scene(page, viewer):
+    """What is marked is taken as a thing, turned by its handle, and that is undone."""
+
+    def after(act):
+        before = page.url
+        act()
+        page.wait_for_url(lambda address: address != before)
+        viewer.locator("body[data-drawn]").wait_for()
+
+    first = page.url
+    page.get_by_role("button", name="things").click()
+    page.get_by_label("name of the new thing").fill("it")
+    after(lambda: page.get_by_role("button", name="Take", exact=True).click())
+    page.locator(".things .chosen", has_text="it").wait_for()
+    after(lambda: viewer.get_by_label("turn; arrow keys").press("ArrowRight"))
+    page.get_by_placeholder("Changed by hand").wait_for()
+    for _ in range(2):
+        after(lambda: page.locator(".drawer h2").press("Control+z"))
+    assert page.url == first
+    page.get_by_role("button", name="things").click()
+    return page
+
+
 def click_photo(page, x=0.5, y=0.5):
     place = page.locator(".box").bounding_box()
     page.mouse.click(place["x"] + x * place["width"], place["y"] + y * place["height"])
@@ -228,6 +251,16 @@ def test_from_photos_to_a_download(server, tab):
     assert viewer.locator("#cut").get_attribute("aria-valuenow") == "45"
     sandboxed = "document.querySelector('.stage iframe').contentDocument"
     assert page.evaluate(sandboxed) is None, "it has an origin of its own"
+
+    # a click on the scene is one on the photo that shows the place, and is tinted there
+    stage = page.locator(".stage").bounding_box()
+    page.mouse.click(
+        stage["x"] + 0.6 * stage["width"], stage["y"] + stage["height"] / 2
+    )
+    viewer.locator("body[data-marked]").wait_for()
+    page.locator(".chip", has_text="marked").wait_for()
+    if size[0] > 1000:
+        page = things_of_the_scene(page, viewer)
 
     # downloads, each with what it is for and its size
     page.get_by_role("button", name="take it along").click()
@@ -275,6 +308,19 @@ def test_marks_by_stroke_box_keys_and_two_tabs(server, tab):
         page.mouse.up()
         page.keyboard.up("Shift")
 
+    drag("l")
+    kinds(["lasso"])
+    page.keyboard.press("n")  # kept by a name, to be taken again
+    page.get_by_label("name of what is marked").fill("door")
+    page.keyboard.press("Enter")
+    page.locator(".names", has_text="door").wait_for()
+    page.keyboard.press("Escape")
+    page.keyboard.press("Control+z")
+    kinds([])
+    page.keyboard.press("n")
+    page.get_by_role("button", name="door", exact=True).click()
+    kinds(["lasso"])
+    page.keyboard.press("Control+z")
     drag("p")
     kinds(["stroke"])
     drag("r", shift=True)
@@ -341,11 +387,24 @@ def test_nothing_serious_for_those_who_do_not_see_or_point(server, tab, theme):
     check()
     drop(page, server)
     check()
-    for name in ("settings", "history"):
-        page.get_by_role("button", name=name).first.click()
-        page.locator("dialog, .drawer:not([hidden])").first.wait_for()
-        check()
-        page.keyboard.press("Escape")
+
+    def open_and_check(*names):
+        for name in names:
+            page.get_by_role("button", name=name).first.click()
+            page.locator("dialog, .drawer:not([hidden])").first.wait_for()
+            check()
+            page.keyboard.press("Escape")
+
+    click_photo(page)
+    open_and_check("settings", "history", "keys", "keep what is marked")
+    page.goto(server.address)
+    page.locator(".try", has_text="night").click()  # a made scene
+    page.locator(".stage iframe").wait_for()
+    check()
+    open_and_check("things", "history", "take it along")
+    for name in ("Film a flight", "Open it on a phone"):
+        page.get_by_role("button", name="take it along").click()
+        open_and_check(name)
 
 
 def test_essentials_show_licences_and_say_that_no_network_is_there(browser, tmp_path):

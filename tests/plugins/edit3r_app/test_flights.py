@@ -1,0 +1,48 @@
+"""Flights along views that the user chose."""
+
+import pytest
+import torch
+from edit3r_app.flights import PER_LEG, path_along, read_keys
+
+from edit3r.contract.errors import InputError
+from edit3r.contract.types import Cameras
+
+EYE = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
+KEY = {"r": EYE, "t": [0, 0, 0], "K": [0.9, 1.2, 0.5, 0.5], "zoom": 1}
+
+
+def test_a_flight_passes_every_view_and_rests_at_its_ends():
+    keys = read_keys([KEY, {**KEY, "t": [1, 0, 0]}, {**KEY, "t": [1, 0, 2]}])
+    path = path_along(keys, (60, 80))
+    assert isinstance(path, Cameras) and path.count == 2 * PER_LEG + 1
+    places = path.c2w[0, :, :3, 3]
+    for step, key in ((0, keys[0]), (PER_LEG, keys[1]), (2 * PER_LEG, keys[2])):
+        assert torch.allclose(places[step], torch.tensor(key.t).float(), atol=1e-5)
+    paces = (places[1:] - places[:-1]).norm(dim=-1)
+    assert paces[0] < 0.1 * paces[PER_LEG // 2]
+    assert torch.allclose(path.intrinsics[0, 5, 0], torch.tensor([0.9, 0, 0.5]))
+
+
+def test_axes_of_a_viewer_that_are_nearly_right_become_a_rotation():
+    key = read_keys([{**KEY, "r": [[1.001, 0, 0], [0, 0.999, 0], [0, 0.001, 1]]}] * 2)
+    turned = key[0].c2w[:3, :3]
+    assert torch.allclose(turned @ turned.T, torch.eye(3).double(), atol=1e-9)
+    assert turned.trace() > 2.99
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        (None, "not views"),
+        ([KEY], "expected 2 to 12"),
+        ([KEY] * 13, "expected 2 to 12"),
+        ([{**KEY, "t": [0, 0]}] * 2, "not views"),
+        ([{**KEY, "K": [0, 1, 0.5, 0.5]}] * 2, "not views"),
+        ([{**KEY, "r": [[0, 0, 0]] * 3}] * 2, "not views"),
+        ([{**KEY, "r": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}] * 2, "not views"),
+        ([{**KEY, "t": [float("nan"), 0, 0]}] * 2, "not views"),
+    ],
+)
+def test_what_is_no_flight_is_refused(asked, told):
+    with pytest.raises(InputError, match=told):
+        read_keys(asked)
