@@ -103,7 +103,6 @@ TRIED_IN: dict[tuple[str, ...], str] = {
     ("local-model", "model"): "edit3r_language/test_model.py",
     (
         "sam2",
-        "edgetam",
         "sam3",
         "sam-onnx",
         "grounding-dino",
