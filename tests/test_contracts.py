@@ -4,6 +4,8 @@ A component that needs files, a key or large weights is tried by its own tests, 
 of them; it is named here with the reason, so that nothing is left out in silence.
 """
 
+import subprocess
+import sys
 import unittest
 from functools import cache
 from pathlib import Path
@@ -13,6 +15,7 @@ import pytest
 from edit3r.contract.component import Offer
 from edit3r.loading.registry import default_registry
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
+from edit3r_testing.contract import HEAVY
 
 SMALL_VIT = {
     "width": 32,
@@ -103,7 +106,6 @@ TRIED_IN: dict[tuple[str, ...], str] = {
     ("local-model", "model"): "edit3r_language/test_model.py",
     (
         "sam2",
-        "edgetam",
         "sam3",
         "sam-onnx",
         "grounding-dino",
@@ -117,7 +119,7 @@ TRIED_IN: dict[tuple[str, ...], str] = {
     ): "edit3r_optimisers/test_methods.py",
     ("auto", "posed"): "edit3r_matching/test_posed_matcher.py",
     ("da3",): "edit3r_matching/test_depth_anything_3.py",
-    ("clip",): "edit3r_measure/test_clip.py",
+    ("clip",): "edit3r_bench/test_clip.py",
     ("lpips",): "edit3r_training/test_losses.py",
     ("re10k", "transforms"): "edit3r_training/test_photo_datasets.py",
     ("recolor",): "edit3r_training/test_recolor_trainer.py",
@@ -185,8 +187,42 @@ def test_a_component_keeps_its_contract(offer: Offer):
 
 def claims_here(offer: Offer) -> list[str]:
     """The claims that are tried here; for what is left out, those about the declaration."""
-    every = claims(CONTRACTS[offer.kind])
-    return claims(Contract) if is_left_out(offer) else every
+    every = claims(Contract) if is_left_out(offer) else claims(CONTRACTS[offer.kind])
+    return [claim for claim in every if claim not in IN_ONE_PROCESS]
+
+
+IN_ONE_PROCESS = (
+    "test_declaration_imports_nothing_heavy",
+    "test_arguments_are_declared_without_importing_torch",
+)
+"""Claims that need a process of their own: one for all components."""
+
+DECLARE_ALL = """
+import sys
+from edit3r.cli.main import Parser
+from edit3r.loading.registry import default_registry
+
+def check(what):
+    loaded = [name for name in {heavy!r} if name in sys.modules]
+    if loaded:
+        sys.exit(what + " imports " + ", ".join(loaded))
+
+registry = default_registry()
+registry.offers()
+check("a plugin's declaration")
+for offer in registry.offers("command"):
+    command = registry.build("command", offer.qualified_name)
+    command.add_arguments(Parser(prog="edit3r"))
+    check("declaring the arguments of " + offer.qualified_name)
+print(len(registry.offers("command")))
+"""
+
+
+def test_nothing_heavy_is_imported_to_declare_components_and_arguments():
+    code = DECLARE_ALL.format(heavy=HEAVY)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) == len(default_registry().offers("command"))
 
 
 def fault(offer: Offer, claim: str) -> str | None:

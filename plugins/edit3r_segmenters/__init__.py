@@ -117,15 +117,6 @@ SAM2_TINY = Weights(
     "de431c4043854a71d8101e17995dfe596bf101a5",
     (("config.json", ""), ("model.safetensors", "")),
 )
-EDGETAM = Weights(
-    "edgetam",
-    "masks and tracks of objects on small devices (EdgeTAM)",
-    56_000_000,
-    "Apache-2.0",
-    "yes",
-    "hub:yonigozlan/EdgeTAM-hf",
-    files=(("config.json", ""), ("model.safetensors", "")),
-)
 SAM3 = Weights(
     "sam3",
     "masks of what words name, masks and tracks of objects (SAM 3)",
@@ -170,7 +161,7 @@ _network = partial(
 )
 
 
-OF_HUB = (SAM2, SAM2_TINY, EDGETAM, SAM3, GROUNDING_DINO, GROUNDING_DINO_TINY)
+OF_HUB = (SAM2, SAM2_TINY, SAM3, GROUNDING_DINO, GROUNDING_DINO_TINY)
 """Weights of networks that transformers loads."""
 
 
@@ -192,18 +183,6 @@ def register_segmenters():
         licence="Apache-2.0, default weights too",
         weights=(SAM2, SAM2_TINY),
         citation="Ravi et al., SAM 2: Segment Anything in Images and Videos, 2024",
-    )
-    edgetam = _network(
-        name="edgetam",
-        target="edit3r_segmenters.sam:EdgeTamSegmenter",
-        summary="EdgeTAM: SAM2's prompts and tracking at a fraction of its time; needs weights "
-        "(56 MB) and timm",
-        requires=("transformers", "timm"),
-        extra="",
-        parts=("detector",),
-        licence="Apache-2.0, default weights too",
-        weights=(EDGETAM,),
-        citation="Zhou et al., EdgeTAM: On-Device Track Anything Model, CVPR 2025",
     )
     sam3 = _network(
         name="sam3",
@@ -230,7 +209,7 @@ def register_segmenters():
         summary="clicks, boxes, words and tracks by sam2 where it is installed with its weights, "
         "else by classical",
     )
-    return (classical, sam2, edgetam, sam3, sam_onnx, auto)
+    return (classical, sam2, sam3, sam_onnx, auto)
 
 
 @hookimpl

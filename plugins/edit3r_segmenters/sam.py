@@ -374,22 +374,6 @@ class Sam2Segmenter(SamSegmenter):
         )
 
 
-class EdgeTamSegmenter(Sam2Segmenter):
-    """EdgeTAM (Zhou et al. 2025): SAM2 with a small encoder and a short memory."""
-
-    image_class, video_class = "EdgeTamModel", "EdgeTamVideoModel"
-    session = (
-        "transformers.models.edgetam_video.modeling_edgetam_video:"
-        "EdgeTamVideoInferenceSession"
-    )
-
-    class Settings(Sam2Segmenter.Settings):
-        model: str = Field(
-            "yonigozlan/EdgeTAM-hf",
-            description="model id on the hub, or a saved folder",
-        )
-
-
 class Sam3Segmenter(SamSegmenter):
     """SAM3 (Carion et al. 2025): every instance of what a few words name, without a detector.
 

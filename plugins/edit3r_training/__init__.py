@@ -78,13 +78,6 @@ def register_losses() -> list[Component]:
             extra="lpips",
             needs_network=True,
         ),
-        Component(
-            name="stlpips",
-            target="edit3r_training.shift_tolerant:StLpipsLoss",
-            summary="shift-tolerant LPIPS with VGG; works offline, is not LPIPS",
-            requires=("stlpips_pytorch",),
-            extra="stlpips",
-        ),
         loss(
             "clip",
             "ClipLoss",

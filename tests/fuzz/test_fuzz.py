@@ -21,7 +21,7 @@ from edit3r.contract.errors import Edit3rError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.scenes.ply import save_ply
 
-CASES = int(os.environ.get("EDIT3R_FUZZ_CASES", "1040"))
+CASES = int(os.environ.get("EDIT3R_FUZZ_CASES", "520"))
 ONLY = os.environ.get("EDIT3R_FUZZ_ONLY", "")
 ESCAPED = [Path("/tmp/edit3r-escaped"), Path(tempfile.gettempdir(), "escaped")]
 

@@ -68,7 +68,7 @@ HOSTILE = {
     "text bomb png": (
         "x.png",
         picture()[:33]
-        + chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(2 * 10**8)))
+        + chunk(b"zTXt", b"a\0\0" + zlib.compress(bytes(10**7)))
         + picture()[33:],
     ),
     "no suffix": ("x", picture()),
@@ -181,15 +181,15 @@ def test_a_body_that_is_longer_than_it_said_is_refused_on_the_way(
 
 
 @pytest.mark.slow
-def test_three_hundred_files_end_at_the_limit(folder, scene):
+def test_more_files_than_a_scene_takes_end_at_the_limit(folder, scene):
     refused = 0
-    for seed in range(300):
+    for seed in range(70):
         try:
             send(folder, scene, f"{seed}.png", picture(size=(8, 8), seed=seed))
         except InputError as error:
             assert "at most 60 photos" in str(error)
             refused += 1
-    assert refused == 240 and len(folder.photos(scene)) == 60
+    assert refused == 10 and len(folder.photos(scene)) == 60
 
 
 def test_photos_keep_their_bytes_and_equal_names_are_numbered(folder, scene):

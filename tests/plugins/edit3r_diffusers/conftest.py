@@ -3,6 +3,7 @@ theirs.
 """
 
 import json
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -10,8 +11,9 @@ import torch
 
 import edit3r
 
-pytest.importorskip("diffusers")
-pytest.importorskip("transformers")
+# Not imported here: that takes seconds in every process, whatever tests it gets.
+if not (find_spec("diffusers") and find_spec("transformers")):
+    pytest.skip("needs diffusers and transformers", allow_module_level=True)
 
 SIZE = 32  # pixels; a tiny VAE halves it once
 

@@ -1,19 +1,24 @@
 """Cross-view attention by what must be true of it."""
 
+from importlib import import_module
+
 import pytest
 import torch
 from edit3r_diffusers.attention import CrossViewAttention
 
-attention = pytest.importorskip("diffusers.models.attention_processor")
+
+@pytest.fixture
+def attention():
+    return import_module("diffusers.models.attention_processor")
 
 
 @pytest.fixture
-def attn():
+def attn(attention):
     torch.manual_seed(0)
     return attention.Attention(query_dim=16, heads=2, dim_head=8).eval()
 
 
-def test_with_weight_zero_it_is_the_ordinary_attention(attn):
+def test_with_weight_zero_it_is_the_ordinary_attention(attn, attention):
     tokens = torch.randn(6, 5, 16)
     expected = attention.AttnProcessor2_0()(attn, tokens)
     assert torch.allclose(
@@ -21,7 +26,7 @@ def test_with_weight_zero_it_is_the_ordinary_attention(attn):
     )
 
 
-def test_equal_views_make_the_weight_irrelevant(attn):
+def test_equal_views_make_the_weight_irrelevant(attn, attention):
     tokens = torch.randn(2, 1, 5, 16).expand(2, 3, 5, 16).flatten(0, 1)
     expected = attention.AttnProcessor2_0()(attn, tokens)
     assert torch.allclose(

@@ -5,12 +5,12 @@ import torch
 from edit3r_diffusers import images
 from edit3r_diffusers.latents import StepEnd, noised
 
-diffusers = pytest.importorskip("diffusers")
-
 
 @pytest.fixture
 def scheduler():
-    scheduler = diffusers.DDIMScheduler(clip_sample=False)
+    from diffusers import DDIMScheduler
+
+    scheduler = DDIMScheduler(clip_sample=False)
     scheduler.set_timesteps(4)
     return scheduler
 

@@ -120,7 +120,7 @@ def test_a_line_that_a_kill_cut_short_is_measured_again(sources, tmp_path, measu
 
 
 PLAN = """
-base: {reconstructor: edit3r, rasterizer: numba, size: 64, refine: 4, frames: 2}
+base: {reconstructor: classical, rasterizer: numba, size: 64, refine: 0, frames: 2}
 data: [procedural]
 size: 96
 datasets: {procedural: {image_size: 96, context: 2, angles: [6, 10], seed: 4, textures: 8}}

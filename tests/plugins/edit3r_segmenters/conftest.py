@@ -3,18 +3,16 @@ users do.
 """
 
 import json
-import sys
-from collections.abc import Iterator
-from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 import torch
 
 import edit3r
 
-pytest.importorskip("transformers")
+if find_spec("transformers") is None:
+    pytest.skip("needs transformers", allow_module_level=True)
 
 SIDE = 128  # pixels of the tiny SAM2's square input
 WORDS = [
@@ -84,49 +82,6 @@ def tiny_sam2_config():
         # logits of a few units, as a trained network's; the usual 0.02 gives thousandths
         initializer_range=0.15,
     )
-
-
-@pytest.fixture(scope="module")
-def edgetam_folder(tmp_path_factory) -> Iterator[Path]:
-    """EdgeTAM with the Hiera of the tiny SAM2. Its own backbone alone needs timm, so timm counts as
-    installed.
-    """
-    timm = ModuleType("timm")
-    timm.__spec__ = ModuleSpec("timm", None)
-    from transformers import EdgeTamVideoConfig, EdgeTamVideoModel
-
-    sam2 = tiny_sam2_config()
-    config = EdgeTamVideoConfig(
-        vision_config=sam2.vision_config.to_dict(),
-        prompt_encoder_config={"hidden_size": 128, "image_size": SIDE},
-        mask_decoder_config={
-            "hidden_size": 128,
-            "mlp_dim": 64,
-            "num_attention_heads": 2,
-            "iou_head_hidden_dim": 32,
-        },
-        image_size=SIDE,
-        memory_attention_hidden_size=128,
-        memory_attention_num_layers=1,
-        memory_attention_mlp_hidden_size=64,
-        memory_attention_rope_feat_sizes=[8, 8],
-        memory_attention_rope_k_sizes=[4, 4],
-        memory_encoder_hidden_size=128,
-        mask_downsampler_embed_dim=128,
-        memory_fuser_num_layers=1,
-        memory_fuser_embed_dim=128,
-        memory_fuser_intermediate_dim=64,
-        perceiver_resampler_num_latents=16,
-        perceiver_resampler_num_latents_2d=16,
-        perceiver_resampler_num_layers=1,
-        initializer_range=0.15,
-    )
-    torch.manual_seed(0)
-    folder = tmp_path_factory.mktemp("edgetam")
-    EdgeTamVideoModel(config).save_pretrained(folder)
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setitem(sys.modules, "timm", timm)
-        yield folder
 
 
 @pytest.fixture(scope="session")

@@ -18,18 +18,6 @@ def segmenter(sam2_folder, dino_folder):
 
 
 @pytest.fixture(scope="module")
-def edgetam(edgetam_folder):
-    bounds = {"points_per_side": 4, "min_predicted_iou": 0.0, "min_stability": 0.0}
-    return contract_for(
-        "segmenter",
-        "edgetam",
-        model=str(edgetam_folder),
-        local_files_only=True,
-        **bounds,
-    )
-
-
-@pytest.fixture(scope="module")
 def sam3(sam3_folder):
     bounds = {
         "points_per_side": 4,
@@ -75,7 +63,7 @@ def own_claims(kind: str) -> list[str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("claim", own_claims("segmenter"))
-@pytest.mark.parametrize("name", ["segmenter", "edgetam", "sam3", "sam_onnx"])
+@pytest.mark.parametrize("name", ["segmenter", "sam3", "sam_onnx"])
 def test_segmenter_contract(request, name, claim):
     getattr(request.getfixturevalue(name)(), claim)()
 

@@ -163,21 +163,6 @@ def test_an_object_is_present_only_with_a_positive_score_or_a_mask():
     assert is_present(logits, scores).tolist() == [False, True, True, True]
 
 
-def test_edgetam_answers_clicks_and_follows_by_the_same_code(edgetam_folder, photo):
-    segmenter = edit3r.build(
-        "segmenter", "edgetam", model=str(edgetam_folder), local_files_only=True
-    )
-    left, right = (
-        segmenter.segment(photo, points=[(x, 0.5)]).soft_mask for x in (0.3, 0.8)
-    )
-    assert (left - right).abs().max() > 0.1
-    tracks = segmenter.track(photo.expand(3, 3, 60, 80), (photo[:1] > 0.5).float())
-    given = photo[0] > 0.5
-    found = tracks.logits[0, 0] > 0
-    assert tracks.logits.shape == (3, 1, 60, 80) and tracks.present[0].all()
-    assert (found & given).sum() / (found | given).sum() > 0.7
-
-
 @pytest.mark.parametrize("kind", ["segmenter", "detector"])
 @pytest.mark.parametrize("there", [(), ("large",), ("tiny",), ("tiny", "large")])
 @pytest.mark.parametrize("gpu", [True, False])
