@@ -303,6 +303,7 @@ def test_marks_by_stroke_box_keys_and_two_tabs(server, tab):
 
     drag("l")
     kinds(["lasso"])
+    page.locator(".chip", has_text="what you marked").wait_for()
     page.keyboard.press("n")  # kept by a name, to be taken again
     page.get_by_label("name of what is marked").fill("door")
     page.keyboard.press("Enter")
