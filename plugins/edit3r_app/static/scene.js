@@ -524,22 +524,23 @@ export function scenePage(page, scene, at, beside) {
   const canUndo = () => marked() || (s.isRun && !(s.fromRun && state() === scene));
   const canRedo = () => Boolean(s.draft.undone.length || undone.get(scene)?.length);
   function undo() {
-    if (marked()) return change("undo");
-    if (!canUndo()) return;
+    if (marked() || !canUndo()) return change("undo"); // the server may know of a mark that is on its way
     const one = s.history.find(({ name }) => name === state());
     undone.set(scene, [...(undone.get(scene) || []), state()]);
     go(sceneAddress(scene, (one && one.parent) || ""));
   }
   function redo() {
-    if (s.draft.undone.length) return change("redo");
     const states = undone.get(scene);
-    if (states?.length) go(sceneAddress(scene, states.pop()));
+    if (s.draft.undone.length || !states?.length) return change("redo");
+    go(sceneAddress(scene, states.pop()));
   }
   const openNames = () =>
-    showNames(s.draft.named, s.draft.marks.length > 0, async (kind, name) => {
-      await change(kind, name);
-      return s.draft.named;
-    });
+    !s.draft.marks.length && !s.draft.named.length
+      ? toast("Mark something first; then it can be kept by a name.", true)
+      : showNames(s.draft.named, s.draft.marks.length > 0, async (kind, name) => {
+          await change(kind, name);
+          return s.draft.named;
+        });
 
   // ---- photos, scene, edit that is being made ----
   const thumbnails = () => `${s.state} ${s.photos} ${s.fixed} ${s.job ? s.preview : ""}`;
@@ -974,7 +975,7 @@ export function scenePage(page, scene, at, beside) {
       b: () => take("box"),
       r: () => take("brush"),
       l: () => take("lasso"),
-      n: () => (s.draft.marks.length || s.draft.named.length) && openNames(),
+      n: openNames,
       x: () => {
         minus = !minus;
         drawTools();

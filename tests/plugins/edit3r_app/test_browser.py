@@ -201,13 +201,13 @@ def things_of_the_scene(page, viewer):
     page.get_by_label("name of the new thing").fill("it")
     after(lambda: page.get_by_role("button", name="Take", exact=True).click())
     page.locator(".things .chosen", has_text="it").wait_for()
+    viewer.locator("#gizmo").get_by_role("button").first.wait_for()
     after(lambda: viewer.get_by_label("turn; arrow keys").press("ArrowRight"))
     page.get_by_placeholder("Changed by hand").wait_for()
     for _ in range(2):
         after(lambda: page.locator(".drawer h2").press("Control+z"))
     assert page.url == first
-    page.get_by_role("button", name="things").click()
-    return page
+    page.get_by_role("button", name="things", exact=True).click()
 
 
 def click_photo(page, x=0.5, y=0.5):
@@ -260,7 +260,7 @@ def test_from_photos_to_a_download(server, tab):
     viewer.locator("body[data-marked]").wait_for()
     page.locator(".chip", has_text="marked").wait_for()
     if size[0] > 1000:
-        page = things_of_the_scene(page, viewer)
+        things_of_the_scene(page, viewer)
 
     # downloads, each with what it is for and its size
     page.get_by_role("button", name="take it along").click()
@@ -304,12 +304,13 @@ def test_marks_by_stroke_box_keys_and_two_tabs(server, tab):
         page.mouse.move(place["x"] + 60, place["y"] + 60)
         page.mouse.down()
         page.mouse.move(place["x"] + 160, place["y"] + 130, steps=5)
-        assert page.locator(".marks :is(polyline, rect)").count() == 1
+        assert page.locator(".marks :is(polyline, polygon, rect)").count() == 1
         page.mouse.up()
         page.keyboard.up("Shift")
 
     drag("l")
     kinds(["lasso"])
+    page.locator(".chip", has_text="what you marked").wait_for()
     page.keyboard.press("n")  # kept by a name, to be taken again
     page.get_by_label("name of what is marked").fill("door")
     page.keyboard.press("Enter")
