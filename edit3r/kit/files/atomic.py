@@ -248,9 +248,7 @@ def _clear(workspace: Path, final: Path) -> None:
     """Remove a workspace, but never an earlier result that nothing has taken the place of."""
     old = _aside(workspace / final.name)
     with suppress(OSError):
-        if (
-            old.exists() and not final.exists()
-        ):  # killed between the renames of `_replace`
+        if old.exists() and not final.exists():  # nothing took its place
             os.rename(old, final)
         for path in workspace.iterdir():
             if path.name != _LOCK:
@@ -264,31 +262,23 @@ def _clear(workspace: Path, final: Path) -> None:
 
 
 def _move_into_place(new: Path, final: Path, overwrite: bool) -> None:
-    """Give the finished folder its name; an earlier run of that name goes into the workspace."""
+    """Give the finished folder its name; an earlier run of that name goes into the workspace, from
+    where `_clear` takes it back if the new one did not get the name.
+    """
+    old = _aside(new)
     for attempt in range(_MAX_ATTEMPTS):
         try:
             check_replaceable(final, overwrite)
-            _replace(new, final)
+            if final.exists():
+                shutil.rmtree(old, ignore_errors=True)  # of an attempt before
+                os.rename(final, old)
+            os.rename(new, final)
             return
         except (InputError, OSError):
             # Another run to the same place may be in the middle of its own step.
             if attempt == _MAX_ATTEMPTS - 1 or not new.exists():
                 raise
             time.sleep(0.02 * attempt)
-
-
-def _replace(new: Path, final: Path) -> None:
-    """Rename a folder to `final`; what has that name is moved aside, and back where it fails."""
-    old = _aside(new)
-    if final.exists():
-        shutil.rmtree(old, ignore_errors=True)  # of an attempt before
-        os.rename(final, old)
-    try:
-        os.rename(new, final)
-    except OSError:
-        if old.exists() and not final.exists():
-            os.rename(old, final)
-        raise
 
 
 def _aside(new: Path) -> Path:
