@@ -102,6 +102,11 @@ class RunConfig(Settings):
         description="undo: an edited picture that is shifted, zoomed, turned or mirrored against "
         "its photo is moved back; keep: it is taken as it is",
     )
+    passing: Literal["leave-out", "keep"] = Field(
+        "leave-out",
+        description="leave-out: what one photo alone shows where two others see through its place, "
+        "such as a walker, is left out of the scene; keep: it is drawn",
+    )
     seed: int = Field(0, ge=0, lt=2**31, description="one seed for all views")
     size: int = Field(
         512,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
@@ -56,6 +56,8 @@ class Scene:
     edited: Views = NOT_YET  # after the 2D editor and the composite with the masks
     # how the photos' colours become the first one's; None: they are taken as they are
     light: Light | None = None
+    # what one photo alone shows where others see through its place; None: nothing
+    passing: Bool[Tensor, "batch view height width"] | None = None
     # nobody knows the lens, and all that the photos share lies on one plane
     flat: bool = False
     # fields of view [degrees] that explain the photos alike, where they do not tell their lens
@@ -101,6 +103,7 @@ class Scene:
             things={name: masks[indices] for name, masks in self.things.items()},
             edited=None if self.edited is None else self.edited.select(indices),
             light=None if self.light is None else self.light.select(indices),
+            passing=None if self.passing is None else self.passing[:, indices],
         )
 
     def to(self, device: torch.device | str) -> "Scene":

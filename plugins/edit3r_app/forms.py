@@ -65,6 +65,12 @@ EXPLAINED = {
         "Move a picture back that the editor shifted, zoomed or turned, or keep it as it is.",
         "",
     ),
+    "passing": (
+        "What passed by",
+        "Leave out what one photo alone shows and others see through, such as a walker, or draw "
+        "it.",
+        "",
+    ),
     "seed": ("Variant", "Another number gives another variant of the same.", ""),
     "sure": (
         "Ask before guessing",

@@ -103,14 +103,20 @@ def refine(
     rasterizer: Rasterizer,
     steps: int,
     settings: RefineSettings | None = None,
+    ignored: Bool[Tensor, "batch camera height width"] | None = None,
 ) -> Refined:
     """Take up to `steps` steps, each towards one of `images` as seen from `cameras`.
 
-    The same inputs give the same result on one device. Works under `torch.no_grad()` too.
+    Pixels that are `ignored` count neither in the loss nor among those held back. The same inputs
+    give the same result on one device. Works under `torch.no_grad()` too.
     """
     settings = settings or RefineSettings()
     kept_out = _held_back(images, settings)
-    before = _errors(gaussians, cameras, images, rasterizer, kept_out)
+    counts = ~kept_out
+    if ignored is not None and (kept_out & ~ignored).any():
+        kept_out, counts = kept_out & ~ignored, counts & ~ignored
+    groups = kept_out, counts
+    before = _errors(gaussians, cameras, images, rasterizer, groups)
     variables = _Variables(gaussians, settings)
     best, taken, errors, rounds = gaussians, 0, [], []
     generator = torch.Generator().manual_seed(settings.seed)
@@ -124,7 +130,7 @@ def refine(
                 smooth_l1_loss(shown, image, reduction="none", beta=SQUARED_BELOW).mean(
                     2
                 )
-                * ~out
+                * counts[:, view]
             ).mean()
         errors.append(float((shown.detach() - image).square().mean(2)[out].mean()))
         # Each view pulls the others' surfaces to itself: shorter steps in the end settle between
@@ -136,7 +142,7 @@ def refine(
             rounds.append(sum(errors[-cameras.count :]) / len(errors[-cameras.count :]))
             if rounds[-1] <= min(rounds):
                 best, taken = _detached(variables.gaussians()), step + 1
-    after = _errors(best, cameras, images, rasterizer, kept_out) if taken else before
+    after = _errors(best, cameras, images, rasterizer, groups) if taken else before
     if after[0] >= before[0]:
         best, taken, after = gaussians, 0, before
     return Refined(best, taken, *zip(before, after))
@@ -148,11 +154,11 @@ def _errors(
     cameras: Cameras,
     images: Float[Tensor, "batch camera 3 height width"],
     rasterizer: Rasterizer,
-    kept_out: Bool[Tensor, "batch camera height width"],
-) -> tuple[float, float]:
-    """Mean squared error of the held-back pixels and of the others."""
+    groups: tuple[Bool[Tensor, "batch camera height width"], ...],
+) -> tuple[float, ...]:
+    """Mean squared error of each group of pixels."""
     error = (rasterizer.render(gaussians, cameras).images - images).square().mean(2)
-    return float(error[kept_out].mean()), float(error[~kept_out].mean())
+    return tuple(float(error[group].mean()) for group in groups)
 
 
 class RefineRefiner(Refiner):
@@ -176,7 +182,13 @@ class RefineRefiner(Refiner):
         left_out = self.settings.left_out * max(0, ENOUGH_VIEWS - views.count) / 2
         settings = self.settings.model_copy(update={"left_out": min(0.9, left_out)})
         refined = refine(
-            gaussians, shown, views.images, inputs.rasterizer, steps, settings
+            gaussians,
+            shown,
+            views.images,
+            inputs.rasterizer,
+            steps,
+            settings,
+            None if inputs.ignored is None else inputs.ignored[:, : views.count],
         )
         note("refine", refined.facts)
         return refined.gaussians

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.interfaces.base import Configured
@@ -70,6 +70,8 @@ class RefineInputs:
     masks: Float[Tensor, "batch camera height width"] | None = None
     before: Gaussians | None = None  # the scene before the edit, where it is known
     seed: int = 0
+    # pixels whose photos show what the scene leaves out; None: none
+    ignored: Bool[Tensor, "batch camera height width"] | None = None
 
     @property
     def confined(self) -> bool:

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.nn.functional import interpolate
 
 from edit3r.contract.types import Rendering, Views
 
@@ -68,6 +69,7 @@ def judge(
     placed: Sequence[bool],
     measured: Float[Tensor, "batch view"] | None,
     doubt: Doubt | None = None,
+    ignored: Bool[Tensor, "batch view height width"] | None = None,
 ) -> Verdict:
     """Judge the rendering of the placed views against their edited images.
 
@@ -76,9 +78,12 @@ def judge(
     not. It is compared at its own size, that of the grid of Gaussians. `placed` has one entry for
     each photo used; `edited`, the renderings and `measured` (share of pixels with measured depth,
     None where nobody knows it) hold the placed ones only. Of several scenes the worst counts. A
-    `doubt` is what else speaks against the scene.
+    `doubt` is what else speaks against the scene. Pixels that are `ignored` show what the scene
+    leaves out.
     """
-    before, psnr = (_psnr(rendering, edited) for rendering in (first, rendered))
+    before, psnr = (
+        _psnr(rendering, edited, ignored) for rendering in (first, rendered)
+    )
     coverage = rendered.alphas.mean((2, 3, 4)).amin(0).tolist()
     filled = [None] * len(psnr) if measured is None else (1 - measured.amin(0)).tolist()
     label, reason = _label(
@@ -94,11 +99,20 @@ def judge(
     )
 
 
-def _psnr(rendered: Rendering, edited: Views) -> list[float]:
+def _psnr(
+    rendered: Rendering,
+    edited: Views,
+    ignored: Bool[Tensor, "batch view height width"] | None,
+) -> list[float]:
     """PSNR [dB] of each view; of several scenes the worst counts."""
     height, width = rendered.images.shape[-2:]
     difference = rendered.images.clamp(0, 1) - edited.at((height, width)).images
-    error = difference.double().square().mean((2, 3, 4)).amax(0).clamp(min=1e-10)
+    squares = difference.double().square().mean(2)
+    counts = torch.ones_like(squares)
+    if ignored is not None:
+        counts -= interpolate(ignored.to(counts), (height, width), mode="nearest-exact")
+    share = counts.mean((2, 3)).clamp(min=1e-3)
+    error = ((squares * counts).mean((2, 3)) / share).amax(0).clamp(min=1e-10)
     return (-10 * torch.log10(error)).tolist()
 
 

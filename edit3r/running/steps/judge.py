@@ -49,6 +49,7 @@ def judge(scene: Scene, parts: Parts) -> Scene:
             scene.placed,
             reconstruction.measured,
             doubt_of(scene),
+            scene.passing,
         )
         scene = replace(scene, rendered=rendered, verdict=verdict)
         return _with_edit_judged_in_3d(scene, parts)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.component import component_name
@@ -15,6 +15,7 @@ from edit3r.kit.cache import recall
 from edit3r.kit.checks import check_reconstruction, errors_named_after
 from edit3r.kit.geometry.gravity import quarter_turns
 from edit3r.kit.geometry.light import estimate_light
+from edit3r.kit.geometry.passing import passing, without_passing
 from edit3r.kit.geometry.pose import estimate_cameras
 from edit3r.running.editors import request_of
 from edit3r.running.parts import Parts
@@ -28,17 +29,26 @@ def reconstruct(scene: Scene, parts: Parts) -> Scene:
         scene = _with_light(scene, parts)
         reconstruction = _reconstructed(scene, parts)
         scene = replace(scene, masks=_masks_of_change(scene, parts))
+        scene = replace(scene, passing=_passing(scene, parts))
         before = _before(scene, parts)
     if before is not None:
         size = known_cameras(reconstruction).image_size
         cameras = known_cameras(before).at(size)
         reconstruction = replace(reconstruction, cameras=cameras)
     placed = _placed(reconstruction, scene.start.count)
+    _tell_of_passing(scene)
     used = [view for view, there in enumerate(placed) if there]
     lost = [view for view, there in enumerate(placed) if not there]
     _tell_of_turned(scene.photos.select(used), known_cameras(reconstruction))
+    scene = scene.select(used)
+    if scene.passing is not None:
+        cameras = known_cameras(reconstruction)
+        gaussians = without_passing(
+            reconstruction.gaussians, scene.passing, cameras.c2w, cameras.intrinsics
+        )
+        reconstruction = replace(reconstruction, gaussians=gaussians)
     return replace(
-        scene.select(used),
+        scene,
         before=before,
         reconstruction=reconstruction,
         gaussians=reconstruction.gaussians,
@@ -57,6 +67,37 @@ def _tell_of_turned(photos: Views, cameras: Cameras) -> None:
                 f"{', '.join(turned.names) or 'A photo'}: not held as the other photos are, so a "
                 f"part may be cut off and things are hard to name. Turn the file {way}, run again."
             )
+
+
+def _passing(
+    scene: Scene, parts: Parts
+) -> Bool[Tensor, "batch view height width"] | None:
+    """What passed while the photos were taken, but for what the user selected."""
+    if parts.config.passing == "keep" or scene.photos.count < 3:
+        return None
+    geometry = parts.located(scene.photos).geometry
+    found = None if geometry is None else passing(geometry, scene.photos)
+    if found is not None and scene.confined:
+        assert scene.masks is not None
+        found &= scene.masks <= 0
+    return found if found is not None and bool(found.any()) else None
+
+
+def _tell_of_passing(scene: Scene) -> None:
+    """Warn of what is left out since one photo alone shows it."""
+    if scene.passing is None:
+        return
+    shares = scene.passing.float().mean((0, 2, 3)).tolist()
+    note("passing", [round(share, 4) for share in shares])
+    names = [
+        f"{share:.1%} of {name}"
+        for name, share in zip(scene.photos.called, shares)
+        if share
+    ]
+    warn(
+        f"{', '.join(names)}: shown by this photo alone where others see through its place, as a "
+        "walker is; left out of the scene (--passing keep: not)."
+    )
 
 
 def _with_light(scene: Scene, parts: Parts) -> Scene:

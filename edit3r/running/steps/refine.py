@@ -54,6 +54,7 @@ def _refined(
         masks=scene.masks,
         before=None if scene.before is None else scene.before.gaussians,
         seed=parts.config.seed,
+        ignored=scene.passing,
     )
     with stage(component_name(refiner)), errors_named_after(refiner):
         answer = refiner(gaussians, inputs)

@@ -1,0 +1,69 @@
+"""What one photo alone shows where two others see through its place is found and left out."""
+
+from dataclasses import replace
+
+import torch
+
+from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.types import Cameras
+from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
+from edit3r.kit.geometry.passing import passing, without_passing
+from edit3r_testing import photograph
+
+SCENE = photograph(3, (64, 96))
+THING = (0, 1, slice(20, 48), slice(40, 56))
+
+
+def as_seen(views, unmeasured=True):
+    """A magenta thing in photo 1 alone, which no other photo measured."""
+    images = SCENE.views.images.clone()
+    images[0, 1, :, THING[2], THING[3]] = torch.tensor([1.0, 0, 1])[:, None, None]
+    confidence = torch.ones_like(SCENE.depths)
+    if unmeasured:
+        confidence[THING] = 0
+    geometry = MatchedGeometry(
+        SCENE.cameras.c2w,
+        SCENE.depths,
+        confidence,
+        torch.ones(1, 3, dtype=torch.bool),
+    )
+    geometry = replace(
+        geometry,
+        c2w=geometry.c2w[:, views],
+        depths=geometry.depths[:, views],
+        confidence=geometry.confidence[:, views],
+        registered=geometry.registered[:, views],
+    )
+    return geometry, replace(SCENE.views, images=images).select(views)
+
+
+def test_what_one_of_three_photos_shows_alone_is_found_there_and_nowhere_else():
+    found = passing(*as_seen([0, 1, 2]))
+    assert found is not None and found[THING].float().mean() > 0.9
+    assert not found[0, [0, 2]].any()
+    found[0, 1, 14:54, 34:62] = False
+    assert not found.any()
+
+
+def test_two_photos_cannot_tell_which_of_them_is_right():
+    assert passing(*as_seen([0, 1])) is None
+
+
+def test_a_scene_that_holds_still_and_what_others_measured_too_are_no_passing_things():
+    geometry, _ = as_seen([0, 1, 2])
+    assert passing(geometry, SCENE.views) is None
+    assert passing(*as_seen([0, 1, 2], unmeasured=False)) is None
+
+
+def test_gaussians_go_that_the_photo_saw_within_its_mask_and_no_other_photos():
+    views = SCENE.views
+    cameras = Cameras(SCENE.cameras.c2w, views.intrinsics, views.image_size)
+    scales = pixel_scales(SCENE.depths, views.intrinsics, 0.35)
+    gaussians = pixels_to_gaussians(
+        views.images, SCENE.depths, cameras, scales, torch.ones_like(SCENE.depths)
+    )
+    masks = torch.zeros(SCENE.depths.shape, dtype=torch.bool)
+    masks[THING] = True
+    left = without_passing(gaussians, masks, cameras.c2w, views.intrinsics)
+    counts = [int((left.view_index == view).sum()) for view in range(3)]
+    assert counts == [64 * 96, 64 * 96 - 28 * 16, 64 * 96]
