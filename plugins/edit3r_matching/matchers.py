@@ -143,9 +143,7 @@ class ClassicalMatcher(Matcher):
         (fx, _, cx), (_, fy, cy), _ = found.normalised(views.image_size)[0].tolist()
         return Lens((fx, fy), (cx, cy), (radial, 0.0, 0.0, 0.0, 0.0))
 
-    def _match_scene(
-        self, views: Views, scene: int
-    ) -> tuple[Any, ...]:
+    def _match_scene(self, views: Views, scene: int) -> tuple[Any, ...]:
         """Fields of `MatchedGeometry` of one scene: poses, depths, confidence, registered flags,
         intrinsics, lenses, and the field of view that the matches tell.
         """
