@@ -20,8 +20,13 @@ from edit3r import Registry
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Trainer, TrainingJob
 from edit3r.contract.settings import PartChoice, Settings, make_settings
+from edit3r.kit.weights.files import WEIGHTS
 from edit3r.running import DEFAULTS
 from edit3r_training.checkpoint import LAST
+from edit3r_training.journal import LOG
+
+_OF_A_TRAINING = (LAST, f"best/{WEIGHTS}", LOG)
+"""What a training writes; it may also be a user's own."""
 
 
 class TrainingConfig(Settings):
@@ -91,9 +96,10 @@ def _check_free(out: Path, may_hold_training: bool) -> None:
         raise InputError(
             f"{out}: --out must be a folder, but a file of that name exists."
         )
-    if (out / LAST).exists() and not may_hold_training:
+    held = next((name for name in _OF_A_TRAINING if (out / name).exists()), None)
+    if held and not may_hold_training:
         raise InputError(
-            f"{out}: holds a training already ({LAST}); give --resume to go on with it, another "
+            f"{out}: holds a training already ({held}); give --resume to go on with it, another "
             "--out to keep it, or "
             "--overwrite to begin anew in its place."
         )

@@ -39,8 +39,10 @@ def test_a_weight_that_is_no_number_is_refused():
         prepare(SMALL | {"losses": {"mse": {"weight": "much"}}}, default_registry())
 
 
-def test_a_training_is_not_overwritten_unless_asked_to(tmp_path):
-    (tmp_path / "last.pt").touch()
+@pytest.mark.parametrize("file", ["last.pt", "log.jsonl", "best/weights.safetensors"])
+def test_a_training_is_not_overwritten_unless_asked_to(tmp_path, file):
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).touch()
     values = SMALL | {"out": str(tmp_path)}
     with pytest.raises(
         InputError, match=r"holds a training already.*--resume.*--out.*--overwrite"
