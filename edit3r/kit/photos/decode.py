@@ -276,8 +276,7 @@ def _loaded(image: Image.Image, path: Path) -> Image.Image:
         return _from_deep_grey(image, path)
     # Pillow keeps the high byte of 16-bit colour.
     if is_16_bit:
-        bands = image.convert("RGB").split()
-        highest = max(band.getextrema()[1] for band in bands)
+        highest = int(np.asarray(image.convert("RGB")).max())
         bits = _bits_used(256 * highest + 255, path)
         return image if bits == 16 else _low_bits(path, bits)
     return image

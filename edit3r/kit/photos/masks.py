@@ -100,7 +100,7 @@ def _without_labels(pixels: Image.Image, path: Path) -> Image.Image:
 
 def _holds_numbers(grey: Image.Image) -> bool:
     """Whether the few values of a grey picture are numbers of labels, not how much may change."""
-    values = {value for _, value in grey.getcolors() or ()}
+    values = set(np.unique(np.asarray(grey)).tolist())
     inside = values - {0, 255}
     alone = len(values) == 2 and 0 in values and max(values) < _DARK_ALONE
     return alone or 0 < max(inside, default=0) < _DARK
