@@ -19,7 +19,7 @@ from pydantic import Field
 from edit3r import Registry
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Trainer, TrainingJob
-from edit3r.contract.settings import PartChoice, Settings, make_settings
+from edit3r.contract.settings import FileText, PartChoice, Settings, make_settings
 from edit3r.kit.weights.files import WEIGHTS
 from edit3r.running import DEFAULTS
 from edit3r_training.checkpoint import LAST
@@ -68,6 +68,7 @@ def prepare(
     `overwrite` is set.
     """
     config = make_settings(TrainingConfig, values, where="training")
+    _check_inside(values.get("out"))
     _check_free(Path(config.out), resume or overwrite)
 
     def build(kind: str, choice: PartChoice) -> Any:
@@ -88,6 +89,17 @@ def prepare(
         config=config.model_dump(mode="json"),
     )
     return build("trainer", config.trainer), job
+
+
+def _check_inside(out: object) -> None:
+    """Raise InputError where a file that is not trusted says to write outside of this folder."""
+    here = Path.cwd().resolve()
+    if not isinstance(out, FileText) or here in (here / out).resolve().parents:
+        return
+    raise InputError(
+        f"training.out: the file says {out}, outside of the current folder; give --out a folder, "
+        "or --trust-config."
+    )
 
 
 def _check_free(out: Path, may_hold_training: bool) -> None:
