@@ -87,6 +87,12 @@ class TrainingState:
                 "configuration that it was "
                 "trained with, or start again with --overwrite instead of --resume."
             ) from None
+        values = (*self.network.state_dict().values(), *self.average.values())
+        if not all(bool(torch.isfinite(one).all()) for one in values):
+            raise InputError(
+                f"{path}: holds weights that are not finite; start again with --overwrite instead "
+                "of --resume."
+            )
 
     def update_average(self, decay: float) -> None:
         """One step of the moving average, warmed up so that early steps do not linger."""

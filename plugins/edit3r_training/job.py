@@ -19,9 +19,14 @@ from pydantic import Field
 from edit3r import Registry
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Trainer, TrainingJob
-from edit3r.contract.settings import PartChoice, Settings, make_settings
+from edit3r.contract.settings import FileText, PartChoice, Settings, make_settings
+from edit3r.kit.weights.files import WEIGHTS
 from edit3r.running import DEFAULTS
 from edit3r_training.checkpoint import LAST
+from edit3r_training.journal import LOG
+
+_OF_A_TRAINING = (LAST, f"best/{WEIGHTS}", LOG)
+"""What a training writes; it may also be a user's own."""
 
 
 class TrainingConfig(Settings):
@@ -63,6 +68,7 @@ def prepare(
     `overwrite` is set.
     """
     config = make_settings(TrainingConfig, values, where="training")
+    _check_inside(values.get("out"))
     _check_free(Path(config.out), resume or overwrite)
 
     def build(kind: str, choice: PartChoice) -> Any:
@@ -85,15 +91,27 @@ def prepare(
     return build("trainer", config.trainer), job
 
 
+def _check_inside(out: object) -> None:
+    """Raise InputError where a file that is not trusted says to write outside of this folder."""
+    here = Path.cwd().resolve()
+    if not isinstance(out, FileText) or here in (here / out).resolve().parents:
+        return
+    raise InputError(
+        f"training.out: the file says {out}, outside of the current folder; give --out a folder, "
+        "or --trust-config."
+    )
+
+
 def _check_free(out: Path, may_hold_training: bool) -> None:
     """Raise InputError unless a training may write to `out`."""
     if out.exists() and not out.is_dir():
         raise InputError(
             f"{out}: --out must be a folder, but a file of that name exists."
         )
-    if (out / LAST).exists() and not may_hold_training:
+    held = next((name for name in _OF_A_TRAINING if (out / name).exists()), None)
+    if held and not may_hold_training:
         raise InputError(
-            f"{out}: holds a training already ({LAST}); give --resume to go on with it, another "
+            f"{out}: holds a training already ({held}); give --resume to go on with it, another "
             "--out to keep it, or "
             "--overwrite to begin anew in its place."
         )

@@ -7,13 +7,15 @@ from pathlib import Path
 
 from edit3r.contract.errors import RunError
 
+LOG = "log.jsonl"
+
 
 class Journal:
     """One JSON object a line in `log.jsonl`. On resuming, lines beyond the resumed step go."""
 
     def __init__(self, folder: Path, step: int = 0) -> None:
         folder.mkdir(parents=True, exist_ok=True)
-        self.path = folder / "log.jsonl"
+        self.path = folder / LOG
         self._start = time.time()
         self._forget_after(step)
         self._board = _tensorboard(folder)

@@ -84,6 +84,7 @@ def atomic_folder(out: str | Path, overwrite: bool = False) -> Iterator[Path]:
     lost and no minutes are spent before saying so.
     """
     final = _resolved(out)
+    _check_link(Path(out), overwrite)
     check_replaceable(final, overwrite)
     with ExitStack() as stack:
         try:
@@ -111,6 +112,7 @@ def check_new_file(
     holds the `source`.
     """
     path = Path(path)
+    _check_link(path, overwrite)
     if not path.exists():
         return
     if source is not None:
@@ -118,6 +120,24 @@ def check_new_file(
     if not overwrite:
         raise InputError(
             f"{path}: is already there; give another --out, or --overwrite."
+        )
+
+
+def _check_link(out: Path, overwrite: bool) -> None:
+    """Raise InputError for a link that somebody may have laid where nobody looks: to what is not
+    there, or to a run that would be replaced.
+    """
+    if not out.is_symlink():
+        return
+    if not out.exists():
+        raise InputError(
+            f"{out}: a link to what is not there ({os.readlink(out)}); remove it, or give another "
+            "--out."
+        )
+    if (out / MARKER).is_file() and not overwrite:
+        raise InputError(
+            f"{out}: a link to the run in {out.resolve()}; give another --out, or --overwrite to "
+            "replace that run."
         )
 
 

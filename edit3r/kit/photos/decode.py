@@ -8,9 +8,10 @@ import contextlib
 import io
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -54,7 +55,9 @@ _FULL_FRAME_DIAGONAL = math.hypot(36, 24)
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
 
 # Tags of TIFF.
-_DNG_VERSION, _NEW_SUBFILE_TYPE, _IMAGE_LENGTH = 50706, 254, 257
+_DNG_VERSION, _NEW_SUBFILE_TYPE, _IMAGE_WIDTH, _IMAGE_LENGTH = 50706, 254, 256, 257
+_BITS, _PHOTOMETRIC, _PLANAR, _ROWS_PER_STRIP = 258, 262, 284, 278
+_STRIP_SIZES, _TILE_WIDTH, _TILE_LENGTH, _TILE_SIZES = 279, 322, 323, 325
 
 _HEIC_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
 
@@ -81,6 +84,7 @@ def decode(path: str | Path) -> DecodedImage:
     path = Path(path)
     with _opened(path) as image:
         _check_size(image, path)
+        _check_whole(image, path)
         try:
             stored = _loaded(image, path)
             turn = _orientation(image, path)
@@ -143,7 +147,8 @@ def _opened(path: Path) -> Iterator[Image.Image]:
                 f"{path}: the image is damaged ({_reason(error)}); copy it again."
             ) from None
         with image:
-            _check_is_developed(image, path)
+            if image.format == "TIFF":
+                _check_tiff(image, path)
             yield image
 
 
@@ -185,15 +190,49 @@ def _register_heic(path: Path) -> None:
     register_heif_opener()
 
 
-def _check_is_developed(image: Image.Image, path: Path) -> None:
-    """Raise InputError for a raw file: what would be read is a thumbnail."""
-    if image.format != "TIFF":
-        return
+def _check_tiff(image: Image.Image, path: Path) -> None:
+    """Raise InputError for a raw file, whose thumbnail would be read, and for what Pillow reads
+    wrongly without a word.
+    """
     tags = image.tag_v2  # type: ignore[attr-defined]
     reduced = tags.get(_NEW_SUBFILE_TYPE, 0)
     named = path.suffix.lower() in RAW_SUFFIXES
     if named or _DNG_VERSION in tags or (isinstance(reduced, int) and reduced & 1):
         raise InputError(f"{path}: a raw file, with a thumbnail in front; {DEVELOP}")
+    bits = tags.get(_BITS, (1,))
+    planar = tags.get(_PLANAR) == 2 and len(bits) > 1
+    kinds = {
+        f"of {bits[0]} bits per channel": bits[0] not in (1, 2, 4, 8, 16, 32),
+        "of 16 bits, each channel by itself": bits[0] == 16 and planar,
+        "of 16 bits, with 0 as white": bits[0] == 16 and tags.get(_PHOTOMETRIC) == 0,
+    }
+    for kind, found in kinds.items():
+        if found:
+            raise InputError(
+                f"{path}: a TIFF {kind}, which is not read; save it as PNG, or as TIFF of 8 bits."
+            )
+
+
+def _check_whole(image: Image.Image, path: Path) -> None:
+    """Raise InputError for a TIFF without some of its strips or tiles, which would be black."""
+    if image.format != "TIFF":
+        return
+    tags = image.tag_v2  # type: ignore[attr-defined]
+    bits = tags.get(_BITS, (1,))
+    planar = tags.get(_PLANAR) == 2
+    parts = tags.get(_STRIP_SIZES, tags.get(_TILE_SIZES, ()))
+    expected = _parts_of(tags) * (len(bits) if planar else 1)
+    if len(parts) < expected or not all(parts):
+        raise InputError(f"{path}: parts of the image are missing; copy it again.")
+
+
+def _parts_of(tags: Mapping[int, Any]) -> int:
+    """How many strips or tiles the image of a TIFF has."""
+    width, height = tags[_IMAGE_WIDTH], tags[_IMAGE_LENGTH]
+    across = math.ceil(width / tags.get(_TILE_WIDTH, width))
+    return across * math.ceil(
+        height / tags.get(_TILE_LENGTH, tags.get(_ROWS_PER_STRIP, height))
+    )
 
 
 def _check_size(image: Image.Image, path: Path) -> None:
@@ -236,9 +275,10 @@ def _loaded(image: Image.Image, path: Path) -> Image.Image:
     if image.mode.startswith("I;16") or image.mode in ("I", "F"):
         return _from_deep_grey(image, path)
     # Pillow keeps the high byte of 16-bit colour.
-    if is_16_bit and image.convert("RGB").getbbox() is None:
-        _warn_of_small_values(path)
-        return _low_bytes(path)
+    if is_16_bit:
+        highest = int(np.asarray(image.convert("RGB")).max())
+        bits = _bits_used(256 * highest + 255, path)
+        return image if bits == 16 else _low_bits(path, bits)
     return image
 
 
@@ -251,29 +291,35 @@ def _from_deep_grey(image: Image.Image, path: Path) -> Image.Image:
             f"{path}: grey values of mode {image.mode} from {low:g} to {high:g}; expected 8 or "
             "16 bits per channel."
         )
-    if 0 < high < 256:
-        _warn_of_small_values(path)
-    else:
-        values = values >> 8
+    values = values >> (_bits_used(int(high), path) - 8)
     return Image.fromarray(values.astype(np.uint8))
 
 
-def _low_bytes(path: Path) -> Image.Image:
-    """16-bit colour by its low bytes, without its colour profile."""
+def _low_bits(path: Path, bits: int) -> Image.Image:
+    """16-bit colour by so many low bits, without its colour profile."""
     coded = np.fromfile(path, np.uint8)
     pixels = np.asarray(cv2.imdecode(coded, cv2.IMREAD_UNCHANGED))
-    pixels = pixels.clip(0, 255).astype(np.uint8)
+    pixels = (pixels >> (bits - 8)).clip(0, 255).astype(np.uint8)
     channels = [2, 1, 0, 3][: pixels.shape[2]]  # OpenCV's order is BGR
     return Image.fromarray(np.ascontiguousarray(pixels[..., channels]))
 
 
-def _warn_of_small_values(path: Path) -> None:
-    warn(f"{path}: holds 16-bit values of 255 at most; they are taken as 8-bit ones.")
+def _bits_used(highest: int, path: Path) -> int:
+    """How many of 16 bits a file uses whose highest value this is; said where it is fewer."""
+    bits = next((bits for bits in (8, 10, 12) if highest < 1 << bits), 16)
+    if bits < 16 and highest:
+        warn(
+            f"{path}: holds 16-bit values of {(1 << bits) - 1} at most; they are taken as "
+            f"{bits}-bit ones."
+        )
+    return bits
 
 
 def _to_srgb(image: Image.Image, path: Path) -> tuple[Image.Image, Image.Image | None]:
     """Any Pillow mode of 8 bits to RGB in sRGB, and its alpha where some of it is see-through."""
     profile = image.info.get("icc_profile")
+    if not profile and "srgb" not in image.info:
+        image = _through_gamma(image)
     if not image.has_transparency_data:
         return _through_profile(image, profile, path), None
     image = image.convert("RGBA")
@@ -282,6 +328,26 @@ def _to_srgb(image: Image.Image, path: Path) -> tuple[Image.Image, Image.Image |
     white = Image.new("RGB", image.size, "white")
     white.paste(opaque, mask=alpha)
     return white, alpha if alpha.getextrema() != (255, 255) else None
+
+
+def _through_gamma(image: Image.Image) -> Image.Image:
+    """A PNG that states another gamma than sRGB's, as programs that compute with light write."""
+    gamma = image.info.get("gamma")
+    if (
+        not gamma
+        or abs(gamma * 2.2 - 1) < 0.05
+        or image.mode not in ("L", "RGB", "RGBA")
+    ):
+        return image
+    light = (np.arange(256) / 255) ** (1 / gamma)
+    coded = np.where(
+        light < 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055
+    )
+    bands = list(image.split())
+    colours = [
+        band.point((255 * coded).round().astype(int).tolist()) for band in bands[:3]
+    ]
+    return Image.merge(image.mode, colours + bands[3:])
 
 
 def _through_profile(

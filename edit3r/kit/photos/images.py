@@ -418,7 +418,11 @@ def _what_else(folder: Path) -> str:
     raw = [path.name for path in inside if path.suffix.lower() in RAW_SUFFIXES]
     if raw:
         return f"only raw files ({raw[0]}); {DEVELOP}"
-    places = [str(path) for path in inside if path.is_dir() and images_of_folder(path)]
+    places = [
+        str(path)
+        for path in inside
+        if images_of_folder(path) or images_of_folder(path / "images")
+    ]
     if places:
         return f"no images in this folder, but in {', '.join(places[:6])}: give these."
     return "no images in this folder."

@@ -8,7 +8,6 @@ import sys
 
 import pytest
 import torch
-import yaml
 from edit3r_model import OFFICIAL
 from edit3r_model.checkpoints import load_weights
 from edit3r_model.convert import convert
@@ -280,9 +279,8 @@ def test_what_is_trained_is_used_and_converted_without_further_settings(
     tmp_path, capsys
 ):
     """No default and no shape tells the sizes of this network."""
-    config = yaml.safe_load(TINY) | {"out": str(tmp_path)}
-    (tmp_path / "tiny.yaml").write_text(yaml.safe_dump(config))
-    assert main(["train", str(tmp_path / "tiny.yaml")]) == 0
+    (tmp_path / "tiny.yaml").write_text(TINY)
+    assert main(["train", str(tmp_path / "tiny.yaml"), "--out", str(tmp_path)]) == 0
     assert main(["convert", str(tmp_path / "best"), str(tmp_path / "ours")]) == 0
     stored = load_weights(tmp_path / "best").tensors
     for name, folder in (("edit3r", "best"), ("noposplat", "best"), ("edit3r", "ours")):

@@ -73,6 +73,18 @@ def test_a_checkpoint_of_another_network_is_refused(tmp_path):
         _state(5).load(tmp_path / "last.pt")
 
 
+@pytest.mark.parametrize("part", ["network", "average"])
+def test_weights_of_a_checkpoint_that_are_not_finite_are_refused(tmp_path, part):
+    state = _state()
+    spoiled = state.average if part == "average" else state.network.state_dict()
+    spoiled["weight"].fill_(float("nan"))
+    state.save(tmp_path / "last.pt")
+    with pytest.raises(
+        InputError, match=r"last\.pt: holds weights that are not finite"
+    ):
+        _state().load(tmp_path / "last.pt")
+
+
 def test_resuming_without_a_checkpoint_says_what_to_do(tmp_path):
     with pytest.raises(InputError, match="without --resume"):
         _state().load(tmp_path / "last.pt")

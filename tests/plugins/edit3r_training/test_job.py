@@ -2,6 +2,7 @@ import pytest
 from edit3r_training.job import prepare
 
 from edit3r.contract.errors import InputError, SettingsError, UnknownComponentError
+from edit3r.contract.settings import of_file
 from edit3r.loading.registry import default_registry
 
 SMALL = {
@@ -39,8 +40,10 @@ def test_a_weight_that_is_no_number_is_refused():
         prepare(SMALL | {"losses": {"mse": {"weight": "much"}}}, default_registry())
 
 
-def test_a_training_is_not_overwritten_unless_asked_to(tmp_path):
-    (tmp_path / "last.pt").touch()
+@pytest.mark.parametrize("file", ["last.pt", "log.jsonl", "best/weights.safetensors"])
+def test_a_training_is_not_overwritten_unless_asked_to(tmp_path, file):
+    (tmp_path / file).parent.mkdir(exist_ok=True)
+    (tmp_path / file).touch()
     values = SMALL | {"out": str(tmp_path)}
     with pytest.raises(
         InputError, match=r"holds a training already.*--resume.*--out.*--overwrite"
@@ -48,6 +51,13 @@ def test_a_training_is_not_overwritten_unless_asked_to(tmp_path):
         prepare(values, default_registry())
     assert prepare(values, default_registry(), overwrite=True)[1].resume is False
     assert prepare(values, default_registry(), resume=True)[1].resume is True
+
+
+@pytest.mark.parametrize("out", ["/tmp/x", "../x", "a/../../x", "."])
+def test_a_strangers_file_says_no_place_outside_of_the_folder(tmp_path, out):
+    values = SMALL | of_file({"out": out})
+    with pytest.raises(InputError, match=r"training.out.*--out.*--trust-config"):
+        prepare(values, default_registry())
 
 
 def test_an_output_folder_that_is_a_file_is_refused(tmp_path):

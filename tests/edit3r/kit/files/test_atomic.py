@@ -3,7 +3,7 @@ import os
 import pytest
 
 from edit3r.contract.errors import InputError, RunError
-from edit3r.kit.files.atomic import MARKER, atomic_folder, atomic_write
+from edit3r.kit.files.atomic import MARKER, atomic_folder, atomic_write, check_new_file
 
 
 def make_run(out, text="old", **options):
@@ -152,3 +152,25 @@ def test_what_cannot_be_written_is_one_sentence(tmp_path):
     for path, expected in places.items():
         with pytest.raises(InputError, match=expected), atomic_write(path):
             pass
+
+
+@pytest.mark.parametrize("to_a_run", [True, False])
+def test_a_link_leads_nowhere_that_was_not_meant(tmp_path, to_a_run):
+    run, link = tmp_path / "run", tmp_path / "edit3r-out"
+    if to_a_run:
+        with atomic_folder(run) as folder:
+            (folder / "mine").touch()
+    link.symlink_to(run)
+    with pytest.raises(InputError, match="a link to"), atomic_folder(link):
+        pass
+    assert run.exists() == to_a_run
+    with pytest.raises(InputError, match="a link to"):
+        check_new_file(link, overwrite=False)
+
+
+def test_a_link_to_a_folder_of_ones_own_is_written_through(tmp_path):
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "out").symlink_to(tmp_path / "disk")
+    with atomic_folder(tmp_path / "out") as folder:
+        (folder / "mine").touch()
+    assert (tmp_path / "disk" / "mine").exists()

@@ -7,7 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+import tifffile
 from PIL import ExifTags, Image, ImageCms, TiffImagePlugin
+from PIL.PngImagePlugin import PngInfo
 
 import edit3r
 from edit3r.contract.errors import InputError, MissingDependencyError
@@ -340,3 +342,59 @@ def test_a_folder_that_has_no_images_says_what_it_has(tmp_path, pattern):
     with pytest.raises(InputError, match=r"no images.*but in .*front: give"):
         find_photos(tmp_path)
     assert len(find_photos(str(tmp_path / "fr*" / "*.png"))) == 1
+
+
+def tiff(path, kind):
+    """A file that Pillow reads wrongly, without a word."""
+    deep = (np.arange(30 * 40 * 3).reshape(30, 40, 3) * 18).astype(np.uint16)
+    if kind == "planar":
+        tifffile.imwrite(path, deep.transpose(2, 0, 1), planarconfig="separate")
+        return
+    white = "miniswhite" if kind == "white is zero" else "minisblack"
+    tifffile.imwrite(path, deep[..., 0], photometric=white, rowsperstrip=10)
+    with tifffile.TiffFile(path, mode="r+b") as file:
+        tags = file.pages[0].tags
+        if kind == "12 bits":
+            tags["BitsPerSample"].overwrite(12)
+        if kind == "an empty strip":
+            tags["StripByteCounts"].overwrite([800, 0, 800])
+        if kind == "a strip too few":
+            tags["ImageLength"].overwrite(50)
+
+
+@pytest.mark.parametrize(
+    ("kind", "told"),
+    [
+        ("planar", "each channel by itself"),
+        ("white is zero", "0 as white"),
+        ("12 bits", "12 bits per channel"),
+        ("an empty strip", "parts of the image are missing"),
+        ("a strip too few", "parts of the image are missing"),
+    ],
+)
+def test_a_tiff_that_would_be_read_wrongly_is_refused(tmp_path, kind, told):
+    tiff(tmp_path / "a.tif", kind)
+    assert told in complain(tmp_path / "a.tif")
+
+
+@pytest.mark.parametrize("bits", [10, 12])
+@pytest.mark.parametrize("colour", [True, False])
+def test_fewer_bits_than_16_are_told_by_the_values(tmp_path, bits, colour):
+    values = (np.arange(256, dtype=np.uint16) << (bits - 8)).reshape(16, 16)
+    values = np.stack([values] * 3, 2) if colour else values
+    (tmp_path / "a.png").write_bytes(cv2.imencode(".png", values)[1])
+    with collecting(Report()) as report:
+        pixels = np.asarray(read_image(tmp_path / "a.png"))
+    assert f"taken as {bits}-bit" in report.warnings[0]
+    assert (pixels[..., 0] == np.arange(256).reshape(16, 16)).all()
+
+
+def test_the_gamma_of_a_png_is_undone_but_not_beside_srgb(tmp_path):
+    light = Image.new("RGBA", (4, 4), (55, 0, 255, 255))  # 55: sRGB's 128
+    for srgb, red in ((False, 128), (True, 55)):
+        chunks = PngInfo()
+        if srgb:
+            chunks.add(b"sRGB", b"\0")
+        chunks.add(b"gAMA", struct.pack(">I", 100_000))
+        light.save(tmp_path / "a.png", pnginfo=chunks)
+        assert read_image(tmp_path / "a.png").getpixel((0, 0)) == (red, 0, 255)
