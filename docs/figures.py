@@ -36,9 +36,6 @@ class Table:
 TABLES = {
     "formats": Table("docs/files.md", "python benchmarks/export_formats.py", 1),
     "viewer": Table("docs/notes/files.md", "python benchmarks/viewer_page.py", 1),
-    "looks-in-3d": Table(
-        "docs/editors/looks.md", "python benchmarks/looks_in_3d.py photos/", 5
-    ),
     "poses": Table(
         "docs/classical.md",
         "python benchmarks/poses.py photos/bear photos/fern photos/fox photos/monstree "
