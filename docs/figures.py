@@ -34,17 +34,8 @@ class Table:
 
 
 TABLES = {
-    "rasterizers": Table("docs/rasterizers.md", "python benchmarks/rasterizers.py", 3),
     "formats": Table("docs/files.md", "python benchmarks/export_formats.py", 1),
     "viewer": Table("docs/notes/files.md", "python benchmarks/viewer_page.py", 1),
-    "looks-in-3d": Table(
-        "docs/editors/looks.md", "python benchmarks/looks_in_3d.py photos/", 5
-    ),
-    "default-run": Table(
-        "docs/notes/tradeoff.md",
-        "python benchmarks/default_run.py photos/fern:8,12 photos/bear:0,2 photos/fox:6,9",
-        3,
-    ),
     "poses": Table(
         "docs/classical.md",
         "python benchmarks/poses.py photos/bear photos/fern photos/fox photos/monstree "
@@ -53,13 +44,6 @@ TABLES = {
     ),
     "held-out": Table(
         "docs/notes/scenes.md", "python benchmarks/held_out.py photos/", 1
-    ),
-    "simplify": Table(
-        "docs/simplify.md",
-        "python benchmarks/simplify.py photos/fox photos/fern photos/dinosaur photos/bear "
-        "photos/monstree photos/7scenes_rgbd procedural --scenes 2 --generated 12 "
-        "--short --out runs/simplify",
-        10,
     ),
     "full-run": Table("docs/notes/network.md", "python benchmarks/full_run.py", 4),
 }

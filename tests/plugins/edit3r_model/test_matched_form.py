@@ -238,7 +238,7 @@ def test_where_edits_conflict_the_other_view_s_opacity_falls_and_nowhere_else():
 
 def test_what_is_set_by_hand_stands_in_the_model_card():
     card = Path(__file__).parents[3] / "docs" / "model-card.md"
-    assert f"(`head.conflict_opacity`) | {CONFLICT_OPACITY} |" in card.read_text()
+    assert f"`head.conflict_opacity` (`{CONFLICT_OPACITY}`)" in card.read_text()
     assert EditFusionHead.Settings().conflict_opacity == CONFLICT_OPACITY
 
 
