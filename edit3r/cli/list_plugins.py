@@ -7,8 +7,10 @@ from collections.abc import Sequence
 
 from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS
+from edit3r.kit.command.console import printable
 from edit3r.kit.command.flags import add_plugin_option
 
+LONGEST = 400  # characters of a cell: texts of plugins are strangers'
 COLUMNS = ("kind", "name", "plugin", "version", "licence", "summary")
 PIPED_WIDTH = 400  # piped output is not wrapped, so that grep finds what it looks for
 
@@ -101,7 +103,7 @@ def table(
     for column in columns:
         shown.add_column(column, overflow="fold", no_wrap=column in whole)
     for row in rows:
-        shown.add_row(*row)
+        shown.add_row(*(printable(cell)[:LONGEST] for cell in row))
     console.print(shown, markup=False)
 
 
@@ -138,4 +140,5 @@ def _print_table(
         lines.append(
             f"failed: plugin {failure['plugin']}{version}: {failure['reason']}"
         )
-    print("\n".join([*lines, *(f"note: {remark}" for remark in remarks)]))
+    lines += [f"note: {remark}" for remark in remarks]
+    print("\n".join(printable(line)[: 10 * LONGEST] for line in lines))

@@ -88,3 +88,17 @@ def test_one_kind_lists_only_that_kind(capsys):
     assert {
         row["kind"] for row in json.loads(capsys.readouterr().out)["components"]
     } == {"rasterizer"}
+
+
+def test_texts_of_plugins_are_cut_and_command_no_terminal(tmp_path, capsys):
+    file = tmp_path / "loud.py"
+    file.write_text(
+        "from edit3r import Component, hookimpl\n"
+        "@hookimpl\n"
+        "def register_editors():\n"
+        "    text = '\\x1b[31m' + 'long ' * 2000\n"
+        "    return [Component('loud', 'loud:Loud', text)]\n"
+    )
+    assert main(["list-plugins", "--kind", "editor", "--plugin", str(file)]) == 0
+    printed = capsys.readouterr().out
+    assert "loud" in printed and "\x1b" not in printed and len(printed) < 20_000
