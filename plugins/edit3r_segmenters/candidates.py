@@ -47,7 +47,10 @@ PART_POWER_ALONE = 0.7
 SALIENCE_POWER_ALONE = 1.0
 # Where depth bounds the thing: agreement with what a network says of the surfaces at the click
 FITTING = 0.7  # overlap of an answer with its surface from which depth tells of the click at all
-MAX_SURFACES_A_POINT = {False: 5, True: 3}  # of a click, and of each place of a stroke
+SAME_BOX = 0.7  # overlap of boxes from which a network says the same of both
+AGREED = (
+    0.8  # mean overlap of the first answers with the best reading: depth is not asked
+)
 HELD = 0.8  # share of a stroke's points that a reading must hold
 SAME = 0.85  # overlap of two candidates above which a step from one to the other shows nothing
 # Where a mask from another view is completed
@@ -229,12 +232,13 @@ def _first(evidence: Evidence, place: Place) -> list[Candidate]:
         asked = list(evidence.prompt(clicks, None))
         logits += asked
         found = _ranked(evidence, nothing, clicks, logits, asked)
-        if (
-            found
-        ):  # the network sees better what to do once it is told how far the thing goes
-            logits += list(evidence.prompt(clicks, _bounds(found[0].mask)))
+        if found:  # it sees better what to do once it is told how far the thing goes
+            box = _bounds(found[0].mask)
+            boxed = list(evidence.prompt(clicks, box))
+            logits += boxed
             found = _ranked(evidence, nothing, clicks, logits, asked)
-            found = _by_depth(evidence, found, [place])
+            if found and not _is_clear(found[0].mask, asked):
+                found = _by_depth(evidence, found, [place], [(box, boxed)])
     if found:
         return _voted(evidence, found, clicks)
     cut = _locally_cut(evidence.pixels, nothing > 0, place, True)
@@ -288,22 +292,36 @@ def _holding(
     return sorted(found, key=lambda one: -one.score)
 
 
+def _is_clear(best: np.ndarray, asked: Sequence[np.ndarray]) -> bool:
+    """Whether a network's answers to a click all mean the best reading, near or far."""
+    return float(np.mean([overlap(best, one > 0) for one in asked])) >= AGREED
+
+
 def _by_depth(
-    evidence: Evidence, found: list[Candidate], places: Sequence[Place]
+    evidence: Evidence,
+    found: list[Candidate],
+    places: Sequence[Place],
+    answered: Sequence[tuple[Box, Sequence[np.ndarray]]] = (),
 ) -> list[Candidate]:
     """The candidates in the order that depth gives them; as they are where it says nothing.
 
-    A network is asked with a place and the box of each surface there. An answer counts by how well
-    it fits the surface; a candidate by how well it agrees with these answers, and by how much it
-    stands before what is beside it.
+    A network is asked with a place and the box of each surface there, unless it `answered` nearly
+    the same box before. An answer counts by how well it fits the surface; a candidate by how well
+    it agrees with these answers, and by how much it stands before what is beside it.
     """
     surfaces, prompt = evidence.surfaces, evidence.prompt
     if surfaces is None or prompt is None or not found:
         return found
     fits, answers = [], []
     for place in places:
-        for surface in surfaces.at(place)[: MAX_SURFACES_A_POINT[len(places) > 1]]:
-            said = [one > 0 for one in prompt([(place, True)], _bounds(surface))]
+        known = list(answered)
+        for surface in surfaces.at(place):
+            box = _bounds(surface)
+            alike = [said for other, said in known if _shared(box, other) >= SAME_BOX]
+            if not alike:
+                alike = [list(prompt([(place, True)], box))]
+                known.append((box, alike[0]))
+            said = [one > 0 for one in alike[0]]
             answers.append(said)
             fits.append(max(overlap(surface, one) for one in said))
     if max(fits, default=0.0) < FITTING:
@@ -495,6 +513,14 @@ def _bounds(mask: np.ndarray) -> Box:
     rows, columns = np.nonzero(mask)
     first = (int(rows.min()), int(columns.min()))
     return first, (int(rows.max()) + 1, int(columns.max()) + 1)
+
+
+def _shared(one: Box, other: Box) -> float:
+    """Intersection over union of two boxes."""
+    first, last = np.maximum(one[0], other[0]), np.minimum(one[1], other[1])
+    both = np.prod(np.maximum(last - first, 0))
+    areas = sum(np.prod(np.subtract(box[1], box[0])) for box in (one, other))
+    return float(both / (areas - both))
 
 
 def _locally_cut(

@@ -18,7 +18,7 @@ from edit3r_segmenters.masks import overlap
 STEPS = (0.01, 0.02, 0.03, 0.05, 0.08)  # of inverse depth, at which a surface may end
 AREAS = (0.001, 0.6)  # shares of the image that a surface may cover
 SAME = 0.85  # overlap from which two surfaces are one
-MAX_SURFACES = 5
+MAX_SURFACES = 3  # at a place
 NEAR = 6  # pixels from a place to the surface that is meant
 ON_PLANE = 0.015
 LARGE = 0.12  # share of the image from which a plane may hold things up
@@ -60,7 +60,9 @@ class Surfaces:
             usual = AREAS[0] < part.mean() < AREAS[1]
             if usual and all(overlap(part, other) < SAME for other in found):
                 found.append(part)
-        return found[:MAX_SURFACES]
+            if len(found) == MAX_SURFACES:
+                break
+        return found
 
     def before(self, mask: np.ndarray) -> float:
         """How much nearer a bool mask lies along its outline than what is beside it: 1 a clear step

@@ -1,5 +1,6 @@
 """Depth tells surfaces apart, and what stands before what is behind it."""
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -88,3 +89,32 @@ def test_a_stroke_asks_with_all_its_points_in_one_ranking(image):
     assert asked[0] == 6 and asked[1:7] == [1] * 6
     held = [bool(found.soft_mask[30, x] > 0.5) for x in range(32, 48)]
     assert np.mean(held) >= 0.8
+
+
+class Counting(Two):
+    """The same network, that counts boxes; `agreed`: it has one answer to a click."""
+
+    def __init__(self, agreed=False):
+        self.agreed, self.boxes = agreed, []
+
+    def ask(self, image, clicks, box=None):
+        logits, quality = super().ask(image, clicks, box)
+        if box is None:
+            return (logits[:1] if self.agreed else logits), quality
+        self.boxes.append(box)
+        return logits, quality
+
+
+@pytest.mark.parametrize("agreed, boxes", [(True, 1), (False, 2)])
+def test_depth_asks_a_network_only_where_answers_differ_and_once_for_like_boxes(
+    image, monkeypatch, agreed, boxes
+):
+    """The ball, and the same without its rim, are two surfaces of nearly one box."""
+    rimless = cv2.erode(BALL.astype(np.uint8), np.ones((3, 3))) > 0
+    monkeypatch.setattr(Surfaces, "at", lambda self, place: [BALL, rimless])
+    network = Counting(agreed)
+    relief = Relief(torch.from_numpy(scene()), torch.ones(SHAPE, dtype=torch.bool))
+    marks = Marks(positive=((46 / 96, 30.5 / 64),), relief=relief)
+    segmenter = edit3r.build("segmenter", "classical", learned=False)
+    segmenter.answer(image, marks, network)
+    assert len(network.boxes) == boxes
