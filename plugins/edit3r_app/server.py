@@ -243,13 +243,19 @@ class Answers:
         return Response(self.looker.overlay(state, draft, name), media_type="image/png")
 
     def pointed(self, request: Request) -> Response:
-        """What is pointed at on one photo; with `mark`, as if that mark were made as well."""
+        """What is pointed at on one photo; with `mark`, as if that mark were made as well.
+
+        With `made` it is being made, and may be kept already.
+        """
         state, name = _named(request, "state", "name")
         draft = read_draft(self.folder, state)
         mark = request.query_params.get("mark")
         if mark:
-            draft.take(_mark_of(mark))
-        content = self.looker.pointed(state, draft, name, line=bool(mark))
+            made = _mark_of(mark)
+            if draft.marks[-1:] != [made] or "made" not in request.query_params:
+                draft.take(made)
+        line = bool(mark) and "made" not in request.query_params
+        content = self.looker.pointed(state, draft, name, line=line)
         return Response(content, media_type="image/png")
 
     def reading(self, request: Request) -> Response:

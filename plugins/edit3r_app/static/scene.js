@@ -192,17 +192,20 @@ export function scenePage(page, scene, at, beside) {
     busy(s.reading.photos ? "Looking for what you mean" : "Reading the photos first");
     const before = s.draft.marks.concat({ ...mark, photo: name });
     marks.show(before.filter((one) => one.photo === current()));
+    // The photo that was clicked is answered first, while the mark is written; then all the others.
+    const pointed = encodeURIComponent(JSON.stringify({ ...mark, photo: name }));
+    const address = `${path("pointed", state(), name)}?v=${s.draft.version}&made=1&mark=${pointed}`;
+    const seen = imageThere(address).then((there) => {
+      if (there && pressed) setOver(name, address); // else the full answer was there first
+      hover.hidden = true;
+    });
     const draft = await attempt(() =>
       tell(["draft", state()], { do: "mark", value: { ...mark, photo: name } }),
     );
     if (!draft) return void drawMarks();
     took(draft);
-    const full = answer();
-    const address = `${path("pointed", state(), name)}?v=${draft.version}`;
-    const there = await imageThere(address);
-    if (there && pressed && name === current()) setOver(name, address); // else the full answer was there first
-    hover.hidden = true;
-    await full;
+    await seen;
+    await answer();
   }
   const drawMarks = () => marks.show(s.draft.marks.filter((one) => one.photo === current()));
   function setOver(name, address) {
@@ -264,14 +267,19 @@ export function scenePage(page, scene, at, beside) {
     drawTools();
     drawChip();
   }
-  let asking = 0;
+  let asking = 0,
+    asked = null;
   async function answer() {
     // what the draft means, on every photo
-    const number = ++asking,
-      version = s.draft.version,
-      place = state();
+    const number = ++asking;
     busy(s.draft.selects || s.draft.form.prompt ? "Finding it on every photo" : "");
-    const found = await attempt(() => ask("look", place, { v: version }));
+    while (asked) await asked; // one question at a time: of those that wait the last is asked
+    if (number !== asking || stop.signal.aborted) return;
+    const version = s.draft.version,
+      place = state();
+    asked = attempt(() => ask("look", place, { v: version }));
+    const found = await asked;
+    asked = null;
     if (number !== asking) return;
     busy("");
     if (!found || stop.signal.aborted) return;
@@ -935,7 +943,8 @@ export function scenePage(page, scene, at, beside) {
     while (!stop.signal.aborted) {
       const found = await ask("scene", scene, { at: job });
       if (found.isRun) return;
-      if (!found.job.active) throw new Error(found.job.sentence);
+      const is = found.job.state; // done: it ended while the server answered
+      if (!found.job.active && is !== "done") throw new Error(found.job.sentence);
       await new Promise((done) => setTimeout(done, 300));
     }
   }
