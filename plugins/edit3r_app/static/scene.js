@@ -797,7 +797,7 @@ export function scenePage(page, scene, at, beside) {
           : !reading.geometry && s.photos.length > 1
             ? `Finding depth · about ${seconds(reading.left)} left; you can go on`
             : "";
-    const line = working || slow;
+    const line = lasting || working || slow;
     pill.hidden = !line;
     if (pill.dataset.line !== line) {
       pill.dataset.line = line;
@@ -819,7 +819,12 @@ export function scenePage(page, scene, at, beside) {
     "write files": "Writing the files",
   };
   const stageWords = (name) => STAGES[name.replace(/ \(.*$/, "")] || "Polishing";
-  let working = "";
+  let working = "",
+    lasting = ""; // what no answer about marks ends
+  function long(text) {
+    lasting = text;
+    if (s) drawPill();
+  }
   function busy(text) {
     working = text;
     if (s) drawPill();
@@ -891,11 +896,11 @@ export function scenePage(page, scene, at, beside) {
   async function film() {
     filming = true;
     drawDrawer();
-    busy("Drawing the flight");
+    long("Drawing the flight");
     const keys = kept.keys.map(({ pose, K }) => ({ ...pose, K }));
     const bytes = await attempt(() => tell(["film", state()], { keys }));
     filming = false;
-    busy("");
+    long("");
     if (stop.signal.aborted) return;
     if (kept.drawer === "film") drawDrawer();
     if (!bytes) return;
@@ -919,7 +924,7 @@ export function scenePage(page, scene, at, beside) {
     if (shaping) return;
     shaping = true;
     if (kept.drawer) drawDrawer();
-    busy(action === "find" ? "Looking for things" : `${name}: ${ACTIONS[action] || action}`);
+    long(action === "find" ? "Looking for things" : `${name}: ${ACTIONS[action] || action}`);
     const asked = { at, action, name, numbers, text };
     const job = await attempt(async () => {
       const made = await tell(["object", scene], asked);
@@ -927,7 +932,7 @@ export function scenePage(page, scene, at, beside) {
       return made;
     });
     shaping = false;
-    busy("");
+    long("");
     if (stop.signal.aborted) return;
     if (!job) {
       for (const frame of frames()) frame.replaceWith(viewer(state())); // as it was
