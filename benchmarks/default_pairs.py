@@ -6,14 +6,15 @@ best-blurred photo.
 A row for each number of refining steps; the pairs one by one go to stderr.
 """
 
-import argparse
 import sys
 from collections import Counter
+from collections.abc import Iterator, Sequence
 from functools import partial
 
 import torch
 from edit3r_measure.novel_view import novel_view, score_scene
 from edit3r_measure.scene_sources import SceneOptions, find_scenes
+from harness import Row, run_benchmark
 from scenes import for_tuning
 
 import edit3r
@@ -38,22 +39,18 @@ class DefaultRun:
         return Reconstruction(result.gaussians, result.cameras)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folders", nargs="+")
-    parser.add_argument("--pairs", type=int, default=5)
-    parser.add_argument("--size", type=int, default=256)
-    parser.add_argument("--refine", type=int, nargs="+", default=[28])
-    args = parser.parse_args()
-    print("| steps | pairs | placed | gain, dB | worst | good, fair, poor |")
-    print("| --: | --: | --: | --: | --: | --- |")
-    for steps in args.refine:
-        print(row(for_tuning(args.folders), args.pairs, args.size, steps), flush=True)
+def main(
+    folders: Sequence[str],
+    *,
+    pairs: int = 5,
+    size: int = 256,
+    refine: Sequence[int] = (28,),
+) -> Iterator[Row]:
+    for steps in refine:
+        yield row(for_tuning(folders), pairs, size, steps)
 
 
-def row(folders: list[str], pairs: int, size: int, steps: int) -> str:
+def row(folders: list[str], pairs: int, size: int, steps: int) -> Row:
     """Run every pair; the table's row of this number of steps."""
     rasterizer = edit3r.build("rasterizer", "auto")
     options = SceneOptions(pairs, size)
@@ -69,9 +66,15 @@ def row(folders: list[str], pairs: int, size: int, steps: int) -> str:
             if not score.failure:
                 gains.append(score.figures["psnr"] - score.figures["blurred_psnr"])
     found = ", ".join(str(labels[label]) for label in ("good", "fair", "poor"))
-    gain = f"{sum(gains) / len(gains):+.2f} | {min(gains):+.2f}"
-    return f"| {steps} | {labels.total()} | {len(gains)} | {gain} | {found} |"
+    return {
+        "steps": (steps, "d"),
+        "pairs": (labels.total(), "d"),
+        "placed": (len(gains), "d"),
+        "gain, dB": (sum(gains) / len(gains), "+.2f"),
+        "worst": (min(gains), "+.2f"),
+        "good, fair, poor": found,
+    }
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(main)

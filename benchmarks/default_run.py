@@ -8,12 +8,13 @@ to Gaussians, of 36 frames of the camera path (from six of them), Gaussians, PSN
 views, and PSNR of the photo half-way at 512 pixels, whatever the size of the run.
 """
 
-import argparse
 import time
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import torch
+from harness import Row, run_benchmark
 
 import edit3r
 from edit3r.kit.geometry.cameras import median_scale, relative_to_first, scale_poses
@@ -23,7 +24,7 @@ from edit3r.kit.rendering import path_around, render_one
 FRAMES, DRAWN, FULL = 36, 6, 512
 
 
-def measure(files: list[Path], between: Path, size: int, plain: bool) -> str:
+def measure(files: list[Path], between: Path, size: int, plain: bool) -> Row:
     views = replace(edit3r.load_views(files, size=size), c2w=None)
     start = time.process_time()
     result = edit3r.run(
@@ -47,30 +48,22 @@ def measure(files: list[Path], between: Path, size: int, plain: bool) -> str:
         image = result.rasterizer.render(result.gaussians, camera).images.clamp(0, 1)
     held_out = float(-10 * torch.log10((image - full.images[:, 2:]).square().mean()))
     shown = sum(result.verdict.input_psnr) / 2
-    return (
-        f"{made:.2f} | {drawn:.2f} | {result.gaussians.count:,} | {shown:.2f} | "
-        f"{held_out:.2f} | {result.verdict.label}"
-    )
+    return {
+        "made in, CPU s": (made, ".2f"),
+        "36 frames, CPU s": (drawn, ".2f"),
+        "Gaussians": (result.gaussians.count, ",d"),
+        "input views, dB": (shown, ".2f"),
+        "half-way, dB": (held_out, ".2f"),
+        "verdict": result.verdict.label,
+    }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("scenes", nargs="+", help="FOLDER:FIRST,SECOND")
-    parser.add_argument(
-        "--settings",
-        nargs="+",
-        default=["512:plain", "512", "384", "320"],
-        help="SIZE or SIZE:plain",
-    )
-    args = parser.parse_args()
-    print(
-        "| scene and photos | pixels | made in, CPU s | 36 frames, CPU s | Gaussians | "
-        "input views, dB | half-way, dB | verdict |\n"
-        "| --- | --- | --: | --: | --: | --: | --: | --- |"
-    )
-    for scene in args.scenes:
+def main(
+    scenes: Sequence[str],
+    *,
+    settings: Sequence[str] = ("512:plain", "512", "384", "320"),
+) -> Iterator[Row]:
+    for scene in scenes:
         folder, _, numbers = scene.rpartition(":")
         first, second = map(int, numbers.split(","))
         cameras = read_posed_folder(Path(folder)).cameras
@@ -78,12 +71,12 @@ def main() -> None:
             Path(folder) / cameras[i].file
             for i in (first, second, (first + second) // 2)
         ]
-        for settings in args.settings:
-            size, _, plain = settings.partition(":")
+        for setting in settings:
+            size, _, plain = setting.partition(":")
             figures = measure(files[:2], files[2], int(size), plain == "plain")
             name = f"{Path(folder).name} {first}, {second}"
-            print(f"| {name} | {settings} | {figures} |", flush=True)
+            yield {"scene and photos": name, "pixels": setting, **figures}
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(main)

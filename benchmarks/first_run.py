@@ -7,13 +7,15 @@ Every run is the default one, in a process of its own and with an empty cache of
 two ways take turns. Measure on a machine that does nothing else.
 """
 
-import argparse
 import os
 import statistics
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+
+from harness import Row, run_benchmark
 
 WAYS = {
     "beside": "",
@@ -35,20 +37,16 @@ def seconds(preparation: str) -> float:
         return time.perf_counter() - start
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=3)
-    args = parser.parse_args()
-    rows = [
-        {way: seconds(code) for way, code in WAYS.items()} for _ in range(args.repeats)
-    ]
-    print("| kernels compiled | seconds of wall, each run | median |")
-    print("| --- | --- | --: |")
+def main(*, repeats: int = 3) -> Iterator[Row]:
+    rows = [{way: seconds(code) for way, code in WAYS.items()} for _ in range(repeats)]
     for way in WAYS:
         taken = [row[way] for row in rows]
-        each = ", ".join(f"{value:.1f}" for value in taken)
-        print(f"| {way} | {each} | {statistics.median(taken):.1f} |")
+        yield {
+            "kernels compiled": way,
+            "seconds of wall, each run": ", ".join(f"{value:.1f}" for value in taken),
+            "median": (statistics.median(taken), ".1f"),
+        }
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(main)

@@ -9,11 +9,12 @@ scenes with known cameras, of the photo that stands between the two. The other b
 these scenes.
 """
 
-import argparse
 import json
+from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
 
+from harness import Row, run_benchmark
 from scenes import HELD_OUT
 from verdict import measure
 
@@ -24,32 +25,27 @@ from edit3r.kit.photos.images import find_photos
 SIZE = 256
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("data", type=Path, help="folder of photo sets")
-    data = parser.parse_args().data
-    print(
-        "| held-out photos | verdict | agreement, dB | input views, dB | photo between, dB |\n"
-        "| --- | --- | --: | --: | --: |"
-    )
+def main(data: Path) -> Iterator[Row]:
     for scene in HELD_OUT:
         count = len(find_photos(data / scene / "images"))
         for pair in combinations(range(count), 2):
-            print(f"| {scene} {pair[0]}, {pair[1]} | {figures(data / scene, pair)} |")
+            name = f"{scene} {pair[0]}, {pair[1]}"
+            yield {"held-out photos": name, **figures(data / scene, pair)}
 
 
-def figures(folder: Path, pair: tuple[int, int]) -> str:
+def figures(folder: Path, pair: tuple[int, int]) -> Row:
     """The cells of one row after its first."""
     row = posed(folder, pair) if is_posed(folder) else unposed(folder, pair)
-    if row["label"] == "refused":
-        return "refused | – | – | –"
-    agreement, shown, between = (
-        ", ".join(f"{value:.1f}" for value in row[name]) or "–"
-        for name in ("agreement", "input_psnr", "held_out")
-    )
-    return f"{row['label']} | {agreement} | {shown} | {between}"
+    titles = {
+        "agreement": "agreement, dB",
+        "input_psnr": "input views, dB",
+        "held_out": "photo between, dB",
+    }
+    cells = {
+        title: ", ".join(f"{value:.1f}" for value in row.get(name, ())) or "–"
+        for name, title in titles.items()
+    }
+    return {"verdict": row["label"], **cells}
 
 
 def is_posed(folder: Path) -> bool:
@@ -78,4 +74,4 @@ def unposed(folder: Path, pair: tuple[int, int]) -> dict:
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(main)

@@ -6,14 +6,16 @@ Four photos of each folder's images/ are exposed anew: their linear light is mul
 1.5 and 0.75 times, each with its white balance) and passes a camera's curve. Then whole default
 runs: PSNR [dB] of the finished scene at its photos, and before refining, where the photos agree or
 do not; with `--light own`, with `--light one`, and of the same photos as they were taken.
+`--step` takes every so many photos of a folder.
 """
 
-import argparse
 import tempfile
 import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from harness import Row, run_benchmark
 from skimage.io import imread, imsave
 from skimage.transform import resize
 
@@ -49,19 +51,10 @@ def take(files: list[Path], folder: Path, change: bool) -> list[Path]:
     return written
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--step", type=int, default=2, help="every so many photos")
-    parser.add_argument("--size", type=int, default=384)
-    options = parser.parse_args()
+def main(folders: Sequence[Path], *, step: int = 2, size: int = 384) -> Iterator[Row]:
     warnings.simplefilter("ignore")
-    print("| scene | run | verdict | photos [dB] | before refining [dB] |")
-    print("| --- | --- | --- | --: | --: |")
-    for folder in options.folders:
-        files = sorted((folder / "images").iterdir())[:: options.step][:4]
+    for folder in folders:
+        files = sorted((folder / "images").iterdir())[::step][:4]
         with tempfile.TemporaryDirectory() as place:
             relit, plain = (
                 take(files, Path(place), change) for change in (True, False)
@@ -71,20 +64,20 @@ def main() -> None:
                 ("other light, one", relit, "one"),
                 ("as taken", plain, "one"),
             ):
-                result = edit3r.run(
-                    photos, editor="none", size=options.size, light=light
-                )
+                result = edit3r.run(photos, editor="none", size=size, light=light)
                 verdict = result.verdict
-                figures = [
+                shown, before = (
                     np.mean([one for one in values if one is not None])
                     for values in (verdict.input_psnr, verdict.agreement)
-                ]
-                print(
-                    f"| {folder.name} | {name} | {verdict.label} | {figures[0]:.1f} | "
-                    f"{figures[1]:.1f} |",
-                    flush=True,
                 )
+                yield {
+                    "scene": folder.name,
+                    "run": name,
+                    "verdict": verdict.label,
+                    "photos [dB]": (shown, ".1f"),
+                    "before refining [dB]": (before, ".1f"),
+                }
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(main)

@@ -7,11 +7,12 @@ of the scene without the edit. A pixel kept its own colour where it differs by l
 from the scene without the edit and the look changes that by more than 10.
 """
 
-import argparse
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import torch
+from harness import Row, run_benchmark
 
 import edit3r
 from edit3r import Views, build
@@ -36,27 +37,23 @@ SIZE = 256
 SAME, CHANGED = 3.0, 10.0  # differences of colours [CIE Lab]
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path, help="folder of photo sets")
-    parser.add_argument(
-        "--looks", nargs="+", default=["black and white", "night", "sketch"]
-    )
-    args = parser.parse_args()
-    looks = build("editor", "looks")
-    print("| scene | look | pixels that kept their colour, mean | worst frame |")
-    print("| --- | --- | --: | --: |")
+def main(
+    data: Path, *, looks: Sequence[str] = ("black and white", "night", "sketch")
+) -> Iterator[Row]:
+    editor = build("editor", "looks")
     for name, files in PAIRS.items():
-        photos = [str(args.data / file) for file in files]
+        photos = [str(data / file) for file in files]
         plain = edit3r.run(photos, editor="none", size=SIZE, outputs=[])
-        for look in args.looks:
+        for look in looks:
             prompt = f"make the whole image {look}"
             edited = edit3r.run(photos, prompt, editor="looks", size=SIZE, outputs=[])
-            shares = kept(plain, edited, looks, prompt)
-            print(
-                f"| {name} | {look} | {shares.mean():.2%} | {shares.max():.2%} |",
-                flush=True,
-            )
+            shares = kept(plain, edited, editor, prompt)
+            yield {
+                "scene": name,
+                "look": look,
+                "pixels that kept their colour, mean": (float(shares.mean()), ".2%"),
+                "worst frame": (float(shares.max()), ".2%"),
+            }
 
 
 def kept(plain, edited, looks, prompt) -> torch.Tensor:
@@ -81,4 +78,4 @@ def kept(plain, edited, looks, prompt) -> torch.Tensor:
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(main)

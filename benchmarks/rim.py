@@ -10,10 +10,9 @@ photo), their mean and the worst; and how much of the steps from pixel to pixel 
 left beyond it (stripes).
 """
 
-import argparse
 import json
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +20,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from clicks import filled
+from harness import Row, run_benchmark
 from PIL import Image
 
 import edit3r
@@ -72,31 +72,27 @@ CASES = {
 }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path, help="folder of photo sets")
-    parser.add_argument("--size", type=int, default=512)
-    parser.add_argument("--only", nargs="*", default=[], help="names of the edits")
-    parser.add_argument("--sheet", type=Path, help="the wider pictures, side by side")
-    args = parser.parse_args()
-    print("| edit | borders | levels, mean | worst | stripes |")
-    print("| --- | --: | --: | --: | --: |")
+def main(
+    data: Path, *, size: int = 512, only: Sequence[str] = (), sheet: Path | None = None
+) -> Iterator[Row]:
     pictures = []
     for name, case in CASES.items():
-        if args.only and name not in args.only:
+        if only and name not in only:
             continue
-        result = done(case, args.data, args.size)
+        result = done(case, data, size)
         wide = [wider(result, view) for view in range(2)]
         borders = [one for view in wide for one in compared(*view)]
         levels, stripes = np.array(borders).T
-        print(
-            f"| {name} | {len(levels)} | {levels.mean():.1f} | {levels.max():.1f} | "
-            f"{stripes.mean():.2f} |",
-            flush=True,
-        )
+        yield {
+            "edit": name,
+            "borders": (len(levels), "d"),
+            "levels, mean": (levels.mean(), ".1f"),
+            "worst": (levels.max(), ".1f"),
+            "stripes": (stripes.mean(), ".2f"),
+        }
         pictures.append(wide[0][0])
-    if args.sheet:
-        sheet(pictures).save(args.sheet)
+    if sheet:
+        in_rows(pictures).save(sheet)
 
 
 def done(case: Case, data: Path, size: int) -> edit3r.RunResult:
@@ -172,7 +168,7 @@ def compared(whole, colours, shown, photo, mask) -> Iterator[tuple[float, float]
             yield float(255 * mean), float(np.mean(steps))
 
 
-def sheet(pictures: list[torch.Tensor]) -> Image.Image:
+def in_rows(pictures: list[torch.Tensor]) -> Image.Image:
     """The pictures in rows of three."""
     tiles = []
     for picture in pictures:
@@ -187,4 +183,4 @@ def sheet(pictures: list[torch.Tensor]) -> Image.Image:
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(main)

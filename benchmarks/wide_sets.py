@@ -3,22 +3,22 @@
     python benchmarks/wide_sets.py FOLDER... --size 512
 
 Each folder holds photos and a cameras.json with intrinsics and poses. A set is a row of four
-photos, each 33 to 47 degrees from the one before and farther from those before that one; sets
-begin at photos spread evenly over the folder. Each set is matched as it is and with tilted images,
-with the lens known and unknown. A placed photo is wrong where its turn relative to photo 0 is off
-by more than 5 degrees. Printed for every set: placed, wrong, largest error [degrees] and processor
-seconds.
+photos, each 33 to 47 degrees from the one before and farther from those before that one; sets begin
+at photos spread evenly over the folder, `--sets` of them. Each set is matched as it is and with
+tilted images, with the lens known and unknown. A placed photo is wrong where its turn relative to
+photo 0 is off by more than 5 degrees. Printed for every set: placed, wrong, largest error [degrees]
+and processor seconds.
 """
 
-import argparse
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
+from harness import Row, run_benchmark
 from scenes import for_tuning
 
 import edit3r
@@ -95,32 +95,21 @@ def result_of(
     return f"{len(placed)}, {wrong}, {max(errors, default=0):.1f}°, {seconds:.0f} s"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folders", nargs="+", type=Path)
-    parser.add_argument("--size", type=int, default=512)
-    parser.add_argument("--sets", type=int, default=3, help="of each folder")
-    args = parser.parse_args()
-    print(
-        "| photos | lens | as they are | with tilted images |\n| --- | --- | --- | --- |"
-    )
-    for folder in for_tuning(args.folders):
+def main(folders: Sequence[Path], *, size: int = 512, sets: int = 3) -> Iterator[Row]:
+    for folder in for_tuning(folders):
         cameras = read_posed_folder(folder).cameras
         rows = [row_from(cameras, start) for start in range(len(cameras))]
         rows = [row for row in rows if row]
-        picked = np.unique(np.linspace(0, len(rows) - 1, args.sets).round().astype(int))
+        picked = np.unique(np.linspace(0, len(rows) - 1, sets).round().astype(int))
         for row in [rows[index] for index in picked] if rows else []:
             for known in (True, False):
-                cells = [
-                    result_of(folder, row, args.size, known, tilted)
-                    for tilted in (False, True)
-                ]
-                name = f"{folder.name} {', '.join(map(str, row))}"
-                lens = "known" if known else "unknown"
-                print(f"| {name} | {lens} | {' | '.join(cells)} |", flush=True)
+                yield {
+                    "photos": f"{folder.name} {', '.join(map(str, row))}",
+                    "lens": "known" if known else "unknown",
+                    "as they are": result_of(folder, row, size, known, False),
+                    "with tilted images": result_of(folder, row, size, known, True),
+                }
 
 
 if __name__ == "__main__":
-    main()
+    run_benchmark(main)

@@ -17,7 +17,13 @@ import cv2
 import numpy as np
 
 from edit3r_matching.cameras import CalibratedImage, Pose
-from edit3r_matching.relative_pose import Matches, quick_pose, refine, sharp_support
+from edit3r_matching.relative_pose import (
+    Matches,
+    agreeing,
+    quick_pose,
+    refine,
+    sharp_support,
+)
 
 __all__ = [
     "PREFERENCE",
@@ -159,15 +165,12 @@ def _telling(matches: Matches, threshold: float) -> float:
         np.ascontiguousarray(matches.focal * rays[:, :2])
         for rays in (matches.rays_a, matches.rays_b)
     )
-    _, moved = cv2.findFundamentalMat(
-        first, second, cv2.USAC_MAGSAC, threshold, 0.999, 2000
-    )
+    kept = agreeing(first, second, threshold)
+    if kept is None:
+        return 0.0
     _, flat = cv2.findHomography(
         first, second, cv2.USAC_MAGSAC, 2 * threshold, maxIters=1000
     )
-    if moved is None:
-        return 0.0
-    kept = moved[:, 0] > 0
     deep = kept if flat is None else kept & (flat[:, 0] == 0)
     return float(deep.sum() + 0.1 * kept.sum())
 

@@ -21,7 +21,7 @@ from edit3r.kit.weights.find import at_hand, find
 from edit3r_matching import ALIKED
 from edit3r_matching.cameras import CalibratedImage, rays_through
 from edit3r_matching.keypoints import Keypoints
-from edit3r_matching.relative_pose import Matches
+from edit3r_matching.relative_pose import Matches, agreeing
 
 __all__ = [
     "ENOUGH_MATCHES",
@@ -196,7 +196,7 @@ def _agree(found: FoundFeatures, a: int, b: int) -> bool:
         )
     )
     cv2.setRNGSeed(0)
-    _, kept = cv2.findFundamentalMat(first, second, cv2.USAC_MAGSAC, 1.0, 0.999, 2000)
+    kept = agreeing(first, second, 1.0)
     return kept is not None and int(kept.sum()) >= ENOUGH_AGREEING
 
 

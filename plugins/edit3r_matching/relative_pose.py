@@ -18,6 +18,7 @@ from edit3r_matching.cameras import Pose, cross_matrix, triangulate
 __all__ = [
     "Matches",
     "TwoViewPose",
+    "agreeing",
     "estimate_pose",
     "log_chance",
     "log_false_alarms",
@@ -331,3 +332,21 @@ def log_chance(matches: int, inliers: int, chance: float) -> float:
 def _log_binomial(n: int, k: int) -> float:
     """Natural logarithm of the binomial coefficient."""
     return math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
+
+
+def agreeing(
+    first: Float[np.ndarray, "match 2"],
+    second: Float[np.ndarray, "match 2"],
+    threshold: float,
+) -> Bool[np.ndarray, "match"] | None:
+    """Return which matches agree with one epipolar geometry [pixels]; None where there is none.
+
+    OpenCV raises where all that it drew is degenerate.
+    """
+    try:
+        _, kept = cv2.findFundamentalMat(
+            first, second, cv2.USAC_MAGSAC, threshold, 0.999, 2000
+        )
+    except cv2.error:
+        return None
+    return None if kept is None else kept[:, 0] > 0

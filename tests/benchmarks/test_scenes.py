@@ -24,4 +24,4 @@ def test_a_held_out_scene_ends_what_settings_are_tuned_by(scene):
 )
 def test_benchmarks_that_tune_ask_before_they_read_folders(script):
     code = (ROOT / "benchmarks" / script).read_text(encoding="utf-8")
-    assert re.search(r"for_tuning\(\S*args\.(folders|sources)\)", code)
+    assert re.search(r"for_tuning\(\S*\b(folders|sources)\)", code)

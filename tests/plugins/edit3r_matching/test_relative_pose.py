@@ -8,6 +8,7 @@ from edit3r_matching.relative_pose import (
     Matches,
     _moved,
     _settled,
+    agreeing,
     estimate_pose,
     refine,
     sampson_errors,
@@ -171,3 +172,12 @@ def test_too_few_matches_give_no_pose(pose):
 def test_a_pose_and_its_inverse_cancel(pose):
     there_and_back = pose.inverse().after(pose)
     assert np.allclose(there_and_back.matrix, np.eye(4))
+
+
+def test_points_that_opencv_gives_up_on_agree_on_nothing(monkeypatch):
+    def gives_up(*given):
+        raise cv2.error("Assertion failed: !model.empty()")
+
+    points = np.random.default_rng(0).random((30, 2))
+    monkeypatch.setattr(cv2, "findFundamentalMat", gives_up)
+    assert agreeing(points, points, 1.0) is None
