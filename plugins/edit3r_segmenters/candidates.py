@@ -48,9 +48,7 @@ SALIENCE_POWER_ALONE = 1.0
 # Where depth bounds the thing: agreement with what a network says of the surfaces at the click
 FITTING = 0.7  # overlap of an answer with its surface from which depth tells of the click at all
 SAME_BOX = 0.7  # overlap of boxes from which a network says the same of both
-AGREED = (
-    0.8  # mean overlap of the first answers with the best reading: depth is not asked
-)
+AGREED = 0.8  # overlap of answers with the best reading: depth is not asked
 HELD = 0.8  # share of a stroke's points that a reading must hold
 SAME = 0.85  # overlap of two candidates above which a step from one to the other shows nothing
 # Where a mask from another view is completed
