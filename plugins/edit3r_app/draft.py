@@ -122,7 +122,8 @@ class Draft:
             negative=tuple((view, *mark.places[0]) for view, mark in of("remove")),
             boxes={view: _box(mark) for view, mark in of("box")},
             strokes=tuple((view, tuple(mark.places)) for view, mark in of("stroke")),
-            added=_painted([*of("paint"), *of("exact")], views.image_size),
+            added=_painted(of("paint"), views.image_size),
+            regions=tuple((view, _box(mark)) for view, mark in of("exact")),
             removed=_painted(of("erase"), views.image_size),
             words=thing.name,
             which=thing.which,
@@ -169,16 +170,13 @@ def _box(mark: Mark) -> Box:
 def _painted(
     strokes: Iterable[tuple[int, Mark]], size: tuple[int, int]
 ) -> dict[int, Float[Tensor, "height width"]]:
-    """What strokes of the brush and exact boxes cover, as masks of 0 and 1 by view."""
+    """What strokes of the brush cover, as masks of 0 and 1 by view."""
     height, width = size
     masks: dict[int, np.ndarray] = {}
     for view, stroke in strokes:
         mask = masks.setdefault(view, np.zeros(size, np.float32))
         places = np.rint(np.multiply(stroke.places, (width, height)))
         places = places.astype(np.int32)
-        if stroke.kind == "exact":
-            cv2.rectangle(mask, places[0].tolist(), places[-1].tolist(), 1, cv2.FILLED)
-            continue
         thickness = max(1, round(2 * stroke.radius * max(size)))
         cv2.polylines(mask, [places], False, 1, thickness)
     return {view: torch.from_numpy(mask) for view, mask in masks.items()}
