@@ -296,12 +296,23 @@ class JobInputs(Settings):
         (),
         description="a line drawn over the object, on the first photo or photo N; repeatable",
     )
+    region: tuple[str, ...] = Field(
+        (),
+        description="a box that is exactly what may change, on the first photo or photo N",
+    )
     thing: str = Field(
         "", description="the object in words, such as 'the left cup', instead of marks"
     )
 
     @field_validator(
-        "photos", "mask", "point", "not_point", "box", "stroke", mode="before"
+        "photos",
+        "mask",
+        "point",
+        "not_point",
+        "box",
+        "stroke",
+        "region",
+        mode="before",
     )
     @classmethod
     def _one_is_a_list(cls, value: Any) -> Any:

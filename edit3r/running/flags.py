@@ -37,6 +37,7 @@ def add_mark_flags(parser: argparse.ArgumentParser) -> None:
     add("--not-point", metavar="[N:]X,Y", help=INPUTS["not_point"], **REPEATED)
     add("--stroke", metavar="[N:]X,Y,X,Y,...", help=INPUTS["stroke"], **REPEATED)
     add("--box", metavar="[N:]X,Y,W,H", help=INPUTS["box"], **REPEATED)
+    add("--region", metavar="[N:]X,Y,W,H", help=INPUTS["region"], **REPEATED)
     add("--thing", metavar="TEXT", default="", help=INPUTS["thing"])
     add(
         "--mask",

@@ -65,6 +65,7 @@ def job_from(
         inputs.mask,
         inputs.thing,
         inputs.stroke,
+        inputs.region,
     )
     return RunJob(
         config=config,
@@ -119,7 +120,7 @@ def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:
         "cameras": inputs.cameras or str(cameras),
     }
     clicked = (inputs.point, inputs.not_point, inputs.stroke, inputs.box)
-    marked = any((inputs.mask, inputs.thing, *clicked))
+    marked = any((inputs.mask, inputs.thing, inputs.region, *clicked))
     subject = DEFAULTS["subject"]
     usual = config.editor is None or config.editor.name == DEFAULTS["editor"]
     if usual and not marked and subject in config.prompt.lower():

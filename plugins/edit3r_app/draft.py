@@ -127,9 +127,8 @@ class Draft:
             negative=tuple((view, *mark.places[0]) for view, mark in of("remove")),
             boxes={view: _box(mark) for view, mark in of("box")},
             strokes=tuple((view, tuple(mark.places)) for view, mark in of("stroke")),
-            added=_painted(
-                [*of("paint"), *of("exact"), *of("lasso")], views.image_size
-            ),
+            added=_painted([*of("paint"), *of("lasso")], views.image_size),
+            regions=tuple((view, _box(mark)) for view, mark in of("exact")),
             removed=_painted([*of("erase"), *of("carve")], views.image_size),
             words=thing.name,
             which=thing.which,
@@ -176,7 +175,7 @@ def _box(mark: Mark) -> Box:
 def _painted(
     strokes: Iterable[tuple[int, Mark]], size: tuple[int, int]
 ) -> dict[int, Float[Tensor, "height width"]]:
-    """What strokes of the brush, exact boxes and lassos cover, as masks of 0 and 1 by view."""
+    """What strokes of the brush and lassos cover, as masks of 0 and 1 by view."""
     height, width = size
     masks: dict[int, np.ndarray] = {}
     for view, stroke in strokes:
@@ -185,9 +184,6 @@ def _painted(
         places = places.astype(np.int32)
         if stroke.kind in ("lasso", "carve"):
             cv2.fillPoly(mask, [places], 1)
-            continue
-        if stroke.kind == "exact":
-            cv2.rectangle(mask, places[0].tolist(), places[-1].tolist(), 1, cv2.FILLED)
             continue
         thickness = max(1, round(2 * stroke.radius * max(size)))
         cv2.polylines(mask, [places], False, 1, thickness)

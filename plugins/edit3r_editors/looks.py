@@ -7,6 +7,7 @@ neighbourhood, so that a surface looks alike in all views; no pattern depends on
 picture, where it would swim over the surfaces.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
@@ -125,6 +126,30 @@ def marble(images: Images) -> Images:
     return light * images.new_tensor((1, 0.985, 0.96))[:, None, None] * (1 - veins)
 
 
+def wood(images: Images) -> Images:
+    """Brown in the photo's shades; soft rings run along lines of equal light, as marble's veins."""
+    smooth = _by_opencv(images, partial(cv2.medianBlur, ksize=15))
+    phase = 12 * _blurred(grey(_flattened(smooth, 60, 0.5)), 0.01)
+    slope = kornia.filters.spatial_gradient(phase)[:, 0].norm(dim=1, keepdim=True)
+    clear = _step(slope, 0.004, 0.02) * (1 - _step(slope, 0.08, 0.2))
+    rings = 0.375 * (1 + torch.cos(2 * math.pi * phase)) * clear
+    light = 0.35 + 0.75 * _step(grey(_flattened(images, 10, 0.1)), 0, 0.85)
+    return light * _between(images, rings, _WOOD)
+
+
+def snow(images: Images) -> Images:
+    """White in light and pale blue in shade."""
+    return _between(images, _step(grey(_flattened(images, 10, 0.1)), 0, 0.9), _SNOW)
+
+
+def _between(
+    images: Images, share: Float[Tensor, "view 1 height width"], colours: tuple
+) -> Images:
+    """From the first colour (sRGB) to the second, by a share of each pixel."""
+    first, second = (images.new_tensor(one)[:, None, None] for one in colours)
+    return first + share * (second - first)
+
+
 def metal(images: Images, colours: tuple) -> Images:
     """Turn light into the banded light of polished metal, in colours (sRGB) of its shades, middle
     and highlights.
@@ -201,6 +226,8 @@ class Look(NamedTuple):
 
 _SUNNED = (1.02, 1, 0.94)
 _BLUE, _WARM, _FADED = (0.34, 0.42, 0.64), (1.18, 0.93, 0.66), (1.05, 0.97, 0.8)
+_WOOD = ((0.72, 0.5, 0.3), (0.45, 0.27, 0.14))
+_SNOW = ((0.42, 0.55, 0.76), (1, 1, 1))
 _STEEL = ((0.2, 0.22, 0.26), (0.58, 0.62, 0.68), (1, 1, 1))
 _GOLD = ((0.34, 0.19, 0.03), (0.86, 0.6, 0.14), (1, 0.97, 0.75))
 _BRONZE = ((0.24, 0.13, 0.07), (0.62, 0.38, 0.2), (0.98, 0.85, 0.68))
@@ -226,6 +253,8 @@ LOOKS = {
     "watercolour": Look("watercolour watercolor aquarelle", "pale washes with darker "
                                                             "rims", watercolour),
     "marble": Look("marble", "like marble: white stone, veins along lines of equal light", marble),
+    "wood": Look("wood wooden", "like wood: brown, soft rings along lines of equal light", wood),
+    "snow": Look("snow snowy", "as if made of snow; none falls", snow),
     "steel": Look("steel metal metallic chrome "
                   "silver", "like polished steel", partial(metal, colours=_STEEL)),
     "gold": Look("gold golden gilded", "like polished gold", partial(metal, colours=_GOLD)),

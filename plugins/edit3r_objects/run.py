@@ -215,6 +215,7 @@ def _masks(run: Run, args: argparse.Namespace) -> Tensor:
         tuple(args.mask),
         args.thing,
         tuple(args.stroke),
+        tuple(args.region),
     )
     if not texts.given:
         if not earlier.things:

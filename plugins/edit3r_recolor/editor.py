@@ -33,6 +33,9 @@ METALS = {
 }
 """sRGB in [0, 1] of metals under plain light, between shade and highlight."""
 
+GRAINED = ("marble", "wood", "snow")
+"""Materials that are more than a colour: another editor draws them."""
+
 
 class RecolorEditor(Editor, EditsRegions):
     """Colour edits without a model, blended softly by the region of each wish (section 3.2)."""
@@ -53,8 +56,8 @@ class RecolorEditor(Editor, EditsRegions):
         )
 
     def understands(self, wish: Wish) -> bool:
-        stone = any(change.material == "marble" for change in wish.changes)
-        return wish.action == "paint" and not stone
+        grained = any(change.material in GRAINED for change in wish.changes)
+        return wish.action == "paint" and not grained
 
     @one_thread()  # powers differ in their last bits by where threads divide an image
     def edit(self, views: Views, request: EditRequest) -> Views:

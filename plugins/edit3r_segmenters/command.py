@@ -102,6 +102,7 @@ class MaskCommand(Command):
             tuple(args.mask),
             args.thing,
             tuple(args.stroke),
+            tuple(args.region),
         )
         with (
             StageConsole(quiet=args.quiet) as console,

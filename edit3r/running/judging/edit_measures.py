@@ -77,7 +77,7 @@ def measure_edit(
             ghost=ghost_of(before, after, masks),
             made_up=made_up(before, after, masks),
         )
-    if all(wish.thing.scope == "region" for wish in wishes) and wishes:
+    if scene.selected and all("region" in one.how for one in scene.selected):
         return measures  # the left half of a picture ends on no edge
     return replace(
         measures,

@@ -1,4 +1,4 @@
-"""Marks as people type them: --point, --not-point, --box and --mask, read into a Selection."""
+"""Marks as people type them: clicks, strokes, boxes, regions and masks, read into a Selection."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -23,8 +23,8 @@ from edit3r.running.selecting.select import Box, Selection
 
 @dataclass(frozen=True)
 class MarkTexts:
-    """What is marked, in words and files. Places are `[N:]X,Y`, boxes `[N:]X,Y,W,H`
-    and strokes `[N:]X,Y,X,Y,...`.
+    """What is marked, in words and files. Places are `[N:]X,Y`, boxes and regions
+    `[N:]X,Y,W,H` and strokes `[N:]X,Y,X,Y,...`.
 
     N is the number of the photo, from 1. Numbers are pixels of the original photo or, where none is
     above 1, shares of its sides.
@@ -36,6 +36,7 @@ class MarkTexts:
     mask_files: tuple[str, ...] = ()
     thing: str = ""  # in words, such as "the left cup"
     strokes: tuple[str, ...] = ()
+    regions: tuple[str, ...] = ()
 
     @property
     def given(self) -> bool:
@@ -47,6 +48,7 @@ class MarkTexts:
                 self.mask_files,
                 self.thing,
                 self.strokes,
+                self.regions,
             )
         )
 
@@ -76,6 +78,7 @@ class MarkTexts:
             which=thing.which,
             several=thing.several,
             strokes=tuple(_stroke("--stroke", text, frames) for text in self.strokes),
+            regions=tuple(_box("--region", text, frames) for text in self.regions),
         )
 
     def _named(self, reader: Reader | None) -> Thing:

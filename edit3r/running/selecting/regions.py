@@ -16,7 +16,7 @@ from edit3r.contract.errors import InputError, PromptError
 from edit3r.contract.interfaces import MatchedGeometry, Segmenter
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Views
-from edit3r.contract.wishes import FLOOD, Box, Change, Colour, Thing, Wish
+from edit3r.contract.wishes import FLOOD, Change, Colour, Thing, Wish
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.select import (
     ASK,
@@ -194,7 +194,8 @@ class RegionFinder:
     def _mask(self, thing: Thing | None, marked_thing: Thing | None) -> Masks:
         """Masks of a thing: what is marked where the marks stand for it, else by its name."""
         if thing is not None and thing.box is not None:
-            return self._look_for(thing, self._box_of(thing.box)).masks[:, 0]
+            place = Selection(regions=((0, thing.box),))
+            return self._look_for(thing, place).masks[:, 0]
         stands_for = thing is None or marked_thing is None or _same(thing, marked_thing)
         if self._marked is not None and stands_for:
             return self._look_for(None, self._marked).masks[:, 0]
@@ -220,16 +221,6 @@ class RegionFinder:
         if thing.part is not None:
             mask = near_colour(mask, self._views.images[0], thing.part)
         return mask
-
-    def _box_of(self, box: Box) -> Selection:
-        """A box of the first photo, exactly; the other photos show what it holds there."""
-        height, width = self._views.image_size
-        left, top, across, down = box
-        mask = torch.zeros(height, width)
-        rows = slice(round(top * height), round((top + down) * height))
-        columns = slice(round(left * width), round((left + across) * width))
-        mask[rows, columns] = 1
-        return Selection(masks={0: mask})
 
     def _as_known(self, name: str) -> Selection:
         """The masks that an earlier run has of a thing."""

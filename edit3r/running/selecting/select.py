@@ -6,7 +6,7 @@ geometry where it is at hand, else by what the pictures show. The command line, 
 `edit3r.run` share this.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -90,6 +90,8 @@ class Selection:
     inverted: bool = False  # True: all but the object is meant
     # lines drawn over the object: view, and places x, y along the line
     strokes: tuple[tuple[int, tuple[tuple[float, float], ...]], ...] = ()
+    # boxes that are taken exactly, whatever lies in them: view, box
+    regions: tuple[tuple[int, Box], ...] = ()
 
     def __post_init__(self) -> None:
         """Raise InputError for marks that lie on no photo."""
@@ -99,7 +101,7 @@ class Selection:
                 raise InputError(
                     f"a point lies outside photo {view + 1}: ({x:.3g}, {y:.3g}); {SHARES}."
                 )
-        for view, box in self.boxes.items():
+        for view, box in (*self.boxes.items(), *self.regions):
             x, y, width, height = _numbers_of(box, "a box is (x, y, width, height)", 4)
             # a comparison with what is no number is False
             if not (0 <= x < x + width <= 1.001 and 0 <= y < y + height <= 1.001):
@@ -119,8 +121,8 @@ class Selection:
     @property
     def says_where(self) -> bool:
         """Whether any mark says where the object is; one that says where not is none."""
-        marks = (self.positive, self.strokes, self.boxes, self.masks, self.added)
-        return any(marks)
+        looked_for = (self.positive, self.strokes, self.boxes)
+        return any((*looked_for, self.masks, self.added, self.regions))
 
     def marks_on(self, view: int) -> Marks:
         """Clicks, strokes and box of one view."""
@@ -137,7 +139,8 @@ class Selection:
         """Views that carry any mark, in the order in which they say where the object is."""
         drawn = [stroke[0] for stroke in self.strokes]
         clicked = [place[0] for place in (*self.positive, *self.negative)]
-        said = (*self.masks, *self.boxes, *self.added, *drawn, *clicked, *self.removed)
+        exact = (*self.added, *(view for view, _ in self.regions))
+        said = (*self.masks, *self.boxes, *exact, *drawn, *clicked, *self.removed)
         return tuple(dict.fromkeys(said))
 
 
@@ -160,7 +163,7 @@ class Selected:
     ]  # soft, in [0, 1]; 0 everywhere in a view where nothing was found
     how: tuple[
         str, ...
-    ]  # per view: "given", "marked", "words", "guess", "geometry", "pictures" or "not found"
+    ]  # by view: "given", "region", "marked", "words", "guess", "geometry", "pictures", "not found"
     warnings: tuple[
         str, ...
     ] = ()  # sentences for the user, also sent to `edit3r.contract.reporting`
@@ -209,6 +212,7 @@ def select_masks(
             "points": selection.positive,
             "not": selection.negative,
             "boxes": selection.boxes,
+            "regions": selection.regions,
             "how": how,
         },
     )
@@ -247,6 +251,17 @@ def grown(
     move = cv2.dilate if pixels > 0 else cv2.erode
     moved = [move(mask.numpy(force=True), disc) for mask in masks[:, 0]]
     return torch.from_numpy(np.stack(moved))[:, None].to(masks)
+
+
+def filled(box: Box, size: Sequence[int]) -> Float[Tensor, "height width"]:
+    """A mask of 1 in a box [shares of the sides], 0 elsewhere."""
+    height, width = size
+    left, top, across, down = box
+    mask = torch.zeros(height, width)
+    rows = slice(round(top * height), round((top + down) * height))
+    columns = slice(round(left * width), round((left + across) * width))
+    mask[rows, columns] = 1
+    return mask
 
 
 def _numbers_of(value: Any, meaning: str, count: int) -> tuple[Any, ...]:
@@ -462,6 +477,8 @@ class _Work:
             )
             if marks.inside or marks.box is not None or (marks.negative and expected):
                 self._keep(view, self._described(view, marks), "marked")
+            elif view in {on for on, _ in chosen.regions} and not expected:
+                self._keep(view, torch.zeros_like(self.images[view, 0]), "region")
             elif view in chosen.added or expected:  # what is painted is taken exactly
                 self._keep(
                     view,
@@ -475,8 +492,10 @@ class _Work:
         self._paint(view)
 
     def _paint(self, view: int) -> None:
-        """Brush and eraser are taken as they are."""
+        """Brush, exact boxes and eraser are taken as they are."""
         mask, chosen = self.masks[view], self.selection
+        for box in (box for on, box in chosen.regions if on == view):
+            mask = torch.maximum(mask, filled(box, mask.shape).to(mask))
         if view in chosen.added:
             mask = torch.maximum(mask, chosen.added[view].to(mask))
         if view in chosen.removed:

@@ -133,8 +133,7 @@ def test_a_stroke_is_looked_for_and_an_exact_box_is_taken_as_it_is():
     found = chosen.selection(views)
     assert chosen.selects
     assert found.strokes == ((0, tuple(line)),)
-    rows, columns = found.added[0].nonzero().T
-    assert (rows.min(), columns.min(), columns.max()) == (20, 20, 30)
+    assert found.regions == ((0, (0.5, 0.5, 0.25, 0.5)),)
 
 
 def test_a_lasso_takes_what_it_goes_around_and_carves_it_away():

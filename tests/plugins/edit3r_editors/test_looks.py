@@ -39,6 +39,8 @@ VIEWS = Views(
         ("make the planter look old and weathered", "weathered"),
         ("make the door look worn", "weathered"),
         ("turn the bear into marble", "marble"),
+        ("make the bear wooden", "wood"),
+        ("turn the bear into snow", "snow"),
         ("make it look like mars", ""),
         ("autumn or rather winter", ""),
         ("paint the bear red", ""),

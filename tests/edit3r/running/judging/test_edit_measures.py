@@ -227,7 +227,7 @@ def test_how_much_a_click_took_counts_where_nothing_else_says_how_far_it_goes(
 
 
 def test_a_place_of_the_picture_needs_no_edge_at_its_outline(scene):
-    place = Thing("region", "left half", box=(0.0, 0.0, 0.5, 1.0))
-    found = figures(scene, replace(PAINT_RED, thing=place))
+    half = Selected(scene.masks[0][:, None], ("region", "geometry"))
+    found = figures(replace(scene, selected=(half,)))
     assert found.outline is None and found.open_outline is None
     assert found.changed == 1

@@ -25,7 +25,12 @@ def read(photos, *words):
     add_mark_flags(parser)
     args = parser.parse_args(words)
     texts = MarkTexts(
-        args.point, args.not_point, args.box, args.mask, strokes=tuple(args.stroke)
+        args.point,
+        args.not_point,
+        args.box,
+        args.mask,
+        strokes=tuple(args.stroke),
+        regions=tuple(args.region),
     )
     return texts.read(photos) if texts.given else None
 
@@ -55,6 +60,15 @@ def test_a_stroke_is_a_line_of_places(photos):
     for wrong in ("20", "20,30", "20,30,40", "0.1,0.1,90,90", "a,b,c,d"):
         with pytest.raises(InputError, match="--stroke"):
             read(photos, "--stroke", wrong)
+
+
+def test_a_region_is_a_box_of_its_own_kind(photos):
+    marked = read(photos, "--region", "2:8,6,40,30")
+    ((view, box),) = marked.regions
+    assert view == 1 and box == pytest.approx((0.1, 0.1, 0.5, 0.5))
+    assert not marked.boxes and marked.says_where and marked.views == (1,)
+    with pytest.raises(InputError, match="--region"):
+        read(photos, "--region", "1,2,3")
 
 
 def test_one_mask_belongs_to_the_photo_in_its_name_else_to_the_first(photos, tmp_path):

@@ -107,6 +107,20 @@ def test_brush_and_eraser_have_the_last_word():
     assert (selected.masks[0, 0][wiped > 0] == 0).all()
 
 
+def test_a_region_is_its_box_exactly_and_adds_to_clicks():
+    box = (0.0, 0.0, 0.5, 0.25)
+    alone = select_masks(IMAGES, Selection(regions=((0, box),)), Squares())
+    height, width = IMAGES.shape[-2:]
+    expected = torch.zeros(height, width)
+    expected[: height // 4, : width // 2] = 1
+    assert alone.how[0] == "region" and torch.equal(alone.masks[0, 0], expected)
+    both = Selection(positive=((0, 0.25, 0.5),), regions=((0, box),))
+    added = select_masks(IMAGES, both, Squares())
+    assert added.how[0] == "marked" and (added.masks[0, 0] >= expected).all()
+    with pytest.raises(InputError, match="box on photo 1"):
+        Selection(regions=((0, (0.5, 0.5, 0.9, 0.1)),))
+
+
 def test_unknown_words_are_an_error_unless_a_guess_is_allowed():
     assert select_masks(IMAGES, Selection(words="box"), Squares()).how[0] == "words"
     with pytest.raises(InputError, match="--point"):
