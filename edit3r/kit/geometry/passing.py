@@ -51,7 +51,8 @@ def passing(
     if int(geometry.registered.sum(1).min()) < 3:
         return None
     share = min(1.0, LONGEST / max(photos.image_size))
-    size = tuple(max(1, round(share * side)) for side in photos.image_size)
+    height, width = (max(1, round(share * side)) for side in photos.image_size)
+    size = height, width
     views = geometry.calibrated(photos).at(size)
     geometry = replace(geometry.at(size), intrinsics=views.intrinsics)
     masks = torch.stack(
