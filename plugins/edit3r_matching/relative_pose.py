@@ -266,18 +266,23 @@ def _settled(matches: Matches, pose: Pose, scale: float) -> Pose:
 def _error_slopes(
     matches: Matches, products: Float[np.ndarray, "match 9"], pose: Pose
 ) -> Float[np.ndarray, "5 match"]:
-    """How `sampson_errors` change with the five numbers of `_moved`.
-
-    `products` are those of the two rays of each match. That the scale of the errors changes too is
-    left out: it matters by the square of an error only.
+    """How `sampson_errors` change with the five numbers of `_moved`; `products` are those of the
+    two rays of each match.
     """
     across = cross_matrix(pose.translation)
     turned = [across @ cross_matrix(axis) @ pose.rotation for axis in np.eye(3)]
     slid = [cross_matrix(slide) @ pose.rotation for slide in _slides(pose)]
     moves = np.stack([*turned, *slid]).reshape(5, 9)
-    return (moves @ products.T) * (
-        matches.focal / _gradients(matches, across @ pose.rotation)
-    )
+    essential = across @ pose.rotation
+    lengths = _gradients(matches, essential)
+    lines_b, lines_a = matches.rays_a @ essential.T, matches.rays_b @ essential
+    constraint = np.einsum("ij,ij->i", matches.rays_b, lines_b)
+    # Half the slope of the gradient's squared length: the scale of the errors changes too.
+    lines_a[:, 2] = lines_b[:, 2] = 0
+    scale = lines_b[:, :, None] * matches.rays_a[:, None]
+    scale += matches.rays_b[:, :, None] * lines_a[:, None]
+    whole = products - (constraint / lengths**2)[:, None] * scale.reshape(-1, 9)
+    return (moves @ whole.T) * (matches.focal / lengths)
 
 
 def _gradients(

@@ -155,8 +155,8 @@ def test_a_refined_pose_is_where_the_robust_loss_is_least(pose):
         f_scale=0.25,
     )
     found = _settled(matches, start, 0.25)
-    assert rotation_degrees(found.rotation, moved(best.x).rotation) < 1e-2
-    assert np.abs(found.translation - moved(best.x).translation).max() < 5e-4
+    assert rotation_degrees(found.rotation, moved(best.x).rotation) < 1e-3
+    assert np.abs(found.translation - moved(best.x).translation).max() < 1e-4
 
 
 def test_too_few_matches_give_no_pose(pose):
