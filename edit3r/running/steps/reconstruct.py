@@ -40,20 +40,16 @@ def reconstruct(scene: Scene, parts: Parts) -> Scene:
     used = [view for view, there in enumerate(placed) if there]
     lost = [view for view, there in enumerate(placed) if not there]
     _tell_of_turned(scene.photos.select(used), known_cameras(reconstruction))
+    left_out = scene.photos.select(lost) if lost else None
     scene = scene.select(used)
-    if scene.passing is not None:
-        cameras = known_cameras(reconstruction)
-        gaussians = without_passing(
-            reconstruction.gaussians, scene.passing, cameras.c2w, cameras.intrinsics
-        )
-        reconstruction = replace(reconstruction, gaussians=gaussians)
+    reconstruction = _without_passing(reconstruction, scene)
     return replace(
         scene,
         before=before,
         reconstruction=reconstruction,
         gaussians=reconstruction.gaussians,
         placed=placed,
-        left_out=scene.photos.select(lost) if lost else None,
+        left_out=left_out,
     )
 
 
@@ -81,6 +77,17 @@ def _passing(
         assert scene.masks is not None
         found &= scene.masks <= 0
     return found if found is not None and bool(found.any()) else None
+
+
+def _without_passing(reconstruction: Reconstruction, scene: Scene) -> Reconstruction:
+    """The reconstruction without what passed while the placed photos were taken."""
+    if scene.passing is None:
+        return reconstruction
+    cameras = known_cameras(reconstruction)
+    gaussians = without_passing(
+        reconstruction.gaussians, scene.passing, cameras.c2w, cameras.intrinsics
+    )
+    return replace(reconstruction, gaussians=gaussians)
 
 
 def _tell_of_passing(scene: Scene) -> None:
