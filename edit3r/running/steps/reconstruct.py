@@ -15,7 +15,7 @@ from edit3r.kit.cache import recall
 from edit3r.kit.checks import check_reconstruction, errors_named_after
 from edit3r.kit.geometry.gravity import quarter_turns
 from edit3r.kit.geometry.light import estimate_light
-from edit3r.kit.geometry.passing import passing, without_passing
+from edit3r.running.passing import passing, without_passing
 from edit3r.kit.geometry.pose import estimate_cameras
 from edit3r.running.editors import request_of
 from edit3r.running.parts import Parts

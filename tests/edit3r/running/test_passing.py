@@ -7,7 +7,7 @@ import torch
 from edit3r.contract.interfaces import MatchedGeometry
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.kit.geometry.passing import passing, without_passing
+from edit3r.running.passing import passing, without_passing
 from edit3r_testing import photograph
 
 SCENE = photograph(3, (64, 96))
