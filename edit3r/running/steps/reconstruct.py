@@ -15,7 +15,6 @@ from edit3r.kit.cache import recall
 from edit3r.kit.checks import check_reconstruction, errors_named_after
 from edit3r.kit.geometry.gravity import quarter_turns
 from edit3r.kit.geometry.light import estimate_light
-from edit3r.running.passing import passing, without_passing
 from edit3r.kit.geometry.pose import estimate_cameras
 from edit3r.running.editors import request_of
 from edit3r.running.parts import Parts
@@ -71,6 +70,8 @@ def _passing(
     """What passed while the photos were taken, but for what the user selected."""
     if parts.config.passing == "keep" or scene.photos.count < 3:
         return None
+    from edit3r.running.passing import passing
+
     geometry = parts.located(scene.photos).geometry
     found = None if geometry is None else passing(geometry, scene.photos)
     if found is not None and scene.confined:
@@ -83,6 +84,8 @@ def _without_passing(reconstruction: Reconstruction, scene: Scene) -> Reconstruc
     """The reconstruction without what passed while the placed photos were taken."""
     if scene.passing is None:
         return reconstruction
+    from edit3r.running.passing import without_passing
+
     cameras = known_cameras(reconstruction)
     gaussians = without_passing(
         reconstruction.gaussians, scene.passing, cameras.c2w, cameras.intrinsics

@@ -205,10 +205,10 @@ def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(
         "reconstructor": {"name": "learned", "size": 32},
         "rasterizer": "torch",
         "train_data": data,
-        "out": str(tmp_path / "out"),
     }
     (tmp_path / "learned.yaml").write_text(yaml.safe_dump(config))
-    assert main(["train", str(tmp_path / "learned.yaml"), "--plugin", str(plugin)]) == 0
+    train = ["train", str(tmp_path / "learned.yaml"), "--plugin", str(plugin)]
+    assert main([*train, "--out", str(tmp_path / "out")]) == 0
     weights, options = (
         str(tmp_path / "out/best"),
         ["--plugin", str(plugin), "--quiet", "--editor", "none"],
