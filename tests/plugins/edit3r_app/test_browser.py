@@ -259,8 +259,7 @@ def test_from_photos_to_a_download(server, tab):
     )
     viewer.locator("body[data-marked]").wait_for()
     page.locator(".chip", has_text="marked").wait_for()
-    if size[0] > 1000:
-        things_of_the_scene(page, viewer)
+    things_of_the_scene(page, viewer)
 
     # downloads, each with what it is for and its size
     page.get_by_role("button", name="take it along").click()
