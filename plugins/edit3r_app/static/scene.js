@@ -84,8 +84,11 @@ export function scenePage(root, scene, at, beside) {
   async function refresh() {
     clearTimeout(timer);
     try {
+      const before = page.s?.draft;
       const found = await ask("scene", scene, { at });
       if (page.gone()) return;
+      // What was marked meanwhile may be newer than this answer; the next one knows of it.
+      if (before && page.s.draft !== before) found.draft = page.s.draft;
       follow(found);
     } catch (error) {
       if (page.gone()) return;

@@ -31,6 +31,7 @@ export function draftOf(page) {
     page.picture.drawMarks();
     page.tools.draw();
     page.bar.drawChip();
+    page.drawers.followMarks();
   }
 
   let asking = 0,

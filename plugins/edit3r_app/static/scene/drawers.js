@@ -36,7 +36,9 @@ export function drawersOf(page) {
   }
 
   // ---- things ----
+  let takes = false; // whether what is marked can be taken as a thing
   function drawObjects(close) {
+    takes = page.s.draft.selects;
     if (!page.s.objects.includes(kept.chosen)) kept.chosen = "";
     const acts = {
       chosen: kept.chosen,
@@ -56,6 +58,7 @@ export function drawersOf(page) {
     };
     showObjects(node, page.s, acts, close);
   }
+  const followMarks = () => kept.drawer === "objects" && page.s.draft.selects !== takes && draw();
   // What was chosen in the scene itself.
   function choose(name) {
     if (name === kept.chosen) return;
@@ -126,6 +129,7 @@ export function drawersOf(page) {
     toggle,
     draw,
     choose,
+    followMarks,
     openSettings,
     openFiles,
   };
