@@ -38,6 +38,8 @@ PRIVATE = ".edit3r-app"
 PREVIEW = "preview"
 KINDS = ("images", "inputs", "edited", "renders", PREVIEW)
 """Folders of images: of a set of photos, of a run, and of what a run will edit."""
+RECENT = 2.0
+"""[s] that a file may change while its time of change stays: as coarse as some disks note it."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +77,7 @@ _NAMING = threading.Lock()
 
 
 class JobsFolder:
-    """Reads and writes the jobs folder; holds nothing in memory."""
+    """Reads and writes the jobs folder; what is kept of it in memory is asked of the disk anew."""
 
     def __init__(self, root: str | Path) -> None:
         self.root = Path(root).expanduser().resolve()
@@ -173,15 +175,15 @@ class JobsFolder:
 
     def jobs(self) -> Iterator[AppJob]:
         """Every run that was asked for or that lies there, in the order of asking."""
-        names = {path.parent.name for path in self.root.glob("*/run.json")}
-        names |= {path.stem for path in self.private.glob("*.json")}
-        found = [self._read(name) for name in names]
+        runs = {path.parent.name for path in self.root.glob("*/run.json")}
+        names = runs | {path.stem for path in self.private.glob("*.json")}
+        found = [self._read(name, name in runs) for name in names]
         jobs = [job for job in found if job is not None]
         return iter(sorted(jobs, key=lambda job: (job.made, job.name)))
 
     def job(self, name: str) -> AppJob:
         """One job; raises InputError where there is none of that name."""
-        job = self._read(name)
+        job = self._read(name, _is_name(name) and self.is_run(name))
         if job is None:
             raise InputError(f"{str(name)[:60]!r}: no run of that name in {self.root}.")
         return job
@@ -202,20 +204,19 @@ class JobsFolder:
     def _record(self, name: str) -> Path:
         return self.private / f"{name}.json"
 
-    def _read(self, name: str) -> AppJob | None:
+    def _read(self, name: str, is_run: bool) -> AppJob | None:
         """What the record and the run folder say; None where there is neither."""
         if not _is_name(name):
             return None
-        is_run = self.is_run(name)
-        try:
-            job = _JOB.validate_json(self._record(name).read_bytes())
-        except (OSError, ValueError):  # a run of the command line, or a damaged record
+        job = _unless_changed(_record_in, self._record(name))
+        if job is None:  # a run of the command line, or a damaged record
             if not is_run:
                 return None
             job = AppJob(name, name, made=(self.root / name).stat().st_mtime)
         if is_run:
-            prompt = manifest_of(self.root / name).get("prompt")
-            settings = job.settings or {"prompt": prompt}
+            settings = job.settings or {
+                "prompt": manifest_of(self.root / name).get("prompt")
+            }
             return replace(job, name=name, state="done", settings=settings)
         if job.state == "done":
             job = replace(job, state="failed", sentence="its folder is gone.")
@@ -229,16 +230,36 @@ def _is_name(name: object) -> bool:
 
 def manifest_of(run: Path) -> dict[str, Any]:
     """Content of a run's run.json; empty where it cannot be read: it may be a stranger's."""
-    file = run / "run.json"
-    with suppress(OSError, ValueError, RecursionError):
-        content = _read_json(file, file.stat().st_mtime_ns)
-        return content if isinstance(content, dict) else {}
-    return {}
+    content = _unless_changed(_json_in, run / "run.json")
+    return content if isinstance(content, dict) else {}
+
+
+def _unless_changed(read: Any, file: Path) -> Any:
+    """What one of the two functions below reads from a file, once for each time of change and size.
+
+    A file that has just changed is read every time: it may change again before the clock of the
+    disk ticks. None where there is none that can be read.
+    """
+    with suppress(OSError):
+        status = file.stat()
+        is_recent = time.time() - status.st_mtime < RECENT
+        read = read.__wrapped__ if is_recent else read
+        return read(file, status.st_mtime_ns, status.st_size)
+    return None
+
+
+@lru_cache(maxsize=4096)
+def _record_in(file: Path, changed: int, size: int) -> AppJob | None:
+    with suppress(ValueError):
+        return _JOB.validate_json(file.read_bytes())
+    return None
 
 
 @lru_cache(maxsize=1024)
-def _read_json(path: Path, changed: int) -> Any:
-    return json.loads(path.read_text(encoding="utf-8"))
+def _json_in(file: Path, changed: int, size: int) -> Any:
+    with suppress(ValueError, RecursionError):
+        return json.loads(file.read_text(encoding="utf-8"))
+    return None
 
 
 def tree(history: list[AppJob]) -> list[tuple[int, AppJob]]:

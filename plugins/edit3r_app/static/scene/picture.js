@@ -1,0 +1,115 @@
+// One photo in full, what is selected on it, and pointing at it.
+import { path, tell } from "../api.js";
+import { el } from "../dom.js";
+import { pointing } from "../pointing.js";
+
+const BRUSH = 0.03; // radius, of the photo's longer side
+
+export const imageThere = (address) =>
+  new Promise((done) => {
+    const one = new Image();
+    one.onload = () => done(true);
+    one.onerror = () => done(false);
+    one.src = address;
+  });
+
+// `stage` is the room that the photo fills.
+export function pictureOf(page, stage) {
+  const base = el("img", { class: "base", alt: "", draggable: "false" }),
+    over = el("img", { class: "over", alt: "", draggable: "false", hidden: true }),
+    hover = el("img", { class: "over", alt: "", draggable: "false", hidden: true });
+  const box = el(
+    "div",
+    {
+      class: "box unready",
+      tabindex: "0",
+      role: "application",
+      "aria-label": "the photo; arrow keys move a cross, Enter points at it",
+    },
+    base,
+    over,
+    hover,
+  );
+  const tool = () => ({
+    kind: page.tool,
+    minus: page.minus,
+    exact: page.exact,
+    radius: BRUSH,
+  });
+  const marks = pointing(box, tool, made, rests);
+  function fit() {
+    const [width, height] = [base.naturalWidth || 4, base.naturalHeight || 3],
+      room = stage.getBoundingClientRect();
+    const scale = Math.min(room.width / width, room.height / height);
+    box.style.width = `${width * scale}px`;
+    box.style.height = `${height * scale}px`;
+    box.classList.toggle("unready", !base.naturalWidth);
+    marks.draw();
+  }
+  base.addEventListener("load", fit);
+  const resized = new ResizeObserver(fit);
+  resized.observe(stage);
+
+  let hovered = 0,
+    pressed = 0;
+  const pointedAt = (mark, name, more = "") =>
+    `${path("pointed", page.state(), name)}?v=${page.s.draft.version}${more}&mark=${encodeURIComponent(JSON.stringify({ ...mark, photo: name }))}`;
+  async function rests(mark) {
+    const number = ++hovered;
+    if (!mark) return void (hover.hidden = true);
+    if (!page.s || !page.s.reading.photos) return;
+    const address = pointedAt(mark, page.current());
+    if (!(await imageThere(address)) || number !== hovered) return;
+    hover.src = address;
+    hover.hidden = false;
+  }
+  async function made(mark, name = page.current()) {
+    hovered++;
+    pressed = performance.now();
+    page.waiting.busy(
+      page.s.reading.photos ? "Looking for what you mean" : "Reading the photos first",
+    );
+    const before = page.s.draft.marks.concat({ ...mark, photo: name });
+    marks.show(before.filter((one) => one.photo === page.current()));
+    // The photo that was clicked is answered first, while the mark is written; then all the others.
+    const address = pointedAt(mark, name, "&made=1");
+    const seen = imageThere(address).then((there) => {
+      if (there && pressed) setOver(name, address); // else the full answer was there first
+      hover.hidden = true;
+    });
+    const draft = await page.attempt(() =>
+      tell(["draft", page.state()], { do: "mark", value: { ...mark, photo: name } }),
+    );
+    if (!draft) return void drawMarks();
+    page.draft.took(draft);
+    await seen;
+    await page.draft.answer();
+  }
+  const drawMarks = () =>
+    marks.show(page.s.draft.marks.filter((one) => one.photo === page.current()));
+  // What is selected on the photo `name`: in the strip, in 3D, and here where it is shown.
+  function setOver(name, address) {
+    page.strip.setOver(name, address);
+    if (page.view === "3d") page.viewer.tint(name, address);
+    if (name === page.current()) {
+      over.src = address;
+      over.hidden = page.view !== "photo";
+    } else if (page.view !== "3d") return;
+    if (pressed) document.body.dataset.outlined = Math.round(performance.now() - pressed); // [ms], for those who measure
+    pressed = 0;
+  }
+  // Show the photo `name` from `source`; `selected` lies over it where it is known.
+  function show(name, source, selected) {
+    if (base.getAttribute("src") !== source) {
+      base.src = source;
+      base.alt = name;
+      over.hidden = true;
+    }
+    if (selected) {
+      over.src = selected;
+      over.hidden = false;
+    }
+    drawMarks();
+  }
+  return { box, show, made, drawMarks, setOver, leave: () => resized.disconnect() };
+}

@@ -1,0 +1,82 @@
+// The photos of a scene in a row: one is chosen, some are added or taken out.
+import { path, tell } from "../api.js";
+import { button, el, toast } from "../dom.js";
+import { choose, dropAnywhere, send } from "../upload.js";
+
+export function stripOf(page, strip) {
+  const { scene } = page;
+  const source = (name) =>
+    page.s.byHand
+      ? path("image", page.state(), "renders", name)
+      : page.s.job
+        ? page.s.preview.includes(name)
+          ? path("image", page.state(), "preview", name)
+          : path("thumbnail", scene, name)
+        : path(page.s.isRun ? "photo" : "thumbnail", page.state(), name);
+  function holder(name, index) {
+    const thumb = el(
+      "button",
+      {
+        type: "button",
+        class: "thumb",
+        "aria-label": `photo ${index + 1}: ${name}`,
+        title: `${name}${index < 9 ? ` (${index + 1})` : ""}`,
+        onclick: () => show(index),
+      },
+      el("img", { src: source(name), alt: "" }),
+      el("img", { class: "over", alt: "", "data-photo": name, hidden: true }),
+    );
+    const out = () =>
+      button("close", `take out ${name}`, () => takeOut(name), { class: "icon out" });
+    return el("div", { class: "thumb-holder" }, thumb, !page.s.fixed && out());
+  }
+  function draw() {
+    const { s } = page;
+    strip.replaceChildren(...s.photos.map(holder));
+    if (!s.fixed && !s.fromRun)
+      strip.append(button("add", "add photos", () => choose(false, add), { class: "icon add" }));
+    mark();
+  }
+  const mark = () =>
+    [...strip.querySelectorAll(".thumb")].forEach((one, k) =>
+      one.setAttribute("aria-current", String(k === page.photo)),
+    );
+  function show(index) {
+    page.photo = index;
+    mark();
+    if (page.s.isRun && page.view === "3d") return page.viewer.post({ view: index });
+    page.stage.draw();
+  }
+  async function add(chosen, folder) {
+    const { refused } = await send(chosen, scene, folder, page.waiting.busy);
+    page.waiting.busy("");
+    if (refused.length) toast(refused.slice(0, 5).join(" "), true);
+    await page.refresh();
+    await page.draft.answer();
+  }
+  async function takeOut(name) {
+    await page.attempt(() => tell(["remove", scene], { photo: name }));
+    page.photo = 0;
+    await page.refresh();
+    await page.draft.answer();
+  }
+  const undrop = dropAnywhere((chosen, folder) =>
+    page.s && page.s.fixed
+      ? toast("Edits were made from these photos; begin with new photos on the first page.", true)
+      : add(chosen, folder),
+  );
+
+  function setOver(name, address) {
+    for (const image of strip.querySelectorAll("img.over"))
+      if (image.dataset.photo === name) {
+        image.src = address;
+        image.hidden = false;
+      }
+  }
+  // The address of what is selected on a photo, where it is known.
+  function over(name) {
+    const ours = strip.querySelector(`img.over[data-photo="${CSS.escape(name)}"]`);
+    return ours && !ours.hidden && ours.src;
+  }
+  return { draw, mark, show, setOver, over, leave: undrop };
+}

@@ -1,0 +1,112 @@
+// How to point, and what to do with what is selected.
+import { button, el, toast } from "../dom.js";
+
+const TOOLS = {
+  point: ["Point: click the thing, or draw a line over it", "P"],
+  box: ["Box: draw it around the thing", "B"],
+  brush: ["Brush: takes exactly what it covers", "R"],
+  lasso: ["Lasso: takes exactly what you draw around", "L"],
+};
+const tool = (name, text, label, act, key, more = {}) =>
+  button(name, label, act, { key, text, class: "icon tool", ...more });
+const pressed = (name, text, is, label, act, key) =>
+  tool(name, text, label, act, key, { "aria-pressed": String(is) });
+// One that says why where it cannot act.
+const able = (name, text, label, act, key, can, why) =>
+  tool(name, text, can ? label : `${label}: ${why}`, () => (can ? act() : toast(why, true)), key, {
+    "aria-disabled": String(!can),
+  });
+const gap = () => el("span", { class: "gap" });
+
+export function toolsOf(page) {
+  const node = el("div", { class: "tools", role: "toolbar", "aria-label": "how to point" });
+  function take(name) {
+    if (page.s.byHand) return;
+    // points on photos and in 3D; for the others the photos come first
+    page.tool = name;
+    if (name !== "point") page.view = "photo";
+    draw();
+    page.stage.draw();
+  }
+  const flip = (what) => () => {
+    page[what] = !page[what];
+    draw();
+  };
+  const isTaken = (name) => page.tool === name && (page.view === "photo" || name === "point");
+  const pointers = () => [
+    ...Object.entries(TOOLS).map(([name, [label, key]]) =>
+      pressed(name, label.split(":")[0], isTaken(name), label, () => take(name), key),
+    ),
+    page.tool === "box"
+      ? pressed(
+          "keep",
+          "Exactly",
+          page.exact,
+          "exactly this box, without looking for the thing in it",
+          flip("exact"),
+          "E",
+        )
+      : "",
+    pressed(
+      "away",
+      "Minus",
+      page.minus,
+      "take away instead of adding (or hold Shift)",
+      flip("minus"),
+      "X",
+    ),
+  ];
+  function back() {
+    const { undo, redo, canUndo, canRedo } = page.draft;
+    return [
+      able("undo", "Undo", "undo", undo, "Ctrl-Z", canUndo(), "there is nothing to take back"),
+      able("redo", "Redo", "redo", redo, "Ctrl-Y", canRedo(), "nothing was taken back"),
+    ];
+  }
+  function ofSelection() {
+    const { s, look } = page,
+      { larger, change, openNames } = page.draft;
+    const selected = s.draft.selects || (look && look.selected),
+      nothing = "nothing is selected yet";
+    return [
+      able("minus", "Smaller", "something smaller", () => larger(-1), "-", selected, nothing),
+      able("plus", "Larger", "something larger", () => larger(1), "+", selected, nothing),
+      able(
+        "which",
+        "Others",
+        "what else may be meant",
+        page.question.showOthers,
+        "W",
+        look && look.readings.length > 1,
+        "there is one reading only",
+      ),
+      able(
+        "invert",
+        "Inverse",
+        "all but this",
+        () => change("step", ["invert", 0]),
+        "I",
+        selected,
+        nothing,
+      ),
+      able(
+        "keep",
+        "Names",
+        "keep what is marked by a name, or take it again",
+        openNames,
+        "N",
+        s.draft.marks.length || s.draft.named.length,
+        "mark something first",
+      ),
+    ];
+  }
+  function draw() {
+    if (page.s.byHand) return node.replaceChildren(...back());
+    const active = document.activeElement;
+    const focused = active && node.contains(active) ? [...node.children].indexOf(active) : -1;
+    node.replaceChildren(...pointers(), gap(), ...back(), gap(), ...ofSelection());
+    if (focused >= 0) node.children[focused]?.focus();
+    page.picture.box.dataset.tool = page.tool;
+  }
+  return { node, take, draw };
+}

@@ -1,0 +1,104 @@
+// The pill over the stage: how far an edit is, or what somebody waits for.
+import { go, sceneAddress } from "../app.js";
+import { tell } from "../api.js";
+import { el, seconds } from "../dom.js";
+
+const STAGES = {
+  "": "Starting",
+  start: "Starting",
+  "load components": "Loading",
+  "read photos": "Reading the photos",
+  "read scene": "Reading the scene",
+  geometry: "Finding depth",
+  select: "Finding the thing",
+  edit: "Editing the photos",
+  reconstruct: "Building the scene",
+  check: "Looking at the result",
+  render: "Drawing it",
+  "write files": "Writing the files",
+};
+const stageWords = (name) => STAGES[name.replace(/ \(.*$/, "")] || "Polishing";
+
+export function waitingOf(page) {
+  const pill = el("div", { class: "pill", role: "status", "aria-live": "polite", hidden: true });
+  let working = "",
+    lasting = ""; // what no answer about marks ends
+  function busy(text) {
+    working = text;
+    if (page.s) draw();
+  }
+  function long(text) {
+    lasting = text;
+    if (page.s) draw();
+  }
+  function draw() {
+    const { job } = page.s;
+    pill.classList.toggle("large", Boolean(job));
+    if (job) return drawJob(job);
+    const line = lasting || working || slow();
+    pill.hidden = !line;
+    if (pill.dataset.line === line) return;
+    pill.dataset.line = line;
+    pill.replaceChildren(el("span", { class: "spin", "aria-hidden": "true" }), line);
+  }
+  const slow = () => {
+    const { reading, photos } = page.s;
+    if (page.view === "3d") return "";
+    if (!reading.photos) return "Reading the photos";
+    return !reading.geometry && photos.length > 1
+      ? `Finding depth · about ${seconds(reading.left)} left; you can go on`
+      : "";
+  };
+
+  const lineOf = (job) =>
+    job.state === "queued"
+      ? "Waiting for the edit before it"
+      : job.active
+        ? `${stageWords(job.stage)}${job.left === null ? "" : ` · about ${seconds(job.left + 1)} left`}`
+        : job.state === "cancelled"
+          ? "Cancelled"
+          : "It did not work";
+  const cancel = (event) => {
+    event.currentTarget.disabled = true;
+    event.currentTarget.textContent = "Stopping";
+    page.attempt(() => tell(["cancel", page.state()]));
+  };
+  const actOf = (job) =>
+    job.active
+      ? el("button", { type: "button", onclick: cancel }, "Cancel")
+      : el(
+          "button",
+          {
+            type: "button",
+            class: "primary",
+            onclick: () => go(sceneAddress(page.scene, job.parent)),
+          },
+          "Go back and change it",
+        );
+  function drawJob(job) {
+    const line = lineOf(job),
+      key = line + job.state + job.share;
+    pill.hidden = false;
+    if (pill.dataset.line === key) return;
+    pill.dataset.line = key;
+    pill.replaceChildren(
+      el("strong", {}, job.prompt || "the scene as it is"),
+      el("span", {}, line),
+      job.active
+        ? el("progress", {
+            "aria-label": "share of this step",
+            ...(job.share === null ? {} : { value: job.share, max: 1 }),
+          })
+        : el("span", { class: "problem" }, job.sentence),
+      job.trouble ? el("span", { class: "problem" }, job.trouble) : "",
+      actOf(job),
+    );
+  }
+  // What keeps the page from following the server.
+  function trouble(text) {
+    pill.hidden = false;
+    pill.dataset.line = text;
+    pill.replaceChildren(text);
+  }
+  return { node: pill, busy, long, draw, trouble };
+}
