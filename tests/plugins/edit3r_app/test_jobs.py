@@ -119,7 +119,7 @@ def test_what_is_written_is_read_by_another_server(folder):
     assert folder.new_job(AppJob("", scene)).name == "bear-2"
 
 
-LONG_AGO = 1_000_000_000  # [s]
+LONG_AGO = 10**18  # [ns since 1970]
 
 
 def put(file, prompt, changed=LONG_AGO):
@@ -128,7 +128,7 @@ def put(file, prompt, changed=LONG_AGO):
     file.parent.mkdir(exist_ok=True)
     file.write_text(json.dumps({**content, "prompt": prompt}))
     if changed is not None:
-        os.utime(file, (changed, changed))
+        os.utime(file, ns=(changed, changed))
 
 
 @pytest.fixture(params=["record", "run.json"])
@@ -151,7 +151,7 @@ def test_an_unchanged_record_is_not_read_again(prompted):
 
 @pytest.mark.parametrize(
     "wanted, changed",
-    [("golden", LONG_AGO), ("blue", LONG_AGO + 1), ("blue", LONG_AGO - 1)],
+    [("golden", LONG_AGO), ("blue", LONG_AGO + 10**9), ("blue", LONG_AGO - 10**9)],
     ids=["size", "later", "earlier"],
 )
 def test_a_changed_record_is_seen_at_once(prompted, wanted, changed):
@@ -165,7 +165,7 @@ def test_a_changed_record_is_seen_at_once(prompted, wanted, changed):
 def test_a_record_that_changes_twice_within_one_tick_is_seen_at_once(prompted):
     file, prompt = prompted
     put(file, "gold", changed=None)
-    now = file.stat().st_mtime
+    now = file.stat().st_mtime_ns
     assert prompt() == "gold"
     put(file, "blue", changed=now)
     assert prompt() == "blue"
