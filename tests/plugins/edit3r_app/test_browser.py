@@ -276,12 +276,13 @@ def test_from_photos_to_a_download(server, tab):
     assert page.evaluate(sandboxed) is None, "it has an origin of its own"
 
     # a click on the scene is one on the photo that shows the place, and is tinted there
+    viewer.locator("body.pointing").wait_for()  # told when its page is loaded
     stage = page.locator(".stage").bounding_box()
     page.mouse.click(
         stage["x"] + 0.6 * stage["width"], stage["y"] + stage["height"] / 2
     )
     viewer.locator("body[data-marked]").wait_for()
-    page.locator(".chip", has_text="marked").wait_for()
+    page.locator(".chip", has_text="what you marked").wait_for()
     things_of_the_scene(page, viewer)
 
     # downloads, each with what it is for and its size
