@@ -78,15 +78,15 @@ def scaled(change: Change, amount: float) -> Change:
 
 
 def is_percentage(token: str) -> bool:
-    """Whether a word says a share of what is: "30percent", as "30 %" is written here."""
-    return token.removesuffix("percent").isdigit() and token.endswith("percent")
+    """Whether a word says a share of what is, such as "30%"."""
+    return token.endswith("%")
 
 
 def amount_of(tokens: list[str]) -> float:
     """How strong the change shall be, 1 as named."""
     for token in tokens:
         if is_percentage(token):
-            return min(3.0, int(token.removesuffix("percent")) / PERCENT_AS_NAMED)
+            return min(3.0, int(token[:-1]) / PERCENT_AS_NAMED)
     if set(tokens) & words.WEAK:
         return 0.5
     return 1.7 if set(tokens) & words.STRONG else 1.0

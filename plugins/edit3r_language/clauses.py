@@ -71,7 +71,17 @@ def read_kept(tokens: list[str]) -> list[Thing] | None:
 
 def read_clause(tokens: list[str]) -> Clause:
     """What a clause says that keeps nothing as it is."""
-    clause = Clause(text=" ".join(tokens).replace("percent", " %"))
+    shares = tuple(filter(is_percentage, tokens))
+    plain = [token for token in tokens if token not in shares]
+    clause = _read_plain(plain, Clause(text=" ".join(tokens)))
+    kinds = {change.kind for change in clause.changes}
+    if shares and (not kinds or "paint" in kinds):  # "30% red"
+        return clause.not_understood(*dict.fromkeys((*shares, *clause.unread)))
+    return clause
+
+
+def _read_plain(tokens: list[str], clause: Clause) -> Clause:
+    """The clause by its words without percentages; how strong a change is, its text says."""
     tokens, clause.without = _without(_without_negated_colour(tokens))
     if not tokens:  # "but not the wheels"
         return clause
@@ -179,9 +189,7 @@ def _repaints(tokens: list[str]) -> bool:
 
 def _read_change(tokens: list[str], clause: Clause) -> Clause:
     """A clause that changes colours, gives a look, or only names a thing."""
-    amount = amount_of(tokens)
-    shares = tuple(filter(is_percentage, tokens))
-    told = _as_told([token for token in tokens if token not in shares])
+    told = _as_told(tokens)
     tokens, origin = _origin(told)
     if not tokens:  # "from red" names neither a thing nor what it shall become
         return clause.not_understood(*told)
@@ -192,14 +200,14 @@ def _read_change(tokens: list[str], clause: Clause) -> Clause:
     if not changes:
         return _only_names(tokens, clause, origin)
     group = last_group(changes, tokens)
+    shares = filter(is_percentage, clause.text.split())
+    amount = amount_of([*tokens, *shares])
     clause.action = "paint"
     clause.verb_first = tokens[group[0].start] in words.IMPERATIVES | words.RANDOM
     clause.changes = tuple(scaled(found.change, amount) for found in group)
     clause.left_out = tuple(word for found in group for word in found.left_out)
     named, unread = _split_around(tokens, group)
     clause.thing = _flooded(_painted_thing(named, origin), tokens)
-    if any(found.change.kind == "paint" for found in group):  # "30 % red"
-        unread += shares
     return clause.not_understood(*unread) if unread else clause
 
 
@@ -281,10 +289,10 @@ def _painted_thing(named: list[str], origin: Colour | None) -> Thing:
     """The thing of a change. "Turn red into blue" is about what is red."""
     content = [t for t in named if t not in words.FILLERS | words.PAINT]
     colour = read_colour(content)
-    determined = bool(set(named) & {"the", "a", "an", "my"})
-    basic = colour is not None and colour[0].name in words.BASIC
-    if basic and not is_noun(colour[0].name):
-        determined = bool(set(named) & {"a", "an", "my"})  # "make the blue darker"
+    of_things = {"the", "a", "an", "my"}
+    if colour is not None and colour[0].name in words.BASIC:
+        of_things -= set() if is_noun(colour[0].name) else {"the"}  # "the blue darker"
+    determined = bool(set(named) & of_things)
     only_colour = colour is not None and colour[1] == len(content)
     if origin is None and colour is not None and only_colour and not determined:
         return Thing("whole", part=colour[0])

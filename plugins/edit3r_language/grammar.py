@@ -19,6 +19,7 @@ from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.compute.colour_names import near_colours, read_colour
 from edit3r_language import vocabulary as words
 from edit3r_language.clauses import Clause, asks_nothing, read_clause, read_kept
+from edit3r_language.nouns import is_plural
 from edit3r_language.strangers import is_known
 from edit3r_language.things import read_thing
 from edit3r_language.together import wishes_of
@@ -30,7 +31,7 @@ _SEPARATORS = re.compile(
     r"([,.;!?:]+|\band\b|\bthen\b|&|\bwhile\b|\bwhereas\b|\bbut\b)"
 )
 _RGB = re.compile(r"\brgb ?\(? ?(\d{1,3})[, ]+(\d{1,3})[, ]+(\d{1,3})\)?")
-_TOKEN = re.compile(r"#[0-9a-z]+|[^\W_]+(?:['-][^\W_]+)*")
+_TOKEN = re.compile(r"#[0-9a-z]+|\d+%|[^\W_]+(?:['-][^\W_]+)*")
 
 
 class GrammarReader(Reader):
@@ -85,19 +86,31 @@ def clauses_of(prompt: str) -> Iterator[list[str]]:
     text = _RGB.sub(_hex_of, prompt.lower().replace("’", "'"))
     for pattern, instead in words.PHRASES:
         text = " ".join(re.sub(pattern, instead, text).split())
-    text = _exceptions(text)
+    text, begins = _exceptions(text), True
     for part in _SEPARATORS.split(text):
         tokens = [words.SPELLINGS.get(token, token) for token in _TOKEN.findall(part)]
         tokens = [piece for token in tokens for piece in _pieces(token)]
         while len(tokens) > 1 and tokens[0] in words.OPENINGS:
             tokens = tokens[1:]
         if tokens and not _SEPARATORS.fullmatch(part):
-            yield _parts_before(tokens)
+            yield _wished_away(_parts_before(tokens), begins)
+            begins = False
 
 
 def _hex_of(match: re.Match) -> str:
-    """ "rgb(255, 136, 0)" as "#ff8800"; a number beyond 255 makes a word that is no colour."""
-    return "#" + "".join(f"{int(number):02x}" for number in match.groups())
+    """ "rgb(255, 136, 0)" as "#ff8800"; as it is with a number beyond 255."""
+    numbers = [int(number) for number in match.groups()]
+    code = "".join(f"{number:02x}" for number in numbers)
+    return f"#{code}" if max(numbers) < 256 else match.group()
+
+
+def _wished_away(tokens: list[str], begins: bool) -> list[str]:
+    """Write "no people", and "without the plant", with which a sentence begins, as a removal."""
+    named = [token for token in tokens[1:] if token not in words.POLITENESS]
+    if not begins or tokens[0] not in ("no", "without") or not named:
+        return tokens
+    several = is_plural(named[-1]) or named[-1] == "people"
+    return ["remove", *tokens[1:]] if several or named[0] == "the" else tokens
 
 
 def _parts_before(tokens: list[str]) -> list[str]:

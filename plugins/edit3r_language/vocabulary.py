@@ -232,7 +232,7 @@ _WAYS = "bright|dark|warm|cold|saturated|colou?rful|vivid|contrasty"
 
 PHRASES = (
     (rf"^\W*first(?:ly)?,? (?={_CHANGES})", " "),
-    (r"\b(\d+) ?(?:%|percent\b|per cent\b)", r" \1percent "),
+    (r"\b(\d+) ?(?:%|percent\b|per cent\b)", r" \1% "),
     (rf"\btwice as ({_WAYS})\b", r" much more \1 "),
     (rf"\bhalf as ({_WAYS})\b", r" much less \1 "),
     (
@@ -253,7 +253,7 @@ PHRASES = (
     ),
     (r"\bnext to\b", " beside "),
     (r"(?<=\w) (?:and |but )?not (?=(?:the|its|their|my)\b)", ", not "),
-    (r"^\W*(?:no|without) (?:more |any )?(?=the\b|people\b|cars\b)", " remove "),
+    (r"^\W*(no|without) (?:more|any) ", r" \1 "),
     (
         r"\bblack[\s-]*(?:and|&|n)[\s-]*white\b|\bb\s*&\s*w\b|\bgr[ea]y[\s-]+scale\b",
         " greyscale ",
