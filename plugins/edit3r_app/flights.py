@@ -21,7 +21,7 @@ PER_LEG = 24  # pictures from one view to the next
 MOST = 12  # views
 
 Number = Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
-Vector = Annotated[tuple[Number, Number, Number], Field()]
+Vector = tuple[Number, Number, Number]
 
 
 class KeyView(BaseModel):
@@ -37,10 +37,11 @@ class KeyView(BaseModel):
 
     @property
     def c2w(self) -> torch.Tensor:
+        """Camera to world [4, 4], with axes at right angles."""
         pose = torch.eye(4, dtype=torch.float64)
-        axes, _ = torch.linalg.qr(torch.tensor(self.r, dtype=torch.float64).T)
         given = torch.tensor(self.r, dtype=torch.float64).T
-        pose[:3, :3] = axes * (axes * given).sum(0).sign()  # as they were given
+        axes, _ = torch.linalg.qr(given)
+        pose[:3, :3] = axes * (axes * given).sum(0).sign()  # not turned around
         pose[:3, 3] = torch.tensor(self.t, dtype=torch.float64)
         return pose
 

@@ -211,7 +211,7 @@ def sampson_errors(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:
     """Signed first-order distance of each match to the epipolar geometry [pixels]."""
     essential = cross_matrix(pose.translation) @ pose.rotation
     products = np.einsum("ij,ij->i", matches.rays_b, matches.rays_a @ essential.T)
-    return matches.focal * products / _gradients(matches, essential)
+    return matches.focal * products / _gradients(*_lines(matches, essential))
 
 
 def support(
@@ -274,23 +274,28 @@ def _error_slopes(
     slid = [cross_matrix(slide) @ pose.rotation for slide in _slides(pose)]
     moves = np.stack([*turned, *slid]).reshape(5, 9)
     essential = across @ pose.rotation
-    lengths = _gradients(matches, essential)
-    lines_b, lines_a = matches.rays_a @ essential.T, matches.rays_b @ essential
-    constraint = np.einsum("ij,ij->i", matches.rays_b, lines_b)
+    lines_b, lines_a = _lines(matches, essential)
+    lengths = _gradients(lines_b, lines_a)
+    constraint = products @ essential.ravel()
     # Half the slope of the gradient's squared length: the scale of the errors changes too.
-    lines_a[:, 2] = lines_b[:, 2] = 0
-    scale = lines_b[:, :, None] * matches.rays_a[:, None]
-    scale += matches.rays_b[:, :, None] * lines_a[:, None]
+    scale = np.zeros((len(products), 3, 3))
+    scale[:, :2] = lines_b[:, :, None] * matches.rays_a[:, None]
+    scale[:, :, :2] += matches.rays_b[:, :, None] * lines_a[:, None]
     whole = products - (constraint / lengths**2)[:, None] * scale.reshape(-1, 9)
     return (moves @ whole.T) * (matches.focal / lengths)
 
 
-def _gradients(
+def _lines(
     matches: Matches, essential: Float[np.ndarray, "3 3"]
+) -> tuple[Float[np.ndarray, "match 2"], Float[np.ndarray, "match 2"]]:
+    """The directions across each match's epipolar lines, in the second photo and in the first."""
+    return matches.rays_a @ essential[:2].T, matches.rays_b @ essential[:, :2]
+
+
+def _gradients(
+    lines_b: Float[np.ndarray, "match 2"], lines_a: Float[np.ndarray, "match 2"]
 ) -> Float[np.ndarray, "match"]:
     """Length of the gradient of each match's epipolar constraint."""
-    lines_b = matches.rays_a @ essential[:2].T
-    lines_a = matches.rays_b @ essential[:, :2]
     squares = np.einsum("ij,ij->i", lines_b, lines_b)
     squares += np.einsum("ij,ij->i", lines_a, lines_a)
     return np.sqrt(squares + 1e-18)

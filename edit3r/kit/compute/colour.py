@@ -53,7 +53,7 @@ def oklab_to_rgb(
 ) -> Float[Tensor, "*batch 3 height width"]:
     """The inverse of `rgb_to_oklab`, clamped to [0, 1]."""
     cones = _mixed(np.linalg.inv(_TO_OKLAB), lab).pow(3)
-    return _encoded(_mixed(np.linalg.inv(_TO_CONES), cones))
+    return linear_to_srgb(_mixed(np.linalg.inv(_TO_CONES), cones))
 
 
 def _mixed(
@@ -71,10 +71,8 @@ def srgb_to_linear(images: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     )
 
 
-def _encoded(
-    linear: Float[Tensor, "*batch 3 height width"],
-) -> Float[Tensor, "*batch 3 height width"]:
-    """sRGB in [0, 1] of light."""
+def linear_to_srgb(linear: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """sRGB in [0, 1] that stands for light, the inverse of `srgb_to_linear`."""
     return torch.where(
         linear > 0.0031308,
         1.055 * linear.pow(1 / 2.4) - 0.055,

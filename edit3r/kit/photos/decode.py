@@ -339,14 +339,15 @@ def _through_gamma(image: Image.Image) -> Image.Image:
         or image.mode not in ("L", "RGB", "RGBA")
     ):
         return image
-    light = (np.arange(256) / 255) ** (1 / gamma)
-    coded = np.where(
-        light < 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055
-    )
+    # Few photos need it, and what it needs takes long to import.
+    import torch
+
+    from edit3r.kit.compute.colour import linear_to_srgb
+
+    light = (torch.arange(256, dtype=torch.float64) / 255) ** (1 / gamma)
+    levels = (255 * linear_to_srgb(light)).round().int().tolist()
     bands = list(image.split())
-    colours = [
-        band.point((255 * coded).round().astype(int).tolist()) for band in bands[:3]
-    ]
+    colours = [band.point(levels) for band in bands[:3]]
     return Image.merge(image.mode, colours + bands[3:])
 
 
