@@ -25,7 +25,7 @@ from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.cache import Cache
 from edit3r.loading.registry import Registry
-from edit3r.running.config import PART_KEYS, make_run_config
+from edit3r.running.config import PART_KEYS, RunConfig, make_run_config
 from edit3r.running.earlier import EarlierRun, read_earlier_run
 from edit3r.running.given import check_cameras, check_views, checked_masks
 from edit3r.running.job import RunJob, inherited, with_cameras
@@ -108,39 +108,10 @@ def run(
         UnknownComponentError: For a name that no installed plugin offers.
         PluginError: For a component that breaks its contract.
     """
-    given = {
-        "prompt": prompt,
-        "reader": reader,
-        "editor": editor,
-        "reconstructor": recon,
-        "rasterizer": rasterizer,
-        "segmenter": segmenter,
-        "refiners": refiners,
-        "seed": seed,
-        "guess": guess,
-        "sure": sure,
-        "reading": reading,
-        "larger": larger,
-        "grow": grow,
-        "invert": invert,
-        "edit_views": edit_views,
-        "moved_edits": moved_edits,
-        "passing": passing,
-        "size": size,
-        "fov": fov,
-        "views": views,
-        "device": device,
-        "gaussians": gaussians,
-        "max_gaussians": max_gaussians,
-        "refine": refine,
-        "grid": grid,
-        "light": light,
-        "quality": quality,
-        "frames": frames,
-        "outputs": outputs,
-        "export": export,
+    given = {**locals(), "reconstructor": recon}
+    settings = {
+        key: given[key] for key in RunConfig.model_fields if given[key] is not None
     }
-    settings = {key: value for key, value in given.items() if value is not None}
     built = {
         key: settings.pop(key) for key in PART_KEYS if _is_built(settings.get(key))
     }
