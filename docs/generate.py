@@ -318,9 +318,7 @@ def parts_part(kind: str, _: str | None) -> str:
             for one in component.weights
         ]
         elsewhere = (
-            "by the name you give, or a service"
-            if component.needs_network
-            else "none"
+            "by the name you give, or a service" if component.needs_network else "none"
         )
         cells = (f"`{component.name}`", component.summary, component.licence.partition(";")[0],
                  "<br>".join(weights) or elsewhere, tried(kind, component))  # fmt: skip

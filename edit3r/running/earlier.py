@@ -22,12 +22,13 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import note
 from edit3r.contract.settings import of_file
 from edit3r.contract.types import Reconstruction, Views
+from edit3r.kit.files.names import unique_names
 from edit3r.kit.photos.cameras import (
     intrinsics_from_outside,
     pose_from_outside,
     read_scene_cameras,
 )
-from edit3r.kit.photos.images import Photo, read_image, unique_names
+from edit3r.kit.photos.images import Photo, read_image
 from edit3r.kit.run_folder import RunFolder
 from edit3r.kit.scenes.ply import load_ply
 

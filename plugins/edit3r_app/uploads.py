@@ -17,9 +17,10 @@ from pathlib import Path
 
 from edit3r.contract.errors import Edit3rError, InputError
 from edit3r.kit.files.atomic import sha256_of
+from edit3r.kit.files.names import unique_names
 from edit3r.kit.photos.coverage import VIDEO_SUFFIXES, take_frames
 from edit3r.kit.photos.decode import READABLE, decode
-from edit3r.kit.photos.images import SUFFIXES, unique_names
+from edit3r.kit.photos.images import SUFFIXES
 from edit3r_app.jobs import JobsFolder
 
 DRAFT = ".upload-"  # how names of files begin that are still being received

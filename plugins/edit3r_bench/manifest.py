@@ -28,9 +28,10 @@ from edit3r.contract.settings import Settings, make_settings
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.command.results import read_json, write_json
 from edit3r.kit.files.atomic import sha256_of
+from edit3r.kit.files.names import is_plain_name
 from edit3r.kit.geometry.cameras import relative_to_first
 from edit3r.kit.geometry.maps import dilate
-from edit3r.kit.photos.images import is_plain_name, load_photos, read_image
+from edit3r.kit.photos.images import load_photos, read_image
 from edit3r.kit.photos.masks import load_masks
 from edit3r.kit.run_folder import installed_versions
 from edit3r.running import MAX_PROMPT

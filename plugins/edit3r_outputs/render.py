@@ -181,7 +181,7 @@ def _cameras(
     args: argparse.Namespace, gaussians: "Gaussians"
 ) -> "tuple[Cameras, list[str]]":
     """The file's cameras as one scene, at one image size, and a name for each."""
-    from edit3r.kit.photos.images import unique_names
+    from edit3r.kit.files.names import unique_names
     from edit3r.kit.scenes.look import look_at
 
     cameras, posed = look_at(args.scene, args.cameras, gaussians)

@@ -32,6 +32,7 @@ from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.kit.cache import Cache
 from edit3r.kit.files.atomic import atomic_folder
 from edit3r.kit.files.configs import parse_assignments
+from edit3r.kit.files.names import unique_names
 from edit3r.kit.files.yaml import read_yaml
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.cameras import (
@@ -41,7 +42,7 @@ from edit3r.kit.photos.cameras import (
     write_cameras,
 )
 from edit3r.kit.photos.coverage import take_frames
-from edit3r.kit.photos.images import load_photos, save_image, unique_names
+from edit3r.kit.photos.images import load_photos, save_image
 from edit3r.kit.photos.masks import load_masks
 from edit3r.kit.run_folder import recorded
 from edit3r.kit.scenes.ply import load_ply, save_ply

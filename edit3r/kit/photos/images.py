@@ -5,10 +5,6 @@ cropped around its middle; intrinsics follow exactly.
 """
 
 import glob
-import itertools
-import re
-import unicodedata
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,6 +23,7 @@ from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say, track, warn
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import atomic_write, sha256_of
+from edit3r.kit.files.names import natural, unique_names
 from edit3r.kit.photos.coverage import (
     USUAL_FRAMES,
     VIDEO_SUFFIXES,
@@ -60,7 +57,6 @@ __all__ = [
     "expand",
     "find_photos",
     "images_of_folder",
-    "is_plain_name",
     "load_photos",
     "load_views",
     "packaged_pair",
@@ -68,19 +64,10 @@ __all__ = [
     "save_image",
     "save_pixels",
     "to_bytes",
-    "unique_names",
 ]
 
 Pixels = UInt8[np.ndarray, "height width 3"]
 Item = TypeVar("Item")
-
-MAX_CHARACTERS = 100  # of a name from `unique_names`
-MAX_BYTES = 200  # file systems allow 255 with the suffix
-
-# Surrogates stand for the bytes of a file name that is no UTF-8.
-_UNSAFE = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|\ud800-\udfff]|\.\.+')
-# Names that Windows reserves, and those of the video's frames.
-_RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?|path_\d+", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -243,71 +230,6 @@ def evenly(items: Sequence[Item], most: int | None) -> list[Item]:
     return [items[place] for place in places]
 
 
-# Names that become files
-
-
-def unique_names(names: Sequence[str]) -> list[str]:
-    """File names without suffix from any texts: valid on every system, no two alike.
-
-    A safe name that nobody else has is kept. Otherwise characters that a file system may refuse
-    become "_", names that Windows or the frames of the video use get "_" in front, names above 100
-    characters are cut, and equal names are numbered ("-1", "-2", ...). Names that differ only in
-    case count as equal, as some file systems take them.
-    """
-    safe = [_safe_name(name) for name in names]
-    counts = Counter(map(_same_file, safe))
-    alone = {folded for folded, count in counts.items() if count == 1}
-    taken = set(alone)
-    # Where counting goes on: thousands of equal names are no reason to count from 1 again.
-    numbers: Counter[str] = Counter()
-    result = []
-    for name in safe:
-        if _same_file(name) not in alone:
-            own = _same_file(name)
-            name, numbers[own] = _numbered(name, taken, numbers[own] + 1)
-            taken.add(_same_file(name))
-        result.append(name)
-    return result
-
-
-def is_plain_name(name: object) -> bool:
-    """Whether a name from a stranger's file names a file or folder, and is no path elsewhere."""
-    return (
-        isinstance(name, str)
-        and 0 < len(name) <= 120
-        and not _UNSAFE.search(name)
-        and name.strip(". ") != ""
-    )
-
-
-def _safe_name(name: str) -> str:
-    name = _UNSAFE.sub("_", name).strip(". ") or "photo"
-    return _cut(f"_{name}" if _RESERVED.fullmatch(name) else name)
-
-
-def _numbered(name: str, taken: set[str], first: int) -> tuple[str, int]:
-    """The name with the first number, from `first` on, that nobody has; and that number."""
-    for number in itertools.count(first):
-        ending = f"-{number}"
-        unique = _cut(name, len(ending)) + ending
-        if _same_file(unique) not in taken:
-            return unique, number
-    raise AssertionError
-
-
-def _cut(name: str, room: int = 0) -> str:
-    """The name without what is too long for a file name that ends with `room` more characters."""
-    name = name[: MAX_CHARACTERS - room]
-    while len(name.encode()) + room > MAX_BYTES:
-        name = name[:-1]
-    return name.rstrip(". ")
-
-
-def _same_file(name: str) -> str:
-    """Equal for two names that a file system may take for one."""
-    return unicodedata.normalize("NFC", name).casefold()
-
-
 # Images out
 
 
@@ -426,15 +348,6 @@ def _what_else(folder: Path) -> str:
     if places:
         return f"no images in this folder, but in {', '.join(places[:6])}: give these."
     return "no images in this folder."
-
-
-def natural(path: Path) -> tuple:
-    """Sort key in which digits count as numbers; the plain name decides between equals."""
-    key = []
-    for part in re.split(r"(\d+)", path.name.casefold()):
-        is_number = part.isdecimal()
-        key.append((is_number, int(part) if is_number else part))
-    return key, path.name
 
 
 def _names(files: Sequence[Path], names: Sequence[str] | None) -> tuple[str, ...]:

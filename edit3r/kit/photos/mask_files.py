@@ -6,7 +6,8 @@ from pathlib import Path
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import say
-from edit3r.kit.photos.images import expand, images_of_folder, natural
+from edit3r.kit.files.names import natural
+from edit3r.kit.photos.images import expand, images_of_folder
 
 _Names = Sequence[str]
 """What one photo is called: its file's name, and its view's."""

@@ -1,17 +1,6 @@
-import subprocess
-import sys
-
 import pytest
 
-from edit3r.contract.reporting import (
-    Report,
-    collecting,
-    note,
-    peak_memory_mb,
-    progress,
-    track,
-    warn,
-)
+from edit3r.contract.reporting import Report, collecting, note, progress, track, warn
 
 
 def test_calls_outside_a_run_do_nothing():
@@ -48,16 +37,3 @@ def test_a_stage_that_raises_is_not_recorded():
     with report.stage("good"):
         pass
     assert [stage.name for stage in report.stages] == ["good"]
-
-
-def test_peak_memory_is_this_process_own():
-    """A child of a large process starts small."""
-    ballast = bytearray(300 * 2**20)
-    ballast[::4096] = b"x" * len(ballast[::4096])
-    code = (
-        "from edit3r.contract.reporting import peak_memory_mb; print(peak_memory_mb())"
-    )
-    told = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True
-    ).stdout
-    assert 5 < float(told) < 300 < peak_memory_mb()

@@ -18,7 +18,6 @@ from edit3r.kit.photos.images import (
     load_photos,
     load_views,
     save_image,
-    unique_names,
 )
 
 
@@ -346,49 +345,6 @@ def test_three_photos_with_names_in_each_others_way_are_three_files(tmp_path):
         for i, name in enumerate(("x/p.png", "y/p.png", "p-1.png"))
     ]
     assert load_views(paths).names == ("p-2", "p-3", "p-1")
-
-
-@pytest.mark.parametrize(
-    ("name", "safe"),
-    [
-        ("IMG 0001 (2)", "IMG 0001 (2)"),
-        ("Müller", "Müller"),
-        ("../up", "__up"),
-        ("..", "_"),
-        ("a/b\\c", "a_b_c"),
-        ("a\0b", "a_b"),
-        ("", "photo"),
-        (".hidden. ", "hidden"),
-        ("path_0000", "_path_0000"),
-        ("Path_7", "_Path_7"),
-        ("nul", "_nul"),
-        ("COM1.left", "_COM1.left"),
-        (b"caf\xe9".decode("utf-8", "surrogateescape"), "caf_"),
-        ("x" * 240, "x" * 100),
-    ],
-)
-def test_a_name_becomes_one_that_every_file_system_takes(name, safe):
-    assert unique_names([name]) == [safe]
-
-
-def test_names_stay_apart_whatever_was_changed():
-    given = [
-        "a/b",
-        "a_b",
-        "A_B",
-        "x" * 240,
-        "x" * 241,
-        "a_b-1",
-        "photo",
-        "",
-        "é" * 300,
-        "é" * 301,
-        "\U0001f600" * 99,
-    ]
-    names = unique_names(given)
-    assert len({name.casefold() for name in names}) == len(given)
-    assert names[5] == "a_b-1" and names[:3] == ["a_b-2", "a_b-3", "A_B-4"]
-    assert all(0 < len(name) <= 100 and len(name.encode()) <= 200 for name in names)
 
 
 def test_a_photo_called_like_a_frame_of_the_video_and_one_that_is_no_utf_8_are_loaded(
