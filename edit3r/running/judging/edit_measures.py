@@ -83,7 +83,9 @@ def measure_edit(
         measures,
         outline=outline_on_edges(before, masks),
         open_outline=open_outline(before, masks),
-        taken=taken(before, after, masks) if _gives_one_colour(wishes) else None,
+        taken=taken(before, after, masks, _asked_for(wishes))
+        if _gives_one_colour(wishes)
+        else None,
     )
 
 
@@ -124,6 +126,12 @@ def _gives_one_colour(wishes: Sequence[Wish]) -> bool:
     )
 
 
+def _asked_for(wishes: Sequence[Wish]) -> Float[Tensor, "colour 3"]:
+    """The colours that wishes paint in, which may be read off other things."""
+    changes = [change for wish in wishes for change in wish.changes]
+    return torch.tensor([one.colour.rgb for one in changes if one.colour]).view(-1, 3)
+
+
 def pieces(masks: Masks) -> float:
     """Share of a mask that does not belong to its largest piece; the largest over the views."""
     apart = [0.0]
@@ -139,8 +147,9 @@ def taken(
     before: Float[Tensor, "view 3 height width"],
     after: Float[Tensor, "view 3 height width"],
     masks: Masks,
+    asked: Float[Tensor, "colour 3"] | None = None,
 ) -> float | None:
-    """Share of the masked pixels that took a colour.
+    """Share of the masked pixels that took a colour, or look like the asked one anyway.
 
     None where what did not take it has an own colour far from that of what did: tyres stay black
     on a bike that is painted.
@@ -148,6 +157,9 @@ def taken(
     old, new = rgb_to_lab(before).movedim(1, -1), rgb_to_lab(after).movedim(1, -1)
     inside = masks > 0.5
     took = inside & ((new - old).norm(dim=-1) > CLEARLY)
+    for rgb in () if asked is None else asked:
+        colour = rgb_to_lab(rgb[:, None, None].to(new))[:, 0, 0]
+        took |= inside & ((new - colour).norm(dim=-1) < 2 * CLEARLY)
     left = inside & ~took
     if not took.any() or not left.any():
         return 1.0

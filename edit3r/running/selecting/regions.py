@@ -16,7 +16,7 @@ from edit3r.contract.errors import InputError, PromptError
 from edit3r.contract.interfaces import MatchedGeometry, Segmenter
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Views
-from edit3r.contract.wishes import FLOOD, Change, Colour, Thing, Wish
+from edit3r.contract.wishes import BENEATH, FLOOD, Change, Colour, Thing, Wish
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.select import (
     ASK,
@@ -78,14 +78,19 @@ class RegionFinder:
 
     def _with_colours(self, wish: Wish, marked_thing: Thing | None) -> Wish:
         """The wish with the colours that it takes from other things."""
-        changes = tuple(self._coloured(one, marked_thing) for one in wish.changes)
+        changes = tuple(self._coloured(one, wish, marked_thing) for one in wish.changes)
         return replace(wish, changes=changes)
 
-    def _coloured(self, change: Change, marked_thing: Thing | None) -> Change:
+    def _coloured(
+        self, change: Change, wish: Wish, marked_thing: Thing | None
+    ) -> Change:
         if change.like is None:
             return change
         try:
-            mask = self._mask(change.like, marked_thing)
+            if change.like.of == BENEATH:
+                mask = _beneath(self._base(wish, marked_thing))
+            else:
+                mask = self._mask(change.like, marked_thing)
         except InputError as error:
             raise InputError(
                 f"the colour of {change.like} cannot be read: {error} Where clicks mark what is "
@@ -262,6 +267,21 @@ def _same(thing: Thing, other: Thing) -> bool:
     return thing.name == other.name and (
         thing.which == other.which or "all" not in other.which
     )
+
+
+def _beneath(masks: Masks) -> Masks:
+    """What lies under the lowest pixels of a thing, where it is as a rule stood on.
+
+    Below its lower third alone: under a snout is air. Photos are taken to be upright.
+    """
+    height = masks.shape[1]
+    rows = torch.arange(height).to(masks)[None, :, None]
+    lowest = (rows * (masks > 0.5)).amax(1, keepdim=True)
+    bottom = lowest.amax(2, keepdim=True)
+    top = torch.where(masks > 0.5, rows, height).amin((1, 2), keepdim=True)
+    stands = lowest > (top + 2 * bottom) / 3
+    near = (rows > lowest + 0.01 * height) & (rows <= lowest + max(2, 0.05 * height))
+    return (near & stands & (masks <= 0.5)).to(masks)
 
 
 def _median_colour(

@@ -182,6 +182,16 @@ def test_a_thing_that_takes_its_colour_in_part_is_told_from_one_of_two_colours(s
     assert taken(before, after, masks) is None
 
 
+def test_what_looks_as_asked_without_much_change_took_the_colour():
+    before = torch.full((1, 3, 8, 8), 0.6)
+    after = before.clone()
+    after[..., :1, :] += 0.15
+    masks = torch.ones(1, 8, 8)
+    assert taken(before, after, masks) == pytest.approx(1 / 8)
+    asked = torch.tensor([[0.62, 0.6, 0.58]])
+    assert taken(before, after, masks, asked) == 1
+
+
 def test_pieces_beside_the_largest_count():
     whole, parted = square(20), square(20)
     parted[:, 25:35] = 0

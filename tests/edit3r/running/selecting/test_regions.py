@@ -314,3 +314,19 @@ def test_an_unknown_word_of_what_is_clicked_on_is_named(prompt, told):
         finder(Selection(positive=((0, 0.2, 0.5),))).find(read(prompt))
     assert [one[: len(text)] for one, text in zip(report.warnings, told)] == told
     assert len(report.warnings) == len(told)
+
+
+def test_what_a_thing_stands_on_lends_it_its_colour():
+    """ "The colour of the stone it stands on" is read under the thing, whatever stone is."""
+    thing = torch.zeros(2, 1, HEIGHT, WIDTH)
+    thing[:, :, 2:11, 5:10] = 1
+    marked = Selection(masks={0: thing[0, 0], 1: thing[1, 0]})
+    views = photos()
+    views.images[..., 11:, :] = torch.tensor([0.2, 0.6, 0.3])[:, None, None]
+    segmenter = Halves()
+    found = RegionFinder(views, lambda: segmenter, lambda: None, marked).find(
+        read("give the bear the colour of the stone it stands on")
+    )
+    (change,) = found.wishes[0].changes
+    assert change.colour.rgb == pytest.approx((0.2, 0.6, 0.3))
+    assert "stone" not in segmenter.looked_up
