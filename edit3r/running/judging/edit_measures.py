@@ -29,7 +29,10 @@ UNCHANGED = 0.01  # share of what may change below which a picture came back as 
 REACH = 3  # pixels between an outline and the edge that it follows
 MAX_CHANCE = 0.85  # share of a photo near edges, above which an outline tells nothing
 EDGE = 6.0  # difference of colours across an edge [CIE Lab, over two pixels]
-JUMP = 1.12  # ratio of depths within REACH of each other that no one surface has
+CLEAR_CHANGE = 24 / 255  # change of a channel from which its lack is a patch
+ARRIVED = 0.4  # share of a pixel's change below which the 3D scene does not show it
+PATCH_BLUR = 2.0  # pixels over which that share is taken: scenes are softer than photos
+LEAST_CHANGED = 50  # pixels below which no patch is measured
 NEAR = 4.0  # pixels about an outline whose colours are compared
 CLEARLY = 12.0  # change of a colour from which a thing took it [CIE Lab]
 OTHER_COLOUR = (
@@ -204,9 +207,10 @@ def measure_edit_in_3d(
     if scene.masks is None or not scene.confined:
         return measures
     masks, depths = scene.masks[0], scene.rendered.depths[0, :, 0]
-    if measures.clicked is not None:
-        stands_out = outline_on_depth_edges(_small(masks), _small(depths))
-        measures = replace(measures, stands_out=stands_out)
+    if (
+        measures.made_up is None
+    ):  # of what is removed nothing shall be left in another place
+        measures = replace(measures, missed=missed_patch(scene, views))
     return replace(measures, agreement=masks_agree(masks, depths, scene.cameras))
 
 
@@ -230,19 +234,6 @@ def outline_on_edges(
     if chance > MAX_CHANCE:
         return None
     return (float(np.mean(shares)) - chance) / (1 - chance)
-
-
-def outline_on_depth_edges(masks: Masks, depths: Masks) -> float | None:
-    """Share of the masks' outlines near which depth jumps; None where no mask has an outline."""
-    shares = []
-    kernel = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
-    for mask, depth in zip(masks, depths):
-        outline = _outline(mask)
-        if outline.any():
-            near = depth.numpy(force=True).astype(np.float32)
-            jumps = cv2.dilate(near, kernel) > JUMP * cv2.erode(near, kernel)
-            shares.append(float(jumps[outline].mean()))
-    return float(np.mean(shares)) if shares else None
 
 
 def open_outline(images: Float[Tensor, "view 3 height width"], masks: Masks) -> float:
@@ -368,6 +359,37 @@ def change_shown(scene: Scene, views: Sequence[int]) -> float | None:
     return change_uptake(
         scene.rendered.images[:, views].clamp(0, 1) - before, wanted, weight
     )
+
+
+def missed_patch(scene: Scene, views: Sequence[int]) -> float:
+    """Largest connected patch that changed clearly in 2D and is as it was in 3D, as a share.
+
+    Of all that changed in its view; the largest over the views. Photos that disagree about what
+    belongs to the thing leave such patches, and so do surfaces of another photo in front of it.
+    """
+    height, width = scene.rendered.images.shape[-2:]
+    photos = (one.at((height, width)) for one in (scene.start, scene.edited))
+    images = (*photos, scene.rendered)
+    triples = zip(*(_small(one.images[0, views]) for one in images))
+    return max((_missed_in(*triple) for triple in triples), default=0.0)
+
+
+def _missed_in(
+    before: Float[Tensor, "3 height width"],
+    after: Float[Tensor, "3 height width"],
+    shown: Float[Tensor, "3 height width"],
+) -> float:
+    wanted, got = after - before, shown.clamp(0, 1) - before
+    changed = (wanted.abs().amax(0) > CLEAR_CHANGE).numpy(force=True)
+    arrived, asked = (
+        cv2.GaussianBlur(one.sum(0).numpy(force=True), (0, 0), PATCH_BLUR)
+        for one in (wanted * got, wanted * wanted)
+    )
+    missing = (changed & (arrived < ARRIVED * asked)).astype(np.uint8)
+    areas = cv2.connectedComponentsWithStats(missing)[2][1:, cv2.CC_STAT_AREA]
+    if not len(areas) or changed.sum() < LEAST_CHANGED:
+        return 0.0
+    return float(areas.max() / changed.sum())
 
 
 # ---- what was asked for ----
