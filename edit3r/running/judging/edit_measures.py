@@ -368,9 +368,9 @@ def missed_patch(scene: Scene, views: Sequence[int]) -> float:
     belongs to the thing leave such patches, and so do surfaces of another photo in front of it.
     """
     height, width = scene.rendered.images.shape[-2:]
-    photos = (one.at((height, width)) for one in (scene.start, scene.edited))
-    images = (*photos, scene.rendered)
-    triples = zip(*(_small(one.images[0, views]) for one in images))
+    size = (height, width)
+    photos = (scene.start.at(size).images, scene.edited.at(size).images)
+    triples = zip(*(_small(one[0, views]) for one in (*photos, scene.rendered.images)))
     return max((_missed_in(*triple) for triple in triples), default=0.0)
 
 
