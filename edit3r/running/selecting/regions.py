@@ -17,6 +17,7 @@ from edit3r.contract.interfaces import MatchedGeometry, Segmenter
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Views
 from edit3r.contract.wishes import BENEATH, FLOOD, Change, Colour, Thing, Wish
+from edit3r.kit.geometry.maps import dilate
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.select import (
     ASK,
@@ -27,6 +28,7 @@ from edit3r.running.selecting.select import (
 )
 
 PLAIN = Selection()
+RIM = 0.012  # half of how thick a rim between two outlines may be [longer sides]
 Masks = Float[Tensor, "view height width"]
 
 
@@ -154,6 +156,8 @@ class RegionFinder:
         mask = self._base(wish, marked_thing)
         for kept in wish.without:
             mask = mask * self._all_but(kept, marked_thing)
+            if kept.name and kept.name == thing.name:  # "the cups but the middle one"
+                mask = _without_rims(mask)
         if thing.part is not None:
             mask = near_colour(mask, self._views.images[0], thing.part)
         return mask
@@ -267,6 +271,17 @@ def _same(thing: Thing, other: Thing) -> bool:
     return thing.name == other.name and (
         thing.which == other.which or "all" not in other.which
     )
+
+
+def _without_rims(masks: Masks) -> Masks:
+    """The masks without what is thinner than things are: what two outlines of one thing differ by.
+
+    "All cups" and "the middle cup" never end at the same pixel, and a ring of it would change.
+    """
+    reach = max(1, round(RIM * max(masks.shape[-2:])))
+    outside = 1 - (masks > 0.5).to(masks)
+    inner = 1 - dilate(outside, reach)
+    return masks * dilate(inner, reach)
 
 
 def _beneath(masks: Masks) -> Masks:

@@ -8,7 +8,7 @@ from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
 from edit3r.running.reading import read
-from edit3r.running.selecting.regions import RegionFinder
+from edit3r.running.selecting.regions import RegionFinder, _without_rims
 from edit3r.running.selecting.select import Selection
 
 HEIGHT, WIDTH = 12, 16
@@ -330,3 +330,12 @@ def test_what_a_thing_stands_on_lends_it_its_colour():
     (change,) = found.wishes[0].changes
     assert change.colour.rgb == pytest.approx((0.2, 0.6, 0.3))
     assert "stone" not in segmenter.looked_up
+
+
+def test_a_kept_cup_has_no_rim_that_goes_with_the_others():
+    masks = torch.zeros(1, 100, 100)
+    masks[:, 20:60, 20:40] = 1  # a cup that goes
+    masks[:, 20:60, 60:81] = 1  # one that stays, as "all cups" outlines it
+    masks[:, 21:60, 61:80] = 0  # and as its own outline is
+    left = _without_rims(masks)
+    assert left[:, :, 50:].sum() == 0 and torch.equal(left[..., :50], masks[..., :50])
