@@ -20,6 +20,9 @@ FLOOD = frozenset(
 )
 """Words of `Thing.which` that want all of a thing painted, its neutral parts too."""
 
+BENEATH = "under it"
+"""`Thing.of` of what the wish's own thing stands on, whose colour it may take."""
+
 Box = tuple[float, float, float, float]
 
 

@@ -17,7 +17,7 @@ from edit3r_language.nouns import is_noun
 from edit3r_language.paints import read_paint
 from edit3r_language.places import read_region, unclear_place
 from edit3r_language.shades import read_taken
-from edit3r_language.strangers import strangers, unread_of
+from edit3r_language.strangers import is_known, strangers, unread_of
 from edit3r_language.things import read_thing
 
 
@@ -41,11 +41,13 @@ class Clause:
 
 
 def asks_nothing(tokens: list[str]) -> bool:
-    """Politeness, or "not blue" beside another colour."""
+    """Politeness, or "not blue" and "not brighter" beside another change."""
     if set(tokens) <= words.POLITENESS | words.NOTHING:
         return True
-    negated = tokens[0] in words.NEGATIONS and len(tokens) > 1
-    return negated and read_colour(tokens[1:]) is not None
+    if tokens[0] not in words.NEGATIONS or len(tokens) == 1:
+        return False
+    adjusts = set(tokens[1:]) <= words.ADJUSTMENTS.keys()
+    return adjusts or read_colour(tokens[1:]) is not None
 
 
 def read_kept(tokens: list[str]) -> list[Thing] | None:
@@ -66,7 +68,18 @@ def read_kept(tokens: list[str]) -> list[Thing] | None:
         return None
     if negates and find_changes(tokens):  # "don't paint the bike red"
         return None
-    return [read_thing([t for t in tokens[1:] if t not in words.AS_IT_IS])]
+    return [read_thing(_without_own_colour(tokens[1:]))]
+
+
+def _without_own_colour(tokens: list[str]) -> list[str]:
+    """The words of what is kept, without what it stays: "the bus" of "keep the bus red"."""
+    tokens = [t for t in tokens if t not in words.AS_IT_IS]
+    for start in range(1, len(tokens)):
+        found = read_colour(tokens[start:])
+        named = content_of(tokens[:start])
+        if found is not None and named and found[1] == len(tokens) - start:
+            return tokens[:start] if not is_noun(tokens[-1]) else tokens
+    return tokens
 
 
 def read_clause(tokens: list[str]) -> Clause:
@@ -292,6 +305,7 @@ def _painted_thing(named: list[str], origin: Colour | None) -> Thing:
     of_things = {"the", "a", "an", "my"}
     if colour is not None and colour[0].name in words.BASIC:
         of_things -= set() if is_noun(colour[0].name) else {"the"}  # "the blue darker"
+    of_things |= {"one", "ones"}
     determined = bool(set(named) & of_things)
     only_colour = colour is not None and colour[1] == len(content)
     if origin is None and colour is not None and only_colour and not determined:
@@ -314,7 +328,7 @@ def _may_follow(change: Found, tokens: list[str]) -> bool:
     if first in words.ADJUSTMENTS and first.endswith("er"):  # "a darker sky"
         return True
     return after[0] in words.DETERMINERS or (
-        after[0] in ("in", "on", "for") and len(after) > 1
+        after[0] in ("in", "on", "for", "of") and len(after) > 1
     )
 
 
@@ -322,6 +336,13 @@ def _read_look(look: str, before: list[str], clause: Clause) -> Clause:
     """A clause that gives a look to what stands before its word."""
     if find_changes(before):  # "brown like in autumn"
         return clause.not_understood(look)
+    before = [token for token in before if token != "turned"]
+    if not set(before) & words.DETERMINERS:  # "spooky night"
+        unread = [t for t in content_of(before) if not is_known(t)]
+        if unread:
+            return clause.not_understood(*unread)
+    clause.left_out = tuple(w for w in look.split() if w in words.NOT_DRAWN)
+    look = " ".join(w for w in look.split() if w not in words.NOT_DRAWN)
     clause.action, clause.look, clause.thing = "look", look, read_thing(before)
     return clause
 

@@ -3,10 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from edit3r.contract.wishes import Change, Colour
+from edit3r.contract.wishes import BENEATH, Change, Colour
 from edit3r.kit.compute.colour_names import read_colour, read_colour_of
 from edit3r_language import vocabulary as words
 from edit3r_language.things import read_thing
+
+_STANDS = words.words_of(
+    "stands stand standing sits sit sitting lies lie lying rests rest resting is are"
+)
 
 
 @dataclass(frozen=True)
@@ -49,6 +53,7 @@ def _source_at(tokens: list[str], start: int) -> tuple[Colour | None, list[str]]
 
 def _of_thing(hue: Colour | None, source: Sequence[str]) -> Change | None:
     """Paint in the colour of a thing; "the colour of chocolate" is a colour by its name."""
+    beneath = _is_beneath(source)
     source = _without_tail(source)
     found = read_colour_of(list(source))
     if hue is None and found is not None and found[1] == len(source):
@@ -56,6 +61,8 @@ def _of_thing(hue: Colour | None, source: Sequence[str]) -> Change | None:
     if not _names_something(source):
         return None
     thing = replace(read_thing(list(source)), part=hue)
+    if beneath and not thing.of:
+        thing = replace(thing, of=BENEATH)
     if thing.scope == "marked":  # "the colour of what I clicked on"
         thing = replace(thing, name="")
     return Change("paint", like=thing)
@@ -67,6 +74,12 @@ def _without_tail(source: Sequence[str]) -> Sequence[str]:
         if place and (word in words.PRONOUNS or word == "has"):
             return source[:place]
     return source
+
+
+def _is_beneath(source: Sequence[str]) -> bool:
+    """Whether "it stands on" follows a thing, which says where it is."""
+    pronoun = bool(set(source[1:]) & words.PRONOUNS)
+    return pronoun and source[-1] == "on" and bool(set(source[1:]) & _STANDS)
 
 
 def _names_something(tokens: Sequence[str]) -> bool:

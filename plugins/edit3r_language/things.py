@@ -97,7 +97,8 @@ def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:
         if token in _JOINING and content and inner:
             places = words.PLACES | words.BACKGROUND | {"foreground"}
             if set(content) & places:  # "the cup on the left"
-                return tokens[:start] + [t for t in content if t in places], []
+                picked = [t for t in content if t in places]
+                return tokens[:start] + picked, _wearer(token, content, places)
             if set(inner) <= words.WHOLE | words.DETERMINERS | {"colour", "tone"}:
                 return rest, []
             return tokens[:start], rest
@@ -108,6 +109,13 @@ def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:
                 return [*tokens[:start], token.removesuffix("'s")], []
             return rest, [*tokens[:start], token.removesuffix("'s")]
     return tokens, []
+
+
+def _wearer(joint: str, content: list[str], places: frozenset[str]) -> list[str]:
+    """The whole in "the jacket of the man on the left"; in "of the left" there is none."""
+    ignored = places | _JOINING | words.PARTS | words.PICTURE | words.DETERMINERS
+    others = [t for t in content if t not in ignored | words.SHARES]
+    return others if joint == "of" else []
 
 
 def _colour_of_part(

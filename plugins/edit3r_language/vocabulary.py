@@ -72,15 +72,18 @@ LOOKS = words_of(
 )
 """Words for a look of the whole that stand without "like"."""
 
+NOT_DRAWN = words_of("snowfall")
+"""What a look has in the world and no look here has: its words are left out, and that is said."""
+
 STYLE = words_of("like as style styled")
 """Words before a look."""
 
 # ---- actions ----
 
-REMOVE = words_of("remove delete erase eliminate hide")
+REMOVE = words_of("remove delete erase eliminate hide ditch")
 OTHER = words_of(
-    "add insert put place replace swap move wear wearing hold holding rotate resize blur sharpen "
-    "draw give enlarge shrink stylise stylize"
+    "undo revert reset add insert put place replace swap move wear wearing hold holding rotate "
+    "resize blur sharpen draw give enlarge shrink stylise stylize"
 )
 """Verbs of what neither colours nor removing can do; `give` and `draw` only before a new thing."""
 
@@ -189,14 +192,16 @@ FILLERS = words_of(
     "effect finish by using his her their there full spray dye tint coat coated give "
     "making turning changing needs need must has ought standing sitting lying parked leaning "
     "hanging walking then by made shade shades use cover wrap way completely fully entirely "
-    "totally wholly were was will replace swap"
+    "totally wholly were was will replace swap prefer"
 )
 """Words that carry neither change nor thing in the sentences that are read."""
 
-POLITENESS = words_of("please thanks thank you ok okay hello hi kindly just")
+POLITENESS = words_of(
+    "please thanks thank you ok okay hello hi hey kindly just thx cheers"
+)
 OPENINGS = POLITENESS | words_of(
-    "could can would will i i'd we want like to now also so let's lets if then should need think "
-    "apply"
+    "could can would will i i'd we want like love to now also so let's lets if then should need "
+    "think apply"
 )
 """Words that a clause may begin with and that ask for nothing: "could you please"."""
 
@@ -207,7 +212,7 @@ NICE = words_of(
 
 STYLE_NOUNS = words_of(
     "drawing sketch painting style look effect colours tones tone time mood scene picture image "
-    "photo photograph print film filter movie atmosphere light in a the"
+    "photo photograph print film filter movie atmosphere light book strip in a the"
 )
 """Nouns after the word for a look: "a pencil drawing"."""
 
@@ -222,15 +227,52 @@ SPELLINGS = {
     "watercolor": "watercolour",
     "center": "centre",
     "rear": "back",
+    "blacken": "black",
+    "whiten": "white",
+    "watercolours": "watercolour",
+    "watercolors": "watercolour",
+    "repaint": "paint",
+    "teh": "the",
+    "plz": "please",
+    "pls": "please",
 }
 """Words that mean another one."""
 
 _IN_COLOUR = r"(?:in (?:full )?colou?r|colou?red|colou?rful)\b"
 
+_TOO = {
+    "dark|dim|gloomy": "brighter",
+    "bright|light|pale": "darker",
+    "warm": "colder",
+    "cold|cool": "warmer",
+    "dull|faded|muted|grey": "more saturated",
+    "saturated|colou?rful|vivid|vibrant|bright and colou?rful": "less saturated",
+    "flat": "more contrast",
+}
+"""What is wanted where something is "too dark"."""
+
 _CHANGES = "paint|make|turn|colour|color|darken|brighten|lighten|remove|change"
 _WAYS = "bright|dark|warm|cold|saturated|colou?rful|vivid|contrasty"
 
 PHRASES = (
+    *(
+        (rf"\b(?:much |far |way )?too (?:{words})\b(?! and)", f" {wanted} ")
+        for words, wanted in _TOO.items()
+    ),
+    (r"\b(?:at |a |in )*(?:the )?golden hour\b", " like sunset "),
+    (r"\b(?:at |a |in )*(?:the )?blue hour\b", " like dusk "),
+    (r"\b(?:pillar|post|letter)[ -]?box red\b", " fire engine red "),
+    (r"\b(?:could|can) do with(?: being| a)?\b", " be "),
+    (r"\b(?:lose|clean up|wipe away) (?=the\b|all\b|those\b)", " remove "),
+    (r"\b(black|whit)en (?=the\b|its\b|my\b)([^,.;]+)", r" paint \2 \1en "),
+    (r"\bgr[ea]y out ([^,.;]+)", r" \1 greyscale "),
+    (r"\bthan (?:it|they) (?:is|are)(?: now| already)?\b", " "),
+    (r"\b(?:give me|give us|let's go for|go for|let's have) an? ", " turned "),
+    (
+        r"\b(?:let|make) it snow(?: now| everywhere| here)?\W*$",
+        " look like winter snowfall ",
+    ),
+    (r"\bhalve the (?=contrast\b|saturation\b|brightness\b)", " much less "),
     (rf"^\W*first(?:ly)?,? (?={_CHANGES})", " "),
     (r"\b(\d+) ?(?:%|percent\b|per cent\b)", r" \1% "),
     (rf"\btwice as ({_WAYS})\b", r" much more \1 "),
@@ -305,13 +347,14 @@ PHRASES = (
     (r"\bout of (?=\w+\W*$)", " of "),
     (r"\beverything around\b|\ball around\b", " everything except "),
     (r"\bas well as\b", " and "),
-    (r"\bas well\b|\btoo\b", " "),
+    (r"\bas well\b|\btoo\b(?! (?!and\b|but\b|then\b|please\b)[a-z])", " "),
     (r",?\s*\bincluding\b[^,.;]*", " completely "),
     (r"\ball of\b|\ball over\b", " whole "),
     (
         r"\bapart from\b|\bother than\b|\bexcept for\b|\bexcluding\b|\bbesides\b|\bsave for\b",
         " except ",
     ),
+    (r",\s*(?=except\b)", " "),
     (
         r"\bas if (?:it|they) (?:is|are|was|were)(?: all)? made (?:out )?of\b",
         " made of ",
@@ -327,12 +370,12 @@ PHRASES = (
     ),
     (r"\b(trash|garbage|rubbish|tin|soda|beer|oil|watering) can\b", r" \1can "),
     (r"\bby half\b", " slightly "),
-    (r"\b(?:i|we)(?: would|'d)? (?:want|like|need) an? ", " turned "),
+    (r"\b(?:i|we)(?: would|'d)? (?:want|like|love|need) an? ", " turned "),
     (r"\bswitch\b", " change "),
     (r"\bnothing (?:but|except)\b", " "),
     (r"\b(?:that|which) (?:is|are)\b", " thatis "),
     (r"\binstead of\b|\brather than\b", " insteadof "),
-    (r"\ba (?:bit|little)\b", " slightly "),
+    (r"\ba (?:bit|little|touch)\b", " slightly "),
     (r"\bjust the\b|\bonly the\b", " the "),
     (r"\bin front\b", " front "),
     (r"\bin (?:the )?style of\b", " like "),

@@ -33,6 +33,9 @@ METALS = {
 }
 """sRGB in [0, 1] of metals under plain light, between shade and highlight."""
 
+WHOLE = ("sky",)
+"""Things without parts that keep their own colour: haze and clouds belong to the sky."""
+
 GRAINED = ("marble", "wood", "snow")
 """Materials that are more than a colour: another editor draws them."""
 
@@ -90,7 +93,7 @@ class RecolorEditor(Editor, EditsRegions):
     ) -> Float[Tensor, "view 3 height width"]:
         settings = self.settings
         everywhere = wish.thing.scope in ("whole", "region")
-        flood = everywhere or "whole" in wish.thing.which
+        flood = everywhere or "whole" in wish.thing.which or wish.thing.name in WHOLE
         changed = images
         for change in wish.changes:
             if change.kind == "paint":

@@ -38,8 +38,7 @@ COMPARED_STEP = 0.08  # of lightness, that "darker" is darker than before
 MAX_BEND = 3.0  # slope on one side of the paint's lightness over that on the other
 METAL_CONTRAST = 2.0  # slope of new lightness over old in the middle
 DARKEST, BRIGHTEST = 0.08, 0.98  # lightness of metal
-MAX_ISLANDS = 0.76  # share of the thing above which its paint is nearly all of it
-MAX_BORDER = 5.0  # length of the border of the paint on a thing [sides of the thing]
+MAX_BORDER = 4.5  # length of the border of the paint on a thing [sides of the thing]
 BORDER_SIDE = 256  # pixels of the longer side at which that is measured
 HUE_BINS = 72
 HUE_FALL = 0.5  # of the tolerance, over which membership falls to 0
@@ -84,7 +83,7 @@ def paint(
     goal = _compared(goal, own, than_now)
     member = membership(lab, own)
     share = float((weights * member).sum() / weights.sum())
-    if own.saturation and _is_in_islands(own, share, _placed(member, inside), region):
+    if own.saturation and _is_in_islands(own, _placed(member, inside), region):
         say(
             "paint",
             f"{share:.0%} of the thing, in patches, has one colour: all of it is painted",
@@ -113,13 +112,13 @@ def _placed(values: Weights, inside: Bool[Tensor, "view height width"]) -> Masks
     return places
 
 
-def _is_in_islands(own: Paint, share: float, member: Masks, region: Masks) -> bool:
+def _is_in_islands(own: Paint, member: Masks, region: Masks) -> bool:
     """Whether a paint that is not vivid lies on a part of the thing in many pieces.
 
     Bark, bricks and fur have a colour that comes and goes; the parts of a made thing have theirs
     with short borders.
     """
-    if own.saturation >= VIVID or share > MAX_ISLANDS:
+    if own.saturation >= VIVID:
         return False
     small = [_reduced(one).double() for one in (member, region)]
     painted, thing = (one > 0.5 for one in small)

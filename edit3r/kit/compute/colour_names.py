@@ -57,6 +57,7 @@ _EVERYDAY_COLOURS = {
     "copper": "#b87333",
     "cream": "#fffdd0",
     "emerald": "#50c878",
+    "barnred": "#7c1c12",
     "golden": "#ffd700",
     "lilac": "#c8a2c8",
     "marble": "#ece9e2",

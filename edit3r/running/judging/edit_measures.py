@@ -29,7 +29,10 @@ UNCHANGED = 0.01  # share of what may change below which a picture came back as 
 REACH = 3  # pixels between an outline and the edge that it follows
 MAX_CHANCE = 0.85  # share of a photo near edges, above which an outline tells nothing
 EDGE = 6.0  # difference of colours across an edge [CIE Lab, over two pixels]
-JUMP = 1.12  # ratio of depths within REACH of each other that no one surface has
+CLEAR_CHANGE = 24 / 255  # change of a channel from which its lack is a patch
+ARRIVED = 0.4  # share of a pixel's change below which the 3D scene does not show it
+PATCH_BLUR = 2.0  # pixels over which that share is taken: scenes are softer than photos
+LEAST_CHANGED = 50  # pixels below which no patch is measured
 NEAR = 4.0  # pixels about an outline whose colours are compared
 CLEARLY = 12.0  # change of a colour from which a thing took it [CIE Lab]
 OTHER_COLOUR = (
@@ -83,7 +86,9 @@ def measure_edit(
         measures,
         outline=outline_on_edges(before, masks),
         open_outline=open_outline(before, masks),
-        taken=taken(before, after, masks) if _gives_one_colour(wishes) else None,
+        taken=taken(before, after, masks, _asked_for(wishes))
+        if _gives_one_colour(wishes)
+        else None,
     )
 
 
@@ -124,6 +129,12 @@ def _gives_one_colour(wishes: Sequence[Wish]) -> bool:
     )
 
 
+def _asked_for(wishes: Sequence[Wish]) -> Float[Tensor, "colour 3"]:
+    """The colours that wishes paint in, which may be read off other things."""
+    changes = [change for wish in wishes for change in wish.changes]
+    return torch.tensor([one.colour.rgb for one in changes if one.colour]).view(-1, 3)
+
+
 def pieces(masks: Masks) -> float:
     """Share of a mask that does not belong to its largest piece; the largest over the views."""
     apart = [0.0]
@@ -139,8 +150,9 @@ def taken(
     before: Float[Tensor, "view 3 height width"],
     after: Float[Tensor, "view 3 height width"],
     masks: Masks,
+    asked: Float[Tensor, "colour 3"] | None = None,
 ) -> float | None:
-    """Share of the masked pixels that took a colour.
+    """Share of the masked pixels that took a colour, or look like the asked one anyway.
 
     None where what did not take it has an own colour far from that of what did: tyres stay black
     on a bike that is painted.
@@ -148,6 +160,9 @@ def taken(
     old, new = rgb_to_lab(before).movedim(1, -1), rgb_to_lab(after).movedim(1, -1)
     inside = masks > 0.5
     took = inside & ((new - old).norm(dim=-1) > CLEARLY)
+    for rgb in () if asked is None else asked:
+        colour = rgb_to_lab(rgb[:, None, None].to(new))[:, 0, 0]
+        took |= inside & ((new - colour).norm(dim=-1) < 2 * CLEARLY)
     left = inside & ~took
     if not took.any() or not left.any():
         return 1.0
@@ -192,9 +207,10 @@ def measure_edit_in_3d(
     if scene.masks is None or not scene.confined:
         return measures
     masks, depths = scene.masks[0], scene.rendered.depths[0, :, 0]
-    if measures.clicked is not None:
-        stands_out = outline_on_depth_edges(_small(masks), _small(depths))
-        measures = replace(measures, stands_out=stands_out)
+    if (
+        measures.made_up is None
+    ):  # of what is removed nothing shall be left in another place
+        measures = replace(measures, missed=missed_patch(scene, views))
     return replace(measures, agreement=masks_agree(masks, depths, scene.cameras))
 
 
@@ -218,19 +234,6 @@ def outline_on_edges(
     if chance > MAX_CHANCE:
         return None
     return (float(np.mean(shares)) - chance) / (1 - chance)
-
-
-def outline_on_depth_edges(masks: Masks, depths: Masks) -> float | None:
-    """Share of the masks' outlines near which depth jumps; None where no mask has an outline."""
-    shares = []
-    kernel = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
-    for mask, depth in zip(masks, depths):
-        outline = _outline(mask)
-        if outline.any():
-            near = depth.numpy(force=True).astype(np.float32)
-            jumps = cv2.dilate(near, kernel) > JUMP * cv2.erode(near, kernel)
-            shares.append(float(jumps[outline].mean()))
-    return float(np.mean(shares)) if shares else None
 
 
 def open_outline(images: Float[Tensor, "view 3 height width"], masks: Masks) -> float:
@@ -356,6 +359,37 @@ def change_shown(scene: Scene, views: Sequence[int]) -> float | None:
     return change_uptake(
         scene.rendered.images[:, views].clamp(0, 1) - before, wanted, weight
     )
+
+
+def missed_patch(scene: Scene, views: Sequence[int]) -> float:
+    """Largest connected patch that changed clearly in 2D and is as it was in 3D, as a share.
+
+    Of all that changed in its view; the largest over the views. Photos that disagree about what
+    belongs to the thing leave such patches, and so do surfaces of another photo in front of it.
+    """
+    height, width = scene.rendered.images.shape[-2:]
+    size = (height, width)
+    photos = (scene.start.at(size).images, scene.edited.at(size).images)
+    triples = zip(*(_small(one[0, views]) for one in (*photos, scene.rendered.images)))
+    return max((_missed_in(*triple) for triple in triples), default=0.0)
+
+
+def _missed_in(
+    before: Float[Tensor, "3 height width"],
+    after: Float[Tensor, "3 height width"],
+    shown: Float[Tensor, "3 height width"],
+) -> float:
+    wanted, got = after - before, shown.clamp(0, 1) - before
+    changed = (wanted.abs().amax(0) > CLEAR_CHANGE).numpy(force=True)
+    arrived, asked = (
+        cv2.GaussianBlur(one.sum(0).numpy(force=True), (0, 0), PATCH_BLUR)
+        for one in (wanted * got, wanted * wanted)
+    )
+    missing = (changed & (arrived < ARRIVED * asked)).astype(np.uint8)
+    areas = cv2.connectedComponentsWithStats(missing)[2][1:, cv2.CC_STAT_AREA]
+    if not len(areas) or changed.sum() < LEAST_CHANGED:
+        return 0.0
+    return float(areas.max() / changed.sum())
 
 
 # ---- what was asked for ----

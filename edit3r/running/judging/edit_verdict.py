@@ -17,8 +17,6 @@ MIN_SHARE = 0.0008  # of the photo that shows most of what was selected
 MIN_OF_LARGEST = 0.1  # share of a photo over the largest such share
 MAX_CLICKED = 0.38
 MAX_PIECES = 0.15
-MIN_STANDS_OUT = 0.1
-FLAT_SHARE = 0.05
 MIN_CHANGED = 0.1
 MIN_TAKEN = 0.58
 MIN_OUTLINE = 0.8
@@ -27,7 +25,8 @@ MAX_GHOST = 0.72
 MAX_MADE_UP = 0.08
 MIN_REACHED = 0.88
 MIN_AGREEMENT = 0.77
-MIN_SHOWN = 0.85
+MIN_SHOWN = 0.7
+MAX_MISSED = 0.066
 
 
 @dataclass(frozen=True)
@@ -46,8 +45,6 @@ class EditMeasures:
     clicked: float | None = None
     # share of what a click took that lies apart from its largest piece; the largest
     pieces: float | None = None
-    # share of the outline of what a click took where depth jumps
-    stands_out: float | None = None
     # share of a thing that took the colour, where the rest of it has much the same own colour
     taken: float | None = None
     # share of a photo that shows what was made up behind a removed thing, without texture
@@ -64,6 +61,8 @@ class EditMeasures:
     agreement: float | None = None
     # share of the change in 2D that the 3D scene shows
     shown: float | None = None
+    # largest patch of what was painted that the 3D scene shows as it was, as a share of it
+    missed: float | None = None
 
 
 @dataclass(frozen=True)
@@ -96,6 +95,9 @@ def _doubts(found: EditMeasures, surety: float | None) -> Iterator[str]:
     yield from _doubts_of_change(found)
     if found.shown is not None and found.shown < MIN_SHOWN:
         yield f"only {max(0.0, found.shown):.0%} of the change arrived in the 3D scene"
+    elif _is_over(found.missed, MAX_MISSED):
+        share = f"{found.missed:.0%}"
+        yield f"a patch of {share} of what was changed is as it was in the 3D scene"
 
 
 def _doubts_of_meaning(found: EditMeasures, surety: float | None) -> Iterator[str]:
@@ -122,8 +124,6 @@ def _doubts_of_selection(found: EditMeasures) -> Iterator[str]:
         yield "the outline of what was selected leaves the edges in the photos"
     elif _is_over(found.open_outline, MAX_OPEN_OUTLINE):
         yield "the outline of what was selected runs through one surface"
-    elif _is_part_of_a_surface(found):
-        yield "nothing but its colours divides what was selected from the surface it is on"
     if _is_over(found.pieces, MAX_PIECES):
         yield "what was selected lies in several pieces"
     if _is_under(found.agreement, MIN_AGREEMENT):
@@ -144,12 +144,6 @@ def _doubts_of_change(found: EditMeasures) -> Iterator[str]:
         yield "much of what appears behind what was removed is made up"
     if found.reached is not None and found.reached < MIN_REACHED:
         yield f"{1 - found.reached:.0%} of what changed does not look as asked"
-
-
-def _is_part_of_a_surface(found: EditMeasures) -> bool:
-    """Whether a click took a large piece of a wall or floor: small ones may be painted on it."""
-    large = _is_over(found.clicked, FLAT_SHARE)
-    return large and _is_under(found.stands_out, MIN_STANDS_OUT)
 
 
 def _is_over(figure: float | None, most: float) -> bool:

@@ -16,7 +16,8 @@ from edit3r.contract.errors import InputError, PromptError
 from edit3r.contract.interfaces import MatchedGeometry, Segmenter
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Views
-from edit3r.contract.wishes import FLOOD, Change, Colour, Thing, Wish
+from edit3r.contract.wishes import BENEATH, FLOOD, Change, Colour, Thing, Wish
+from edit3r.kit.geometry.maps import dilate
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.select import (
     ASK,
@@ -27,6 +28,7 @@ from edit3r.running.selecting.select import (
 )
 
 PLAIN = Selection()
+RIM = 0.012  # half of how thick a rim between two outlines may be [longer sides]
 Masks = Float[Tensor, "view height width"]
 
 
@@ -78,14 +80,19 @@ class RegionFinder:
 
     def _with_colours(self, wish: Wish, marked_thing: Thing | None) -> Wish:
         """The wish with the colours that it takes from other things."""
-        changes = tuple(self._coloured(one, marked_thing) for one in wish.changes)
+        changes = tuple(self._coloured(one, wish, marked_thing) for one in wish.changes)
         return replace(wish, changes=changes)
 
-    def _coloured(self, change: Change, marked_thing: Thing | None) -> Change:
+    def _coloured(
+        self, change: Change, wish: Wish, marked_thing: Thing | None
+    ) -> Change:
         if change.like is None:
             return change
         try:
-            mask = self._mask(change.like, marked_thing)
+            if change.like.of == BENEATH:
+                mask = _beneath(self._base(wish, marked_thing))
+            else:
+                mask = self._mask(change.like, marked_thing)
         except InputError as error:
             raise InputError(
                 f"the colour of {change.like} cannot be read: {error} Where clicks mark what is "
@@ -149,6 +156,8 @@ class RegionFinder:
         mask = self._base(wish, marked_thing)
         for kept in wish.without:
             mask = mask * self._all_but(kept, marked_thing)
+            if kept.name and kept.name == thing.name:  # "the cups but the middle one"
+                mask = _without_rims(mask)
         if thing.part is not None:
             mask = near_colour(mask, self._views.images[0], thing.part)
         return mask
@@ -262,6 +271,32 @@ def _same(thing: Thing, other: Thing) -> bool:
     return thing.name == other.name and (
         thing.which == other.which or "all" not in other.which
     )
+
+
+def _without_rims(masks: Masks) -> Masks:
+    """The masks without what is thinner than things are: what two outlines of one thing differ by.
+
+    "All cups" and "the middle cup" never end at the same pixel, and a ring of it would change.
+    """
+    reach = max(1, round(RIM * max(masks.shape[-2:])))
+    outside = 1 - (masks > 0.5).to(masks)
+    inner = 1 - dilate(outside, reach)
+    return masks * dilate(inner, reach)
+
+
+def _beneath(masks: Masks) -> Masks:
+    """What lies under the lowest pixels of a thing, where it is as a rule stood on.
+
+    Below its lower third alone: under a snout is air. Photos are taken to be upright.
+    """
+    height = masks.shape[1]
+    rows = torch.arange(height).to(masks)[None, :, None]
+    lowest = (rows * (masks > 0.5)).amax(1, keepdim=True)
+    bottom = lowest.amax(2, keepdim=True)
+    top = torch.where(masks > 0.5, rows, height).amin((1, 2), keepdim=True)
+    stands = lowest > (top + 2 * bottom) / 3
+    near = (rows > lowest + 0.01 * height) & (rows <= lowest + max(2, 0.05 * height))
+    return (near & stands & (masks <= 0.5)).to(masks)
 
 
 def _median_colour(

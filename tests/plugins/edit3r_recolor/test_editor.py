@@ -89,6 +89,19 @@ def test_only_the_sentence_that_wants_all_of_it_paints_neutral_parts():
     assert ((flooded - images).abs().amax(2) > 0.05).all()
 
 
+def test_a_sky_is_painted_with_its_haze_and_clouds():
+    views = photos()
+    views.images[:] = 0.8
+    views.images[..., : HEIGHT // 2, :] = torch.tensor([0.35, 0.55, 0.85])[
+        :, None, None
+    ]
+    regions = torch.ones(1, 1, 2, HEIGHT, WIDTH)
+    sky = edit("make the sky pink", regions, views=views)
+    door = edit("make the door pink", regions, views=views)
+    changed = [((one - views.images).abs().amax(2) > 0.02) for one in (sky, door)]
+    assert changed[0].all() and not changed[1][..., HEIGHT // 2 :, :].any()
+
+
 @pytest.mark.parametrize("material", ["bronze", "gold", "silver"])
 def test_a_material_replaces_the_whole_surface(material):
     images = torch.full((1, 2, 3, HEIGHT, WIDTH), 0.08)  # a dark thing, half of it red

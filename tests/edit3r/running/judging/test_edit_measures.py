@@ -12,7 +12,6 @@ from edit3r.running.judging.edit_measures import (
     made_up,
     measure_edit,
     measure_edit_in_3d,
-    outline_on_depth_edges,
     pieces,
     taken,
 )
@@ -153,6 +152,18 @@ def test_masks_of_one_thing_agree_and_others_do_not(in_3d):
     assert measure_edit_in_3d(first, moved, range(2)).agreement < 0.3
 
 
+def test_a_patch_of_the_old_colour_in_3d_is_measured_and_one_of_a_removal_is_not(in_3d):
+    whole = measure_edit_in_3d(figures(in_3d), in_3d, range(2))
+    assert whole.missed == 0
+    images = in_3d.edited.images.clone()
+    images[:, 1, :, :24] = in_3d.start.images[:, 1, :, :24]  # its upper half
+    patchy = replace(in_3d, rendered=replace(in_3d.rendered, images=images))
+    found = measure_edit_in_3d(figures(in_3d), patchy, range(2))
+    assert found.missed == pytest.approx(0.5, abs=0.1)
+    removed = measure_edit_in_3d(figures(in_3d, REMOVE), patchy, range(2))
+    assert removed.missed is None
+
+
 def test_the_share_of_the_change_that_the_scene_shows(in_3d):
     first = figures(in_3d)
     assert measure_edit_in_3d(first, in_3d, range(2)).shown == pytest.approx(1)
@@ -182,6 +193,16 @@ def test_a_thing_that_takes_its_colour_in_part_is_told_from_one_of_two_colours(s
     assert taken(before, after, masks) is None
 
 
+def test_what_looks_as_asked_without_much_change_took_the_colour():
+    before = torch.full((1, 3, 8, 8), 0.6)
+    after = before.clone()
+    after[..., :1, :] += 0.15
+    masks = torch.ones(1, 8, 8)
+    assert taken(before, after, masks) == pytest.approx(1 / 8)
+    asked = torch.tensor([[0.62, 0.6, 0.58]])
+    assert taken(before, after, masks, asked) == 1
+
+
 def test_pieces_beside_the_largest_count():
     whole, parted = square(20), square(20)
     parted[:, 25:35] = 0
@@ -198,14 +219,6 @@ def test_a_smooth_patch_among_texture_is_made_up_and_texture_is_not(scene):
     textured = torch.where(masks[:, None] > 0, other, before)
     assert made_up(before, smooth, masks) == pytest.approx(400 / SIZE**2)
     assert made_up(before, textured, masks) == 0
-
-
-def test_what_stands_before_a_wall_has_an_outline_in_depth(scene):
-    masks = scene.masks[0]
-    wall = torch.full_like(masks, DEPTH)
-    assert outline_on_depth_edges(masks, wall) == 0
-    assert outline_on_depth_edges(masks, wall - 0.5 * masks) == 1
-    assert outline_on_depth_edges(0 * masks, wall) is None
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
 from edit3r.running.reading import read
-from edit3r.running.selecting.regions import RegionFinder
+from edit3r.running.selecting.regions import RegionFinder, _without_rims
 from edit3r.running.selecting.select import Selection
 
 HEIGHT, WIDTH = 12, 16
@@ -314,3 +314,28 @@ def test_an_unknown_word_of_what_is_clicked_on_is_named(prompt, told):
         finder(Selection(positive=((0, 0.2, 0.5),))).find(read(prompt))
     assert [one[: len(text)] for one, text in zip(report.warnings, told)] == told
     assert len(report.warnings) == len(told)
+
+
+def test_what_a_thing_stands_on_lends_it_its_colour():
+    """ "The colour of the stone it stands on" is read under the thing, whatever stone is."""
+    thing = torch.zeros(2, 1, HEIGHT, WIDTH)
+    thing[:, :, 2:11, 5:10] = 1
+    marked = Selection(masks={0: thing[0, 0], 1: thing[1, 0]})
+    views = photos()
+    views.images[..., 11:, :] = torch.tensor([0.2, 0.6, 0.3])[:, None, None]
+    segmenter = Halves()
+    found = RegionFinder(views, lambda: segmenter, lambda: None, marked).find(
+        read("give the bear the colour of the stone it stands on")
+    )
+    (change,) = found.wishes[0].changes
+    assert change.colour.rgb == pytest.approx((0.2, 0.6, 0.3))
+    assert "stone" not in segmenter.looked_up
+
+
+def test_a_kept_cup_has_no_rim_that_goes_with_the_others():
+    masks = torch.zeros(1, 100, 100)
+    masks[:, 20:60, 20:40] = 1  # a cup that goes
+    masks[:, 20:60, 60:81] = 1  # one that stays, as "all cups" outlines it
+    masks[:, 21:60, 61:80] = 0  # and as its own outline is
+    left = _without_rims(masks)
+    assert left[:, :, 50:].sum() == 0 and torch.equal(left[..., :50], masks[..., :50])
