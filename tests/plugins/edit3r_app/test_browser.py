@@ -281,7 +281,7 @@ def test_from_photos_to_a_download(server, tab):
     # What a click there tells is asked by the viewer's own test.
     scene_page = next(frame for frame in page.frames if "/viewer/" in frame.url)
     scene_page.evaluate(
-        "tell({pointed: point(0.6 * canvas.clientWidth, canvas.clientHeight / 2)})"
+        "tell({pointed: point([[0.6 * canvas.clientWidth, canvas.clientHeight / 2]])})"
     )
     viewer.locator("body[data-marked]").wait_for()
     page.locator(".chip", has_text="what you marked").wait_for()
