@@ -16,6 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -31,7 +32,7 @@ from edit3r.contract.types import Views
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.atomic import atomic_folder, atomic_write
 from edit3r.kit.photos.images import load_photos, save_image, to_bytes
-from edit3r.kit.photos.outline import outlined
+from edit3r.kit.photos.outline import draw_outline, outlined
 from edit3r.running import (
     CACHE,
     DEFAULTS,
@@ -64,6 +65,9 @@ MAX_CLICKED_AHEAD = 8
 """Photos that the segmenter reads before anybody clicks."""
 DIMMED = 0.55
 """Brightness of what is not selected."""
+DRAWN = 1024
+"""Longer side at least, about, of what is drawn over photos [pixels]."""
+BLUR = 0.7  # of steps along its border; a line of one pixel stays [pixels]
 THUMBNAIL = 240  # [pixels], longer side of the picture of a reading
 
 
@@ -465,16 +469,27 @@ def _over(mask: Float[Tensor, "height width"] | None, line: bool = False) -> byt
     """PNG that darkens what is not in a mask and outlines what is; clear without one."""
     content = io.BytesIO()
     if mask is None:
-        Image.new("RGBA", (1, 1)).save(content, "PNG")
+        Image.new("LA", (1, 1)).save(content, "PNG")
         return content.getvalue()
-    darker = (255 * (1 - DIMMED) * (1 - mask)).round().byte().cpu().numpy()
-    drawn = outlined(torch.full((3, *mask.shape), 0.5), mask)[0].cpu().numpy()
-    lit = np.abs(drawn - 0.5) > 0.02
-    pixels = np.zeros((*mask.shape, 4), np.uint8)
-    pixels[..., :3] = (255 * drawn * lit).astype(np.uint8)[..., None]
-    pixels[..., 3] = np.where(lit, 255, 0 if line else darker)
+    mask = _enlarged(mask)
+    pixels = np.zeros((*mask.shape, 2), np.uint8)  # grey and opacity
+    if not line:
+        pixels[..., 1] = np.rint(255 * (1 - DIMMED) * (1 - mask))
+    draw_outline(pixels, mask > 0.5)
     Image.fromarray(pixels).save(content, "PNG", compress_level=1)
     return content.getvalue()
+
+
+def _enlarged(mask: Float[Tensor, "height width"]) -> np.ndarray:
+    """The mask with smooth borders, large enough for a thin line on a window."""
+    small = mask.float().cpu().numpy()
+    factor = max(1, round(DRAWN / max(small.shape)))
+    if factor == 1:
+        return small
+    smooth = cv2.GaussianBlur(small, (0, 0), BLUR)
+    wanted = tuple(factor * size for size in small.shape[::-1])
+    enlarged = cv2.resize(smooth, wanted, interpolation=cv2.INTER_CUBIC)
+    return np.clip(factor * (enlarged - 0.5) + 0.5, 0, 1)
 
 
 @contextmanager
