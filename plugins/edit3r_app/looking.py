@@ -61,6 +61,8 @@ USUAL_PACE = 5.0
 """[s] that the geometry of one photo takes, as long as this machine has not shown its own."""
 POINTED_FIRST = 10.0
 """[s] at most that reading photos ahead waits for somebody who points."""
+LOOKED_FIRST = 4.0
+"""[s] that a made scene has this machine for itself, as long as nobody points."""
 MAX_CLICKED_AHEAD = 8
 """Photos that the segmenter reads before anybody clicks."""
 DIMMED = 0.55
@@ -122,6 +124,7 @@ class _Opened:
     cache: Cache
     geometry: "Future[MatchedGeometry | None]"
     clicked: "Future[None]"  # the segmenter has read the photos
+    wanted: threading.Event  # that the segmenter reads the photos now
     began: float  # when they began to be read [seconds since 1970]
 
 
@@ -180,6 +183,7 @@ class Looker:
     def look(self, state: str, draft: Draft) -> DraftAnswer:
         opened = self._open_once(state)
         if draft.selects:  # what is read already need not be read twice
+            opened.wanted.set()
             wait([opened.clicked])
         with self._working:
             located = _ready(opened.geometry)
@@ -226,6 +230,7 @@ class Looker:
         """
         opened = self._open_once(state)
         _place(opened.views, name)
+        opened.wanted.set()
         own = [one for one in draft.marks if getattr(one, "photo", name) == name]
         alone = Draft(own)
         return _over(self._points(opened, alone.as_json(), name), line)
@@ -303,18 +308,24 @@ class Looker:
             files = list(self.folder.photos(state).values())
             with _working_with(cache):
                 photos = views = load_photos(files, size=self.size).views
+        wanted = threading.Event()
+        if not self.folder.is_run(state):  # else the scene is looked at first
+            wanted.set()
         geometry = self._background.submit(self._geometry, photos, cache)
         geometry.add_done_callback(_said)
-        clicked = self._background.submit(self._click_ahead, views, cache)
+        clicked = self._background.submit(self._click_ahead, views, cache, wanted)
         clicked.add_done_callback(_said)
         if not self.folder.is_run(state):
             for reading in (geometry, clicked):
                 reading.add_done_callback(lambda _: self._keep_answers(state, cache))
         self._known.add((state, names))
-        return _Opened(views, cache, geometry, clicked, began)
+        return _Opened(views, cache, geometry, clicked, wanted, began)
 
-    def _click_ahead(self, photos: Views, cache: Cache) -> None:
+    def _click_ahead(
+        self, photos: Views, cache: Cache, wanted: threading.Event
+    ) -> None:
         """Click on the photos, so that the segmenter has read them when the user does."""
+        wanted.wait(LOOKED_FIRST)
         choice = PartChoice(name=DEFAULTS["segmenter"])
         middle = Marks(positive=((0.5, 0.5),))
         for image in photos.images[0, :MAX_CLICKED_AHEAD]:

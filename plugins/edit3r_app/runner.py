@@ -21,6 +21,7 @@ from edit3r.kit.children import PYTHON
 from edit3r.kit.files.atomic import remove_abandoned
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.progress import read_progress
+from edit3r_app.ready import CAN_WAIT, ReadyProcess
 from edit3r_app.uploads import DRAFT
 
 try:
@@ -77,6 +78,7 @@ class Runner:
         self.program = program
         self.trouble = ""  # why jobs wait though nothing runs, such as a full disk
         self._child: subprocess.Popen | None = None
+        self._ready: ReadyProcess | None = None
         self._stopping = threading.Event()
         self._changing = threading.RLock()
         self._thread = threading.Thread(target=self._work, daemon=True)
@@ -95,9 +97,24 @@ class Runner:
         self.clear_left_over()
         self._thread.start()
 
+    def make_ready(self) -> None:
+        """Have a process that begins the next run at once."""
+        with self._changing:
+            is_ours = self.program == EDIT3R and self._thread.is_alive()
+            if CAN_WAIT and is_ours and self._ready is None:
+                self._ready = ReadyProcess()
+
+    def renew(self) -> None:
+        """End the process that waits: what it would import is another now."""
+        with self._changing:
+            if self._ready is not None:
+                self._ready.end()
+                self._ready = None
+
     def stop(self) -> None:
         """End the run in progress; it is queued again for the next start of the app."""
         self._stopping.set()
+        self.renew()
         with self._changing:
             for job in self._running():
                 self._end(job)
@@ -148,17 +165,23 @@ class Runner:
                 return
             output.truncate(0)
             try:
-                self._child = subprocess.Popen(
-                    [*self.program, *command_of(self.folder, job)],
-                    stdin=subprocess.DEVNULL,
-                    stdout=output,
-                    stderr=output,
-                    start_new_session=True,
-                )
+                self._child = self._started(command_of(self.folder, job), output)
             except (InputError, OSError) as error:
                 self.folder.write(replace(job, state="failed", sentence=str(error)))
                 return
         self.folder.write(replace(job, state="running", pid=self._child.pid))
+
+    def _started(self, command: list[str], output: IO) -> subprocess.Popen:
+        """A process that carries out a command: the one that waits, or a new one."""
+        ready, self._ready = self._ready, None
+        child = None if ready is None else ready.begin(command, output)
+        return child or subprocess.Popen(
+            [*self.program, *command],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            start_new_session=True,
+        )
 
     def _alive(self, job: AppJob) -> bool:
         if self._child is not None and self._child.pid == job.pid:
