@@ -18,7 +18,7 @@ import yaml
 
 from edit3r.contract.errors import InputError
 from edit3r.kit.children import PYTHON
-from edit3r.kit.files.atomic import remove_abandoned
+from edit3r.kit.files.atomic import atomic_write, remove_abandoned
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.progress import read_progress
 from edit3r_app.ready import CAN_WAIT, ReadyProcess
@@ -49,7 +49,8 @@ def command_of(folder: JobsFolder, job: AppJob) -> list[str]:
         return ["objects", "--quiet", *out, *marked, "--", run, *job.object]
     settings = beside / "settings.yaml"
     content = yaml.safe_dump({"size": job.size, **job.settings}, allow_unicode=True)
-    settings.write_text(content, encoding="utf-8")
+    with atomic_write(settings) as partial:  # never through a stranger's link
+        partial.write_text(content, encoding="utf-8")
     command = ["run", "--config", str(settings), "--progress", "json"]
     command += out
     if job.parent:
@@ -160,7 +161,10 @@ class Runner:
         return [job for job in self.folder.jobs() if job.pid]
 
     def _begin(self, job: AppJob) -> None:
-        with self.folder.log(job.name).open("ab") as output:
+        log = self.folder.log(job.name)
+        if log.is_symlink():  # a stranger's, which may lead elsewhere
+            log.unlink()
+        with log.open("ab") as output:
             if not _locked(output):  # a child of a killed server still works on it
                 return
             output.truncate(0)
