@@ -232,7 +232,6 @@ def test_a_set_that_holds_no_photo_can_be_discarded_and_no_other(folder, scene):
     assert not (folder.root / scene).exists()
 
 
-@pytest.mark.slow
 def test_a_set_that_leads_elsewhere_takes_no_photos_and_loses_none(folder, tmp_path):
     theirs = tmp_path / "theirs"
     theirs.mkdir()
@@ -248,6 +247,7 @@ def test_a_set_that_leads_elsewhere_takes_no_photos_and_loses_none(folder, tmp_p
     assert [file.name for file in theirs.iterdir()] == ["a.png"]
 
 
+@pytest.mark.slow
 def test_of_a_video_frames_are_kept_as_photos(folder, scene, tmp_path):
     from edit3r_outputs.video import save_video
 
