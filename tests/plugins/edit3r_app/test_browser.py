@@ -12,9 +12,11 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.request
 import zipfile
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
@@ -488,6 +490,47 @@ def test_refused_files_are_said_and_shown_as_text(server, tab, tmp_path):
     assert page.locator("img[src=x]").count() == 0
     assert sorted(path.name for path in server.folder.iterdir()) == before
     assert [text for text in tab.problems if "400" not in text] == []
+
+
+HOSTILE = """<body><script>
+const got = [], url = "http://127.0.0.1:PORT/";
+try { got.push(parent.document.title) } catch {}
+try { got.push(localStorage.length) } catch {}
+try { top.location = url } catch {}
+if (open(url)) got.push("a window");
+fetch("/api/home").then(() => got.push("answers"), () => {}).then(() => {
+  document.body.dataset.got = got;
+});
+</script>"""
+
+
+def test_a_strangers_page_reads_nothing_and_leads_nowhere(server, tab):
+    run = server.folder / "strange"
+    (run / "inputs").mkdir(parents=True)
+    shutil.copy(packaged_pair()[0][0], run / "inputs")
+    (run / "run.json").write_text("{}")
+    asked = []
+
+    class Listener(BaseHTTPRequestHandler):
+        def do_GET(self):
+            asked.append(self.path)
+
+    elsewhere = ThreadingHTTPServer(("127.0.0.1", 0), Listener)
+    threading.Thread(target=elsewhere.serve_forever, daemon=True).start()
+    hostile = HOSTILE.replace("PORT", str(elsewhere.server_port))
+    (run / "viewer.html").write_text(hostile)
+    page = tab()
+    page.goto(f"{server.address}/s/strange")
+    body = page.frame_locator(".stage iframe").locator("body[data-got]")
+    assert body.get_attribute("data-got") == ""
+    frame = next(one for one in page.frames if "/viewer/" in one.url)
+    with contextlib.suppress(playwright.Error):  # its context may be gone
+        frame.evaluate("() => void (location = url)")
+    page.wait_for_timeout(1000)
+    assert asked == []
+    assert page.url == f"{server.address}/s/strange"
+    elsewhere.shutdown()
+    shutil.rmtree(run)
 
 
 NOWHERE = (
