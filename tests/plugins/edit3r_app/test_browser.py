@@ -305,6 +305,9 @@ def test_from_photos_to_a_download(server, tab):
     )
     viewer.locator("body[data-marked]").wait_for()
     page.locator(".chip", has_text="what you marked").wait_for()
+    # so is, where a mouse rests, what a click would take
+    rests = "resting = true, tell({rests: point([[200, 200]])}), document.body.dataset.meant"
+    scene_page.wait_for_function(rests, polling=2000)
     things_of_the_scene(page, viewer)
 
     # downloads, each with what it is for and its size
