@@ -73,10 +73,9 @@ def take(number: int) -> list[str] | None:
 
 def _prepare() -> None:
     """Import what most runs import, with the reconstructor that most of them use."""
-    import edit3r.running.loop  # noqa: F401
     from edit3r import default_registry
     from edit3r.contract.errors import Edit3rError
-    from edit3r.running import DEFAULTS
+    from edit3r.running import DEFAULTS, run  # noqa: F401
 
     for kind in ("reader", "editor", "reconstructor", "rasterizer", "segmenter"):
         with contextlib.suppress(Edit3rError):

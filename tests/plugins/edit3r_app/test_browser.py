@@ -418,6 +418,15 @@ def test_an_edit_outlives_a_server_that_is_killed(server, tab):
 
 AXE_FILE = os.environ.get("EDIT3R_AXE", "")  # axe.min.js of the npm package axe-core
 
+PHOTO_VIEWS = {
+    "settings": "Settings",
+    "history": "History",
+    "keys": "Keys",
+    "keep what is marked": "Selections",
+}
+SCENE_VIEWS = {"things": "Things", "history": "History", "take it along": "Take it"}
+"""What opens beside photos and beside a scene: the button, and the title."""
+
 
 @pytest.mark.skipif(not AXE_FILE, reason="needs axe-core: EDIT3R_AXE=axe.min.js")
 @pytest.mark.parametrize("theme", ["dark", "light"])
@@ -437,23 +446,26 @@ def test_nothing_serious_for_those_who_do_not_see_or_point(server, tab, theme):
     drop(page, server)
     check()
 
-    def open_and_check(*names):
-        for name in names:
-            page.get_by_role("button", name=name).first.click()
-            page.locator("dialog, .drawer:not([hidden])").first.wait_for()
-            check()
-            page.keyboard.press("Escape")
+    def open_and_check(name, title):
+        page.get_by_role("button", name=name).first.click()
+        heading = page.locator(":is(dialog, .drawer) h2", has_text=title)
+        heading.wait_for()
+        check()
+        page.keyboard.press("Escape")
+        heading.wait_for(state="hidden")
 
     click_photo(page)
-    open_and_check("settings", "history", "keys", "keep what is marked")
+    for name, title in PHOTO_VIEWS.items():
+        open_and_check(name, title)
     page.goto(server.address)
     page.locator(".try", has_text="night").click()  # a made scene
     page.locator(".stage iframe").wait_for()
     check()
-    open_and_check("things", "history", "take it along")
+    for name, title in SCENE_VIEWS.items():
+        open_and_check(name, title)
     for name in ("Film a flight", "Open it on a phone"):
         page.get_by_role("button", name="take it along").click()
-        open_and_check(name)
+        open_and_check(name, name)
 
 
 def test_essentials_show_licences_and_say_that_no_network_is_there(browser, tmp_path):
