@@ -86,7 +86,7 @@ def screens(page: Page, address: str) -> Iterator[str]:
     yield from dialogs(page, "history", "take it along")
     if page.viewport_size["width"] > 720:
         page.get_by_role("button", name="take it along").click()
-        page.get_by_role("button", name="Open it on a phone").click()
+        page.get_by_role("button", name="Open it on a phone").press("Enter")
         page.locator(".code svg").wait_for()
         yield "dark"
 
