@@ -80,16 +80,14 @@ def prepared(folder: JobsFolder, run: str, what: str) -> Path:
     Raises InputError for what is no download, and for what the run left out.
     """
     source = folder.path(run)
-    if what == FILM and (folder.beside(run) / FILM).is_file():
-        return folder.beside(run) / FILM
+    made = folder.beside(run) / what
+    if what == FILM and _is_file(made):
+        return made
     if what not in downloads():
         raise InputError(f"{what[:40]!r}: not a file of a run.")
-    file = source / what
-    if file.is_file() and not file.is_symlink():
-        return file
-    made = folder.beside(run) / what
-    if made.is_file():
-        return made
+    for file in (source / what, made):
+        if _is_file(file):
+            return file
     writer = _writers().get(what)
     if what == ARCHIVE:
         _pack(source, made)
@@ -98,6 +96,11 @@ def prepared(folder: JobsFolder, run: str, what: str) -> Path:
     else:
         raise InputError(f"{run} has no {what}: its settings left it out.")
     return made
+
+
+def _is_file(file: Path) -> bool:
+    """Whether it is one, and no link: a run may come from a stranger."""
+    return file.is_file() and not file.is_symlink()
 
 
 def _write(offer: Offer, run: Path, made: Path) -> None:

@@ -77,7 +77,7 @@ class JobsFolder:
 
     def __init__(self, root: str | Path) -> None:
         self.root = Path(root).expanduser().resolve()
-        self.private = self.root / PRIVATE
+        self.private = _no_link(self.root / PRIVATE)
         try:
             self.private.mkdir(parents=True, exist_ok=True)
         except OSError as error:
@@ -94,6 +94,11 @@ class JobsFolder:
         raise InputError(
             f"{str(name)[:60]!r}: no photos and no run of that name in {self.root}."
         )
+
+    def own(self, name: str) -> Path:
+        """The folder of a set of photos that is written to; raises InputError for one elsewhere."""
+        _no_link(self.path(name) / "images")
+        return _no_link(self.path(name))
 
     def is_run(self, name: str) -> bool:
         return (self.root / name / "run.json").is_file()
@@ -193,7 +198,7 @@ class JobsFolder:
 
     def beside(self, name: str) -> Path:
         """Folder for what belongs to a scene or a job and is no result."""
-        folder = self.private / name
+        folder = _no_link(self.private / name)
         folder.mkdir(exist_ok=True)
         return folder
 
@@ -217,6 +222,15 @@ class JobsFolder:
         if job.state == "done":
             job = replace(job, state="failed", sentence="its folder is gone.")
         return replace(job, name=name)
+
+
+def _no_link(path: Path) -> Path:
+    """The path; raises InputError where it is a link: a stranger's folder may lead elsewhere."""
+    if path.is_symlink():
+        raise InputError(
+            f"{path}: leads out of the jobs folder; nothing is written there."
+        )
+    return path
 
 
 def _is_name(name: object) -> bool:

@@ -16,6 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -31,7 +32,7 @@ from edit3r.contract.types import Views
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.atomic import atomic_folder, atomic_write
 from edit3r.kit.photos.images import load_photos, save_image, to_bytes
-from edit3r.kit.photos.outline import outlined
+from edit3r.kit.photos.outline import draw_outline, outlined
 from edit3r.running import (
     CACHE,
     DEFAULTS,
@@ -60,10 +61,15 @@ USUAL_PACE = 5.0
 """[s] that the geometry of one photo takes, as long as this machine has not shown its own."""
 POINTED_FIRST = 10.0
 """[s] at most that reading photos ahead waits for somebody who points."""
+LOOKED_FIRST = 4.0
+"""[s] that a made scene has this machine for itself, as long as nobody points."""
 MAX_CLICKED_AHEAD = 8
 """Photos that the segmenter reads before anybody clicks."""
 DIMMED = 0.55
 """Brightness of what is not selected."""
+DRAWN = 1024
+"""Longer side at least, about, of what is drawn over photos [pixels]."""
+BLUR = 0.7  # of steps along its border; a line of one pixel stays [pixels]
 THUMBNAIL = 240  # [pixels], longer side of the picture of a reading
 
 
@@ -118,6 +124,7 @@ class _Opened:
     cache: Cache
     geometry: "Future[MatchedGeometry | None]"
     clicked: "Future[None]"  # the segmenter has read the photos
+    wanted: threading.Event  # that the segmenter reads the photos now
     began: float  # when they began to be read [seconds since 1970]
 
 
@@ -176,6 +183,7 @@ class Looker:
     def look(self, state: str, draft: Draft) -> DraftAnswer:
         opened = self._open_once(state)
         if draft.selects:  # what is read already need not be read twice
+            opened.wanted.set()
             wait([opened.clicked])
         with self._working:
             located = _ready(opened.geometry)
@@ -222,6 +230,7 @@ class Looker:
         """
         opened = self._open_once(state)
         _place(opened.views, name)
+        opened.wanted.set()
         own = [one for one in draft.marks if getattr(one, "photo", name) == name]
         alone = Draft(own)
         return _over(self._points(opened, alone.as_json(), name), line)
@@ -299,18 +308,24 @@ class Looker:
             files = list(self.folder.photos(state).values())
             with _working_with(cache):
                 photos = views = load_photos(files, size=self.size).views
+        wanted = threading.Event()
+        if not self.folder.is_run(state):  # else the scene is looked at first
+            wanted.set()
         geometry = self._background.submit(self._geometry, photos, cache)
         geometry.add_done_callback(_said)
-        clicked = self._background.submit(self._click_ahead, views, cache)
+        clicked = self._background.submit(self._click_ahead, views, cache, wanted)
         clicked.add_done_callback(_said)
         if not self.folder.is_run(state):
             for reading in (geometry, clicked):
                 reading.add_done_callback(lambda _: self._keep_answers(state, cache))
         self._known.add((state, names))
-        return _Opened(views, cache, geometry, clicked, began)
+        return _Opened(views, cache, geometry, clicked, wanted, began)
 
-    def _click_ahead(self, photos: Views, cache: Cache) -> None:
+    def _click_ahead(
+        self, photos: Views, cache: Cache, wanted: threading.Event
+    ) -> None:
         """Click on the photos, so that the segmenter has read them when the user does."""
+        wanted.wait(LOOKED_FIRST)
         choice = PartChoice(name=DEFAULTS["segmenter"])
         middle = Marks(positive=((0.5, 0.5),))
         for image in photos.images[0, :MAX_CLICKED_AHEAD]:
@@ -465,16 +480,27 @@ def _over(mask: Float[Tensor, "height width"] | None, line: bool = False) -> byt
     """PNG that darkens what is not in a mask and outlines what is; clear without one."""
     content = io.BytesIO()
     if mask is None:
-        Image.new("RGBA", (1, 1)).save(content, "PNG")
+        Image.new("LA", (1, 1)).save(content, "PNG")
         return content.getvalue()
-    darker = (255 * (1 - DIMMED) * (1 - mask)).round().byte().cpu().numpy()
-    drawn = outlined(torch.full((3, *mask.shape), 0.5), mask)[0].cpu().numpy()
-    lit = np.abs(drawn - 0.5) > 0.02
-    pixels = np.zeros((*mask.shape, 4), np.uint8)
-    pixels[..., :3] = (255 * drawn * lit).astype(np.uint8)[..., None]
-    pixels[..., 3] = np.where(lit, 255, 0 if line else darker)
+    mask = _enlarged(mask)
+    pixels = np.zeros((*mask.shape, 2), np.uint8)  # grey and opacity
+    if not line:
+        pixels[..., 1] = np.rint(255 * (1 - DIMMED) * (1 - mask))
+    draw_outline(pixels, mask > 0.5)
     Image.fromarray(pixels).save(content, "PNG", compress_level=1)
     return content.getvalue()
+
+
+def _enlarged(mask: Float[Tensor, "height width"]) -> np.ndarray:
+    """The mask with smooth borders, large enough for a thin line on a window."""
+    small = mask.float().cpu().numpy()
+    factor = max(1, round(DRAWN / max(small.shape)))
+    if factor == 1:
+        return small
+    smooth = cv2.GaussianBlur(small, (0, 0), BLUR)
+    wanted = tuple(factor * size for size in small.shape[::-1])
+    enlarged = cv2.resize(smooth, wanted, interpolation=cv2.INTER_CUBIC)
+    return np.clip(factor * (enlarged - 0.5) + 0.5, 0, 1)
 
 
 @contextmanager

@@ -18,9 +18,10 @@ import yaml
 
 from edit3r.contract.errors import InputError
 from edit3r.kit.children import PYTHON
-from edit3r.kit.files.atomic import remove_abandoned
+from edit3r.kit.files.atomic import atomic_write, remove_abandoned
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.progress import read_progress
+from edit3r_app.ready import CAN_WAIT, ReadyProcess
 from edit3r_app.uploads import DRAFT
 
 try:
@@ -48,7 +49,8 @@ def command_of(folder: JobsFolder, job: AppJob) -> list[str]:
         return ["objects", "--quiet", *out, *marked, "--", run, *job.object]
     settings = beside / "settings.yaml"
     content = yaml.safe_dump({"size": job.size, **job.settings}, allow_unicode=True)
-    settings.write_text(content, encoding="utf-8")
+    with atomic_write(settings) as partial:  # never through a stranger's link
+        partial.write_text(content, encoding="utf-8")
     command = ["run", "--config", str(settings), "--progress", "json"]
     command += out
     if job.parent:
@@ -77,6 +79,7 @@ class Runner:
         self.program = program
         self.trouble = ""  # why jobs wait though nothing runs, such as a full disk
         self._child: subprocess.Popen | None = None
+        self._ready: ReadyProcess | None = None
         self._stopping = threading.Event()
         self._changing = threading.RLock()
         self._thread = threading.Thread(target=self._work, daemon=True)
@@ -95,9 +98,24 @@ class Runner:
         self.clear_left_over()
         self._thread.start()
 
+    def make_ready(self) -> None:
+        """Have a process that begins the next run at once."""
+        with self._changing:
+            is_ours = self.program == EDIT3R and self._thread.is_alive()
+            if CAN_WAIT and is_ours and self._ready is None:
+                self._ready = ReadyProcess()
+
+    def renew(self) -> None:
+        """End the process that waits: what it would import is another now."""
+        with self._changing:
+            if self._ready is not None:
+                self._ready.end()
+                self._ready = None
+
     def stop(self) -> None:
         """End the run in progress; it is queued again for the next start of the app."""
         self._stopping.set()
+        self.renew()
         with self._changing:
             for job in self._running():
                 self._end(job)
@@ -143,22 +161,31 @@ class Runner:
         return [job for job in self.folder.jobs() if job.pid]
 
     def _begin(self, job: AppJob) -> None:
-        with self.folder.log(job.name).open("ab") as output:
+        log = self.folder.log(job.name)
+        if log.is_symlink():  # a stranger's, which may lead elsewhere
+            log.unlink()
+        with log.open("ab") as output:
             if not _locked(output):  # a child of a killed server still works on it
                 return
             output.truncate(0)
             try:
-                self._child = subprocess.Popen(
-                    [*self.program, *command_of(self.folder, job)],
-                    stdin=subprocess.DEVNULL,
-                    stdout=output,
-                    stderr=output,
-                    start_new_session=True,
-                )
+                self._child = self._started(command_of(self.folder, job), output)
             except (InputError, OSError) as error:
                 self.folder.write(replace(job, state="failed", sentence=str(error)))
                 return
         self.folder.write(replace(job, state="running", pid=self._child.pid))
+
+    def _started(self, command: list[str], output: IO) -> subprocess.Popen:
+        """A process that carries out a command: the one that waits, or a new one."""
+        ready, self._ready = self._ready, None
+        child = None if ready is None else ready.begin(command, output)
+        return child or subprocess.Popen(
+            [*self.program, *command],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=output,
+            start_new_session=True,
+        )
 
     def _alive(self, job: AppJob) -> bool:
         if self._child is not None and self._child.pid == job.pid:

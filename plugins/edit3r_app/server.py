@@ -122,7 +122,7 @@ class Answers:
         self.place, self.token = place, token
         self.folder = studio.folder
         self.looker = studio.looker
-        self.essentials = Essentials(studio.looker.renew)
+        self.essentials = Essentials(studio.renew)
 
     def routes(self) -> list[Route | Mount]:
         studio, get, post = self.studio, _asked, _told

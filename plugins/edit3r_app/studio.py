@@ -36,6 +36,11 @@ class Studio:
     runner: Runner
     looker: Looker
 
+    def renew(self) -> None:
+        """Answer anew from now on: other weights are on this machine."""
+        self.looker.renew()
+        self.runner.renew()
+
     # ---- what there is ----
 
     def scenes(self) -> list[dict[str, Any]]:
@@ -66,6 +71,8 @@ class Studio:
         history = folder.history(scene)
         at_rest = waits or by_hand
         reading = BeingRead(by_hand, by_hand) if at_rest else self.looker.begin(state)
+        if is_run and reading.photos:  # nothing else is waited for
+            self.runner.make_ready()
         return {
             "scene": scene,
             "state": state,
@@ -178,6 +185,8 @@ class Studio:
         """What the draft means: how the sentence is read, and what is selected."""
         self._is_state(state)
         draft = read_draft(self.folder, state)
+        if draft.selects or draft.form.get("prompt"):
+            self.runner.make_ready()
         look = self.looker.look(state, draft)
         return {
             "version": self._drawn(draft, state)["version"],

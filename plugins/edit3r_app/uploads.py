@@ -112,6 +112,7 @@ def remove(folder: JobsFolder, scene: str, photo: str) -> None:
         raise InputError(
             f"{scene}: edits were made from these photos; begin with new photos to leave one out."
         )
+    folder.own(scene)
     file = folder.photos(scene).get(photo)
     if file is not None:  # else it is out already
         file.unlink(missing_ok=True)
@@ -150,7 +151,7 @@ def _keep(folder: JobsFolder, scene: str, label: str, draft: Path) -> Path:
                 return photo
         stem = unique_names([*photos, Path(label).stem])[-1]
         suffix = Path(label).suffix.lower()
-        kept = folder.path(scene) / "images" / f"{stem}{suffix}"
+        kept = folder.own(scene) / "images" / f"{stem}{suffix}"
         os.replace(draft, kept)
     return kept
 

@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-INSIDE, AROUND = (255, 255, 255), (0, 0, 0)
-"""A white line in a black one is seen on every photo [RGB]."""
+INSIDE, AROUND = 255, 0
+"""A white line in a black one is seen on every photo."""
 
 
 def outlined(
@@ -16,12 +16,20 @@ def outlined(
     """The image with the outline of what is above 0.5 in the mask."""
     pixels = (image.movedim(0, -1).clamp(0, 1) * 255).round().byte().cpu().numpy()
     pixels = np.ascontiguousarray(pixels)
-    inside = (mask > 0.5).cpu().numpy().astype(np.uint8)
-    contours, _ = cv2.findContours(inside, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
-    width = max(1, round(max(inside.shape) / 400))  # [pixels]
-    cv2.drawContours(pixels, contours, -1, AROUND, 3 * width, cv2.LINE_AA)
-    cv2.drawContours(pixels, contours, -1, INSIDE, width, cv2.LINE_AA)
+    draw_outline(pixels, (mask > 0.5).cpu().numpy())
     return torch.from_numpy(pixels).movedim(-1, 0).to(image) / 255
+
+
+def draw_outline(pixels: np.ndarray, inside: np.ndarray) -> None:
+    """Draw the outline of a mask of booleans into bytes: [height, width, 3] of RGB, or
+    [height, width, 2] of grey and opacity.
+    """
+    found = inside.astype(np.uint8)
+    contours, _ = cv2.findContours(found, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    width = max(1, round(max(inside.shape) / 400))  # [pixels]
+    for shade, times in ((AROUND, 3), (INSIDE, 1)):
+        colour = (shade, 255) if pixels.shape[-1] == 2 else (shade,) * 3
+        cv2.drawContours(pixels, contours, -1, colour, times * width, cv2.LINE_AA)
 
 
 def outlined_views(

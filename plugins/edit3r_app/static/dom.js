@@ -93,8 +93,8 @@ export function toast(sentence, isProblem = false) {
 export function dialog(title, ...content) {
   const close = () => made.close();
   const head = el(
-    "header",
-    {},
+    "div",
+    { class: "head" },
     el("h2", { id: "dialog-title" }, title),
     button("close", "close", close, { key: "Esc" }),
   );

@@ -20,8 +20,8 @@ export function showFilm(drawer, acts, close) {
   const few = keys.length < 2;
   drawer.replaceChildren(
     el(
-      "header",
-      {},
+      "div",
+      { class: "head" },
       el("h2", {}, "Film a flight"),
       button("close", "close", close, { key: "Esc" }),
     ),

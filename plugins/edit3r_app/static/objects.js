@@ -113,7 +113,7 @@ export function showObjects(drawer, s, acts, close) {
     );
   };
   drawer.replaceChildren(
-    el("header", {}, el("h2", {}, "Things"), button("close", "close", close, { key: "Esc" })),
+    el("div", { class: "head" }, el("h2", {}, "Things"), button("close", "close", close, { key: "Esc" })),
     s.objects.length
       ? el("ul", { class: "things" }, s.objects.map(item))
       : el("p", { class: "quiet" }, "No thing of this scene is known yet."),

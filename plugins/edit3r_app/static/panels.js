@@ -32,7 +32,7 @@ export function showHistory(drawer, s, close) {
   for (const one of s.history)
     steps.push(step(s, one, one.photo ? path("image", one.name, "renders", one.photo) : ""));
   drawer.replaceChildren(
-    el("header", {}, el("h2", {}, "History"), button("close", "close", close, { key: "Esc" })),
+    el("div", { class: "head" }, el("h2", {}, "History"), button("close", "close", close, { key: "Esc" })),
     el("ol", {}, steps),
     s.history.length
       ? ""
@@ -323,6 +323,7 @@ const KEYS = [
   ["arrow keys, Enter", "on the photo: move a cross, point at it"],
   ["/ · Enter", "to the sentence · Go"],
   ["M", "photos or 3D"],
+  ["Alt, or press and wait", "in 3D: draw a line over the thing"],
   ["C · B in 3D", "handle between before and after · switch"],
   ["arrows, W A S D in 3D", "turn and fly"],
   ["V · O · H · D · S", "photos · things · history · downloads · settings"],

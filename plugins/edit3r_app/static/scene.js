@@ -58,7 +58,7 @@ export function scenePage(root, scene, at, beside) {
   page.refresh = refresh;
   const top = el(
     "header",
-    { class: "top" },
+    { class: "top unready" },
     allScenes({ class: "brand", title: "all scenes" }, icon("cube"), el("span", {}, "edit3r")),
     el("h1", {}, scene),
     el("span", { class: "grow" }),
@@ -120,7 +120,7 @@ export function scenePage(root, scene, at, beside) {
     if (isMade) page.bar.takeSentence();
   }
   function begin() {
-    dock.classList.remove("unready"); // shown when it keeps its place
+    for (const one of [top, dock]) one.classList.remove("unready"); // shown when they keep their place
     page.view = page.s.isRun ? "3d" : "photo";
     page.bar.begin();
     page.tools.draw();

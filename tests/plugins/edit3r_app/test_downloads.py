@@ -55,6 +55,20 @@ def test_a_folder_is_sent_as_an_archive(folder):
     } <= names
 
 
+@pytest.mark.parametrize("what", ["viewer.html", "flight.webm"])
+def test_a_link_is_never_sent(folder, what, tmp_path):
+    secret = tmp_path / "secret"
+    secret.write_text("secret")
+    for place in (folder.root / "run", folder.beside("run")):
+        (place / what).symlink_to(secret)
+    if what == "flight.webm":
+        with pytest.raises(InputError, match="not a file of a run"):
+            prepared(folder, "run", what)
+        return
+    assert "<canvas" in prepared(folder, "run", what).read_text(encoding="utf-8")
+    assert secret.read_text() == "secret"  # and not written through
+
+
 @pytest.mark.parametrize(
     ("what", "told"),
     [("../x", "not a file of a run"), ("run.json", "its settings left it out")],

@@ -53,6 +53,17 @@ def test_names_that_are_no_folder_of_ours_are_refused(folder, name):
         folder.job(name)
 
 
+def test_nothing_is_written_through_a_link(folder, tmp_path):
+    (folder.private / "bear").symlink_to(tmp_path)
+    with pytest.raises(InputError, match="leads out of the jobs folder"):
+        folder.beside("bear")
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / ".edit3r-app").symlink_to(tmp_path)
+    with pytest.raises(InputError, match="leads out of the jobs folder"):
+        JobsFolder(other)
+
+
 @pytest.mark.parametrize(
     "wish", ["../../etc/passwd", "", "..", "CON", "a" * 500, "<b>x</b>", "bear"]
 )

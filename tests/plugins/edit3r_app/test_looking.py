@@ -63,7 +63,9 @@ def test_a_click_gives_a_mask_on_every_photo(looker, scene):
     photo = Image.open(io.BytesIO(looker.photo(scene, name)))
     drawn = [looker.overlay(scene, draft, name), looker.pointed(scene, draft, name)]
     over, alone = (Image.open(io.BytesIO(content)) for content in drawn)
-    assert photo.size == over.size == alone.size
+    assert over.size == alone.size  # of the photo, enlarged to a window
+    assert over.size[0] * photo.size[1] == over.size[1] * photo.size[0]
+    assert max(over.size) >= 960
     assert (
         over.getchannel("A").getextrema()[0] < 10 < over.getchannel("A").getextrema()[1]
     )

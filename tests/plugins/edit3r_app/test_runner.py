@@ -52,6 +52,18 @@ def queued(folder, scene=None, **job):
     return folder.new_job(AppJob("", scene or folder.new_scene("bear"), **job))
 
 
+def test_a_strangers_record_writes_nothing_through_its_links(folder, tmp_path):
+    job = queued(folder, settings={"prompt": "alias ls=rm"})
+    theirs = [tmp_path / name for name in ("profile", "notes")]
+    links = (folder.beside(job.name) / "settings.yaml", folder.log(job.name))
+    for file, link in zip(theirs, links):
+        file.write_text("mine")
+        link.symlink_to(file)
+    runner = runner_of(folder, QUICK)
+    wait_until(runner, lambda: folder.job(job.name).state == "done")
+    assert [file.read_text() for file in theirs] == ["mine", "mine"]
+
+
 def wait_until(runner, condition, most=30):
     end = time.monotonic() + most
     while time.monotonic() < end:

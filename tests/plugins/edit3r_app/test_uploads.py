@@ -232,6 +232,21 @@ def test_a_set_that_holds_no_photo_can_be_discarded_and_no_other(folder, scene):
     assert not (folder.root / scene).exists()
 
 
+def test_a_set_that_leads_elsewhere_takes_no_photos_and_loses_none(folder, tmp_path):
+    theirs = tmp_path / "theirs"
+    theirs.mkdir()
+    Image.new("RGB", (8, 6)).save(theirs / "a.png")
+    (folder.root / "set").mkdir()
+    (folder.root / "set/images").symlink_to(theirs)
+    with pytest.raises(InputError, match="leads out of the jobs folder"):
+        uploads.remove(folder, "set", "a")
+    draft = tmp_path / "draft"
+    Image.new("RGB", (8, 6), "red").save(draft, "PNG")
+    with pytest.raises(InputError, match="leads out of the jobs folder"):
+        uploads.accept(folder, "set", "b.png", draft)
+    assert [file.name for file in theirs.iterdir()] == ["a.png"]
+
+
 @pytest.mark.slow
 def test_of_a_video_frames_are_kept_as_photos(folder, scene, tmp_path):
     from edit3r_outputs.video import save_video

@@ -442,13 +442,35 @@ def test_inside_of_the_app_a_click_points_and_handles_ask_for_the_object(
     page.mouse.click(WIDTH / 2, HEIGHT / 2)
     hit = heard("pointed")
     assert hit["name"] == "view 0"
-    assert hit["place"] == pytest.approx([0.5, 0.5], abs=0.01)
+    assert hit["places"] == [pytest.approx([0.5, 0.5], abs=0.01)]
+    inner.locator("#heard circle").wait_for()  # it was heard
     # what the photo's mask holds is tinted: its left half, so about half of all
     one = "{name: 'view 0', width: 2, height: 1, inside: Uint8Array.of(1, 0)}"
     page.evaluate(f"tell({{selected: [{one}]}})")
     share = inner.locator("body[data-marked]").get_attribute("data-marked")
     count = page.frames[1].evaluate("meta.count")
     assert 0.3 * count < int(share) < 0.7 * count
+    inner.locator("#heard").wait_for(state="hidden")
+    # where the mouse rests, what a click would take is tinted, and no longer when it goes on
+    page.mouse.move(0.7 * WIDTH, HEIGHT / 2)
+    assert heard("rests")["places"][0][0] == pytest.approx(0.7, abs=0.01)
+    other = one.replace("(1, 0)", "(0, 1)")
+    page.evaluate(f"tell({{meant: {other}}})")
+    more = int(inner.locator("body[data-meant]").get_attribute("data-meant"))
+    assert more > int(share)
+    page.mouse.move(0.6 * WIDTH, HEIGHT / 2)
+    page.evaluate(f"tell({{meant: {other}}})")  # an answer that comes late
+    marked = page.frames[1].evaluate("marked.reduce((sum, one) => sum + one, 0)")
+    assert marked == int(share)
+    # with Alt, or after a press that waits, a line is drawn and the camera stays
+    page.keyboard.down("Alt")
+    page.mouse.down()
+    page.mouse.move(0.4 * WIDTH, HEIGHT / 2, steps=5)
+    page.mouse.up()
+    page.keyboard.up("Alt")
+    line = heard("pointed")["places"]
+    assert len(line) > 3 and line[0][0] > 0.55 and line[-1][0] < 0.45
+    assert page.frames[1].evaluate("pose.t") == [0, 0, 0]
     for harmless in ("{name: 'none', width: 1, height: 1, inside: 1}", "null"):
         page.evaluate(f"try {{ tell({{selected: [{harmless}]}}) }} catch {{}}")
 

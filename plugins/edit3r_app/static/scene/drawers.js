@@ -99,12 +99,17 @@ export function drawersOf(page) {
   }
 
   // ---- dialogs ----
+  async function opening(work) {
+    page.waiting.busy("Opening it");
+    await page.attempt(work);
+    page.waiting.busy("");
+  }
   const openPhone = () =>
-    page.attempt(async () =>
+    opening(async () =>
       showPhone(await tell(["phone"], { page: location.pathname + location.search })),
     );
   const openSettings = () =>
-    page.attempt(async () =>
+    opening(async () =>
       showSettings(
         await ask("settings", page.state()),
         (group, name, text) => page.draft.change("set", [group, name, text]),
@@ -118,7 +123,7 @@ export function drawersOf(page) {
   };
   const openFiles = () =>
     page.s.isRun
-      ? page.attempt(async () =>
+      ? opening(async () =>
           showFiles(await ask("files", page.state()), page.state(), openFilm, openPhone),
         )
       : toast("There is nothing to take along yet: make an edit first.", true);

@@ -18,6 +18,8 @@ export function pictureOf(page, stage) {
   const base = el("img", { class: "base", alt: "", draggable: "false" }),
     over = el("img", { class: "over", alt: "", draggable: "false", hidden: true }),
     hover = el("img", { class: "over", alt: "", draggable: "false", hidden: true });
+  // A ring where a mark was made, until its outline is there.
+  const ring = el("span", { class: "heard", hidden: true });
   const box = el(
     "div",
     {
@@ -29,6 +31,7 @@ export function pictureOf(page, stage) {
     base,
     over,
     hover,
+    ring,
   );
   const tool = () => ({
     kind: page.tool,
@@ -50,6 +53,11 @@ export function pictureOf(page, stage) {
   const resized = new ResizeObserver(fit);
   resized.observe(stage);
 
+  function hear(mark) {
+    ring.hidden = !mark;
+    if (!mark) return void page.viewer.post({ heard: false });
+    [ring.style.left, ring.style.top] = mark.places.at(-1).map((share) => `${100 * share}%`);
+  }
   let hovered = 0,
     pressed = 0;
   const pointedAt = (mark, name, more = "") =>
@@ -63,9 +71,17 @@ export function pictureOf(page, stage) {
     hover.src = address;
     hover.hidden = false;
   }
+  // What a mark would take of a photo, for the scene in 3D; null where somebody points elsewhere meanwhile.
+  async function meant(mark, name) {
+    const number = ++hovered;
+    if (!mark || !page.s.reading.photos) return null;
+    const address = pointedAt(mark, name, "&made=1");
+    return (await imageThere(address)) && number === hovered ? address : null;
+  }
   async function made(mark, name = page.current()) {
     hovered++;
     pressed = performance.now();
+    if (page.view === "photo") hear(mark);
     page.waiting.busy(
       page.s.reading.photos ? "Looking for what you mean" : "Reading the photos first",
     );
@@ -80,7 +96,7 @@ export function pictureOf(page, stage) {
     const draft = await page.attempt(() =>
       tell(["draft", page.state()], { do: "mark", value: { ...mark, photo: name } }),
     );
-    if (!draft) return void drawMarks();
+    if (!draft) return void (hear(null), drawMarks());
     page.draft.took(draft);
     await seen;
     await page.draft.answer();
@@ -95,6 +111,7 @@ export function pictureOf(page, stage) {
       over.src = address;
       over.hidden = page.view !== "photo";
     } else if (page.view !== "3d") return;
+    ring.hidden = true; // in 3D the tint ends it
     if (pressed) document.body.dataset.outlined = Math.round(performance.now() - pressed); // [ms], for those who measure
     pressed = 0;
   }
@@ -103,7 +120,7 @@ export function pictureOf(page, stage) {
     if (base.getAttribute("src") !== source) {
       base.src = source;
       base.alt = name;
-      over.hidden = true;
+      over.hidden = ring.hidden = true;
     }
     if (selected) {
       over.src = selected;
@@ -111,5 +128,5 @@ export function pictureOf(page, stage) {
     }
     drawMarks();
   }
-  return { box, show, made, drawMarks, setOver, leave: () => resized.disconnect() };
+  return { box, show, made, meant, drawMarks, setOver, leave: () => resized.disconnect() };
 }

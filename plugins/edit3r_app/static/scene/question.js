@@ -17,6 +17,7 @@ export function questionOf(page) {
     node.hidden = !doubt;
     if (doubt) show("Is it this one?");
   }
+  const word = (isTaken) => (isTaken ? "Yes, this one" : "This one");
   const choice = (number, taken, others) =>
     el(
       "button",
@@ -25,13 +26,13 @@ export function questionOf(page) {
         class: "reading",
         "aria-pressed": String(number === taken),
         onclick: () => pick(number),
-        "aria-label": `reading ${number} of ${others.length}${number === taken ? ", which is taken" : ""}`,
+        "aria-label": `${word(number === taken)}: reading ${number} of ${others.length}`,
       },
       el("img", {
         src: `${path("reading", page.state(), String(number))}?v=${page.look.version}`,
         alt: "",
       }),
-      el("span", {}, number === taken ? "Yes, this one" : "This one"),
+      el("span", {}, word(number === taken)),
     );
   function show(text) {
     const taken = page.s.draft.outline.reading,

@@ -1,16 +1,19 @@
 // What is done with a thing of the scene: a state of its own, so that it can be undone.
 import { go, sceneAddress } from "../app.js";
 import { ask, tell } from "../api.js";
+import { toast } from "../dom.js";
 
+// What is being done, and what then was done.
 const ACTIONS = {
-  add: "taking hold of it",
-  remove: "removing it",
-  recolor: "painting it",
-  rename: "another name",
-  move: "moving it",
-  turn: "turning it",
-  scale: "resizing it",
-  copy: "copying it",
+  add: ["taking hold of it", "is a thing of the scene now"],
+  remove: ["removing it", "is removed"],
+  recolor: ["painting it", "is painted"],
+  rename: ["another name", "has another name"],
+  move: ["moving it", "is moved"],
+  turn: ["turning it", "is turned"],
+  scale: ["resizing it", "is resized"],
+  copy: ["copying it", "is copied"],
+  find: ["Looking for things", "The things that were found are in the list."],
 };
 
 export function thingsOf(page) {
@@ -20,9 +23,8 @@ export function thingsOf(page) {
     if (shaping) return;
     shaping = true;
     if (kept.drawer) page.drawers.draw();
-    page.waiting.long(
-      action === "find" ? "Looking for things" : `${name}: ${ACTIONS[action] || action}`,
-    );
+    const [doing, done] = ACTIONS[action] || [action, ""];
+    page.waiting.long(name ? `${name}: ${doing}` : doing);
     const asked = { at, action, name, numbers, text };
     const job = await page.attempt(async () => {
       const made = await tell(["object", scene], asked);
@@ -41,6 +43,7 @@ export function thingsOf(page) {
     if (action === "copy" || action === "rename") kept.chosen = text;
     if (action === "add") kept.chosen = name;
     go(sceneAddress(scene, job));
+    toast(name ? `${name} ${done}. Undo takes it back.` : done);
   }
   async function finished(job) {
     while (!page.gone()) {

@@ -1,15 +1,19 @@
 // The scene in 3D. The page of a run may come from a stranger: it is shown in a sandbox, and told things by messages.
+import { go, sceneAddress } from "../app.js";
 import { path } from "../api.js";
 import { button, el, toast } from "../dom.js";
 
 const OF_PAGE = ["f", "h", "i", "l", "m", "n", "o", "v", "x", "/", "?"]; // keys that 3D leaves to the page
+const ERASER = 0.015; // radius of a line that takes away, of the photo's longer side
 let looked = { scene: "", camera: null }; // where a scene was looked at last: its other states are seen from there
 
 export function viewerOf(page, stage) {
   const { scene, beside, kept } = page;
-  let comparing = true;
+  let comparing = true,
+    drawn = false;
   const compareButton = button("compare", "before and after", () => compare(!comparing), {
     key: "C",
+    "aria-pressed": "true",
   });
   const ofThings = () => kept.drawer === "objects";
   const compares = () => comparing && !beside && !ofThings();
@@ -37,31 +41,49 @@ export function viewerOf(page, stage) {
 
   // What is selected on the photos is tinted in 3D: the viewer hears which of their pixels it covers.
   const tints = new Map();
-  async function tint(name, address) {
+  async function covered(name, address) {
     const image = new Image();
     image.src = address;
     await image.decode().catch(() => {});
     const { naturalWidth: width, naturalHeight: height } = image;
-    if (width > 1) {
-      const canvas = new OffscreenCanvas(width, height),
-        ink = canvas.getContext("2d");
-      ink.drawImage(image, 0, 0);
-      const { data } = ink.getImageData(0, 0, width, height);
-      const inside = Uint8Array.from({ length: width * height }, (_, k) =>
-        Number(!data[4 * k + 3]),
-      );
-      tints.set(name, { name, width, height, inside });
-    } else tints.delete(name);
+    if (width < 2) return null;
+    const canvas = new OffscreenCanvas(width, height),
+      ink = canvas.getContext("2d");
+    ink.drawImage(image, 0, 0);
+    const { data } = ink.getImageData(0, 0, width, height);
+    const inside = Uint8Array.from({ length: width * height }, (_, k) => Number(!data[4 * k + 3]));
+    return { name, width, height, inside };
+  }
+  async function tint(name, address) {
+    const mask = await covered(name, address);
+    if (mask) tints.set(name, mask);
+    else tints.delete(name);
     post({ selected: [...tints.values()] });
   }
+  // A place, or places along a line, that the scene found on a photo: a mark there; null for what is none.
+  function markOf(hit, away) {
+    const found = hit && (hit.places || [hit.place]); // pages of older runs tell one
+    if (!hit || !page.s.photos.includes(hit.name) || !Array.isArray(found[0])) return null;
+    const minus = page.minus !== Boolean(away),
+      places = found.map((place) => place.map(Number));
+    if (places.length < 2) return { kind: minus ? "remove" : "add", places };
+    return minus ? { kind: "erase", places, radius: ERASER } : { kind: "stroke", places };
+  }
   // A click on the scene is a mark on the photo that shows the place best.
-  function pointed({ pointed: hit, minus: away }) {
-    const known = hit && page.s.photos.includes(hit.name) && Array.isArray(hit.place);
-    if (!known) return toast("No photo shows this place; point at it under Photos.", true);
-    const kind = page.minus !== Boolean(away) ? "remove" : "add";
+  function pointed({ pointed: hit, minus }) {
+    const mark = markOf(hit, minus);
+    if (!mark) {
+      post({ heard: false });
+      return toast("No photo shows this place; point at it under Photos.", true);
+    }
     page.photo = page.s.photos.indexOf(hit.name);
     page.strip.mark();
-    page.picture.made({ kind, places: [hit.place.map(Number)] }, hit.name);
+    page.picture.made(mark, hit.name);
+  }
+  // What a click would take is tinted where the mouse rests.
+  async function rested({ rests: hit, minus }) {
+    const address = await page.picture.meant(markOf(hit, minus), hit && hit.name);
+    if (address) post({ meant: await covered(hit.name, address) });
   }
   function compare(wanted) {
     comparing = wanted;
@@ -78,7 +100,12 @@ export function viewerOf(page, stage) {
         looked = { scene, camera: message.camera };
         if (beside) post({ camera: message.camera }, event.source);
       }
+      if (!drawn) {
+        drawn = true;
+        if (page.s) page.waiting.draw();
+      }
       if (message.pointed !== undefined) pointed(message);
+      if (message.rests !== undefined) rested(message);
       if (message.object)
         page.things.shape(message.object.action, message.object.name, message.object);
       if (typeof message.chosen === "string" && ofThings()) page.drawers.choose(message.chosen);
@@ -93,10 +120,27 @@ export function viewerOf(page, stage) {
     },
     page.on,
   );
+  // Two edits say which they are, and each can be left.
+  const titled = (run, k, runs) =>
+    el(
+      "div",
+      { class: "one" },
+      frame(run),
+      el(
+        "p",
+        {},
+        page.s.history.find(({ name }) => name === run)?.prompt || run,
+        button("close", "leave this one", () => go(sceneAddress(scene, runs[1 - k]))),
+      ),
+    );
   return {
     compareButton,
+    isDrawn: () => drawn,
     toggleCompare: () => compare(!comparing),
-    show: (runs) => stage.replaceChildren(...runs.map(frame)),
+    show: (runs) => {
+      drawn = false;
+      stage.replaceChildren(...(runs.length > 1 ? runs.map(titled) : runs.map(frame)));
+    },
     again: () => frames().forEach((one) => one.replaceWith(frame(page.state()))), // as it was
     camera: () => looked.camera,
     followDrawer: () => {

@@ -17,10 +17,12 @@ const STAGES = {
   render: "Drawing it",
   "write files": "Writing the files",
 };
+const SILENT = 300; // [ms] that nothing need be said
 const stageWords = (name) => STAGES[name.replace(/ \(.*$/, "")] || "Polishing";
 
 export function waitingOf(page) {
   const pill = el("div", { class: "pill", role: "status", "aria-live": "polite", hidden: true });
+  setTimeout(() => page.s || page.gone() || trouble("Opening the scene"), SILENT);
   let working = "",
     lasting = ""; // what no answer about marks ends
   function busy(text) {
@@ -43,7 +45,7 @@ export function waitingOf(page) {
   }
   const slow = () => {
     const { reading, photos } = page.s;
-    if (page.view === "3d") return "";
+    if (page.view === "3d") return page.viewer.isDrawn() ? "" : "Drawing the scene";
     if (!reading.photos) return "Reading the photos";
     return !reading.geometry && photos.length > 1
       ? `Finding depth · about ${seconds(reading.left)} left; you can go on`
