@@ -6,6 +6,7 @@ cropped around its middle; intrinsics follow exactly.
 
 import glob
 import itertools
+import os
 import re
 import unicodedata
 from collections import Counter
@@ -74,6 +75,7 @@ __all__ = [
 Pixels = UInt8[np.ndarray, "height width 3"]
 Item = TypeVar("Item")
 
+MOST_LOOKED_AT = 1000  # places for photos in the folders of an empty one
 MAX_CHARACTERS = 100  # of a name from `unique_names`
 MAX_BYTES = 200  # file systems allow 255 with the suffix
 
@@ -389,6 +391,9 @@ def expand(path: str | Path) -> list[Path]:
     text = str(path)
     if not any(sign in text for sign in "*?[") or Path(text).exists():
         return [Path(path)]
+    folder, name = os.path.split(text)
+    if Path(folder).is_dir():  # "holiday [2024]" has signs of its own
+        text = os.path.join(glob.escape(folder), name)
     found = sorted(map(Path, glob.glob(text)), key=natural)
     if not found:
         raise InputError(f"{path}: no such file or folder.")
@@ -418,11 +423,14 @@ def _what_else(folder: Path) -> str:
     raw = [path.name for path in inside if path.suffix.lower() in RAW_SUFFIXES]
     if raw:
         return f"only raw files ({raw[0]}); {DEVELOP}"
-    places = [
-        str(path)
+    deeper = (
+        one
         for path in inside
-        if images_of_folder(path) or images_of_folder(path / "images")
-    ]
+        if path.is_dir()
+        for one in sorted(path.iterdir(), key=natural)
+    )
+    looked_at = (*inside, *itertools.islice(deeper, MOST_LOOKED_AT))
+    places = [str(path) for path in looked_at if images_of_folder(path)]
     if places:
         return f"no images in this folder, but in {', '.join(places[:6])}: give these."
     return "no images in this folder."
