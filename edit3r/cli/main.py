@@ -67,7 +67,7 @@ def main(argv: Sequence[str] | None = None, interruptions: Sequence[int] = ()) -
 
 
 def at_home(argument: str) -> str:
-    """The argument with the user's folder for ~, which shells leave behind =, Windows' everywhere."""
+    """The argument with the user's folder for ~, which shells leave after = and Windows always."""
     setting, separator, path = argument.partition("=")
     if separator and SETTING.fullmatch(setting):
         return f"{setting}={os.path.expanduser(path)}" if path[:1] == "~" else argument
