@@ -217,8 +217,10 @@ def find_photos(
             files += _images_in(path)
         elif path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():
             files += take_frames(path, frames)
-        elif path.exists():
+        elif path.is_file():
             files.append(path)
+        elif path.exists():  # a pipe, of which nobody knows when it ends
+            raise InputError(f"{path}: not a regular file.")
         else:
             raise InputError(f"{path}: no such file or folder.")
     if not files:

@@ -92,6 +92,13 @@ def test_scene_folder_stands_for_its_images_folder(tmp_path):
     assert [path.name for path in find_photos([tmp_path])] == ["1.png"]
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without pipes")
+def test_a_pipe_where_a_photo_is_expected_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.jpg")
+    with pytest.raises(InputError, match=r"pipe\.jpg: not a regular file"):
+        find_photos([tmp_path / "pipe.jpg"])
+
+
 def test_an_empty_folder_tells_where_photos_are_two_folders_down(tmp_path):
     for path in ("front/cam/1.png", "back/images/2.png"):
         photo(tmp_path / path)
