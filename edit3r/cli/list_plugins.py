@@ -39,9 +39,10 @@ class ListPluginsCommand(Command):
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.loading.check import check_offer
-        from edit3r.loading.registry import default_registry
+        from edit3r.loading.load import load_plugins
+        from edit3r.loading.registry import Registry
 
-        registry = default_registry(tuple(args.plugin))
+        registry = Registry(load_plugins(args.plugin))  # failures are listed
         offers = registry.offers(args.kind)
         problems = {
             offer: check_offer(registry, offer) if args.check else ""

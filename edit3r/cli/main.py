@@ -17,6 +17,7 @@ from edit3r.version import __version__
 if TYPE_CHECKING:
     from edit3r.contract.command import Command
 
+SETTING = re.compile(r"[\w.-]+")  # --out, or editor.path of --set
 MAX_SENTENCE = 4000  # characters of an error: what was given may be megabytes
 
 
@@ -44,7 +45,7 @@ def main(argv: Sequence[str] | None = None, interruptions: Sequence[int] = ()) -
     0: done, 1: failed, 2: wrong use or unusable input, 130: interrupted. `interruptions` fills when
     the user presses Ctrl-C; any error after that is taken for its consequence.
     """
-    argv = list(sys.argv[1:] if argv is None else argv)
+    argv = [at_home(one) for one in (sys.argv[1:] if argv is None else argv)]
     try:
         code = _dispatch(argv)
         sys.stdout.flush()
@@ -63,6 +64,14 @@ def main(argv: Sequence[str] | None = None, interruptions: Sequence[int] = ()) -
         known = as_known(error)
         _tell(str(known))
         return known.exit_code
+
+
+def at_home(argument: str) -> str:
+    """The argument with the user's folder for ~, which shells leave after = and Windows always."""
+    setting, separator, path = argument.partition("=")
+    if separator and SETTING.fullmatch(setting):
+        return f"{setting}={os.path.expanduser(path)}" if path[:1] == "~" else argument
+    return os.path.expanduser(argument) if argument[:2] in ("~/", "~\\") else argument
 
 
 def _tell(sentence: str) -> None:

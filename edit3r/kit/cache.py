@@ -24,8 +24,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
-from edit3r.contract.errors import InputError
-from edit3r.contract.reporting import note
+from edit3r.contract.reporting import note, warn
 from edit3r.kit.weights.find import at_hand
 from edit3r.version import __version__
 
@@ -91,9 +90,8 @@ class Cache:
             _unpack(tree, tensors)
         except Exception as error:  # safetensors has no error class of its own
             reason = " ".join(str(error).split())
-            raise InputError(
-                f"{file}: cannot be read ({reason}); delete it, and its content is computed again."
-            ) from None
+            warn(f"{file}: cannot be read ({reason}); its content is computed again.")
+            return None
         return tree, tensors
 
 

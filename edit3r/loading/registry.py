@@ -24,6 +24,7 @@ from edit3r.contract.errors import (
     is_out_of_memory,
     suggest,
 )
+from edit3r.contract.reporting import warn
 from edit3r.contract.settings import PartChoice, Settings, make_settings
 from edit3r.kit.weights.find import at_hand
 from edit3r.loading.load import LoadedPlugins, PluginFailure, load_plugins
@@ -303,7 +304,13 @@ def default_registry(local_files: Iterable[str | Path] = ()) -> Registry:
 
 @cache
 def _loaded(local_files: tuple[str | Path, ...]) -> Registry:
-    return Registry(load_plugins(local_files))
+    registry = Registry(load_plugins(local_files))
+    named = {Path(file).resolve().stem: file for file in local_files}
+    for failure in registry.failures:
+        if failure.plugin in named and not failure.version:
+            file = named[failure.plugin]
+            warn(f"--plugin {file} did not load, and is not used: {failure.reason}.")
+    return registry
 
 
 def build(

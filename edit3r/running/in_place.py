@@ -21,6 +21,7 @@ SIDE = 384  # pixels of the longer side at which pictures are compared
 LEAST_SIDE = 32  # below which nothing can be told [pixels]
 TILE = 40  # least side of a tile [pixels]
 TILES = 4  # along the longer side, three along the other
+PAPER = 3.0  # over which the paper beside a drawn line is averaged [pixels]
 LEAST_RESPONSE = 0.1  # of a phase correlation that tells something
 LEAST_STRUCTURE = 0.5  # deviation of the edges in a tile that shows something
 IN_PLACE = 0.4  # shift of a tile that is none [pixels]
@@ -100,6 +101,7 @@ class _Picture:
     """A picture, and what is compared of it."""
 
     pixels: Pixels
+    is_drawn: bool = False  # its lines stand where a photo has edges
 
     @property
     def scale(self) -> float:
@@ -113,8 +115,13 @@ class _Picture:
 
     @cached_property
     def edges(self) -> Edges:
-        """How much the colour changes, its root: faint edges count as well."""
+        """How much the colour changes, its root: faint edges count as well. Of a drawing, how
+        dark its lines are: a line has two edges, beside that of the photo.
+        """
         smooth = cv2.GaussianBlur(self.small.astype(np.float32), (0, 0), 1.0)
+        if self.is_drawn:
+            grey = smooth.mean(-1)
+            return np.sqrt((cv2.GaussianBlur(grey, (0, 0), PAPER) - grey).clip(0))
         across, down = (cv2.Sobel(smooth, cv2.CV_32F, *way) for way in ((1, 0), (0, 1)))
         return np.sqrt(np.sqrt((across**2 + down**2).max(-1)))
 
@@ -134,7 +141,7 @@ class _Picture:
         return int(np.ptp(self.small.reshape(-1, 3), axis=0).max())
 
     def mirrored(self) -> "_Picture":
-        return _Picture(np.ascontiguousarray(self.pixels[:, ::-1]))
+        return replace(self, pixels=np.ascontiguousarray(self.pixels[:, ::-1]))
 
 
 @dataclass(frozen=True)
@@ -204,7 +211,13 @@ def _judged(
         return BLACK_ONLY if edit.small.max() <= BLACK else ONE_COLOUR_ONLY
     if _share_in_place(photo.edges, edit.edges) > MOST_OFF:
         return _bar(edit, photo)
+    drawn = replace(edit, is_drawn=True)
+    if _share_in_place(photo.edges, drawn.edges, MOVED_BACK) > MOST_OFF:
+        return None
     motion = _explained(edit, photo)
+    if motion is None:
+        motion = _explained(drawn, photo)
+        edit = edit if motion is None else drawn
     if isinstance(motion, _Motion):
         as_it_is = _share_in_place(photo.edges, edit.edges, MOVED_BACK)
         if motion.is_none or motion.fits < as_it_is + BETTER:
@@ -287,13 +300,10 @@ def _unexplained(edit: _Picture, photo: _Picture) -> _Fault | None:
         return _Fault(
             f"the edit of {{name}} lies about {pixels:.0f} px beside its photo"
         )
-    shifts = _shifts(photo.edges, edit.edges)
-    if (
-        np.sum(shifts < 4 * IN_PLACE) < 2
-        and _likeness(photo.edges, edit.edges) < NO_LIKENESS
-    ):
-        return UNLIKE
-    return None
+    seen = (edit.edges, replace(edit, is_drawn=True).edges)
+    near = (np.sum(_shifts(photo.edges, edges) < 4 * IN_PLACE) for edges in seen)
+    likeness = (_likeness(photo.edges, edges) for edges in seen)
+    return UNLIKE if max(near) < 2 and max(likeness) < NO_LIKENESS else None
 
 
 # ---- comparing ----
@@ -365,7 +375,7 @@ def _matched(first: tuple, second: tuple) -> tuple[np.ndarray, np.ndarray]:
 
 def _map_between(photo: _Picture, edit: _Picture) -> Map | None:
     """The similarity, or where that explains much less the affine map, from photo to edit."""
-    for kind in ("features", "edge_features"):
+    for kind in ("edge_features",) if edit.is_drawn else ("features", "edge_features"):
         here, there = _matched(getattr(photo, kind), getattr(edit, kind))
         if len(here) < LEAST_AGREEING:
             continue

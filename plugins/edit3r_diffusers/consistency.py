@@ -157,7 +157,10 @@ def _matched(
     ).reshape(-1, 2, 2)
     if len(spots) < FEWEST_MATCHES:
         return spots
-    _, kept = cv2.findFundamentalMat(
-        spots[:, 0], spots[:, 1], cv2.USAC_MAGSAC, 1.0, 0.999, 10_000
-    )
+    try:
+        _, kept = cv2.findFundamentalMat(
+            spots[:, 0], spots[:, 1], cv2.USAC_MAGSAC, 1.0, 0.999, 10_000
+        )
+    except cv2.error:  # matches of which no geometry can be computed
+        kept = None
     return spots[kept.ravel().astype(bool)] if kept is not None else spots[:0]

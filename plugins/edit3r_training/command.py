@@ -3,6 +3,7 @@ stopped.
 """
 
 import argparse
+from contextlib import nullcontext
 
 from edit3r.contract.command import Command
 from edit3r.kit.command.flags import add_trust_flag
@@ -51,6 +52,7 @@ class TrainCommand(Command):
         from edit3r.contract.reporting import Report, collecting
         from edit3r.contract.settings import merge
         from edit3r.kit.command.console import StageConsole
+        from edit3r.kit.command.results import alone_in
         from edit3r.kit.files.configs import parse_assignments, read_config
         from edit3r_training.job import prepare
         from edit3r_training.processes import is_first_process
@@ -67,7 +69,8 @@ class TrainCommand(Command):
                 trainer, job = prepare(
                     values, registry, resume=args.resume, overwrite=args.overwrite
                 )
-                best = trainer.train(job)
+                with alone_in(job.out) if first else nullcontext():
+                    best = trainer.train(job)
         if first:
             print(f"best checkpoint: {best}")
         return 0

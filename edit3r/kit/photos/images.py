@@ -5,6 +5,8 @@ cropped around its middle; intrinsics follow exactly.
 """
 
 import glob
+import itertools
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -68,6 +70,8 @@ __all__ = [
 
 Pixels = UInt8[np.ndarray, "height width 3"]
 Item = TypeVar("Item")
+
+MOST_LOOKED_AT = 1000  # places for photos in the folders of an empty one
 
 
 @dataclass(frozen=True)
@@ -202,8 +206,10 @@ def find_photos(
             files += _images_in(path)
         elif path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():
             files += take_frames(path, frames)
-        elif path.exists():
+        elif path.is_file():
             files.append(path)
+        elif path.exists():  # a pipe, of which nobody knows when it ends
+            raise InputError(f"{path}: not a regular file.")
         else:
             raise InputError(f"{path}: no such file or folder.")
     if not files:
@@ -311,6 +317,9 @@ def expand(path: str | Path) -> list[Path]:
     text = str(path)
     if not any(sign in text for sign in "*?[") or Path(text).exists():
         return [Path(path)]
+    folder, name = os.path.split(text)
+    if Path(folder).is_dir():  # "holiday [2024]" has signs of its own
+        text = os.path.join(glob.escape(folder), name)
     found = sorted(map(Path, glob.glob(text)), key=natural)
     if not found:
         raise InputError(f"{path}: no such file or folder.")
@@ -340,11 +349,14 @@ def _what_else(folder: Path) -> str:
     raw = [path.name for path in inside if path.suffix.lower() in RAW_SUFFIXES]
     if raw:
         return f"only raw files ({raw[0]}); {DEVELOP}"
-    places = [
-        str(path)
+    deeper = (
+        one
         for path in inside
-        if images_of_folder(path) or images_of_folder(path / "images")
-    ]
+        if path.is_dir()
+        for one in sorted(path.iterdir(), key=natural)
+    )
+    looked_at = (*inside, *itertools.islice(deeper, MOST_LOOKED_AT))
+    places = [str(path) for path in looked_at if images_of_folder(path)]
     if places:
         return f"no images in this folder, but in {', '.join(places[:6])}: give these."
     return "no images in this folder."

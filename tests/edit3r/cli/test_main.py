@@ -9,7 +9,7 @@ import sys
 
 import pytest
 
-from edit3r.cli.main import main
+from edit3r.cli.main import at_home, main
 from edit3r.kit.command.console import StageConsole
 from edit3r.loading.registry import default_registry
 
@@ -40,6 +40,23 @@ def test_what_was_given_neither_commands_the_terminal_nor_fills_it(capsys):
 def test_warnings_command_no_terminal_either(capsys):
     StageConsole()("warn", "\x1b]0;title\x07 by a file", 0, 0)
     assert "\\x1b]0;title\\x07 by a file" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [
+        ("--out=~/scene", "--out=HOME/scene"),
+        ("editor.path=~/edited", "editor.path=HOME/edited"),
+        ("~/photos", "HOME/photos"),
+        ("paint it ~/ red", "paint it ~/ red"),
+        ("a b=~/c", "a b=~/c"),
+        ("~$draft.jpg", "~$draft.jpg"),
+    ],
+)
+def test_the_folder_of_the_user_is_found_where_no_shell_does(monkeypatch, given, meant):
+    monkeypatch.setenv("HOME", "HOME")
+    monkeypatch.setenv("USERPROFILE", "HOME")
+    assert at_home(given) == meant
 
 
 def test_no_command_shows_the_overview_and_says_it_was_wrong(capsys):

@@ -11,7 +11,6 @@ from safetensors.torch import save
 
 import edit3r
 from edit3r import Settings
-from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import MatchedGeometry, Proposal, Tracks
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.cache import Cache, fingerprint, identity, remembered, using
@@ -149,16 +148,16 @@ def kept(folder):
     return folder / "stage-key.safetensors"
 
 
-def refused(folder, told):
-    expected = rf"stage-key.safetensors: cannot be read .*{told}.* delete it"
-    with pytest.raises(InputError, match=expected):
-        Cache(folder).recall("stage", "key", lambda: None)
+def computed_anew(folder, told):
+    expected = rf"stage-key.safetensors: cannot be read .*{told}.* computed again"
+    with pytest.warns(UserWarning, match=expected):
+        assert Cache(folder).recall("stage", "key", lambda: "anew") == "anew"
 
 
 @pytest.mark.parametrize("content", [b"", b"nothing", b"\xff" * 100])
-def test_a_damaged_entry_is_one_sentence_that_names_the_file(content, tmp_path):
+def test_a_damaged_entry_is_named_and_computed_anew(content, tmp_path):
     kept(tmp_path).write_bytes(content)
-    refused(tmp_path, "")
+    computed_anew(tmp_path, "")
 
 
 @pytest.mark.parametrize("part", [b"text", torch.arange(64.0).numpy().tobytes()])
@@ -167,15 +166,15 @@ def test_an_entry_with_a_flipped_bit_is_not_used(part, tmp_path):
     content = bytearray(file.read_bytes())
     content[content.index(part) + len(part) - 1] ^= 1
     file.write_bytes(content)
-    refused(tmp_path, "its checksum is another one")
+    computed_anew(tmp_path, "its checksum is another one")
 
 
-def test_an_entry_that_names_another_class_is_refused(tmp_path):
+def test_an_entry_that_names_another_class_is_not_used(tmp_path):
     tree = {"class": "Popen", "fields": {"args": "true"}}
     text = json.dumps({"tree": tree, "checksum": fingerprint(tree, {})})
     content = {"tree": torch.tensor(list(text.encode()), dtype=torch.uint8)}
     kept(tmp_path).write_bytes(save(content))
-    refused(tmp_path, "Popen")
+    computed_anew(tmp_path, "Popen")
 
 
 @pytest.mark.parametrize(

@@ -144,6 +144,22 @@ def test_an_unknown_name_says_what_was_meant_what_there_is_and_what_failed(regis
     assert "Plugin 'broken' did not load: it fell over." in text
 
 
+@pytest.mark.parametrize(
+    ("code", "reason"),
+    [
+        ("import nothing_of_that_name", "No module named"),
+        ("def (:", "invalid syntax"),
+        ("import sys; sys.exit(3)", "exit"),
+        ("x = 1", "offers nothing"),
+    ],
+)
+def test_a_named_plugin_that_does_not_load_is_warned_of(tmp_path, code, reason):
+    file = tmp_path / f"broken_{abs(hash(code))}.py"
+    file.write_text(code)
+    with pytest.warns(UserWarning, match=f"--plugin .* did not load.*{reason}"):
+        default_registry((str(file),))
+
+
 def test_an_unknown_kind_says_which_there_are(registry):
     with pytest.raises(
         UnknownComponentError, match=r"no kind 'editors'\. Did you mean 'editor'\?"

@@ -42,6 +42,13 @@ def with_bar(pixels):
     return pixels
 
 
+def drawn(pixels):
+    """Dark lines on white paper where the photo has edges."""
+    grey = cv2.GaussianBlur(pixels.mean(-1), (0, 0), 1.0)
+    slope = np.hypot(*np.gradient(grey))
+    return np.repeat((1 - 12 * slope).clip(0, 1)[..., None], 3, -1)
+
+
 def bent(pixels):
     rows, columns = np.mgrid[: pixels.shape[0], : pixels.shape[1]].astype(np.float32)
     places = columns + 4 * np.sin(rows / 30), rows + 4 * np.sin(columns / 30)
@@ -79,6 +86,12 @@ def test_a_motion_is_undone_and_said(photos, move, said):
     assert torch.equal(result.images[0, 1], as_image(painted(as_pixels(photos[0, 1]))))
 
 
+def test_a_line_drawing_that_moved_is_moved_back(photos):
+    drawing = drawn(as_pixels(photos[0, 0]))
+    result = found(photos, as_image(moved(drawing, 6, -4)))
+    assert not result.faults and "px to the right and 4.0 px up" in result.moved[0]
+
+
 @pytest.mark.parametrize(
     "spoil, said",
     [
@@ -114,6 +127,7 @@ HONEST = {
     "grey": lambda one: one.mean(0, keepdim=True).expand_as(one),
     "two tones": lambda one: (one.mean(0, keepdim=True) > 0.45).float().expand_as(one),
     "blurred": lambda one: as_image(cv2.GaussianBlur(as_pixels(one), (0, 0), 1.5)),
+    "line drawing": lambda one: as_image(drawn(as_pixels(one))),
     "background removed": lambda one: torch.where(DISC, one, torch.ones_like(one)),
 }
 rows, columns = torch.meshgrid(torch.arange(173), torch.arange(256), indexing="ij")

@@ -82,6 +82,26 @@ def test_what_is_written_is_read_again_as_the_same_scene(tmp_path, form):
         assert error < 0.03
 
 
+def with_strays(count):
+    """A scene of which three Gaussians lie a hundred times as far as the others."""
+    made = scene(count)
+    means = made.means.clone()
+    means[:, :3] *= 100
+    return replace(made, means=means)
+
+
+def test_strays_cost_a_compressed_ply_the_places_of_few_others(tmp_path):
+    made = with_strays(4000)
+    export_scene(tmp_path / "s.ply", made, "compressed-ply")
+    gaps = torch.cdist(made.means[0, 3:], load_scene(tmp_path / "s.ply").means[0])
+    assert (gaps.amin(1) < 0.004).float().mean() > 0.95
+
+
+def test_a_compressed_ply_that_strays_spoil_is_told_of(tmp_path):
+    with pytest.warns(UserWarning, match="of 400 Gaussians are moved by about"):
+        export_scene(tmp_path / "s.ply", with_strays(400), "compressed-ply")
+
+
 @pytest.mark.parametrize(
     ("form", "theirs"),
     [("spz", "spz"), ("compressed-ply", "compressed.ply"), ("ply", "ply")],

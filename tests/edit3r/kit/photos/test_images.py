@@ -91,6 +91,25 @@ def test_scene_folder_stands_for_its_images_folder(tmp_path):
     assert [path.name for path in find_photos([tmp_path])] == ["1.png"]
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system without pipes")
+def test_a_pipe_where_a_photo_is_expected_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe.jpg")
+    with pytest.raises(InputError, match=r"pipe\.jpg: not a regular file"):
+        find_photos([tmp_path / "pipe.jpg"])
+
+
+def test_an_empty_folder_tells_where_photos_are_two_folders_down(tmp_path):
+    for path in ("front/cam/1.png", "back/images/2.png"):
+        photo(tmp_path / path)
+    with pytest.raises(InputError, match=r"but in .*back.images, .*front.cam: give"):
+        find_photos([tmp_path])
+
+
+def test_a_wildcard_in_a_folder_whose_name_has_brackets_is_expanded(tmp_path):
+    photo(tmp_path / "holiday [2024]" / "1.png")
+    assert find_photos([tmp_path / "holiday [2024]" / "*.png"])
+
+
 def test_no_photos_empty_folder_and_missing_path_are_errors(tmp_path):
     with pytest.raises(InputError, match="No photos given"):
         load_views([])

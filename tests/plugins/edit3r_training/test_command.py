@@ -1,0 +1,22 @@
+"""`edit3r train` keeps a folder to one training at a time."""
+
+from types import SimpleNamespace
+
+from edit3r.cli.main import main
+from edit3r.kit.command.results import alone_in
+
+
+def test_a_second_training_does_not_write_into_the_same_folder(
+    tmp_path, monkeypatch, capsys
+):
+    begun = []
+    trainer = SimpleNamespace(train=begun.append)
+    job = SimpleNamespace(out=tmp_path)
+    monkeypatch.setattr("edit3r_training.job.prepare", lambda *_, **__: (trainer, job))
+    command = ["train", "training/noposplat-tiny"]
+    with alone_in(tmp_path):
+        assert main(command) == 2
+    assert (
+        not begun and "another run writes its results there" in capsys.readouterr().err
+    )
+    assert main(command) == 0 and begun == [job]
