@@ -1,6 +1,8 @@
 """`edit3r render`: images, a video or a viewer page from a saved scene."""
 
 import argparse
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,9 +13,11 @@ from edit3r.kit.scenes.files import scene_file
 
 if TYPE_CHECKING:
     from edit3r.contract.interfaces import Rasterizer
-    from edit3r.contract.types import Cameras, Gaussians
+    from edit3r.contract.types import Cameras, Gaussians, Rendering
     from edit3r.kit.run_folder import RunFolder
 
+MOST_SIDE = 2048  # of views, where no size is asked for [pixels]
+MOST_KEPT = 20_000_000  # pixels of views
 MADE = ("pictures", "video", "viewer")
 
 
@@ -52,7 +56,7 @@ class RenderCommand(Command):
             "--size",
             type=int,
             metavar="PIXELS",
-            help="longer side of the images (default: as in the camera file)",
+            help="longer side of the images (default: as in the camera file, at most 2048)",
         )
         add(
             "--frames",
@@ -116,21 +120,19 @@ def _render(
     from edit3r import build
     from edit3r.contract.interfaces import SceneToWrite
     from edit3r.contract.reporting import stage, warn
-    from edit3r.kit.photos.images import save_image
-    from edit3r.kit.rendering import Flight, path_around, render_each
+    from edit3r.kit.rendering import Flight, path_around
 
     with stage("read scene"):
         gaussians = _gaussians(args)
         cameras, names = _cameras(args, gaussians)
     with stage("render input views"):
-        views = render_each(rasterizer, gaussians, cameras, "views")
+        files = [folder.renders / f"{name}.png" for name in names]
+        files = files if "pictures" in args.make else []
+        views = _views(rasterizer, gaussians, cameras, files)
         if not views.alphas.any():
             warn(
                 f"{args.scene}: nothing of it can be seen from the cameras; the images are blank."
             )
-        for name, image in zip(names, views.images[0]):
-            if "pictures" in args.make:
-                save_image(image.clamp(0, 1), folder.renders / f"{name}.png")
     if "video" in args.make:
         with stage("render camera path"):
             path = path_around(cameras, views, args.frames)
@@ -142,6 +144,34 @@ def _render(
             title = Path(args.scene).stem
             scene = SceneToWrite(gaussians, cameras, title=title)
             build("writer", "viewer").write(folder.viewer, scene)
+
+
+def _views(
+    rasterizer: "Rasterizer",
+    gaussians: "Gaussians",
+    cameras: "Cameras",
+    files: Sequence[Path],
+) -> "Rendering":
+    """Draw each camera's view, write it where there are `files`, and return all, thinned out where
+    they would fill the memory.
+    """
+    import torch
+
+    from edit3r.contract.reporting import track
+    from edit3r.contract.types import Rendering
+    from edit3r.kit.photos.images import save_image
+    from edit3r.kit.rendering import render_one
+
+    height, width = cameras.image_size
+    step = 1 + math.isqrt(cameras.count * height * width // MOST_KEPT)
+    kept = []
+    for index in track(range(cameras.count), "views"):
+        view = render_one(rasterizer, gaussians, cameras.select([index]))
+        if files:
+            save_image(view.images[0, 0].clamp(0, 1), files[index])
+        parts = (view.images, view.alphas, view.depths)
+        kept.append([part[..., ::step, ::step].clone() for part in parts])
+    return Rendering(*(torch.cat(parts, 1) for parts in zip(*kept)))
 
 
 def _rasterizer(args: argparse.Namespace) -> "Rasterizer":
@@ -181,15 +211,21 @@ def _cameras(
     args: argparse.Namespace, gaussians: "Gaussians"
 ) -> "tuple[Cameras, list[str]]":
     """The file's cameras as one scene, at one image size, and a name for each."""
+    from edit3r.contract.reporting import say
     from edit3r.kit.files.names import unique_names
     from edit3r.kit.scenes.look import look_at
 
     cameras, posed = look_at(args.scene, args.cameras, gaussians)
-    if args.size is not None:
-        if not 1 <= args.size <= 8192:
-            raise InputError(f"--size: expected 1 to 8192 pixels, got {args.size}.")
-        height, width = cameras.image_size
-        scale = args.size / max(height, width)
-        size = (max(1, round(height * scale)), max(1, round(width * scale)))
-        cameras = cameras.at(size)
+    height, width = cameras.image_size
+    size = args.size
+    if size is None and max(height, width) > MOST_SIDE:
+        size = MOST_SIDE
+        given = f"of {width}x{height} are drawn {size} pixels long"
+        say("render.size", f"views {given}; --size N: N pixels")
+    if size is not None:
+        if not 1 <= size <= 8192:
+            raise InputError(f"--size: expected 1 to 8192 pixels, got {size}.")
+        scale = size / max(height, width)
+        drawn = (max(1, round(height * scale)), max(1, round(width * scale)))
+        cameras = cameras.at(drawn)
     return cameras, unique_names([Path(camera.file).stem for camera in posed])

@@ -65,6 +65,18 @@ def _render(folder, *options: str, of: str = "scene.ply") -> int:
     )
 
 
+def test_views_larger_than_wanted_are_drawn_smaller_and_not_all_kept(
+    scene, monkeypatch
+):
+    monkeypatch.setattr("edit3r_outputs.render.MOST_SIDE", 12)
+    monkeypatch.setattr("edit3r_outputs.render.MOST_KEPT", 10)
+    assert _render(scene) == 0
+    (path,) = (scene / "out").rglob("a.png")
+    assert Image.open(path).size == (12, 12)
+    assert _render(scene, "--size", "24", "--overwrite") == 0
+    assert Image.open(path).size == (24, 24)
+
+
 @pytest.mark.parametrize(("view", "colour"), [(0, [1, 0, 0]), (1, [0, 1, 0])])
 def test_only_the_gaussians_of_one_photo_are_drawn(scene, view, colour):
     assert _render(scene, "--only-view", str(view)) == 0

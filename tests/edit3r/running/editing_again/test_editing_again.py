@@ -250,7 +250,6 @@ def test_what_changed_is_computed_again(planted, folders):
         "foreign",
         "no list",
         "cut scene",
-        "cut cache",
         "no image",
         "other size",
     ],
@@ -265,8 +264,6 @@ def test_a_folder_that_cannot_be_continued_is_one_sentence(folders, capsys, harm
         (folder / "run.json").write_text("{}")
     elif harm == "cut scene":
         (folder / "scene.ply").write_bytes((folder / "scene.ply").read_bytes()[:2000])
-    elif harm == "cut cache":
-        next((folder / "cache").glob("match-*")).write_bytes(b"nothing")
     elif harm == "no image":
         (folder / "edited" / "a.png").unlink()
     else:
@@ -277,6 +274,16 @@ def test_a_folder_that_cannot_be_continued_is_one_sentence(folders, capsys, harm
         "first" in said
         and len(said.splitlines()) == 1
         and not (folders / "second").exists()
+    )
+
+
+def test_a_damaged_answer_is_computed_anew(folders, planted, capsys):
+    next((folders / "first" / "cache").glob("match-*")).write_bytes(b"nothing")
+    first = len(planted.calls)
+    assert again(folders, "--prompt", "B") == 0
+    assert "match" in planted.calls[first:]
+    assert "its content is computed again" in json.dumps(
+        json.loads((folders / "second" / "run.json").read_text())
     )
 
 
