@@ -63,7 +63,9 @@ def screens(page: Page, address: str) -> Iterator[str]:
         page.get_by_text("Choose photos").click()
     choosing.value.set_files(packaged_pair()[0])
     page.wait_for_function("document.querySelector('.box .base')?.naturalWidth > 0")
-    page.locator(".box").click()
+    place = page.locator(".box").bounding_box()  # and on it the tank
+    tank = {"x": 0.55 * place["width"], "y": 0.4 * place["height"]}
+    page.locator(".box").click(position=tank)
     page.get_by_label("what to change").fill("paint it golden")
     page.get_by_text("this edit looks").wait_for(timeout=200_000)
     yield "dark"

@@ -220,6 +220,7 @@ def things_of_the_scene(page, viewer):
     page.route("**/api/object/**", turned, times=1)
     viewer.get_by_label("turn; arrow keys").press("ArrowRight")
     page.get_by_text("it is turned").wait_for()
+    page.locator(".pill").wait_for(state="hidden")  # nothing is waited for any more
     assert (asked[0]["at"], asked[0]["action"], asked[0]["name"]) == (
         taken,
         "turn",

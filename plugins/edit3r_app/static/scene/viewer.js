@@ -4,6 +4,7 @@ import { path } from "../api.js";
 import { button, el, toast } from "../dom.js";
 
 const OF_PAGE = ["f", "h", "i", "l", "m", "n", "o", "v", "x", "/", "?"]; // keys that 3D leaves to the page
+const UNTOLD = 5000; // [ms]
 const ERASER = 0.015; // radius of a line that takes away, of the photo's longer side
 let looked = { scene: "", camera: null }; // where a scene was looked at last: its other states are seen from there
 
@@ -31,8 +32,13 @@ export function viewerOf(page, stage) {
           ...(looked.scene === scene ? { camera: looked.camera } : {}),
         });
         post({ selected: [...tints.values()] });
+        setTimeout(seen, UNTOLD); // pages of older runs do not tell
       },
     });
+  function seen() {
+    drawn = true;
+    if (page.s && !page.gone()) page.waiting.draw();
+  }
   const frames = () => [...stage.querySelectorAll("iframe")];
   const post = (message, but = null) =>
     frames().forEach((one) => {
@@ -100,10 +106,7 @@ export function viewerOf(page, stage) {
         looked = { scene, camera: message.camera };
         if (beside) post({ camera: message.camera }, event.source);
       }
-      if (!drawn) {
-        drawn = true;
-        if (page.s) page.waiting.draw();
-      }
+      if (message.drawn) seen();
       if (message.pointed !== undefined) pointed(message);
       if (message.rests !== undefined) rested(message);
       if (message.object)
