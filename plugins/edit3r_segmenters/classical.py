@@ -44,7 +44,6 @@ from edit3r_segmenters.candidates import (
     completed,
 )
 from edit3r_segmenters.masks import (
-    graph_cut,
     overlap,
     reduced,
     snapped,
@@ -61,6 +60,7 @@ from edit3r_segmenters.salience import (
     reader,
     salience,
 )
+from edit3r_segmenters.stuff import STUFF, stuff
 from edit3r_segmenters.superpixels import (
     Superpixels,
     background_weights,
@@ -86,18 +86,6 @@ WHOLE_SIDE, CROP_SIDE = (
     160,
 )  # what the learned network sees of a picture and of a crop [pixels]
 WHOLE = ("picture", "image", "photo", "scene")  # all of it, where the words say so
-STUFF = ("sky", "ground", "floor")
-# What needs no learning: where it lies and what it looks like
-SKY_CHROMA = 14.0  # of a grey or white sky, at most [CIE Lab units]
-SKY_LIGHT = 45.0  # least lightness of a sky
-SMOOTH = 0.22  # most edge strength of a sky
-SAME_SKY = (
-    14.0  # colour distance to a piece of sky at the top within which more of it may lie
-)
-HIGHEST_GROUND, SURE_GROUND = (
-    0.3,
-    0.93,
-)  # rows above which there is no ground and below which it is likely, in heights
 MAX_READINGS = 3  # of marks, that are shown
 MAX_KEPT = 64  # images, saliences and answers that stay in memory between clicks
 ESSENTIALS = "edit3r weights get essentials"
@@ -464,16 +452,11 @@ class ClassicalSegmenter(Segmenter):
             return None
         rgb = _to_numpy(image)
         analysis = self._analysis(rgb)
-        mask = (
-            sky(analysis.pixels, analysis.superpixels)
-            if word == "sky"
-            else ground(analysis.pixels)
-        )
-        return (
-            ()
-            if mask is None or not mask.any()
-            else (_proposal(rgb, self._fine(rgb, mask), 0.5, image),)
-        )
+        mask, surety = stuff(word, analysis.pixels, analysis.superpixels)
+        if not mask.any():
+            return ()
+        found = _proposal(rgb, self._fine(rgb, mask), 0.5, image)
+        return (replace(found, surety=surety),)
 
     def _analysis(self, rgb: np.ndarray) -> _Analysis:
         return self._kept(
@@ -633,43 +616,3 @@ def plain(text: str) -> str:
         for word in text.lower().split()
         if word not in ("the", "a", "an", "whole", "entire", "all")
     )
-
-
-def sky(pixels: np.ndarray, cells: Superpixels) -> np.ndarray | None:
-    """The sky on uint8 RGB `[H, W, 3]` as a bool mask; None where nothing smooth and bright touches
-    the top.
-    """
-    lightness, a, b = cells.colours.T
-    edges = np.bincount(cells.labels.ravel(), cells.edges.ravel()) / cells.areas
-    alike = (
-        (lightness > SKY_LIGHT)
-        & ((np.hypot(a, b) < SKY_CHROMA) | (b < -5))
-        & (edges < SMOOTH)
-    )
-    top = np.zeros(len(cells.areas), dtype=bool)
-    top[np.unique(cells.labels[0])] = True
-    seeds = alike & top
-    if not seeds.any():
-        return None
-    distance = np.linalg.norm(
-        cells.colours[:, None] - cells.colours[None, seeds], axis=2
-    ).min(1)
-    trimap = np.where(alike & (distance < SAME_SKY), cv2.GC_PR_FGD, cv2.GC_BGD)[
-        cells.labels
-    ].astype(np.uint8)
-    trimap[(edges < 2 * SMOOTH)[cells.labels] & (trimap == cv2.GC_BGD)] = cv2.GC_PR_BGD
-    trimap[seeds[cells.labels]] = cv2.GC_FGD
-    return tidied(graph_cut(pixels, trimap), seeds[cells.labels])
-
-
-def ground(pixels: np.ndarray) -> np.ndarray:
-    """The ground on uint8 RGB `[H, W, 3]` as a bool mask: what looks like the picture's lower edge
-    and joins it.
-    """
-    height, width = pixels.shape[:2]
-    trimap = np.full((height, width), cv2.GC_PR_BGD, np.uint8)
-    trimap[: int(HIGHEST_GROUND * height)] = cv2.GC_BGD
-    trimap[int(SURE_GROUND * height) :] = cv2.GC_PR_FGD
-    lowest = np.zeros((height, width), dtype=bool)
-    lowest[-2:] = True
-    return tidied(graph_cut(pixels, trimap, rounds=5), lowest)
