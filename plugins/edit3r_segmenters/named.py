@@ -23,6 +23,8 @@ DETECTORS = {"coco": "nanodet", "imagenet": "efficientnet-lite0"}
 SHARE = 0.45  # of the best box's score that other things of its name must reach
 PART = 0.7  # share of a box inside a better one from which it is only a part of that
 MAX_THINGS = 8
+THING = 0.6  # score from which a box tells a click how far a thing goes
+SUPPORTS = ("dining table", "bed", "couch", "bench")  # others lie on them
 QUALITY = 0.2  # what a mask's own quality counts beside the activation that it holds
 # Logistic curves of the surety over the logarithm of a score: slope, and score of 1/2
 COCO_CURVE = (2.2, 0.42)
@@ -85,6 +87,24 @@ class Namer:
         ]
         best = large[int(np.argmax(scores))]
         return (replace(as_proposal(best.sigmoid().to(image)), surety=surety),)
+
+
+def things_on(
+    image: Float[Tensor, "3 height width"],
+) -> tuple[tuple[Box, float], ...]:
+    """Boxes of everyday things [shares of the sides], and how surely each is one; none without the
+    detector.
+    """
+    if not usable("coco"):
+        return ()
+    height, width = image.shape[-2:]
+    found = []
+    for one in build("detector", "coco").detect(image, ""):
+        if one.score >= THING and one.label not in SUPPORTS:
+            x, y, across, down = one.box
+            box = (x / width, y / height, across / width, down / height)
+            found.append((box, _surety(one.score, *COCO_CURVE)))
+    return tuple(found)
 
 
 def _distinct(detections: Sequence[Detection]) -> list[Detection]:

@@ -187,8 +187,8 @@ class SamOnnxSegmenter(Segmenter):
 
         def kept() -> Tensor:
             if key not in self._embeddings:
-                if len(self._embeddings) >= MAX_KEPT:
-                    self._embeddings.clear()
+                if len(self._embeddings) >= MAX_KEPT:  # the first read goes
+                    del self._embeddings[next(iter(self._embeddings))]
                 self._embeddings[key] = self._encode(
                     image
                 ).half()  # half as much to keep

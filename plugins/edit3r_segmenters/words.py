@@ -3,8 +3,6 @@
 from functools import cache
 from pathlib import Path
 
-from edit3r_segmenters.classical import plain
-
 DOGS = range(151, 269)  # ImageNet has 118 breeds
 
 
@@ -70,3 +68,12 @@ def _forms(name: str) -> list[str]:
     if name.endswith("s") and not name.endswith("ss"):
         forms.append(name[:-1])
     return forms
+
+
+def plain(text: str) -> str:
+    """A name without case, article and other filler: 'the whole picture' is 'picture'."""
+    return " ".join(
+        word
+        for word in text.lower().split()
+        if word not in ("the", "a", "an", "whole", "entire", "all")
+    )

@@ -53,3 +53,14 @@ def test_every_outline_of_the_file_has_a_word_and_rings_that_enclose_something()
         assert entry["word"] and "/" in name
         for rings in entry["photos"].values():
             assert all(len(ring) >= 4 for ring in rings), name
+
+
+def test_whole_scenes_are_held_out_and_they_are_a_third():
+    objects = json.loads((ROOT / "benchmarks/outlines.json").read_text())
+    scenes: dict[str, list[bool]] = {}
+    for entry in objects.values():
+        scene = next(iter(entry["photos"])).split("/")[0]
+        scenes.setdefault(scene, []).append(entry.get("held_out", False))
+    assert all(len(set(held)) == 1 for held in scenes.values())
+    held_out = sum(sum(held) for held in scenes.values())
+    assert abs(held_out / len(objects) - 1 / 3) < 0.03

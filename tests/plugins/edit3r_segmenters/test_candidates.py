@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from edit3r_segmenters.candidates import Candidate, by_size, completed
+from edit3r_segmenters.candidates import Candidate, _by_things, by_size, completed
 
 import edit3r
 from edit3r.contract.interfaces import Marks
@@ -195,3 +195,47 @@ class TestCompleted:
 
         assert np.array_equal(completed(self.EXPECTED, self.KNOWN, prompt), self.THING)
         assert len(asked) == 1
+
+
+class Boxed(Aside):
+    """The same network, for which the box of a thing means all that lies in it."""
+
+    def ask(self, image, clicks, box=None):
+        if box is None or box[2] < 0.8:
+            return super().ask(image, clicks, box)
+        rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
+        (x, y, across, down), side = box, SIDE
+        edges = columns - x * side, (x + across) * side - columns
+        edges += rows - y * side, (y + down) * side - rows
+        return np.minimum.reduce(edges)[None], np.array([0.9])
+
+
+@pytest.mark.parametrize(
+    ("top", "is_read"), [(0.05, True), (0.6, False)], ids=["at the click", "elsewhere"]
+)
+def test_a_known_thing_at_the_click_is_a_reading(
+    segmenter, image, monkeypatch, top, is_read
+):
+    def things(image):
+        return (((0.05, top, 0.9, 0.95 - top), 0.9),)
+
+    monkeypatch.setattr("edit3r_segmenters.classical.things_on", things)
+    segmenter._memory.clear()
+    readings = segmenter.likely(image, Marks(positive=(CENTRE,)), Boxed())
+    segmenter._memory.clear()
+    assert (max(map(area, readings)) > 2 * np.pi * RADII[1] ** 2) == is_read
+
+
+@pytest.mark.parametrize(
+    ("surety", "first"), [(0.8, "motorcycle"), (0.1, "wheel"), (None, "wheel")]
+)
+def test_a_wheel_is_the_motorcycle_s_where_that_is_surely_one(surety, first):
+    logits = {"wheel": disc_of(6), "motorcycle": disc_of(20)}
+    found = [Candidate(logits["wheel"], 1.0), Candidate(logits["motorcycle"], 0.7)]
+    things = [] if surety is None else [([logits["motorcycle"]], surety)]
+    assert _by_things(found, things)[0].logits is logits[first]
+
+
+def disc_of(radius):
+    rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
+    return radius - np.hypot(columns - SIDE / 2, rows - SIDE / 2)

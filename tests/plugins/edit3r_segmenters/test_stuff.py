@@ -1,0 +1,53 @@
+"""Sky and ground by their looks, and how surely: a wall is no sky, and a table may be no ground."""
+
+import numpy as np
+import pytest
+from edit3r_segmenters.stuff import GROUND_SURETY, sky_surety, stuff
+from edit3r_segmenters.superpixels import superpixels
+
+from edit3r.running import SURE
+
+BLUE_SKY, GREY_SKY, BLOWN_OUT = (100, 150, 230), (200, 205, 215), (255, 255, 255)
+GREY_WALL, CREAM_WALL = (190, 188, 182), (245, 235, 215)
+EARTH, ROOM = (80, 70, 40), (140, 130, 120)
+
+
+def photo(above, below, rows=30, wide=1.0):
+    """Two colours, the first from the upper edge down to some row, along a share of its width."""
+    pixels = np.full((60, 80, 3), below, np.uint8)
+    mask = np.zeros((60, 80), dtype=bool)
+    mask[:rows, : round(80 * wide)] = True
+    pixels[mask] = above
+    return pixels, mask
+
+
+@pytest.mark.parametrize(
+    ("above", "below", "wide", "sure"),
+    [
+        (BLUE_SKY, EARTH, 1.0, True),
+        (GREY_SKY, EARTH, 1.0, True),
+        (BLOWN_OUT, EARTH, 1.0, True),
+        (GREY_WALL, ROOM, 1.0, False),
+        (CREAM_WALL, EARTH, 1.0, False),  # bright, but warm
+        (BLUE_SKY, EARTH, 0.3, False),  # a window
+    ],
+)
+def test_a_sky_is_sure_where_no_wall_looks_like_it(above, below, wide, sure):
+    surety = sky_surety(*photo(above, below, wide=wide))
+    assert (surety >= SURE) == sure
+    assert surety <= 0.9  # never without doubt
+
+
+def test_a_word_for_stuff_says_how_sure_it_is():
+    pixels, sky = photo(BLUE_SKY, EARTH)
+    cells = superpixels(pixels.astype(np.float32) / 255)
+    found, surety = stuff("sky", pixels, cells)
+    assert (found == sky).mean() > 0.95 and surety == sky_surety(pixels, found)
+    found, surety = stuff("ground", pixels, cells)
+    assert found[-1].all() and surety == GROUND_SURETY < SURE
+
+
+def test_without_sky_nothing_is_found_for_sure():
+    pixels, _ = photo((30, 25, 20), EARTH)
+    found, surety = stuff("sky", pixels, superpixels(pixels.astype(np.float32) / 255))
+    assert not found.any() and surety == 0
