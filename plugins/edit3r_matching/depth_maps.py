@@ -120,8 +120,8 @@ def measure_depths(
         maps[view] = upsample_depth(
             inverse, measured[view], small[view].pixels, images[view].pixels
         )
-    inverse, confidence = zip(*maps)
-    return np.stack(inverse), np.stack(confidence)
+    depths, confidences = zip(*maps)
+    return np.stack(depths), np.stack(confidences)
 
 
 def _swept(
