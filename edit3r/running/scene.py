@@ -58,6 +58,8 @@ class Scene:
     light: Light | None = None
     # what one photo alone shows where others see through its place; None: nothing
     passing: Bool[Tensor, "batch view height width"] | None = None
+    # share of the picture half-way to the nearest photo that nobody measured; None: not known
+    guessed: Float[Tensor, "batch view"] | None = None
     # nobody knows the lens, and all that the photos share lies on one plane
     flat: bool = False
     # fields of view [degrees] that explain the photos alike, where they do not tell their lens
@@ -104,6 +106,7 @@ class Scene:
             edited=None if self.edited is None else self.edited.select(indices),
             light=None if self.light is None else self.light.select(indices),
             passing=None if self.passing is None else self.passing[:, indices],
+            guessed=None if self.guessed is None else self.guessed[:, indices],
         )
 
     def to(self, device: torch.device | str) -> "Scene":

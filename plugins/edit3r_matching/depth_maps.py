@@ -3,6 +3,7 @@ the images' size.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -53,6 +54,10 @@ class DepthSettings(config.Settings):
         le=512,
         description="most depth hypotheses a pixel; fewer is quicker, coarser",
     )
+    coarse: bool = Field(
+        False,
+        description="measure at half the working size too, for what is not confirmed at the whole",
+    )
     neighbours: int = Field(
         3, ge=1, le=8, description="most views that help to measure the depth of one"
     )
@@ -80,24 +85,14 @@ def measure_depths(
     Views that are not registered get inverse depth 1 and confidence 0.
     """
     small = [image.reduced(settings.working_size) for image in images]
-    around = [
-        _neighbours(small, registration, view, settings.neighbours)
-        for view in range(len(images))
-    ]
-    raw: dict[int, RawDepth] = {}
-    for view in reporting.track(
-        np.flatnonzero(registration.registered).tolist(), "measuring depth"
-    ):
-        depths = np.concatenate(
-            [registration.shared_depths(view, other) for other in around[view]]
-        )
-        raw[view] = sweep_depth(
-            small[view],
-            list(around[view].values()),
-            inverse_depth_range(depths),
-            settings.planes,
-        )
-    measured = {view: _measured(small[view], around[view], view, raw) for view in raw}
+    around, raw, measured = _swept(small, registration, settings)
+    if settings.coarse:
+        half = [image.reduced(settings.working_size // 2) for image in images]
+        _, rough, confirmed_there = _swept(half, registration, settings)
+        for view in raw:
+            raw[view], measured[view] = _with_coarse(
+                raw[view], measured[view], rough[view], confirmed_there[view]
+            )
     maps = [
         (np.ones(image.size, np.float32), np.zeros(image.size, np.float32))
         for image in images
@@ -125,8 +120,60 @@ def measure_depths(
         maps[view] = upsample_depth(
             inverse, measured[view], small[view].pixels, images[view].pixels
         )
-    inverse, confidence = zip(*maps)
-    return np.stack(inverse), np.stack(confidence)
+    depths, confidences = zip(*maps)
+    return np.stack(depths), np.stack(confidences)
+
+
+def _swept(
+    images: Sequence[CalibratedImage],
+    registration: Registration,
+    settings: DepthSettings,
+) -> tuple[
+    list[dict[int, Neighbour]],
+    dict[int, RawDepth],
+    dict[int, Bool[np.ndarray, "height width"]],
+]:
+    """The neighbours of each view, and of each registered one its depth and what they confirm."""
+    around = [
+        _neighbours(images, registration, view, settings.neighbours)
+        for view in range(len(images))
+    ]
+    raw: dict[int, RawDepth] = {}
+    for view in reporting.track(
+        np.flatnonzero(registration.registered).tolist(), "measuring depth"
+    ):
+        depths = np.concatenate(
+            [registration.shared_depths(view, other) for other in around[view]]
+        )
+        raw[view] = sweep_depth(
+            images[view],
+            list(around[view].values()),
+            inverse_depth_range(depths),
+            settings.planes,
+        )
+    measured = {view: _measured(images[view], around[view], view, raw) for view in raw}
+    return around, raw, measured
+
+
+def _with_coarse(
+    raw: RawDepth,
+    measured: Bool[np.ndarray, "height width"],
+    coarse: RawDepth,
+    measured_there: Bool[np.ndarray, "height2 width2"],
+) -> tuple[RawDepth, Bool[np.ndarray, "height width"]]:
+    """Depth and what was measured, with what only the coarse sweep measured: its windows are twice
+    as large on the picture, so that they hold a pattern where small ones hold none.
+    """
+    size = raw.inverse.shape[::-1]
+    inverse, there = (
+        cv2.resize(part, size, interpolation=cv2.INTER_NEAREST)
+        for part in (coarse.inverse, measured_there.astype(np.uint8))
+    )
+    only_there = (there > 0) & ~measured
+    return (
+        replace(raw, inverse=np.where(only_there, inverse, raw.inverse)),
+        measured | only_there,
+    )
 
 
 def _before_skies(

@@ -22,10 +22,10 @@ MEAN_PSNR = {"good": 24.0, "fair": 17.0, "poor": 14.0}
 """
 WORST_PSNR = {"good": 22.0, "fair": 15.0, "poor": 11.0}
 """Least PSNR [dB] of the worst placed input view for each label."""
-MOST_FILLED = {"good": 0.5, "fair": 0.55, "poor": 1.0}
-"""Largest share of the pixels of all views whose depth may be guessed, for each label."""
-MOST_FILLED_WORST = {"good": 0.5, "fair": 0.65, "poor": 1.0}
-"""The same of the view with most guesses."""
+MOST_GUESSED = {"good": 0.2, "fair": 0.32, "poor": 1.0}
+"""Largest share of the picture half-way from a photo to its nearest one that may be guessed, for
+each label.
+"""
 MOST_LEFT_OUT = {"good": 0.0, "fair": 0.5, "poor": 0.5}
 """Largest share of the photos that may be left out, for each label."""
 LABELS: tuple[Label, ...] = ("good", "fair", "poor", "failed")
@@ -60,6 +60,9 @@ class Verdict:
     filled: tuple[
         float | None, ...
     ]  # share of the view's pixels whose depth was guessed; None: not known
+    guessed_between: tuple[
+        float | None, ...
+    ]  # share of the picture half-way to the nearest view whose depth was guessed; None: not known
 
 
 def judge(
@@ -70,6 +73,7 @@ def judge(
     measured: Float[Tensor, "batch view"] | None,
     doubt: Doubt | None = None,
     ignored: Bool[Tensor, "batch view height width"] | None = None,
+    guessed: Float[Tensor, "batch view"] | None = None,
 ) -> Verdict:
     """Judge the rendering of the placed views against their edited images.
 
@@ -79,22 +83,23 @@ def judge(
     each photo used; `edited`, the renderings and `measured` (share of pixels with measured depth,
     None where nobody knows it) hold the placed ones only. Of several scenes the worst counts. A
     `doubt` is what else speaks against the scene. Pixels that are `ignored` show what the scene
-    leaves out.
+    leaves out. `guessed` is the share of the picture half-way to the nearest view that nobody
+    measured (None: not known).
     """
     before, psnr = (
         _psnr(rendering, edited, ignored) for rendering in (first, rendered)
     )
     coverage = rendered.alphas.mean((2, 3, 4)).amin(0).tolist()
     filled = [None] * len(psnr) if measured is None else (1 - measured.amin(0)).tolist()
-    label, reason = _label(
-        edited, [min(pair) for pair in zip(before, psnr)], psnr, filled, placed, doubt
-    )
+    between = [None] * len(psnr) if guessed is None else guessed.amax(0).tolist()
+    evidence = [min(pair) for pair in zip(before, psnr)]
+    label, reason = _label(edited, evidence, psnr, between, placed, doubt)
     return Verdict(
         label,
         reason,
         *(
             _with_gaps(values, placed)
-            for values in (psnr, before, placed, coverage, filled)
+            for values in (psnr, before, placed, coverage, filled, between)
         ),
     )
 
@@ -120,7 +125,7 @@ def _label(
     edited: Views,
     evidence: list[float],
     psnr: list[float],
-    filled: list[float | None],
+    between: list[float | None],
     placed: Sequence[bool],
     doubt: Doubt | None,
 ) -> tuple[Label, str]:
@@ -128,35 +133,36 @@ def _label(
     placed views [dB].
     """
     mean, worst = sum(evidence) / len(evidence), min(evidence)
-    known = [share for share in filled if share is not None]
-    guessed, most_guessed = sum(known) / max(1, len(known)), max(known, default=0.0)
+    guessed = max((share for share in between if share is not None), default=0.0)
     left_out = sum(not there for there in placed)
 
+    def agrees(label: Label) -> bool:
+        return mean >= MEAN_PSNR[label] and worst >= WORST_PSNR[label]
+
     def holds(label: Label) -> bool:
-        agrees = mean >= MEAN_PSNR[label] and worst >= WORST_PSNR[label]
-        seen = (
-            guessed <= MOST_FILLED[label] and most_guessed <= MOST_FILLED_WORST[label]
-        )
-        return agrees and seen and left_out <= MOST_LEFT_OUT[label] * len(placed)
+        seen = guessed <= MOST_GUESSED[label]
+        return agrees(label) and seen and left_out <= MOST_LEFT_OUT[label] * len(placed)
 
     found = next((label for label in LABELS[:-1] if holds(label)), LABELS[-1])
     if doubt is not None:
         found = max(found, doubt.best, key=LABELS.index)
     names = edited.called
-    name = names[evidence.index(worst)]
+    blamed = names[evidence.index(worst)]
     shown = f"the scene shows its photos at {sum(psnr) / len(psnr):.1f} dB on average"
     if found != "good":
-        shown += f", and they fit together at {mean:.1f} dB, the worst ({name}) at {worst:.1f} dB"
+        shown += f", and they fit together at {mean:.1f} dB, the worst ({blamed}) at {worst:.1f} dB"
     if left_out:
         shown += f"; {left_out} of {len(placed)} photos could not be placed"
-    if most_guessed > MOST_FILLED_WORST["good"]:
-        view = names[filled.index(most_guessed)]
+    if guessed > MOST_GUESSED["good"]:
+        least_known = names[between.index(guessed)]
         shown += (
-            f"; {guessed:.0%} of the depth is guessed, {most_guessed:.0%} in {view}"
+            f"; {guessed:.0%} of the view from {least_known} to its nearest is guessed"
         )
+        if agrees(LABELS[max(0, LABELS.index(found) - 1)]):
+            blamed = least_known
     if doubt is not None and found != "good":
         return found, f"{shown}; {doubt.clause}."
-    return found, shown + _way_out(found, name, names[0], evidence, left_out) + "."
+    return found, shown + _way_out(found, blamed, names[0], evidence, left_out) + "."
 
 
 def _way_out(

@@ -50,6 +50,7 @@ def judge(scene: Scene, parts: Parts) -> Scene:
             reconstruction.measured,
             doubt_of(scene),
             scene.passing,
+            scene.guessed,
         )
         scene = replace(scene, rendered=rendered, verdict=verdict)
         return _with_edit_judged_in_3d(scene, parts)

@@ -17,6 +17,7 @@ from edit3r.kit.geometry.gravity import quarter_turns
 from edit3r.kit.geometry.light import estimate_light
 from edit3r.kit.geometry.pose import estimate_cameras
 from edit3r.running.editors import request_of
+from edit3r.running.judging.between import guessed_between
 from edit3r.running.parts import Parts
 from edit3r.running.scene import Scene, known_cameras
 
@@ -29,6 +30,8 @@ def reconstruct(scene: Scene, parts: Parts) -> Scene:
         reconstruction = _reconstructed(scene, parts)
         scene = replace(scene, masks=_masks_of_change(scene, parts))
         scene = replace(scene, passing=_passing(scene, parts))
+        if reconstruction.measured is not None:
+            scene = replace(scene, guessed=_guessed(scene, parts))
         before = _before(scene, parts)
     if before is not None:
         size = known_cameras(reconstruction).image_size
@@ -78,6 +81,12 @@ def _passing(
         assert scene.masks is not None
         found &= scene.masks <= 0
     return found if found is not None and bool(found.any()) else None
+
+
+def _guessed(scene: Scene, parts: Parts) -> Float[Tensor, "batch view"] | None:
+    """How much of the picture half-way from each photo to its nearest one is guessed."""
+    geometry = parts.located(scene.photos).geometry
+    return None if geometry is None else guessed_between(geometry, scene.photos)
 
 
 def _without_passing(reconstruction: Reconstruction, scene: Scene) -> Reconstruction:

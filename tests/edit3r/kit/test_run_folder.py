@@ -48,6 +48,7 @@ def manifest(tmp_path):
             (True, False),
             (1.0, None),
             (0.1, None),
+            (0.2, None),
         ),
         edit_verdict=None,
         gaussians=131072,

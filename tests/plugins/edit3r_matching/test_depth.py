@@ -1,4 +1,5 @@
 import itertools
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,7 +13,11 @@ from edit3r_matching.completion import (
     push_back,
     without_speckles,
 )
-from edit3r_matching.depth_maps import _before_skies, inverse_depth_range
+from edit3r_matching.depth_maps import (
+    _before_skies,
+    _with_coarse,
+    inverse_depth_range,
+)
 from edit3r_matching.plane_sweep import (
     Neighbour,
     RawDepth,
@@ -154,6 +159,16 @@ def test_a_neighbour_confirms_nothing_behind_its_camera(noise):
     beside = Neighbour(CalibratedImage(noise, INTRINSICS), ahead)
     picture = CalibratedImage(noise, INTRINSICS)
     assert not confirmed(raw(0.1).inverse, picture, beside, raw(0.001)).any()
+
+
+def test_what_only_the_coarse_sweep_measured_is_taken_and_nothing_else_changes():
+    fine, coarse = raw(0.5), replace(raw(0.2), inverse=np.full((24, 32), 0.2, "f4"))
+    measured, there = np.zeros(SIZE, bool), np.zeros((24, 32), bool)
+    measured[:, :20], there[:12] = True, True
+    both, known = _with_coarse(fine, measured, coarse, there)
+    assert (known == (measured | (np.arange(48) < 24)[:, None])).all()
+    assert (both.inverse == np.where(known & ~measured, np.float32(0.2), 0.5)).all()
+    assert (both.step, both.farthest) == (fine.step, fine.farthest)
 
 
 def test_lone_agreements_are_taken_out():

@@ -21,36 +21,35 @@ def rendered(*psnr: float) -> Rendering:
     return Rendering(images, alphas, alphas)
 
 
-MEASURED_SHARES = ([0.4, 0.52, 0.52], [0.4, 0.5, 0.4])
-
-
-def shown(edited, rendering, placed, measured):
-    """The verdict on a scene that no refiner touched."""
-    return judge(edited, rendering, rendering, placed, measured)
+def shown(edited, rendering, placed, guessed=None):
+    """The verdict on a scene that no refiner touched, of which so much is guessed half-way."""
+    guessed = None if guessed is None else torch.tensor([guessed])
+    return judge(edited, rendering, rendering, placed, None, None, None, guessed)
 
 
 def test_the_figures_are_those_of_the_renderings():
-    verdict = shown(
-        EDITED, rendered(30.0, 20.0, 10.0), [True] * 3, torch.tensor([[0.9, 0.5, 1.0]])
-    )
+    three = rendered(30.0, 20.0, 10.0)
+    measured, guessed = torch.tensor([[[0.9, 0.5, 1.0]], [[0.1, 0.1, 0.3]]])
+    verdict = judge(EDITED, three, three, [True] * 3, measured, guessed=guessed)
     assert verdict.input_psnr == pytest.approx((30, 20, 10), abs=1e-3)
     assert verdict.coverage == pytest.approx(
         (0.75,) * 3
     ) and verdict.filled == pytest.approx((0.1, 0.5, 0.0))
+    assert verdict.guessed_between == pytest.approx((0.1, 0.1, 0.3))
 
 
 @pytest.mark.parametrize("label", ["good", "fair", "poor"])
 def test_a_label_needs_both_its_mean_and_its_worst(label):
     mean, worst = MEAN_PSNR[label], WORST_PSNR[label]
-    enough = shown(EDITED, rendered(mean + 3, mean + 3, worst + 0.1), [True] * 3, None)
+    enough = shown(EDITED, rendered(mean + 3, mean + 3, worst + 0.1), [True] * 3)
     assert enough.label == label or mean > (2 * (mean + 3) + worst) / 3
-    low_worst = shown(EDITED, rendered(45.0, 45.0, worst - 0.1), [True] * 3, None)
-    low_mean = shown(EDITED, rendered(*[mean - 0.1] * 3), [True] * 3, None)
+    low_worst = shown(EDITED, rendered(45.0, 45.0, worst - 0.1), [True] * 3)
+    low_mean = shown(EDITED, rendered(*[mean - 0.1] * 3), [True] * 3)
     assert label not in (low_worst.label, low_mean.label)
 
 
 def test_what_is_bad_is_said_with_the_photo_and_the_way_out():
-    verdict = shown(EDITED, rendered(30.0, 10.0, 30.0), [True] * 3, None)
+    verdict = shown(EDITED, rendered(30.0, 10.0, 30.0), [True] * 3)
     assert (
         verdict.label == "failed"
         and "the worst (b) at 10.0 dB; leave b out, or" in verdict.reason
@@ -76,7 +75,6 @@ def test_a_photo_that_was_left_out_has_no_figures_and_the_run_is_not_good():
         EDITED.select([0, 2]),
         rendered(40.0, 41.0),
         [True, False, True],
-        torch.ones(1, 2),
     )
     assert (
         verdict.label == "fair"
@@ -95,29 +93,22 @@ def test_a_run_without_most_of_its_photos_failed():
     )
     assert verdict.label == "failed"
     assert "3 of 4 photos could not be placed" in verdict.reason
-    half = shown(EDITED.select([0, 1]), rendered(40.0, 40.0), [True, False] * 2, None)
+    half = shown(EDITED.select([0, 1]), rendered(40.0, 40.0), [True, False] * 2)
     assert half.label == "fair"
 
 
-def test_much_guessed_depth_is_never_good_and_more_is_poor():
-    fair, poor = (
-        shown(EDITED, rendered(40.0, 40.0, 40.0), [True] * 3, torch.tensor([m]))
-        for m in MEASURED_SHARES
-    )
-    assert (
-        fair.label == "fair" and "52% of the depth is guessed, 60% in a" in fair.reason
-    )
-    assert poor.label == "poor"
-
-
 @pytest.mark.parametrize(
-    ("most", "label"), [(0.49, "good"), (0.51, "fair"), (0.66, "poor")]
+    ("most", "label"), [(0.19, "good"), (0.21, "fair"), (0.33, "poor")]
 )
-def test_one_photo_of_guessed_depth_counts_where_the_mean_would_not(most, label):
-    measured = torch.tensor([[0.9, 0.9, 1 - most]])
-    assert (
-        shown(EDITED, rendered(40.0, 40.0, 40.0), [True] * 3, measured).label == label
-    )
+def test_one_view_between_that_is_guessed_counts_and_its_photo_is_named(most, label):
+    verdict = shown(EDITED, rendered(40.0, 41.0, 42.0), [True] * 3, [0.0, 0.0, most])
+    assert verdict.label == label
+    assert (label == "good") != ("add photos between it" in verdict.reason)
+    if label != "good":
+        assert (
+            f"{most:.0%} of the view from c to its nearest is guessed" in verdict.reason
+        )
+        assert "leave c out" in verdict.reason
 
 
 def test_a_rendering_equal_to_the_photo_has_a_finite_figure():
@@ -171,4 +162,4 @@ def test_what_the_scene_leaves_out_does_not_speak_against_it():
     ignored[0, 1, :4] = True
     verdict = judge(EDITED, rendering, rendering, [True] * 3, None, None, ignored)
     assert verdict.agreement == pytest.approx((30, 30, 30), abs=1e-3)
-    assert shown(EDITED, rendering, [True] * 3, None).label == "failed"
+    assert shown(EDITED, rendering, [True] * 3).label == "failed"

@@ -1,0 +1,40 @@
+"""What no photo measured counts where it is seen half-way: patterned, and from no neighbour."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.running.judging.between import guessed_between
+from edit3r_testing import photograph
+
+SCENE = photograph(3, (48, 64))
+PATTERN = torch.rand(1, 3, 3, 48, 64, generator=torch.Generator().manual_seed(0))
+BLANK = torch.full_like(PATTERN, 0.4)
+
+
+def shares(guessing, images=PATTERN, registered=(True, True, True)):
+    """What is guessed half-way where those photos measured nothing in their left halves."""
+    confidence = torch.ones_like(SCENE.depths)
+    confidence[:, list(guessing), :, :32] = 0
+    geometry = MatchedGeometry(
+        SCENE.cameras.c2w, SCENE.depths, confidence, torch.tensor([registered])
+    )
+    return guessed_between(geometry, replace(SCENE.views, images=images))[0].tolist()
+
+
+def test_what_no_photo_measured_counts_by_its_share_of_the_picture():
+    assert all(0.25 < share < 0.6 for share in shares([0, 1, 2]))
+
+
+@pytest.mark.parametrize(
+    ("guessing", "images"), [([], PATTERN), ([0], PATTERN), ([0, 1, 2], BLANK)]
+)
+def test_nothing_counts_that_a_neighbour_measured_or_that_is_blank(guessing, images):
+    assert max(shares(guessing, images)) < 0.1
+
+
+def test_a_photo_that_was_not_placed_is_unknown_and_helps_no_other():
+    found = shares([0, 1], registered=(True, True, False))
+    assert found[2] == 1 and 0.25 < found[0] == found[1] < 0.6
