@@ -89,7 +89,8 @@ class Simplified:
     unseen: int  # dropped because no camera sees them
     doubled: int  # dropped because an earlier view shows the same surface
     merged: int  # gone into others
-    psnr: float  # of images of the cameras, eight at most without polish, against those of all Gaussians [dB]
+    # of the cameras' images, of eight at most without polish, against those of all Gaussians [dB]
+    psnr: float
 
 
 @torch.no_grad()
