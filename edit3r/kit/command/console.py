@@ -20,13 +20,13 @@ from rich.progress import (
 )
 
 EVERY = 15.0  # seconds between lines where no bar can be drawn
-TOLD_FROM = 0.1  # share of a run from which its first part tells how long all takes
+_TOLD_FROM = 0.1  # share of a run from which its first part tells how long all takes
 
 
 class StageConsole:
     """Listener for `Report.on_event`; use as a context manager around the run.
 
-    `shares` are those of a run's usual time that its steps take, in their order; see `WholeRun`.
+    `shares` are those of a run's usual time that its steps take, in their order; see `_WholeRun`.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class ProgressLines:
     ) -> None:
         self.console = console
         self.every = every
-        self.whole = WholeRun(shares)
+        self.whole = _WholeRun(shares)
         self.doing: dict[str, float] = {}  # when stages began; the inner ones come last
         self.counted: tuple[str, int, int, float] | None = (
             None  # text, done, total, begun
@@ -165,7 +165,7 @@ class ProgressLines:
                 self.console.print(f"  {line}", style="dim", markup=False)
 
 
-class WholeRun:
+class _WholeRun:
     """How long a run still takes, by the shares of its time that its steps usually take.
 
     Steps are stages, without what stands in brackets, and what counts within them, in their order:
@@ -203,7 +203,7 @@ class WholeRun:
 
     def left(self) -> float | None:
         """Seconds; None before a tenth of the run, and while nothing known is done."""
-        if not self.step or self.over < TOLD_FROM * self.total:
+        if not self.step or self.over < _TOLD_FROM * self.total:
             return None
         whole = self.spent / self.over * self.total
         since = time.perf_counter() - self.at
