@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError, RunError
 from edit3r.kit.command.flags import REPEATED, add_plugin_option, add_trust_flag
-from edit3r.running.config import PART_KEYS, JobInputs, RunConfig
+from edit3r.running.config import DEFAULTS, PART_KEYS, JobInputs, RunConfig
 from edit3r.running.flags import INPUTS, add_flags, add_mark_flags, given_flags
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class RunCommand(Command):
 
         # As usual, half a second goes into looking through what modules made.
         gc.set_threshold(100_000, 50, 100)
-        as_text = StageConsole(quiet=args.quiet)
+        as_text = StageConsole(args.quiet, DEFAULTS["usual_shares"])
         as_json = nullcontext(print_json)
         with as_text if args.progress == "text" else as_json as console:
             report = Report(on_event=console)

@@ -46,10 +46,12 @@ MAX_TILTED_PAIRS = 30
 """Pairs of images that are tilted and matched again; each takes a third of a second."""
 MAX_ALL_PAIRS = 10
 """Images up to which every two are matched."""
-NEIGHBOURS = 8
+NEIGHBOURS = 6
 """Others with which each one of more images is matched, at least."""
-SAMPLED = 16
-"""One in so many features tells which others these are."""
+SAMPLES = 5000
+"""Features of all images together that tell which others these are."""
+MANY_KEYPOINTS, MANY_SIZE = 3000, 512
+"""Most features of one of more images, and the long side at which they are looked for [pixels]."""
 LEARNED_NEIGHBOURS = 4
 """Others with which each one of more than `MAX_ALL_LEARNED` images gets learned matches, at least:
 a pair of them takes thirty times as long as with SIFT.
@@ -148,9 +150,11 @@ def find_features(
     Raises MissingDependencyError where learned matches are asked for and their weights are not at
     hand.
     """
+    limits = settings.keypoints, settings.detection_size
+    if len(images) > MAX_ALL_PAIRS:
+        limits = min(limits[0], MANY_KEYPOINTS), min(limits[1], MANY_SIZE)
     keypoints = tuple(
-        detect(image.pixels, settings.keypoints, settings.detection_size)
-        for image in track(images, "find features")
+        detect(image.pixels, *limits) for image in track(images, "find features")
     )
     pairs = likely_pairs(keypoints, settings.ratio)
     matches = {
@@ -208,9 +212,9 @@ def likely_pairs(keypoints: Sequence[Keypoints], ratio: float) -> list[tuple[int
     every = list(combinations(range(len(keypoints)), 2))
     if len(keypoints) <= MAX_ALL_PAIRS:
         return every
+    step = -(-sum(map(len, keypoints)) // SAMPLES)
     samples = [
-        Keypoints(keys.points[::SAMPLED], keys.descriptors[::SAMPLED])
-        for keys in keypoints
+        Keypoints(keys.points[::step], keys.descriptors[::step]) for keys in keypoints
     ]
     alike = np.zeros((len(keypoints), len(keypoints)))
     for a, b in track(every, "compare photos"):

@@ -64,6 +64,9 @@ MIN_FILLED = 0.045
 """Share of the area that a pair's matches fill, in one picture times that in the other, below which
 the motion of tilted images is not believed, unless nearly all matches agree with it.
 """
+FEW_IMAGES = 10
+"""Images up to which two robust estimates are made of each motion: of more, the others correct it.
+"""
 NEARLY_ALL = 0.9
 """Share of the matches that are nearly all."""
 _TOO_FEW = "{} of {} matched points agree on a camera motion, too few to be sure"
@@ -130,7 +133,8 @@ def agreeing_pairs(
     for (a, b), indices in track(features.indices.items(), "compare cameras"):
         limit = threshold * max(*images[a].size, *images[b].size) / 256
         matches = features.matches(images, a, b)
-        found = _moved(matches, indices, features.learned(a, b), limit, seed)
+        learned = features.learned(a, b)
+        found = _moved(matches, indices, learned, limit, seed, len(images) > FEW_IMAGES)
         if isinstance(found, str):
             failures[a, b] = found
             continue
@@ -210,11 +214,12 @@ def _moved(
     learned: Bool[np.ndarray, "match"],
     threshold: float,
     seed: int,
+    once: bool,
 ) -> PairView | str:
     """The motion that the matches of two images show, with those that agree, or why there is
     none.
     """
-    found = estimate_pose(matches, threshold, seed)
+    found = estimate_pose(matches, threshold, seed, once)
     evident = _evident(found, matches, learned, threshold)
     if (
         not evident and learned.any()

@@ -90,11 +90,15 @@ class TwoViewPose:
     )
 
 
-def estimate_pose(matches: Matches, threshold: float, seed: int) -> TwoViewPose | None:
+def estimate_pose(
+    matches: Matches, threshold: float, seed: int, once: bool = False
+) -> TwoViewPose | None:
     """The pose that most matches agree on within `threshold` [pixels]; None when there is nothing
     to agree on.
+
+    `once`: by one robust estimate instead of two, for one of many pairs.
     """
-    pose = rough_pose(matches, threshold, seed)
+    pose = rough_pose(matches, threshold, seed, once)
     if pose is None:
         return None
     # The epipolar geometry does not tell the sign of the translation; points in front of both
@@ -109,7 +113,9 @@ def estimate_pose(matches: Matches, threshold: float, seed: int) -> TwoViewPose 
     )
 
 
-def rough_pose(matches: Matches, threshold: float, seed: int) -> Pose | None:
+def rough_pose(
+    matches: Matches, threshold: float, seed: int, once: bool = False
+) -> Pose | None:
     """The pose that pycolmap finds, refined, up to the sign of its translation; None where there is
     none.
     """
@@ -127,22 +133,24 @@ def rough_pose(matches: Matches, threshold: float, seed: int) -> Pose | None:
         np.ascontiguousarray(focal * rays[:, :2])
         for rays in (matches.rays_a, matches.rays_b)
     )
-    same = np.repeat(np.arange(len(matches), dtype=np.uint32)[:, None], 2, axis=1)
-    geometry = pycolmap.estimate_calibrated_two_view_geometry(
-        camera, first, camera, second, same, options
-    )
-    if geometry.cam2_from_cam1 is None:
-        return None
+    found = []
+    if not once:
+        same = np.repeat(np.arange(len(matches), dtype=np.uint32)[:, None], 2, axis=1)
+        geometry = pycolmap.estimate_calibrated_two_view_geometry(
+            camera, first, camera, second, same, options
+        )
+        if geometry.cam2_from_cam1 is None:
+            return None
+        found.append(geometry.cam2_from_cam1)
     # Where the lens is not quite what it is said to be, that explains the matches without it, and
     # its pose is wrong.
     essential = pycolmap.estimate_essential_matrix(
         first, second, camera, camera, options.ransac
     )
-    agree = essential is not None and essential["num_inliers"] >= LEAST_SHARE * len(
-        matches
-    )
-    found = (geometry.cam2_from_cam1, essential["cam2_from_cam1"] if agree else None)
-    matrices = [motion.matrix() for motion in found if motion]
+    least = 0.0 if once else LEAST_SHARE * len(matches)
+    if essential is not None and essential["num_inliers"] >= least:
+        found.append(essential["cam2_from_cam1"])
+    matrices = [motion.matrix() for motion in found]
     lengths = [np.linalg.norm(matrix[:, 3]) for matrix in matrices]
     # Without a translation there are no epipolar lines.
     poses = [

@@ -13,6 +13,7 @@ from edit3r.kit.geometry.cameras import to_pixels
 from edit3r.kit.geometry.paths import between_and_around
 
 PATH_CAMERAS = 2  # cameras between and around, per input view
+MOST_PATH_CAMERAS = 24  # of many views, which show nearly all themselves
 PATH_REDUCTION = 2  # of the sides of their images
 PATH_WIDENING = 1.5  # of what they show: a rim beyond the photos' borders counts too
 
@@ -25,7 +26,8 @@ def viewpoints(cameras: Cameras) -> tuple[Cameras, ...]:
     """
     if cameras.count == 1:
         return (cameras,)
-    path = between_and_around(cameras, PATH_CAMERAS * cameras.count)
+    frames = min(PATH_CAMERAS * cameras.count, MOST_PATH_CAMERAS)
+    path = between_and_around(cameras, frames)
     height, width = (max(1, size // PATH_REDUCTION) for size in cameras.image_size)
     intrinsics = path.intrinsics.clone()
     intrinsics[..., :2, :2] /= PATH_WIDENING

@@ -30,6 +30,7 @@ CALM, LAST_SHARE = (
     0.6,
     0.2,
 )  # share of the steps after which they get shorter, and how short the last one is
+MOST_VIEWS = 20  # whose steps a refinement takes: of more views, each takes fewer
 ENOUGH_VIEWS = 4  # from which views settle enough between them: no Gaussian is left out
 # error of a pixel [sRGB] below which its square counts, and beyond which its size
 SQUARED_BELOW = 0.05
@@ -170,7 +171,7 @@ class RefineRefiner(Refiner):
             ge=0,
             le=10000,
             description="most steps for each view, each towards one; two views take as many "
-            "together",
+            f"together, more than {MOST_VIEWS} as many as {MOST_VIEWS}",
         )
 
     def __call__(self, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
@@ -178,7 +179,8 @@ class RefineRefiner(Refiner):
         views = inputs.views
         shown = inputs.cameras.select(range(views.count)).at(views.image_size)
         # Two photos settle little between them: more steps only make each view show its own photo.
-        steps = self.settings.steps * (views.count if views.count > 2 else 1)
+        counted = min(views.count, MOST_VIEWS) if views.count > 2 else 1
+        steps = self.settings.steps * counted
         left_out = self.settings.left_out * max(0, ENOUGH_VIEWS - views.count) / 2
         settings = self.settings.model_copy(update={"left_out": min(0.9, left_out)})
         refined = refine(

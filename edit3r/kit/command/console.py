@@ -6,6 +6,7 @@ import json
 import sys
 import threading
 import time
+from collections.abc import Mapping
 from types import TracebackType
 
 from rich.console import Console
@@ -19,12 +20,18 @@ from rich.progress import (
 )
 
 EVERY = 15.0  # seconds between lines where no bar can be drawn
+_TOLD_FROM = 0.1  # share of a run from which its first part tells how long all takes
 
 
 class StageConsole:
-    """Listener for `Report.on_event`; use as a context manager around the run."""
+    """Listener for `Report.on_event`; use as a context manager around the run.
 
-    def __init__(self, quiet: bool = False) -> None:
+    `shares` are those of a run's usual time that its steps take, in their order; see `_WholeRun`.
+    """
+
+    def __init__(
+        self, quiet: bool = False, shares: Mapping[str, float] | None = None
+    ) -> None:
         self.console = Console(
             stderr=True, quiet=quiet, highlight=False, soft_wrap=True
         )
@@ -40,7 +47,9 @@ class StageConsole:
         self.progress = Progress(
             *columns, console=self.console, transient=True, disable=not has_bars
         )
-        self.lines = None if has_bars or quiet else ProgressLines(self.console)
+        self.lines = (
+            None if has_bars or quiet else ProgressLines(self.console, shares or {})
+        )
         self.tasks: dict[str, TaskID] = {}
         self.started: dict[str, float] = {}
 
@@ -90,9 +99,15 @@ class StageConsole:
 class ProgressLines:
     """What is being done, as a line every `EVERY` seconds, for outputs that are no terminal."""
 
-    def __init__(self, console: Console, every: float = EVERY) -> None:
+    def __init__(
+        self,
+        console: Console,
+        shares: Mapping[str, float],
+        every: float = EVERY,
+    ) -> None:
         self.console = console
         self.every = every
+        self.whole = _WholeRun(shares)
         self.doing: dict[str, float] = {}  # when stages began; the inner ones come last
         self.counted: tuple[str, int, int, float] | None = (
             None  # text, done, total, begun
@@ -108,6 +123,7 @@ class ProgressLines:
         self.thread.join()
 
     def hear(self, event: str, text: str, done: int, total: int) -> None:
+        self.whole.hear(event, text, done, total)
         if event == "start":
             self.doing[text] = time.perf_counter()
         elif event == "end":
@@ -121,25 +137,78 @@ class ProgressLines:
 
     def line(self) -> str:
         """What to say now; "" where nothing is being done."""
+        told, left = self._doing()
+        whole = self.whole.left()
+        if told and whole is not None:
+            return f"{told}, about {duration(whole)} left for all"
+        return told if left is None else f"{told}, about {duration(left)} left"
+
+    def _doing(self) -> tuple[str, float | None]:
+        """What is being done, "" where nothing is, and the seconds that it still takes."""
         counted = self.counted
         if counted is None or counted[1] >= counted[2]:
             doing = list(self.doing.items())  # at once: the run goes on meanwhile
             if not doing:
-                return ""
+                return "", None
             stage, begun = doing[-1]
-            return f"{stage}: {duration(time.perf_counter() - begun)} so far"
+            return f"{stage}: {duration(time.perf_counter() - begun)} so far", None
         text, done, total, begun = counted
         told = f"{text}: {done} of {total}"
         if not done:
-            return told
-        left = (time.perf_counter() - begun) / done * (total - done)
-        return f"{told}, about {duration(left)} left"
+            return told, None
+        return told, (time.perf_counter() - begun) / done * (total - done)
 
     def _speak(self) -> None:
         while not self.over.wait(self.every):
             line = self.line()
             if line:
                 self.console.print(f"  {line}", style="dim", markup=False)
+
+
+class _WholeRun:
+    """How long a run still takes, by the shares of its time that its steps usually take.
+
+    Steps are stages, without what stands in brackets, and what counts within them, in their order:
+    what begins has all before it done, or left out. Other stages, such as edits, tell nothing of
+    what follows, and their time does not count.
+    """
+
+    def __init__(self, shares: Mapping[str, float]) -> None:
+        self.shares = dict(shares)
+        self.ends: dict[str, float] = {}
+        over = 0.0
+        for name, share in self.shares.items():
+            over += share
+            self.ends[name] = over
+        self.total = over
+        # share of the time that is over, when that was, and how long it took until then [s]
+        self.over, self.at, self.spent = 0.0, 0.0, 0.0
+        self.step = ""  # the one that runs; "": none that is known
+
+    def hear(self, event: str, text: str, done: int, total: int) -> None:
+        name = text.partition(" (")[0]
+        known = name in self.shares and self.ends[name] > self.over
+        if event == "start" and not known:
+            self._reach(self.over, "")
+        elif known and event in ("start", "end", "progress"):
+            part = {"start": 0.0, "end": 1.0}.get(event, done / max(total, 1))
+            begin = self.ends[name] - self.shares[name]
+            self._reach(max(self.over, begin + part * self.shares[name]), name)
+
+    def _reach(self, over: float, step: str) -> None:
+        now = time.perf_counter()
+        if self.step:
+            self.spent += now - self.at
+        self.over, self.at, self.step = over, now, step
+
+    def left(self) -> float | None:
+        """Seconds; None before a tenth of the run, and while nothing known is done."""
+        if not self.step or self.over < _TOLD_FROM * self.total:
+            return None
+        whole = self.spent / self.over * self.total
+        since = time.perf_counter() - self.at
+        least = whole * (1 - self.ends[self.step] / self.total)
+        return max(least, whole * (1 - self.over / self.total) - since)
 
 
 def duration(seconds: float) -> str:

@@ -22,7 +22,7 @@ SAME_SURFACE = (
     0.03  # relative difference in depth within which two views show one surface
 )
 EXPOSED = (0.03, 0.97)  # sRGB values outside are clipped and tell nothing
-NEAR_VIEWS = 8  # others with which each of many photos is compared
+NEAR_VIEWS = 6  # others with which each of many photos is compared
 MIN_PIXELS = 200  # that two photos must share to say anything about each other
 MIN_CORRELATION = 0.6  # of what they share; below, they show other things
 MIN_CHANGE = (

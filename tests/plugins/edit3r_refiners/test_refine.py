@@ -90,7 +90,7 @@ def test_from_four_photos_on_no_gaussian_is_left_out(rasterizer):
 def test_more_photos_get_more_steps(rasterizer):
     truth = gaussian_cloud(40)
     spoilt = replace(truth, harmonics=truth.harmonics * 0.5 + 0.1)
-    for asked, count, steps in ((8, 2, 8), (8, 6, 48), (20, 3, 60)):
+    for asked, count, steps in ((8, 2, 8), (8, 6, 48), (20, 3, 60), (2, 22, 40)):
         refiner = RefineRefiner(RefineRefiner.Settings(steps=asked))
         cameras, taken = cameras_around(count), []
         with torch.no_grad():
