@@ -370,7 +370,10 @@ PHRASES = (
     ),
     (r"\b(trash|garbage|rubbish|tin|soda|beer|oil|watering) can\b", r" \1can "),
     (r"\bby half\b", " slightly "),
-    (r"\b(?:two|three|some|several|a few|a couple of) (?=(?:shades|tones) \w+er\b)", " "),
+    (
+        r"\b(?:two|three|some|several|a few|a couple of) (?=(?:shades|tones) \w+er\b)",
+        " ",
+    ),
     (r"\b(?:i|we)(?: would|'d)? (?:want|like|love|need) an? ", " turned "),
     (r"\bswitch\b", " change "),
     (r"\bnothing (?:but|except)\b", " "),
