@@ -94,7 +94,7 @@ class RenderCommand(Command):
         from edit3r.kit.files.atomic import atomic_folder, check_apart
         from edit3r.kit.run_folder import RunFolder
 
-        if not 1 <= args.frames <= 2000:
+        if not 2 <= args.frames <= 2000:
             raise SettingsError(
                 f"--frames: expected 2 to 2000 frames, got {args.frames}."
             )

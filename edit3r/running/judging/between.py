@@ -21,9 +21,7 @@ __all__ = ["guessed_between"]
 
 LONGEST = 172  # size at which photos are looked at [pixels]
 NEAR_VIEWS = 4  # others whose measurements count half-way from a photo to its nearest
-BESIDE = (
-    2  # pixels around a measured point that count as measured, since points lie apart
-)
+BESIDE = 2  # pixels around a measured point that count as measured: points lie apart
 AROUND = 0.03  # half the side of the window in which colours are compared [long sides]
 BLANK = 0.02  # standard deviation of colours [sRGB] below which a surface shows nothing
 

@@ -207,9 +207,8 @@ def measure_edit_in_3d(
     if scene.masks is None or not scene.confined:
         return measures
     masks, depths = scene.masks[0], scene.rendered.depths[0, :, 0]
-    if (
-        measures.made_up is None
-    ):  # of what is removed nothing shall be left in another place
+    # Of what is removed nothing shall be left, in no place: only paint can be missed.
+    if measures.made_up is None:
         measures = replace(measures, missed=missed_patch(scene, views))
     return replace(measures, agreement=masks_agree(masks, depths, scene.cameras))
 
@@ -368,7 +367,7 @@ def missed_patch(scene: Scene, views: Sequence[int]) -> float:
     belongs to the thing leave such patches, and so do surfaces of another photo in front of it.
     """
     height, width = scene.rendered.images.shape[-2:]
-    size = (height, width)
+    size = height, width
     photos = (scene.start.at(size).images, scene.edited.at(size).images)
     triples = zip(*(_small(one[0, views]) for one in (*photos, scene.rendered.images)))
     return max((_missed_in(*triple) for triple in triples), default=0.0)

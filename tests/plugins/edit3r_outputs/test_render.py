@@ -77,6 +77,13 @@ def test_views_larger_than_wanted_are_drawn_smaller_and_not_all_kept(
     assert Image.open(path).size == (24, 24)
 
 
+@pytest.mark.parametrize("count", ["1", "2001"])
+def test_a_number_of_frames_that_is_no_flight_is_refused(scene, capsys, count):
+    assert _render(scene, "--frames", count) == 2
+    assert f"expected 2 to 2000 frames, got {count}" in capsys.readouterr().err
+    assert not (scene / "out").exists()
+
+
 @pytest.mark.parametrize(("view", "colour"), [(0, [1, 0, 0]), (1, [0, 1, 0])])
 def test_only_the_gaussians_of_one_photo_are_drawn(scene, view, colour):
     assert _render(scene, "--only-view", str(view)) == 0
