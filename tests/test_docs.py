@@ -32,10 +32,6 @@ LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)]*))?\)")  # target, anchor
 BLOCK = re.compile(r'```python title="([^"]+)"\n(.*?)```', re.DOTALL)
 LOCAL_FILES = {  # page: file, and the components it offers
     "plugins/how-plugins-are-found.md": ("grey.py", [("editor", "grey")]),
-    "plugins/reconstructor.md": (
-        "learned.py",
-        [("reconstructor", "learned"), ("head", "curtain")],
-    ),
 }
 
 
@@ -349,6 +345,14 @@ def test_the_one_file_plugins_of_the_pages_keep_their_contracts(page, tmp_path):
     for kind, name in offered:
         run_all_claims(contract_for(kind, name, (tmp_path / file,)))
     sys.modules.pop(file.removesuffix(".py"), None)
+
+
+@pytest.mark.slow
+def test_the_learned_example_keeps_its_contracts():
+    example = (ROOT / "examples/learned.py",)
+    run_all_claims(contract_for("reconstructor", "learned", example))
+    run_all_claims(contract_for("head", "curtain", example))
+    sys.modules.pop("learned", None)
 
 
 @pytest.mark.parametrize("page", ["quickstart.md", "concepts.md"])

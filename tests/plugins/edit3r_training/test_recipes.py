@@ -181,14 +181,8 @@ def test_the_second_stage_begins_from_the_first_and_logs_every_term(stages):
 def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(
     photos, tmp_path, request
 ):
-    """The one that the documentation shows: `--plugin` for the training, its setting `weights` for
-    the result.
-    """
-    page = (Path(__file__).parents[3] / "docs/plugins/reconstructor.md").read_text()
-    plugin = tmp_path / "learned.py"
-    plugin.write_text(
-        re.search(r'```python title="learned.py"\n(.*?)```', page, re.DOTALL).group(1)
-    )
+    """`--plugin` for the training, its setting `weights` for the result."""
+    plugin = Path(__file__).parents[3] / "examples/learned.py"
     request.addfinalizer(
         lambda: sys.modules.pop("learned", None)
     )  # other tests load a file of this name too
