@@ -16,8 +16,11 @@ _OF_BOTTLES_AND_TREES = words_of(
     "banana palm pine oak birch maple christmas"
 )
 _BEFORE_SNOW = words_of("of into to like in with")
-PERCENT_AS_NAMED = 30
-"""What "brighter" alone adds to a medium grey [%]."""
+PERCENT_AS_NAMED = {"saturation": (80, 60), "contrast": (45, 31)}
+"""What "more saturated" alone adds and "less saturated" takes away [%]."""
+
+PERCENT_OF_LIGHT = (30, 30)
+"""The same for brightness, of a medium grey, and for warmth."""
 
 
 @dataclass(frozen=True)
@@ -82,11 +85,12 @@ def is_percentage(token: str) -> bool:
     return token.endswith("%")
 
 
-def amount_of(tokens: list[str]) -> float:
-    """How strong the change shall be, 1 as named."""
+def amount_of(change: Change, tokens: list[str]) -> float:
+    """How strong the words want the change, 1 as named."""
+    more, less = PERCENT_AS_NAMED.get(change.kind, PERCENT_OF_LIGHT)
     for token in tokens:
         if is_percentage(token):
-            return min(3.0, int(token[:-1]) / PERCENT_AS_NAMED)
+            return min(3.0, int(token[:-1]) / (less if change.amount < 0 else more))
     if set(tokens) & words.WEAK:
         return 0.5
     return 1.7 if set(tokens) & words.STRONG else 1.0
@@ -160,6 +164,8 @@ def _paint_at(tokens: list[str], start: int) -> Found | None:
     if "tint" in before and change.colour is not None and not change.material:
         change = Change("tint", change.colour, amount=words.TINT_SHARE)
     paint = Found(start, start + found.length, change, found.left_out)
+    if change.material and before[-1:] == ["the"] and not after:
+        return None  # "lighten the wood"
     return None if _is_thing_too(paint) and _stands_as_thing(before, after) else paint
 
 

@@ -112,6 +112,8 @@ def _read_removal(named: list[str], clause: Clause) -> Clause:
     clause.action, clause.verb_first = "remove", True
     clause.thing = read_thing(named)
     unclear = unclear_place(named)
+    if clause.thing.part is not None and "some" in named:  # "some of the red"
+        unclear += ("some",)
     if clause.thing.scope != "region":
         unclear += tuple(t for t in named if t in words.ORDINALS)
     return clause.not_understood(*dict.fromkeys(unclear)) if unclear else clause
@@ -213,11 +215,11 @@ def _read_change(tokens: list[str], clause: Clause) -> Clause:
     if not changes:
         return _only_names(tokens, clause, origin)
     group = last_group(changes, tokens)
-    shares = filter(is_percentage, clause.text.split())
-    amount = amount_of([*tokens, *shares])
+    degrees = [*tokens, *filter(is_percentage, clause.text.split())]
     clause.action = "paint"
     clause.verb_first = tokens[group[0].start] in words.IMPERATIVES | words.RANDOM
-    clause.changes = tuple(scaled(found.change, amount) for found in group)
+    wanted = [found.change for found in group]
+    clause.changes = tuple(scaled(one, amount_of(one, degrees)) for one in wanted)
     clause.left_out = tuple(word for found in group for word in found.left_out)
     named, unread = _split_around(tokens, group)
     clause.thing = _flooded(_painted_thing(named, origin), tokens)
@@ -233,7 +235,7 @@ def _split_around(
     in_front = not content_of(before) and bool(content_of(after))
     if in_front and not _may_follow(group[-1], tokens):
         named, other = [], after
-    unread = [t for t in content_of(other) if t not in words.PARTS]
+    unread = [t for t in content_of(other) if t not in words.PARTS | FLOOD]
     unread = list(unread_of(unread))
     if set(unread) <= words.PLACES:  # "paint the vase red on the left"
         named, unread = [*unread, *named], []

@@ -21,6 +21,7 @@ _PARTS = {
     "area": 1 / 3,
     "corner": 1 / 3,
 }
+_ANY = _SIDES | set(_PARTS) | words.BACKGROUND | {"foreground"}
 _NAMES = {"side": "half", "part": "third", "area": "third", "": "third"}
 
 
@@ -42,9 +43,21 @@ def read_region(tokens: list[str]) -> Thing | None:
 
 
 def unclear_place(tokens: list[str]) -> tuple[str, ...]:
-    """The words of a share of something that no box of the picture is: "half of the wall"."""
+    """The words for what no box of the picture is and no name finds.
+
+    A share of something ("half of the wall", "the rest of the bear"), and what has no name but
+    stands somewhere ("everything on the table", which is not the table).
+    """
     if read_region(tokens) is not None:
         return ()
+    for word, joint in zip(tokens, tokens[1:]):
+        nameless = word in words.WHATEVER and joint in words.STANDING
+        if nameless and tokens[-1] not in _ANY and "parts" not in tokens:
+            return (word, joint)
+        if (word, joint) == ("rest", "of") and tokens[-1] not in words.SCENES:
+            return (word,)
+    if "except" in tokens:  # "all chairs but one"
+        return ("except",)
     inside, of_picture = _inside(tokens)
     head = inside[: inside.index("of")] if "of" in inside else inside
     named = _plain(head)

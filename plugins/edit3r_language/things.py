@@ -98,7 +98,7 @@ def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:
             places = words.PLACES | words.BACKGROUND | {"foreground"}
             if set(content) & places:  # "the cup on the left"
                 picked = [t for t in content if t in places]
-                return tokens[:start] + picked, _wearer(token, content, places)
+                return tokens[:start] + picked, _wearer([token, *rest], content, places)
             if set(inner) <= words.WHOLE | words.DETERMINERS | {"colour", "tone"}:
                 return rest, []
             return tokens[:start], rest
@@ -111,11 +111,11 @@ def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:
     return tokens, []
 
 
-def _wearer(joint: str, content: list[str], places: frozenset[str]) -> list[str]:
+def _wearer(said: list[str], content: list[str], places: frozenset[str]) -> list[str]:
     """The whole in "the jacket of the man on the left"; in "of the left" there is none."""
     ignored = places | _JOINING | words.PARTS | words.PICTURE | words.DETERMINERS
     others = [t for t in content if t not in ignored | words.SHARES]
-    return others if joint == "of" else []
+    return others if "of" in said else []
 
 
 def _colour_of_part(

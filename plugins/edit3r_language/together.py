@@ -98,6 +98,8 @@ def _resolved(clauses: list[Clause], kept: list[Thing]) -> Iterator[Wish]:
             thing = replace(thing, name=last.name)  # "the blue one"
         if thing.of == "it" and last is not None:  # "its wheels"
             thing = replace(thing, of=last.name)
+        if thing.scope == "region" and last is not None:
+            thing = _other_side(thing, clause, last)
         kept = [_named_like(one, thing) for one in kept]
         own = [_named_like(one, thing) for one in clause.without]
         without = [*own, *(one for one in kept if _matters(one, thing))]
@@ -105,6 +107,14 @@ def _resolved(clauses: list[Clause], kept: list[Thing]) -> Iterator[Wish]:
         if thing.scope != "whole" or last is None:
             last = thing
         yield _wish(clause, _all_of_name(thing, without), without)
+
+
+def _other_side(region: Thing, clause: Clause, last: Thing) -> Thing:
+    """ "The lower part" after "the upper part of the statue": the statue's, not the picture's."""
+    sides = [word for word in clause.text.split() if word in words.PLACES]
+    if not last.of or last.name not in words.PLACES or not sides:
+        return region
+    return Thing("named", " ".join(sides), of=last.of)
 
 
 def _named_like(kept: Thing, thing: Thing) -> Thing:

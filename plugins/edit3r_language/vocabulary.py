@@ -102,6 +102,10 @@ INSTEAD = {
     "rusty": "'rust' and 'rusty red' are colours; rust itself is not drawn.",
     "pastel": "A shade needs a colour: pastel pink.",
     "corner": "Say which: the top right corner, the corner at the left.",
+    **dict.fromkeys(
+        ("everything", "anything", "whatever", "stuff", "things"),
+        "Name the things, or mark them by a click or a box.",
+    ),
     "half": "Halves are of the picture: the left half.",
     "third": "Thirds are of the picture: the lower third.",
     "quarter": "Quarters are of the picture: the top left quarter.",
@@ -146,6 +150,10 @@ WHOLE = words_of(
     "everything all whole entire image images photo photos picture pictures scene view views"
 )
 BACKGROUND = words_of("background surroundings backdrop")
+WHATEVER = words_of("everything anything whatever all stuff things")
+STANDING = words_of("on from behind under beside near next above below")
+"""After a word such as "everything": where things stand that have no name."""
+
 REST = words_of("rest else others")
 NOTHING = words_of("nothing anything no none else more other changes change")
 STAYS = words_of("stay stays staying remain remains remaining")
@@ -166,6 +174,9 @@ SIZES = words_of(
 SHARES = words_of("half third thirds quarter quarters")
 PICTURE = words_of("image photo photos picture pictures scene view frame")
 """What "the top of the picture" is a place of."""
+
+SCENES = PICTURE | words_of("room house street garden place world")
+"""What has a rest that is the background: "the rest of the room"."""
 
 DESCRIBING = words_of(
     "old new dirty clean broken open closed empty full tiny huge high low long short round square "
@@ -252,6 +263,22 @@ _TOO = {
 """What is wanted where something is "too dark"."""
 
 _CHANGES = "paint|make|turn|colour|color|darken|brighten|lighten|remove|change"
+_SHARES_OF_WHAT_IS = (
+    ("", "two thirds", 67),
+    ("", "three quarters", 75),
+    ("", "half", 50),
+    ("(?:a |one )", "third", 33),
+    ("(?:a |one )", "quarter", 25),
+    ("(?:a |one )", "fifth", 20),
+    ("(?:a |one )", "tenth", 10),
+)
+"""How much darker "a third darker" and "darken by a third" are [percent], and the article."""
+
+_NO_SIDE = "".join(
+    rf"(?<!\b{side} )" for side in ("left", "right", "top", "bottom", "upper", "lower")
+)
+"""Not after a side: the left half is a place of the picture."""
+
 _WAYS = "bright|dark|warm|cold|saturated|colou?rful|vivid|contrasty"
 
 PHRASES = (
@@ -330,9 +357,10 @@ PHRASES = (
         r"\blook(?:s|ing)? (?:very |really |more )?(?:old|used|ancient)\b",
         " look weathered ",
     ),
-    (r"\bweathered(?:,| and|,? and) (?:old|weathered|worn|aged|used)\b", " weathered "),
+    (r"\bweathered(?:,| and|,? and) (?:old|weathered|worn|aged|used|rusty)\b", " weathered "),
     (
-        r"\bwhat (?:i|is|was) (?:have |had )?(?:clicked|marked|selected|pointed)(?: on| at)?\b",
+        r"\b(?:what|(?:the|this|that) (?:thing|object|part|place|spot)(?: that| which)?) "
+        r"(?:i|is|was) (?:have |had |just )?(?:clicked|marked|selected|pointed)(?: on| at)?\b",
         " selection ",
     ),
     (
@@ -369,7 +397,24 @@ PHRASES = (
         " like ",
     ),
     (r"\b(trash|garbage|rubbish|tin|soda|beer|oil|watering) can\b", r" \1can "),
-    (r"\bby half\b", " slightly "),
+    (r"\b(?:furthest|farthest) (?:to|on) (?=the (?:left|right)\b)", " on "),
+    (r"\b(?:closest|nearest) to\b", " beside "),
+    (r"^\W*(?:show me|imagine|picture) (?=the\b|this\b|it\b|my\b)", " "),
+    (r"\b(?:in)?to something (?=\w+er\b)", " "),
+    (r"\bcandy[ -]?apple red\b", " fire engine red "),
+    *(
+        (
+            rf"\bby (?:a |one )?{share}\b|{_NO_SIDE}\b{article}{share} "
+            rf"(?=(?:{_WAYS}|light|cool|pale|deep)e?r\b|more\b|less\b)",
+            f" {percent}% ",
+        )
+        for article, share, percent in _SHARES_OF_WHAT_IS
+    ),
+    (
+        r"\b(everything|anything|whatever|all|stuff|things) (?:that |which )?"
+        r"(?:is|are|stands?|lies?|lying|standing) (?=on\b|behind\b|under\b|near\b)",
+        r" \1 ",
+    ),
     (
         r"\b(?:two|three|some|several|a few|a couple of) (?=(?:shades|tones) \w+er\b)",
         " ",

@@ -47,7 +47,7 @@ ADJUST = {
     "increase the saturation of the wall": "wall: saturation +1",
     "less contrast": "whole: contrast -1",
     "raise the contrast a little": "whole: contrast +0.5",
-    "reduce the saturation by half": "whole: saturation -0.5",
+    "reduce the saturation by half": "whole: saturation -0.83",
     "a lot brighter": "whole: brightness +1.7",
     "make it more blue": "whole: more blue",
     "make the grass greener": "grass: more green",
