@@ -1,5 +1,7 @@
 """Places of the picture: "the left half", "the lower third", "the top of the picture"."""
 
+from itertools import pairwise
+
 from edit3r.contract.wishes import Box, Thing
 from edit3r_language import vocabulary as words
 from edit3r_language.vocabulary import words_of
@@ -50,7 +52,7 @@ def unclear_place(tokens: list[str]) -> tuple[str, ...]:
     """
     if read_region(tokens) is not None:
         return ()
-    for word, joint in zip(tokens, tokens[1:]):
+    for word, joint in pairwise(tokens):
         nameless = word in words.WHATEVER and joint in words.STANDING
         if nameless and tokens[-1] not in _ANY and "parts" not in tokens:
             return (word, joint)

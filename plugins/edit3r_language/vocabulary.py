@@ -357,7 +357,10 @@ PHRASES = (
         r"\blook(?:s|ing)? (?:very |really |more )?(?:old|used|ancient)\b",
         " look weathered ",
     ),
-    (r"\bweathered(?:,| and|,? and) (?:old|weathered|worn|aged|used|rusty)\b", " weathered "),
+    (
+        r"\bweathered(?:,| and|,? and) (?:old|weathered|worn|aged|used|rusty)\b",
+        " weathered ",
+    ),
     (
         r"\b(?:what|(?:the|this|that) (?:thing|object|part|place|spot)(?: that| which)?) "
         r"(?:i|is|was) (?:have |had |just )?(?:clicked|marked|selected|pointed)(?: on| at)?\b",
