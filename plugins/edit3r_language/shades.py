@@ -83,7 +83,7 @@ def _is_beneath(source: Sequence[str]) -> bool:
 
 
 def _names_something(tokens: Sequence[str]) -> bool:
-    ignored = words.FILLERS | words.PAINT | {"same"}
+    ignored = words.FILLERS | words.PAINT | words.IMPERATIVES | {"same"}
     ignored |= words.DETERMINERS - words.PRONOUNS
     return bool(set(tokens) - ignored)
 

@@ -21,7 +21,7 @@ _ADJUSTMENTS: dict[tuple[ChangeKind, float], str] = {
     (
         "saturation",
         1.0,
-    ): "saturated saturate vivid vibrant colourful colorful livelier punchier",
+    ): "saturated saturate vivid vibrant colourful colorful livelier punchier deeper richer",
     ("saturation", -1.0): "desaturated desaturate muted faded dull duller unsaturated",
     ("contrast", 1.0): "contrasty crisper",
     ("contrast", -1.0): "flat flatter",
