@@ -71,7 +71,7 @@ def _of_thing(hue: Colour | None, source: Sequence[str]) -> Change | None:
 def _without_tail(source: Sequence[str]) -> Sequence[str]:
     """The thing without "it stands on", which says no more about its colour."""
     for place, word in enumerate(source):
-        if place and (word in words.PRONOUNS or word == "has"):
+        if place and word in words.PRONOUNS:
             return source[:place]
     return source
 

@@ -1,9 +1,13 @@
 """The table at the end of a batch."""
 
 import json
+import sys
 
-from edit3r_batch.command import _table
+import pytest
+from edit3r_batch.command import _print_progress, _table
 from edit3r_batch.scenes import row_of
+
+from edit3r.kit.workers import Progress
 
 
 def manifest(folder, edit_verdict):
@@ -29,3 +33,15 @@ def test_the_table_shows_the_verdict_on_the_edit_and_why_it_is_doubtful(tmp_path
 def test_a_run_without_an_edit_has_no_verdict_on_one(tmp_path):
     line = _table([manifest(tmp_path, None)]).splitlines()[-1]
     assert line == "| one | good |  | 30.0 | 5 | all fits |"
+
+
+@pytest.mark.parametrize(
+    ("terminal", "done", "end"), [(True, 1, "left"), (True, 2, "\n"), (False, 1, "\n")]
+)
+def test_a_terminal_shows_one_line_that_changes_and_ends_it_after_the_last_job(
+    capsys, monkeypatch, terminal, done, end
+):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: terminal)
+    row = {"verdict": "good", "psnr": 30.0}
+    _print_progress(Progress("one", row, done, total=2, seconds_left=9.0))
+    assert capsys.readouterr().err.endswith(end)

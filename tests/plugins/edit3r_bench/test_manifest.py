@@ -2,10 +2,11 @@
 
 import json
 from collections import Counter
+from types import SimpleNamespace
 
 import pytest
 import torch
-from edit3r_bench.generated import build_generated, is_visible
+from edit3r_bench.generated import GeneratedSettings, build_generated, is_visible
 from edit3r_bench.manifest import (
     change_masks,
     load_item,
@@ -124,3 +125,17 @@ def test_a_manifest_is_written_whole_or_not_at_all(manifest, tmp_path):
     with pytest.raises(InputError):
         write_bench_manifest(tmp_path / "bench.json", twice)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("rows", "change", "visible"),
+    [(1, 0.5, False), (10, 0.5, True), (10, 0.04, False), (60, 0.5, False)],
+)
+def test_an_edit_is_visible_that_covers_a_fair_part_by_more_than_noise(
+    rows, change, visible
+):
+    before = torch.full((2, 3, 100, 10), 0.2)
+    after = before.clone()
+    after[:, :, :rows] += change
+    sample = SimpleNamespace(context=before, edited_context=after)
+    assert is_visible(sample, False, GeneratedSettings()) is visible

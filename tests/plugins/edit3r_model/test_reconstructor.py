@@ -218,3 +218,14 @@ def test_refining_that_is_asked_for_follows_the_single_pass(run_after_a_single_p
         result, result.scene.reconstruction.gaussians
     )
     assert distance_to_the_reference_s_edit(result, result.gaussians) > raw + 0.01
+
+
+@pytest.mark.parametrize("size", [(32, 40), (40, 32), (0, 32)])
+def test_the_backbone_refuses_sides_that_are_no_multiples_of_its_patch(size):
+    backbone = build(
+        "backbone", "asymmetric-vit", **{k: VIT[k] for k in VIT if k != "name"}
+    )
+    with pytest.raises(
+        InputError, match=f"multiples of 16 pixels, got {size[0]}x{size[1]}"
+    ):
+        backbone(torch.zeros(1, 2, 3, *size), torch.eye(3).expand(1, 2, 3, 3))

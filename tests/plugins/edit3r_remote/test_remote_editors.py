@@ -94,6 +94,13 @@ def test_lasting_trouble_is_one_sentence_without_the_key(
     )  # nothing for --debug to print either
 
 
+def test_attempts_are_the_tries_for_each_photo(build, fake, two_views):
+    fake.script.extend(["status:500"] * 8)
+    with pytest.raises(RunError):
+        build(attempts=2).edit(two_views, ASK)
+    assert len(fake.requests) == 2 * 2
+
+
 def test_a_key_sent_back_as_the_picture_is_neither_shown_nor_kept(
     build, fake, two_views, tmp_path
 ):
@@ -124,7 +131,7 @@ def test_a_bill_of_wrong_types_never_costs_the_picture(build, fake, two_views, t
             edited = build(attempts=1).edit(two_views, ASK)
         assert torch.allclose(edited.images, 1 - two_views.images, atol=0.02)
         assert report.notes["editor.cost_usd"] >= 0
-    assert len(fake.requests) == 2
+    assert len(fake.requests) == 2 * 2
 
 
 def test_an_answer_that_cannot_be_kept_is_used(build, fake, two_views, tmp_path):
