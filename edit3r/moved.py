@@ -7,7 +7,6 @@ import sys
 import warnings
 from collections.abc import Sequence
 from importlib import import_module, util
-from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
@@ -37,8 +36,11 @@ MOVED: dict[str, tuple[str, ...]] = {
 """Where the names of an old module are now; the modules inside a package moved with it."""
 
 
-class MovedModules(MetaPathFinder, Loader):
-    """Finds the old modules, each as one that looks its names up in the new ones."""
+class MovedModules:
+    """Finds the old modules, each as one that looks its names up in the new ones.
+
+    Finder and loader in one, without their base classes: `importlib.abc` takes a while to import.
+    """
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None

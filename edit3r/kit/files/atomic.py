@@ -15,6 +15,7 @@ import os
 import re
 import secrets
 import shutil
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -31,6 +32,7 @@ __all__ = [
     "check_new_file",
     "check_replaceable",
     "remove_abandoned",
+    "scratch_folder",
     "sha256_of",
     "write_between",
 ]
@@ -191,6 +193,8 @@ def remove_abandoned(final: Path) -> None:
     with suppress(PermissionError):
         for name in filter(pattern.fullmatch, os.listdir(final.parent)):
             workspace = final.with_name(name)
+            if workspace.is_symlink():
+                continue
             with suppress(OSError):
                 workspace.rmdir()  # works only on an empty one: killed before it had a lock
             if (workspace / _LOCK).is_file():
@@ -199,6 +203,15 @@ def remove_abandoned(final: Path) -> None:
                     FileLock(workspace / _LOCK, blocking=False),
                 ):
                     _clear(workspace, final)
+
+
+@contextmanager
+def scratch_folder(name: str) -> Iterator[Path]:
+    """Yield a new temporary folder, removed after the block; where a kill prevents that, the next
+    one of that `name` removes it.
+    """
+    with _workspace(Path(tempfile.gettempdir(), name).resolve()) as folder:
+        yield folder
 
 
 def write_between(page: Path, start: str, end: str, text: str) -> None:
