@@ -43,6 +43,7 @@ MARKER = ".edit3r-run"
 Only a folder that holds just that is replaced without being asked to.
 """
 
+_WORKSPACE = re.compile(r"\.(.+)\.partial-[0-9a-f]{8}", re.DOTALL)
 _LOCK = "edit3r.lock"  # in every workspace; what has none is not ours
 _MAX_ATTEMPTS = 8  # to move a folder to a place where other runs write too
 
@@ -185,15 +186,19 @@ def check_replaceable(out: Path, overwrite: bool = False) -> None:
         )
 
 
-def remove_abandoned(final: Path) -> None:
-    """Delete the workspaces that killed writers of `final` left, and nothing else."""
+def remove_abandoned(*finals: Path) -> None:
+    """Delete the workspaces that killed writers of `finals`, in one folder, left, and nothing
+    else.
+    """
     from filelock import FileLock, Timeout
 
-    pattern = re.compile(rf"\.{re.escape(final.name)}\.partial-[0-9a-f]{{8}}")
+    names = {final.name: final for final in finals}
     with suppress(PermissionError):
-        for name in filter(pattern.fullmatch, os.listdir(final.parent)):
-            workspace = final.with_name(name)
-            if workspace.is_symlink():
+        for name in os.listdir(finals[0].parent):
+            found = _WORKSPACE.fullmatch(name)
+            final = names.get(found[1]) if found else None
+            workspace = finals[0].with_name(name)
+            if final is None or workspace.is_symlink():
                 continue
             with suppress(OSError):
                 workspace.rmdir()  # works only on an empty one: killed before it had a lock

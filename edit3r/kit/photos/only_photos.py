@@ -1,7 +1,8 @@
 """What among image files is not a photo of the scene: masks, our own sheets, and photos twice."""
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,8 +30,10 @@ def only_photos(files: Sequence[Path]) -> list[Path]:
     """The files without masks, sheets of ours and photos in a second format; says what was left
     out.
     """
-    kept = _without_doubles([file for file in files if not _is_none(file, files)])
-    left_out = [file.name for file in files if file not in kept]
+    stems = Counter(file.stem.casefold() for file in files)
+    kept = _without_doubles([file for file in files if not _is_none(file, stems)])
+    photos = set(kept)
+    left_out = [file.name for file in files if file not in photos]
     if not kept or not left_out:
         return list(files)
     listed = ", ".join(left_out[:6]) + (", ..." if len(left_out) > 6 else "")
@@ -41,15 +44,14 @@ def only_photos(files: Sequence[Path]) -> list[Path]:
     return kept
 
 
-def _is_none(file: Path, files: Sequence[Path]) -> bool:
-    """Whether a file is a mask or another map of a photo, or a sheet that was made here."""
+def _is_none(file: Path, stems: Mapping[str, int]) -> bool:
+    """Whether a file is a mask or another map of a photo, or a sheet that was made here; `stems`
+    are those of all files.
+    """
     stem = file.stem.casefold()
-    others = {other.stem.casefold() for other in files if other != file}
     without = _SUFFIX.sub("", _MAP_SIGN.sub("", stem))
     return (
-        stem in _OWN_NAMES
-        or (without != stem and without in others)
-        or _made_here(file)
+        stem in _OWN_NAMES or (without != stem and without in stems) or _made_here(file)
     )
 
 
@@ -57,9 +59,10 @@ def _made_here(file: Path) -> bool:
     """Whether the file says of itself that it was made here."""
     try:
         with Image.open(file, formats=FORMATS) as image:
-            software = image.info.get("Software") or image.getexif().get(
-                ExifTags.Base.Software
-            )
+            # Of a PNG, Exif is asked for after all pixels; ours say it before.
+            if image.format == "PNG":
+                return image.info.get("Software") == MADE_HERE
+            software = image.getexif().get(ExifTags.Base.Software)
     except Exception:  # told where it is read
         return False
     return software == MADE_HERE

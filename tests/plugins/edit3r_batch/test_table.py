@@ -2,8 +2,12 @@
 
 import json
 
-from edit3r_batch.command import _table
+import pytest
+from edit3r_batch.command import _known_row, _table
 from edit3r_batch.scenes import row_of
+
+from edit3r.contract.errors import InputError
+from edit3r.kit.workers import read_rows
 
 
 def manifest(folder, edit_verdict):
@@ -29,3 +33,17 @@ def test_the_table_shows_the_verdict_on_the_edit_and_why_it_is_doubtful(tmp_path
 def test_a_run_without_an_edit_has_no_verdict_on_one(tmp_path):
     line = _table([manifest(tmp_path, None)]).splitlines()[-1]
     assert line == "| one | good |  | 30.0 | 5 | all fits |"
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"verdict": "great"}, {"psnr": "high"}, {"reason": None}, {"gaussians": {}}],
+)
+def test_a_row_of_something_else_is_named(tmp_path, wrong):
+    row = manifest(tmp_path, None)
+    failed = {"id": "two", "failure": "it was killed"}
+    lines = [row, failed, {**row, "id": "three", **wrong}]
+    file = tmp_path / "results.jsonl"
+    file.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.raises(InputError, match="line 3: not a result"):
+        read_rows(file, "id", _known_row)
