@@ -45,9 +45,10 @@ class MovedModules:
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        return (
-            util.spec_from_loader(name, self, is_package=True) if _homes(name) else None
-        )
+        if not _homes(name):
+            return None
+        # Two methods are enough of a loader.
+        return util.spec_from_loader(name, self, is_package=True)  # type: ignore[arg-type]
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         homes = _homes(spec.name)

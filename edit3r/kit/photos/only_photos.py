@@ -16,10 +16,15 @@ MADE_HERE = "edit3r, no photo"
 """What sheets, previews and masks of ours carry as their software."""
 _OWN_NAMES = ("edit3r-preview", "before_after")
 _MAPS = "masks?|mattes?|alpha|depth|disparity|normals?|seg(?:mentation)?|labels?"
-_MAP_SIGN = re.compile(rf"[ _.-]?masks?\d?$|[ _.-](?:{_MAPS})\d?$|^(?:{_MAPS})[ _.-]")
+_NUMBER = r"(?:[ _.-]?\d{1,5})?$"  # of the object, or bits
+_MAP_SIGN = re.compile(
+    rf"[ _.-]?masks?{_NUMBER}|[ _.-](?:{_MAPS}){_NUMBER}|^(?:{_MAPS})[ _.-]"
+)
 _SUFFIX = re.compile(r"\.(jpe?g|png|tiff?|webp|heic|bmp)$")
+_COPY_WORDS = "copy|kopie|kopia|copie|copia|cópia|kopi|копия"
 _COPY_SIGN = re.compile(
-    r"( ?\(\d+\)| - copy.*|[-_ ](copy|thumb(nail)?|small|resized|edit(ed)?))$"
+    rf"( ?\(\d+\)| \d+|~\d+| - ({_COPY_WORDS}).*|[-_ ]({_COPY_WORDS})( \d+)?"
+    rf"|[-_ ](thumb(nail)?|small|resized|edit(ed)?))$|^({_COPY_WORDS})( of| de| von)? "
 )
 _LIKE = 0.95  # correlation of small copies of one photo in two formats
 _COPIED = 0.995  # the same where the names differ: photos side by side are alike too
@@ -77,8 +82,9 @@ def _without_doubles(files: Sequence[Path]) -> list[Path]:
     for file in files:
         by_stem.setdefault(_copied_from(file.stem.casefold(), stems), []).append(file)
     left_out: set[Path] = set()
-    for twins in by_stem.values():
-        best = twins[0]
+    for stem, twins in by_stem.items():
+        twins.sort(key=lambda file, stem=stem: file.stem.casefold() != stem)
+        best = twins[0]  # the original, where its copies have no more pixels
         for twin in twins[1:]:
             renamed = best.stem.casefold() != twin.stem.casefold()
             if best.suffix == twin.suffix and not renamed:
