@@ -7,7 +7,6 @@ import sys
 import warnings
 from collections.abc import Sequence
 from importlib import import_module, util
-from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
@@ -37,15 +36,19 @@ MOVED: dict[str, tuple[str, ...]] = {
 """Where the names of an old module are now; the modules inside a package moved with it."""
 
 
-class MovedModules(MetaPathFinder, Loader):
-    """Finds the old modules, each as one that looks its names up in the new ones."""
+class MovedModules:
+    """Finds the old modules, each as one that looks its names up in the new ones.
+
+    Finder and loader in one, without their base classes: `importlib.abc` takes a while to import.
+    """
 
     def find_spec(
         self, name: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        return (
-            util.spec_from_loader(name, self, is_package=True) if _homes(name) else None
-        )
+        if not _homes(name):
+            return None
+        # Two methods are enough of a loader.
+        return util.spec_from_loader(name, self, is_package=True)  # type: ignore[arg-type]
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         homes = _homes(spec.name)

@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NoReturn
 
-from edit3r.cli import COMMANDS
+from edit3r.cli.commands import COMMANDS
 from edit3r.contract.errors import Edit3rError, as_known, suggest
 from edit3r.kit.command.console import printable
 from edit3r.version import __version__

@@ -27,7 +27,7 @@ class Lens:
 
     focal: tuple[float, float]
     centre: tuple[float, float]
-    distortion: tuple[float, ...]  # k1, k2, p1, p2, k3
+    distortion: tuple[float, ...]  # k1, k2, p1, p2, k3; as many as are known
 
     def __post_init__(self) -> None:
         if not all(abs(value) <= MAX_DISTORTION for value in self.distortion):
@@ -50,14 +50,14 @@ class Lens:
         stretch = np.array([[width], [height], [1.0]])
         matrix = self._matrix() * stretch
         matrix[:2, 2] -= 0.5  # OpenCV counts from the centre of the first pixel
-        pixels = cv2.undistort(np.asarray(image), matrix, np.array(self.distortion))
+        pixels = cv2.undistort(np.asarray(image), matrix, self._numbers())
         return Image.fromarray(pixels)
 
     def straightened_place(self, x: float, y: float) -> tuple[float, float]:
         """Where a place on the photo lies on the straightened one; both in shares of the sides."""
         matrix = self._matrix()
         place = cv2.undistortPoints(
-            np.array([[[x, y]]]), matrix, np.array(self.distortion), P=matrix
+            np.array([[[x, y]]]), matrix, self._numbers(), P=matrix
         )
         return float(place[0, 0, 0]), float(place[0, 0, 1])
 
@@ -71,9 +71,13 @@ class Lens:
         rays = (corner + border * (opposite - corner) - self.centre) / self.focal
         points = np.pad(rays, ((0, 0), (0, 1)), constant_values=1.0)
         places, _ = cv2.projectPoints(
-            points, np.zeros(3), np.zeros(3), self._matrix(), np.array(self.distortion)
+            points, np.zeros(3), np.zeros(3), self._matrix(), self._numbers()
         )
         return bool((np.abs(places - 0.5) <= 0.5 + 1e-9).all())
+
+    def _numbers(self) -> np.ndarray:
+        """The distortion; OpenCV takes four numbers at least, and COLMAP's default has one."""
+        return np.pad(self.distortion, (0, max(0, 4 - len(self.distortion))))
 
     def _matrix(self) -> np.ndarray:
         """Intrinsics of a photo whose sides are 1."""

@@ -6,10 +6,13 @@ range than its interface promises, ends the run with one sentence that names it.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import isfinite
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Bool, Float
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import (
@@ -24,34 +27,48 @@ from edit3r.contract.interfaces import (
     Editor,
     MatchedGeometry,
     Matcher,
+    Proposal,
     Rasterizer,
     Reader,
     Reconstructor,
     Refiner,
     SceneToWrite,
+    Segmenter,
+    Tracks,
     Writer,
 )
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.contract.wishes import Wish
 
+FARTHEST = 1e6  # depths that a camera may stand from the first
+
 
 @contextmanager
-def errors_named_after(component: Any) -> Iterator[None]:
-    """Name the component in any error of its code that was not meant for the user."""
+def errors_named_after(component: Any, *given: torch.Tensor) -> Iterator[None]:
+    """Name the component in any error of its code that was not meant for the user.
+
+    It must leave what it is `given` as it was, since others work with the same tensors.
+    """
+    before = [tensor.clone() for tensor in given]
     try:
         yield
     except Edit3rError:
         raise
     except SystemExit as error:
         raise PluginError(
-            f"{_who(component)} ended the program (sys.exit({error.code!r}))."
+            f"{named_after(component)} ended the program (sys.exit({error.code!r}))."
         ) from error
     except Exception as error:
         if is_out_of_memory(error):
             raise
         raise PluginError(
-            f"{_who(component)} raised {type(error).__name__}: {error}."
+            f"{named_after(component)} raised {type(error).__name__}: {error}."
         ) from error
+    unchanged = all(torch.equal(tensor, copy) for tensor, copy in zip(given, before))
+    promise = (
+        "leave its arguments as they are, and changed one in place; clone it first"
+    )
+    _require(component, unchanged, promise)
 
 
 def check_edit(editor: Editor, views: Views, answer: Views) -> None:
@@ -109,27 +126,90 @@ def check_written(writer: Writer, path: Path) -> None:
 
 
 def check_geometry(matcher: Matcher, views: Views, answer: MatchedGeometry) -> None:
-    """Shapes, dtype and finiteness of what a matcher found, and depths above 0."""
+    """Shapes, dtypes and finiteness of what a matcher found, cameras that are some, and depths
+    above 0.
+    """
     _require_type(matcher, answer, MatchedGeometry)
-    views_of = list(views.images.shape[:2])
-    height, width = answer.depths.shape[-2:]
-    shapes = {
-        "c2w": [*views_of, 4, 4],
-        "depths": [*views_of, height, width],
-        "confidence": [*views_of, height, width],
-        "registered": views_of,
-    }
-    for name, expected in shapes.items():
-        tensor = getattr(answer, name)
-        given = list(tensor.shape)
-        promise = f"return {name} of shape {expected}, got {given}"
-        _require(matcher, given == expected, promise)
-        if name != "registered":
-            promise = f"return {name} in {views.images.dtype}, got {tensor.dtype}"
-            _require(matcher, tensor.dtype == views.images.dtype, promise)
-            _require_finite(matcher, name, tensor)
+    dtype, views_of = views.images.dtype, list(views.images.shape[:2])
+    sides = list(getattr(answer.depths, "shape", ()))[2:]
+    grid = [*views_of, *(sides if len(sides) == 2 else ("height", "width"))]
+    _require_tensor(matcher, "c2w", answer.c2w, [*views_of, 4, 4], dtype)
+    _require_tensor(matcher, "depths", answer.depths, grid, dtype)
+    _require_tensor(matcher, "confidence", answer.confidence, grid, dtype)
+    _require_tensor(matcher, "registered", answer.registered, views_of, torch.bool)
     least = float(answer.depths.amin())
     _require(matcher, least > 0, f"return depths above 0, got {least:.4g}")
+    _require_range(matcher, "confidence", answer.confidence)
+    placed = answer.registered
+    joined = placed[:, 0] & (placed.sum(1) >= 2)
+    promise = "place view 0 and another one, or raise MatchingError"
+    _require(matcher, bool(joined.all()), promise)
+    _require_poses(matcher, answer.c2w, placed)
+    own = answer.c2w[:, 0].double()
+    is_own = torch.allclose(own, torch.eye(4).to(own).expand_as(own), atol=1e-3)
+    _require(matcher, is_own, "return c2w in the frame of view 0, its own the identity")
+    reach = float(answer.depths.median()) * FARTHEST
+    away = float(answer.c2w[placed][:, :3, 3].abs().amax())
+    promise = f"place its cameras where depths reach; one is {away:.3g} away"
+    _require(matcher, away < reach, promise)
+    if answer.intrinsics is not None:
+        _require_tensor(
+            matcher, "intrinsics", answer.intrinsics, [*views_of, 3, 3], dtype
+        )
+        focal = answer.intrinsics.diagonal(dim1=-2, dim2=-1)
+        promise = f"return focal lengths above 0, got {float(focal.amin()):.4g}"
+        _require(matcher, bool((focal > 0).all()), promise)
+    pair = isinstance(answer.lenses, tuple) and len(answer.lenses) == 2
+    promise = f"return lenses as two angles, or None, got {answer.lenses!r}"
+    _require(matcher, pair or answer.lenses is None, promise)
+
+
+def _require_poses(
+    component: Any,
+    c2w: Float[torch.Tensor, "batch view 4 4"],
+    placed: Bool[torch.Tensor, "batch view"],
+) -> None:
+    """Cameras turn and move: they neither mirror nor scale."""
+    poses = c2w[placed].double()
+    turns = poses[:, :3, :3]
+    off = (turns @ turns.mT - torch.eye(3).to(turns)).abs().amax()
+    promise = "return c2w whose first three columns are a rotation"
+    _require(component, float(off) < 0.01, f"{promise}; one scales or is singular")
+    _require(component, bool((turns.det() > 0).all()), f"{promise}; one mirrors")
+    last = poses.new_tensor([0, 0, 0, 1])
+    is_last = torch.allclose(poses[:, 3], last, atol=1e-4)
+    _require(component, is_last, "return c2w whose last row is 0, 0, 0, 1")
+
+
+def check_proposal(
+    segmenter: Segmenter, answer: Proposal, image: Float[torch.Tensor, "3 height width"]
+) -> None:
+    """A soft mask of the image's size and dtype, in [0, 1], and a surety."""
+    _require_type(segmenter, answer, Proposal)
+    size = list(image.shape[-2:])
+    _require_tensor(segmenter, "soft_mask", answer.soft_mask, size, image.dtype)
+    _require_range(segmenter, "soft_mask", answer.soft_mask)
+    numbers = {"surety": answer.surety, "box": answer.box}
+    for name, value in numbers.items():
+        flat = value if isinstance(value, tuple) else (value,)
+        real = all(isinstance(one, Real) and isfinite(one) for one in flat)
+        held = real and len(flat) == (4 if name == "box" else 1)
+        _require(segmenter, held, f"return {name} made of numbers, got {value!r}")
+
+
+def check_tracks(
+    segmenter: Segmenter,
+    answer: Tracks,
+    images: Float[torch.Tensor, "view 3 height width"],
+    objects: int,
+) -> None:
+    """Logits of each object on each image, and where it was seen."""
+    _require_type(segmenter, answer, Tracks)
+    views, _, *size = images.shape
+    shape = [views, objects, *size]
+    _require_tensor(segmenter, "logits", answer.logits, shape, images.dtype)
+    shape = [views, objects]
+    _require_tensor(segmenter, "present", answer.present, shape, torch.bool)
 
 
 def check_reconstruction(
@@ -139,16 +219,7 @@ def check_reconstruction(
     _require_type(recon, answer, Reconstruction)
     _require_type(recon, answer.gaussians, Gaussians)
     check_gaussians(recon, answer.gaussians, views.images.shape[0], views.images.dtype)
-    if answer.cameras is not None:
-        expected, given = (
-            list(views.images.shape[:2]),
-            list(answer.cameras.c2w.shape[:2]),
-        )
-        _require(
-            recon,
-            given == expected,
-            f"return one camera per view, {expected}, got {given}",
-        )
+    _require(recon, answer.gaussians.count > 0, "return Gaussians, got an empty scene")
     scenes, count = views.images.shape[:2]
     for name, expected in (
         ("placed", [scenes, count]),
@@ -162,6 +233,15 @@ def check_reconstruction(
             given == expected,
             f"return {name} for each of its views, {expected}, got {given}",
         )
+    placed = answer.placed
+    if placed is None:
+        placed = torch.ones(scenes, count, dtype=torch.bool)
+    _require(recon, bool(placed.any(1).all()), "place a view, or raise MatchingError")
+    if answer.cameras is not None:
+        expected, given = [scenes, count], list(answer.cameras.c2w.shape[:2])
+        promise = f"return one camera per view, {expected}, got {given}"
+        _require(recon, given == expected, promise)
+        _require_poses(recon, answer.cameras.c2w, placed.to(answer.cameras.c2w.device))
 
 
 def check_refinement(refiner: Refiner, given: Gaussians, answer: Gaussians) -> None:
@@ -220,7 +300,7 @@ def check_rendering(
         _require_finite(rasterizer, name, tensor)
 
 
-def _who(component: Any) -> str:
+def named_after(component: Any) -> str:
     """'editor 'sepia'', with the plugin's name where there is one of another name."""
     kind = next(
         (
@@ -242,7 +322,7 @@ def _who(component: Any) -> str:
 def _require(component: Any, held: bool, promise: str) -> None:
     """Raise PluginError, '... must `promise`.', unless it is held."""
     if not held:
-        raise PluginError(f"{_who(component)} must {promise}.")
+        raise PluginError(f"{named_after(component)} must {promise}.")
 
 
 def _require_type(component: Any, answer: Any, expected: type) -> None:
@@ -252,6 +332,20 @@ def _require_type(component: Any, answer: Any, expected: type) -> None:
         isinstance(answer, expected),
         f"return edit3r.{expected.__name__}, got {given}",
     )
+
+
+def _require_tensor(
+    component: Any, name: str, answer: Any, shape: list, dtype: torch.dtype
+) -> None:
+    """A tensor of that shape and dtype, without values that are not finite."""
+    given = type(answer).__name__
+    is_tensor = isinstance(answer, torch.Tensor)
+    _require(component, is_tensor, f"return {name} as a tensor, got {given}")
+    promise = f"return {name} of shape {shape}, got {list(answer.shape)}"
+    _require(component, list(answer.shape) == shape, promise)
+    promise = f"return {name} in {dtype}, got {answer.dtype}"
+    _require(component, answer.dtype == dtype, promise)
+    _require_finite(component, name, answer)
 
 
 def _require_range(component: Any, what: str, tensor: torch.Tensor) -> None:
@@ -269,7 +363,8 @@ def _require_finite(component: Any, what: str, tensor: torch.Tensor) -> None:
     bad = int((~torch.isfinite(tensor)).sum())
     if bad:
         raise PluginError(
-            f"{_who(component)} returned {what} with {bad} of {tensor.numel()} values not finite."
+            f"{named_after(component)} returned {what} with {bad} of {tensor.numel()} values not "
+            "finite."
         )
 
 

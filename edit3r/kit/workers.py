@@ -139,9 +139,11 @@ def append_row(path: Path, row: Row) -> dict[str, Any]:
     return json.loads(line)
 
 
-def read_rows(path: Path, key_name: str = "key") -> dict[str, dict[str, Any]]:
+def read_rows(
+    path: Path, key_name: str = "key", read: Callable[[dict[str, Any]], Any] = dict
+) -> dict[str, Any]:
     """Return rows by key, without a last line that a kill cut off. Raises InputError for another
-    bad line.
+    bad line, and for one that `read`, which makes of it what is returned, has an error with.
     """
     if not path.is_file():
         return {}
@@ -150,8 +152,8 @@ def read_rows(path: Path, key_name: str = "key") -> dict[str, dict[str, Any]]:
     for number, line in enumerate(lines[:-1], start=1):
         try:
             row = json.loads(line)
-            found[row[key_name]] = row
-        except (ValueError, TypeError, KeyError):
+            found[row[key_name]] = read(row)
+        except (ValueError, TypeError, KeyError, AttributeError):
             raise InputError(
                 f"{path}, line {number}: not a result; delete the line to measure it anew."
             ) from None

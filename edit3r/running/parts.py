@@ -23,6 +23,7 @@ from edit3r.contract.reporting import say
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
 from edit3r.kit.cache import fingerprint
+from edit3r.kit.checks import errors_named_after
 from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.editors import EditorTask, tasks_for_editor, tasks_without_editor
@@ -160,7 +161,9 @@ def read_lens(config: RunConfig, registry: Registry, views: Views) -> Lens | Non
     matcher = getattr(settings, "matcher", None)
     if not isinstance(matcher, PartChoice):
         return None
-    return registry.build_choice("matcher", matcher).lens(views)
+    built = registry.build_choice("matcher", matcher)
+    with errors_named_after(built, views.images):
+        return built.lens(views)
 
 
 def with_known_poses(job: RunJob, photos: Views, registry: Registry) -> RunConfig:

@@ -2,6 +2,7 @@
 width]`, and its nodes run where PyTorch keeps no gradients, which refining a scene needs.
 """
 
+import inspect
 import tempfile
 from itertools import count
 from pathlib import Path
@@ -10,11 +11,15 @@ import folder_paths  # of ComfyUI
 import torch
 
 import edit3r
+from edit3r.contract.errors import InputError
 from edit3r.contract.settings import of_file
 from edit3r.kit.files.yaml import parse_yaml
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.kit.rendering import path_around, render_each
+
+OTHER_INPUTS = {"photos", "prompt", "masks", "seed", "registry", "report", "cache"}
+"""Keywords of `edit3r.run` that are inputs of their own, or no text."""
 
 
 class Edit3rEdit:
@@ -55,18 +60,16 @@ class Edit3rEdit:
 
     def edit(self, images, prompt, seed, mask=None, settings=""):
         with tempfile.TemporaryDirectory() as scratch, torch.inference_mode(False):
-            photos = _files(Path(scratch), "", images[..., :3].movedim(-1, 1))
+            photos = _images("images", images, 4, "two or more photos")
             masks = None
             if mask is not None and mask.any():  # ComfyUI's empty mask is black
-                shown = mask.reshape(-1, 1, *mask.shape[-2:]).expand(-1, 3, -1, -1)
-                masks = _files(Path(scratch), "_mask", shown)
+                masks = _masks(mask, photos)
             result = edit3r.run(
-                photos,
+                _files(Path(scratch), "", photos[..., :3].movedim(-1, 1)),
                 prompt,
-                masks=masks,
+                masks=None if masks is None else _files(Path(scratch), "_mask", masks),
                 seed=seed,
-                # A workflow may be a stranger's: its settings name no program or address.
-                **of_file(parse_yaml(settings) or {}),
+                **_settings(settings),
             )
         output = Path(folder_paths.get_output_directory())
         folders = (output / f"edit3r-{number}" for number in count(1))
@@ -98,12 +101,54 @@ class Edit3rRender:
         }
 
     def render(self, scene, frames):
+        if not Path(scene).is_file():
+            raise InputError(f"scene: {scene!r} is no file; connect 'Edit3r edit'.")
         gaussians = edit3r.load_ply(scene, visible=True)
         cameras, _ = read_scene_cameras(Path(scene).with_name("cameras.json"))
         rasterizer = edit3r.build("rasterizer", "auto")
         views = render_each(rasterizer, gaussians, cameras, "views")
         path = path_around(cameras, views, frames)
         return (_shown(render_each(rasterizer, gaussians, path, "path").images),)
+
+
+def _images(name, given, axes, expected):
+    """What an input holds; raises InputError naming the input where that is no image."""
+    is_tensor = isinstance(given, torch.Tensor) and given.ndim == axes and len(given)
+    if not is_tensor or not torch.isfinite(given).all():
+        held = list(given.shape) if isinstance(given, torch.Tensor) else type(given)
+        raise InputError(f"{name}: expected {expected}, of finite numbers, got {held}.")
+    return given
+
+
+def _masks(mask, photos):
+    """Masks as images `[image, 3, height, width]`."""
+    shape = (-1, *mask.shape[-2:])
+    mask = _images("mask", mask.reshape(shape), 3, "masks [image, height, width]")
+    count, sides = len(photos), photos.shape[1:3]
+    if len(mask) not in (1, count) or mask.shape[1:] != sides:
+        raise InputError(
+            f"mask: expected one, or one a photo ({count}), of {list(sides)} like the images, got "
+            f"{list(mask.shape)}."
+        )
+    return mask[:, None].expand(-1, 3, -1, -1)
+
+
+def _settings(text):
+    """Keywords of `edit3r.run` that no other input gives; raises InputError for anything else."""
+    try:
+        content = parse_yaml(text) or {}
+    except ValueError as error:
+        raise InputError(f"settings: not YAML ({error}).") from None
+    known = sorted({*inspect.signature(edit3r.run).parameters} - OTHER_INPUTS)
+    if not isinstance(content, dict):
+        raise InputError("settings: expected lines such as 'size: 768'.")
+    for key in content:
+        if key not in known:
+            raise InputError(
+                f"settings: {key!r} is none; there are {', '.join(known)}."
+            )
+    # A workflow may be a stranger's: its settings name no program or address.
+    return of_file(content)
 
 
 def _files(folder, end, images):

@@ -13,9 +13,10 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 COOKIE = "edit3r-token"
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 HEADERS = {
-    # Nothing is fetched from elsewhere, and no other page may show this one in a frame.
+    # Nothing is fetched from elsewhere, the frame of a scene is led nowhere else, and no other page
+    # may show this one in a frame.
     "content-security-policy": "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval'; "
-    "frame-ancestors 'self'",
+    "frame-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'self'",
     # An image here tells another page nothing, not even that it is there.
     "cross-origin-resource-policy": "same-origin",
     "x-content-type-options": "nosniff",

@@ -15,7 +15,13 @@ from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.requests import Request
-from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
+from starlette.responses import (
+    FileResponse,
+    JSONResponse,
+    PlainTextResponse,
+    RedirectResponse,
+    Response,
+)
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
@@ -272,7 +278,12 @@ class Answers:
         return FileResponse(_there(self.folder.images(state, kind).get(name)))
 
     def viewer(self, request: Request) -> Response:
-        """The page of a run's scene, made where the run did not write it."""
+        """The page of a run's scene, made where the run did not write it.
+
+        It is shown in a frame only, which our page keeps here: on its own it could lead away.
+        """
+        if request.headers.get("sec-fetch-dest") == "document":
+            return RedirectResponse("/", 303)
         run = request.path_params["run"]
         file = _there(downloads.prepared(self.folder, run, "viewer.html"))
         policy = {"content-security-policy": SANDBOX}

@@ -234,7 +234,7 @@ def _run(
     from edit3r_batch.scenes import SceneRunner
 
     path = out / "results.jsonl"
-    before = read_rows(path, "id")
+    before = read_rows(path, "id", _known_row)
     if any(
         id in jobs and (id not in done or "failure" in row)
         for id, row in before.items()
@@ -253,14 +253,24 @@ def _run(
         group=lambda job: job.editor,
         on_done=tell,
     )
-    for id in (id for id, row in rows.items() if "failure" in row):
-        remove_abandoned(out / id)  # by a worker that died
+    if any("failure" in row for row in rows.values()):  # workers that died
+        remove_abandoned(*(out / id for id in rows))
     return [
         {"id": id, "verdict": NO_RESULT, "reason": row["failure"]}
         if "failure" in row
         else row
         for id, row in rows.items()
     ]
+
+
+def _known_row(row: dict[str, Any]) -> dict[str, Any]:
+    """A row as it is shown; one of something else is an error here."""
+    from edit3r.running import LABELS
+
+    if "failure" not in row:
+        LABELS.index(row["verdict"])
+        _table([row])
+    return row
 
 
 def _print_progress(progress: "Progress") -> None:

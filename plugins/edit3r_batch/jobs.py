@@ -173,15 +173,17 @@ def _absolute(inputs: JobInputs, folder: Path) -> JobInputs:
 def _check(job: BatchJob, registry: Registry, checked: set[str]) -> None:
     """Raise what is wrong with the job's settings and files.
 
-    `checked` are choices of components that were right.
+    `checked` are photos that are there, and choices of components that were right.
     """
     given = job.inputs.cameras
     cameras = [given] if given not in (None, "", NO_CAMERAS) else []
     try:
         for path in map(Path, job.inputs.photos):
             is_video = path.suffix.lower() in VIDEO_SUFFIXES and path.is_file()
-            if not is_video:  # whose frames are taken when the job runs
+            # Frames of a video are taken when the job runs; many jobs have the same photos.
+            if not is_video and str(path) not in checked:
                 find_photos([path])
+                checked.add(str(path))
         for name in (*job.inputs.mask, *cameras):
             if not Path(name).is_file():
                 raise InputError(f"{name}: no such file.")

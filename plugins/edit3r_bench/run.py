@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from pydantic import TypeAdapter
 
 from edit3r import Registry, default_registry
 from edit3r.contract.errors import (
@@ -70,10 +71,13 @@ class ItemResult:
         return "" if self.failure else remark(self.metrics)
 
 
+_RESULT = TypeAdapter(ItemResult)
+
+
 def read_run(folder: Path) -> dict[str, Any]:
     """Return what a folder's results are of. Raises InputError for those of another version."""
     found = read_json(folder / RUN)
-    if found.get("version") != VERSION:
+    if not isinstance(found, dict) or found.get("version") != VERSION:
         raise InputError(
             f"{folder}: holds results of another version of the benchmark; run it again."
         )
@@ -82,19 +86,19 @@ def read_run(folder: Path) -> dict[str, Any]:
 
 def read_results(folder: Path) -> dict[str, ItemResult]:
     """Return the results of a folder by item id."""
-    return _results(read_rows(folder / RESULTS, "id"))
+    return read_rows(folder / RESULTS, "id", _result)
 
 
-def _results(rows: Mapping[str, Mapping[str, Any]]) -> dict[str, ItemResult]:
-    """Return the results that lines hold, the score among their metrics."""
-    results = {}
-    for name, row in rows.items():
-        metrics = {}
-        for metric, value in row["metrics"].items():
-            metrics[metric] = math.nan if value is None else value
-        metrics["score"] = score(metrics, row["failure"])
-        results[name] = ItemResult(**{**row, "metrics": metrics})
-    return results
+def _result(row: Mapping[str, Any]) -> ItemResult:
+    """The result that a line holds, the score among its metrics. Raises ValueError and the like for
+    one of something else.
+    """
+    metrics = {
+        metric: math.nan if value is None else value
+        for metric, value in row["metrics"].items()
+    }
+    result = _RESULT.validate_python({**row, "metrics": metrics})
+    return replace(result, metrics={**metrics, "score": score(metrics, result.failure)})
 
 
 @dataclass(frozen=True)
@@ -172,6 +176,7 @@ def run_bench(
     spread = "ray" if options.ray else "processes"
     with alone_in(run.out):
         _claim_folder(run)
+        read_results(run.out)  # a line that is none is told before anything is done
         rows = run_resumable(
             {item.id: item for item in run.manifest.items},
             run,
@@ -180,7 +185,7 @@ def run_bench(
             key_name="id",
             on_done=on_done,
         )
-    return _results(rows)
+    return {id: _result(row) for id, row in rows.items()}
 
 
 def _claim_folder(run: BenchRun) -> None:

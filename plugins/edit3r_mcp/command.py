@@ -22,6 +22,13 @@ class McpCommand(Command):
             metavar="FILE",
             help="YAML file of settings for every edit, or the name of a shipped one",
         )
+        parser.add_argument(
+            "--limit",
+            type=float,
+            default=1200.0,
+            metavar="SECONDS",
+            help="a call that takes longer is ended (default: %(default)g)",
+        )
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r_mcp.tools import server
@@ -33,5 +40,7 @@ class McpCommand(Command):
             raise InputError(
                 f"--folder {folder}: cannot be made ({error.strerror})."
             ) from None
-        server(folder, args.config).run("stdio")
+        if not args.limit > 0:
+            raise InputError(f"--limit {args.limit:g}: expected seconds above 0.")
+        server(folder, args.config, args.limit).run("stdio")
         return 0

@@ -6,12 +6,17 @@ import inspect
 import io
 import json
 import os
+import time
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from itertools import count
 from pathlib import Path
 from subprocess import DEVNULL
+from tempfile import TemporaryDirectory
+from typing import TypeVar
 
 import anyio
-from mcp.server.mcpserver import Image, MCPServer
+from mcp.server.mcpserver import Context, Image, MCPServer
 from mcp.server.mcpserver.exceptions import ToolError
 from pydantic import BaseModel, Field
 
@@ -21,6 +26,7 @@ from edit3r.kit.children import PYTHON
 from edit3r.kit.files.text import read_plain
 from edit3r.kit.photos.decode import read_image
 
+TOLD_EVERY = 3.0  # assistants give up after a minute without a sign [s]
 MAX_SIDE = 1600  # of an image that is sent [pixels]: assistants reduce larger ones
 INSTRUCTIONS = (
     "Edits 3D scenes from two or more photos of one place. Show what a click or words select with "
@@ -28,6 +34,9 @@ INSTRUCTIONS = (
     "one is not 'good'."
 )
 PLACE = "on the first photo, or `N:...` on photo N; in shares of its sides or pixels"
+
+
+Answer = TypeVar("Answer")
 
 
 class MarkArguments(BaseModel):
@@ -48,25 +57,32 @@ class MarkArguments(BaseModel):
 
 
 class Tools:
-    """What an assistant can do in `folder`; `config` lies under every edit."""
+    """What an assistant can do in `folder`; `config` lies under every edit, and a command that
+    takes longer than `limit` [s] is ended.
+    """
 
-    def __init__(self, folder: Path, config: str | None = None) -> None:
+    def __init__(self, folder: Path, config: str | None, limit: float) -> None:
         self.folder = folder
         self.config = config
+        self.limit = limit
         self._one_at_a_time = anyio.Lock()
 
-    async def select(self, photos: list[str], marks: MarkArguments) -> list:
+    async def select(
+        self, photos: list[str], marks: MarkArguments, context: Context
+    ) -> list:
         """Show what is selected on every photo: all that is not selected is dark. Nothing is
         edited.
         """
-        said, out = await self._make(
-            "selection", "mask", *self._photos(photos), *marks.flags()
-        )
+        words = ("mask", *self._photos(photos), *marks.flags())
+        async with self._turn(context):
+            out = self._unused("selection")
+            said = await self._command(context, *words, f"--out={out}")
         return [said, _sent(out / "preview.png")]
 
     async def edit(
         self,
         prompt: str,
+        context: Context,
         photos: list[str] | None = None,
         marks: MarkArguments | None = None,
         earlier: str = "",
@@ -74,7 +90,7 @@ class Tools:
         """Edit photos of one scene as a sentence says ("paint the bike red"), and make it 3D.
 
         Give two or more photos, or as `earlier` the name of a run that is edited again. What
-        changes is the thing that the sentence names, or the marks. It takes seconds to minutes.
+        changes is the thing that the sentence names, or the marks. It takes some seconds a photo.
         """
         given = [f"--from={self._found(earlier)}"] if earlier else []
         given += self._photos(photos or [])
@@ -82,7 +98,10 @@ class Tools:
             raise ToolError("Give photos, or the name of an earlier run.")
         given += marks.flags() if marks else []
         given += [f"--config={self.config}"] if self.config else []
-        _, out = await self._make("edit", "run", *given, f"--prompt={prompt}")
+        words = ("run", *given, f"--prompt={prompt}", "--progress=json")
+        async with self._turn(context):
+            out = self._unused("edit")
+            await self._command(context, *words, f"--out={out}")
         return self.look(out.name)
 
     def look(self, run: str) -> list:
@@ -99,7 +118,7 @@ class Tools:
         except Exception as error:  # the folder may come from a stranger
             raise ToolError(f"{folder}: is damaged and not shown ({error}).") from None
 
-    async def export(self, run: str, form: str) -> str:
+    async def export(self, run: str, form: str, context: Context) -> str:
         """Write the scene of a run for other programs.
 
         The forms, each with what is kept and lost:
@@ -110,12 +129,12 @@ class Tools:
             raise ToolError(
                 f"{form[:60]!r}: no form; there are {', '.join(_writers())}."
             )
-        out = self.folder / writer.file_name(run)
-        if os.path.lexists(out):
-            out = self._unused(run, out.name.removeprefix(run))
-        return await self._command(
-            "export", str(folder), f"--to={form}", f"--out={out}"
-        )
+        words = ("export", str(folder), f"--to={form}")
+        async with self._turn(context):
+            out = self.folder / writer.file_name(run)
+            if os.path.lexists(out):
+                out = self._unused(run, out.name.removeprefix(run))
+            return await self._command(context, *words, f"--out={out}")
 
     def _photos(self, photos: list[str]) -> list[str]:
         return [str(self.folder / photo) for photo in photos]
@@ -134,29 +153,77 @@ class Tools:
         paths = (self.folder / f"{stem}-{number}{end}" for number in count(1))
         return next(path for path in paths if not os.path.lexists(path))
 
-    async def _make(self, kind: str, *command: str) -> tuple[str, Path]:
-        """Run a command that makes a folder `kind-N`: (what it printed, the folder)."""
-        async with self._one_at_a_time:
-            out = self._unused(kind)
-            return await self._command(*command, f"--out={out}"), out
+    @asynccontextmanager
+    async def _turn(self, context: Context) -> AsyncIterator[None]:
+        """One at a time: commands take all cores, and names that are free are taken in turn."""
+        waiting = "waits until the call before it has ended"
+        await _told(self._one_at_a_time.acquire, context, lambda: waiting)
+        try:
+            yield
+        finally:
+            self._one_at_a_time.release()
 
-    async def _command(self, *words: str) -> str:
+    async def _command(self, context: Context, *words: str) -> str:
         """What a command of edit3r prints. Raises ToolError with its own sentence."""
         command = [*PYTHON, "-m", "edit3r", *words]
-        try:
-            done = await anyio.run_process(command, stdin=DEVNULL, check=False)
-        except (OSError, ValueError) as error:  # a null byte, too long, no Unicode
-            raise ToolError(f"cannot be passed on ({error}).") from None
-        if done.returncode:
-            lines = done.stderr.decode(errors="replace").strip().splitlines()
-            raise ToolError(lines[-1] if lines else f"edit3r ended: {done.returncode}.")
-        return done.stdout.decode(errors="replace").strip()
+        with TemporaryDirectory() as room:
+            out, error = Path(room, "out"), Path(room, "error")
+            try:
+                with anyio.fail_after(self.limit):
+                    code = await ended(command, out, error, context)
+            except TimeoutError:
+                raise ToolError(
+                    f"Not done within {self.limit:g} s, so it was ended; give fewer photos, or "
+                    "start the server with a longer --limit."
+                ) from None
+            except (OSError, ValueError) as fault:  # a null byte, too long, no Unicode
+                raise ToolError(f"cannot be passed on ({fault}).") from None
+            if code:
+                raise ToolError(_last_line(error) or f"edit3r ended: {code}.")
+            return out.read_text("utf-8", "replace").strip()
 
 
-def server(folder: Path, config: str | None = None) -> MCPServer:
-    """The server whose tools write to `folder` only."""
-    tools = Tools(folder, config)
-    made = MCPServer("edit3r", instructions=INSTRUCTIONS)
+async def ended(command: list[str], out: Path, error: Path, context: Context) -> int:
+    """The exit code of a program whose outputs go to two files; what it says last is told."""
+    with out.open("wb") as said, error.open("wb") as wrong:
+        process = await anyio.open_process(
+            command, stdin=DEVNULL, stdout=said, stderr=wrong
+        )
+    async with process:  # killed where the call is cancelled
+        return await _told(process.wait, context, lambda: _doing(_last_line(error)))
+
+
+async def _told(
+    step: Callable[[], Awaitable[Answer]], context: Context, said: Callable[[], str]
+) -> Answer:
+    """What `step` gives; until then, the assistant is told every few seconds that it goes on."""
+    begun = time.monotonic()
+    while True:
+        with anyio.move_on_after(TOLD_EVERY):
+            return await step()
+        await context.report_progress(time.monotonic() - begun, message=said())
+
+
+def _last_line(file: Path) -> str:
+    lines = file.read_text("utf-8", "replace").strip().splitlines()
+    return lines[-1] if lines else ""
+
+
+def _doing(line: str) -> str:
+    """What a run says in one line of `--progress json`; any other line is told as it is."""
+    try:
+        event = json.loads(line)
+        counted = f": {event['done']} of {event['total']}" if event["total"] else ""
+        return f"{event['text']}{counted}"
+    except (ValueError, TypeError, KeyError):
+        return line or "begins"
+
+
+def server(folder: Path, config: str | None, limit: float) -> MCPServer:
+    """The server whose tools write to `folder` only, in at most `limit` seconds a call."""
+    tools = Tools(folder, config, limit)
+    told = f"{INSTRUCTIONS} A call that takes longer than {limit:g} seconds is ended."
+    made = MCPServer("edit3r", instructions=told)
     for tool in (tools.select, tools.edit, tools.look):
         made.tool(structured_output=False)(tool)
     told = inspect.getdoc(tools.export) or ""

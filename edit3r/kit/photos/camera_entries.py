@@ -241,9 +241,10 @@ def _frame_intrinsics(
     if not x and not y:
         return None
     # One angle alone means square pixels.
+    cx, cy = frame.get("cx"), frame.get("cy")
     rows = [
-        [x or y, 0, float(frame.get("cx", width / 2))],
-        [0, y or x, float(frame.get("cy", height / 2))],
+        [x or y, 0, width / 2 if cx is None else float(cx)],
+        [0, y or x, height / 2 if cy is None else float(cy)],
         [0, 0, 1.0],
     ]
     return intrinsics_from_outside(rows, width, height)

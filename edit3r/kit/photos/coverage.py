@@ -5,9 +5,9 @@ greedily, each time the one that shows most of what those chosen so far do not (
 Krause and Golovin 2014, section 1).
 """
 
-import tempfile
+import atexit
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from jaxtyping import Float, UInt8
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import track, warn
+from edit3r.kit.files.atomic import scratch_folder
 from edit3r.kit.photos.decode import MAX_PIXELS, read_image
 
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi")
@@ -33,8 +34,8 @@ MIN_MOTION = 0.01  # of features between frames that are kept [image widths]
 frame_origins: dict[Path, str] = {}
 """For each frame that was taken from a video: the video and the frame's number."""
 
-_frame_folders: list[tempfile.TemporaryDirectory] = []
-"""Where frames of videos lie; Python removes them when the process ends."""
+_frame_folders: list[ExitStack] = []
+"""Where frames of videos lie, each removed when it is closed, or when the process ends."""
 
 
 @contextmanager
@@ -45,7 +46,7 @@ def frames_kept_for() -> Iterator[None]:
         yield
     finally:
         while len(_frame_folders) > before:
-            _frame_folders.pop().cleanup()
+            _frame_folders.pop().close()
 
 
 def origin(file: Path) -> str:
@@ -206,11 +207,14 @@ def _frame_count(video: Path) -> int:
 
 def _write(frames: Sequence[VideoFrame], video: Path) -> list[Path]:
     """Write frames as PNG into a new folder that is removed when the process ends."""
-    _frame_folders.append(tempfile.TemporaryDirectory(prefix="edit3r-video-"))
+    held = ExitStack()
+    folder = held.enter_context(scratch_folder("edit3r-video"))
+    atexit.register(held.close)
+    _frame_folders.append(held)
     files = []
     for frame in frames:
         name = f"{video.stem}_{frame.number:05d}.png"
-        file = Path(_frame_folders[-1].name, name)
+        file = folder / name
         if not cv2.imwrite(str(file), frame.pixels):
             raise InputError(f"{video}: a frame of it could not be written to {file}.")
         frame_origins[file] = f"{video}, frame {frame.number}"

@@ -422,10 +422,19 @@ def _exif_focal(image: Image.Image, path: Path) -> tuple[float | None, str]:
             "what EXIF says of the lens is not believed; --fov tells it."
         )
         return None, ""
+    if max(image.size) > WIDEST * min(image.size):
+        warn(
+            f"{path}: as wide as panoramas are, whose EXIF tells of the lens that swept, which "
+            "is not believed; --fov tells it."
+        )
+        return None, ""
     if not 0.1 < focal / max(image.size) < 50:
         warn(f"{path}: EXIF states an impossible focal length; it is ignored.")
         return None, ""
     return focal, source
+
+
+WIDEST = 2.4  # long by short side of what a lens took at once
 
 
 def _same_shape(first: tuple[float, float], second: tuple[float, float]) -> bool:

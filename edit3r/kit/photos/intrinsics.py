@@ -188,8 +188,10 @@ class _CameraFile:
         self.folder = path if path.is_dir() else path.parent
         self.frame = str(self.folder if path.name in SPLITS else path)
         self._entries: dict[str, list[CameraEntry]] = defaultdict(list)
+        self._by_stem: dict[str, list[CameraEntry]] = defaultdict(list)
         for entry in camera_entries(path):
             self._entries[_key(entry.file)].append(entry)
+            self._by_stem[_key(str(Path(entry.file).with_suffix("")))].append(entry)
 
     def find(self, file: Path, given: bool, size: Size) -> PosedCamera | None:
         """The photo's camera; None where the file has none, or none that is certain.
@@ -213,6 +215,7 @@ class _CameraFile:
         that it states: it may have been made elsewhere.
         """
         named = self._named(file.name) or self._named(file.stem)
+        named = named or self._saved_anew(file)
         place = file.resolve()
         here = [one for one in named if (self.folder / one.file).resolve() == place]
         if here:
@@ -229,6 +232,11 @@ class _CameraFile:
 
     def _named(self, name: str) -> list[CameraEntry]:
         return self._entries.get(_key(name), [])
+
+    def _saved_anew(self, file: Path) -> list[CameraEntry]:
+        """What speaks of a photo of that name in another format, where it is gone."""
+        alike = self._by_stem.get(_key(file.stem), [])
+        return [one for one in alike if not (self.folder / one.file).is_file()]
 
     def _is_moved(self, entry: CameraEntry, file: Path) -> bool:
         listed = self.folder / entry.file

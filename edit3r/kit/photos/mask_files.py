@@ -64,7 +64,8 @@ def _files(given: Iterable[str], photos: Sequence[_Names]) -> tuple[list[Path], 
         folders = True
         inside = images_of_folder(path)
         own = [file for file in inside if _photo_named(file, photos) is not None]
-        own = own or [file for file in inside if _number(file.name) in numbers]
+        if not own and len(inside) != len(photos):  # as many go in order
+            own = [file for file in inside if _number(file.name) in numbers]
         files += own or inside
         if not inside:
             raise InputError(f"--mask {path}: no images in this folder.")

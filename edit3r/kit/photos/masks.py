@@ -78,7 +78,9 @@ def _without_labels(pixels: Image.Image, path: Path) -> Image.Image:
     if is_grey and not _holds_numbers(grey):
         return grey
     values = np.asarray(pixels, np.int16)
-    labels = _labels(np.asarray(grey)[..., None] if is_grey else values, is_grey)
+    # JPEG stores colours at half the size, so that they run out at edges.
+    reach = 6 if path.suffix.lower() in (".jpg", ".jpeg") else 4
+    labels = _labels(np.asarray(grey)[..., None] if is_grey else values, is_grey, reach)
     labels = [one for one in labels if one not in _VOID] or labels
     names = [str(one[0]) if is_grey else ",".join(map(str, one)) for one in labels]
     if len(labels) != 1:
@@ -107,9 +109,12 @@ def _holds_numbers(grey: Image.Image) -> bool:
 
 
 def _labels(
-    values: Int[np.ndarray, "height width channel"], is_grey: bool
+    values: Int[np.ndarray, "height width channel"], is_grey: bool, reach: int
 ) -> list[tuple[int, ...]]:
-    """The values that take a part of the picture, but for black; most first."""
+    """The values that take a part of the picture, but for black; most first.
+
+    Shades of the first within `reach` times `_FADED` are its soft edges.
+    """
     step = 1 if is_grey else 24  # JPEG and soft edges bring other shades
     kinds = np.zeros(values.shape[:2], np.int64)
     for channel in range(values.shape[-1]):
@@ -124,17 +129,17 @@ def _labels(
             break
         mean = np.rint(values[kinds == kind].mean(0)).astype(int)
         apart = min(np.abs(mean - other).max() for other in (0 * mean, *found))
-        rim = found and share < 0.1 * shares[0] and _is_shade(mean, found[0])
+        rim = found and share < 0.1 * shares[0] and _is_shade(mean, found[0], reach)
         if apart >= (1 if is_grey else 3 * _FADED) and not (rim and not is_grey):
             found.append(mean)
             shares.append(share)
     return [tuple(int(value) for value in one) for one in found]
 
 
-def _is_shade(colour: np.ndarray, label: np.ndarray) -> bool:
+def _is_shade(colour: np.ndarray, label: np.ndarray, reach: int) -> bool:
     """Whether a colour lies between black and a label, as soft edges do."""
     nearest = (colour @ label) / (label @ label) * label
-    return bool(np.abs(colour - nearest).max() < 4 * _FADED)
+    return bool(np.abs(colour - nearest).max() < reach * _FADED)
 
 
 def read_mask(path: Path, frame: Frame) -> Float[Tensor, "height width"]:

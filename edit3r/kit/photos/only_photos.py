@@ -1,7 +1,8 @@
 """What among image files is not a photo of the scene: masks, our own sheets, and photos twice."""
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,15 @@ MADE_HERE = "edit3r, no photo"
 """What sheets, previews and masks of ours carry as their software."""
 _OWN_NAMES = ("edit3r-preview", "before_after")
 _MAPS = "masks?|mattes?|alpha|depth|disparity|normals?|seg(?:mentation)?|labels?"
-_MAP_SIGN = re.compile(rf"[ _.-]?masks?\d?$|[ _.-](?:{_MAPS})\d?$|^(?:{_MAPS})[ _.-]")
+_NUMBER = r"(?:[ _.-]?\d{1,5})?$"  # of the object, or bits
+_MAP_SIGN = re.compile(
+    rf"[ _.-]?masks?{_NUMBER}|[ _.-](?:{_MAPS}){_NUMBER}|^(?:{_MAPS})[ _.-]"
+)
 _SUFFIX = re.compile(r"\.(jpe?g|png|tiff?|webp|heic|bmp)$")
+_COPY_WORDS = "copy|kopie|kopia|copie|copia|cópia|kopi|копия"
 _COPY_SIGN = re.compile(
-    r"( ?\(\d+\)| - copy.*|[-_ ](copy|thumb(nail)?|small|resized|edit(ed)?))$"
+    rf"( ?\(\d+\)| \d+|~\d+| - ({_COPY_WORDS}).*|[-_ ]({_COPY_WORDS})( \d+)?"
+    rf"|[-_ ](thumb(nail)?|small|resized|edit(ed)?))$|^({_COPY_WORDS})( of| de| von)? "
 )
 _LIKE = 0.95  # correlation of small copies of one photo in two formats
 _COPIED = 0.995  # the same where the names differ: photos side by side are alike too
@@ -29,8 +35,10 @@ def only_photos(files: Sequence[Path]) -> list[Path]:
     """The files without masks, sheets of ours and photos in a second format; says what was left
     out.
     """
-    kept = _without_doubles([file for file in files if not _is_none(file, files)])
-    left_out = [file.name for file in files if file not in kept]
+    stems = Counter(file.stem.casefold() for file in files)
+    kept = _without_doubles([file for file in files if not _is_none(file, stems)])
+    photos = set(kept)
+    left_out = [file.name for file in files if file not in photos]
     if not kept or not left_out:
         return list(files)
     listed = ", ".join(left_out[:6]) + (", ..." if len(left_out) > 6 else "")
@@ -41,15 +49,14 @@ def only_photos(files: Sequence[Path]) -> list[Path]:
     return kept
 
 
-def _is_none(file: Path, files: Sequence[Path]) -> bool:
-    """Whether a file is a mask or another map of a photo, or a sheet that was made here."""
+def _is_none(file: Path, stems: Mapping[str, int]) -> bool:
+    """Whether a file is a mask or another map of a photo, or a sheet that was made here; `stems`
+    are those of all files.
+    """
     stem = file.stem.casefold()
-    others = {other.stem.casefold() for other in files if other != file}
     without = _SUFFIX.sub("", _MAP_SIGN.sub("", stem))
     return (
-        stem in _OWN_NAMES
-        or (without != stem and without in others)
-        or _made_here(file)
+        stem in _OWN_NAMES or (without != stem and without in stems) or _made_here(file)
     )
 
 
@@ -57,9 +64,10 @@ def _made_here(file: Path) -> bool:
     """Whether the file says of itself that it was made here."""
     try:
         with Image.open(file, formats=FORMATS) as image:
-            software = image.info.get("Software") or image.getexif().get(
-                ExifTags.Base.Software
-            )
+            # Of a PNG, Exif is asked for after all pixels; ours say it before.
+            if image.format == "PNG":
+                return image.info.get("Software") == MADE_HERE
+            software = image.getexif().get(ExifTags.Base.Software)
     except Exception:  # told where it is read
         return False
     return software == MADE_HERE
@@ -74,8 +82,9 @@ def _without_doubles(files: Sequence[Path]) -> list[Path]:
     for file in files:
         by_stem.setdefault(_copied_from(file.stem.casefold(), stems), []).append(file)
     left_out: set[Path] = set()
-    for twins in by_stem.values():
-        best = twins[0]
+    for stem, twins in by_stem.items():
+        twins.sort(key=lambda file, stem=stem: file.stem.casefold() != stem)
+        best = twins[0]  # the original, where its copies have no more pixels
         for twin in twins[1:]:
             renamed = best.stem.casefold() != twin.stem.casefold()
             if best.suffix == twin.suffix and not renamed:

@@ -49,6 +49,7 @@ FLAT = 1e-3  # thickness of a disc with two scales, as 2DGS has them, in its sma
 MOST_HEADER_BYTES = 1 << 20
 # characters of one comment: a header beyond `MOST_HEADER_BYTES` is not read again
 MOST_COMMENT = 1000
+COARSE = 0.5  # of a Gaussian's size: steps between places that spoil a scene
 LEAST_OPACITY = 1 / 255  # below it a Gaussian is never drawn
 _TYPES = {
     **{
@@ -132,7 +133,23 @@ def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
         raise InputError(
             f"{path}: shows nothing; it has no Gaussian with an opacity of at least 1/255."
         )
+    if gaussians.count:
+        _tell_coarse(path, gaussians)
     return gaussians
+
+
+def _tell_coarse(path: Path, gaussians: Gaussians) -> None:
+    """Warn of a scene so far from the origin, as in a country's coordinates, that numbers of 32
+    bits do not tell its Gaussians apart.
+    """
+    middle = gaussians.means[0].abs().amax(1).median()
+    step = float(middle) * torch.finfo(torch.float32).eps
+    size = float(gaussians.scales.median())
+    if step > COARSE * size:
+        warn(
+            f"{path}: lies {float(middle):.3g} from the origin, where places are {step:.2g} apart "
+            f"and Gaussians {size:.2g} large; move it to the origin before it is saved as PLY."
+        )
 
 
 def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:

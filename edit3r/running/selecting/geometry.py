@@ -50,7 +50,7 @@ def locate(matcher: Matcher | None, views: Views) -> Located:
     if matcher is None or views.count < 2:
         return Located(None)
     try:
-        with errors_named_after(matcher):
+        with errors_named_after(matcher, views.images):
             geometry = matcher.match(views)
     except MatchingError as error:
         return Located(None, str(error))

@@ -28,6 +28,7 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import note, say, warn
 from edit3r.kit.geometry.warping import shared_surface, warp
+from edit3r.kit.segmenting import HeldSegmenter
 from edit3r.running.selecting.confirming import ASKED, surest
 from edit3r.running.selecting.obeying import (
     SAME_SURFACE,
@@ -295,7 +296,8 @@ class _Work:
         geometry: MatchedGeometry | None,
         intrinsics: Float[Tensor, "1 view 3 3"] | None,
     ) -> None:
-        self.images, self.selection, self.segmenter = images, selection, segmenter
+        self.images, self.selection = images, selection
+        self.segmenter = HeldSegmenter(segmenter)
         self.geometry = geometry
         self.intrinsics = (
             intrinsics
@@ -443,7 +445,7 @@ class _Work:
         guess = "add --guess to take what stands out most"
         if known:
             return f"{words!r} was not found on photo {view + 1}; {ASK}, or {guess}."
-        name = component_name(self.segmenter)
+        name = component_name(self.segmenter.asked)
         more = self.segmenter.words_help() or (
             "use a segmenter that reads words (edit3r list-plugins --kind segmenter)"
         )

@@ -63,7 +63,7 @@ def _with_edit_verdict(
 
 def _answer(editor: Editor, views: Views, request: EditRequest) -> Views:
     """The editor's answer, held to its contract."""
-    with errors_named_after(editor):
+    with errors_named_after(editor, views.images):
         answer = editor.edit(views, request)
     check_edit(editor, views, answer)
     return answer

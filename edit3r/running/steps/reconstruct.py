@@ -167,7 +167,7 @@ def _checked(
     """The answer, held to the contract, with cameras by PnP where it predicts none, and without
     what could not be placed.
     """
-    with errors_named_after(recon):
+    with errors_named_after(recon, views.images):
         reconstruction = compute()
     check_reconstruction(recon, views, reconstruction)
     if reconstruction.cameras is None:

@@ -6,9 +6,11 @@ import errno
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
+import edit3r
 from edit3r.cli.main import at_home, main
 from edit3r.kit.command.console import StageConsole
 from edit3r.loading.registry import default_registry
@@ -110,6 +112,19 @@ class Interrupted:
     _, told = process.communicate(timeout=60)
     assert process.returncode == 130 and told.startswith("edit3r: interrupted"), told
     assert told.count("\n") == 1
+
+
+def test_ctrl_c_is_heard_before_anything_that_takes_long_is_imported():
+    code = (
+        "import sys, edit3r.cli.program\nheavy = {'inspect', 'tempfile', 'pathlib'}\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-S", "-c", code + HEAVY],  # -S: no editable install's finder
+        env={**os.environ, "PYTHONPATH": str(Path(edit3r.__file__).parents[1])},
+        capture_output=True,
+        text=True,
+    )
+    assert ended.returncode == 0, ended.stderr
 
 
 def test_options_and_photos_may_be_mixed(capsys, tmp_path):

@@ -36,7 +36,8 @@ class Dense(Rasterizer):
 
 
 VIEWS = photograph(2, (8, 12)).views
-GOOD = Reconstruction(gaussian_cloud(5), cameras_around(2))
+CAMERAS_OF_2 = cameras_around(2)
+GOOD = Reconstruction(gaussian_cloud(5), CAMERAS_OF_2)
 CAMERAS = cameras_around(1, (8, 12))
 DRAWN = Rendering(
     torch.zeros(1, 1, 3, 8, 12),
@@ -105,6 +106,15 @@ def test_an_edit_that_is_not_one(answer, sentence):
         (
             replace(GOOD, cameras=cameras_around(3)),
             "one camera per view, [1, 2], got [1, 3]",
+        ),
+        (
+            replace(GOOD, cameras=replace(CAMERAS_OF_2, c2w=-CAMERAS_OF_2.c2w)),
+            "whose first three columns are a rotation; one mirrors",
+        ),
+        (replace(GOOD, gaussians=gaussian_cloud(0)), "got an empty scene"),
+        (
+            replace(GOOD, placed=torch.zeros(1, 2, dtype=torch.bool)),
+            "must place a view, or raise MatchingError",
         ),
         (
             replace(GOOD, placed=torch.ones(1, 3, dtype=torch.bool)),
@@ -190,3 +200,12 @@ def test_sentences_for_the_user_and_lack_of_memory_pass_unchanged():
 def test_a_device_without_numbers_is_refused():
     with pytest.raises(SettingsError, match="'meta' cannot be used"):
         require_device("meta")
+
+
+def test_arguments_that_a_component_changes_are_told():
+    given = torch.ones(2, 3)
+    with (
+        pytest.raises(PluginError, match="must leave its arguments as they are"),
+        errors_named_after(Sepia(), given),
+    ):
+        given.numpy()[0] = 0

@@ -546,6 +546,8 @@ def test_a_strangers_page_reads_nothing_and_leads_nowhere(server, tab):
     page.wait_for_timeout(1000)
     assert asked == []
     assert page.url == f"{server.address}/s/strange"
+    page.goto(f"{server.address}/viewer/strange")  # on its own it could lead away
+    assert page.url == f"{server.address}/" and asked == []
     elsewhere.shutdown()
     shutil.rmtree(run)
 

@@ -132,5 +132,7 @@ def test_pages_fetch_nothing_from_elsewhere_and_are_shown_in_no_foreign_frame():
     assert (
         policy.startswith("default-src 'self'")
         and "frame-ancestors 'self'" in policy
+        and "frame-src 'self';" in policy
+        and "base-uri 'none'" in policy
         and "http" not in policy
     )

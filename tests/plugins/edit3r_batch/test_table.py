@@ -4,10 +4,11 @@ import json
 import sys
 
 import pytest
-from edit3r_batch.command import _print_progress, _table
+from edit3r_batch.command import _known_row, _print_progress, _table
 from edit3r_batch.scenes import row_of
 
-from edit3r.kit.workers import Progress
+from edit3r.contract.errors import InputError
+from edit3r.kit.workers import Progress, read_rows
 
 
 def manifest(folder, edit_verdict):
@@ -45,3 +46,17 @@ def test_a_terminal_shows_one_line_that_changes_and_ends_it_after_the_last_job(
     row = {"verdict": "good", "psnr": 30.0}
     _print_progress(Progress("one", row, done, total=2, seconds_left=9.0))
     assert capsys.readouterr().err.endswith(end)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"verdict": "great"}, {"psnr": "high"}, {"reason": None}, {"gaussians": {}}],
+)
+def test_a_row_of_something_else_is_named(tmp_path, wrong):
+    row = manifest(tmp_path, None)
+    failed = {"id": "two", "failure": "it was killed"}
+    lines = [row, failed, {**row, "id": "three", **wrong}]
+    file = tmp_path / "results.jsonl"
+    file.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.raises(InputError, match="line 3: not a result"):
+        read_rows(file, "id", _known_row)

@@ -16,7 +16,7 @@ from edit3r_bench.report import (
     report_text,
     write_report,
 )
-from edit3r_bench.run import BenchRun, ItemResult, run_bench
+from edit3r_bench.run import BenchRun, ItemResult, read_results, run_bench
 
 from edit3r.contract.errors import InputError
 
@@ -104,6 +104,23 @@ def test_runs_of_another_benchmark_or_version_are_not_compared(runs, tmp_path):
 def test_a_folder_without_results_is_one_sentence(tmp_path):
     with pytest.raises(InputError, match="it has no bench-run"):
         read_columns([tmp_path])
+
+
+ROW = {"id": "a", "scene": "s", "type": "recolour", "failure": "out of memory"}
+ROW |= {"metrics": {"psnr": None}}
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"metrics": 5}, {"metrics": {"psnr": "high"}}, {"more": 1}, {"scene": 5}]
+)
+def test_a_line_that_is_no_result_is_named(tmp_path, wrong):
+    lines = [ROW, {**ROW, "id": "b", **wrong}]
+    if "more" in wrong:
+        del lines[1]["scene"]
+    text = "".join(json.dumps(line) + "\n" for line in lines)
+    (tmp_path / "results.jsonl").write_text(text)
+    with pytest.raises(InputError, match=r"results\.jsonl, line 2: not a result"):
+        read_results(tmp_path)
 
 
 def test_the_page_shows_the_reports_markdown(tmp_path):

@@ -6,7 +6,7 @@ import io
 import os
 import shutil
 import sys
-from types import SimpleNamespace
+from pathlib import Path
 
 import anyio
 import pytest
@@ -16,6 +16,7 @@ from edit3r.cli.main import main
 from edit3r.kit.photos.images import packaged_pair
 
 pytest.importorskip("mcp", reason='needs the server: pip install "edit3r[mcp]"')
+from edit3r_mcp import tools
 from edit3r_mcp.tools import server
 from mcp import Client, StdioServerParameters
 
@@ -40,13 +41,14 @@ def place(tmp_path_factory):
     return place
 
 
-async def in_this_process(command, **_):
+async def in_this_process(command, out, error, context):
     """What a command would have answered in a process of its own, without its imports."""
-    out, error = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(error):
+    said, wrong = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(wrong):
         code = main(command[command.index("edit3r") + 1 :])
-    said = (out.getvalue().encode(), error.getvalue().encode())
-    return SimpleNamespace(returncode=code, stdout=said[0], stderr=said[1])
+    out.write_text(said.getvalue())
+    error.write_text(wrong.getvalue())
+    return code
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +56,7 @@ def call_a_process(place):
     """Call one tool: (its text, its image or None, whether it is an error)."""
 
     async def asked(name, arguments):
-        made = server(place / "work", str(place / "quick.yaml"))
+        made = server(place / "work", str(place / "quick.yaml"), 600)
         async with Client(made) as client:
             return await client.call_tool(name, arguments)
 
@@ -71,7 +73,7 @@ def call_a_process(place):
 @pytest.fixture
 def call(call_a_process, monkeypatch):
     """The same, but that commands run in this process."""
-    monkeypatch.setattr(anyio, "run_process", in_this_process)
+    monkeypatch.setattr(tools, "ended", in_this_process)
     return call_a_process
 
 
@@ -199,6 +201,74 @@ def test_the_command_serves_over_standard_input_and_output(place):
     assert "glb: glTF with the extension" in told["export"]
     (place / "new" / "work").rmdir()
     (place / "new").rmdir()
+
+
+SPEAKS = """
+import json, sys, time
+line = {"event": "progress", "text": "matching", "done": 3, "total": 12}
+print(json.dumps(line), file=sys.stderr)
+sys.stderr.flush()
+time.sleep(float(sys.argv[sys.argv.index("edit3r") + 1]))
+"""
+
+
+class Assistant:
+    """What a tool tells while it goes on."""
+
+    def __init__(self):
+        self.told = []
+
+    async def report_progress(self, progress, message):
+        self.told.append((progress, message))
+
+
+@pytest.fixture
+def speaking(monkeypatch):
+    """Every command only says how far it is, and takes the seconds it is given."""
+    monkeypatch.setattr(tools, "TOLD_EVERY", 0.05)
+    monkeypatch.setattr(tools, "PYTHON", [sys.executable, "-c", SPEAKS])
+
+
+def test_an_assistant_is_told_how_far_a_command_is(speaking, tmp_path):
+    there, assistant = tools.Tools(tmp_path, None, 60), Assistant()
+    assert anyio.run(there._command, assistant, "0.4") == ""
+    seconds = [progress for progress, _ in assistant.told]
+    assert seconds == sorted(seconds) and len(seconds) > 2
+    assert assistant.told[-1][1] == "matching: 3 of 12"
+
+
+def test_a_command_that_takes_longer_than_the_limit_is_ended(speaking, tmp_path):
+    there = tools.Tools(tmp_path, None, 0.3)
+    with pytest.raises(tools.ToolError, match=r"Not done within 0.3 s.*--limit"):
+        anyio.run(there._command, Assistant(), "60")
+
+
+def test_ten_exports_at_once_all_get_a_name(monkeypatch, tmp_path):
+    (tmp_path / "edit-1").mkdir()
+    (tmp_path / "edit-1" / "run.json").touch()
+
+    async def written(command, out, error, context):
+        file = Path(command[-1].removeprefix("--out="))
+        free = not file.exists()
+        await anyio.sleep(0.01)
+        file.touch()
+        out.touch()
+        return 0 if free else error.write_text("is already there")
+
+    async def ten():
+        there = tools.Tools(tmp_path, None, 60)
+        async with anyio.create_task_group() as group:
+            for _ in range(10):
+                group.start_soon(there.export, "edit-1", "ply", Assistant())
+
+    monkeypatch.setattr(tools, "ended", written)
+    anyio.run(ten)
+    assert len(list(tmp_path.glob("*.ply"))) == 10
+
+
+def test_a_limit_of_nothing_is_one_sentence(place, capsys):
+    assert main(["mcp", "--folder", str(place / "work"), "--limit", "0"]) == 2
+    assert "--limit 0: expected seconds above 0" in capsys.readouterr().err
 
 
 def test_a_folder_that_cannot_be_made_is_one_sentence(place, capsys):

@@ -186,6 +186,35 @@ def test_the_switch_shows_the_look_before_and_keeps_the_camera(page):
     assert page.evaluate("JSON.stringify(pose)") == pose
 
 
+COUNTED = """() => {
+  window.drawn = 0;
+  const own = requestAnimationFrame;
+  window.requestAnimationFrame = (then) => own((now) => { drawn++; then(now); });
+}"""
+
+
+def test_a_picture_that_stands_still_is_not_drawn_anew(page):
+    def drawn(act):
+        settle(page)
+        page.wait_for_timeout(300)
+        page.evaluate("drawn = 0")
+        act()
+        page.wait_for_timeout(300)
+        settle(page)
+        return page.evaluate("drawn")
+
+    page.evaluate(COUNTED)
+    assert drawn(lambda: None) == 0
+    assert drawn(lambda: page.keyboard.press("ArrowRight")) == 1
+    assert drawn(lambda: page.keyboard.press("2")) > 2  # a flight
+    assert drawn(lambda: page.keyboard.press("b")) == 1
+    assert drawn(lambda: page.keyboard.press("w")) >= 1
+    wider = {"width": WIDTH + 40, "height": HEIGHT}
+    assert drawn(lambda: page.set_viewport_size(wider)) >= 1
+    assert page.evaluate("canvas.width") == WIDTH + 40
+    assert drawn(lambda: None) == 0
+
+
 def test_a_handle_divides_the_picture_between_both_looks(page):
     after = seen(page)
     page.click("#switch")

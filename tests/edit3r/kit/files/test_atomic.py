@@ -1,9 +1,16 @@
 import os
+import tempfile
 
 import pytest
 
 from edit3r.contract.errors import InputError, RunError
-from edit3r.kit.files.atomic import MARKER, atomic_folder, atomic_write, check_new_file
+from edit3r.kit.files.atomic import (
+    MARKER,
+    atomic_folder,
+    atomic_write,
+    check_new_file,
+    scratch_folder,
+)
 
 
 def make_run(out, text="old", **options):
@@ -174,3 +181,24 @@ def test_a_link_to_a_folder_of_ones_own_is_written_through(tmp_path):
     with atomic_folder(tmp_path / "out") as folder:
         (folder / "mine").touch()
     assert (tmp_path / "disk" / "mine").exists()
+
+
+def test_what_a_kill_left_in_a_temporary_folder_goes_with_the_next_start(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    left = tmp_path / ".frames.partial-0123abcd"
+    left.mkdir()
+    (left / "edit3r.lock").touch()
+    (left / "frame.png").touch()
+    mine = tmp_path / "mine"
+    mine.mkdir()
+    (mine / "edit3r.lock").touch()
+    (mine / "kept.png").touch()
+    link = tmp_path / ".frames.partial-89abcdef"
+    link.symlink_to(mine)
+    with scratch_folder("frames") as folder:
+        assert not left.exists() and folder.parent == tmp_path
+        with scratch_folder("frames") as other:
+            assert folder.is_dir() and folder != other
+    assert sorted(tmp_path.iterdir()) == [link, mine] and len(left_in(mine)) == 2

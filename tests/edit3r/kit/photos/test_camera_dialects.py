@@ -87,6 +87,11 @@ DIALECTS = {
     "no fisheye": {"is_fisheye": False, "frames": frames(NAMES)},
     "gone": {"frames": [*frames(NAMES), {"file_path": "images/gone.png", "fl_x": 9}]},
     "gone and damaged": {"frames": [*frames(NAMES), {"file_path": "b.png", "w": "?"}]},
+    "another format": {"frames": frames([n.replace(".png", ".jpg") for n in NAMES])},
+    "moved by applied_transform": {
+        "applied_transform": [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]],
+        "frames": frames(NAMES),
+    },
     "listed twice alike": {"frames": frames(NAMES) + frames(NAMES)},
 }
 
@@ -116,6 +121,13 @@ def test_names_with_accents_are_found_however_they_are_written(tmp_path):
     content = {"frames": frames([unicodedata.normalize("NFD", n) for n in names])}
     (tmp_path / "transforms.json").write_text(json.dumps(content))
     assert_known(loaded(files)[0])
+
+
+def test_a_centre_of_null_is_the_middle(tmp_path):
+    files = photos(tmp_path / "images")
+    content = {"frames": frames(NAMES, cx=None, cy=None)}
+    (tmp_path / "transforms.json").write_text(json.dumps(content))
+    assert_known(loaded(files)[0], cx=WIDTH / 2)
 
 
 def test_an_angle_alone_takes_the_size_of_the_photo(tmp_path):
@@ -286,6 +298,11 @@ def test_colmaps_lenses_are_those_of_opencv(tmp_path, lens, write):
     of_centre = 3 if len(LENSES[lens]) < 6 and lens != "PINHOLE" else 4
     expected = tuple(LENSES[lens][of_centre:])
     assert camera.distortion == expected
+    (file,) = photos(tmp_path / "images", ["left.png"])
+    focal = loaded([file], tmp_path / "model")[0].intrinsics[0, 0, 0, 0]
+    assert focal == pytest.approx(
+        FOCAL / WIDTH, rel=0.1
+    )  # of what is left, straightened
 
 
 @pytest.mark.parametrize("gap", ["\n\n", "\n", "\r\n\r\n"])

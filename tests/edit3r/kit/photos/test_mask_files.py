@@ -65,6 +65,15 @@ def test_of_few_masks_each_goes_to_its_number(masks):
         assert list(masks_by_photo(masks(*names), photos)) == views
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_as_many_as_photos_that_count_otherwise_go_in_order(masks, tmp_path, first):
+    """Of a video's segmenter, which counts from 0."""
+    photos = [(f"IMG_{number}.jpg",) for number in (1 + first, 2 + first)]
+    names = [f"{number:05}.png" for number in (first, 1 + first)]
+    masks(*names)
+    assert paired([str(tmp_path)], photos) == names
+
+
 def test_what_a_shell_sorted_goes_in_natural_order(masks):
     photos = [(f"{name}.jpg",) for name in "abcdefghijk"]
     by_shell = sorted(f"m{number}.png" for number in range(11))

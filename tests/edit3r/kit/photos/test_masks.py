@@ -123,6 +123,7 @@ def outlined(kind):
     colours = {
         "red": (250, 50, 83),
         "green": (0, 255, 0),
+        "small green": (0, 255, 0),
         "index": (2, 2, 2),
         "large index": (38, 38, 38),
         "index and void": (15, 15, 15),
@@ -140,7 +141,7 @@ def outlined(kind):
     "kind, suffix",
     [
         *((kind, ".png") for kind in ("palette", "red", "green", "index")),
-        *((kind, ".jpg") for kind in ("palette", "red", "green")),
+        *((kind, ".jpg") for kind in ("palette", "red", "green", "small green")),
         *((f"{kind} and void", ".png") for kind in ("index", "colour")),
         ("large index", ".png"),
     ],
@@ -149,10 +150,12 @@ def test_one_label_of_any_colour_is_white(tmp_path, photos, kind, suffix):
     path = tmp_path / f"m{suffix}"
     image = outlined(kind)
     image = image.convert("RGB") if suffix == ".jpg" else image
+    if kind.startswith("small"):  # JPEG's blurred edges take more of it
+        image = image.resize((100, 75), Image.Resampling.NEAREST)
     image.save(path)
     with pytest.warns(UserWarning, match="label image.*taken as white"):
         found = read_mask(path, photos.photos[0].frame)
-    assert found[110:190, 60:240].min() > 0.95 and found[:90].max() < 0.05
+    assert found[110:190, 60:240].min() > 0.9 and found[:90].max() < 0.05
 
 
 def test_several_labels_are_listed(tmp_path, photos):

@@ -33,6 +33,8 @@ def names(folder):
         "mask_left.png",
         "left.mask.png",
         "left_depth.png",
+        "left_depth_16.png",
+        "left_mask_0.png",
         "seg-right.png",
         "left.jpg.png",
         "left.png",
@@ -59,7 +61,18 @@ def test_the_format_with_most_pixels_is_taken(folder):
 
 
 @pytest.mark.parametrize(
-    "name", ["left (1).jpg", "left_thumb.jpg", "left - Copy.jpg", "left-edited.jpg"]
+    "name",
+    [
+        "left (1).jpg",
+        "left 2.jpg",
+        "left~2.jpg",
+        "left_thumb.jpg",
+        "left - Copy.jpg",
+        "left - Kopie (2).jpg",
+        "Copy of left.jpg",
+        "left copy 2.jpg",
+        "left-edited.jpg",
+    ],
 )
 def test_copies_are_no_photos_but_others_of_such_names_are(folder, name):
     copy = Image.open(folder / "left.jpg").resize((40, 40)).point(lambda v: 0.9 * v)

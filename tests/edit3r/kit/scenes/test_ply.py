@@ -468,3 +468,12 @@ def test_a_scene_that_shows_nothing_is_refused_where_it_is_to_be_seen(tmp_path):
     assert load_ply(tmp_path / "a.ply").count == 50
     with pytest.raises(InputError, match=r"a\.ply: shows nothing"):
         load_ply(tmp_path / "a.ply", visible=True)
+
+
+@pytest.mark.parametrize("away, told", [(0, False), (1e4, False), (4e6, True)])
+def test_a_scene_where_numbers_are_too_coarse_for_it_is_told(tmp_path, away, told):
+    gaussians = scene()
+    save_ply(tmp_path / "a.ply", replace(gaussians, means=gaussians.means + away))
+    with collecting(Report()) as report:
+        load_ply(tmp_path / "a.ply")
+    assert ["from the origin" in text for text in report.warnings] == [True] * told

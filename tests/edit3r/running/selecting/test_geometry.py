@@ -75,9 +75,38 @@ def test_one_scene_of_a_batch_keeps_its_own_geometry():
     assert second.intrinsics.shape[0] == len(second.c2w) == 1
 
 
+def seen(**fields):
+    return replace(true_geometry(), **fields)
+
+
+def posed(row, column, value):
+    """The true poses with one number of the second view's changed."""
+    c2w = true_geometry().c2w.clone()
+    c2w[:, 1, row, column] = value
+    return seen(c2w=c2w)
+
+
+PLACED = true_geometry().registered
+LENS = SCENE.views.intrinsics
+
+
 @pytest.mark.parametrize(
     "answer, said",
     [
+        (seen(depths=None), "must return depths as a tensor, got NoneType"),
+        (seen(depths=torch.ones(())), "must return depths of shape"),
+        (seen(confidence=3 * true_geometry().confidence), r"confidence in \[0, 1\]"),
+        (seen(registered=PLACED.float()), "must return registered in torch.bool"),
+        (seen(registered=~PLACED), "must place view 0 and another one"),
+        (seen(c2w=0 * true_geometry().c2w), "a rotation; one scales or is singular"),
+        (seen(c2w=-true_geometry().c2w), "a rotation; one mirrors"),
+        (posed(0, 3, 1e20), "where depths reach; one is 1e[+]20 away"),
+        (posed(3, 0, 5.0), "whose last row is 0, 0, 0, 1"),
+        (posed(0, 0, float("nan")), "returned c2w with 2 of 96 values not finite"),
+        (seen(c2w=true_geometry().c2w.roll(1, 1)), "in the frame of view 0"),
+        (seen(intrinsics=0 * LENS), "must return focal lengths above 0"),
+        (seen(intrinsics=LENS[:, :1]), "must return intrinsics of shape"),
+        (seen(lenses=5), "must return lenses as two angles"),
         (ValueError("no luck"), "raised ValueError: no luck"),
         (None, "must return edit3r.MatchedGeometry, got NoneType"),
         (
