@@ -165,24 +165,38 @@ def completed(expected: np.ndarray, known: np.ndarray, prompt: Prompt) -> np.nda
     """
     if not expected.any() or _open_share(expected, known) < MIN_OPEN:
         return expected
-    whole = expected.copy()
-    answers: list[np.ndarray] = []
-    clicks: list[Click] = []
-    for place in _spread(expected):
-        clicks.append((place, True))
-        found = [answer > 0 for answer in prompt(clicks[-1:], None)]
-        answers += found
-        if max(_agreements_in(known, found, expected)) >= SURELY_AGREED:
-            break
-        for answer in found:
-            if _is_part(answer, expected, known):
-                whole |= answer & ~known
+    places = [(place, True) for place in _spread(expected)]
+    # One question with all that is expected; most often no other is needed.
+    answers = [answer > 0 for answer in prompt(places, _bounds(expected))]
+    if max(_agreements_in(known, answers, expected)) < SURELY_AGREED:
+        more, whole = _asked_in_turn(expected, known, prompt, places)
+        answers += more
     else:
-        answers += [answer > 0 for answer in prompt(clicks, _bounds(whole))]
+        whole = expected
     agreements = _agreements_in(known, answers, expected)
     if max(agreements) >= MIN_AGREED:
         whole = answers[int(np.argmax(agreements))]
     return tidied(whole, expected)
+
+
+def _asked_in_turn(
+    expected: np.ndarray, known: np.ndarray, prompt: Prompt, places: Sequence[Click]
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """A network's answers at one place after another until one surely agrees, and `expected` with
+    the parts that they add.
+    """
+    answers: list[np.ndarray] = []
+    whole = expected.copy()
+    for place in places:
+        found = [answer > 0 for answer in prompt([place], None)]
+        answers += found
+        if max(_agreements_in(known, found, expected)) >= SURELY_AGREED:
+            return answers, whole
+        for answer in found:
+            if _is_part(answer, expected, known):
+                whole |= answer & ~known
+    answers += [answer > 0 for answer in prompt(places, _bounds(whole))]
+    return answers, whole
 
 
 def _agreements_in(

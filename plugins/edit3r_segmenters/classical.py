@@ -44,6 +44,7 @@ from edit3r_segmenters.candidates import (
     completed,
 )
 from edit3r_segmenters.masks import (
+    Latest,
     overlap,
     reduced,
     snapped,
@@ -164,6 +165,8 @@ class ClassicalSegmenter(Segmenter):
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._memory: dict[Hashable, Any] = {}
+        self._prints: Latest[str] = Latest()
+        self._pixels: Latest[Hashable] = Latest()
 
     @remembered
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
@@ -341,7 +344,7 @@ class ClassicalSegmenter(Segmenter):
         network: Network,
     ) -> Prompt:
         """Asks the network at working size; an answer is kept, since each click asks all again."""
-        key, (height, width) = fingerprint(image), shape
+        key, (height, width) = self._print_of(image), shape
 
         def prompt(clicks: Sequence[Click], box: Box | None) -> np.ndarray:
             places = [
@@ -405,7 +408,7 @@ class ClassicalSegmenter(Segmenter):
             left = np.clip(x * width - side / 2, 0, max(0, width - side))
             windows.append((int(top), int(left), side, CROP_SIDE))
         pixels = to_bytes(rgb)
-        key, read = (rgb.shape, hash(rgb.tobytes())), reader(weights)
+        key, read = self._key_of(rgb), reader(weights)
         try:
             return tuple(
                 self._kept(
@@ -422,7 +425,7 @@ class ClassicalSegmenter(Segmenter):
         self, image: Float[Tensor, "3 height width"], shape: tuple[int, int]
     ) -> list[tuple[Box, float]]:
         """Boxes of everyday things at working size, and how surely each is one."""
-        found = self._kept(("things", fingerprint(image)), lambda: things_on(image))
+        found = self._kept(("things", self._print_of(image)), lambda: things_on(image))
         return [(_in_pixels(box, shape), surety) for box, surety in found]
 
     def _surfaces(
@@ -471,9 +474,14 @@ class ClassicalSegmenter(Segmenter):
         return (replace(found, surety=surety),)
 
     def _analysis(self, rgb: np.ndarray) -> _Analysis:
-        return self._kept(
-            (rgb.shape, hash(rgb.tobytes())), lambda: _analyse(rgb, self.settings.size)
-        )
+        key = self._key_of(rgb)
+        return self._kept(key, lambda: _analyse(rgb, self.settings.size))
+
+    def _key_of(self, rgb: np.ndarray) -> Hashable:
+        return self._pixels.of(rgb, lambda: (rgb.shape, hash(rgb.tobytes())))
+
+    def _print_of(self, image: Float[Tensor, "3 height width"]) -> str:
+        return self._prints.of(image, lambda: fingerprint(image))
 
     def _fine(self, rgb: np.ndarray, mask: np.ndarray, rounds: int = 2) -> np.ndarray:
         """Snap the outline of a bool mask `[h, w]` found at working size once more, at tracking

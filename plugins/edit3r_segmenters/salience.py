@@ -77,7 +77,7 @@ def measure(
         (rows.mean() + 0.5) / height - 0.5,
     )
     touched = np.concatenate([bits[0], bits[-1], bits[:, 0], bits[:, -1]]).mean()
-    hull = cv2.convexHull(np.stack([columns, rows], 1).astype(np.int32))
+    hull = cv2.convexHull(_ends_of_rows(mask))
     return Objectness(
         separation=_separation(mask, superpixels.palette_index),
         outline=_outline(bits, superpixels.edges),
@@ -87,6 +87,15 @@ def measure(
         inside=float(np.exp(-((touched / BORDER_SPREAD) ** 2) / 2)),
         foreground=1 - float(background[mask].mean()),
     )
+
+
+def _ends_of_rows(mask: np.ndarray) -> np.ndarray:
+    """x and y of the first and the last pixel of each row of a bool mask: its hull is theirs."""
+    rows = np.flatnonzero(mask.any(1))
+    first = mask[rows].argmax(1)
+    last = mask.shape[1] - 1 - mask[rows, ::-1].argmax(1)
+    columns = np.concatenate([first, last])
+    return np.stack([columns, np.tile(rows, 2)], 1).astype(np.int32)
 
 
 def _separation(mask: np.ndarray, palette_index: np.ndarray) -> float:

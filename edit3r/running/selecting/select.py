@@ -8,6 +8,7 @@ geometry where it is at hand, else by what the pictures show. The command line, 
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -27,6 +28,7 @@ from edit3r.contract.interfaces import (
     Tracks,
 )
 from edit3r.contract.reporting import note, say, warn
+from edit3r.kit.cache import fingerprint
 from edit3r.kit.geometry.warping import shared_surface, warp
 from edit3r.kit.segmenting import HeldSegmenter
 from edit3r.running.selecting.confirming import ASKED, surest
@@ -651,16 +653,30 @@ class _Work:
             return None
         if not geometry.registered[0, pair].all():
             return None
-        return shared_surface(
+        photos = (
             geometry.depths[0, pair],
             self.intrinsics[0, pair],
             geometry.c2w[0, pair],
-            SAME_SURFACE,
         )
+        return _shared_by(_Hashed(fingerprint(photos), photos))
 
     def _keep(self, view: int, mask: Tensor, how: str) -> None:
         mask = mask.to(self.images).clamp(0, 1)
         self.masks[view], self.how[view] = torch.where(mask < FAINT, 0, mask), how
+
+
+@dataclass(frozen=True)
+class _Hashed:
+    """Depths, intrinsics and poses of two views, compared by their fingerprint alone."""
+
+    fingerprint: str
+    photos: tuple[Tensor, Tensor, Tensor] = field(compare=False)
+
+
+@lru_cache(maxsize=12)
+def _shared_by(pair: _Hashed) -> tuple[Tensor, Tensor]:
+    """Clicks follow each other on the same photos."""
+    return shared_surface(*pair.photos, SAME_SURFACE)
 
 
 def _at(

@@ -190,11 +190,11 @@ class TestCompleted:
         asked = []
 
         def prompt(clicks, box):
-            asked.append(clicks)
+            asked.append(box)
             return np.where(self.THING, 4.0, -4)[None]
 
         assert np.array_equal(completed(self.EXPECTED, self.KNOWN, prompt), self.THING)
-        assert len(asked) == 1
+        assert asked == [((16, 16), (48, 48))]  # all places at once, in their box
 
 
 class Boxed(Aside):
