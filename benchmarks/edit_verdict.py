@@ -10,8 +10,8 @@ than was asked for, a removed object whose outline stays. One row an edit, then 
 are doubted and how many bad ones are named.
 
 With --looked-at: the edits of `edit_verdict.json`, which somebody asked for by clicks and words and
-then looked at. Each has its sentence, what was selected in each photo, and whether it came out as
-it was asked for. `chose_limits` is false for photos that no limit was chosen by.
+then looked at. Each has its sentence, what was selected in each photo, how likely a part of that
+was meant instead, and whether it came out as it was asked for. `chose_limits` is false for photos that no limit was chosen by.
 """
 
 import argparse
@@ -172,11 +172,13 @@ def looked_at(data: Path, only: list[str]) -> list[dict]:
     """A row for each edit that somebody looked at, and how often the verdict says the same."""
     edits = json.loads(Path(__file__).with_name("edit_verdict.json").read_text())
     rows = []
+    caches: dict[tuple[str, ...], edit3r.Cache] = {}  # a pair is matched once
     for edit in edits:
         if only and edit["set"] not in only:
             continue
+        cache = caches.setdefault(tuple(edit["photos"]), edit3r.Cache())
         try:
-            verdict = verdict_on(edit, data)
+            verdict = verdict_on(edit, data, cache)
         except Edit3rError as error:
             print(f"{edit['set']}, {edit['prompt']}: {str(error)[:90]}")
             continue
@@ -205,20 +207,23 @@ def looked_at(data: Path, only: list[str]) -> list[dict]:
     return rows
 
 
-def verdict_on(edit: dict, data: Path) -> EditVerdict:
+def verdict_on(edit: dict, data: Path, cache: edit3r.Cache) -> EditVerdict:
     """The verdict on an edit of what was selected then, as if it had been selected now."""
     files = [str(data / file) for file in edit["photos"]]
     with tempfile.TemporaryDirectory() as folder:
         masks = [Path(folder) / f"{Path(file).stem}.png" for file in files]
         for mask, coded in zip(masks, edit["masks"]):
             mask.write_bytes(base64.b64decode(coded))
-        result = edit3r.run(files, edit["prompt"], masks=masks, size=SIZE, outputs=[])
+        result = edit3r.run(
+            files, edit["prompt"], masks=masks, size=SIZE, outputs=[], cache=cache
+        )
     how = "marked" if edit["clicked"] else "words"
     selected = Selected(result.scene.masks[0][:, None], (how, "geometry"))
     scene = replace(result.scene, selected=(selected,))
     views = range(scene.start.count)
     wishes = [wish for task in result.parts.tasks for wish in task.wishes]
     measures = measure_edit_in_3d(measure_edit(scene, wishes, views), scene, views)
+    measures = replace(measures, part=edit["part"])
     return judge_edit(measures, edit["surety"])
 
 

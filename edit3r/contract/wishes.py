@@ -49,7 +49,7 @@ class Thing:
     part: Colour | None = None  # only its pixels near this colour
     # of a region, on the first photo: left, top, width, height [shares of its sides]
     box: Box | None = None
-    # a plural without a number: "chairs", of which the surest is taken, and that is said
+    # a plural without a number: "chairs", of which all that are surely found are taken
     several: bool = False
     unknown: tuple[str, ...] = ()  # words of the name that the reader does not know
 

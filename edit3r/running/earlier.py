@@ -44,7 +44,8 @@ class EarlierRun:
 
     photos: Views  # unedited; geometry is read from them
     edited: Views  # what the next edit is applied to
-    scene: Reconstruction  # the Gaussians of scene.ply, and the cameras of the views
+    # the Gaussians of scene.ply, and the cameras of the views; None: the photos are begun with
+    scene: Reconstruction | None
     prompts: tuple[str, ...]  # the edits so far, in order
     records: tuple[Photo, ...]  # how the photos became views
     reconstructor: dict[str, Any]  # name and settings, as a configuration holds them
@@ -53,6 +54,16 @@ class EarlierRun:
     things: Mapping[str, Float[Tensor, "view height width"]] = field(
         default_factory=dict
     )
+
+    def undone(self) -> "EarlierRun":
+        """What was before the last edit: the photos. Raises InputError for an edit of an edit."""
+        if len(self.prompts) > 1:
+            raise InputError(
+                f"this is edit {len(self.prompts)} of {len(self.prompts)}, and its folder does not "
+                "hold the scene before it: give --from the folder that it went on from, and leave "
+                "'undo' out."
+            )
+        return replace(self, edited=self.photos, scene=None, prompts=())
 
 
 def note_views(views: Views) -> None:

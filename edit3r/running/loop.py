@@ -16,7 +16,7 @@ from edit3r.loading.registry import Registry, default_registry
 from edit3r.running.config import check_components
 from edit3r.running.earlier import EarlierRun
 from edit3r.running.job import RunJob
-from edit3r.running.parts import Parts, with_known_poses, with_reader
+from edit3r.running.parts import Parts, undone, with_known_poses, with_reader
 from edit3r.running.quality import note_quality
 from edit3r.running.record import RunRecord
 from edit3r.running.scene import Scene
@@ -117,7 +117,7 @@ def _take(
     require_device(job.config.device)
     check_components(job.config, registry, job.components)
     note_quality(job.config)
-    job = with_reader(job, registry)
+    job = undone(with_reader(job, registry))
     scene, factor = to_own_unit(read(job, registry))
     parts = Parts(with_known_poses(job, scene.photos, registry), registry, job)
     if reconstruct in steps:

@@ -47,7 +47,8 @@ class Parts:
     @property
     def edits_again(self) -> bool:
         """Whether the scene of an earlier run is edited."""
-        return self.job.earlier is not None
+        earlier = self.job.earlier
+        return earlier is not None and earlier.scene is not None
 
     @cached_property
     def reader(self) -> Reader:
@@ -153,6 +154,30 @@ def with_reader(job: RunJob, registry: Registry) -> RunJob:
         return job
     reader = registry.build_choice("reader", job.config.reader)
     return replace(job, components={**job.components, "reader": reader})
+
+
+def undone(job: RunJob) -> RunJob:
+    """The job without the earlier run's edit, where its sentence begins with "undo".
+
+    Raises PromptError where no earlier run is given.
+    """
+    rest = job.components["reader"].after_undo(job.config.prompt)
+    if rest is None:
+        return job
+    if job.earlier is None:
+        raise PromptError(
+            "'undo' takes back an edit of an earlier run, and none is given: add --from its "
+            "folder, without photos."
+        )
+    say("edit.undone", f"taken back: {job.earlier.prompts[-1]}")
+    changed: dict[str, Any] = {"prompt": rest}
+    if not rest:
+        changed["editor"] = PartChoice(name="none")
+    return replace(
+        job,
+        config=job.config.model_copy(update=changed),
+        earlier=job.earlier.undone(),
+    )
 
 
 def read_lens(config: RunConfig, registry: Registry, views: Views) -> Lens | None:

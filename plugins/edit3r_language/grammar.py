@@ -30,6 +30,12 @@ MAX_WORDS = 80
 _SEPARATORS = re.compile(
     r"([,.;!?:]+|\band\b|\bthen\b|&|\bwhile\b|\bwhereas\b|\bbut\b)"
 )
+_UNDO = re.compile(
+    r"\s*(please )?(undo|revert|take back)"
+    r"( (it|that|this|(the|my) (last|previous)( (edit|change|one))?|the (edit|change)))?"
+    r"\s*($|([,.;!]|and\b|then\b|but\b|\s)+)",
+    re.IGNORECASE,
+)
 _RGB = re.compile(r"\brgb ?\(? ?(\d{1,3})[, ]+(\d{1,3})[, ]+(\d{1,3})\)?")
 _TOKEN = re.compile(r"#[0-9a-z]+|\d+%|[^\W_]+(?:['-][^\W_]+)*")
 
@@ -64,6 +70,10 @@ class GrammarReader(Reader):
         if not clauses:
             raise PromptError(f"{prompt!r} asks for no change. {self.abilities}")
         return wishes_of(clauses, kept, prompt)
+
+    def after_undo(self, prompt: str) -> str | None:
+        found = _UNDO.match(prompt)
+        return prompt[found.end() :] if found else None
 
     def read_thing(self, words: str) -> Thing:
         return read_thing(words.lower().split())
@@ -109,7 +119,7 @@ def _wished_away(tokens: list[str], begins: bool) -> list[str]:
     named = [token for token in tokens[1:] if token not in words.POLITENESS]
     if not begins or tokens[0] not in ("no", "without") or not named:
         return tokens
-    several = is_plural(named[-1]) or named[-1] == "people"
+    several = is_plural(named[-1])
     return ["remove", *tokens[1:]] if several or named[0] == "the" else tokens
 
 

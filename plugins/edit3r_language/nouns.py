@@ -7,6 +7,10 @@ from edit3r.contract.wishes import Colour
 from edit3r.kit.compute.colour_names import BASIC_COLOURS
 
 
+_PLURALS = frozenset("people children men women feet teeth mice".split())
+"""Of words whose plural has no rule, or that stand for several."""
+
+
 def is_noun(word: str) -> bool:
     """Whether a word, singular, plural or with 's, is on the list of everyday things."""
     word = word.removesuffix("'s")
@@ -15,7 +19,7 @@ def is_noun(word: str) -> bool:
 
 def is_plural(word: str) -> bool:
     """Whether a word is the plural of an everyday thing: "cups", but not "glasses"."""
-    return word not in _nouns() and is_noun(word)
+    return word in _PLURALS or word not in _nouns() and is_noun(word)
 
 
 def is_thing_too(colour: Colour) -> bool:

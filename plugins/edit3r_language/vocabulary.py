@@ -98,7 +98,7 @@ QUESTIONS = words_of("what why how when who where which whose does do did is are
 
 INSTEAD = {
     "snow": "'make it look like winter' is a look; no snow falls.",
-    "undo": "To undo an edit, go on with --from the folder of the run before it.",
+    "undo": "To undo an edit, begin with it, and give --from the folder of its run: 'undo that'.",
     "rusty": "'rust' and 'rusty red' are colours; rust itself is not drawn.",
     "pastel": "A shade needs a colour: pastel pink.",
     "corner": "Say which: the top right corner, the corner at the left.",

@@ -35,3 +35,10 @@ class Reader(Configured, ABC):
     def hint(self, wish: Wish) -> str:
         """What to say instead of a wish's unread words, as the end of an error: " Near: ..."."""
         return ""
+
+    def after_undo(self, prompt: str) -> str | None:
+        """The rest of a sentence that first takes back the last edit; None for any other.
+
+        "Undo that and make its plaque red" leaves "make its plaque red", "undo" leaves "".
+        """
+        return None

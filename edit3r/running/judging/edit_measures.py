@@ -22,6 +22,7 @@ from edit3r.running.judging.edit_verdict import (
     EditMeasures,
 )
 from edit3r.running.scene import Scene
+from edit3r.running.selecting.select import Selected
 
 SIDE = 256  # pixels of the longer side at which signs are read, for which limits hold
 VISIBLE = 8 / 255  # change of a channel that one sees
@@ -44,6 +45,9 @@ SAME_SURFACE = (
     0.05  # relative difference in depth within which two views show one surface
 )
 HUE_TOLERANCE = 25.0  # degrees
+LARGE = 0.08  # share of a photo from which a part of a thing may be the thing
+IS_PART = 0.9  # share of a reading that another one holds, from which it is a part
+PART_COLOUR = 8.0  # difference of colours between a part and the rest [CIE Lab]
 GREY = 8.0  # chroma below which a colour is grey [CIE Lab]
 
 Masks = Float[Tensor, "view height width"]
@@ -74,6 +78,9 @@ def measure_edit(
     measures = EditMeasures(shares, changed, faults, reached=reached)
     if _means_one_clicked_thing(scene, wishes):
         measures = replace(measures, clicked=max(shares), pieces=pieces(masks))
+    if not any(wish.without for wish in wishes):
+        part, reading = likely_part(scene.start.images[0], scene.selected)
+        measures = replace(measures, part=part, part_reading=reading)
     if any(wish.action == "remove" for wish in wishes):  # its shadow and rim go with it
         return replace(
             measures,
@@ -144,6 +151,56 @@ def pieces(masks: Masks) -> float:
             areas = cv2.connectedComponentsWithStats(inside)[2][1:, cv2.CC_STAT_AREA]
             apart.append(1 - float(areas.max() / areas.sum()))
     return max(apart)
+
+
+def likely_part(
+    images: Float[Tensor, "view 3 height width"], selected: Sequence[Selected]
+) -> tuple[float | None, int]:
+    """How likely a part of what a click took was meant instead, and the number of that reading.
+
+    As likely as what was taken: 1. Only parts count that differ from the rest in colour, at the
+    seam too, as a bear does from its plinth's shade and a fox from its plaque; of small things they
+    are handles and labels. None where nothing was read in several ways.
+    """
+    found: list[tuple[float, int]] = []
+    for one in selected:
+        by_number = {reading.number: reading for reading in one.readings}
+        whole = by_number.get(one.taken)
+        if whole is None or "marked" not in one.how:
+            continue
+        photo = _small(images[whole.view])
+        masks = {n: _small(r.mask) > 0.5 for n, r in by_number.items()}
+        for number, reading in by_number.items():
+            if _is_other_part(photo, masks[number], masks[whole.number]):
+                found.append((reading.score / max(whole.score, 1e-6), number))
+        found.append((0.0, whole.number))
+    return max(found) if found else (None, 0)
+
+
+def _is_other_part(
+    photo: Float[Tensor, "3 height width"],
+    part: Bool[Tensor, "height width"],
+    whole: Bool[Tensor, "height width"],
+) -> bool:
+    """Whether something is a part of a large thing that has other colours than the rest of it."""
+    area, inner = int(whole.sum()), part & whole
+    is_part = int(inner.sum()) > IS_PART * int(part.sum())
+    share = int(part.sum()) / max(area, 1)
+    if area < LARGE * whole.numel() or not is_part or not 0.3 < share < 0.9:
+        return False
+    lab = rgb_to_lab(photo).movedim(0, -1).numpy(force=True).astype(np.float32)
+    smooth = cv2.GaussianBlur(lab, (0, 0), 1.0)
+    here, rest = inner.numpy(force=True), (whole & ~part).numpy(force=True)
+    seam = [here & _near(rest), rest & _near(here)]
+    if not seam[0].any() or not seam[1].any():
+        return False
+    means = [smooth[one].mean(0) for one in (here, rest, *seam)]
+    apart = np.linalg.norm(means[0] - means[1]), np.linalg.norm(means[2] - means[3])
+    return bool(min(apart) > PART_COLOUR)
+
+
+def _near(where: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height width"]:
+    return cv2.dilate(where.astype(np.uint8), np.ones((13, 13), np.uint8)) > 0
 
 
 def taken(

@@ -17,6 +17,7 @@ MIN_SHARE = 0.0008  # of the photo that shows most of what was selected
 MIN_OF_LARGEST = 0.1  # share of a photo over the largest such share
 MAX_CLICKED = 0.38
 MAX_PIECES = 0.15
+MAX_PART = 0.65
 MIN_CHANGED = 0.1
 MIN_TAKEN = 0.58
 MIN_OUTLINE = 0.8
@@ -45,6 +46,9 @@ class EditMeasures:
     clicked: float | None = None
     # share of what a click took that lies apart from its largest piece; the largest
     pieces: float | None = None
+    # how likely a part of another colour was meant instead, beside what was taken, and its reading
+    part: float | None = None
+    part_reading: int = 0
     # share of a thing that took the colour, where the rest of it has much the same own colour
     taken: float | None = None
     # share of a photo that shows what was made up behind a removed thing, without texture
@@ -110,6 +114,11 @@ def _doubts_of_meaning(found: EditMeasures, surety: float | None) -> Iterator[st
         yield (
             f"{found.clicked:.0%} of a photo was taken for the thing that was clicked on "
             "(--smaller takes less, a name says how far it goes)"
+        )
+    if _is_over(found.part, MAX_PART):
+        yield (
+            "a part of what was taken has other colours and may be all that is meant (--reading "
+            f"{found.part_reading} takes that)"
         )
 
 

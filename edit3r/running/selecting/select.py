@@ -31,6 +31,7 @@ from edit3r.contract.reporting import note, say, warn
 from edit3r.kit.cache import fingerprint
 from edit3r.kit.geometry.warping import shared_surface, warp
 from edit3r.kit.segmenting import HeldSegmenter
+from edit3r.running.selecting.agreeing import agreed
 from edit3r.running.selecting.confirming import ASKED, surest
 from edit3r.running.selecting.obeying import (
     SAME_SURFACE,
@@ -81,7 +82,7 @@ class Selection:
         ""  # what is meant, such as "bike"; looked up where no mark says it all
     )
     which: tuple[str, ...] = ()  # picks among several: "left", "big", "red", "all"
-    several: bool = False  # the words are a plural; that one is taken is then said
+    several: bool = False  # the words are a plural: all that are sure are taken
     # True: what stands out most is taken where the words are not known
     guess: bool = False
     sure: bool = False  # True: what words found unsurely is refused
@@ -206,6 +207,7 @@ def select_masks(
         if view not in work.masks:
             work.carry(view)
     for view in range(len(images)):
+        work.agree(view)
         work.obey(view)
     how = tuple(work.how[view] for view in range(len(images)))
     masks = torch.stack([work.masks[view] for view in range(len(images))])[:, None]
@@ -363,15 +365,15 @@ class _Work:
         only sure ones may be taken.
         """
         words, which = self.selection.words, self.selection.which
-        picked = pick(found, which, self.images[view])
+        sure = [one for one in found if one.surety >= SURE]
+        if self.selection.several and not which and sure:
+            picked = tuple(sure)
+        else:
+            picked = pick(found, which, self.images[view])
         self.surety = min(proposal.surety for proposal in picked)
         named = " ".join((*which, words)).strip()
-        sure = sum(one.surety >= SURE for one in found)
-        if self.selection.several and not which and sure > 1:
-            self.warnings.append(
-                f"{sure} {words} were found on photo {view + 1}, and the surest is taken; say 'all "
-                f"{words}' for all of them."
-            )
+        if len(picked) > 1:
+            say("selection.several", f"{len(picked)} {words} on photo {view + 1}")
         if self.surety < SURE and self.selection.sure:
             raise InputError(
                 f"{named!r} was found on photo {view + 1}, but it may be something else "
@@ -494,6 +496,20 @@ class _Work:
                     f"photo {view + 1} is only told what is not the object; {ASK} on it."
                 )
         self._paint(view)
+
+    def agree(self, view: int) -> None:
+        """Add to a carried mask what the photos with masks of their own show of the thing."""
+        if self.how[view] != "geometry" or self.intrinsics is None:
+            return
+        assert self.geometry is not None
+        for source in self._own():
+            self.masks[view] = agreed(
+                self.masks[view],
+                self.masks[source],
+                (view, source),
+                self.geometry,
+                self.intrinsics,
+            )
 
     def _paint(self, view: int) -> None:
         """Brush, exact boxes and eraser are taken as they are."""

@@ -194,6 +194,19 @@ def test_two_colours_on_one_thing_are_refused():
         read("paint the bike red and blue")
 
 
+@pytest.mark.parametrize(
+    ("sentence", "rest"),
+    [
+        ("undo", ""),
+        ("undo that and make its plaque purple", "make its plaque purple"),
+        ("Undo the last edit, then paint it red", "paint it red"),
+        ("make it red", None),
+    ],
+)
+def test_undo_is_told_from_what_else_is_asked(sentence, rest):
+    assert GrammarReader().after_undo(sentence) == rest
+
+
 def test_a_misspelt_colour_is_suggested():
     (wish,) = read("paint the bike purpel")
     assert "Near 'purpel': purple" in GrammarReader().hint(wish)

@@ -199,6 +199,18 @@ def test_undo_is_the_run_before(folders):
     assert one.split(b"end_header\n", 1)[1] == undone.split(b"end_header\n", 1)[1]
 
 
+@pytest.mark.slow
+def test_a_sentence_that_begins_with_undo_goes_on_from_the_photos(folders, capsys):
+    ball = ("--mask", *masks_of(folders, 1))
+    more = ("--editor", "recolor", "--prompt")
+    assert again(folders, *more, "undo that and paint it red", *ball) == 0
+    second = json.loads((folders / "second" / "run.json").read_text())
+    assert second["notes"]["edits"] == ["paint it red"]
+    assert again(folders, *more, "paint it blue", *ball, start="second", out="3rd") == 0
+    assert again(folders, *more, "undo", start="3rd", out="4th") == 2
+    assert "edit 2 of 2" in capsys.readouterr().err
+
+
 def test_without_masks_a_further_edit_changes_what_it_changed_on_the_photos(
     planted, folders
 ):
