@@ -37,8 +37,10 @@ LEAST_POINTS = 20
 MOST_ZOOM = 1.25
 """Change of a focal length beyond which the matches do not tell it: then it stays as it was."""
 
-MOST_TRACKS = 2000
-"""More are not adjusted: those of most views are enough to settle poses and lens."""
+MOST_TRACKS, FIRST_TRACKS = 2000, 600
+"""More are not adjusted: those of most views are enough to settle poses and lens, and
+fewer for a first adjustment, after which matches are chosen anew.
+"""
 
 Tracks = list[dict[int, int]]  # view: keypoint, of each track
 
@@ -50,6 +52,7 @@ def adjust(
     poses: dict[int, Pose],
     threshold: float,
     free_focal: bool = False,
+    most_tracks: int = MOST_TRACKS,
 ) -> tuple[dict[int, Pose], float]:
     """Return better `poses` (world to camera, the first the frame), and by what factor all focal
     lengths change.
@@ -63,7 +66,7 @@ def adjust(
     tracks = join_tracks(
         {pair: found for pair, found in matches.items() if set(pair) <= set(placed)},
         keypoints,
-    )
+    )[:most_tracks]
     for limit in np.geomspace(LOOSE * threshold, threshold, ROUNDS):
         zoomed = [image.zoomed(zoom) for image in images]
         scene = _scene(zoomed, keypoints, tracks, poses, float(limit), free_focal)

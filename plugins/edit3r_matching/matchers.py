@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import cv2
@@ -24,6 +24,7 @@ from edit3r.contract.types import Views
 from edit3r.kit.cache import fingerprint, identity, remembered
 from edit3r.kit.checks import require_matchable
 from edit3r.kit.geometry.cameras import from_pixels, relative_to_first
+from edit3r.kit.geometry.light import in_own_light
 from edit3r_matching.calibration import (
     PREFERENCE,
     WIDE_PREFERENCE,
@@ -148,11 +149,7 @@ class ClassicalMatcher(Matcher):
         intrinsics, lenses, and the field of view that the matches tell.
         """
         unknown = self._reads_fov(views)
-        found = (
-            _registered(_Asked.of(self, views, scene))
-            if unknown
-            else self.register(views, scene)
-        )
+        found = _registered(_Asked.of(self, in_own_light(views), scene))
         registration = found.registration
         if unknown and (found.told is not None or registration.zoom != 1):
             reporting.note("matcher.fov", round(found.images[0].fov, 1))
@@ -164,7 +161,11 @@ class ClassicalMatcher(Matcher):
                 "side was read. Give --fov if you know it: with a wrong one the scene is bent."
             )
         c2w = np.stack([pose.inverse().matrix for pose in registration.poses])
-        maps = (c2w, *measure_depths(found.images, registration, self.settings))
+        images = [
+            replace(image, pixels=shown.pixels)
+            for image, shown in zip(found.images, calibrated_images(views, scene))
+        ]
+        maps = (c2w, *measure_depths(images, registration, self.settings))
         c2w, inverse, confidence = (
             torch.from_numpy(part).to(views.images.dtype) for part in maps
         )
@@ -280,7 +281,8 @@ class _Asked:
         )
 
 
-@functools.lru_cache(maxsize=1)  # who reads the lens of photos matches them next
+# Who reads the lens of photos matches them next, and once more when their light is levelled.
+@functools.lru_cache(maxsize=1)
 def _registered(asked: _Asked) -> _Registered:
     return asked.matcher.register(asked.views, asked.scene)
 

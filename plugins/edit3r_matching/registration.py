@@ -264,14 +264,18 @@ class _IncrementalRegistration:
         )
         if len(poses) < 3:
             return found
-        from edit3r_matching.bundle_adjustment import adjust  # a pair does without
+        from edit3r_matching.bundle_adjustment import (  # a pair does without
+            FIRST_TRACKS,
+            MOST_TRACKS,
+            adjust,
+        )
 
         limit = self.threshold * max(images[0].size) / 256
         points = [keys.points for keys in self.features.keypoints]
-        for _ in range(2):
+        for most in (FIRST_TRACKS, MOST_TRACKS):
             matches = {pair: view.indices for pair, view in found.pairs.items()}
             poses, change = adjust(
-                images, points, matches, poses, 2 * limit, free_focal
+                images, points, matches, poses, 2 * limit, free_focal, most
             )
             images, zoom = [image.zoomed(change) for image in images], zoom * change
             found = Registration.on_poses(images, self.features, poses, limit, zoom)

@@ -14,7 +14,7 @@ from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.cache import recall
 from edit3r.kit.checks import check_reconstruction, errors_named_after
 from edit3r.kit.geometry.gravity import quarter_turns
-from edit3r.kit.geometry.light import estimate_light
+from edit3r.kit.geometry.light import estimate_light, relit
 from edit3r.kit.geometry.pose import estimate_cameras
 from edit3r.running.editors import request_of
 from edit3r.running.judging.between import guessed_between
@@ -141,11 +141,13 @@ def _with_light(scene: Scene, parts: Parts) -> Scene:
 def _reconstructed(scene: Scene, parts: Parts) -> Reconstruction:
     """The edited views in 3D; their geometry is that of the photos, unless things come or go."""
     recon, edited = parts.reconstructor, scene.in_one_light(scene.edited)
-    source = edited if parts.changes_shape else scene.in_one_light(scene.photos)
+    photos = scene.in_one_light(scene.photos)
+    source = edited if parts.changes_shape else photos
     if not isinstance(recon, EditsViews):
-        return _checked(
-            recon, edited, lambda: recon(edited, source, _grid(parts, edited))
-        )
+        with relit(photos, scene.photos):
+            return _checked(
+                recon, edited, lambda: recon(edited, source, _grid(parts, edited))
+            )
     task = parts.only_task
     request = request_of(task, scene, parts.config.seed, range(len(task.wishes)))
     return _checked(
