@@ -33,7 +33,7 @@ _SEPARATORS = re.compile(
 _UNDO = re.compile(
     r"\s*(please )?(undo|revert|take back)"
     r"( (it|that|this|(the|my) (last|previous)( (edit|change|one))?|the (edit|change)))?"
-    r"\s*($|([,.;!]|and\b|then\b|but\b|\s)+)",
+    r"\s*($|([,.;!]|\b(?:and|then|but)\b)([,.;!\s]|and\b|then\b|but\b)*)",
     re.IGNORECASE,
 )
 _RGB = re.compile(r"\brgb ?\(? ?(\d{1,3})[, ]+(\d{1,3})[, ]+(\d{1,3})\)?")

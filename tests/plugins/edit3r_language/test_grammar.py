@@ -199,6 +199,8 @@ def test_two_colours_on_one_thing_are_refused():
     [
         ("undo", ""),
         ("undo that and make its plaque purple", "make its plaque purple"),
+        ("undo, then paint it blue", "paint it blue"),
+        ("revert the sky to blue", None),
         ("Undo the last edit, then paint it red", "paint it red"),
         ("make it red", None),
     ],
