@@ -11,7 +11,8 @@ are doubted and how many bad ones are named.
 
 With --looked-at: the edits of `edit_verdict.json`, which somebody asked for by clicks and words and
 then looked at. Each has its sentence, what was selected in each photo, how likely a part of that
-was meant instead, and whether it came out as it was asked for. `chose_limits` is false for photos that no limit was chosen by.
+was meant instead, and whether it came out as it was asked for. `chose_limits` is false for photos
+that no limit was chosen by.
 """
 
 import argparse

@@ -6,8 +6,7 @@ from importlib.resources import files
 from edit3r.contract.wishes import Colour
 from edit3r.kit.compute.colour_names import BASIC_COLOURS
 
-
-_PLURALS = frozenset("people children men women feet teeth mice".split())
+_PLURALS = frozenset(("people", "children", "men", "women", "feet", "teeth", "mice"))
 """Of words whose plural has no rule, or that stand for several."""
 
 
@@ -19,7 +18,7 @@ def is_noun(word: str) -> bool:
 
 def is_plural(word: str) -> bool:
     """Whether a word is the plural of an everyday thing: "cups", but not "glasses"."""
-    return word in _PLURALS or word not in _nouns() and is_noun(word)
+    return word in _PLURALS or (word not in _nouns() and is_noun(word))
 
 
 def is_thing_too(colour: Colour) -> bool:

@@ -78,9 +78,8 @@ def measure_edit(
     measures = EditMeasures(shares, changed, faults, reached=reached)
     if _means_one_clicked_thing(scene, wishes):
         measures = replace(measures, clicked=max(shares), pieces=pieces(masks))
-    if not any(wish.without for wish in wishes):
-        part, reading = likely_part(scene.start.images[0], scene.selected)
-        measures = replace(measures, part=part, part_reading=reading)
+    part, reading = likely_part(scene.start.images[0], scene.selected)
+    measures = replace(measures, part=part, part_reading=reading)
     if any(wish.action == "remove" for wish in wishes):  # its shadow and rim go with it
         return replace(
             measures,

@@ -9,6 +9,7 @@ import torch
 from edit3r.contract.types import Cameras, Rendering, Views
 from edit3r.contract.wishes import Change, Colour, Thing, Wish
 from edit3r.running.judging.edit_measures import (
+    likely_part,
     made_up,
     measure_edit,
     measure_edit_in_3d,
@@ -16,7 +17,7 @@ from edit3r.running.judging.edit_measures import (
     taken,
 )
 from edit3r.running.scene import Scene
-from edit3r.running.selecting.select import Selected
+from edit3r.running.selecting.select import Reading, Selected
 
 SIZE = 48
 RED = (0.8, 0.1, 0.1)
@@ -244,3 +245,20 @@ def test_a_place_of_the_picture_needs_no_edge_at_its_outline(scene):
     found = figures(replace(scene, selected=(half,)))
     assert found.outline is None and found.open_outline is None
     assert found.changed == 1
+
+
+@pytest.mark.parametrize(
+    ("colour", "likely"), [((0.3, 0.3, 0.3), None), ((0.2, 0.5, 0.2), 0.8)]
+)
+def test_a_part_of_another_colour_may_be_all_that_is_meant(colour, likely):
+    """A fox on its plaque, which is taken along; a bear on a plinth of its own stone is one."""
+    photo = torch.full((1, 3, 60, 60), 0.9)
+    photo[..., 10:50, 10:50] = 0.3
+    photo[..., 10:36, 10:50] = torch.tensor(colour)[:, None, None]
+    whole, part = torch.zeros(2, 60, 60)
+    whole[10:50, 10:50] = 1
+    part[10:36, 10:50] = 1
+    readings = (Reading(0, whole, 0.5, 1), Reading(0, part, 0.4, 2))
+    clicked = Selected(whole[None, None], ("marked",), readings=readings)
+    expected = (0.0, 1) if likely is None else (pytest.approx(likely), 2)
+    assert likely_part(photo, [clicked]) == expected
