@@ -83,9 +83,10 @@ def _without_doubles(files: Sequence[Path]) -> list[Path]:
         by_stem.setdefault(_copied_from(file.stem.casefold(), stems), []).append(file)
     left_out: set[Path] = set()
     for stem, twins in by_stem.items():
-        twins.sort(key=lambda file, stem=stem: file.stem.casefold() != stem)
-        best = twins[0]  # the original, where its copies have no more pixels
-        for twin in twins[1:]:
+        own = [file for file in twins if file.stem.casefold() == stem]
+        copies = [file for file in twins if file.stem.casefold() != stem]
+        best, *others = own + copies  # the original, where no copy has more pixels
+        for twin in others:
             renamed = best.stem.casefold() != twin.stem.casefold()
             if best.suffix == twin.suffix and not renamed:
                 continue  # of two folders

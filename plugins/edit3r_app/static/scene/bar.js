@@ -91,10 +91,10 @@ export function barOf(page) {
       return toast("Say what shall change first, such as: paint it golden.", true);
     }
     goButton.disabled = true;
-    page.waiting.busy("Beginning");
+    page.waiting.long("Beginning");
     const job = await page.attempt(() => tell(["go", scene], { at, say: said.value }));
     goButton.disabled = false;
-    page.waiting.busy("");
+    page.waiting.long("");
     if (job) go(sceneAddress(scene, job));
   }
   function begin() {

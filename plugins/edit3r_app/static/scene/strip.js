@@ -48,8 +48,8 @@ export function stripOf(page, strip) {
     page.stage.draw();
   }
   async function add(chosen, folder) {
-    const { refused } = await send(chosen, scene, folder, page.waiting.busy);
-    page.waiting.busy("");
+    const { refused } = await send(chosen, scene, folder, page.waiting.long);
+    page.waiting.long("");
     if (refused.length) toast(refused.slice(0, 5).join(" "), true);
     await page.refresh();
     await page.draft.answer();

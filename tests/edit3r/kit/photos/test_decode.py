@@ -214,9 +214,9 @@ def tiff_of_strips(side, count):
 )
 def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path, content, sentence):
     (tmp_path / "bomb").write_bytes(content)
-    start = time.monotonic()
+    start = time.process_time()
     assert sentence in complain(tmp_path / "bomb")
-    assert time.monotonic() - start < 2
+    assert time.process_time() - start < 2
 
 
 def test_heic_without_the_package_says_how_to_get_it(tmp_path, monkeypatch):
