@@ -58,6 +58,7 @@ from edit3r_segmenters.salience import (
     MAX_AREA,
     MIN_AREA,
     Objectness,
+    clearness,
     measure,
     reader,
     salience,
@@ -89,6 +90,8 @@ WHOLE_SIDE, CROP_SIDE = (
     160,
 )  # what the learned network sees of a picture and of a crop [pixels]
 WHOLE = ("picture", "image", "photo", "scene")  # all of it, where the words say so
+# How surely all but what stands out is the background where that is not clear
+UNCLEAR_SURETY = 0.2
 MAX_READINGS = 3  # of marks, that are shown
 MAX_KEPT = 64  # images, saliences and answers that stay in memory between clicks
 ESSENTIALS = "edit3r weights get essentials"
@@ -458,11 +461,7 @@ class ClassicalSegmenter(Segmenter):
         if word == "everything" or (word in WHOLE and _says_all(text)):
             return (as_proposal(torch.ones_like(image[0])),)
         if word == "background":
-            subjects = self.propose(image)[:1]
-            warn(
-                "the background is taken to be all but what stands out most on the photo."
-            )
-            return tuple(as_proposal(1 - subject.soft_mask) for subject in subjects)
+            return self._background(image)
         if word not in STUFF:
             return None
         rgb = _to_numpy(image)
@@ -472,6 +471,22 @@ class ClassicalSegmenter(Segmenter):
             return ()
         found = _proposal(rgb, self._fine(rgb, mask), 0.5, image)
         return (replace(found, surety=surety),)
+
+    def _background(
+        self, image: Float[Tensor, "3 height width"]
+    ) -> tuple[Proposal, ...]:
+        """All but what stands out most, as surely as that is one clear thing."""
+        warn("the background is taken to be all but what stands out most on the photo.")
+        rgb = _to_numpy(image)
+        shape = self._analysis(rgb).pixels.shape[:2]
+        seen = self._saliences(rgb, shape, place=None)
+        surety = clearness(seen[0].values) if seen else 0.0
+        return tuple(
+            replace(
+                as_proposal(1 - subject.soft_mask), surety=max(UNCLEAR_SURETY, surety)
+            )
+            for subject in self.propose(image)[:1]
+        )
 
     def _analysis(self, rgb: np.ndarray) -> _Analysis:
         key = self._key_of(rgb)

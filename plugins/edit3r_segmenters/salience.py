@@ -10,7 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edit3r_segmenters.masks import distance_to
+from edit3r_segmenters.masks import distance_to, overlap
 from edit3r_segmenters.superpixels import PALETTE, Superpixels
 
 MIN_AREA, MAX_AREA = (
@@ -22,6 +22,10 @@ USUAL_AREA = 0.15
 CENTRE_SPREAD = (
     0.22  # deviation of a subject from the middle [image widths and heights]
 )
+# How surely what stands out is the subject, read off 42 photos (docs/notes/selecting.md)
+CLEAR_AREA = 0.22  # share of the image
+CLEAR_ASIDE = (0.2, 0.35)  # from the middle [sides]: still, and no longer
+HIGHEST_CLEARNESS = 0.8  # of what ends clearly, and may be another thing than is meant
 BORDER_SPREAD = 0.12  # share of the image's border an object may touch
 
 
@@ -117,6 +121,25 @@ def _outline(bits: np.ndarray, edges: np.ndarray) -> float:
     outline[[0, -1]] = False
     outline[:, [0, -1]] = False
     return float(edges[outline].mean()) if outline.any() else 0.0
+
+
+def clearness(salience: np.ndarray) -> float:
+    """How surely what stands out (`[H, W]` in [0, 1]) is the one subject: the same at a low and a
+    high threshold, in one piece, of a subject's size and not aside.
+    """
+    inside = salience > 0.5
+    if not inside.any():
+        return 0.0
+    bits = inside.astype(np.uint8)
+    areas = cv2.connectedComponentsWithStats(bits)[2][1:, cv2.CC_STAT_AREA]
+    aside = [
+        np.abs((np.nonzero(inside)[axis].mean() + 0.5) / side - 0.5)
+        for axis, side in enumerate(inside.shape)
+    ]
+    clear = overlap(salience > 0.25, salience > 0.75) * areas.max() / areas.sum()
+    clear *= np.interp(inside.mean(), (0, CLEAR_AREA), (0.4, 1))
+    clear *= np.interp(max(aside), CLEAR_ASIDE, (1, 0.5))
+    return float(HIGHEST_CLEARNESS * clear)
 
 
 _MEAN = np.array([0.485, 0.456, 0.406], np.float32)

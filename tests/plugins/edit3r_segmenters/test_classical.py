@@ -13,6 +13,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Marks
 from edit3r.kit.photos.images import load_views, packaged_pair
 from edit3r.loading.registry import build
+from edit3r.running import SURE
 
 sys.path.insert(
     0, str(Path(__file__).parent)
@@ -146,10 +147,9 @@ def test_words_for_stuff_need_no_weights():
     assert iou(SEGMENTER.segment_text(picture, "the sky")[0].soft_mask, above) > 0.95
     assert iou(SEGMENTER.segment_text(picture, "the ground")[0].soft_mask, ~above) > 0.9
     assert bool((SEGMENTER.segment_text(picture, "everything")[0].soft_mask == 1).all())
-    assert (
-        iou(SEGMENTER.segment_text(PICTURE, "the background")[0].soft_mask, ~LARGE)
-        > 0.9
-    )
+    (background,) = SEGMENTER.segment_text(PICTURE, "the background")
+    assert iou(background.soft_mask, ~LARGE) > 0.9
+    assert background.surety < SURE  # without learned salience it may be anything
 
 
 def test_a_negative_point_takes_a_part_away_and_a_positive_one_adds_it():
