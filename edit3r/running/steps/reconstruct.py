@@ -22,6 +22,12 @@ from edit3r.running.parts import Parts
 from edit3r.running.scene import Scene, known_cameras
 
 
+FINE_VIEWS = 20
+"""Views whose grids are as fine as asked for: more have as many Gaussians together, which memory
+holds and other views' show again.
+"""
+
+
 @torch.no_grad()
 def reconstruct(scene: Scene, parts: Parts) -> Scene:
     """Gaussians and cameras of the edited views, and the scene as it was before the edit."""
@@ -159,6 +165,7 @@ def _grid(parts: Parts, views: Views) -> tuple[int, int]:
     """(height, width) of the grid of Gaussians: coarser than the views where refining follows."""
     refined = parts.config.refine and not parts.reconstructor.fuses_by_itself
     share = parts.config.grid if refined else 1.0
+    share *= min(1.0, (FINE_VIEWS / views.count) ** 0.5)
     height, width = views.image_size
     return max(1, round(share * height)), max(1, round(share * width))
 
