@@ -251,10 +251,15 @@ def with_tilted(
             found.keypoints[view],
             *detect_tilted(images[view].pixels, limit, settings.detection_size),
         ]
-        for view in sorted({view for pair in pairs for view in pair})
+        for view in track(
+            sorted({one for pair in pairs for one in pair}), "tilt photos"
+        )
     }
     longest = max(max(image.size) for image in images)
-    matches = {(a, b): match_tilted(groups[a], groups[b], longest) for a, b in pairs}
+    matches = {
+        (a, b): match_tilted(groups[a], groups[b], longest)
+        for a, b in track(pairs, "match tilted photos")
+    }
     keypoints = list(found.keypoints)
     for view, tilted in groups.items():
         for more in tilted[1:]:

@@ -41,7 +41,7 @@ from edit3r_refiners.settings import Budget, SimplifySettings, parse_budget, pas
 
 # Smaller steps than towards photos: the scene is nearly what it should show.
 POLISH = RefineSettings(colour=0.015, opacity=0.08, scale=0.08, centre=0.04, left_out=0)
-TELLING_VIEWS = 8  # that tell what simplifying lost, where there are more
+TELLING_VIEWS = 3  # that tell what simplifying lost, where there are more
 LONE_BASELINE = (
     0.1  # how far new views of a lone photo are taken to be [its median depth]
 )
@@ -89,7 +89,7 @@ class Simplified:
     unseen: int  # dropped because no camera sees them
     doubled: int  # dropped because an earlier view shows the same surface
     merged: int  # gone into others
-    # of the cameras' images, of eight at most without polish, against those of all Gaussians [dB]
+    # of the cameras' images, of three at most without polish, against those of all Gaussians [dB]
     psnr: float
 
 

@@ -68,7 +68,7 @@ _relit: ContextVar[tuple[Views, Views] | None] = ContextVar(
 
 @contextmanager
 def relit(photos: Views, own: Views) -> Iterator[None]:
-    """Inside the block `photos` are known as the `own` ones in another light; see `in_own_light`."""
+    """Inside the block, `photos` are the `own` ones in another light; see `in_own_light`."""
     token = _relit.set((photos, own))
     try:
         yield

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.reporting import track, warn
+from edit3r.contract.reporting import say, track, warn
 from edit3r.kit.files.atomic import scratch_folder
 from edit3r.kit.photos.decode import MAX_PIXELS, read_image
 
@@ -29,6 +29,7 @@ SIDE = 400  # longer side of the images that are compared [pixels]
 FEATURES = 600  # of an image
 MAX_HAMMING = 48  # bits of 256 in which the features of one point may differ
 MIN_SHARED = 0.04  # share of features that two neighbours have in common
+SECONDS = 4  # of a core, that a frame's part of a scene usually takes
 MIN_MOTION = 0.01  # of features between frames that are kept [image widths]
 
 frame_origins: dict[Path, str] = {}
@@ -104,7 +105,14 @@ def take_frames(video: Path, most: int = USUAL_FRAMES) -> list[Path]:
             "has moved in them."
         )
     common = shared([frame.features for frame in moved])
-    return _write([moved[index] for index in covering(common, most)], video)
+    chosen = [moved[index] for index in covering(common, most)]
+    numbers = ", ".join(str(frame.number) for frame in chosen)
+    say(
+        "video.frames",
+        f"of {video.name} frames {numbers} are used; their scene usually takes a core about "
+        f"{SECONDS * len(chosen)} s at 512 pixels, besides the edit",
+    )
+    return _write(chosen, video)
 
 
 def features_of(pixels: UInt8[np.ndarray, "height width 3"]) -> ImageFeatures:

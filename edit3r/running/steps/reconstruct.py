@@ -21,6 +21,11 @@ from edit3r.running.judging.between import guessed_between
 from edit3r.running.parts import Parts
 from edit3r.running.scene import Scene, known_cameras
 
+FINE_VIEWS = 20
+"""Views whose grids are as fine as asked for: more have as many pixels together, since they show
+the same surfaces again, and memory must hold them.
+"""
+
 
 @torch.no_grad()
 def reconstruct(scene: Scene, parts: Parts) -> Scene:
@@ -158,7 +163,8 @@ def _reconstructed(scene: Scene, parts: Parts) -> Reconstruction:
 def _grid(parts: Parts, views: Views) -> tuple[int, int]:
     """(height, width) of the grid of Gaussians: coarser than the views where refining follows."""
     refined = parts.config.refine and not parts.reconstructor.fuses_by_itself
-    share = parts.config.grid if refined else 1.0
+    fine = min(1.0, (FINE_VIEWS / views.count) ** 0.5)
+    share = parts.config.grid * fine if refined else 1.0
     height, width = views.image_size
     return max(1, round(share * height)), max(1, round(share * width))
 

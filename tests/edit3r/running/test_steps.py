@@ -3,6 +3,7 @@
 import json
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -23,6 +24,7 @@ from edit3r.kit.rendering import render_each
 from edit3r.running.config import DEFAULTS, make_run_config
 from edit3r.running.job import JobInputs, job_from
 from edit3r.running.loop import preview
+from edit3r.running.steps.reconstruct import _grid
 from edit3r.running.steps.refine import _as_fused
 from edit3r_testing import photograph
 
@@ -222,6 +224,19 @@ def test_gaussians_are_made_on_a_grid_only_where_steps_bring_the_detail(
     assert result.cameras.image_size == (6, 8) and result.rendered.images.shape[
         -2:
     ] == (6, 8)
+
+
+@pytest.mark.parametrize(
+    ("count", "refine", "grid"),
+    [(20, 8, (48, 64)), (80, 8, (24, 32)), (80, 0, (96, 128))],
+)
+def test_more_than_twenty_views_share_the_pixels_of_twenty(count, refine, grid):
+    many = Views(torch.zeros(1, count, 3, 96, 128), torch.eye(3).expand(1, count, 3, 3))
+    parts = SimpleNamespace(
+        config=SimpleNamespace(refine=refine, grid=0.5),
+        reconstructor=SimpleNamespace(fuses_by_itself=False),
+    )
+    assert _grid(parts, many) == grid
 
 
 class Counting(Flat):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.photos.coverage import choose_photos, covering, take_frames
 from edit3r.kit.photos.images import load_photos
 
@@ -80,9 +81,13 @@ def test_of_a_video_the_sharp_frames_are_taken(tmp_path):
     blurred = {
         number for number in range(24) if number % 2
     }  # of each stretch of two frames one
-    taken = take_frames(video(tmp_path / "clip.mp4", range(0, 480, 20), blurred), 4)
+    report = Report()
+    with collecting(report):
+        taken = take_frames(video(tmp_path / "clip.mp4", range(0, 480, 20), blurred), 4)
     numbers = [int(file.stem.split("_")[1]) for file in taken]
     assert len(taken) == 4 and numbers == sorted(numbers) and not blurred & set(numbers)
+    said = report.notes["video.frames"]
+    assert f"frames {', '.join(map(str, numbers))} are used" in said and "16 s" in said
 
 
 @pytest.mark.slow
