@@ -32,6 +32,7 @@ CALM, LAST_SHARE = (
 )  # share of the steps after which they get shorter, and how short the last one is
 MOST_VIEWS = 20  # whose steps a refinement takes: of more views, each takes fewer
 ENOUGH_VIEWS = 4  # from which views settle enough between them: no Gaussian is left out
+AT_ONCE = 8  # views drawn together to know the error: images of all take much memory
 # error of a pixel [sRGB] below which its square counts, and beyond which its size
 SQUARED_BELOW = 0.05
 
@@ -158,7 +159,12 @@ def _errors(
     groups: tuple[Bool[Tensor, "batch camera height width"], ...],
 ) -> tuple[float, ...]:
     """Mean squared error of each group of pixels."""
-    error = (rasterizer.render(gaussians, cameras).images - images).square().mean(2)
+    parts = []
+    for first in range(0, cameras.count, AT_ONCE):
+        views = [*range(first, min(first + AT_ONCE, cameras.count))]
+        shown = rasterizer.render(gaussians, cameras.select(views)).images
+        parts.append((shown - images[:, views]).square().mean(2))
+    error = torch.cat(parts, 1)
     return tuple(float(error[group].mean()) for group in groups)
 
 
