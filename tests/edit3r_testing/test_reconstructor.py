@@ -77,6 +77,13 @@ def placed(answer, **fields):
     return replace(answer, cameras=replace(answer.cameras, **fields))
 
 
+def beside(c2w):
+    """Cameras that all stand elsewhere, the first as well."""
+    moved = c2w.clone()
+    moved[..., :3, 3] += 1
+    return moved
+
+
 def scaled_by_the_batch(me, views, answer):
     return changed(answer, scales=answer.gaussians.scales * (1 + views.images.mean()))
 
@@ -153,7 +160,7 @@ CASES = {
         "keep the photos' size",
     ),
     "world poses": (
-        {"spoil": lambda m, v, a: placed(a, c2w=a.cameras.c2w + 1)},
+        {"spoil": lambda m, v, a: placed(a, c2w=beside(a.cameras.c2w))},
         CAMERAS,
         "in the frame of view 0",
     ),
