@@ -352,7 +352,6 @@ def test_the_learned_example_keeps_its_contracts():
     example = (ROOT / "examples/learned.py",)
     run_all_claims(contract_for("reconstructor", "learned", example))
     run_all_claims(contract_for("head", "curtain", example))
-    sys.modules.pop("learned", None)
 
 
 @pytest.mark.parametrize("page", ["quickstart.md", "concepts.md"])

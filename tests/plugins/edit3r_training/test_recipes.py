@@ -6,7 +6,6 @@ import importlib
 import json
 import re
 import shlex
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -178,14 +177,9 @@ def test_the_second_stage_begins_from_the_first_and_logs_every_term(stages):
     assert 0 < max(gaps) < 0.01  # two small steps from there, not another random start
 
 
-def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(
-    photos, tmp_path, request
-):
+def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(photos, tmp_path):
     """`--plugin` for the training, its setting `weights` for the result."""
     plugin = Path(__file__).parents[3] / "examples/learned.py"
-    request.addfinalizer(
-        lambda: sys.modules.pop("learned", None)
-    )  # other tests load a file of this name too
     data = {"name": "procedural", "image_size": 32, "scenes": 2, "textures": 8}
     config = {
         "trainer": {
