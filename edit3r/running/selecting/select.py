@@ -48,6 +48,7 @@ MIN_SHARE = 0.2
 FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
 MIN_AREA = 2e-4  # share of a view under which a carried mask shows nothing
 SURE = 0.63  # surety under which what words found is not taken unasked
+FOUND = 0.05  # surety under which words found as good as nothing
 CLICKED_SURE = 0.25  # the same where a click lies on what they found
 SAME_THING = 0.6  # overlap from which a click and words mean one thing
 SAME_READING = 0.85  # overlap from which two readings are one
@@ -323,6 +324,8 @@ class _Work:
         found = None
         if words:
             view, found = self._named_on(view)
+            if found is not None:
+                found = tuple(one for one in found if one.surety >= FOUND)
         elif self.selection.which:  # "the big one" may be one of anything
             proposals = self.segmenter.propose(self.images[view])
             found = tuple(replace(one, surety=SURE / 2) for one in proposals)
