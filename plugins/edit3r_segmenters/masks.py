@@ -10,9 +10,9 @@ SMALLEST_PART = 0.03  # share of an object under which a separate piece of it is
 SMALLEST_HOLE = 0.01  # share under which a hole is filled
 EDGE_REACH = 0.008  # how far a soft edge may reach [longer sides of the image]
 EDGE_EPSILON = 1e-4  # colour variance under which the guided filter smooths
-Known = TypeVar("Known")
-
 MIN_SAMPLES = 16  # pixels either side needs for a colour model
+
+Known = TypeVar("Known")
 
 
 def snapped(

@@ -36,7 +36,14 @@ frame_origins: dict[Path, str] = {}
 """For each frame that was taken from a video: the video and the frame's number."""
 
 _frame_folders: list[ExitStack] = []
-"""Where frames of videos lie, each removed when it is closed, or when the process ends."""
+"""Where frames of videos lie, each removed when it is closed."""
+
+
+@atexit.register
+def _remove_frames(but: int = 0) -> None:
+    """Remove the frames of all videos `but` the first ones."""
+    while len(_frame_folders) > but:
+        _frame_folders.pop().close()
 
 
 @contextmanager
@@ -46,8 +53,7 @@ def frames_kept_for() -> Iterator[None]:
     try:
         yield
     finally:
-        while len(_frame_folders) > before:
-            _frame_folders.pop().close()
+        _remove_frames(before)
 
 
 def origin(file: Path) -> str:
@@ -217,7 +223,6 @@ def _write(frames: Sequence[VideoFrame], video: Path) -> list[Path]:
     """Write frames as PNG into a new folder that is removed when the process ends."""
     held = ExitStack()
     folder = held.enter_context(scratch_folder("edit3r-video"))
-    atexit.register(held.close)
     _frame_folders.append(held)
     files = []
     for frame in frames:

@@ -51,6 +51,8 @@ DEVELOP = "develop raw photos first, and export JPEG or TIFF."
 # [mm]; CIPA DCG-001 defines the 35 mm equivalent by the diagonal.
 _FULL_FRAME_DIAGONAL = math.hypot(36, 24)
 
+WIDEST = 2.4  # long by short side of what a lens took at once
+
 # FocalPlaneResolutionUnit: inch, cm, mm, um.
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
 
@@ -432,9 +434,6 @@ def _exif_focal(image: Image.Image, path: Path) -> tuple[float | None, str]:
         warn(f"{path}: EXIF states an impossible focal length; it is ignored.")
         return None, ""
     return focal, source
-
-
-WIDEST = 2.4  # long by short side of what a lens took at once
 
 
 def _same_shape(first: tuple[float, float], second: tuple[float, float]) -> bool:

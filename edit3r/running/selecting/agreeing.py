@@ -13,10 +13,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import MatchedGeometry
-from edit3r.kit.geometry.warping import shared_surface, warp
+from edit3r.kit.geometry.warping import warp
 
-SAME_SURFACE = 0.03  # relative difference in depth within which two photos show one
+ONE_SURFACE = 0.03  # relative difference in depth within which two photos show one
 MEASURED = 0.5  # confidence from which a depth was measured
 SURELY = 0.99  # share of four pixels whose depth was measured
 THIN = 0.012  # radius of the disc that fits into what is a patch [longer sides]
@@ -27,23 +26,16 @@ Mask = Float[Tensor, "height width"]
 def agreed(
     mask: Mask,
     source: Mask,
-    pair: tuple[int, int],
-    geometry: MatchedGeometry,
-    intrinsics: Float[Tensor, "1 view 3 3"],
+    shared: tuple[Float[Tensor, "height width 2"], Bool[Tensor, "height width"]],
+    confidence: Float[Tensor, "2 height width"],
 ) -> Mask:
-    """The mask of the first view of the pair, with the patches that it lacks of `source`, that of
-    the second one.
+    """The mask of a view, with the patches that it lacks of `source`, that of another one.
+
+    `shared` is where its pixels lie in the other, and whether both show one surface, within
+    `ONE_SURFACE`; `confidence` is that of the depths of both.
     """
-    where = list(pair)
-    if not geometry.registered[0, where].all():
-        return mask
-    grid, same = shared_surface(
-        geometry.depths[0, where],
-        intrinsics[0, where],
-        geometry.c2w[0, where],
-        SAME_SURFACE,
-    )
-    here, there = (geometry.confidence[0, where] >= MEASURED).to(mask)
+    grid, same = shared
+    here, there = (confidence >= MEASURED).to(mask)
     told, known = warp(torch.stack((source.to(mask), there)), grid, padding="zeros")
     measured = same & (here > 0) & (known > SURELY)
     lacking = measured & (told > 0.5) & (mask <= 0.5)

@@ -31,7 +31,7 @@ from edit3r.contract.reporting import note, say, warn
 from edit3r.kit.cache import fingerprint
 from edit3r.kit.geometry.warping import shared_surface, warp
 from edit3r.kit.segmenting import HeldSegmenter
-from edit3r.running.selecting.agreeing import agreed
+from edit3r.running.selecting.agreeing import ONE_SURFACE, agreed
 from edit3r.running.selecting.confirming import ASKED, surest
 from edit3r.running.selecting.obeying import (
     SAME_SURFACE,
@@ -502,17 +502,15 @@ class _Work:
 
     def agree(self, view: int) -> None:
         """Add to a carried mask what the photos with masks of their own show of the thing."""
-        if self.how[view] != "geometry" or self.intrinsics is None:
+        if self.how[view] != "geometry":
             return
         assert self.geometry is not None
         for source in self._own():
-            self.masks[view] = agreed(
-                self.masks[view],
-                self.masks[source],
-                (view, source),
-                self.geometry,
-                self.intrinsics,
-            )
+            shared = self._shared(view, source, ONE_SURFACE)
+            if shared is not None:
+                confidence = self.geometry.confidence[0, [view, source]]
+                mask, other = self.masks[view], self.masks[source]
+                self.masks[view] = agreed(mask, other, shared, confidence)
 
     def _paint(self, view: int) -> None:
         """Brush, exact boxes and eraser are taken as they are."""
@@ -665,7 +663,9 @@ class _Work:
             return None
         return Marks(prior=expected, known=known)
 
-    def _shared(self, view: int, source: int) -> tuple[Tensor, Tensor] | None:
+    def _shared(
+        self, view: int, source: int, tolerance: float = SAME_SURFACE
+    ) -> tuple[Tensor, Tensor] | None:
         """Where the pixels of `view` lie in `source`, and whether both show one surface."""
         geometry, pair = self.geometry, [view, source]
         if geometry is None or self.intrinsics is None:
@@ -677,7 +677,7 @@ class _Work:
             self.intrinsics[0, pair],
             geometry.c2w[0, pair],
         )
-        return _shared_by(_Hashed(fingerprint(photos), photos))
+        return _shared_by(_Hashed(fingerprint(photos), photos), tolerance)
 
     def _keep(self, view: int, mask: Tensor, how: str) -> None:
         mask = mask.to(self.images).clamp(0, 1)
@@ -692,10 +692,10 @@ class _Hashed:
     photos: tuple[Tensor, Tensor, Tensor] = field(compare=False)
 
 
-@lru_cache(maxsize=12)
-def _shared_by(pair: _Hashed) -> tuple[Tensor, Tensor]:
+@lru_cache(maxsize=24)
+def _shared_by(pair: _Hashed, tolerance: float) -> tuple[Tensor, Tensor]:
     """Clicks follow each other on the same photos."""
-    return shared_surface(*pair.photos, SAME_SURFACE)
+    return shared_surface(*pair.photos, tolerance)
 
 
 def _at(

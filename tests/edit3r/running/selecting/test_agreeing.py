@@ -2,20 +2,16 @@
 
 import torch
 
-from edit3r.contract.interfaces import MatchedGeometry
-from edit3r.running.selecting.agreeing import agreed
+from edit3r.kit.geometry.warping import shared_surface
+from edit3r.running.selecting.agreeing import ONE_SURFACE, agreed
 
 SIDE = 64
 
 
-def at_one_place(measured=1.0) -> MatchedGeometry:
+def at_one_place():
     """Two photos of a wall from one place: each pixel shows what it shows in the other."""
-    return MatchedGeometry(
-        c2w=torch.eye(4).expand(1, 2, 4, 4),
-        depths=torch.ones(1, 2, SIDE, SIDE),
-        confidence=torch.full((1, 2, SIDE, SIDE), measured),
-        registered=torch.ones(1, 2, dtype=torch.bool),
-    )
+    depths, lenses = torch.ones(2, SIDE, SIDE), torch.eye(3).expand(2, 3, 3)
+    return shared_surface(depths, lenses, torch.eye(4).expand(2, 4, 4), ONE_SURFACE)
 
 
 def masks() -> tuple[torch.Tensor, torch.Tensor]:
@@ -32,9 +28,8 @@ def masks() -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def joined(measured=1.0) -> torch.Tensor:
-    lens = torch.eye(3).expand(1, 2, 3, 3)
-    carried, bear = masks()
-    return agreed(carried, bear, (0, 1), at_one_place(measured), lens)
+    confidence = torch.full((2, SIDE, SIDE), measured)
+    return agreed(*masks(), at_one_place(), confidence)
 
 
 def test_a_patch_that_is_lacking_is_added_and_nothing_is_taken_away():

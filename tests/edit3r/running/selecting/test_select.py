@@ -293,9 +293,7 @@ class Whole(Squares):
 def test_what_is_hardly_sure_was_not_found():
     words = Selection(words="bike")
     assert select_masks(IMAGES, words, Whole(0.06)).how[0] == "words"
-    with pytest.raises(
-        InputError, match=r"'bike' was not found on photo 1; .*--guess"
-    ):
+    with pytest.raises(InputError, match=r"'bike' was not found on photo 1; .*--guess"):
         select_masks(IMAGES, words, Whole(0.04))
     guessed = select_masks(IMAGES, replace(words, guess=True), Whole(0.04))
     assert guessed.how[0] == "guess"
