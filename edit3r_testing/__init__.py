@@ -31,6 +31,7 @@ from edit3r_testing.scenes import (
     gaussian_cloud,
     photograph,
 )
+from edit3r_testing.second_device import second_device
 from edit3r_testing.training import DatasetContract, LossContract, TrainerContract
 from edit3r_testing.writing import WriterContract
 
@@ -51,6 +52,7 @@ __all__ = [
     "contract_for",
     "gaussian_cloud",
     "photograph",
+    "second_device",
 ]
 
 

@@ -31,12 +31,12 @@ MAX_DEGREE = 4
 DC = 0.28209479177387814
 """The constant basis function Y_00; a Gaussian of plain colour c has the harmonic (c - 0.5) / DC.
 """
-Moved = TypeVar("Moved", bound="_Tensors")
+Moved = TypeVar("Moved", bound="Tensors")
 
 
 @dataclass(frozen=True, repr=False)
-class _Tensors:
-    """Shared by the classes below: move all tensors at once."""
+class Tensors:
+    """Data whose tensors move together."""
 
     def to(self: Moved, *args: Any, **kwargs: Any) -> Moved:
         """`Tensor.to` on floating-point fields; integer fields follow to the device."""
@@ -48,7 +48,7 @@ class _Tensors:
                 if not value.is_floating_point():
                     moved = value.to(moved.device)
                 changes[field.name] = moved
-            elif isinstance(value, _Tensors):
+            elif isinstance(value, Tensors):
                 changes[field.name] = value.to(*args, **kwargs)
         return replace(self, **changes)
 
@@ -63,7 +63,7 @@ class _Tensors:
 
 
 @dataclass(frozen=True, repr=False)
-class Views(_Tensors):
+class Views(Tensors):
     """Input images of B scenes with their intrinsics; poses only where somebody knows them."""
 
     images: Float[Tensor, "batch view 3 height width"]  # sRGB in [0, 1]
@@ -132,7 +132,7 @@ class Views(_Tensors):
 
 
 @dataclass(frozen=True, repr=False)
-class EditRequest(_Tensors):
+class EditRequest(Tensors):
     """What an editor is asked to do with a set of views."""
 
     prompt: str
@@ -176,7 +176,7 @@ class EditRequest(_Tensors):
 
 
 @dataclass(frozen=True, repr=False)
-class Cameras(_Tensors):
+class Cameras(Tensors):
     """Posed pinhole cameras that share an image size."""
 
     c2w: Float[Tensor, "batch camera 4 4"]  # camera to world, OpenCV axes
@@ -208,7 +208,7 @@ class Cameras(_Tensors):
 
 
 @dataclass(frozen=True, repr=False)
-class Features(_Tensors):
+class Features(Tensors):
     """What a backbone hands to a head: token maps of several depths on one patch grid.
 
     `grid` is (rows, columns) of patches; `levels[l]` is `[B, V, rows * columns, C_l]`, row-major,
@@ -230,7 +230,7 @@ class Features(_Tensors):
 
 
 @dataclass(frozen=True, repr=False)
-class Gaussians(_Tensors):
+class Gaussians(Tensors):
     """3D Gaussians of B scenes in the frame of view 0 (OpenCV axes)."""
 
     means: Float[Tensor, "batch gaussian 3"]  # centres [scene units]
@@ -372,7 +372,7 @@ def _joined(parts: Iterable[Gaussians], axis: int) -> dict[str, Tensor]:
 
 
 @dataclass(frozen=True, repr=False)
-class Reconstruction(_Tensors):
+class Reconstruction(Tensors):
     """A reconstructor's answer."""
 
     gaussians: Gaussians
@@ -388,7 +388,7 @@ class Reconstruction(_Tensors):
 
 
 @dataclass(frozen=True, repr=False)
-class Rendering(_Tensors):
+class Rendering(Tensors):
     """A rasterizer's answer for C cameras."""
 
     # sRGB, >= 0, not clipped above 1

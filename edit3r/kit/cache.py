@@ -42,8 +42,14 @@ class Cache:
         self.reused: list[str] = []
         self.computed: list[str] = []
 
-    def recall(self, name: str, key: str, compute: Callable[[], Any]) -> Any:
-        """Return the answer `name` that is kept under `key`, or compute and keep it."""
+    def recall(
+        self,
+        name: str,
+        key: str,
+        compute: Callable[[], Any],
+        device: torch.device | str = "cpu",
+    ) -> Any:
+        """The answer `name` that is kept under `key`, on `device`; else compute and keep it."""
         file_name = f"{name}-{key}.safetensors"
         entry = self._entries.get(file_name) or self._read(file_name)
         if entry is None:
@@ -52,7 +58,8 @@ class Cache:
             entry = _pack(answer, tensors), tensors
             self.computed.append(name)
         else:
-            answer = _unpack(*entry)
+            tree, kept = entry
+            answer = _unpack(tree, {n: value.to(device) for n, value in kept.items()})
             self.reused.append(name)
         self._entries[file_name] = entry
         note("cache.reused", list(self.reused))
@@ -65,9 +72,7 @@ class Cache:
 
         folder.mkdir(parents=True, exist_ok=True)
         for file_name, (tree, tensors) in self._entries.items():
-            content = {
-                name: value.cpu().contiguous() for name, value in tensors.items()
-            }
+            content = {name: value.contiguous() for name, value in tensors.items()}
             # The answer's structure travels as text in a tensor of bytes.
             text = json.dumps({"tree": tree, "checksum": fingerprint(tree, content)})
             content["tree"] = torch.frombuffer(
@@ -113,7 +118,8 @@ def remembered(method: Method) -> Method:
 
     The answer must depend on nothing but the component (its settings, parts and weights) and the
     arguments, and consist of tensors, numbers, texts, tuples and the data classes of
-    `edit3r.contract.types` and `edit3r.contract.interfaces`.
+    `edit3r.contract.types` and `edit3r.contract.interfaces`. Remembered, its tensors are on the
+    device of the first tensor among the arguments.
     """
 
     @functools.wraps(method)
@@ -133,7 +139,21 @@ def recall(
     if cache is None:
         return compute()
     key = fingerprint(identity(component), name, arguments)
-    return cache.recall(name, key, compute)
+    device = next((tensor.device for tensor in _tensors(arguments)), "cpu")
+    return cache.recall(name, key, compute, device)
+
+
+def _tensors(thing: Any) -> Iterator[Tensor]:
+    """The tensors in data classes, sequences and mappings."""
+    if isinstance(thing, Tensor):
+        yield thing
+    elif dataclasses.is_dataclass(thing):
+        yield from _tensors(vars(thing))
+    elif isinstance(thing, Mapping):
+        yield from _tensors(list(thing.values()))
+    elif isinstance(thing, list | tuple):
+        for item in thing:
+            yield from _tensors(item)
 
 
 def fingerprint(*things: Any) -> str:
@@ -212,10 +232,12 @@ def _weight_sums(component: Any) -> list[tuple[str, float, float]]:
 
 
 def _pack(value: Any, tensors: dict[str, Tensor]) -> Any:
-    """Turn an answer into JSON data; copies of its tensors go into `tensors`, by a number each."""
+    """Turn an answer into JSON data; its tensors go into `tensors`, by a number each, as copies on
+    the CPU.
+    """
     if isinstance(value, Tensor):
         number = str(len(tensors))
-        tensors[number] = value.detach().clone()
+        tensors[number] = value.detach().to("cpu", copy=True)
         return {"tensor": number}
     if dataclasses.is_dataclass(value):
         fields = {

@@ -92,7 +92,7 @@ class Parts:
     @cached_property
     def reconstructor(self) -> Reconstructor:
         reconstructor = self._build("reconstructor", {"editor": self.editor})
-        if reconstructor.network is not None:
+        if reconstructor.network is not None and not _places_itself(reconstructor):
             reconstructor.network.to(self.config.device)
         return reconstructor
 
@@ -146,6 +146,12 @@ class Parts:
         if kind in self._given:
             return self._given[kind]
         return self._registry.build_choice(kind, getattr(self.config, kind), parts)
+
+
+def _places_itself(reconstructor: Reconstructor) -> bool:
+    """Whether a setting of its own, `device`, says where its network computes."""
+    settings = getattr(reconstructor, "settings", None)
+    return reconstructor.fuses_by_itself and hasattr(settings, "device")
 
 
 def with_reader(job: RunJob, registry: Registry) -> RunJob:

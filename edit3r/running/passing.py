@@ -53,8 +53,8 @@ def passing(
     share = min(1.0, LONGEST / max(photos.image_size))
     height, width = (max(1, round(share * side)) for side in photos.image_size)
     size = height, width
-    views = geometry.calibrated(photos).at(size)
-    geometry = replace(geometry.at(size), intrinsics=views.intrinsics)
+    views = geometry.calibrated(photos).at(size).to("cpu")
+    geometry = replace(geometry.at(size).to("cpu"), intrinsics=views.intrinsics)
     masks = torch.stack(
         [
             _Scene.of(views, geometry, scene).passing()
@@ -63,6 +63,7 @@ def passing(
     )
     if not masks.any():
         return None
+    masks = masks.to(photos.images.device)
     return F.interpolate(masks.float(), photos.image_size, mode="nearest-exact") > 0
 
 

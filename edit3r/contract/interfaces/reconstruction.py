@@ -14,6 +14,7 @@ from edit3r.contract.types import (
     Features,
     Gaussians,
     Reconstruction,
+    Tensors,
     Views,
 )
 
@@ -79,8 +80,8 @@ class EditsViews(ABC):
         """
 
 
-@dataclass(frozen=True)
-class MatchedGeometry:
+@dataclass(frozen=True, repr=False)
+class MatchedGeometry(Tensors):
     """Relative poses and depths of B scenes, read from photos that agree with each other.
 
     The unit of length is arbitrary but common to poses and depths.

@@ -219,8 +219,8 @@ def _reduced_size(views: Views) -> tuple[int, int]:
 def _shared(
     views: Views, geometry: MatchedGeometry, scene: int, pair: list[int]
 ) -> tuple[Float[Tensor, "pixel 3"], Float[Tensor, "pixel 3"]]:
-    """Colours of the surfaces that two views surely show, as each shows them; the geometry is at
-    the reduced size.
+    """Colours of the surfaces that two views surely show, as each shows them, on the CPU: what is
+    settled from them is small. The geometry is at the reduced size.
     """
     images = F.adaptive_avg_pool2d(views.images[scene, pair], _reduced_size(views))
     intrinsics = geometry.calibrated(views).intrinsics[scene, pair]
@@ -235,4 +235,5 @@ def _shared(
     same = same & (sure[0, 0] > 0) & (seen[3] > 0.99)
     for image in (images[0], seen[:3]):
         same &= ((image > EXPOSED[0]) & (image < EXPOSED[1])).all(0)
-    return images[0][:, same].T.double(), seen[:3, same].T.double()
+    own, other = (image[:, same].T.double().cpu() for image in (images[0], seen[:3]))
+    return own, other

@@ -35,8 +35,8 @@ def guessed_between(
     """
     share = min(1.0, LONGEST / max(photos.image_size))
     height, width = (max(1, round(share * side)) for side in photos.image_size)
-    views = geometry.calibrated(photos).at((height, width))
-    geometry = geometry.at((height, width))
+    views = geometry.calibrated(photos).at((height, width)).to("cpu")
+    geometry = geometry.at((height, width)).to("cpu")
     shares = torch.ones(geometry.registered.shape)
     for scene, registered in enumerate(geometry.registered):
         placed = registered.nonzero()[:, 0].tolist()

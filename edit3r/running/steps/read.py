@@ -11,6 +11,7 @@ from edit3r.contract.interfaces import Reader
 from edit3r.contract.reporting import say, stage, warn
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import sha256_of
+from edit3r.kit.files.names import unique_names
 from edit3r.kit.photos.coverage import USUAL_FRAMES, choose_photos, origin
 from edit3r.kit.photos.images import LoadedPhotos, find_photos, load_photos
 from edit3r.kit.photos.masks import read_mask
@@ -33,7 +34,9 @@ def read(job: RunJob, registry: Registry) -> Scene:
         if job.earlier is not None:
             scene = _read_earlier(job.earlier)
         elif isinstance(job.photos, Views):
-            scene = Scene(photos=job.photos, start=job.photos)
+            names = tuple(unique_names(job.photos.called))
+            photos = replace(job.photos, names=names)
+            scene = Scene(photos=photos, start=photos)
         else:
             found, scene = _read_files(job.photos, job, registry)
             if isinstance(masks, MarkTexts):

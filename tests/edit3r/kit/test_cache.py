@@ -14,6 +14,7 @@ from edit3r import Settings
 from edit3r.contract.interfaces import MatchedGeometry, Proposal, Tracks
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.cache import Cache, fingerprint, identity, remembered, using
+from edit3r_testing import second_device
 
 
 class Doubling:
@@ -192,3 +193,12 @@ def test_the_key_of_a_tensor_holds_its_type_and_shape(other):
     zeros = torch.zeros(4)
     assert fingerprint(zeros) == fingerprint(zeros.clone())
     assert fingerprint(zeros) != fingerprint(other)
+
+
+def test_an_answer_is_given_on_the_device_of_what_was_asked_about():
+    component = Doubling()
+    with second_device() as device, using(Cache()):
+        for where in (torch.device("cpu"), device, device):
+            answer = component.answer(torch.ones(2).to(where))
+            assert answer.device == where and answer.tolist() == [2, 2]
+    assert component.calls == 1

@@ -530,3 +530,15 @@ def test_editing_again_the_first_view_alone_holds_back_nothing_in_the_others(vie
         masks = again.scene.masks[0]
         assert float(masks[0].mean()) == 0.5
         assert float(masks[1].mean()) == others
+
+
+def test_views_without_names_are_saved_and_names_lead_nowhere_else(tmp_path):
+    views = photograph(2, (32, 48)).views
+    for names, files in (((), ("view 0", "view 1")), (("../a", "b"), ("__a", "b"))):
+        named = replace(views, names=names)
+        result = run(
+            named, editor="none", recon=Flat(), outputs=["images", "scene"], **PLAIN
+        )
+        assert result.photos.names == files
+        saved = result.save(tmp_path / files[0])
+        assert {file.stem for file in (saved / "inputs").iterdir()} == {*files}

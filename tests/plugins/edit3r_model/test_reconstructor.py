@@ -140,7 +140,7 @@ def test_another_backbone_carries_the_edit_with_the_same_head():
 
 
 def test_a_plain_head_is_the_single_pass_with_any_plain_backbone(registry, tmp_path):
-    chosen = {"backbone": VIT, "head": "wall", "resolution": 64}
+    chosen = {"backbone": VIT, "head": "wall", "resolution": 64, "device": "cpu"}
     made = registry.build("reconstructor", "edit3r", weights="untrained", **chosen)
     result = made(VIEWS, VIEWS)
     assert made.fuses_by_itself and result.cameras is None

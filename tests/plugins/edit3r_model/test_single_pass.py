@@ -27,7 +27,13 @@ FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 
 
 def build(**settings):
-    given = {"weights": "random", "backbone": BACKBONE, "head": HEAD, **settings}
+    given = {
+        "weights": "random",
+        "device": "cpu",
+        "backbone": BACKBONE,
+        "head": HEAD,
+        **settings,
+    }
     return edit3r.build("reconstructor", "noposplat", **given)
 
 

@@ -1,0 +1,40 @@
+"""A run on another device than the CPU mixes the two nowhere, and finds the same."""
+
+import pytest
+import torch
+
+import edit3r
+from edit3r.kit.cache import Cache
+from edit3r_testing import photograph, second_device
+
+PHOTOS = photograph(3, (96, 128)).views  # three: fewer cannot tell what passed
+MASKS = torch.ones(1, 3, 96, 128)
+
+
+def run(prompt, **settings):
+    return edit3r.run(PHOTOS, prompt, editor="recolor", masks=MASKS, **settings)
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:rasterizer 'auto' picked")
+def test_a_run_there_finds_what_one_on_the_cpu_finds():
+    plain = {"gaussians": "all", "refine": 0}  # choosing turns rounding into other ones
+    here = run("paint everything blue", **plain)
+    with second_device() as device:
+        there = run("paint everything blue", device=str(device), **plain)
+        assert there.gaussians.means.device == device
+        assert torch.allclose(
+            there.rendered.images.cpu(), here.rendered.images, atol=1e-5
+        )
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:rasterizer 'auto' picked")
+def test_a_run_there_uses_what_an_earlier_one_kept_and_is_saved(tmp_path):
+    cache = Cache()
+    with second_device() as device:
+        run("paint everything blue", device=str(device), cache=cache)
+        again = run("paint everything red", device=str(device), cache=cache)
+        again.save(tmp_path / "run")
+    assert "match" in cache.reused
+    assert (tmp_path / "run" / "scene.ply").stat().st_size
