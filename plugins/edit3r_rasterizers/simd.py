@@ -270,10 +270,10 @@ def square_root(typing, a):
     return a(a), emit
 
 
-def _exp2_coefficients(degree: int = 5) -> list[float]:
+def _exp2_coefficients() -> list[float]:
     """Polynomial for 2^f on [-1/2, 1/2], relative error 1e-7, lowest power first."""
     nodes = 0.5 * np.cos(np.pi * (np.arange(256) + 0.5) / 256)
-    fitted = np.polynomial.polynomial.polyfit(nodes, 2.0**nodes, degree, w=2.0**-nodes)
+    fitted = np.polynomial.polynomial.polyfit(nodes, 2.0**nodes, 5, w=2.0**-nodes)
     return [float(np.float32(value)) for value in fitted]
 
 
