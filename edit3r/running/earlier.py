@@ -222,10 +222,8 @@ def _records(value: Any, count: int) -> tuple[Photo, ...]:
             f"{len(records)} inputs, expected one for each of {count} views"
         )
     for record in records:
-        (height, width), (left, top, right, bottom) = (
-            record.frame.source,
-            record.frame.box,
-        )
+        height, width = record.frame.source
+        left, top, right, bottom = record.frame.box
         if not (
             0 <= left < right <= width + 1
             and 0 <= top < bottom <= height + 1

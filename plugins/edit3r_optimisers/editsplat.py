@@ -168,17 +168,13 @@ def attention_maps(
     That is the editor's own attention; else the masks; else how much each pixel changed.
     """
     if isinstance(editor, GivesAttention):
-        maps, told_by = (
-            editor.attention(photos, request),
-            "the editor's cross-attention",
-        )
+        maps = editor.attention(photos, request)
+        told_by = "the editor's cross-attention"
     elif request.masks is not None:
         maps, told_by = request.masks, "the masks, the editor gives no attention"
     else:
-        maps, told_by = (
-            (edits.images - photos.images).abs().mean(2),
-            "the change of each pixel, no attention or masks",
-        )
+        maps = (edits.images - photos.images).abs().mean(2)
+        told_by = "the change of each pixel, no attention or masks"
     return maps / maps.amax().clamp(min=1e-12), told_by
 
 

@@ -80,9 +80,8 @@ class GaussCtrlReconstructor(FittingMethod):
         rasterizer: Rasterizer,
     ) -> None:
         super().__init__(settings, reconstructor, editor, rasterizer)
-        self._copy: Editor | None = (
-            None  # of the editor, to be given other depths; shares the weights
-        )
+        # of the editor, to be given other depths; shares the weights
+        self._copy: Editor | None = None
 
     def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)

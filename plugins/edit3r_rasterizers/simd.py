@@ -36,9 +36,8 @@ class VectorType(types.Type):
     ) -> None:
         self.scalar, self.width = scalar, width
         self.ir = ir.VectorType(element, width)
-        self.bits = (
-            ir.VectorType(integer, width) if integer else None
-        )  # the lanes taken as integers
+        # the lanes taken as integers
+        self.bits = ir.VectorType(integer, width) if integer else None
         super().__init__(name=f"{scalar}x{width}")
 
 
@@ -278,9 +277,8 @@ def _exp2_coefficients() -> list[float]:
 
 
 _EXP2 = _exp2_coefficients()
-_ROUNDER = (
-    1.5 * 2**23
-)  # adding it leaves the nearest integer in the low bits of the mantissa
+# adding it leaves the nearest integer in the low bits of the mantissa
+_ROUNDER = 1.5 * 2**23
 _SERIES = [
     2 / math.log(2) / power for power in range(1, 12, 2)
 ]  # log2((1 + s) / (1 - s)) in odd powers of s
