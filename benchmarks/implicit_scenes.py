@@ -4,7 +4,7 @@ measuring, not training. A local plugin:
     edit3r bench build --procedural 10 --set generator.dataset=implicit \\
         --plugin benchmarks/implicit_scenes.py --out implicit.json
 
-`bench run` and `bench grid` take the same `--plugin`.
+`bench run` takes the same `--plugin`.
 
 It shares neither code nor textures with `procedural`, on which the small network was trained:
 surfaces are signed distances (sphere tracing, Hart 1996) instead of intersected shapes, colours are
