@@ -388,21 +388,7 @@ def seconds_part(what: str, _: str | None) -> str:
             + " | ".join(cells.get((name, recon), "–") for recon in recons)
             + " |"
         )
-    absent = [
-        f"`{one.name}`"
-        for one in own_components(what)
-        if one.name not in {name for name, _ in cells}
-    ]
-    absent += [
-        f"`{one.name}`"
-        for one in own_components("reconstructor")
-        if one.name not in recons
-    ]
-    return (
-        "\n"
-        + "\n".join(lines)
-        + f"\n\nNot measured here: {', '.join(absent)}; and – in the table.\n\n"
-    )
+    return "\n" + "\n".join(lines) + "\n\nAll others, and –, were not measured.\n\n"
 
 
 def _cell(row: dict) -> str:
