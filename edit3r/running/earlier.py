@@ -202,7 +202,7 @@ def _as_batch(
 def _things(
     root: Path, names: list[str], photos: Views
 ) -> dict[str, Float[Tensor, "view height width"]]:
-    """Masks of what was named; those of a folder from before they were kept are none."""
+    """Masks of what was named, by name."""
     things = {}
     for place, name in enumerate(TypeAdapter(list[str]).validate_python(names)):
         folder = root / "masks" / str(place)

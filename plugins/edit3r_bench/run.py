@@ -41,7 +41,7 @@ from edit3r_bench.options import MetricSettings, RunOptions
 
 RESULTS = "results.jsonl"
 RUN = "bench-run.json"
-VERSION = 2  # of these files; in version 1, time left out what refines the scene
+VERSION = 1  # of these files
 
 # Errors that are a result of the method; any other ends the benchmark, since what was asked for was
 # wrong
