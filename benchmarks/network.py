@@ -74,9 +74,9 @@ def main() -> None:
     table = _table(rows, args)
     print(table)
     if args.write:
-        from edit3r.kit.files.atomic import write_between
-
-        write_between(args.write, START, END, f"{table}\n")
+        head, _, rest = args.write.read_text(encoding="utf-8").partition(START)
+        tail = rest.partition(END)[2]
+        args.write.write_text(f"{head}{START}\n{table}\n{END}{tail}", encoding="utf-8")
     if args.json:
         args.json.write_text(
             json.dumps([asdict(row) for row in rows], indent=1), encoding="utf-8"

@@ -249,13 +249,13 @@ def refreshed(page: str) -> str:
 
 
 def example_part(kind: str, name: str) -> str:
-    """The files of a new plugin, as `edit3r new-plugin KIND NAME` writes them."""
+    """The modules of a new plugin, as `edit3r new-plugin KIND NAME` writes them."""
     from edit3r_develop.new_plugin import package_files
 
     files = {
         path: text
         for path, text in package_files(kind, name).items()
-        if path.endswith(".py")
+        if path.endswith(".py") and not path.startswith("tests/")
     }
     blocks = [
         f'```python title="edit3r-{name}/{path}"\n{text}```'
@@ -265,12 +265,15 @@ def example_part(kind: str, name: str) -> str:
 
 
 def claims_part(kind: str, _: str | None) -> str:
-    """What the contract of a kind asks."""
-    from edit3r_testing import CONTRACTS, claims
+    """What the contract of a kind asks beside what all ask, or (`common`) what all ask."""
+    from edit3r_testing import CONTRACTS, Contract, claims
 
-    contract = CONTRACTS[kind]
+    contract = CONTRACTS.get(kind, Contract)
+    common = claims(Contract)
     rows = []
     for claim in claims(contract):
+        if claim in common and contract is not Contract:
+            continue
         sentence = (
             inspect.getdoc(vars(contract).get(claim))
             if claim in vars(contract)
@@ -385,21 +388,7 @@ def seconds_part(what: str, _: str | None) -> str:
             + " | ".join(cells.get((name, recon), "–") for recon in recons)
             + " |"
         )
-    absent = [
-        f"`{one.name}`"
-        for one in own_components(what)
-        if one.name not in {name for name, _ in cells}
-    ]
-    absent += [
-        f"`{one.name}`"
-        for one in own_components("reconstructor")
-        if one.name not in recons
-    ]
-    return (
-        "\n"
-        + "\n".join(lines)
-        + f"\n\nNot measured here: {', '.join(absent)}; and – in the table.\n\n"
-    )
+    return "\n" + "\n".join(lines) + "\n\nAll others, and –, were not measured.\n\n"
 
 
 def _cell(row: dict) -> str:

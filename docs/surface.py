@@ -7,6 +7,7 @@ Read from the sources; nothing is imported.
 """
 
 import ast
+import re
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -18,12 +19,12 @@ WHOLE = ("edit3r/contract", "edit3r/kit")
 """Rooms of which every public name is promised."""
 
 FRONTS = ("edit3r", "edit3r/loading", "edit3r/running")
-"""Packages that promise what their `__all__` lists."""
+"""Packages that promise what their `__init__.pyi` imports."""
 
 
 def promised() -> list[str]:
     """All promised names, in order."""
-    fronts = [ROOT / folder / "__init__.py" for folder in FRONTS]
+    fronts = [ROOT / folder / "__init__.pyi" for folder in FRONTS]
     files = [file for folder in WHOLE for file in sorted((ROOT / folder).rglob("*.py"))]
     return sorted(
         f"{_module(file)}:{name}"
@@ -33,11 +34,13 @@ def promised() -> list[str]:
 
 
 def public_names(tree: ast.Module) -> list[str]:
-    """What a module's `__all__` lists; without one, what it defines without an underscore."""
+    """What a module's `__all__` lists; without one, what it defines without an underscore, or
+    imports by another name as a stub does.
+    """
     defined = [name for node in tree.body for name in _defined(node)]
     if "__all__" in defined:
         return _listed(tree)
-    return [name for name in dict.fromkeys(defined) if not name.startswith("_")]
+    return [name for name in dict.fromkeys(defined) if not re.match("_[^_]", name)]
 
 
 def _listed(tree: ast.Module) -> list[str]:
@@ -49,9 +52,13 @@ def _listed(tree: ast.Module) -> list[str]:
 
 
 def _defined(node: ast.stmt) -> Iterator[str]:
-    """Names that a statement at the top of a module defines; imports define none."""
+    """Names that a statement at the top of a module defines; of imports those of stubs, which say
+    the name again (`import run as run`).
+    """
     if isinstance(node, ast.FunctionDef | ast.ClassDef):
         yield node.name
+    if isinstance(node, ast.ImportFrom):
+        yield from (alias.name for alias in node.names if alias.asname == alias.name)
     targets = node.targets if isinstance(node, ast.Assign) else []
     if isinstance(node, ast.AnnAssign):
         targets = [node.target]

@@ -166,7 +166,6 @@ def every_source_is_read():
 
 
 LAYERS = {
-    "moved": 0,
     "version": 0,
     "contract": 1,
     "kit": 2,
@@ -341,10 +340,6 @@ def test_nothing_but_the_loop_assembles_a_run():
 # ---- what the core may not know ----
 
 
-MOVED = "edit3r.moved"
-"""Says where the names of old modules are, some of them in plugins."""
-
-
 def test_the_core_names_no_plugin_and_no_component():
     """Docstrings may give examples; the names a run begins with are in
     edit3r/running/defaults.yaml.
@@ -357,7 +352,7 @@ def test_the_core_names_no_plugin_and_no_component():
     packages = re.compile(rf"\b({'|'.join(sorted(plugin_packages()))})\b")
     wrong = []
     for module in modules().values():
-        if module.package == CORE and module.name != MOVED:
+        if module.package == CORE:
             for line, text in _texts(module):
                 for name in {*pattern.findall(text), *packages.findall(text)}:
                     wrong.append(

@@ -151,7 +151,6 @@ def own_tests(offer: Offer) -> Path:
 
 
 SLOW = {
-    ("dataset", "implicit"),
     ("editor", "retouch"),
     ("matcher", "classical"),
     ("reconstructor", "classical"),

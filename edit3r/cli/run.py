@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError, RunError
-from edit3r.kit.command.flags import REPEATED, add_plugin_option, add_trust_flag
+from edit3r.kit.command.flags import add_trust_flag
+from edit3r.kit.command.results import add_common
 from edit3r.running.config import DEFAULTS, PART_KEYS, JobInputs, RunConfig
 from edit3r.running.flags import INPUTS, add_flags, add_mark_flags, given_flags
 
@@ -43,13 +44,11 @@ class RunCommand(Command):
             help="YAML file of run settings, or the name of a shipped one",
         )
         add_trust_flag(parser)
-        add(
-            "--set",
-            metavar="KEY=VALUE",
-            **REPEATED,
-            help="one setting, such as editor.strength=0.5",
+        add_common(
+            parser,
+            settings="one setting, such as editor.strength=0.5",
+            overwrite="replace an earlier run in --out even where it was changed by hand",
         )
-        add_plugin_option(parser)
         add(
             "--out",
             metavar="DIR",
@@ -65,16 +64,10 @@ class RunCommand(Command):
             f"(default {PREVIEW})",
         )
         add(
-            "--overwrite",
-            action="store_true",
-            help="replace an earlier run in --out even where it was changed by hand",
-        )
-        add(
             "--strict",
             action="store_true",
             help="end with exit code 1 when the verdict on the result is 'failed'",
         )
-        add("--quiet", action="store_true", help="print errors only")
         add(
             "--progress",
             choices=("text", "json"),

@@ -32,9 +32,8 @@ class Weights:
     # "hub:OWNER/NAME" on the Hugging Face hub, "package:NAME" in Python's package index, or
     # "npm:NAME" in npm's
     source: str
-    revision: str = (
-        ""  # commit on the hub, version of the package; "": not pinned, and said so
-    )
+    # commit on the hub, version of the package; "": not pinned, and said so
+    revision: str = ""
     files: tuple[
         tuple[str, str], ...
     ] = ()  # (path or pattern at the source, SHA-256 or "" where it is not known)

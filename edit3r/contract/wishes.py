@@ -91,9 +91,8 @@ class Change:
     finish: Finish = ""  # of paint: how its light shall be
     # of paint, "a darker green": darker than the thing is now (-1), or lighter (1)
     than_now: Literal[-1, 0, 1] = 0
-    amount: float = (
-        1.0  # 1: clearly visible; the sign is the direction where there is one
-    )
+    # 1: clearly visible; the sign is the direction where there is one
+    amount: float = 1.0
 
     def __str__(self) -> str:
         if self.like is not None:

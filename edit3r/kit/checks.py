@@ -74,20 +74,9 @@ def errors_named_after(component: Any, *given: torch.Tensor) -> Iterator[None]:
 def check_edit(editor: Editor, views: Views, answer: Views) -> None:
     """Number, size, dtype and range of the edited views."""
     _require_type(editor, answer, Views)
-    given, images = views.images, answer.images
-    sizes = f"gave it {list(given.shape)}, got back {list(images.shape)}"
-    _require(
-        editor,
-        images.shape == given.shape,
-        f"keep number and size of the views: {sizes}",
-    )
-    _require(
-        editor,
-        images.dtype == given.dtype,
-        f"return {given.dtype} images, got {images.dtype}",
-    )
-    _require_finite(editor, "images", images)
-    _require_range(editor, "images", images)
+    given = views.images
+    _require_tensor(editor, "images", answer.images, list(given.shape), given.dtype)
+    _require_range(editor, "images", answer.images)
 
 
 def check_needs(writer: Writer, scene: SceneToWrite) -> None:
@@ -262,13 +251,7 @@ def check_gaussians(
         component, given == scenes, f"return one set of Gaussians per scene: {sizes}"
     )
     for name in ("means", "scales", "quats", "opacities", "harmonics"):
-        tensor = getattr(gaussians, name)
-        _require(
-            component,
-            tensor.dtype == dtype,
-            f"return {dtype} Gaussians, got {name} in {tensor.dtype}",
-        )
-        _require_finite(component, f"Gaussians with {name}", tensor)
+        _require_numbers(component, name, getattr(gaussians, name), dtype)
     if gaussians.count:
         least = float(gaussians.scales.amin())
         _require(component, least > 0, f"return scales above 0, got {least:.4g}")
@@ -280,24 +263,10 @@ def check_rendering(
 ) -> None:
     """Shapes, dtype and finiteness of a rendering."""
     _require_type(rasterizer, answer, Rendering)
-    dtype = gaussians.means.dtype
+    views = cameras.c2w.shape[:2]
     for name, channels in (("images", 3), ("alphas", 1), ("depths", 1)):
-        tensor = getattr(answer, name)
-        expected, given = (
-            [*cameras.c2w.shape[:2], channels, *cameras.image_size],
-            list(tensor.shape),
-        )
-        _require(
-            rasterizer,
-            given == expected,
-            f"return {name} of shape {expected}, got {given}",
-        )
-        _require(
-            rasterizer,
-            tensor.dtype == dtype,
-            f"return {name} in the Gaussians' {dtype}, got {tensor.dtype}",
-        )
-        _require_finite(rasterizer, name, tensor)
+        shape, tensor = [*views, channels, *cameras.image_size], getattr(answer, name)
+        _require_tensor(rasterizer, name, tensor, shape, gaussians.means.dtype)
 
 
 def named_after(component: Any) -> str:
@@ -343,9 +312,23 @@ def _require_tensor(
     _require(component, is_tensor, f"return {name} as a tensor, got {given}")
     promise = f"return {name} of shape {shape}, got {list(answer.shape)}"
     _require(component, list(answer.shape) == shape, promise)
-    promise = f"return {name} in {dtype}, got {answer.dtype}"
-    _require(component, answer.dtype == dtype, promise)
-    _require_finite(component, name, answer)
+    _require_numbers(component, name, answer, dtype)
+
+
+def _require_numbers(
+    component: Any, name: str, tensor: torch.Tensor, dtype: torch.dtype
+) -> None:
+    """Of the promised type, and finite."""
+    promise = f"return {name} in {dtype}, got {tensor.dtype}"
+    _require(component, tensor.dtype == dtype, promise)
+    if torch.isfinite(tensor.sum()):  # the quick way; a sum may also overflow
+        return
+    bad = int((~torch.isfinite(tensor)).sum())
+    if bad:
+        raise PluginError(
+            f"{named_after(component)} returned {name} with {bad} of {tensor.numel()} values not "
+            "finite."
+        )
 
 
 def _require_range(component: Any, what: str, tensor: torch.Tensor) -> None:
@@ -355,17 +338,6 @@ def _require_range(component: Any, what: str, tensor: torch.Tensor) -> None:
         low >= 0 and high <= 1,
         f"return {what} in [0, 1], got {low:.4g} to {high:.4g}",
     )
-
-
-def _require_finite(component: Any, what: str, tensor: torch.Tensor) -> None:
-    if torch.isfinite(tensor.sum()):  # the quick way; a sum may also overflow
-        return
-    bad = int((~torch.isfinite(tensor)).sum())
-    if bad:
-        raise PluginError(
-            f"{named_after(component)} returned {what} with {bad} of {tensor.numel()} values not "
-            "finite."
-        )
 
 
 def require_matchable(views: Views, least_size: int) -> None:

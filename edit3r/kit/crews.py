@@ -140,9 +140,8 @@ class InProcesses:
             pool.shutdown(wait=True, cancel_futures=True)
 
 
-_task: Task | None = (
-    None  # of this worker process; set once, so that what its function has built stays
-)
+# of this worker process; set once, so that what its function has built stays
+_task: Task | None = None
 
 
 def _begin_worker(task: Task, path: str | None) -> None:

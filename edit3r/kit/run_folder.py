@@ -46,9 +46,8 @@ class RunFolder:
     def __init__(self, root: Path) -> None:
         self.root = root
         self.scene = root / "scene.ply"  # the edited 3D Gaussians
-        self.before_after = (
-            root / "before_after.png"
-        )  # photo, 2D edit and 3D result of each view on one sheet
+        # photo, 2D edit and 3D result of each view on one sheet
+        self.before_after = root / "before_after.png"
         self.video = root / "video.webm"  # the camera path
         self.viewer = root / "viewer.html"  # the scene in one page that opens from disk
         self.cameras = root / "cameras.json"  # intrinsics and poses of the input views

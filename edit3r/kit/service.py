@@ -3,8 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future
-from concurrent.futures import TimeoutError as WaitedTooLong
+from concurrent.futures import Future, TimeoutError as WaitedTooLong
 from typing import Any, TypeVar
 
 MAX_ANSWER = 1 << 26

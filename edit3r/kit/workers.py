@@ -7,14 +7,12 @@ moment goes on where it stopped.
 """
 
 import json
-import math
 import os
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Hashable, Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +80,6 @@ def run_resumable(
     *,
     workers: Workers = ONE_HERE,
     key_name: str = "key",
-    seconds: float | None = None,
     group: Callable[[Any], Hashable] = lambda job: None,
     on_done: Callable[[Progress], None] = lambda progress: None,
 ) -> dict[str, dict[str, Any]]:
@@ -94,19 +91,16 @@ def run_resumable(
     built at its first call; several workers take jobs of one `group` one after the other where they
     can. An error ends the run and keeps the rows made so far. So does the death of a worker, which
     a job can cause that takes all memory; with `Workers.may_die` it becomes the row `{"failure":
-    sentence}`. On Ray, another worker tries once more before that. A single worker starts no job
-    after `seconds` of wall time; jobs that did not start are missing in the answer. At the end the
-    file holds these rows in order, then rows of other keys, however the work was spread and
-    interrupted.
+    sentence}`. On Ray, another worker tries once more before that. At the end the file holds these
+    rows in order, then rows of other keys, however the work was spread and interrupted.
     """
     repair(path)
     found = read_rows(path, key_name)
     left = {key: job for key, job in jobs.items() if key not in found}
     already, start = len(jobs) - len(left), time.monotonic()
-    end = math.inf if seconds is None else start + seconds
-    todo = takewhile(lambda _: time.monotonic() <= end, left.items())
     task = Task(function, workers.threads)
     alone = workers.spread == "processes" and workers.count == 1 and not workers.may_die
+    todo = left.items()
     made = _alone(task, todo) if alone else _spread(task, todo, workers, group)
     with closing(made) as rows:
         for count, (key, row) in enumerate(rows, start=1):
@@ -121,7 +115,7 @@ def run_resumable(
                     rate * (len(left) - count),
                 )
             )
-    ordered = {key: found[key] for key in jobs if key in found}
+    ordered = {key: found[key] for key in jobs}
     if found:
         write_rows(path, {**ordered, **found}.values())
     return ordered

@@ -145,10 +145,8 @@ def _check_view_limits(offer: Offer, cls: Any) -> str:
     """
     if offer.kind != "reconstructor":
         return ""
-    declared, said = (
-        (offer.component.min_views, offer.component.max_views),
-        (cls.min_views, cls.max_views),
-    )
+    declared = (offer.component.min_views, offer.component.max_views)
+    said = (cls.min_views, cls.max_views)
     simple = isinstance(said[0], int) and isinstance(
         said[1], int | None
     )  # else a property, known when built

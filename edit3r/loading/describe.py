@@ -56,10 +56,8 @@ def settings_lines(cls: type[Settings]) -> tuple[SettingLine, ...]:
             if field.is_required()
             else field.get_default(call_default_factory=True)
         )
-        words, sentence = (
-            type_in_words(field.annotation),
-            (field.description or "").strip(),
-        )
+        words = type_in_words(field.annotation)
+        sentence = (field.description or "").strip()
         lines.append(
             SettingLine(
                 name,

@@ -202,7 +202,7 @@ def _as_batch(
 def _things(
     root: Path, names: list[str], photos: Views
 ) -> dict[str, Float[Tensor, "view height width"]]:
-    """Masks of what was named; those of a folder from before they were kept are none."""
+    """Masks of what was named, by name."""
     things = {}
     for place, name in enumerate(TypeAdapter(list[str]).validate_python(names)):
         folder = root / "masks" / str(place)
@@ -222,10 +222,8 @@ def _records(value: Any, count: int) -> tuple[Photo, ...]:
             f"{len(records)} inputs, expected one for each of {count} views"
         )
     for record in records:
-        (height, width), (left, top, right, bottom) = (
-            record.frame.source,
-            record.frame.box,
-        )
+        height, width = record.frame.source
+        left, top, right, bottom = record.frame.box
         if not (
             0 <= left < right <= width + 1
             and 0 <= top < bottom <= height + 1

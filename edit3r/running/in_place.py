@@ -190,10 +190,8 @@ class _Motion:
         if abs(turn) > 0.1:
             parts.append(f"turned by {turn:.1f} degrees")
         if max(abs(right), abs(down)) > 0.3 or not parts:
-            aside, along = (
-                "right" if right > 0 else "left",
-                "down" if down > 0 else "up",
-            )
+            aside = "right" if right > 0 else "left"
+            along = "down" if down > 0 else "up"
             parts.append(
                 f"shifted by {abs(right):.1f} px to the {aside} and {abs(down):.1f} px {along}"
             )

@@ -53,9 +53,8 @@ class AppJob:
     size: int = 512  # of the photos [pixels]
     state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
     sentence: str = ""  # why it failed
-    pid: NonNegativeInt = (
-        0  # of the child process that nobody has seen end; 0: there is none
-    )
+    # of the child process that nobody has seen end; 0: there is none
+    pid: NonNegativeInt = 0
     made: float = 0.0  # when it was asked for [seconds since 1970]
 
     @property

@@ -8,8 +8,13 @@ import json
 import threading
 import time
 from collections.abc import Iterator
-from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
-from concurrent.futures import TimeoutError as NotYet
+from concurrent.futures import (
+    CancelledError,
+    Future,
+    ThreadPoolExecutor,
+    TimeoutError as NotYet,
+    wait,
+)
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -81,18 +86,16 @@ class DraftAnswer:
     marked: Float[Tensor, "view height width"] | None = None  # what the marks select
     # where the photos may change; None: everywhere, or nothing is said yet
     masks: Float[Tensor, "view height width"] | None = None
-    understood: str = (
-        ""  # the sentence as it was read, and the editor that carries it out
-    )
+    # the sentence as it was read, and the editor that carries it out
+    understood: str = ""
     problem: str = ""  # why it cannot be carried out
     asks: bool = False  # a click, or a guess, would help
     told: tuple[str, ...] = ()  # choices and warnings
     surety: float | None = None  # of what words found, in [0, 1]; None: it was marked
     is_sure: bool = True  # False: the user is asked whether it is this one
     readings: tuple[Reading, ...] = ()  # what else may be meant, the most likely first
-    job: RunJob | None = (
-        None  # the run that it asks for; None where something is missing
-    )
+    # the run that it asks for; None where something is missing
+    job: RunJob | None = None
     is_quick: bool = False  # whether its editors answer at once
 
 

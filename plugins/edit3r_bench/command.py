@@ -1,8 +1,7 @@
-"""`edit3r bench build|run|grid|report`: the editing benchmark.
+"""`edit3r bench build|run|report`: the editing benchmark.
 
 build    photos | generated scenes        -> manifest            photos, generated
 run      manifest, editor, reconstructor  -> results, images     run
-grid     manifest                         -> the same for pairs  grid
 report   folders of results               -> tables, a page      report
 """
 
@@ -21,8 +20,8 @@ class BenchCommand(Command):
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare the steps and their options."""
         parser.set_defaults(print_help=parser.print_help)
-        steps = parser.add_subparsers(dest="step", metavar="build|run|grid|report")
-        for declare in (_build, _run, _grid, _report):
+        steps = parser.add_subparsers(dest="step", metavar="build|run|report")
+        for declare in (_build, _run, _report):
             about = declare.__doc__
             name = declare.__name__.removeprefix("_")
             step = steps.add_parser(name, help=about, description=about)
@@ -51,28 +50,17 @@ def _build(parser: argparse.ArgumentParser) -> None:
 
 def _run(parser: argparse.ArgumentParser) -> None:
     """Take one method, or all of a configuration, through a benchmark."""
-    _add_run(parser)
-    config = "YAML list of methods, or the name of a shipped one such as bench/offline"
-    parser.add_argument("--config", metavar="FILE", help=config)
-    add_trust_flag(parser)
-    only = "only this method of the configuration"
-    parser.add_argument("--only", metavar="LABEL", help=only, **REPEATED)
-    add_common(parser, "such as poses=false; LABEL.poses=... with --config")
-
-
-def _grid(parser: argparse.ArgumentParser) -> None:
-    """Take every installed editor with every reconstructor through a benchmark: one table."""
-    _add_run(parser)
-    add_common(parser, "such as reconstructor.refit.steps=50")
-    parser.epilog = "--editor and --recon take names with commas between."
-
-
-def _add_run(parser: argparse.ArgumentParser) -> None:
     add = parser.add_argument
     add("manifest", metavar="MANIFEST", help="JSON file of edit3r bench build")
     out = "folder for results; with several methods one folder each inside it"
     add("--out", required=True, metavar="DIR", help=out)
     add_flags(parser, RunOptions)
+    config = "YAML list of methods, or the name of a shipped one such as bench/offline"
+    add("--config", metavar="FILE", help=config)
+    add_trust_flag(parser)
+    only = "only this method of the configuration"
+    add("--only", metavar="LABEL", help=only, **REPEATED)
+    add_common(parser, "such as poses=false; LABEL.poses=... with --config")
 
 
 def _report(parser: argparse.ArgumentParser) -> None:

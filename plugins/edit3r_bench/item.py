@@ -129,10 +129,8 @@ class ItemRunner:
         if item.truth is not None:
             truth = (images + item.truth - item.photos.images[0]).clamp(0, 1)
         masks = None if item.masks is None else item.masks[None].nan_to_num(1.0)
-        views, editor = (
-            replace(item.photos, images=images[None]),
-            self._editor(item, truth),
-        )
+        views = replace(item.photos, images=images[None])
+        editor = self._editor(item, truth)
         wishes = wishes_for(editor, item.record.prompt)
         request = EditRequest(item.record.prompt, item.record.seed, masks, wishes)
         edited = editor.edit(views, request).images

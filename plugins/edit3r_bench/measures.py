@@ -74,9 +74,8 @@ FULL_STRENGTH = 0.04
 # Disagreement between views, or change outside the masks, at which nothing is left of that share
 # [sRGB]
 SPOILED = 0.1
-MAX_PHOTOS_KEPT = (
-    8  # scenes whose photos' features are kept for the scene's other edits
-)
+# scenes whose photos' features are kept for the scene's other edits
+MAX_PHOTOS_KEPT = 8
 
 
 class MetricNetworks:

@@ -17,9 +17,8 @@ DEFAULT_PARTS = {"editor": ORACLE, "reconstructor": "edit3r", "rasterizer": "aut
 class Method(Settings):
     """One column of the comparison."""
 
-    label: str = (
-        ""  # of the column and of its folder; default: editor and reconstructor
-    )
+    # of the column and of its folder; default: editor and reconstructor
+    label: str = ""
     editor: PartChoice
     reconstructor: PartChoice
     rasterizer: PartChoice  # draws the images that are measured

@@ -186,11 +186,9 @@ def timing(column: Column) -> dict[str, Any]:
     cold = [own for own in times if own["cold"]]
     warm = [own for own in times if not own["cold"]]
     medians = {}
-    for name in (*CPU, *WALL):
-        if warm:
+    if warm:
+        for name in (*CPU, *WALL):
             medians[name] = statistics.median(own[name] for own in warm)
-    # Results of earlier versions do not tell how many photos there were.
-    if warm and all("views" in own for own in warm):
         medians["view"] = statistics.median(own["scene"] / own["views"] for own in warm)
     return {
         "warm": medians or None,
@@ -372,7 +370,7 @@ def time_table(columns: Sequence[Column]) -> str:
             parts = [times["warm"][name] for name in CPU]
             wall = sum(times["warm"][name] for name in WALL)
             each = " | ".join(f"{seconds:.3g}" for seconds in parts)
-            view = f"{times['warm']['view']:.3g}" if "view" in times["warm"] else "-"
+            view = f"{times['warm']['view']:.3g}"
             cells = f"{each} | {sum(parts):.3g} | {wall:.3g} | {view}"
         if times["cold"]:
             cold = f"{sum(times['cold'][name] for name in CPU):.3g}"

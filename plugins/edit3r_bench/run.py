@@ -12,7 +12,6 @@ from pydantic import TypeAdapter
 
 from edit3r import Registry, default_registry
 from edit3r.contract.errors import (
-    Edit3rError,
     InputError,
     MatchingError,
     PluginError,
@@ -42,7 +41,7 @@ from edit3r_bench.options import MetricSettings, RunOptions
 
 RESULTS = "results.jsonl"
 RUN = "bench-run.json"
-VERSION = 2  # of these files; in version 1, time left out what refines the scene
+VERSION = 1  # of these files
 
 # Errors that are a result of the method; any other ends the benchmark, since what was asked for was
 # wrong
@@ -112,7 +111,6 @@ class BenchRun:
     out: Path
     options: RunOptions = field(default_factory=RunOptions)
     plugins: tuple[str, ...] = ()  # local plugin files
-    every_error: bool = False  # that a user could cause is a result too
     position: int = 0  # of the method's column in reports
 
     @cached_property
@@ -147,9 +145,7 @@ class BenchRun:
         try:
             with collecting(report), torch.no_grad():
                 output = self.runner(item, report)
-        except Edit3rError as error:
-            if not (self.every_error or isinstance(error, FAILURES)):
-                raise
+        except FAILURES as error:
             metrics = measure_failure(item, self.runner.has_truth(item), networks)
             return asdict(replace(result, metrics=metrics, failure=str(error)))
         metrics = measure(item, output, networks)

@@ -13,7 +13,6 @@ from edit3r.kit.files.configs import parse_assignments, read_config
 from edit3r.kit.workers import Progress
 from edit3r.running import given_flags
 from edit3r_bench.generated import GeneratedSettings, build_generated
-from edit3r_bench.grid import pairs_of, write_grid
 from edit3r_bench.manifest import Manifest, write_bench_manifest
 from edit3r_bench.method import Method, read_methods
 from edit3r_bench.options import BuildOptions, RunOptions
@@ -67,7 +66,9 @@ def _from_photos(build: PhotoBuild) -> Manifest | None:
 
 
 def run(args: argparse.Namespace) -> None:
-    options = _run_options(args)
+    options = make_settings(
+        RunOptions, given_flags(args, RunOptions), where="bench run"
+    )
     settings = parse_assignments(args.set)
     parts = ("editor", "reconstructor", "rasterizer")
     named = {kind: getattr(options, kind) for kind in parts if getattr(options, kind)}
@@ -94,22 +95,6 @@ def run(args: argparse.Namespace) -> None:
         print(f"next: edit3r bench report {args.out}")
 
 
-def grid(args: argparse.Namespace) -> None:
-    options = _run_options(args)
-    registry = default_registry(tuple(args.plugin))
-    pairs = pairs_of(registry, options, parse_assignments(args.set))
-    for position, pair in enumerate(pairs):
-        if not pair.skipped:
-            _run_method(args, options, pair.method, position)
-    table = write_grid(Path(args.out), pairs)
-    if not args.quiet:
-        print(table)
-
-
-def _run_options(args: argparse.Namespace) -> RunOptions:
-    return make_settings(RunOptions, given_flags(args, RunOptions), where="bench run")
-
-
 def _run_method(
     args: argparse.Namespace,
     options: RunOptions,
@@ -126,7 +111,6 @@ def _run_method(
         out=out if position is None else out / method.label,
         options=options,
         plugins=tuple(args.plugin),
-        every_error=args.step == "grid",
         position=position or 0,
     )
     show = partial(_print_progress, "" if args.quiet else method.label)

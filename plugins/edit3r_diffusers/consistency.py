@@ -131,10 +131,8 @@ def disagreement(
     for other in range(1, len(photos)):
         spots = _matched(points[0], described[0], points[other], described[other])
         if len(spots) >= FEWEST_MATCHES:
-            here, there = (
-                spots[:, 0].round().astype(int),
-                spots[:, 1].round().astype(int),
-            )
+            here = spots[:, 0].round().astype(int)
+            there = spots[:, 1].round().astype(int)
             colours = (
                 smooth[0][here[:, 1], here[:, 0]]
                 - smooth[other][there[:, 1], there[:, 0]]

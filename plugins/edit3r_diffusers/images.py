@@ -25,9 +25,8 @@ class ViewJob:
     prompt: str
     seed: int
     text: str  # for progress and messages
-    start: Float[Tensor, "1 3 height width"] | None = (
-        None  # image to begin from; None: from noise
-    )
+    # image to begin from; None: from noise
+    start: Float[Tensor, "1 3 height width"] | None = None
 
     def generator(self) -> torch.Generator:
         """Make a fresh generator, on the CPU so that every device draws the same noise.

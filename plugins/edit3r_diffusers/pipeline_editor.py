@@ -195,11 +195,9 @@ class PipelineEditor(Editor):
         self, pipeline: Any, multiple: int, references: list[Image.Image], job: ViewJob
     ) -> Float[Tensor, "1 3 height width"]:
         """Draw one view; what the class has no argument for is left out, see `_check`."""
-        chosen, size, taken = (
-            self.settings,
-            job.image.shape[-2:],
-            _arguments(type(pipeline)),
-        )
+        chosen = self.settings
+        size = job.image.shape[-2:]
+        taken = _arguments(type(pipeline))
         whole = torch.ones(1, 1, *size)
         mask = (
             whole if job.mask is None else mask_on_grid(job.mask.cpu(), size, multiple)

@@ -31,10 +31,8 @@ from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.photos.images import save_image
 from edit3r_editors.folder import read_edit, view_names
 
-PER_VIEW, TOGETHER = (
-    ("input", "mask", "output"),
-    ("input_dir", "mask_dir", "output_dir"),
-)
+PER_VIEW = ("input", "mask", "output")
+TOGETHER = ("input_dir", "mask_dir", "output_dir")
 PLACEHOLDERS = (*PER_VIEW, *TOGETHER, "prompt", "seed")
 EXAMPLE = '--set editor.command="mytool --in {input} --out {output} --prompt {prompt}"'
 

@@ -25,12 +25,10 @@ from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r.kit.geometry.warping import warp
 
-SHOWN = (
-    7.5 / 10.5
-)  # share of a look that is seen at full strength: the photo holds the rest back
-STEP_RATE = (
-    0.35  # share of the remaining way a step goes: 10 steps leave 1 % of the noise
-)
+# share of a look that is seen at full strength: the photo holds the rest back
+SHOWN = 7.5 / 10.5
+# share of the remaining way a step goes: 10 steps leave 1 % of the noise
+STEP_RATE = 0.35
 TEXTURE_CELLS = 12  # cells of the texture and warp noise along each side of the image
 TEXTURE, WARP = (
     0.12,
@@ -70,10 +68,8 @@ class MockDiffusionEditor(Editor):
         shared = torch.rand(6, generator=_generator(request.prompt, request.seed))
         apart, results = self.settings.disagreement, []
         for view in range(views.count):
-            generator, images = (
-                _generator(request.prompt, request.seed, view),
-                views.images[:, view],
-            )
+            generator = _generator(request.prompt, request.seed, view)
+            images = views.images[:, view]
             target = with_look(images, shared, generator, apart)
             results.append(
                 self._sample(images, target, request.seed, f"view {view + 1}")
@@ -144,9 +140,8 @@ def disturbed(
     fields = F.interpolate(
         coarse, size=images.shape[-2:], mode="bicubic", align_corners=False
     )[0]
-    fields = (
-        fields / 0.8
-    )  # interpolation between cells lowers the deviation of white noise
+    # interpolation between cells lowers the deviation of white noise
+    fields = fields / 0.8
     places = pixel_grid(images.shape[-2:], images) + amount * WARP * fields[:2].clamp(
         -1, 1
     ).permute(1, 2, 0)

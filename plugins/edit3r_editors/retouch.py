@@ -40,9 +40,8 @@ MAX_ERROR_BESIDE = 0.3
 NOISE = 0.01  # error that photos of one surface have anyway
 BESIDE = 0.06  # how far from a hole its surroundings reach [longer sides]
 STANDS = 0.05  # relative difference in depth within which things touch each other
-LEAST_LEFT = (
-    0.1  # share of the removed thing's size from which what is left is worth a word
-)
+# share of the removed thing's size from which what is left is worth a word
+LEAST_LEFT = 0.1
 SHADOW = 0.75  # share of the light around below which a pixel is in shadow
 MAX_TINT = 0.15  # difference of the channels' shares within a shadow
 DARK = 0.1  # light below which no shadow is told from the ground
@@ -254,11 +253,9 @@ def behind(
     The surface behind a hole is spanned between the depths measured around it and those that other
     views measured and carry into it. A view lends no pixels within `margin` of its own hole.
     """
-    images, intrinsics, c2w = (
-        views.images[scene],
-        views.intrinsics[scene],
-        geometry.c2w[scene],
-    )
+    images = views.images[scene]
+    intrinsics = views.intrinsics[scene]
+    c2w = geometry.c2w[scene]
     depths, placed = geometry.depths[scene], geometry.registered[scene]
     lent = dilate(holes.to(images), margin) == 0
     sure = lent & (geometry.confidence[scene] > SURE)

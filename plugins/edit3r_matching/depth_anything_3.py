@@ -14,8 +14,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
-from edit3r.contract import reporting
-from edit3r.contract import settings as config
+from edit3r.contract import reporting, settings as config
 from edit3r.contract.errors import InputError, MatchingError
 from edit3r.contract.interfaces import MatchedGeometry, Matcher
 from edit3r.contract.types import Views

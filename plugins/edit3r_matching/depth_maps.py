@@ -10,8 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from pydantic import Field
 
-from edit3r.contract import reporting
-from edit3r.contract import settings as config
+from edit3r.contract import reporting, settings as config
 from edit3r.kit.geometry.maps import upsample_depth
 from edit3r_matching.cameras import CalibratedImage
 from edit3r_matching.completion import (

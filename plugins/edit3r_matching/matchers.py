@@ -13,8 +13,7 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from edit3r import build, default_registry
-from edit3r.contract import reporting
-from edit3r.contract import settings as config
+from edit3r.contract import reporting, settings as config
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import MatchedGeometry, Matcher

@@ -1,20 +1,8 @@
-"""Measuring: `edit3r evaluate` and `edit3r tradeoff`, and a data set to measure on."""
+"""Measuring: `edit3r evaluate` and `edit3r tradeoff`."""
 
 from edit3r import Component, hookimpl
 
 EDIT3R_API = 1
-
-
-@hookimpl
-def register_datasets() -> list[Component]:
-    return [
-        Component(
-            "implicit",
-            "edit3r_measure.implicit_scenes:ImplicitDataset",
-            "smooth bodies coloured by formulas, with exact poses, depth and edited truth; to "
-            "measure on",
-        )
-    ]
 
 
 @hookimpl

@@ -20,9 +20,8 @@ class EvaluateCommand(Command):
         places = "photos with a cameras.json or transforms.json, or a data set such as procedural"
         parser.add_argument("folders", nargs="+", metavar="FOLDER|NAME", help=places)
         add_flags(parser, EvaluateOptions)
-        replace = "replace a file that is there"
-        parser.add_argument("--overwrite", action="store_true", help=replace)
-        add_common(parser, "such as reconstructor.head.opacity=0.8 or dataset.seed=5")
+        settings = "such as reconstructor.head.opacity=0.8 or dataset.seed=5"
+        add_common(parser, settings, overwrite="replace a file that is there")
 
     def main(self, args: argparse.Namespace) -> int:
         # Heavy modules load now, so that the command line is parsed without them.

@@ -18,7 +18,7 @@ from edit3r.kit.weights.load import out_of_memory_told
 from edit3r_model.engine import Precision
 from edit3r_model.memory import ADVICE, check_fits, estimate_bytes
 from edit3r_model.network import GaussianNetwork
-from edit3r_model.view_fitting import check_views, finer_grid, fit_views, regrid
+from edit3r_model.view_fitting import fit_views
 
 RESOLUTION = 256
 """Where neither settings nor weights say: side of the square with the area that images are scaled
@@ -40,13 +40,6 @@ class SinglePassSettings(config.Settings):
         "resize",
         description="single pass: how sides become multiples of the patch: stretched to the "
         "nearest, or padded",
-    )
-    grid_resolution: int | None = Field(
-        None,
-        ge=16,
-        le=8192,
-        description="single pass: one Gaussian per photo pixel up to this squared, with the "
-        "photo's own detail; default: one per pixel of the network's grid",
     )
     precision: Precision | Literal["auto"] = Field(
         "float32",
@@ -81,16 +74,10 @@ class SinglePass:
         Raises InputError for views that cannot be used, RunError when memory ends.
         """
         chosen, backbone = self.settings, self.network.backbone
-        check_views(views)
         fitted = fit_views(views, backbone.patch_size, self.resolution, chosen.fit)
         gaussians = self._run(fitted.views).to(views.images.device)
         _require_finite(gaussians)
-        gaussians = fitted.drop_padding(gaussians)
-        if chosen.grid_resolution is not None:
-            grid = fitted.inner_size
-            finer = finer_grid(grid, views.image_size, chosen.grid_resolution)
-            gaussians = regrid(gaussians, grid, finer, views.images)
-        return Reconstruction(gaussians)
+        return Reconstruction(fitted.drop_padding(gaussians))
 
     def _run(self, views: Views) -> Gaussians:
         """The network's own answer for views of a size that it takes."""

@@ -25,9 +25,8 @@ GRID = 5  # clicks along each side of a photo
 QUALITY = 0.8  # least quality that a mask has by its own account
 SMALLEST, LARGEST = 0.003, 0.4  # shares of a photo
 ON_RIM = 0.2  # share of its box's sides on the photo's rim from which it is floor, wall or sky
-SAME_PLACE = (
-    0.1  # relative difference of depth within which two photos show one surface
-)
+# relative difference of depth within which two photos show one surface
+SAME_PLACE = 0.1
 SEEN = 0.3  # share of a mask that another photo must show to say anything of it
 SAME = 0.5  # overlap from which two masks are one thing
 APART = 0.2  # share of the smaller of two masks that they may have in common

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Editor, GivesAttention, Rasterizer
 from edit3r.contract.reporting import note, track
-from edit3r.contract.types import DC, Cameras, EditRequest, Gaussians, Views
+from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.geometry.warping import warp
 from edit3r_optimisers.fitting import TargetImages
@@ -168,17 +168,13 @@ def attention_maps(
     That is the editor's own attention; else the masks; else how much each pixel changed.
     """
     if isinstance(editor, GivesAttention):
-        maps, told_by = (
-            editor.attention(photos, request),
-            "the editor's cross-attention",
-        )
+        maps = editor.attention(photos, request)
+        told_by = "the editor's cross-attention"
     elif request.masks is not None:
         maps, told_by = request.masks, "the masks, the editor gives no attention"
     else:
-        maps, told_by = (
-            (edits.images - photos.images).abs().mean(2),
-            "the change of each pixel, no attention or masks",
-        )
+        maps = (edits.images - photos.images).abs().mean(2)
+        told_by = "the change of each pixel, no attention or masks"
     return maps / maps.amax().clamp(min=1e-12), told_by
 
 
@@ -191,16 +187,11 @@ def attention_of(
     """Return the mean of the maps over the pixels of each Gaussian, weighted by transmittance times
     alpha.
 
-    It is 0 for a Gaussian that no pixel shows. An image is linear in the colours, so the sum of map
-    and weights and the sum of weights are gradients by the constant harmonic of grey Gaussians.
+    It is 0 for a Gaussian that no pixel shows.
     """
-    grey = torch.zeros_like(gaussians.harmonics[:, :, :1]).requires_grad_(True)
-    with torch.enable_grad():
-        images = rasterizer.render(replace(gaussians, harmonics=grey), cameras).images
-        # Two channels, two sums, one backward pass.
-        total = (images[:, :, 0] * maps).sum() + images[:, :, 1].sum()
-        (gradient,) = torch.autograd.grad(total, grey)
-    attended, drawn = gradient[:, :, 0, 0] / DC, gradient[:, :, 0, 1] / DC
+    weights = torch.stack((maps[0], torch.ones_like(maps[0])), 1)
+    found = rasterizer.contributions(gaussians, cameras, weights)
+    attended, drawn = found.unbind(-1)
     return torch.where(
         drawn > 1e-6, attended / drawn.clamp(min=1e-6), torch.zeros_like(drawn)
     )

@@ -23,10 +23,10 @@ from edit3r.kit.geometry.rotations import normalise_quats
 WINDOW, SIGMA = 11, 1.5  # of the Gaussian window of SSIM [pixels] (Wang et al. 2004)
 C1, C2 = 0.01**2, 0.03**2  # for images in [0, 1]
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
-BETAS, EPSILON = (
-    (0.9, 0.999),
-    1e-15,
-)  # of Adam; gradients of single Gaussians are tiny (3DGS, released code)
+# of Adam; gradients of single Gaussians are tiny (3DGS, released code)
+BETAS, EPSILON = (0.9, 0.999), 1e-15
+MEANS_RATES = 1.6e-4, 1.6e-6  # first and last step of the centres [extents]
+RATES = {"scales": 5e-3, "quats": 1e-3, "opacities": 0.05}  # of logarithms and logits
 
 
 class FitSettings(Settings):
@@ -41,26 +41,11 @@ class FitSettings(Settings):
         le=1,
         description="weight of D-SSIM; the rest is the absolute difference",
     )
-    means_rate: float = Field(
-        1.6e-4, ge=0, le=1, description="first step of the centres [extents]"
-    )
-    means_rate_end: float = Field(
-        1.6e-6, ge=0, le=1, description="last step of the centres [extents]"
-    )
     colour_rate: float = Field(
         0.02,
         ge=0,
         le=1,
         description="step of the colours; published 0.0025, for 30000 steps",
-    )
-    opacity_rate: float = Field(
-        0.05, ge=0, le=1, description="step of the opacities' logits"
-    )
-    scale_rate: float = Field(
-        5e-3, ge=0, le=1, description="step of the scales' logarithms"
-    )
-    rotation_rate: float = Field(
-        1e-3, ge=0, le=1, description="step of the quaternions"
     )
 
 
@@ -182,16 +167,10 @@ def step_sizes(
 
     The centres' falls log-linearly, the others stay (3D Gaussian Splatting, released code).
     """
-    start, end = settings.means_rate, settings.means_rate_end
+    start, end = MEANS_RATES
     share = step / max(1, steps - 1)
-    means = start ** (1 - share) * end**share if start > 0 and end > 0 else start
-    return {
-        "means": means * extent,
-        "scales": settings.scale_rate,
-        "quats": settings.rotation_rate,
-        "opacities": settings.opacity_rate,
-        "colour": settings.colour_rate,
-    }
+    means = start ** (1 - share) * end**share
+    return {**RATES, "means": means * extent, "colour": settings.colour_rate}
 
 
 def view_at(step: int, views: int, seed: int) -> int:

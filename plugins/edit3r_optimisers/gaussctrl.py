@@ -15,8 +15,6 @@ from edit3r.contract.interfaces import (
     Editor,
     MatchedGeometry,
     Matcher,
-    Rasterizer,
-    Reconstructor,
 )
 from edit3r.contract.reporting import note, warn
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
@@ -72,17 +70,8 @@ class GaussCtrlReconstructor(FittingMethod):
             "need more memory",
         )
 
-    def __init__(
-        self,
-        settings: Settings,
-        reconstructor: Reconstructor,
-        editor: Editor,
-        rasterizer: Rasterizer,
-    ) -> None:
-        super().__init__(settings, reconstructor, editor, rasterizer)
-        self._copy: Editor | None = (
-            None  # of the editor, to be given other depths; shares the weights
-        )
+    # of the editor, to be given other depths; shares the weights
+    _copy: Editor | None = None
 
     def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)

@@ -73,12 +73,10 @@ class DatasetUpdate(TargetImages):
         rasterizer: Rasterizer,
     ) -> None:
         super().__init__(photos.images[0].clone())
-        self.photos, self.cameras, self.request, self.settings = (
-            photos,
-            cameras,
-            request,
-            settings,
-        )
+        self.photos = photos
+        self.cameras = cameras
+        self.request = request
+        self.settings = settings
         self.editor, self.rasterizer = editor, rasterizer
         self.updates = 0
 

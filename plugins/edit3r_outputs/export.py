@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from edit3r.contract.command import Command
-from edit3r.kit.command.flags import add_plugin_option
+from edit3r.kit.command.results import add_common, shown_stages
 from edit3r.kit.scenes.files import scene_file
 
 
@@ -37,16 +37,12 @@ class ExportCommand(Command):
             metavar="PATH",
             help="the file or folder to write, for one writer; default: beside the scene",
         )
-        add_plugin_option(parser)
-        add("--overwrite", action="store_true", help="replace files that are there")
-        add("--quiet", action="store_true", help="print errors only")
+        add_common(parser, overwrite="replace files that are there")
 
     def main(self, args: argparse.Namespace) -> int:
 
         from edit3r import default_registry
         from edit3r.contract.errors import InputError
-        from edit3r.contract.reporting import Report, collecting
-        from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.atomic import check_new_file
         from edit3r.running import SavedScene, write_saved
 
@@ -62,10 +58,7 @@ class ExportCommand(Command):
             name = writer.offer.component.file_name(saved.stem)
             made[writer] = Path(args.out or args.scene.with_name(name))
             check_new_file(made[writer], args.overwrite, source=args.scene)
-        with (
-            StageConsole(quiet=args.quiet) as console,
-            collecting(Report(on_event=console)) as report,
-        ):
+        with shown_stages(args.quiet) as report:
             with report.stage("read scene"):
                 _ = saved.gaussians
             for writer, path in made.items():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError, SettingsError
-from edit3r.kit.command.flags import add_output_flags, add_plugin_option
+from edit3r.kit.command.results import add_common, shown_stages
 from edit3r.kit.scenes.files import scene_file
 
 if TYPE_CHECKING:
@@ -71,26 +71,20 @@ class RenderCommand(Command):
             help="rasterizer (default: that of edit3r run)",
         )
         add(
-            "--set",
-            action="append",
-            default=[],
-            metavar="KEY=VALUE",
-            help="such as rasterizer.background=[1,1,1]",
-        )
-        add_plugin_option(parser)
-        add(
             "--out",
             metavar="DIR",
             default="edit3r-render",
             help="folder for the results (default edit3r-render)",
         )
-        add_output_flags(parser)
+        add_common(
+            parser,
+            settings="such as rasterizer.background=[1,1,1]",
+            overwrite="replace an earlier result in --out even where it was changed",
+        )
 
     def main(self, args: argparse.Namespace) -> int:
         import torch
 
-        from edit3r.contract.reporting import Report, collecting
-        from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.atomic import atomic_folder, check_apart
         from edit3r.kit.run_folder import RunFolder
 
@@ -101,8 +95,7 @@ class RenderCommand(Command):
         check_apart(args.out, args.scene)
         rasterizer = _rasterizer(args)
         with (
-            StageConsole(quiet=args.quiet) as console,
-            collecting(Report(on_event=console)),
+            shown_stages(args.quiet),
             torch.no_grad(),
             atomic_folder(args.out, args.overwrite) as folder,
         ):

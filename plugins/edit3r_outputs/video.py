@@ -100,10 +100,8 @@ def _vp8_frame(image: Image.Image) -> bytes:
     data = buffer.getvalue()
     start = 12
     while start < len(data):
-        name, size = (
-            data[start : start + 4],
-            int.from_bytes(data[start + 4 : start + 8], "little"),
-        )
+        name = data[start : start + 4]
+        size = int.from_bytes(data[start + 4 : start + 8], "little")
         if name == b"VP8 ":
             return data[start + 8 : start + 8 + size]
         start += 8 + size + size % 2

@@ -59,9 +59,8 @@ def viewer_page(scene: SceneToWrite) -> str:
     second = scene.second_look() if scene.second_look is not None else None
     before = second.colours if second is not None else None
     looks = second.names if second is not None else ("after", "before")
-    depth = (
-        float(gaussians.means[0, :, 2].median()) if gaussians.count else 1.0
-    )  # that objects are moved by shares of
+    # that objects are moved by shares of
+    depth = float(gaussians.means[0, :, 2].median()) if gaussians.count else 1.0
     drawn = torch.nonzero(gaussians.opacities[0] >= LEAST_OPACITY)[:, 0]
     if len(drawn) > EASY_GAUSSIANS:
         warn(

@@ -45,18 +45,14 @@ from edit3r_rasterizers.tiles import (
 # Planes after the first three. Forward: sums of red, green, blue and depth. Backward: gradients by
 # red, green, blue and by weighted depth, then what later splats and the background still
 # contribute.
-_RED, _GREEN, _BLUE, _DEPTH = (
-    FIRST_FREE,
-    FIRST_FREE + LANES,
-    FIRST_FREE + U(2) * LANES,
-    FIRST_FREE + U(3) * LANES,
-)
+_RED = FIRST_FREE
+_GREEN = FIRST_FREE + LANES
+_BLUE = FIRST_FREE + U(2) * LANES
+_DEPTH = FIRST_FREE + U(3) * LANES
 _REST = FIRST_FREE + U(4) * LANES
 FORWARD_STRIDE, BACKWARD_STRIDE = FIRST_FREE + U(4) * LANES, FIRST_FREE + U(5) * LANES
-FORWARD_SCRATCH, BACKWARD_SCRATCH = (
-    int(BLOCKS * FORWARD_STRIDE),
-    int(BLOCKS * BACKWARD_STRIDE),
-)
+FORWARD_SCRATCH = int(BLOCKS * FORWARD_STRIDE)
+BACKWARD_SCRATCH = int(BLOCKS * BACKWARD_STRIDE)
 """Floats of scratch memory that `shade_tiles` and `differentiate_tiles` need."""
 
 
@@ -85,19 +81,15 @@ def shade_tiles(
     `touched[e]` becomes the blocks that entry e reaches, as bits; the backward pass reads it.
     """
     height, width = alphas.shape
-    offsets, entries, records, scratch = (
-        flat(offsets),
-        flat(entries),
-        flat(records),
-        flat(scratch),
-    )
+    offsets = flat(offsets)
+    entries = flat(entries)
+    records = flat(records)
+    scratch = flat(scratch)
     touched, background = flat(touched), flat(background)
-    images, alphas, depths, transmittances = (
-        flat(images),
-        flat(alphas),
-        flat(depths),
-        flat(transmittances),
-    )
+    images = flat(images)
+    alphas = flat(alphas)
+    depths = flat(depths)
+    transmittances = flat(transmittances)
     zero = broadcast(F(0))
     threshold, limit, least = F(np.log2(min_alpha)), F(max_alpha), F(min_transmittance)
     for tile in range(first_tile, last_tile):
@@ -189,10 +181,8 @@ def _write_tile(
     """Composite the background in place and copy a tile's pixels to the images."""
     plane = width * height
     for block in range(BLOCKS):
-        x, y = (
-            tile_x + (block % BLOCKS_PER_ROW) * U(BLOCK),
-            tile_y + (block // BLOCKS_PER_ROW) * U(BLOCK),
-        )
+        x = tile_x + (block % BLOCKS_PER_ROW) * U(BLOCK)
+        y = tile_y + (block // BLOCKS_PER_ROW) * U(BLOCK)
         if x >= width or y >= height:
             continue
         place, target = block * FORWARD_STRIDE, y * width + x
@@ -245,12 +235,10 @@ def differentiate_tiles(
     `shapes`, colours.
     """
     height, width = depths.shape
-    offsets, entries, records, scratch = (
-        flat(offsets),
-        flat(entries),
-        flat(records),
-        flat(scratch),
-    )
+    offsets = flat(offsets)
+    entries = flat(entries)
+    records = flat(records)
+    scratch = flat(scratch)
     touched, sums = flat(touched), flat(sums)
     images, depths, transmittances = flat(images), flat(depths), flat(transmittances)
     image_gradients, alpha_gradients = flat(image_gradients), flat(alpha_gradients)
@@ -267,10 +255,8 @@ def differentiate_tiles(
             min(TILE, height - tile_y),
         )
         for block in range(BLOCKS):
-            x, y = (
-                U(tile_x) + (block % BLOCKS_PER_ROW) * U(BLOCK),
-                U(tile_y) + (block // BLOCKS_PER_ROW) * U(BLOCK),
-            )
+            x = U(tile_x) + (block % BLOCKS_PER_ROW) * U(BLOCK)
+            y = U(tile_y) + (block // BLOCKS_PER_ROW) * U(BLOCK)
             if x < U(width) and y < U(height):
                 place, corner = block * BACKWARD_STRIDE, y * U(width) + x
                 shape = U(width), U(width) - x, U(height) - y
@@ -299,14 +285,12 @@ def differentiate_tiles(
                 ellipse, red, green, blue, depth = place_splat(
                     records, start, tile_x, tile_y
                 )
-                sum_v, sum_vs, sum_vt, sum_vss, sum_vst, sum_vtt = (
-                    zero,
-                    zero,
-                    zero,
-                    zero,
-                    zero,
-                    zero,
-                )
+                sum_v = zero
+                sum_vs = zero
+                sum_vt = zero
+                sum_vss = zero
+                sum_vst = zero
+                sum_vtt = zero
                 sum_red, sum_green, sum_blue, sum_depth = zero, zero, zero, zero
                 while todo != U(0):
                     place = lowest_bit(todo) * BACKWARD_STRIDE
@@ -325,14 +309,10 @@ def differentiate_tiles(
                         place + TRANSMITTANCE,
                         select(shown, after, flag_negative(covered, before)),
                     )
-                    by_red, by_green = (
-                        load(scratch, place + _RED),
-                        load(scratch, place + _GREEN),
-                    )
-                    by_blue, by_depth = (
-                        load(scratch, place + _BLUE),
-                        load(scratch, place + _DEPTH),
-                    )
+                    by_red = load(scratch, place + _RED)
+                    by_green = load(scratch, place + _GREEN)
+                    by_blue = load(scratch, place + _BLUE)
+                    by_depth = load(scratch, place + _DEPTH)
                     sum_red += weight * by_red
                     sum_green += weight * by_green
                     sum_blue += weight * by_blue
@@ -396,11 +376,9 @@ def _read_planes(scratch, place, images, depths, alphas, corner, plane, shape):
 
 @inlined
 def _load_planes(scratch, place):
-    red, green, blue = (
-        load(scratch, place + _RED),
-        load(scratch, place + _GREEN),
-        load(scratch, place + _BLUE),
-    )
+    red = load(scratch, place + _RED)
+    green = load(scratch, place + _GREEN)
+    blue = load(scratch, place + _BLUE)
     return red, green, blue, load(scratch, place + _DEPTH), load(scratch, place + _REST)
 
 

@@ -92,10 +92,8 @@ class GsplatRasterizer(Rasterizer):
             sh_degree=gaussians.degree,
             render_mode="RGB+ED",
         )
-        images, alphas = (
-            images.movedim(-1, 1).to(dtype),
-            alphas.movedim(-1, 1).to(dtype),
-        )
+        images = images.movedim(-1, 1).to(dtype)
+        alphas = alphas.movedim(-1, 1).to(dtype)
         return images[:, :3], alphas, images[:, 3:]
 
 

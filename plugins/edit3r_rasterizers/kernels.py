@@ -17,6 +17,7 @@ import torch
 
 from edit3r.kit.compute.compiling import compiled, numba
 
+LEAST_SLICE = 4096
 _pools: dict[int, ThreadPoolExecutor] = {}
 
 if hasattr(os, "register_at_fork"):
@@ -87,11 +88,11 @@ def run_slices(
     return list(pool.map(lambda ab: call(*ab), slices))
 
 
-def even_bounds(count: int, threads: int, least: int = 4096) -> list[int]:
-    """Cut [0, count) into a few slices per thread, none shorter than `least` unless it is the only
-    one.
+def even_bounds(count: int, threads: int) -> list[int]:
+    """Cut [0, count) into a few slices per thread, none shorter than LEAST_SLICE unless it is the
+    only one.
     """
-    slices = max(1, min(4 * threads if threads > 1 else 1, count // least))
+    slices = max(1, min(4 * threads if threads > 1 else 1, count // LEAST_SLICE))
     return [count * k // slices for k in range(slices + 1)]
 
 

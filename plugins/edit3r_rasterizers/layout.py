@@ -1,5 +1,7 @@
 """Memory layouts that the numba kernels share: sizes, and what stands in which column."""
 
+import numpy as np
+
 TILE = 16
 """Side of a tile [pixels]; a tile is TILE / BLOCK squared blocks."""
 BLOCK = 4
@@ -12,20 +14,18 @@ come.
 
 # Columns of a splat's record, float32 [16], one cache line. With d = pixel - mean,
 # log2(alpha) = LOG_OPACITY - (INV_STD_X * (d_x - X_PER_Y * d_y))^2 - (INV_STD_Y * d_y)^2.
-X, X_REST, Y, Y_REST = 0, 1, 2, 3  # mean as a sum of two float32 [pixels]
-X_PER_Y = 4  # d_x of the highest alpha on a row, per d_y
-INV_STD_X, INV_STD_Y = (
-    5,
-    6,
-)  # 1 / standard deviation of x given y, and of y; units as in `projection.UNIT`
-LOG_OPACITY = 7  # base 2
-RED, GREEN, BLUE, DEPTH = 8, 9, 10, 11
-CUTOFF = 12  # the sum of the two squares above which alpha < min_alpha
-Y_PER_X = 13  # d_y of the highest alpha on a column, per d_x
-X_PER_Y_REST = (
-    14  # what float32 left out of X_PER_Y; a long needle's end is far from its mean
-)
 RECORD = 16
+_COLUMNS = [np.uint64(column) for column in range(RECORD)]  # as kernels index
+X, X_REST, Y, Y_REST = _COLUMNS[:4]  # mean as a sum of two float32 [pixels]
+X_PER_Y = _COLUMNS[4]  # d_x of the highest alpha on a row, per d_y
+# 1 / standard deviation of x given y, and of y; units as in `projection.UNIT`
+INV_STD_X, INV_STD_Y = _COLUMNS[5:7]
+LOG_OPACITY = _COLUMNS[7]  # base 2
+RED, GREEN, BLUE, DEPTH = _COLUMNS[8:12]
+CUTOFF = _COLUMNS[12]  # the sum of the two squares above which alpha < min_alpha
+Y_PER_X = _COLUMNS[13]  # d_y of the highest alpha on a column, per d_x
+# What float32 left out of X_PER_Y; a long needle's end is far from its mean.
+X_PER_Y_REST = _COLUMNS[14]
 
 # Columns of a camera, float64: the world axes' images first (rotation of c2w, row-major), then the
 # rest.
@@ -36,12 +36,12 @@ LOW_X, HIGH_X, LOW_Y, HIGH_Y = (
     17,
     18,
     19,
-)  # tangents between which the Jacobian is not clamped
+)  # where the Jacobian is not clamped [tangents]
 CAMERA = 20
 POSE = 16  # the first columns, by which the backward pass gives gradients
 
 # Columns of the sums that the backward pass takes over a splat's pixels; s, t: the two terms
 # squared above, in units of standard deviations, v: the gradient by the exponent sigma.
-SUM_V, SUM_VS, SUM_VT, SUM_VSS, SUM_VST, SUM_VTT = 0, 1, 2, 3, 4, 5
-SUM_RED, SUM_GREEN, SUM_BLUE, SUM_DEPTH = 6, 7, 8, 9
 SUMS = 10
+SUM_V, SUM_VS, SUM_VT, SUM_VSS, SUM_VST, SUM_VTT = _COLUMNS[:6]
+SUM_RED, SUM_GREEN, SUM_BLUE, SUM_DEPTH = _COLUMNS[6:SUMS]

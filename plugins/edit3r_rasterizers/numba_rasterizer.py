@@ -1,7 +1,6 @@
 """The CPU rasterizer: kernels compiled by numba, with a hand-derived backward pass."""
 
 import subprocess
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from subprocess import DEVNULL
@@ -165,9 +164,6 @@ class GaussianArrays:
     def arrays(self) -> tuple[np.ndarray, ...]:
         return self.means, self.scales, self.quats, self.opacities, self.harmonics
 
-    def made_by(self, make: Callable[[np.ndarray], np.ndarray]) -> "GaussianArrays":
-        return GaussianArrays(*(make(array) for array in self.arrays))
-
 
 @dataclass(frozen=True)
 class CameraImages:
@@ -238,8 +234,7 @@ class _Rasterize(torch.autograd.Function):
         batch, count = outputs[0].shape[:2]
         by_background, *by_shapes, by_colours = ctx.needs_input_grad[2:]
         by_scenes = [
-            scene.made_by(np.empty_like if count else np.zeros_like)
-            for scene in ctx.scenes
+            GaussianArrays(*map(np.zeros_like, scene.arrays)) for scene in ctx.scenes
         ]
         by_backgrounds = torch.zeros(batch, count, 3) if by_background else None
         by_cameras = torch.zeros(batch, count, CAMERA, dtype=torch.float64)
@@ -255,7 +250,6 @@ class _Rasterize(torch.autograd.Function):
                     by_scenes[b],
                     by_cameras[b, c].numpy() if by_shapes[0] else None,
                     shapes=any(by_shapes),
-                    fresh=c == 0,
                 )
             if by_background:
                 left = torch.from_numpy(frame.transmittances)
@@ -370,10 +364,8 @@ def differentiate(
     by_camera: np.ndarray | None,
     *,
     shapes: bool,
-    fresh: bool,
 ) -> None:
-    """Add the gradients of one camera's images to those of the scene, which are 0 where they are
-    `fresh`.
+    """Add the gradients of one camera's images to those of the scene.
 
     Without `shapes` only those by the harmonics, for which colours alone matter. `by_camera`
     [CAMERA], which needs `shapes`, gets the gradient by the packed camera.
@@ -407,7 +399,6 @@ def differentiate(
         frame.lists.positions,
         sums,
         shapes,
-        fresh,
         scratch(PROJECTION_BACKWARD_SCRATCH, np.float64),
         scratch(8, np.uint64),
         None if by_camera is None else lambda: np.zeros((POSE, 8)),

@@ -8,8 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.types import DC, Cameras
-from edit3r_rasterizers import layout
-from edit3r_rasterizers import projection_maths as maths
+from edit3r_rasterizers import layout, projection_maths as maths
 from edit3r_rasterizers.kernels import inlined, kernel
 from edit3r_rasterizers.projection_maths import (
     GROUP,
@@ -98,13 +97,11 @@ def project(
     count = U(harmonics.shape[1])
     means, scales, quats = flat(means), flat(scales), flat(quats)
     opacities, harmonics = flat(opacities), flat(harmonics)
-    camera, scratch, records, boxes, keys = (
-        flat(camera),
-        flat(scratch),
-        flat(records),
-        flat(boxes),
-        flat(keys),
-    )
+    camera = flat(camera)
+    scratch = flat(scratch)
+    records = flat(records)
+    boxes = flat(boxes)
+    keys = flat(keys)
     sound = True
     for start in range(U(first), U(last), GROUP):
         end = min(start + GROUP, U(last))
@@ -154,11 +151,9 @@ def _project_group(staged, camera, width, height, near, far, eps2d, min_alpha):
     a, b, c, d, _ = maths.unit_quats(staged)
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = maths.rotation_matrix(a, b, c, d)
     j0, j1, j2, k0, k1, k2 = maths.image_rows(camera, u, v, per_z)
-    s0, s1, s2 = (
-        staged_row(staged, SCALE),
-        staged_row(staged, SCALE + U(1)),
-        staged_row(staged, SCALE + U(2)),
-    )
+    s0 = staged_row(staged, SCALE)
+    s1 = staged_row(staged, SCALE + U(1))
+    s2 = staged_row(staged, SCALE + U(2))
     a0, b0 = (j0 * r0 + j1 * r3 + j2 * r6) * s0, (k0 * r0 + k1 * r3 + k2 * r6) * s0
     a1, b1 = (j0 * r1 + j1 * r4 + j2 * r7) * s1, (k0 * r1 + k1 * r4 + k2 * r7) * s1
     a2, b2 = (j0 * r2 + j1 * r5 + j2 * r8) * s2, (k0 * r2 + k1 * r5 + k2 * r8) * s2
@@ -171,20 +166,14 @@ def _project_group(staged, camera, width, height, near, far, eps2d, min_alpha):
     opacity = maximum(opacity, min_alpha)
     log_opacity = log2(opacity)
     cutoff = maximum(log_opacity - log2(broadcast(min_alpha)), 0.0)
-    extent_x, extent_y = (
-        square_root(cutoff * variance_x) * _DEVIATIONS,
-        square_root(cutoff * variance_y) * _DEVIATIONS,
-    )
+    extent_x = square_root(cutoff * variance_x) * _DEVIATIONS
+    extent_y = square_root(cutoff * variance_y) * _DEVIATIONS
     # Bounds in pixel indices, of pixels whose centres lie inside; clamped, so that they fit an
     # integer.
-    left, right = (
-        maximum(mean_x - extent_x - 0.5, 0.0),
-        minimum(mean_x + extent_x - 0.5, width - 1.0),
-    )
-    top, bottom = (
-        maximum(mean_y - extent_y - 0.5, 0.0),
-        minimum(mean_y + extent_y - 0.5, height - 1.0),
-    )
+    left = maximum(mean_x - extent_x - 0.5, 0.0)
+    right = minimum(mean_x + extent_x - 0.5, width - 1.0)
+    top = maximum(mean_y - extent_y - 0.5, 0.0)
+    bottom = minimum(mean_y + extent_y - 0.5, height - 1.0)
     seen = seen & (right >= left) & (bottom >= top)
 
     store(staged, _X * GROUP, mean_x)
@@ -218,25 +207,17 @@ def _all_finite(harmonics, i, count):
 @inlined
 def _write_box(boxes, i, results, lane):
     """Write the first and last tile; first > last when no pixel centre lies between the bounds."""
-    left, top = (
-        math.ceil(results[_LEFT * GROUP + lane]),
-        math.ceil(results[_TOP * GROUP + lane]),
-    )
-    right, bottom = (
-        math.floor(results[_RIGHT * GROUP + lane]),
-        math.floor(results[_BOTTOM * GROUP + lane]),
-    )
+    left = math.ceil(results[_LEFT * GROUP + lane])
+    top = math.ceil(results[_TOP * GROUP + lane])
+    right = math.floor(results[_RIGHT * GROUP + lane])
+    bottom = math.floor(results[_BOTTOM * GROUP + lane])
     if left > right or top > bottom:
         _write_empty_box(boxes, i)
         return
-    boxes[U(4) * i], boxes[U(4) * i + U(1)] = (
-        U(left) // U(layout.TILE),
-        U(top) // U(layout.TILE),
-    )
-    boxes[U(4) * i + U(2)], boxes[U(4) * i + U(3)] = (
-        U(right) // U(layout.TILE),
-        U(bottom) // U(layout.TILE),
-    )
+    boxes[U(4) * i] = U(left) // U(layout.TILE)
+    boxes[U(4) * i + U(1)] = U(top) // U(layout.TILE)
+    boxes[U(4) * i + U(2)] = U(right) // U(layout.TILE)
+    boxes[U(4) * i + U(3)] = U(bottom) // U(layout.TILE)
 
 
 @inlined
@@ -252,25 +233,23 @@ def _write_empty_box(boxes, i):
 @inlined
 def _write_geometry(records, i, results, lane):
     record = i * U(layout.RECORD)
-    x, y, x_per_y = (
-        results[_X * GROUP + lane],
-        results[_Y * GROUP + lane],
-        results[_X_PER_Y * GROUP + lane],
-    )
+    x = results[_X * GROUP + lane]
+    y = results[_Y * GROUP + lane]
+    x_per_y = results[_X_PER_Y * GROUP + lane]
     (
-        records[record + U(layout.X)],
-        records[record + U(layout.Y)],
-        records[record + U(layout.X_PER_Y)],
+        records[record + layout.X],
+        records[record + layout.Y],
+        records[record + layout.X_PER_Y],
     ) = x, y, x_per_y
-    records[record + U(layout.X_REST)] = x - np.float64(np.float32(x))
-    records[record + U(layout.Y_REST)] = y - np.float64(np.float32(y))
-    records[record + U(layout.X_PER_Y_REST)] = x_per_y - np.float64(np.float32(x_per_y))
-    records[record + U(layout.INV_STD_X)] = results[_INV_STD_X * GROUP + lane]
-    records[record + U(layout.INV_STD_Y)] = results[_INV_STD_Y * GROUP + lane]
-    records[record + U(layout.LOG_OPACITY)] = results[_LOG_OPACITY * GROUP + lane]
-    records[record + U(layout.Y_PER_X)] = results[_Y_PER_X * GROUP + lane]
-    records[record + U(layout.CUTOFF)] = results[_CUTOFF * GROUP + lane]
-    records[record + U(layout.DEPTH)] = results[_DEPTH * GROUP + lane]
+    records[record + layout.X_REST] = x - np.float64(np.float32(x))
+    records[record + layout.Y_REST] = y - np.float64(np.float32(y))
+    records[record + layout.X_PER_Y_REST] = x_per_y - np.float64(np.float32(x_per_y))
+    records[record + layout.INV_STD_X] = results[_INV_STD_X * GROUP + lane]
+    records[record + layout.INV_STD_Y] = results[_INV_STD_Y * GROUP + lane]
+    records[record + layout.LOG_OPACITY] = results[_LOG_OPACITY * GROUP + lane]
+    records[record + layout.Y_PER_X] = results[_Y_PER_X * GROUP + lane]
+    records[record + layout.CUTOFF] = results[_CUTOFF * GROUP + lane]
+    records[record + layout.DEPTH] = results[_DEPTH * GROUP + lane]
 
 
 @inlined
@@ -281,10 +260,8 @@ def _write_colour(records, i, results, lane, harmonics, count):
     green = DC * np.float64(harmonics[first + U(1)])
     blue = DC * np.float64(harmonics[first + U(2)])
     if count > U(1):
-        east, down = (
-            results[_DIRECTION_X * GROUP + lane],
-            results[_DIRECTION_Y * GROUP + lane],
-        )
+        east = results[_DIRECTION_X * GROUP + lane]
+        down = results[_DIRECTION_Y * GROUP + lane]
         ahead = results[_DIRECTION_Z * GROUP + lane]
         basis = shifted(results, _BASIS * GROUP)
         evaluate_basis(east, down, ahead, count, basis)
@@ -292,7 +269,7 @@ def _write_colour(records, i, results, lane, harmonics, count):
             red += basis[k] * np.float64(harmonics[first + U(3) * k])
             green += basis[k] * np.float64(harmonics[first + U(3) * k + U(1)])
             blue += basis[k] * np.float64(harmonics[first + U(3) * k + U(2)])
-    records[record + U(layout.RED)] = min(max(red + 0.5, 0.0), MAX_COLOUR)
-    records[record + U(layout.GREEN)] = min(max(green + 0.5, 0.0), MAX_COLOUR)
-    records[record + U(layout.BLUE)] = min(max(blue + 0.5, 0.0), MAX_COLOUR)
+    records[record + layout.RED] = min(max(red + 0.5, 0.0), MAX_COLOUR)
+    records[record + layout.GREEN] = min(max(green + 0.5, 0.0), MAX_COLOUR)
+    records[record + layout.BLUE] = min(max(blue + 0.5, 0.0), MAX_COLOUR)
     return math.isfinite(red + green + blue)

@@ -7,8 +7,7 @@ import math
 import numpy as np
 
 from edit3r.contract.types import DC
-from edit3r_rasterizers import layout
-from edit3r_rasterizers import projection_maths as maths
+from edit3r_rasterizers import layout, projection_maths as maths
 from edit3r_rasterizers.kernels import inlined, kernel
 from edit3r_rasterizers.projection import UNIT
 from edit3r_rasterizers.projection_maths import (
@@ -39,7 +38,7 @@ PROJECTION_BACKWARD_SCRATCH = int((_WEIGHTS + U(4)) * GROUP)
 
 
 @kernel
-def project_backward(  # noqa: C901  (one kernel: a call in it costs more than its work)
+def project_backward(
     first,
     last,
     means,
@@ -54,7 +53,6 @@ def project_backward(  # noqa: C901  (one kernel: a call in it costs more than i
     positions,
     sums,
     shapes,
-    fresh,
     scratch,
     group,
     camera_sums,
@@ -66,9 +64,9 @@ def project_backward(  # noqa: C901  (one kernel: a call in it costs more than i
 ):
     """Add the gradients of the Gaussians [first, last) for one camera to the five gradient arrays.
 
-    Without `shapes` only those by the harmonics, as colours. `fresh` arrays hold nothing yet, and
-    start from 0. `positions[splat_offsets[i] : splat_offsets[i + 1]]` are the rows of `sums` that
-    belong to Gaussian i. `scratch` and `group` (eight indices): work space.
+    Without `shapes` only those by the harmonics, as colours.
+    `positions[splat_offsets[i] : splat_offsets[i + 1]]` are the rows of `sums` that belong to
+    Gaussian i. `scratch` and `group` (eight indices): work space.
 
     To `camera_sums` [POSE, GROUP], which are returned, are added the gradients by the camera in
     eight parts; for None another kernel is compiled, that does not know of them.
@@ -82,22 +80,10 @@ def project_backward(  # noqa: C901  (one kernel: a call in it costs more than i
     scratch, group = flat(scratch), flat(group)
     mean_gradients, scale_gradients = flat(mean_gradients), flat(scale_gradients)
     quat_gradients = flat(quat_gradients)
-    opacity_gradients, harmonic_gradients = (
-        flat(opacity_gradients),
-        flat(harmonic_gradients),
-    )
+    opacity_gradients = flat(opacity_gradients)
+    harmonic_gradients = flat(harmonic_gradients)
     found = U(0)
     for i in range(U(first), U(last)):
-        if fresh:
-            _clear(
-                i,
-                count,
-                mean_gradients,
-                scale_gradients,
-                quat_gradients,
-                opacity_gradients,
-                harmonic_gradients,
-            )
         if splat_offsets[i] < splat_offsets[i + U(1)]:
             group[found] = i
             maths.stage(scratch, found, i, means, scales, quats, opacities)
@@ -150,28 +136,6 @@ def project_backward(  # noqa: C901  (one kernel: a call in it costs more than i
 
 
 @inlined
-def _clear(
-    i,
-    count,
-    mean_gradients,
-    scale_gradients,
-    quat_gradients,
-    opacity_gradients,
-    harmonic_gradients,
-):
-    """Set the gradients of one Gaussian to 0, just before they are added to: cheaper than passing
-    over them twice.
-    """
-    for axis in range(U(3)):
-        mean_gradients[U(3) * i + axis] = scale_gradients[U(3) * i + axis] = F(0)
-    for axis in range(U(4)):
-        quat_gradients[U(4) * i + axis] = F(0)
-    opacity_gradients[i] = F(0)
-    for k in range(U(3) * count * i, U(3) * count * (i + U(1))):
-        harmonic_gradients[k] = F(0)
-
-
-@inlined
 def _add_up(totals, lane, start, end, positions, sums):
     """Sum a splat's rows of `sums`, in the order of its tiles, into one lane."""
     for k in range(U(layout.SUMS)):
@@ -195,11 +159,9 @@ def _differentiate_group(staged, camera, eps2d, by_pose):
     a, b, c, d, inverse = maths.unit_quats(staged)
     r0, r1, r2, r3, r4, r5, r6, r7, r8 = maths.rotation_matrix(a, b, c, d)
     j0, j1, j2, k0, k1, k2 = maths.image_rows(camera, u, v, per_z)
-    s0, s1, s2 = (
-        staged_row(staged, SCALE),
-        staged_row(staged, SCALE + U(1)),
-        staged_row(staged, SCALE + U(2)),
-    )
+    s0 = staged_row(staged, SCALE)
+    s1 = staged_row(staged, SCALE + U(1))
+    s2 = staged_row(staged, SCALE + U(2))
     # Rows of the covariance's factor J R diag(s): before scaling m and n, after it a and b.
     m0, n0 = j0 * r0 + j1 * r3 + j2 * r6, k0 * r0 + k1 * r3 + k2 * r6
     m1, n1 = j0 * r1 + j1 * r4 + j2 * r7, k0 * r1 + k1 * r4 + k2 * r7
@@ -211,20 +173,16 @@ def _differentiate_group(staged, camera, eps2d, by_pose):
 
     # With the whitening W of the 2D offset, d loss / d [a; b] = W^T M W [a; b], M the whitened
     # second moments.
-    ss = staged_row(staged, _TOTALS + U(layout.SUM_VSS)) * (_PER_UNIT * _PER_UNIT)
-    st = staged_row(staged, _TOTALS + U(layout.SUM_VST)) * (_PER_UNIT * _PER_UNIT)
-    tt = staged_row(staged, _TOTALS + U(layout.SUM_VTT)) * (_PER_UNIT * _PER_UNIT)
-    p0, p1, p2 = (
-        inv_std_x * (a0 - x_per_y * b0),
-        inv_std_x * (a1 - x_per_y * b1),
-        inv_std_x * (a2 - x_per_y * b2),
-    )
+    ss = staged_row(staged, _TOTALS + layout.SUM_VSS) * (_PER_UNIT * _PER_UNIT)
+    st = staged_row(staged, _TOTALS + layout.SUM_VST) * (_PER_UNIT * _PER_UNIT)
+    tt = staged_row(staged, _TOTALS + layout.SUM_VTT) * (_PER_UNIT * _PER_UNIT)
+    p0 = inv_std_x * (a0 - x_per_y * b0)
+    p1 = inv_std_x * (a1 - x_per_y * b1)
+    p2 = inv_std_x * (a2 - x_per_y * b2)
     q0, q1, q2 = inv_std_y * b0, inv_std_y * b1, inv_std_y * b2
-    f0, f1, f2 = (
-        inv_std_x * (ss * p0 + st * q0),
-        inv_std_x * (ss * p1 + st * q1),
-        inv_std_x * (ss * p2 + st * q2),
-    )
+    f0 = inv_std_x * (ss * p0 + st * q0)
+    f1 = inv_std_x * (ss * p1 + st * q1)
+    f2 = inv_std_x * (ss * p2 + st * q2)
     g0 = inv_std_y * (st * p0 + tt * q0) - x_per_y * f0
     g1 = inv_std_y * (st * p1 + tt * q1) - x_per_y * f1
     g2 = inv_std_y * (st * p2 + tt * q2) - x_per_y * f2
@@ -255,24 +213,22 @@ def _differentiate_group(staged, camera, eps2d, by_pose):
         g0 * r3 + g1 * r4 + g2 * r5,
         g0 * r6 + g1 * r7 + g2 * r8,
     )
-    by_x = inv_std_x * staged_row(staged, _TOTALS + U(layout.SUM_VS)) * _PER_UNIT
+    by_x = inv_std_x * staged_row(staged, _TOTALS + layout.SUM_VS) * _PER_UNIT
     by_y = (
-        inv_std_y * staged_row(staged, _TOTALS + U(layout.SUM_VT)) * _PER_UNIT
+        inv_std_y * staged_row(staged, _TOTALS + layout.SUM_VT) * _PER_UNIT
         - x_per_y * by_x
     )
     by_u, by_v = by_x * camera[layout.FOCAL_X], by_y * camera[layout.FOCAL_Y]
     inside_x = (u >= camera[layout.LOW_X]) & (u <= camera[layout.HIGH_X])
     inside_y = (v >= camera[layout.LOW_Y]) & (v <= camera[layout.HIGH_Y])
-    along_f, along_g = (
-        f0 * camera[2] + f1 * camera[5] + f2 * camera[8],
-        g0 * camera[2] + g1 * camera[5] + g2 * camera[8],
-    )
+    along_f = f0 * camera[2] + f1 * camera[5] + f2 * camera[8]
+    along_g = g0 * camera[2] + g1 * camera[5] + g2 * camera[8]
     tilt_u = by_u - select(inside_x, along_f * per_z * camera[layout.FOCAL_X], 0.0)
     tilt_v = by_v - select(inside_y, along_g * per_z * camera[layout.FOCAL_Y], 0.0)
     jacobian = j0 * f0 + j1 * f1 + j2 * f2 + k0 * g0 + k1 * g1 + k2 * g2
     gx, gy = tilt_u * per_z, tilt_v * per_z
     gz = (
-        staged_row(staged, _TOTALS + U(layout.SUM_DEPTH))
+        staged_row(staged, _TOTALS + layout.SUM_DEPTH)
         - (tilt_u * u + tilt_v * v + jacobian) * per_z
     )
     for axis in range(U(3)):
@@ -285,7 +241,7 @@ def _differentiate_group(staged, camera, eps2d, by_pose):
     store(
         staged,
         _OPACITY * GROUP,
-        staged_row(staged, _TOTALS + U(layout.SUM_V)) / staged_row(staged, OPACITY),
+        staged_row(staged, _TOTALS + layout.SUM_V) / staged_row(staged, OPACITY),
     )
     if by_pose is not None:
         # The rows of the Jacobian are the rotation times FOCAL_X / z * (1, 0, -u) and
@@ -355,16 +311,16 @@ def _differentiate_colour(
     """Add the gradients by the harmonics, and by mean and camera through the direction seen."""
     record, first = i * U(layout.RECORD), U(3) * count * i
     red = _unless_clamped(
-        records[record + U(layout.RED)],
-        scratch[(_TOTALS + U(layout.SUM_RED)) * GROUP + lane],
+        records[record + layout.RED],
+        scratch[(_TOTALS + layout.SUM_RED) * GROUP + lane],
     )
     green = _unless_clamped(
-        records[record + U(layout.GREEN)],
-        scratch[(_TOTALS + U(layout.SUM_GREEN)) * GROUP + lane],
+        records[record + layout.GREEN],
+        scratch[(_TOTALS + layout.SUM_GREEN) * GROUP + lane],
     )
     blue = _unless_clamped(
-        records[record + U(layout.BLUE)],
-        scratch[(_TOTALS + U(layout.SUM_BLUE)) * GROUP + lane],
+        records[record + layout.BLUE],
+        scratch[(_TOTALS + layout.SUM_BLUE) * GROUP + lane],
     )
     harmonic_gradients[first] += DC * red
     harmonic_gradients[first + U(1)] += DC * green
@@ -376,10 +332,8 @@ def _differentiate_colour(
     dz = np.float64(means[U(3) * i + U(2)]) - camera[layout.CENTRE + 2]
     shorten = 1.0 / math.sqrt(dx * dx + dy * dy + dz * dz)
     x, y, z = dx * shorten, dy * shorten, dz * shorten
-    basis, weights = (
-        shifted(scratch, _BASIS * GROUP),
-        shifted(scratch, _WEIGHTS * GROUP),
-    )
+    basis = shifted(scratch, _BASIS * GROUP)
+    weights = shifted(scratch, _WEIGHTS * GROUP)
     evaluate_basis(x, y, z, count, basis)
     for k in range(U(1), count):
         place = first + U(3) * k
@@ -392,11 +346,9 @@ def _differentiate_colour(
         weights[k] = weight + blue * np.float64(harmonics[place + U(2)])
     gx, gy, gz = basis_gradient(x, y, z, weights, count)
     along = gx * x + gy * y + gz * z
-    gx, gy, gz = (
-        (gx - along * x) * shorten,
-        (gy - along * y) * shorten,
-        (gz - along * z) * shorten,
-    )
+    gx = (gx - along * x) * shorten
+    gy = (gy - along * y) * shorten
+    gz = (gz - along * z) * shorten
     mean_gradients[U(3) * i] += gx
     mean_gradients[U(3) * i + U(1)] += gy
     mean_gradients[U(3) * i + U(2)] += gz

@@ -73,16 +73,12 @@ def image_rows(camera, u, v, per_z):
     """
     u, v = clamped_tangents(camera, u, v)
     gx, gy = per_z * camera[layout.FOCAL_X], per_z * camera[layout.FOCAL_Y]
-    j0, j1, j2 = (
-        (camera[0] - u * camera[2]) * gx,
-        (camera[3] - u * camera[5]) * gx,
-        (camera[6] - u * camera[8]) * gx,
-    )
-    k0, k1, k2 = (
-        (camera[1] - v * camera[2]) * gy,
-        (camera[4] - v * camera[5]) * gy,
-        (camera[7] - v * camera[8]) * gy,
-    )
+    j0 = (camera[0] - u * camera[2]) * gx
+    j1 = (camera[3] - u * camera[5]) * gx
+    j2 = (camera[6] - u * camera[8]) * gx
+    k0 = (camera[1] - v * camera[2]) * gy
+    k1 = (camera[4] - v * camera[5]) * gy
+    k2 = (camera[7] - v * camera[8]) * gy
     return j0, j1, j2, k0, k1, k2
 
 
@@ -108,21 +104,15 @@ def unit_quats(staged):
 @inlined
 def rotation_matrix(a, b, c, d):
     """Return the rotation matrix, row-major, of a unit wxyz quaternion."""
-    r0, r1, r2 = (
-        1.0 - 2.0 * (c * c + d * d),
-        2.0 * (b * c - a * d),
-        2.0 * (b * d + a * c),
-    )
-    r3, r4, r5 = (
-        2.0 * (b * c + a * d),
-        1.0 - 2.0 * (b * b + d * d),
-        2.0 * (c * d - a * b),
-    )
-    r6, r7, r8 = (
-        2.0 * (b * d - a * c),
-        2.0 * (c * d + a * b),
-        1.0 - 2.0 * (b * b + c * c),
-    )
+    r0 = 1.0 - 2.0 * (c * c + d * d)
+    r1 = 2.0 * (b * c - a * d)
+    r2 = 2.0 * (b * d + a * c)
+    r3 = 2.0 * (b * c + a * d)
+    r4 = 1.0 - 2.0 * (b * b + d * d)
+    r5 = 2.0 * (c * d - a * b)
+    r6 = 2.0 * (b * d - a * c)
+    r7 = 2.0 * (c * d + a * b)
+    r8 = 1.0 - 2.0 * (b * b + c * c)
     return r0, r1, r2, r3, r4, r5, r6, r7, r8
 
 

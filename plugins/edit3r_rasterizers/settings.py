@@ -10,7 +10,7 @@ from pydantic import Field, model_validator
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.settings import Settings
+from edit3r.contract.settings import Settings, Share
 from edit3r.contract.types import Cameras, Gaussians
 
 BORDER = 0.3
@@ -47,7 +47,7 @@ class RasterizerSettings(Settings):
         le=1e15,
         description="Gaussians with camera z above are culled [scene units].",
     )
-    background: tuple[float, float, float] = Field(
+    background: tuple[Share, Share, Share] = Field(
         (0.0, 0.0, 0.0), description="sRGB colour behind everything, each in [0, 1]."
     )
     eps2d: float = Field(
@@ -80,10 +80,6 @@ class RasterizerSettings(Settings):
         near = NEAR if self.near is None else self.near
         if self.far <= near:
             raise ValueError(f"far ({self.far}) must be above near ({near})")
-        if not all(0 <= channel <= 1 for channel in self.background):
-            raise ValueError(
-                f"background must be three numbers in [0, 1], got {self.background}"
-            )
         return self
 
     def near_plane(self, gaussians: Gaussians) -> float:

@@ -20,28 +20,20 @@ def evaluate_basis(x, y, z, count, out):
         out[4], out[5], out[6] = C2[0] * xy, C2[1] * yz, C2[2] * (2 * zz - xx - yy)
         out[7], out[8] = C2[3] * xz, C2[4] * (xx - yy)
         if count > 9:
-            out[9], out[10], out[11] = (
-                C3[0] * y * (3 * xx - yy),
-                C3[1] * xy * z,
-                C3[2] * y * (4 * zz - xx - yy),
-            )
-            out[12], out[13] = (
-                C3[3] * z * (2 * zz - 3 * xx - 3 * yy),
-                C3[4] * x * (4 * zz - xx - yy),
-            )
+            out[9] = C3[0] * y * (3 * xx - yy)
+            out[10] = C3[1] * xy * z
+            out[11] = C3[2] * y * (4 * zz - xx - yy)
+            out[12] = C3[3] * z * (2 * zz - 3 * xx - 3 * yy)
+            out[13] = C3[4] * x * (4 * zz - xx - yy)
             out[14], out[15] = C3[5] * z * (xx - yy), C3[6] * x * (xx - 3 * yy)
         if count > 16:
             out[16], out[17] = C4[0] * xy * (xx - yy), C4[1] * yz * (3 * xx - yy)
             out[18], out[19] = C4[2] * xy * (7 * zz - 1), C4[3] * yz * (7 * zz - 3)
             out[20] = C4[4] * (zz * (35 * zz - 30) + 3)
-            out[21], out[22] = (
-                C4[5] * xz * (7 * zz - 3),
-                C4[6] * (xx - yy) * (7 * zz - 1),
-            )
-            out[23], out[24] = (
-                C4[7] * xz * (xx - 3 * yy),
-                C4[8] * (xx * (xx - 3 * yy) - yy * (3 * xx - yy)),
-            )
+            out[21] = C4[5] * xz * (7 * zz - 3)
+            out[22] = C4[6] * (xx - yy) * (7 * zz - 1)
+            out[23] = C4[7] * xz * (xx - 3 * yy)
+            out[24] = C4[8] * (xx * (xx - 3 * yy) - yy * (3 * xx - yy))
 
 
 @inlined
@@ -51,13 +43,11 @@ def basis_gradient(x, y, z, w, count):
     if count > 1:
         gx, gy, gz = -C1 * w[3], -C1 * w[1], C1 * w[2]
     if count > 4:
-        a, b, c, d, e = (
-            C2[0] * w[4],
-            C2[1] * w[5],
-            C2[2] * w[6],
-            C2[3] * w[7],
-            C2[4] * w[8],
-        )
+        a = C2[0] * w[4]
+        b = C2[1] * w[5]
+        c = C2[2] * w[6]
+        d = C2[3] * w[7]
+        e = C2[4] * w[8]
         gx += a * y - 2 * c * x + d * z + 2 * e * x
         gy += a * x + b * z - 2 * c * y - 2 * e * y
         gz += b * y + 4 * c * z + d * x
@@ -107,13 +97,11 @@ def _third_order(x, y, z, w):
 @inlined
 def _fourth_order(x, y, z, w):
     xx, yy, zz, xy = x * x, y * y, z * z, x * y
-    a, b, c, d, e = (
-        C4[0] * w[16],
-        C4[1] * w[17],
-        C4[2] * w[18],
-        C4[3] * w[19],
-        C4[4] * w[20],
-    )
+    a = C4[0] * w[16]
+    b = C4[1] * w[17]
+    c = C4[2] * w[18]
+    d = C4[3] * w[19]
+    e = C4[4] * w[20]
     f, g, h, i = C4[5] * w[21], C4[6] * w[22], C4[7] * w[23], C4[8] * w[24]
     seven, third = 7 * zz - 1, 7 * zz - 3
     gx = (

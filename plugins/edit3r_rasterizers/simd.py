@@ -36,9 +36,8 @@ class VectorType(types.Type):
     ) -> None:
         self.scalar, self.width = scalar, width
         self.ir = ir.VectorType(element, width)
-        self.bits = (
-            ir.VectorType(integer, width) if integer else None
-        )  # the lanes taken as integers
+        # the lanes taken as integers
+        self.bits = ir.VectorType(integer, width) if integer else None
         super().__init__(name=f"{scalar}x{width}")
 
 
@@ -270,17 +269,16 @@ def square_root(typing, a):
     return a(a), emit
 
 
-def _exp2_coefficients(degree: int = 5) -> list[float]:
+def _exp2_coefficients() -> list[float]:
     """Polynomial for 2^f on [-1/2, 1/2], relative error 1e-7, lowest power first."""
     nodes = 0.5 * np.cos(np.pi * (np.arange(256) + 0.5) / 256)
-    fitted = np.polynomial.polynomial.polyfit(nodes, 2.0**nodes, degree, w=2.0**-nodes)
+    fitted = np.polynomial.polynomial.polyfit(nodes, 2.0**nodes, 5, w=2.0**-nodes)
     return [float(np.float32(value)) for value in fitted]
 
 
 _EXP2 = _exp2_coefficients()
-_ROUNDER = (
-    1.5 * 2**23
-)  # adding it leaves the nearest integer in the low bits of the mantissa
+# adding it leaves the nearest integer in the low bits of the mantissa
+_ROUNDER = 1.5 * 2**23
 _SERIES = [
     2 / math.log(2) / power for power in range(1, 12, 2)
 ]  # log2((1 + s) / (1 - s)) in odd powers of s

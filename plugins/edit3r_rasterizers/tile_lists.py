@@ -179,10 +179,8 @@ def touches_tile(record, column, row):
 
 @inlined
 def _exponent(record, x, y):
-    across, down = (
-        record[layout.INV_STD_X] * (x - record[layout.X_PER_Y] * y),
-        record[layout.INV_STD_Y] * y,
-    )
+    across = record[layout.INV_STD_X] * (x - record[layout.X_PER_Y] * y)
+    down = record[layout.INV_STD_Y] * y
     return across * across + down * down
 
 
@@ -194,12 +192,10 @@ def count_entries(first, last, bounds, order, boxes, records, columns, counts, n
     [chunks, tiles] and `numbers` [splats], which may be empty.
     """
     tiles, columns, by_splat = U(counts.shape[1]), U(columns), len(numbers) > 0
-    bounds, order, boxes, records = (
-        flat(bounds),
-        flat(order),
-        flat(boxes),
-        flat(records),
-    )
+    bounds = flat(bounds)
+    order = flat(order)
+    boxes = flat(boxes)
+    records = flat(records)
     counts, numbers = flat(counts), flat(numbers)
     for chunk in range(U(first), U(last)):
         table = shifted(counts, chunk * tiles)
@@ -243,18 +239,14 @@ def list_entries(
     splat_offsets[i + 1]]`: the entries of splat i; not where it is empty.
     """
     tiles, columns, by_splat = U(cursors.shape[1]), U(columns), len(positions) > 0
-    bounds, order, boxes, records = (
-        flat(bounds),
-        flat(order),
-        flat(boxes),
-        flat(records),
-    )
-    cursors, splat_offsets, entries, positions = (
-        flat(cursors),
-        flat(splat_offsets),
-        flat(entries),
-        flat(positions),
-    )
+    bounds = flat(bounds)
+    order = flat(order)
+    boxes = flat(boxes)
+    records = flat(records)
+    cursors = flat(cursors)
+    splat_offsets = flat(splat_offsets)
+    entries = flat(entries)
+    positions = flat(positions)
     for chunk in range(U(first), U(last)):
         table = shifted(cursors, chunk * tiles)
         end = U(bounds[chunk + U(1)])

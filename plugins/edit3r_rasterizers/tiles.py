@@ -79,37 +79,31 @@ def place_splat(records, start, tile_x, tile_y):
     - shear * y + shift_x and of inv_std_y * y + shift_y. Computed in float64, as the mean may be
     far away.
     """
-    x = (np.float64(records[start + U(layout.X)]) - tile_x) + np.float64(
-        records[start + U(layout.X_REST)]
+    x = (np.float64(records[start + layout.X]) - tile_x) + np.float64(
+        records[start + layout.X_REST]
     )
-    y = (np.float64(records[start + U(layout.Y)]) - tile_y) + np.float64(
-        records[start + U(layout.Y_REST)]
+    y = (np.float64(records[start + layout.Y]) - tile_y) + np.float64(
+        records[start + layout.Y_REST]
     )
-    x_per_y = np.float64(records[start + U(layout.X_PER_Y)]) + np.float64(
-        records[start + U(layout.X_PER_Y_REST)]
+    x_per_y = np.float64(records[start + layout.X_PER_Y]) + np.float64(
+        records[start + layout.X_PER_Y_REST]
     )
-    inv_std_x, inv_std_y = (
-        records[start + U(layout.INV_STD_X)],
-        records[start + U(layout.INV_STD_Y)],
-    )
-    shift_x, shift_y = (
-        F(np.float64(inv_std_x) * (x_per_y * y - x)),
-        F(-np.float64(inv_std_y) * y),
-    )
+    inv_std_x = records[start + layout.INV_STD_X]
+    inv_std_y = records[start + layout.INV_STD_Y]
+    shift_x = F(np.float64(inv_std_x) * (x_per_y * y - x))
+    shift_y = F(-np.float64(inv_std_y) * y)
     ellipse = (
         inv_std_x,
         inv_std_x * F(x_per_y),
         shift_x,
         inv_std_y,
         shift_y,
-        records[start + U(layout.LOG_OPACITY)],
+        records[start + layout.LOG_OPACITY],
     )
-    red, green, blue = (
-        records[start + U(layout.RED)],
-        records[start + U(layout.GREEN)],
-        records[start + U(layout.BLUE)],
-    )
-    return ellipse, red, green, blue, records[start + U(layout.DEPTH)]
+    red = records[start + layout.RED]
+    green = records[start + layout.GREEN]
+    blue = records[start + layout.BLUE]
+    return ellipse, red, green, blue, records[start + layout.DEPTH]
 
 
 @inlined
@@ -143,20 +137,12 @@ def find_touched_blocks(first, last, entries, records, tile_x, tile_y, touched):
     for entry in range(first, last):
         prefetch(records, U(entries[entry + U(layout.LOOKAHEAD)]) * U(layout.RECORD))
         start = U(entries[entry]) * U(layout.RECORD)
-        x = (records[start + U(layout.X)] - F(tile_x)) + records[
-            start + U(layout.X_REST)
-        ]
-        y = (records[start + U(layout.Y)] - F(tile_y)) + records[
-            start + U(layout.Y_REST)
-        ]
-        x_per_y, y_per_x = (
-            records[start + U(layout.X_PER_Y)],
-            records[start + U(layout.Y_PER_X)],
-        )
-        inv_std_x, inv_std_y = (
-            records[start + U(layout.INV_STD_X)],
-            records[start + U(layout.INV_STD_Y)],
-        )
+        x = (records[start + layout.X] - F(tile_x)) + records[start + layout.X_REST]
+        y = (records[start + layout.Y] - F(tile_y)) + records[start + layout.Y_REST]
+        x_per_y = records[start + layout.X_PER_Y]
+        y_per_x = records[start + layout.Y_PER_X]
+        inv_std_x = records[start + layout.INV_STD_X]
+        inv_std_y = records[start + layout.INV_STD_Y]
         left = lane_columns() * F(layout.BLOCK) + (F(0.5) - x)
         top = lane_rows() * F(layout.BLOCK) + (F(0.5) - y)
         right, bottom = left + F(layout.BLOCK - 1), top + F(layout.BLOCK - 1)
@@ -168,7 +154,7 @@ def find_touched_blocks(first, last, entries, records, tile_x, tile_y, touched):
         by_row = _squares(
             minimum(maximum(axis, left), right) - axis, near_y, inv_std_x, inv_std_y
         )
-        limit = broadcast(records[start + U(layout.CUTOFF)] * F(1.001) + F(1e-2))
+        limit = broadcast(records[start + layout.CUTOFF] * F(1.001) + F(1e-2))
         touched[entry] = mask_bits(minimum(by_column, by_row) <= limit)
 
 

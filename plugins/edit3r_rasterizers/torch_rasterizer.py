@@ -140,9 +140,8 @@ class TorchRasterizer(Rasterizer):
         ).all(-1)
         index = touches.nonzero().squeeze(-1)
         values = [getattr(splats, field.name)[index] for field in fields(Splats)[:-1]]
-        values[0] = (
-            values[0] - origin
-        )  # before rounding to dtype, so that a wide image costs no accuracy
+        # before rounding to dtype, so that a wide image costs no accuracy
+        values[0] = values[0] - origin
         ys, xs = torch.meshgrid(
             _centres(height, origin), _centres(width, origin), indexing="ij"
         )

@@ -54,10 +54,8 @@ class TrainingState:
             "validated": self.validated,
             "config": json.dumps(self.config, default=str),
         }
-        what, then = (
-            f"the checkpoint of step {self.step}",
-            " and continue with --resume from the one before",
-        )
+        what = f"the checkpoint of step {self.step}"
+        then = " and continue with --resume from the one before"
         with whole_file(path, what, then) as partial:
             torch.save(content, partial)
 
@@ -74,10 +72,8 @@ class TrainingState:
                 for name, old in self.average.items()
             }
             self.step, self.skipped = int(content["step"]), int(content["skipped"])
-            self.best, self.validated = (
-                float(content["best"]),
-                int(content.get("validated", content["step"])),
-            )
+            self.best = float(content["best"])
+            self.validated = int(content.get("validated", content["step"]))
         except (
             Exception
         ) as error:  # damaged numbers make whoever gets them raise what they like

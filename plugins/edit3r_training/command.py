@@ -7,6 +7,7 @@ from contextlib import nullcontext
 
 from edit3r.contract.command import Command
 from edit3r.kit.command.flags import add_trust_flag
+from edit3r.kit.command.results import add_common
 
 
 class TrainCommand(Command):
@@ -31,28 +32,13 @@ class TrainCommand(Command):
         parser.add_argument(
             "--out", help="output folder, instead of the configuration's"
         )
-        parser.add_argument(
-            "--plugin",
-            action="append",
-            default=[],
-            metavar="FILE",
-            help="also load this local plugin file",
-        )
-        parser.add_argument(
-            "--set",
-            action="append",
-            default=[],
-            metavar="KEY=VALUE",
-            help="change a setting, e.g. trainer.steps=100",
-        )
+        add_common(parser, "change a setting, e.g. trainer.steps=100")
         add_trust_flag(parser)
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r import default_registry
-        from edit3r.contract.reporting import Report, collecting
         from edit3r.contract.settings import merge
-        from edit3r.kit.command.console import StageConsole
-        from edit3r.kit.command.results import alone_in
+        from edit3r.kit.command.results import alone_in, shown_stages
         from edit3r.kit.files.configs import parse_assignments, read_config
         from edit3r_training.job import prepare
         from edit3r_training.processes import is_first_process
@@ -62,15 +48,13 @@ class TrainCommand(Command):
         if args.out:
             values = merge(values, {"out": args.out})
         first = is_first_process()  # of several that torchrun started, one talks
-        with StageConsole(quiet=not first) as console:
-            report = Report(on_event=console)
-            with collecting(report), report.stage("train"):
-                registry = default_registry(tuple(args.plugin))
-                trainer, job = prepare(
-                    values, registry, resume=args.resume, overwrite=args.overwrite
-                )
-                with alone_in(job.out) if first else nullcontext():
-                    best = trainer.train(job)
+        with shown_stages(args.quiet or not first) as report, report.stage("train"):
+            registry = default_registry(tuple(args.plugin))
+            trainer, job = prepare(
+                values, registry, resume=args.resume, overwrite=args.overwrite
+            )
+            with alone_in(job.out) if first else nullcontext():
+                best = trainer.train(job)
         if first:
             print(f"best checkpoint: {best}")
         return 0

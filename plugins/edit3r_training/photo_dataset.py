@@ -13,8 +13,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.contract import reporting
-from edit3r.contract import settings as config
+from edit3r.contract import reporting, settings as config
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Dataset, SceneSample
 from edit3r.contract.settings import Count, Index, Share

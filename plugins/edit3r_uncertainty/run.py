@@ -29,9 +29,8 @@ from edit3r.kit.sheet import draw_sheet
 from edit3r.running import read_views_of_run
 from edit3r_uncertainty.signals import photos_of, uncertainty
 
-CHANGED = (
-    0.05  # of the mean of red, green and blue, above which the edit changed a pixel
-)
+# of the mean of red, green and blue, above which the edit changed a pixel
+CHANGED = 0.05
 COPIED = ("inputs", "edited", "masks", "renders")  # folders of a run that stay true
 
 

@@ -55,7 +55,7 @@ CASES = {
     "wrong size": (
         even_sizes_only,
         "test_keeps_size_dtype_and_range",
-        "gave it [1, 2, 3, 49, 61]",
+        "of shape [1, 2, 3, 49, 61], got",
     ),
     "out of range": (
         lambda v, r, a: replace(a, images=a.images * 3),
@@ -70,7 +70,7 @@ CASES = {
     "wrong dtype": (
         lambda v, r, a: replace(a, images=a.images.double()),
         "test_keeps_size_dtype_and_range",
-        "return torch.float32 images",
+        "return images in torch.float32",
     ),
     "a bare tensor": (
         lambda v, r, a: a.images,
@@ -95,7 +95,7 @@ CASES = {
     "one view lost": (
         lambda v, r, a: a.select(range(1)),
         "test_any_number_of_views_and_scenes",
-        "gave it [1, 3, 3, 48, 64]",
+        "of shape [1, 3, 3, 48, 64], got",
     ),
     "unseeded": (
         unseeded,

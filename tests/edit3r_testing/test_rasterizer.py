@@ -79,7 +79,7 @@ CASES = {
     "another dtype": (
         {"answer": lambda r: r.to(torch.float64)},
         RANGE,
-        "return images in the Gaussians' torch.float32",
+        "return images in torch.float32",
     ),
     "NaN": (
         {"answer": lambda r: replace(r, depths=r.depths / r.depths)},

@@ -117,7 +117,7 @@ CASES = {
     "NaN": (
         {"spoil": lambda m, v, a: changed(a, means=a.gaussians.means / 0)},
         VALID,
-        "Gaussians with means with",
+        "returned means with",
     ),
     "a bare set": (
         {"spoil": lambda m, v, a: a.gaussians},
@@ -127,7 +127,7 @@ CASES = {
     "float64": (
         {"spoil": lambda m, v, a: changed(a, scales=a.gaussians.scales.double())},
         VALID,
-        "return torch.float32 Gaussians",
+        "in torch.float32, got",
     ),
     "raw opacities": (
         {"spoil": lambda m, v, a: changed(a, opacities=a.gaussians.opacities * 9)},

@@ -26,9 +26,8 @@ class Reconstructor(Configured, ABC):
     """Turns edited views into 3D Gaussians in one pass, in the frame of view 0."""
 
     min_views: int = 2
-    max_views: int | None = (
-        None  # above it the pipeline takes evenly spaced views and says so
-    )
+    # above it the pipeline takes evenly spaced views and says so
+    max_views: int | None = None
 
     @abstractmethod
     def __call__(

@@ -55,9 +55,8 @@ class Marks:
 
     positive: tuple[tuple[float, float], ...] = ()  # on the object
     negative: tuple[tuple[float, float], ...] = ()  # on what is not the object
-    box: tuple[float, float, float, float] | None = (
-        None  # x, y, width, height around it
-    )
+    # x, y, width, height around it
+    box: tuple[float, float, float, float] | None = None
     # where it is expected, in [0, 1], as from another view
     prior: Float[Tensor, "height width"] | None = None
     # where the prior says anything, such as what the other view shows too; None: everywhere

@@ -20,12 +20,10 @@ from edit3r.contract.types import Cameras, Gaussians
 class LossInputs:
     """All that a loss may compare. What a training step does not have is None."""
 
-    rendered: Float[Tensor, "batch view 3 height width"] | None = (
-        None  # of the prediction
-    )
-    target: Float[Tensor, "batch view 3 height width"] | None = (
-        None  # what they should show
-    )
+    # of the prediction
+    rendered: Float[Tensor, "batch view 3 height width"] | None = None
+    # what they should show
+    target: Float[Tensor, "batch view 3 height width"] | None = None
     gaussians: Gaussians | None = None  # the prediction
     # the frozen reconstructor's answer for the unedited photos, Gaussian by Gaussian
     reference: Gaussians | None = None
@@ -47,12 +45,10 @@ class SceneSample:
     target: Float[Tensor, "target 3 height width"]  # unedited
     context_cameras: Cameras  # batch 1; view 0 at the origin
     target_cameras: Cameras  # batch 1
-    context_depths: Float[Tensor, "view height width"] | None = (
-        None  # camera z, 0 unknown
-    )
-    context_masks: Float[Tensor, "object view height width"] | None = (
-        None  # instance masks
-    )
+    # camera z, 0 unknown
+    context_depths: Float[Tensor, "view height width"] | None = None
+    # instance masks
+    context_masks: Float[Tensor, "object view height width"] | None = None
     target_masks: Float[Tensor, "object target height width"] | None = None
     # where the data knows the true edit
     edited_context: Float[Tensor, "view 3 height width"] | None = None
@@ -91,9 +87,8 @@ class TrainingJob:
     losses: Mapping[str, tuple[float, Loss]]  # name: (weight, loss)
     out: Path  # folder for checkpoints, logs and sample sheets
     resume: bool = False
-    config: Mapping[str, Any] | None = (
-        None  # the whole resolved one, saved with each checkpoint
-    )
+    # the whole resolved one, saved with each checkpoint
+    config: Mapping[str, Any] | None = None
     # frozen: its answer for the unedited photos is what 3D losses hold to
     reference: Reconstructor | None = None
 

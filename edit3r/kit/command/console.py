@@ -109,9 +109,8 @@ class ProgressLines:
         self.every = every
         self.whole = _WholeRun(shares)
         self.doing: dict[str, float] = {}  # when stages began; the inner ones come last
-        self.counted: tuple[str, int, int, float] | None = (
-            None  # text, done, total, begun
-        )
+        # text, done, total, begun
+        self.counted: tuple[str, int, int, float] | None = None
         self.over = threading.Event()
         self.thread = threading.Thread(target=self._speak, daemon=True)
 

@@ -20,10 +20,9 @@ def add_plugin_option(parser: argparse.ArgumentParser) -> None:
     """Add `--plugin FILE`, whose values a registry takes as local files."""
     parser.add_argument(
         "--plugin",
-        action="append",
-        default=[],
         metavar="FILE",
         help="also load this local plugin file",
+        **REPEATED,
     )
 
 

@@ -12,19 +12,22 @@ from typing import Any, TypeVar
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, collecting
-from edit3r.kit.command.flags import REPEATED
+from edit3r.kit.command.flags import REPEATED, add_plugin_option
 from edit3r.kit.files.atomic import atomic_write
 
 Item = TypeVar("Item")
 
 
-def add_common(parser: argparse.ArgumentParser, settings: str = "") -> None:
-    """Declare the flags that all commands have, `--set` where there are `settings`."""
+def add_common(
+    parser: argparse.ArgumentParser, settings: str = "", overwrite: str = ""
+) -> None:
+    """Declare `--plugin` and `--quiet`; with help for them `--set` and `--overwrite` too."""
     add = parser.add_argument
     if settings:
         add("--set", metavar="KEY=VALUE", help=settings, **REPEATED)
-    plugin = "also load this local plugin file"
-    add("--plugin", metavar="FILE", help=plugin, **REPEATED)
+    add_plugin_option(parser)
+    if overwrite:
+        add("--overwrite", action="store_true", help=overwrite)
     add("--quiet", action="store_true", help="print errors only")
 
 

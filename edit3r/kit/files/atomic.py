@@ -34,7 +34,6 @@ __all__ = [
     "remove_abandoned",
     "scratch_folder",
     "sha256_of",
-    "write_between",
 ]
 
 MARKER = ".edit3r-run"
@@ -217,23 +216,6 @@ def scratch_folder(name: str) -> Iterator[Path]:
     """
     with _workspace(Path(tempfile.gettempdir(), name).resolve()) as folder:
         yield folder
-
-
-def write_between(page: Path, start: str, end: str, text: str) -> None:
-    """Replace what stands between the lines `start` and `end` of a text file.
-
-    For pages that are written by hand but for one part, such as a measured table in the
-    documentation. Raises InputError where the file lacks the lines.
-    """
-    before = page.read_text(encoding="utf-8")
-    block = re.compile(re.escape(start) + ".*?" + re.escape(end), re.DOTALL)
-    if not block.search(before):
-        raise InputError(
-            f"{page}: has no lines {start!r} and {end!r} to write between."
-        )
-    after = block.sub(lambda _: f"{start}\n{text}{end}", before)
-    with atomic_write(page) as partial:
-        partial.write_text(after, encoding="utf-8")
 
 
 def sha256_of(path: Path) -> str:

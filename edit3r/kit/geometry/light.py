@@ -21,16 +21,14 @@ from edit3r.contract.types import Views
 from edit3r.kit.geometry.warping import nearest_views, shared_surface, warp
 
 SIDE = 128  # pixels of the longer side at which photos are compared
-SAME_SURFACE = (
-    0.03  # relative difference in depth within which two views show one surface
-)
+# relative difference in depth within which two views show one surface
+SAME_SURFACE = 0.03
 EXPOSED = (0.03, 0.97)  # sRGB values outside are clipped and tell nothing
 NEAR_VIEWS = 6  # others with which each of many photos is compared
 MIN_PIXELS = 200  # that two photos must share to say anything about each other
 MIN_CORRELATION = 0.6  # of what they share; below, they show other things
-MIN_CHANGE = (
-    0.02  # of a mid grey [sRGB], below which a photo's light is the reference's
-)
+# of a mid grey [sRGB], below which a photo's light is the reference's
+MIN_CHANGE = 0.02
 MAX_LEFT = 2 / 3  # share of the photos' differences that remains in one light, at most
 MAX_GAIN = 4.0
 

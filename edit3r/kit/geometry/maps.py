@@ -152,11 +152,9 @@ def _joint_upsample(inverse, measured, guide, photo):  # pragma: no cover - comp
     height, width = photo.shape[:2]
     result = np.empty((height, width), np.float32)
     trust = np.empty((height, width), np.float32)
-    weights, depths, trusts = (
-        np.empty(4, np.float32),
-        np.empty(4, np.float32),
-        np.empty(4, np.float32),
-    )
+    weights = np.empty(4, np.float32)
+    depths = np.empty(4, np.float32)
+    trusts = np.empty(4, np.float32)
     for y in range(height):
         place_y = min(
             max((y + 0.5) * small_height / height - 0.5, 0.0), small_height - 1.0

@@ -60,10 +60,8 @@ def interpolate_poses(
     of exp(s [w]x) over s in [0, 1], is the upper right block of exp([[[w]x, I], [0, 0]]).
     """
     relative = invert_rigid(start) @ end
-    twist, block = (
-        torch.zeros_like(relative),
-        relative.new_zeros(*relative.shape[:-2], 6, 6),
-    )
+    twist = torch.zeros_like(relative)
+    block = relative.new_zeros(*relative.shape[:-2], 6, 6)
     twist[..., :3, :3] = block[..., :3, :3] = cross_matrix(
         _rotation_vector(relative[..., :3, :3])
     )

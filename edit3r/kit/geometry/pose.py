@@ -85,9 +85,8 @@ def _pose(
             f"{name} cannot be placed: only {len(centres)} of its Gaussians are visible enough, "
             f"{MIN_POINTS} are needed."
         )
-    unit = (
-        float(np.median(np.linalg.norm(centres, axis=1))) or 1.0
-    )  # PnP is better conditioned near 1
+    # PnP is better conditioned near 1
+    unit = float(np.median(np.linalg.norm(centres, axis=1))) or 1.0
     camera = to_pixels(intrinsics.detach().cpu().double(), layout).numpy()
     found, rotation, translation, inliers = cv2.solvePnPRansac(
         centres / unit,

@@ -116,10 +116,8 @@ def second_layer(
     farthest = -F.adaptive_max_pool2d(
         -inverse_depths.flatten(0, 1)[:, None], colour.shape[-2:]
     )
-    highest, lowest = (
-        F.max_pool2d(inverse, 3, 1, 1),
-        -F.max_pool2d(-inverse, 3, 1, 1),
-    )
+    highest = F.max_pool2d(inverse, 3, 1, 1)
+    lowest = -F.max_pool2d(-inverse, 3, 1, 1)
     needed = (highest < SMOOTH * lowest) & (sure >= SURE) & (opaque < FAINT)
     return _hidden_layer(
         views,

@@ -98,10 +98,8 @@ def warp(
     `mode` (such as 'nearest') and `padding` (such as 'border', which repeats the edge) are those of
     `F.grid_sample`.
     """
-    flat, grid = (
-        images.reshape(-1, *images.shape[-3:]),
-        coordinates.reshape(-1, *coordinates.shape[-3:]) * 2 - 1,
-    )
+    flat = images.reshape(-1, *images.shape[-3:])
+    grid = coordinates.reshape(-1, *coordinates.shape[-3:]) * 2 - 1
     sampled = F.grid_sample(
         flat, grid, mode=mode, padding_mode=padding, align_corners=False
     )

@@ -31,9 +31,8 @@ from edit3r.kit.photos.camera_values import (
 from edit3r.kit.photos.decode import SUFFIXES, image_size
 
 OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-MOST_BYTES = (
-    1 << 26
-)  # of a camera file: 100,000 cameras; as objects they take 20 times as much
+# of a camera file: 100,000 cameras; as objects they take 20 times as much
+MOST_BYTES = 1 << 26
 _PINHOLES = (
     *("PINHOLE", "SIMPLE_PINHOLE", "PERSPECTIVE"),
     *("OPENCV", "SIMPLE_RADIAL", "RADIAL", "FULL_OPENCV"),

@@ -31,9 +31,8 @@ phone's main camera (about 67) and a standard lens (about 40).
 NO_CAMERAS = "none"
 """Said in the place of a camera file: none is looked for beside the photos either."""
 
-SHAPE_TOLERANCE = (
-    0.01  # relative difference of aspect ratios that rounding of scaled sizes explains
-)
+# relative difference of aspect ratios that rounding of scaled sizes explains
+SHAPE_TOLERANCE = 0.01
 
 
 @dataclass(frozen=True)

@@ -30,9 +30,8 @@ GOOD = 4.0  # steps a Gaussian, as most scenes have: beyond it, images hardly ch
 LEAST = 2.0  # steps below which a file would not show the scene
 EXTENTS = (16.0, 256.0, SPZ_RANGE - 1)  # that a scene may be given, small ones first
 FEW = 0.1  # share of the Gaussians that may have fewer steps
-FAR = (
-    0.005  # share on each side of an axis that may be left out, where all would not fit
-)
+# share on each side of an axis that may be left out, where all would not fit
+FAR = 0.005
 _NUMBER = rb" ([-+.0-9e]{1,30})"
 _TEXT = re.compile(rb"edit3r placement: factor%b centre%b%b%b;" % ((_NUMBER,) * 4))
 SPZ_LIST = 16  # where an SPZ 4 says it [bytes]

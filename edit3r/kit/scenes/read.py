@@ -18,9 +18,8 @@ from edit3r.kit.scenes.glb import load_glb
 from edit3r.kit.scenes.placement import placed_back, placement_of
 from edit3r.kit.scenes.ply import load_ply
 
-LONGEST = (
-    600  # seconds of one conversion: SOG takes half a minute for 380,000 Gaussians
-)
+# seconds of one conversion: SOG takes half a minute for 380,000 Gaussians
+LONGEST = 600
 SPLAT_BYTES = 32  # of one Gaussian in a .splat, which has no header
 MANY = 1_000_000  # Gaussians; fewer are no danger, whatever a file promises
 _GZIP = b"\x1f\x8b"

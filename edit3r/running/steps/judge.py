@@ -9,8 +9,7 @@ from edit3r.contract.types import Rendering
 from edit3r.kit.rendering import render_each
 from edit3r.running.judging.edit_measures import measure_edit_in_3d
 from edit3r.running.judging.edit_verdict import judge_edit
-from edit3r.running.judging.verdict import Doubt
-from edit3r.running.judging.verdict import judge as judged
+from edit3r.running.judging.verdict import Doubt, judge as judged
 from edit3r.running.parts import Parts
 from edit3r.running.scene import Scene, known_cameras
 

@@ -1,8 +1,7 @@
 """Reconstructor `ffgs`: Gaussians and cameras of unposed photos by a network of ffgs."""
 
 import torch
-from ffgs import GSPipeline, zoo
-from ffgs import Views as FfgsViews
+from ffgs import GSPipeline, Views as FfgsViews, zoo
 from ffgs.geometry import Similarity
 from ffgs.registry import get_model_spec
 from pydantic import Field

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import lazy_loader
 import pytest
 
 import edit3r
@@ -118,9 +119,10 @@ def test_ctrl_c_is_heard_before_anything_that_takes_long_is_imported():
     code = (
         "import sys, edit3r.cli.program\nheavy = {'inspect', 'tempfile', 'pathlib'}\n"
     )
+    homes = [str(Path(one.__file__).parents[1]) for one in (edit3r, lazy_loader)]
     ended = subprocess.run(
         [sys.executable, "-S", "-c", code + HEAVY],  # -S: no editable install's finder
-        env={**os.environ, "PYTHONPATH": str(Path(edit3r.__file__).parents[1])},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(homes)},
         capture_output=True,
         text=True,
     )

@@ -61,10 +61,10 @@ def test_what_keeps_its_promise_passes():
     "answer, sentence",
     [
         (None, "must return edit3r.Views, got NoneType"),
-        (VIEWS.select([0]), "gave it [1, 2, 3, 8, 12], got back [1, 1, 3, 8, 12]"),
+        (VIEWS.select([0]), "of shape [1, 2, 3, 8, 12], got [1, 1, 3, 8, 12]"),
         (
             replace(VIEWS, images=VIEWS.images.double()),
-            "must return torch.float32 images, got torch.float64",
+            "must return images in torch.float32, got torch.float64",
         ),
         (
             replace(VIEWS, images=VIEWS.images + 1),
@@ -89,11 +89,11 @@ def test_an_edit_that_is_not_one(answer, sentence):
         (Reconstruction(gaussian_cloud(5, batch=2)), "gave it 1 scenes, got back 2"),
         (
             gaussians(scales=GOOD.gaussians.scales.double()),
-            "got scales in torch.float64",
+            "must return scales in torch.float32, got torch.float64",
         ),
         (
             gaussians(means=GOOD.gaussians.means / 0),
-            "Gaussians with means with 15 of 15 values not finite",
+            "returned means with 15 of 15 values not finite",
         ),
         (
             gaussians(scales=0 * GOOD.gaussians.scales),
@@ -152,7 +152,7 @@ def test_a_reconstruction_that_is_not_one(answer, sentence):
         ),
         (
             DRAWN.to(torch.float64),
-            "must return images in the Gaussians' torch.float32, got torch.float64",
+            "must return images in torch.float32, got torch.float64",
         ),
         (
             replace(DRAWN, depths=DRAWN.depths / 0),

@@ -89,11 +89,6 @@ def test_an_error_ends_the_run(path):
         run_resumable(JOBS, fails, path)
 
 
-def test_no_job_starts_when_the_time_is_over(path):
-    assert run_resumable(JOBS, dict, path, seconds=-1) == {}
-    assert not path.exists()
-
-
 def test_numbers_that_json_lacks_are_null_at_once_and_when_read(path):
     rows = run_resumable(
         {"a": {"psnr": math.inf, "more": [math.nan, 1.5]}}, dict, path, key_name="id"

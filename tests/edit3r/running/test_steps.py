@@ -130,10 +130,10 @@ def test_too_many_views_are_subsampled_evenly_with_a_warning(views):
     ("answer", "said"),
     [
         (lambda v: v.images, "must return edit3r.Views, got Tensor"),
-        (lambda v: Views(v.images[..., :4], v.intrinsics), "keep number and size"),
+        (lambda v: Views(v.images[..., :4], v.intrinsics), "return images of shape"),
         (
             lambda v: Views(v.images.double(), v.intrinsics),
-            "torch.float32 images, got torch.float64",
+            "images in torch.float32, got torch.float64",
         ),
         (lambda v: Views(v.images * 2, v.intrinsics), r"images in \[0, 1\], got"),
         (lambda v: Views(v.images * float("not finite"), v.intrinsics), "not finite"),

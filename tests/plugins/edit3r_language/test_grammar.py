@@ -5,8 +5,7 @@ from contextlib import suppress
 
 import pytest
 from edit3r_language.grammar import GrammarReader
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from edit3r.contract.errors import PromptError
 

@@ -10,8 +10,7 @@ from edit3r_measure.scene_sources import EvaluationScene, SceneSource
 from edit3r_measure.tradeoff_measure import measure_points
 from edit3r_measure.tradeoff_plan import read_plan
 from edit3r_measure.tradeoff_report import choose_presets, front, measured_points
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError, SettingsError

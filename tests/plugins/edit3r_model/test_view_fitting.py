@@ -3,11 +3,11 @@
 import pytest
 import torch
 import torch.nn.functional as F
-from edit3r_model.view_fitting import finer_grid, fit_views, regrid
+from edit3r_model.view_fitting import fit_views
 
 from edit3r.contract.types import Gaussians, Views
 from edit3r.kit.geometry.cameras import intrinsics_from_fov, pixel_rays
-from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
+from edit3r.kit.geometry.harmonics import colour_to_dc
 
 
 def views_of(*size: int) -> Views:
@@ -63,43 +63,3 @@ def test_padded_pixels_leave_no_gaussians():
     kept = fitted.drop_padding(gaussians_at(means, views=2))
     assert kept.count == 2 * 40 * 50
     assert kept.means[0].amax(0).tolist() == [39, 49, 0]
-
-
-def regridded(size: int, depth=2.0, colours=0.5, photo=None) -> Gaussians:
-    """A plane on a grid of 4 x 4 pixels, made finer."""
-    rays = pixel_rays(intrinsics_from_fov(1.0, (4, 4)), (4, 4))
-    plane = gaussians_at((rays * depth).flatten(0, 1)[None], colours=colours)
-    photo = torch.rand(1, 1, 3, size, size) if photo is None else photo
-    return regrid(plane, (4, 4), (size, size), photo)
-
-
-def test_a_finer_grid_shows_the_photos_own_colours():
-    photo = torch.rand(1, 1, 3, 16, 16)
-    coarse = F.interpolate(photo[0], (4, 4), mode="bicubic", antialias=True)
-    fine = regridded(16, colours=coarse.clamp(0, 1)[0].flatten(1).T, photo=photo)
-    shown = dc_to_colour(fine.harmonics[0, :, 0]).T.unflatten(1, (16, 16))
-    torch.testing.assert_close(shown, photo[0, 0], atol=1e-5, rtol=0)
-
-
-def test_a_finer_grid_keeps_a_plane_flat_and_scales_to_the_spacing():
-    fine = regridded(8)
-    torch.testing.assert_close(fine.means[..., 2], torch.full((1, 64), 2.0))
-    torch.testing.assert_close(fine.scales, torch.full((1, 64, 3), 0.01))
-
-
-def test_no_centre_floats_between_two_surfaces():
-    depth = torch.where(torch.arange(4) < 2, 1.0, 3.0)[None, :, None]
-    z = regridded(16, depth).means[0, :, 2]
-    assert set(z.round(decimals=4).tolist()) == {1.0, 3.0}
-
-
-@pytest.mark.parametrize(
-    ("photo", "resolution", "expected"),
-    [
-        ((100, 200), 512, (100, 200)),
-        ((8, 8), 512, (32, 48)),
-        ((400, 400), 100, (100, 100)),
-    ],
-)
-def test_the_finer_grid_is_the_photos_within_limits(photo, resolution, expected):
-    assert finer_grid((32, 48), photo, resolution) == expected

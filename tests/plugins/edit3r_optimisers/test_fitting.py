@@ -74,9 +74,10 @@ def test_extent_is_how_far_the_cameras_are_from_the_scene_however_near_each_othe
 
 
 def test_centres_slow_down_log_linearly_in_units_of_the_scene():
-    settings = FitSettings(means_rate=1e-2, means_rate_end=1e-4)
-    sizes = [step_sizes(settings, step, 11, extent=3.0)["means"] for step in (0, 5, 10)]
-    assert sizes == pytest.approx([3e-2, 3e-3, 3e-4])
+    sizes = [
+        step_sizes(FitSettings(), step, 11, extent=3.0)["means"] for step in (0, 5, 10)
+    ]
+    assert sizes == pytest.approx([4.8e-4, 4.8e-5, 4.8e-6])
 
 
 def test_other_groups_keep_their_pace():

@@ -139,7 +139,7 @@ def test_another_device_is_refused_with_the_way_out():
         ({"far": 0.005}, r"far \(0.005\) must be above near \(0.01\)"),
         (
             {"background": (0.0, 2.0, 0.0)},
-            r"background must be three numbers in \[0, 1\]",
+            r"rasterizer\.background\.1: .* less than or equal to 1",
         ),
         ({"eps2d": 0.0}, "eps2d"),
         ({"max_alpha": 1.0}, "max_alpha"),

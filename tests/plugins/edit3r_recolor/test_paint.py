@@ -15,8 +15,7 @@ import pytest
 import skimage.data
 import torch
 from edit3r_recolor.paint import own_paint, paint
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 import edit3r
 from edit3r.kit.compute.colour import rgb_to_oklab

@@ -21,8 +21,7 @@ from edit3r_recolor.recoloring import (
     to_greyscale,
     with_outline,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from pydantic import TypeAdapter
 
 GENERATOR = torch.Generator().manual_seed(0)

@@ -3,8 +3,7 @@
 import pytest
 import torch
 from edit3r_remote.frames import ServiceFrame, decode, encode_mask, encode_png
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from edit3r.contract.errors import RunError
 

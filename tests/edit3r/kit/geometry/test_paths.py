@@ -2,8 +2,7 @@ import math
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import intrinsics_from_fov, project

@@ -1,5 +1,10 @@
 """Dataset `implicit`: smooth bodies found by sphere tracing and coloured by formulas; for
-measuring, not training.
+measuring, not training. A local plugin:
+
+    edit3r bench build --procedural 10 --set generator.dataset=implicit \\
+        --plugin benchmarks/implicit_scenes.py --out implicit.json
+
+`bench run` takes the same `--plugin`.
 
 It shares neither code nor textures with `procedural`, on which the small network was trained:
 surfaces are signed distances (sphere tracing, Hart 1996) instead of intersected shapes, colours are
@@ -15,11 +20,13 @@ import torch
 from jaxtyping import Float
 from pydantic import Field
 
+from edit3r import Component, hookimpl
 from edit3r.contract import settings as config
 from edit3r.contract.interfaces import Dataset, SceneSample
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import intrinsics_from_fov, relative_to_first
 
+EDIT3R_API = 1
 MAX_STEPS = 72  # of a ray
 NEAR_ENOUGH = 1e-3  # distance that counts as a hit
 SKY = 9.0  # radius of the dome
@@ -29,6 +36,16 @@ LIGHT = (0.36, -0.8, -0.48)
 Points = Float[np.ndarray, "point 3"]
 Distances = Float[np.ndarray, "point"]
 Poses = Float[np.ndarray, "view 4 4"]
+
+
+@hookimpl
+def register_datasets() -> Component:
+    return Component(
+        "implicit",
+        "implicit_scenes:ImplicitDataset",
+        "smooth bodies coloured by formulas, with exact poses, depth and edited truth; to "
+        "measure on",
+    )
 
 
 @dataclass(frozen=True)

@@ -3,42 +3,48 @@ with the first.
 """
 
 import ast
+import sys
 from pathlib import Path
 
-import edit3r_measure.implicit_scenes as implicit
 import numpy as np
 import pytest
 import torch
 from edit3r_bench.metrics import warped_difference, warped_image
-from edit3r_measure.implicit_scenes import (
-    BALL,
-    DOME,
-    Body,
-    ImplicitDataset,
-    draw_scene,
-    render,
-)
 
+from edit3r import default_registry
+from edit3r_testing import DatasetContract
+
+FILE = Path(__file__).parents[2] / "benchmarks/implicit_scenes.py"
+REGISTRY = default_registry((str(FILE),))
 K = np.array([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]])
+BUILT = REGISTRY.build("dataset", "implicit")
+implicit = sys.modules["implicit_scenes"]
+
+
+@pytest.mark.slow
+class TestContract(DatasetContract):
+    component = "implicit"
+    plugin_files = (str(FILE),)
 
 
 def sample(index=0, **settings):
-    return ImplicitDataset(
-        ImplicitDataset.Settings(
-            **{"image_size": 64, "context": 3, "targets": 0, **settings}
-        )
-    )[index]
+    asked = {"image_size": 64, "context": 3, "targets": 0, **settings}
+    return REGISTRY.build("dataset", "implicit", **asked)[index]
 
 
 def test_a_ball_is_seen_where_and_as_far_as_geometry_says():
     plain = np.zeros(
         (2, 5, 4)
     )  # no waves: both sums are 0, so that the pattern is even
-    sky = Body(DOME, np.zeros(3), np.ones(3), np.zeros((3, 3)), plain)
-    ball = Body(
-        BALL, np.array([0.0, 0.0, 4.0]), np.ones(3), np.full((3, 3), 0.5), plain
+    sky = implicit.Body(implicit.DOME, np.zeros(3), np.ones(3), np.zeros((3, 3)), plain)
+    ball = implicit.Body(
+        implicit.BALL,
+        np.array([0.0, 0.0, 4.0]),
+        np.ones(3),
+        np.full((3, 3), 0.5),
+        plain,
     )
-    image, depth = render([sky, ball], np.eye(4), K, 101)
+    image, depth = implicit.render([sky, ball], np.eye(4), K, 101)
     assert depth[50, 50] == pytest.approx(3.0, abs=2e-3)  # its nearest point
     # The rim of a ball of radius 1 at distance 4 is asin(1 / 4) off the axis: 0.258 widths, 26
     # pixels.
@@ -96,12 +102,13 @@ def test_seed_and_index_say_it_all():
         sample(3, edit="recolor", edit_seed=seed).edited_context for seed in (0, 1)
     ]
     assert (
-        not torch.equal(*recolored) and len(draw_scene(np.random.default_rng(0))) >= 7
+        not torch.equal(*recolored)
+        and len(implicit.draw_scene(np.random.default_rng(0))) >= 7
     )
 
 
 def test_it_imports_nothing_of_the_first_generator_and_reads_no_file():
-    tree = ast.parse(Path(implicit.__file__).read_text())
+    tree = ast.parse(FILE.read_text())
     modules = {
         node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)
     }

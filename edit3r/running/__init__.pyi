@@ -1,0 +1,66 @@
+"""What `edit3r.running` promises, for type checkers and for the lazy loader of `__init__.py`."""
+
+from .config import (
+    DEFAULTS as DEFAULTS,
+    MAX_GROWTH as MAX_GROWTH,
+    MAX_PROMPT as MAX_PROMPT,
+    MAX_STEPS as MAX_STEPS,
+    PART_KEYS as PART_KEYS,
+    JobInputs as JobInputs,
+    RunConfig as RunConfig,
+    check_components as check_components,
+    make_run_config as make_run_config,
+)
+from .earlier import (
+    CACHE as CACHE,
+    read_earlier_run as read_earlier_run,
+    read_views_of_run as read_views_of_run,
+)
+from .flags import (
+    add_flags as add_flags,
+    add_mark_flags as add_mark_flags,
+    given_flags as given_flags,
+)
+from .job import (
+    RunJob as RunJob,
+    job_from as job_from,
+)
+from .judging.edit_verdict import EditVerdict as EditVerdict
+from .judging.verdict import LABELS as LABELS
+from .loop import (
+    RunResult as RunResult,
+    preview as preview,
+    run as run,
+)
+from .parts import Parts as Parts
+from .quality import (
+    PRESETS as PRESETS,
+    Expected as Expected,
+    MeasuredPoint as MeasuredPoint,
+    Quality as Quality,
+    write_quality as write_quality,
+)
+from .reading import (
+    usual_reader as usual_reader,
+    wishes_for as wishes_for,
+)
+from .saved import (
+    SavedScene as SavedScene,
+    write_saved as write_saved,
+)
+from .scene import Scene as Scene
+from .selecting.call import select_with as select_with
+from .selecting.geometry import (
+    default_matcher as default_matcher,
+    geometry_of as geometry_of,
+)
+from .selecting.marks import MarkTexts as MarkTexts
+from .selecting.select import (
+    MIN_AREA as MIN_AREA,
+    SURE as SURE,
+    Box as Box,
+    Reading as Reading,
+    Selection as Selection,
+    select_masks as select_masks,
+)
+from .write import write_result as write_result
