@@ -61,7 +61,11 @@ class AsymmetricViT(Backbone):
             description="hidden channels of the encoder's MLPs; default: 4 width",
         )
         decoder_width: int = Field(768, ge=4, description="decoder channels")
-        decoder_depth: Count = Field(12, description="blocks of each decoder")
+        decoder_depth: int = Field(
+            12,
+            ge=3,
+            description="blocks of each decoder, which the heads read at four levels",
+        )
         decoder_heads: int | None = Field(
             None, ge=1, description="decoder attention heads; default: width / 64"
         )

@@ -229,3 +229,12 @@ def test_the_backbone_refuses_sides_that_are_no_multiples_of_its_patch(size):
         InputError, match=f"multiples of 16 pixels, got {size[0]}x{size[1]}"
     ):
         backbone(torch.zeros(1, 2, 3, *size), torch.eye(3).expand(1, 2, 3, 3))
+
+
+def test_a_decoder_that_is_too_shallow_for_four_levels_is_a_sentence():
+    small = {"width": 64, "depth": 1, "decoder_width": 64}
+    with pytest.raises(SettingsError, match=r"backbone\.decoder_depth: .* 3, got 2"):
+        build("backbone", "asymmetric-vit", decoder_depth=2, **small)
+    assert build("backbone", "asymmetric-vit", decoder_depth=3, **small).hooks == (
+        *range(4),
+    )
