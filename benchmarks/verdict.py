@@ -170,42 +170,57 @@ def _held_out(
         (0, 1),
         key=lambda side: float((true[pair[side], :3, 3] - true[target, :3, 3]).norm()),
     )
-    return _rendered(result, views, (pair[nearer], first + nearer), target, unit)
+    near = pair[nearer], first + nearer
+    return _psnr(result, views, _camera(result, views, near, target, unit), target)
 
 
 def _unseen(
     result: edit3r.RunResult, views: edit3r.Views, placed: list[int], target: int
 ) -> float:
     """PSNR [dB] of view `target`, placed relative to the nearest of the `placed` views."""
+    camera = unseen_camera(result, views, placed, target)
+    return _psnr(result, views, camera, target)
+
+
+def unseen_camera(
+    result: edit3r.RunResult, views: edit3r.Views, placed: list[int], target: int
+) -> edit3r.Cameras:
+    """Where view `target` stands in the result, relative to the nearest of the `placed` views."""
     true, found = (
         views.c2w[0, :, :3, 3].double(),
         result.cameras.c2w[0, :, :3, 3].double(),
     )
     unit = float(torch.pdist(found).sum() / torch.pdist(true[placed]).sum())
     nearest = int((true[placed] - true[target]).norm(dim=1).argmin())
-    return _rendered(result, views, (placed[nearest], nearest), target, unit)
+    return _camera(result, views, (placed[nearest], nearest), target, unit)
 
 
-def _rendered(
+def _camera(
     result: edit3r.RunResult,
     views: edit3r.Views,
     near: tuple[int, int],
     target: int,
     unit: float,
-) -> float:
-    """PSNR [dB] of view `target` from where it stands beside a view, whose numbers in `views` and
-    result are `near`.
+) -> edit3r.Cameras:
+    """View `target` from where it stands beside a view, whose numbers in `views` and result are
+    `near`.
     """
     step = (
         torch.linalg.inv(views.c2w[0, near[0]].double()) @ views.c2w[0, target].double()
     )
     step[:3, 3] *= unit
     pose = (result.cameras.c2w[0, near[1]].double() @ step).float()
-    cameras = edit3r.Cameras(
+    return edit3r.Cameras(
         pose[None, None], views.intrinsics[:, [target]], views.image_size
     )
-    image = result.rasterizer.render(result.gaussians, cameras).images[0, 0].clamp(0, 1)
-    return float(-10 * torch.log10((image - views.images[0, target]).square().mean()))
+
+
+def _psnr(
+    result: edit3r.RunResult, views: edit3r.Views, camera: edit3r.Cameras, target: int
+) -> float:
+    """PSNR [dB] of view `target` as `camera` shows it."""
+    shown = result.rasterizer.render(result.gaussians, camera).images[0, 0].clamp(0, 1)
+    return float(-10 * torch.log10((shown - views.images[0, target]).square().mean()))
 
 
 def pairs_table(rows: list[dict]) -> str:

@@ -34,6 +34,9 @@ LEAST, UNMEASURED, NOWHERE = 0.002, 0.7, 0.5
 # What was found is part of an unmeasured piece of up to so many times its area, of which others
 # show what lies behind so large a share
 MOST_GROWTH, BEHIND = 20.0, 0.5
+# The largest share of a photo that is a thing: far trees beside a near trunk are as little measured
+# and as unlike what others guess there
+LARGEST = 0.15
 PLACES = 9  # along a ray, before the surface that others show
 NEAREST = 0.8  # where they begin [depth of the nearest 2 % of what was measured]
 MARGIN = 0.016  # around what was found [long sides]
@@ -171,7 +174,7 @@ class _Scene:
             if unmeasured >= UNMEASURED and known.any():
                 nowhere = self._could_stand_nowhere(view, known, surface, sure)
                 found |= piece & (nowhere >= NOWHERE)
-        return found | _grown(found, ~self.measured[view], told)
+        return _grown(found, ~self.measured[view], told)
 
     def _drawn(self, other: int, mask: Mask, view: int) -> tuple[Tensor, Tensor]:
         """Depth (infinite: none) and colour of what `other` shows, drawn into `view` point by
@@ -221,8 +224,9 @@ def _beyond(colours: Tensor, least: Tensor, most: Tensor) -> Tensor:
 
 
 def _grown(found: Mask, unmeasured: Mask, told: Mask) -> Mask:
-    """The unmeasured pieces that much of was found: the rest of a thing may look like what others
-    show behind it. Where others show nothing behind, a piece is no thing's rest.
+    """What was `found`, and the unmeasured pieces that much of was found: the rest of a thing may
+    look like what others show behind it. Where others show nothing behind, a piece is no thing's
+    rest, and nothing of one that is too large is a thing.
     """
     _, labels = cv2.connectedComponents(_opened(unmeasured))
     behind = dilate(told[None].float(), 2)[0] > 0
@@ -232,7 +236,9 @@ def _grown(found: Mask, unmeasured: Mask, told: Mask) -> Mask:
     )
     grown = (known * MOST_GROWTH >= area) & (shown >= BEHIND * area)
     grown[0] = False
-    return torch.from_numpy(grown[labels])
+    large = area > LARGEST * labels.size
+    kept = found.numpy() & ~(grown & large)[labels]
+    return torch.from_numpy(kept | (grown & ~large)[labels])
 
 
 def _opened(mask: Mask) -> np.ndarray:

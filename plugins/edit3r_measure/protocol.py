@@ -161,9 +161,10 @@ def align(
     photo: BatchedImage,
     compare: Compare,
     steps: int,
+    rate: float = RATE,
 ) -> Cameras:
     """Return `camera` (one, batch 1) moved to where the frozen scene looks most like `photo`, by
-    `steps` of Adam.
+    `steps` of Adam, each about `rate` long [radians and distances of the pair].
 
     Of all places on the way the best is returned, so it is never worse than the first by `compare`
     (the published code takes the last).
@@ -171,7 +172,7 @@ def align(
     unit = float(np.linalg.norm(scene.predicted_pose[:3, 3]))
     units = torch.tensor([1.0, 1.0, 1.0, unit, unit, unit], dtype=torch.float64)
     twist = torch.zeros_like(units, requires_grad=True)  # a turn, then a shift
-    adam = torch.optim.Adam([twist], lr=RATE)
+    adam = torch.optim.Adam([twist], lr=rate)
     c2w = camera.c2w[0, 0].double()
     places = []
     for _ in range(steps + 1):

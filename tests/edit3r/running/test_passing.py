@@ -2,12 +2,13 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 
 from edit3r.contract.interfaces import MatchedGeometry
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.running.passing import passing, without_passing
+from edit3r.running.passing import _grown, passing, without_passing
 from edit3r_testing import photograph
 
 SCENE = photograph(3, (64, 96))
@@ -53,6 +54,19 @@ def test_a_scene_that_holds_still_and_what_others_measured_too_are_no_passing_th
     geometry, _ = as_seen([0, 1, 2])
     assert passing(geometry, SCENE.views) is None
     assert passing(*as_seen([0, 1, 2], unmeasured=False)) is None
+
+
+@pytest.mark.parametrize(("wide", "grown"), [(10, True), (40, False)])
+def test_a_thing_is_its_whole_unmeasured_piece_unless_that_is_a_background(wide, grown):
+    unmeasured = torch.zeros(60, 80, dtype=torch.bool)
+    unmeasured[10:50, 10 : 10 + wide] = True
+    found = torch.zeros_like(unmeasured)
+    found[20:40, 12:18] = True
+
+    thing = _grown(found, unmeasured, torch.ones_like(found))
+
+    assert bool(thing.any()) == grown
+    assert not grown or (thing == unmeasured).all()
 
 
 def test_gaussians_go_that_the_photo_saw_within_its_mask_and_no_other_photos():
