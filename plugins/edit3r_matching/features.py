@@ -53,7 +53,7 @@ SAMPLES = 5000
 """Features of all images together that tell which others these are."""
 MANY_KEYPOINTS, MANY_SIZE = 3000, 512
 """Most features of one of more images, and the long side at which they are looked for [pixels]."""
-DIRECTIONS = 64
+DIRECTIONS = 96
 """Numbers that tell features of more images apart."""
 LEARNED_NEIGHBOURS = 4
 """Others with which each one of more than `MAX_ALL_LEARNED` images gets learned matches, at least:
@@ -210,7 +210,7 @@ def _agree(found: FoundFeatures, a: int, b: int) -> bool:
 
 def shortened(keypoints: Sequence[Keypoints]) -> tuple[Keypoints, ...]:
     """The same features, their descriptors by the directions in which those of all images differ
-    most: half as many numbers, which are compared in half the time.
+    most: fewer numbers, which are compared in less time.
     """
     step = -(-sum(map(len, keypoints)) // SAMPLES)
     some = np.concatenate([keys.descriptors[::step] for keys in keypoints])
