@@ -108,7 +108,9 @@ class BatchCommand(Command):
         from filelock import FileLock, Timeout
 
         from edit3r import default_registry
+        from edit3r.contract.reporting import Report, collecting
         from edit3r.contract.settings import merge
+        from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.configs import parse_assignments, read_config
         from edit3r.running import LABELS
         from edit3r_batch.jobs import read_jobs
@@ -122,7 +124,8 @@ class BatchCommand(Command):
         if workers.gpus:
             defaults = merge({"device": "cuda"}, defaults)
         registry = default_registry(args.plugin)
-        jobs = read_jobs(Path(args.jobs), defaults, registry, args.trust_config)
+        with StageConsole(args.quiet) as console, collecting(Report(on_event=console)):
+            jobs = read_jobs(Path(args.jobs), defaults, registry, args.trust_config)
         out = Path(args.out).expanduser().resolve()
         done = _done(jobs, out, args)
         try:

@@ -11,6 +11,7 @@ from pydantic import Field
 
 from edit3r import Registry
 from edit3r.contract.errors import Edit3rError, InputError, SettingsError, suggest
+from edit3r.contract.reporting import progress
 from edit3r.contract.settings import make_settings, merge, of_file
 from edit3r.kit.files.names import unique_names
 from edit3r.kit.photos.coverage import VIDEO_SUFFIXES
@@ -18,7 +19,6 @@ from edit3r.kit.photos.images import find_photos
 from edit3r.kit.photos.intrinsics import NO_CAMERAS
 from edit3r.kit.run_folder import recorded
 from edit3r.running import (
-    PART_KEYS,
     JobInputs,
     RunConfig,
     check_components,
@@ -26,6 +26,8 @@ from edit3r.running import (
 )
 
 MAX_BYTES = 1_000_000  # of a line
+SHORT = 200  # characters of a prompt that no run refuses
+TOLD_EVERY = 200  # lines between two notes of how many are checked
 RESERVED = ("results.jsonl", "summary.json", "summary.md")
 """Files beside the jobs' folders."""
 
@@ -76,12 +78,16 @@ def read_jobs(
     found: dict[str, BatchJob] = {}
     line_of: dict[str, int] = {}
     checked: set[str] = set()
-    for number, line in _lines(file):
+    folder = file.resolve().parent
+    total = sum(1 for _ in _lines(file))
+    for count, (number, line) in enumerate(_lines(file)):
+        if count % TOLD_EVERY == 0:
+            progress("check jobs", count, total)
         try:
             content = _content(line)
             if not trusted:
                 content = of_file(content)
-            job = _job(content, number, file.resolve().parent, defaults)
+            job = _job(content, number, folder, defaults)
             _check(job, registry, checked)
             # A disk may take names that differ only in case for one.
             same = unicodedata.normalize("NFC", job.id).casefold()
@@ -189,9 +195,10 @@ def _check(job: BatchJob, registry: Registry, checked: set[str]) -> None:
                 raise InputError(f"{name}: no such file.")
     except OSError as error:
         raise InputError(f"{str(error.filename)[:200]}: {error.strerror}.") from None
-    config = make_run_config(job.settings)
-    parts = [getattr(config, kind) for kind in PART_KEYS]
-    choices = repr((parts, config.all_refiners(), config.written))
-    if choices not in checked:
-        check_components(config, registry)
+    settings = dict(job.settings)
+    words = settings.get("prompt")
+    if isinstance(words, str) and len(words) <= SHORT:
+        settings["prompt"] = ""  # many jobs differ in their words alone
+    if (choices := repr(settings)) not in checked:
+        check_components(make_run_config(job.settings), registry)
         checked.add(choices)

@@ -60,9 +60,16 @@ class Decisions:
     corrections: (
         Images  # of log depth (-0.7, 0.7), opacity logit, log scale (-0.5, 0.5)
     )
+    choices: "Choices | None"  # of colours; None: every view keeps its own
+
+
+@dataclass(frozen=True)
+class Choices:
+    """Where each view's colours come from."""
+
     exposure: Exposure  # gain and offset from the reference's colours to each view's
     maps: Float[Tensor, "batch view 12 height width"]  # carried; 0 for the reference
-    choice: Images  # weights of the candidates, together 1; 0 for the reference
+    weights: Images  # of the candidates, together 1; 0 for the reference
 
 
 class EditFusionHead(GeometryHead):
@@ -141,7 +148,8 @@ class EditFusionHead(GeometryHead):
         # An edit is a function of colour pixel by pixel; means of several pixels are not.
         single = _nearest(edited.images, grid), _nearest(source.images, grid)
         edited, source = edited.at(grid).images, source.at(grid)
-        decisions = self._decide(features, edited, source, geometry)
+        fuses = self.settings.fuse_edits and not torch.equal(edited, source.images)
+        decisions = self._decide(features, edited, source, geometry, fuses)
         return assemble(edited, source, geometry, decisions, self.settings, single)
 
     def _decide(
@@ -150,6 +158,7 @@ class EditFusionHead(GeometryHead):
         images: Images,
         source: Views,
         geometry: MatchedGeometry,
+        fuses: bool,
     ) -> Decisions:
         """Everything learned, on the grid of the backbone's images."""
         size = tuple(self.patch_size * side for side in features.grid)
@@ -158,22 +167,36 @@ class EditFusionHead(GeometryHead):
         raw = F.pixel_shuffle(self.corrections(tokens.flatten(0, 1)), STRIDE)
         depth, opacity, scale = raw.unflatten(0, before.shape[:2]).unbind(2)
         depth, scale = 0.7 * torch.tanh(depth), 0.5 * torch.tanh(scale)
-        coarse = averaged(geometry, size)
-        depths = coarse.depths * depth.detach().exp()
-        matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
-        exposure = find_exposure(before, matches, coarse.confidence >= MEASURED)
+        choices = None
+        if fuses:
+            coarse = averaged(geometry, size)
+            coarse = replace(coarse, depths=coarse.depths * depth.detach().exp())
+            choices = self._choose(tokens, after, before, source.intrinsics, coarse)
+        return Decisions(torch.stack((depth, opacity, scale), 2), choices)
+
+    def _choose(
+        self,
+        tokens: Float[Tensor, "batch view channel rows columns"],
+        after: Images,
+        before: Images,
+        intrinsics: Float[Tensor, "batch view 3 3"],
+        geometry: MatchedGeometry,
+    ) -> Choices:
+        """What each view takes of the reference's edit."""
+        matches = find_correspondences(geometry.depths, intrinsics, geometry.c2w)
+        exposure = find_exposure(before, matches, geometry.confidence >= MEASURED)
         views = EditedViews.of(after, before, exposure, matches)
+        size = before.shape[-2:]
         none = FusedEdit(
             before.new_zeros(len(before), CHANNELS, *size),
             before.new_zeros(len(before), CANDIDATES, *size),
         )
         others = range(1, before.shape[1])
         fused = [none, *(self._fuse(views, tokens, view) for view in others)]
-        return Decisions(
-            corrections=torch.stack((depth, opacity, scale), 2),
+        return Choices(
             exposure=exposure,
             maps=torch.stack([edit.maps for edit in fused], 1),
-            choice=torch.stack([edit.choice for edit in fused], 1),
+            weights=torch.stack([edit.choice for edit in fused], 1),
         )
 
     def _tokens(
@@ -248,13 +271,15 @@ def assemble(
     scales = scales * (settings.opacity_repair * scale).exp()
 
     colours, kept = edited, 1.0
-    if settings.fuse_edits and not torch.equal(edited, source.images):
+    choices = fine.choices
+    if choices is not None:
         matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
-        views = EditedViews.of(edited, source.images, fine.exposure, matches)
-        disagree = edits_disagree(EditedViews.of(*single, fine.exposure, matches))
+        views = EditedViews.of(edited, source.images, choices.exposure, matches)
+        disagree = edits_disagree(EditedViews.of(*single, choices.exposure, matches))
         measured = geometry.confidence >= MEASURED
         near = near_an_edit(views, measured) * disagree
-        colours = fuse_colours(views, fine, near, shown_by_reference(views, measured))
+        seen = shown_by_reference(views, measured)
+        colours = fuse_colours(views, choices, near, seen)
         conflict = edits_conflict(views, near)
         kept = 1 - (1 - settings.conflict_opacity) * conflict
     floating = contradicted(geometry, source.intrinsics)
@@ -266,7 +291,7 @@ def assemble(
 
 
 def fuse_colours(
-    views: EditedViews, decisions: Decisions, near: Maps, seen: Maps
+    views: EditedViews, choices: Choices, near: Maps, seen: Maps
 ) -> Images:
     """Mix the candidates for each pixel's colour; exactly the view's own where it is not `near` a
     change.
@@ -281,13 +306,13 @@ def fuse_colours(
     # hole would turn pink.
     least = made.amin((3, 4), keepdim=True).clamp(max=0)
     most = made.amax((3, 4), keepdim=True).clamp(min=0)
-    change = change_of(decisions.maps, views.source).clamp(least, most)
+    change = change_of(choices.maps, views.source).clamp(least, most)
     carried = (views.source + change).clamp(0, 1)
     _, warped = views.reference
     shown = warp(made, views.matches.coordinates).abs().amax(2)
     presence = (blur_maps(shown, 1.0) / VISIBLE_CHANGE).clamp(max=1)
     presence = (presence * views.matches.inside)[:, :, None]
-    _, mapped, taken = (decisions.choice * near[:, :, None]).split(1, 2)
+    _, mapped, taken = (choices.weights * near[:, :, None]).split(1, 2)
     # Where the reference shows no edit, the share of its colour goes to the source under the
     # carried colour map.
     shares = mapped + taken - taken * presence, taken * presence
@@ -301,9 +326,16 @@ def fuse_colours(
 
 def _at_image_size(decisions: Decisions, images: Images) -> Decisions:
     """The decisions at the images' size, along the images' edges."""
-    stacked = torch.cat((decisions.corrections, decisions.maps, decisions.choice), 2)
-    fine = guided_upsample(stacked.flatten(0, 1), images.flatten(0, 1))
-    fine = fine.unflatten(0, images.shape[:2])
-    corrections, maps, choice = fine.split((3, CHANNELS, CANDIDATES), 2)
-    choice = choice / choice.sum(2, keepdim=True).clamp(min=1e-6)
-    return Decisions(corrections, decisions.exposure, maps, choice)
+
+    def finer(maps: Images) -> Images:
+        fine = guided_upsample(maps.flatten(0, 1), images.flatten(0, 1))
+        return fine.unflatten(0, images.shape[:2])
+
+    # Each on its own: how a number is rounded depends on what lies beside it.
+    corrections, choices = finer(decisions.corrections), decisions.choices
+    if choices is None:
+        return Decisions(corrections, None)
+    stacked = finer(torch.cat((choices.maps, choices.weights), 2))
+    carried, weights = stacked.split((CHANNELS, CANDIDATES), 2)
+    weights = weights / weights.sum(2, keepdim=True).clamp(min=1e-6)
+    return Decisions(corrections, Choices(choices.exposure, carried, weights))

@@ -169,7 +169,8 @@ class _WholeRun:
 
     Steps are stages, without what stands in brackets, and what counts within them, in their order:
     what begins has all before it done, or left out. Other stages, such as edits, tell nothing of
-    what follows, and their time does not count.
+    what follows, nor does what is counted once more or only now and then: their time does not
+    count. A step that is well under way tells itself how long it takes.
     """
 
     def __init__(self, shares: Mapping[str, float]) -> None:
@@ -182,7 +183,9 @@ class _WholeRun:
         self.total = over
         # share of the time that is over, when that was, and how long it took until then [s]
         self.over, self.at, self.spent = 0.0, 0.0, 0.0
-        self.step = ""  # the one that runs; "": none that is known
+        self.step = ""  # the one that runs or waits; "": none that is known
+        self.begun = 0.0  # when it began
+        self.waits = False  # for what is not known
 
     def hear(self, event: str, text: str, done: int, total: int) -> None:
         name = text.partition(" (")[0]
@@ -193,21 +196,31 @@ class _WholeRun:
             part = {"start": 0.0, "end": 1.0}.get(event, done / max(total, 1))
             begin = self.ends[name] - self.shares[name]
             self._reach(max(self.over, begin + part * self.shares[name]), name)
+        elif event == "progress" and name != self.step:
+            self._reach(self.over, self.step, waits=True)
 
-    def _reach(self, over: float, step: str) -> None:
+    def _reach(self, over: float, step: str, waits: bool = False) -> None:
         now = time.perf_counter()
-        if self.step:
+        if self.step and not self.waits:
             self.spent += now - self.at
-        self.over, self.at, self.step = over, now, step
+        if step != self.step:
+            self.begun = now
+        self.over, self.at, self.step, self.waits = over, now, step, waits
 
     def left(self) -> float | None:
         """Seconds; None before a tenth of the run, and while nothing known is done."""
         if not self.step or self.over < _TOLD_FROM * self.total:
             return None
-        whole = self.spent / self.over * self.total
+        pace = self.spent / self.over
+        if self.waits:
+            return pace * (self.total - self.over)
+        end, share = self.ends[self.step], self.shares[self.step]
+        part = 1 - (end - self.over) / share
+        own = pace * (end - self.over)
+        if _TOLD_FROM < part < 1:
+            own = (self.at - self.begun) * (1 - part) / part
         since = time.perf_counter() - self.at
-        least = whole * (1 - self.ends[self.step] / self.total)
-        return max(least, whole * (1 - self.over / self.total) - since)
+        return pace * (self.total - end) + max(0.0, own - since)
 
 
 def duration(seconds: float) -> str:

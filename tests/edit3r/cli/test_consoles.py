@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from edit3r.cli.program import SteadyText
-from edit3r.kit.command.console import ProgressLines, StageConsole
+from edit3r.kit.command.console import ProgressLines, StageConsole, _WholeRun
 
 SPEAKS = r"""
 import sys, edit3r.cli.main as m
@@ -132,6 +132,30 @@ def test_the_time_left_for_all_follows_from_the_usual_shares_of_steps(monkeypatc
     assert "about 50 s left for all" in said.line()
     now[0] = 9999  # longer than usual: what follows is still to come
     assert "about 20 s left for all" in said.line()
+
+
+@pytest.mark.parametrize(
+    ("events", "left"),
+    [
+        # a step twice as slow as usual tells its own rest, and all so far what follows
+        ([(20, "refine", 0), (60, "refine", 5)], 40 + 30),
+        # what is done between two steps and is not usual
+        ([(20, "tilt", 0), (500, "tilt", 9)], 60),
+        ([(20, "tilt", 0), (500, "tilt", 9), (500, "refine", 0)], 60),
+        # what was counted before, once more
+        ([(20, "refine", 0), (20, "match", 3), (90, "match", 9)], 60),
+    ],
+)
+def test_time_of_what_is_not_usual_tells_nothing_of_what_follows(
+    monkeypatch, events, left
+):
+    now = [0.0]
+    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
+    whole = _WholeRun({"match": 20, "refine": 40, "render": 20})
+    for second, name, done in [(0, "match", 0), (20, "match", 10), *events]:
+        now[0] = second
+        whole.hear("progress", name, done, 10)
+    assert whole.left() == pytest.approx(left)
 
 
 def test_lines_come_again_and_again_and_stop():

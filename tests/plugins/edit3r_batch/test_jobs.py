@@ -6,11 +6,13 @@ import json
 
 import numpy as np
 import pytest
+from edit3r_batch import jobs
 from edit3r_batch.jobs import MAX_BYTES, read_jobs
 from PIL import Image
 
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import Report, collecting
 from edit3r.loading.registry import default_registry
 
 GOOD = {"photos": ["a.png", "b.png"], "prompt": "paint it red"}
@@ -109,3 +111,17 @@ def test_secrets_are_in_no_record(folder):
         "prompt": "paint it red",
         "editor": {"name": "recolor"},
     }
+
+
+def test_many_lines_are_told_and_their_settings_checked_once(folder, monkeypatch):
+    checks, told = [], []
+    monkeypatch.setattr(jobs, "check_components", lambda *_: checks.append(1))
+    monkeypatch.setattr(jobs, "TOLD_EVERY", 2)
+    lines = [{**GOOD, "prompt": f"paint it {n}"} for n in range(5)]
+    with collecting(Report(on_event=lambda *event: told.append(event))):
+        read(folder, *lines)
+    assert told == [("progress", "check jobs", done, 5) for done in (0, 2, 4)]
+    assert len(checks) == 1
+    for wrong in ({"prompt": "red " * 9999}, {"prompt": 3}, {"seed": "x"}):
+        with pytest.raises(InputError, match="line 6"):
+            read(folder, *lines, {**GOOD, **wrong})

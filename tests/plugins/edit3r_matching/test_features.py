@@ -13,6 +13,7 @@ from edit3r_matching.features import (
     match,
     match_tilted,
     most_alike,
+    shortened,
 )
 from edit3r_matching.keypoints import Keypoints
 from skimage.data import camera
@@ -180,3 +181,14 @@ def test_of_many_photos_those_join_whose_matches_agree_however_few(
     found = FoundFeatures(tuple(keypoints), pairs)
     assert ((0, 1) in _loose_pairs(found)) == loose
     assert (0, 2) in _loose_pairs(found)
+
+
+def test_fewer_numbers_tell_the_same_features_apart():
+    images = crowds((3,), ())
+    short = shortened(images)
+    for a, b in combinations(range(3), 2):
+        long, few = (match(some[a], some[b], 0.85) for some in (images, short))
+        both = set(map(tuple, long)) & set(map(tuple, few))
+        assert len(both) >= 320 and len(few) <= len(long)
+    assert {keys.descriptors.shape[1] for keys in short} == {features.DIRECTIONS}
+    assert np.allclose(np.linalg.norm(short[0].descriptors, axis=1), 1, atol=1e-5)

@@ -4,7 +4,7 @@ import torch.nn.functional as F
 from edit3r_model.edit_fusion import EditTransport
 from edit3r_model.edited_views import EditedViews
 from edit3r_model.small_backbone import convex_upsample
-from edit3r_model.small_head import Decisions, fuse_colours
+from edit3r_model.small_head import Choices, fuse_colours
 
 from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r.kit.geometry.warping import Correspondences
@@ -97,7 +97,7 @@ def test_a_carried_map_changes_no_colour_more_than_the_reference_was_changed():
     choice[:, 1, 1] = 1
     none = torch.zeros(1, 2, 4, 4)
     same = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(6, 1, 1).expand(1, 2, 6, 1, 1)
-    decisions = Decisions(none[:, :, None].expand_as(choice), same, maps, choice)
+    choices = Choices(same, maps, choice)
     places = pixel_grid((4, 4), hole).expand(1, 2, -1, -1, -1)
     matches = Correspondences(places, none, none)
 
@@ -106,7 +106,7 @@ def test_a_carried_map_changes_no_colour_more_than_the_reference_was_changed():
         edited = torch.stack((green, view_1))[None]
         views = EditedViews.of(edited, source, same, matches)
         everywhere = torch.ones_like(none)
-        return fuse_colours(views, decisions, everywhere, seen=everywhere)[0, 1]
+        return fuse_colours(views, choices, everywhere, seen=everywhere)[0, 1]
 
     bark = torch.full((3, 4, 4), 0.7)
     assert torch.equal(fused(bark), bark)
@@ -124,13 +124,13 @@ def test_the_share_of_the_reference_s_colour_goes_to_the_map_where_it_shows_no_e
     choice[:, 1, 2] = 1
     none = torch.zeros(1, 2, 4, 24)
     same = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(6, 1, 1).expand(1, 2, 6, 1, 1)
-    decisions = Decisions(none[:, :, None].expand_as(choice), same, maps, choice)
+    choices = Choices(same, maps, choice)
     places = pixel_grid((4, 24), photo).expand(1, 2, -1, -1, -1)
     matches = Correspondences(places, torch.ones_like(none), none)
     source = torch.stack((photo, photo))[None]
     views = EditedViews.of(torch.stack((edited, photo))[None], source, same, matches)
     everywhere = torch.ones_like(none)
-    fused = fuse_colours(views, decisions, everywhere, seen=everywhere)[0, 1]
+    fused = fuse_colours(views, choices, everywhere, seen=everywhere)[0, 1]
     assert torch.allclose(fused[..., :8], edited[..., :8], atol=1e-5)
     assert torch.allclose(fused[..., 18:], photo[..., 18:] + 0.2, atol=1e-5)
 
@@ -155,12 +155,12 @@ def test_nothing_carried_takes_no_edit_back_where_the_reference_shows_nothing(
     choice[:, 1, 1] = 1
     none = torch.zeros(1, 2, 4, 4)
     same = torch.tensor([1.0, 1, 1, 0, 0, 0]).view(6, 1, 1).expand(1, 2, 6, 1, 1)
-    decisions = Decisions(none[:, :, None].expand_as(choice), same, maps, choice)
+    choices = Choices(same, maps, choice)
     places = pixel_grid((4, 4), photo).expand(1, 2, -1, -1, -1)
     matches = Correspondences(places, none, none)
     source = torch.stack((photo, photo))[None]
     edited = torch.stack((reference, photo + 0.2))[None]
     views = EditedViews.of(edited, source, same, matches)
     near = torch.ones_like(none)
-    fused = fuse_colours(views, decisions, near, torch.full_like(none, seen))[0, 1]
+    fused = fuse_colours(views, choices, near, torch.full_like(none, seen))[0, 1]
     assert torch.allclose(fused, torch.full_like(fused, expected), atol=1e-5)

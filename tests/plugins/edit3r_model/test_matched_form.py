@@ -10,6 +10,7 @@ import torch.nn.functional as F
 from edit3r_model.matched_form import network_grid
 from edit3r_model.small_head import (
     CONFLICT_OPACITY,
+    Choices,
     Decisions,
     EditFusionHead,
     assemble,
@@ -211,7 +212,7 @@ def opacities_of(edited: Views) -> torch.Tensor:
         edited.images,
         views,
         TrueGeometry().match(views),
-        Decisions(none[:, :, :3], same, none, own),
+        Decisions(none[:, :, :3], Choices(same, none, own)),
         EditFusionHead.Settings(),
         (edited.images, views.images),
     )
