@@ -47,11 +47,16 @@ def read_region(tokens: list[str]) -> Thing | None:
 def unclear_place(tokens: list[str]) -> tuple[str, ...]:
     """The words for what no box of the picture is and no name finds.
 
-    A share of something ("half of the wall", "the rest of the bear"), and what has no name but
-    stands somewhere ("everything on the table", which is not the table).
+    A share of something ("half of the wall", "the rest of the bear"), what has no name but stands
+    somewhere ("everything on the table", which is not the table), and what belongs to a thing that
+    is known by another ("the man with the hat's jacket").
     """
     if read_region(tokens) is not None:
         return ()
+    owner = next((i for i, t in enumerate(tokens[:-1]) if t.endswith("'s")), 0)
+    joints = [t for t in tokens[1:owner] if t in words.JOINING]
+    if joints:
+        return (joints[-1], tokens[owner])
     for word, joint in pairwise(tokens):
         nameless = word in words.WHATEVER and joint in words.STANDING
         if nameless and tokens[-1] not in _ANY and "parts" not in tokens:

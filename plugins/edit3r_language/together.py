@@ -92,12 +92,13 @@ def _with_change_of(clause: Clause, giver: Clause) -> Clause:
 def _resolved(clauses: list[Clause], kept: list[Thing]) -> Iterator[Wish]:
     """The clauses as wishes, with pronouns resolved and what is kept left out of the thing."""
     last: Thing | None = None
+    said: list[str] = []  # the words that named it
     for clause in clauses:
         thing = clause.thing or Thing()
         if thing.scope == "named" and not thing.name and last is not None:
             thing = replace(thing, name=last.name)  # "the blue one"
         if thing.of == "it" and last is not None:  # "its wheels"
-            thing = replace(thing, of=last.name)
+            thing = replace(thing, of=_owner(last, said))
         if thing.scope == "region" and last is not None:
             thing = _other_side(thing, clause, last)
         kept = [_named_like(one, thing) for one in kept]
@@ -105,8 +106,17 @@ def _resolved(clauses: list[Clause], kept: list[Thing]) -> Iterator[Wish]:
         without = [*own, *(one for one in kept if _matters(one, thing))]
         thing = _pointed_at(thing, last, clause, without)
         if thing.scope != "whole" or last is None:
-            last = thing
+            last, said = thing, clause.text.split()
         yield _wish(clause, _all_of_name(thing, without), without)
+
+
+def _owner(last: Thing, said: Sequence[str]) -> str:
+    """What "its" stands for: after "the house's door" the house, after "the cup on the table" the
+    cup.
+    """
+    whole = last.of.split()[-1:]
+    belongs = "of" in said or any(f"{word}'s" in said for word in whole)
+    return last.of if whole and belongs else last.name
 
 
 def _other_side(region: Thing, clause: Clause, last: Thing) -> Thing:

@@ -2,6 +2,7 @@
 2016) of EfficientNet-lite0.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import cv2
@@ -20,6 +21,7 @@ from edit3r.kit.weights.load import foreign
 from edit3r_segmenters import EFFICIENTNET
 from edit3r_segmenters.words import imagenet_classes, imagenet_names
 
+PICTURE_SIDE = 224  # of a picture that is looked at as a whole [pixels]
 CORE = 0.5  # share of the map's peak above which a place belongs to the thing
 
 
@@ -63,14 +65,9 @@ class ImagenetDetector(Detector):
         classes = list(imagenet_classes(text))
         if not classes:
             return None
-        if self._network is None:
-            self._network = self._load()
-        network = self._network
-        shown = efficientnet_input(image[None].cpu().float(), self.settings.size)
-        features = network.extract_features(shown)[0]
-        layer = network._fc
-        maps = torch.einsum("kc,chw->khw", layer.weight, features)
-        logits = maps.mean((1, 2)) + layer.bias
+        maps, bias = self._maps([image], self.settings.size)
+        maps = maps[0]
+        logits = maps.mean((1, 2)) + bias
         shares = logits.softmax(0)
         best = classes[int(logits[classes].argmax())]
         heat = maps[classes].amax(0) - maps.mean(0)
@@ -80,6 +77,26 @@ class ImagenetDetector(Detector):
         name = imagenet_names()[best].split(",")[0]
         beyond_chance = float(shares[classes].sum()) - len(classes) / len(shares)
         return name, max(0.0, beyond_chance), np.clip(heat, 0, 1)
+
+    @torch.no_grad()
+    def likeness(
+        self, pictures: Sequence[Float[Tensor, "3 _height _width"]], text: str
+    ) -> Float[Tensor, "picture"]:
+        """Logit of what a text names, for each picture as a whole."""
+        maps, bias = self._maps(pictures, PICTURE_SIDE)
+        classes = list(imagenet_classes(text))
+        return (maps.mean((2, 3)) + bias)[:, classes].amax(1)
+
+    def _maps(
+        self, pictures: Sequence[Float[Tensor, "3 _height _width"]], size: int
+    ) -> tuple[Float[Tensor, "picture 1000 height width"], Float[Tensor, "1000"]]:
+        """Activation of each class at each place, and what is added to its mean for the logit."""
+        if self._network is None:
+            self._network = self._load()
+        shown = [efficientnet_input(one[None].cpu().float(), size) for one in pictures]
+        features = self._network.extract_features(torch.cat(shown))
+        layer = self._network._fc
+        return torch.einsum("kc,nchw->nkhw", layer.weight, features), layer.bias
 
     def _load(self) -> Any:
         """Raises InputError for a file that does not hold this network."""

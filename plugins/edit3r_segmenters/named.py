@@ -9,9 +9,10 @@ photos that do not (docs/selecting.md).
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r import build, default_registry
@@ -25,13 +26,21 @@ PART = 0.7  # share of a box inside a better one from which it is only a part of
 MAX_THINGS = 8
 THING = 0.6  # score from which a box tells a click how far a thing goes
 SUPPORTS = ("dining table", "bed", "couch", "bench")  # others lie on them
+PEAKS = 8  # places of the activation at which masks are asked for
+LEAST_PEAK = 0.3  # activation of such a place beside the highest one
+APART = 0.12  # distance of such places [longer sides of the image]
+LOOKED_AT = 6  # masks that the classifier looks at one by one
+AROUND = 0.4  # what it sees beyond a mask's box [longer sides of the box]
 QUALITY = 0.2  # what a mask's own quality counts beside the activation that it holds
+LEAST_SIDE = 12  # half a side of what it sees, at least [pixels]
+LIKENESS = 0.05  # what the classifier's logit of its picture counts
 # Logistic curves of the surety over the logarithm of a score: slope, and score of 1/2
 COCO_CURVE = (2.2, 0.42)
 IMAGENET_CURVE = (0.6, 0.06)
 
 Answer = Callable[[Float[Tensor, "3 height width"], Marks], Proposal]
 Box = tuple[float, float, float, float]
+Place = tuple[float, float]
 Ask = Callable[..., tuple[np.ndarray, np.ndarray]]
 
 
@@ -70,23 +79,32 @@ class Namer:
     def _by_activation(
         self, image: Float[Tensor, "3 height width"], text: str
     ) -> tuple[Proposal, ...]:
-        _, probability, heat = build("detector", "imagenet").activation(image, text)
-        row, column = np.unravel_index(heat.argmax(), heat.shape)
-        place = ((column + 0.5) / heat.shape[1], (row + 0.5) / heat.shape[0])
+        detector = build("detector", "imagenet")
+        _, probability, heat = detector.activation(image, text)
         surety = _surety(probability, *IMAGENET_CURVE)
         if self.ask is None:
-            found = self.answer(image, Marks(positive=(place,)))
+            found = self.answer(image, Marks(positive=tuple(_peaks(heat)[:1])))
             return (replace(found, surety=surety),)
-        logits, quality = self.ask(image, [(place, True)])
-        large = torch.nn.functional.interpolate(
-            torch.from_numpy(logits)[None], image.shape[-2:], mode="bilinear"
-        )[0]
-        scores = [
-            _held(heat, mask) + QUALITY * float(good)
-            for mask, good in zip((large > 0).numpy(), quality)
-        ]
-        best = large[int(np.argmax(scores))]
-        return (replace(as_proposal(best.sigmoid().to(image)), surety=surety),)
+        masks, quality = self._masks_at(image, _peaks(heat))
+        held = [_held(heat, mask) for mask in (masks > 0).numpy()]
+        scores = torch.tensor(held) + QUALITY * quality
+        best = scores.argsort(descending=True)[:LOOKED_AT]
+        pictures = [_around(image, masks[index] > 0) for index in best]
+        alike = detector.likeness(pictures, text)
+        chosen = masks[best[int((scores[best] + LIKENESS * alike).argmax())]]
+        return (replace(as_proposal(chosen.sigmoid().to(image)), surety=surety),)
+
+    def _masks_at(
+        self, image: Float[Tensor, "3 height width"], places: Sequence[Place]
+    ) -> tuple[Float[Tensor, "mask height width"], Float[Tensor, "mask"]]:
+        """Logits of all masks that the network has for a click on each place, and their quality."""
+        answers = [self.ask(image, [(place, True)]) for place in places]
+        logits = torch.from_numpy(np.concatenate([some for some, _ in answers]))
+        quality = torch.from_numpy(np.concatenate([good for _, good in answers]))
+        size = image.shape[-2:]
+        large = torch.nn.functional.interpolate(logits[None], size, mode="bilinear")[0]
+        some = (large > 0).any(-1).any(-1)
+        return large[some], quality[some]
 
 
 def things_on(
@@ -133,6 +151,30 @@ def usable(detector: str) -> bool:
 def knows(text: str) -> bool:
     """Whether a small detector would know the words, were its weights here."""
     return bool(coco_classes(text) or imagenet_classes(text))
+
+
+def _peaks(heat: np.ndarray) -> list[Place]:
+    """The places of the highest activation [shares of the sides], apart from each other."""
+    left, found = heat.copy(), []
+    height, width = heat.shape
+    while len(found) < PEAKS and left.max() >= LEAST_PEAK * heat.max() > 0:
+        row, column = np.unravel_index(left.argmax(), left.shape)
+        found.append(((column + 0.5) / width, (row + 0.5) / height))
+        radius = round(APART * max(height, width))
+        cv2.circle(left, (int(column), int(row)), radius, -1.0, cv2.FILLED)
+    return found
+
+
+def _around(
+    image: Float[Tensor, "3 height width"], mask: Bool[Tensor, "height width"]
+) -> Float[Tensor, "3 rows columns"]:
+    """The part of an image around a mask, as nearly square as it goes."""
+    rows, columns = mask.any(1).nonzero()[:, 0], mask.any(0).nonzero()[:, 0]
+    middle = [int(one[0] + one[-1]) // 2 for one in (rows, columns)]
+    longer = max(int(one[-1] - one[0]) + 1 for one in (rows, columns))
+    half = max(LEAST_SIDE, round((0.5 + AROUND) * longer))
+    top, left = (max(0, place - half) for place in middle)
+    return image[:, top : middle[0] + half, left : middle[1] + half]
 
 
 def _held(heat: np.ndarray, mask: np.ndarray) -> float:

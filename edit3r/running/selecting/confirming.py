@@ -2,7 +2,7 @@
 in all photos.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 
 from jaxtyping import Bool, Float
@@ -14,8 +14,12 @@ from edit3r.kit.geometry.warping import warp
 ASKED = 3  # photos that are looked at, at most
 SURER = 1.2  # how many times as sure another photo must be to be taken in place of the first
 SEES = 0.5  # share of a mask that a photo must show to say anything of it
-CONFIRMED = 0.5  # overlap from which two photos mean the same thing
+# Overlap of what two photos mean from which they mean one thing, and below which they do not:
+# between lies a thing that one of them takes with its plinth.
+CONFIRMED, DENIED = 0.5, 0.2
 UNCONFIRMED = 0.5  # what is left of the surety where a photo sees the place and finds nothing there
+UNSEEN = 0.8  # the same in comparison to others, where a photo does not see the place
+CUT = 0.5  # the same for a thing whose outline is the photo's border
 
 Found = tuple[Proposal, ...]
 Surface = tuple[
@@ -44,35 +48,61 @@ def _surety(found: Found) -> float:
 
 
 def _weighed(view: int, found: Mapping[int, Found], shared: Shared) -> Found:
-    """What a view shows, with less surety for what the others see and do not confirm."""
+    """What a view shows, the likeliest first, with less surety for what the others see and do not
+    confirm.
+    """
     others = [other for other in found if other != view]
-    surfaces = {other: shared(view, other) for other in others}
-    weighed = [
-        replace(one, surety=one.surety * UNCONFIRMED)
-        if any(
-            surface is not None and _denied(one, found[other], *surface)
-            for other, surface in surfaces.items()
-        )
-        else one
-        for one in found[view]
-    ]
-    return tuple(sorted(weighed, key=lambda one: -one.surety))
+    surfaces = [(found[other], shared(view, other)) for other in others]
+    weighed = []
+    for one in found[view]:
+        overlaps = [
+            None if surface is None else _overlap_there(one, there, *surface)
+            for there, surface in surfaces
+        ]
+        surety = one.surety * _mean(map(_confirmed, overlaps))
+        unseen = _mean(UNSEEN if overlap is None else 1.0 for overlap in overlaps)
+        rank = surety * unseen * (1 - (1 - CUT) * _on_border(one.soft_mask > 0.5))
+        weighed.append((rank, replace(one, surety=surety)))
+    weighed.sort(key=lambda ranked: -ranked[0])
+    return tuple(one for _, one in weighed)
 
 
-def _denied(
+def _mean(factors: Iterable[float]) -> float:
+    known = list(factors)
+    return sum(known) / len(known) if known else 1.0
+
+
+def _confirmed(overlap: float | None) -> float:
+    """What is left of a surety by the overlap with what another photo means; None: not seen."""
+    if overlap is None:
+        return 1.0
+    share = (overlap - DENIED) / (CONFIRMED - DENIED)
+    return UNCONFIRMED + (1 - UNCONFIRMED) * min(max(share, 0.0), 1.0)
+
+
+def _overlap_there(
     one: Proposal,
     there: Found,
     grid: Float[Tensor, "height width 2"],
     same: Bool[Tensor, "height width"],
-) -> bool:
-    """Whether a view sees the place of a thing and calls nothing there so."""
+) -> float | None:
+    """Largest overlap with what another view calls so; None where that does not see the place."""
     inside = one.soft_mask > 0.5
     seen = inside & same
     if not inside.any() or seen.sum() < SEES * inside.sum():
-        return False
+        return None
+    largest = 0.0
     for other in there:
         moved = warp(other.soft_mask[None].to(grid), grid, padding="zeros")[0]
         both = (moved > 0.5) & same
-        if (both & seen).sum() >= CONFIRMED * (both | seen).sum():
-            return False
-    return True
+        overlap = (both & seen).sum() / (both | seen).sum()
+        largest = max(largest, float(overlap))
+    return largest
+
+
+def _on_border(inside: Bool[Tensor, "height width"]) -> float:
+    """Share of a mask's outline that is the photo's border."""
+    sides = (inside[0], inside[-1], inside[:, 0], inside[:, -1])
+    on_border = sum(int(side.sum()) for side in sides)
+    steps = (inside[1:] ^ inside[:-1]).sum() + (inside[:, 1:] ^ inside[:, :-1]).sum()
+    return on_border / max(1, on_border + int(steps))

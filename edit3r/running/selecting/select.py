@@ -551,8 +551,10 @@ class _Work:
         A click says where, and words say how far: a click on a wheel beside the word "bike" means
         the bike.
         """
-        found = self._likely(view, marks)
         named = self._named_at(view, marks)
+        found = self._likely(view, marks, named)
+        if self.selection.reading > 1:
+            return found
         if named is None or _overlap(found, named) >= SAME_THING:
             return found
         say("selection.clicked", f"what is clicked on is {self.selection.words}")
@@ -564,8 +566,12 @@ class _Work:
         marks = replace(marks, prior=named)
         return self.segmenter.segment_marks(self.images[view], marks).soft_mask
 
-    def _likely(self, view: int, marks: Marks) -> Float[Tensor, "height width"]:
-        """The reading of the marks that is asked for."""
+    def _likely(
+        self, view: int, marks: Marks, named: Tensor | None
+    ) -> Float[Tensor, "height width"]:
+        """The reading of the marks that is asked for; what the words name is one, as likely as
+        the first.
+        """
         image = self.images[view]
         if marks.larger or marks.prior is not None:
             return self.segmenter.segment_marks(image, marks).soft_mask
@@ -573,6 +579,10 @@ class _Work:
         if self.readings:  # another view was marked before, and says which
             return found[0].soft_mask
         options = [(one.soft_mask, one.surety) for one in found[:MAX_READINGS]]
+        if named is not None and all(
+            _overlap(named, mask) < SAME_READING for mask, _ in options
+        ):
+            options.append((named, options[0][1]))
         return self._read_among(view, options)
 
     def _named_at(
@@ -583,7 +593,6 @@ class _Work:
         """
         words = self.selection.words
         more = marks.box is not None or marks.prior is not None or marks.larger != 0
-        more = more or self.selection.reading > 1
         if not words or not marks.positive or more:
             return None
         for one in self.segmenter.segment_text(self.images[view], words) or ():

@@ -221,6 +221,38 @@ def test_things_of_one_name_are_found_without_parts_of_them(monkeypatch):
     assert named.Namer(classical.segment_marks).find(IMAGE, "mosaic") is None
 
 
+class Classifier:
+    """Two places are lit up; alone, what is bright looks alike."""
+
+    def activation(self, image, text):
+        heat = np.zeros(image.shape[-2:], np.float32)
+        heat[20, 20], heat[24, 74] = 1.0, 0.8
+        return text, 0.1, heat
+
+    def likeness(self, pictures, text):
+        return torch.tensor([10 * float(picture[0].mean()) for picture in pictures])
+
+
+@pytest.mark.parametrize("bright, column", [(True, 74), (False, 20)])
+def test_of_places_that_a_word_lights_up_that_counts_which_looks_like_it(
+    bright, column, monkeypatch
+):
+    monkeypatch.setattr(named, "usable", lambda detector: detector == "imagenet")
+    monkeypatch.setattr(named, "build", lambda kind, name: Classifier())
+    image = torch.zeros(3, 48, 96)
+    image[:, :, 48:] = float(bright)
+
+    def ask(image, clicks):
+        ((x, y), _), *_ = clicks
+        logits = -np.ones((1, 48, 96), np.float32)
+        row, column = int(y * 48), int(x * 96)
+        logits[0, row - 4 : row + 4, column - 4 : column + 4] = 1
+        return logits, np.ones(1, np.float32)
+
+    found = named.Namer(None, ask).find(image, "fox")
+    assert found[0].soft_mask[24 if bright else 20, column] > 0.5
+
+
 def test_an_unknown_word_names_the_weights_that_are_missing(tmp_path, monkeypatch):
     from edit3r.running.selecting.select import Selection, select_masks
 

@@ -52,3 +52,37 @@ def test_the_surest_photo_is_taken_and_the_others_have_a_say(
     best, kept = surest({v: tuple(some) for v, some in found.items()}, 0, shared)
     assert best == view
     assert surety is None if not kept else kept[0].surety == pytest.approx(surety)
+
+
+def test_what_the_others_show_wins_over_what_none_of_them_sees():
+    """A thing that one photo takes with its plinth is confirmed in part, and by another photo; a
+    dark corner is seen by none.
+    """
+    corner, body = torch.zeros(16, 16), torch.zeros(16, 16)
+    corner[:3, :6] = 1
+    body[8:12, 4:10] = 1
+    more = body.clone()
+    more[8:16, 4:12] = 1
+    there, with_plinth, dark = map(as_proposal, (body, more, corner))
+
+    def without_corner(view, other):
+        grid, same = still(view, other)
+        return grid, same & (corner == 0)
+
+    found = {
+        0: (replace(there, surety=0.4), replace(dark, surety=0.3)),
+        1: (replace(there, surety=0.3),),
+        2: (replace(with_plinth, surety=0.3),),
+    }
+    best, kept = surest(found, 0, without_corner)
+    assert best == 0
+    assert [one.surety for one in kept] == [pytest.approx(0.366, abs=0.01), 0.3]
+
+
+def test_of_near_ones_that_inside_of_the_photo_comes_first():
+    edge, inside = torch.zeros(16, 16), torch.zeros(16, 16)
+    edge[:8, :4] = 1
+    inside[6:10, 6:10] = 1
+    found = {0: tuple(replace(as_proposal(m), surety=0.5) for m in (edge, inside))}
+    _, kept = surest(found, 0, unknown)
+    assert torch.equal(kept[0].soft_mask, inside)

@@ -314,6 +314,22 @@ def test_words_say_how_far_goes_what_is_clicked_on(place, surety, expected):
     assert (inside(selected, 0) == expected.bool()).all()
 
 
+def test_what_the_words_name_is_one_more_reading_of_a_click():
+    class Smaller(Whole):
+        """The word's own thing is a part of what the click takes."""
+
+        def segment_text(self, image, text):
+            return (replace(self._proposal(square(9, 11)), surety=self.surety),)
+
+    marks = Selection(positive=((0, 0.4, 0.4),), words="bike")
+    selected = select_masks(IMAGES, marks, Smaller())
+    assert (inside(selected, 0) == square(9, 12).bool()).all()
+    named = selected.readings[-1]
+    assert named.score == selected.readings[0].score
+    asked = select_masks(IMAGES, replace(marks, reading=named.number), Smaller())
+    assert (inside(asked, 0) == square(9, 11).bool()).all()
+
+
 def test_further_clicks_correct_what_the_words_say():
     marks = Selection(
         positive=((0, 0.4, 0.4),), negative=((0, 0.5, 0.7),), words="bike"
