@@ -4,6 +4,7 @@ from functools import cache
 
 import pytest
 import torch
+from edit3r_refiners import partition as module
 from edit3r_refiners.merging import place
 from edit3r_refiners.partition import (
     Cells,
@@ -169,3 +170,30 @@ def test_gaussians_far_outside_the_pictures_stay_themselves():
     )
     group = partition(cells, 1.0)
     assert (group[:3] == -1).all() and (group[3:] >= 0).all()
+
+
+def test_cells_hold_no_more_memory_than_they_say(cells):
+    for table in (*cells.count.values(), *cells.error.values()):
+        assert table.untyped_storage().nbytes() == table.numel() * 4
+
+
+def test_views_measured_a_few_at_a_time_have_the_same_cells(monkeypatch):
+    cameras = cameras_side_by_side(3, (8, 8))
+    draw = torch.Generator().manual_seed(0)
+    colours = torch.rand(3, 3, 8, 8, generator=draw)
+    gaussians = gaussian_per_pixel(colours, torch.full((3, 8, 8), 2.0), cameras)
+    given = (
+        place(gaussians, cameras),
+        colours.permute(0, 2, 3, 1).reshape(-1, 3),
+        gaussians.opacities[0],
+        cameras,
+        10.0,
+        SimplifySettings(largest_cell=LEVELS),
+    )
+    together = measure_cells(*given)
+    monkeypatch.setattr(module, "VIEWS_AT_ONCE", 2)
+    apart = measure_cells(*given)
+    for kind in ("count", "error"):
+        tables = getattr(together, kind), getattr(apart, kind)
+        assert tables[0].keys() == tables[1].keys()
+        assert all(torch.equal(tables[0][key], tables[1][key]) for key in tables[0])
