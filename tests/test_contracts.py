@@ -47,9 +47,12 @@ SETTINGS: dict[tuple[str, str], dict] = {
 
 ATTRIBUTES: dict[tuple[str, str], dict] = {
     ("editor", "recolor"): {"prompt": "make everything red"},
-    ("editor", "retouch"): {"masked": True},
+    ("editor", "retouch"): {"masked": True, "image_size": (24, 32)},
     ("editor", "looks"): {"prompt": "make it look like autumn"},
     ("backbone", "matched-unet"): {"patches": (8, 12)},
+    ("matcher", "classical"): {"image_size": (72, 96)},
+    ("refiner", "refine"): {"image_size": (12, 16)},
+    ("refiner", "simplify"): {"image_size": (12, 16)},
 }
 """What its contract needs to know."""
 
