@@ -442,6 +442,7 @@ def test_keys_fly_faster_with_shift_and_no_farther_than_the_photos_show(page):
         assert page.evaluate("pose.t") == [0, 0, 0]
     page.keyboard.down("e")
     page.wait_for_function("away(pose.t) > 0.9 * FARTHEST")
+    page.wait_for_timeout(500)  # in which it would fly half as far again
     page.keyboard.up("e")
     assert page.evaluate("away(pose.t)") <= page.evaluate("FARTHEST") + 1e-6
 
