@@ -47,11 +47,14 @@ SETTINGS: dict[tuple[str, str], dict] = {
 
 ATTRIBUTES: dict[tuple[str, str], dict] = {
     ("editor", "recolor"): {"prompt": "make everything red"},
-    ("editor", "retouch"): {"masked": True},
+    ("editor", "retouch"): {"masked": True, "image_size": (24, 32)},
     ("editor", "looks"): {"prompt": "make it look like autumn"},
     ("backbone", "matched-unet"): {"patches": (8, 12)},
+    ("matcher", "classical"): {"image_size": (96, 128)},
+    ("refiner", "refine"): {"image_size": (12, 16)},
+    ("refiner", "simplify"): {"image_size": (12, 16)},
 }
-"""What its contract needs to know."""
+"""What its contract needs to know, and photos that are large enough to break what can break."""
 
 DECLARATION_ONLY: dict[tuple[str, str], str] = {
     ("segmenter", "sam-onnx"): "needs weights of 45 MB",
@@ -151,7 +154,6 @@ def own_tests(offer: Offer) -> Path:
 
 
 SLOW = {
-    ("editor", "retouch"),
     ("matcher", "classical"),
     ("reconstructor", "classical"),
     ("reconstructor", "edit3r"),

@@ -84,7 +84,7 @@ def test_edit3r_run_uses_the_installed_editor_and_a_program_as_reconstructor(
     command = f"'{sys.executable}' '{tool}' {{photos}} {{result}}"
     words = ["run", "--editor", "sepia", "--recon", "program", "--size", "64"]
     words += ["--set", f"reconstructor.command={command}", "--frames", "2"]
-    words += ["--refine", "0", "--out", str(tmp_path / "out")]
+    words += ["--rasterizer", "torch", "--refine", "0", "--out", str(tmp_path / "out")]
     run("-m", "edit3r.cli.main", *words, site=site)
     assert (tmp_path / "out" / "scene.ply").is_file()
     edited = sorted((tmp_path / "out" / "edited").iterdir())

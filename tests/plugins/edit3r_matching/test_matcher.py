@@ -36,6 +36,12 @@ def matcher():
 
 
 @pytest.fixture(scope="module")
+def quick():
+    """Looks at less, for those whose claim is no exactness."""
+    return edit3r.build("matcher", "classical", working_size=96, planes=24)
+
+
+@pytest.fixture(scope="module")
 def plain():
     """Gives up at once where photos cannot be placed."""
     return edit3r.build("matcher", "classical", tilted=False)
@@ -156,7 +162,7 @@ def test_three_views_are_placed_in_one_scale(matcher, make_room):
     )
 
 
-def test_a_photo_of_another_scene_is_reported_not_registered(matcher, pair, make_room):
+def test_a_photo_of_another_scene_is_reported_not_registered(quick, pair, make_room):
     stranger = make_room([(0,)], seed=70).views
     views = Views(
         torch.cat((pair.views.images, stranger.images), 1),
@@ -164,13 +170,13 @@ def test_a_photo_of_another_scene_is_reported_not_registered(matcher, pair, make
         ("left", "right", "stranger"),
     )
     with collecting(Report()) as report:
-        geometry = matcher.match(views)
+        geometry = quick.match(views)
     assert geometry.registered.tolist() == [[True, True, False]]
     assert (geometry.confidence[0, 2] == 0).all()
     assert any("stranger" in warning for warning in report.warnings)
 
 
-def test_photos_of_two_scenes_raise_with_the_reason_and_advice(matcher, make_room):
+def test_photos_of_two_scenes_raise_with_the_reason_and_advice(quick, make_room):
     views = [make_room([(0,)], seed=seed).views for seed in (0, 70)]
     strangers = Views(
         torch.cat([v.images for v in views], 1),
@@ -181,16 +187,17 @@ def test_photos_of_two_scenes_raise_with_the_reason_and_advice(matcher, make_roo
         MatchingError,
         match=r"a\.jpg and b\.jpg.*too few to be sure.*[Gg]ive photos of one",
     ):
-        matcher.match(strangers)
+        quick.match(strangers)
 
 
-def test_photos_from_wide_apart_are_matched_again_as_seen_from_aside(plain, make_room):
+def test_photos_from_wide_apart_are_matched_again_as_seen_from_aside(
+    plain, quick, make_room
+):
     wide_pair = make_room([(-1.956, 0, 52.5), (1.956, 0, -52.5)])
     with pytest.raises(MatchingError):
         plain.match(wide_pair.views)
-    matcher = edit3r.build("matcher", "classical", working_size=96, planes=24)
     with collecting(Report()) as report:
-        geometry = matcher.match(wide_pair.views)
+        geometry = quick.match(wide_pair.views)
     assert pose_errors(geometry, wide_pair, 1)[0] < 1
     assert "of tilted images too" in report.notes["matcher.matches"]
 
@@ -202,20 +209,21 @@ def test_photos_that_are_placed_are_not_matched_again(matcher, pair, monkeypatch
     assert "tilted" not in report.notes["matcher.matches"]
 
 
-def test_the_lens_is_read_with_more_care_from_photos_wide_apart(make_room, monkeypatch):
+def test_the_lens_is_read_with_more_care_from_photos_wide_apart(
+    quick, make_room, monkeypatch
+):
     preferences = []
     monkeypatch.setattr(
         matchers, "calibrate", lambda *_: preferences.append(_[-1]) or None
     )
     views = make_room([(-1.956, 0, 52.5), (1.956, 0, -52.5)]).views
-    matcher = edit3r.build("matcher", "classical", working_size=96, planes=24)
     with pytest.warns(UserWarning, match="Give --fov if you know it"):
-        matcher.match(replace(views, assumed=(True, True)))
+        quick.match(replace(views, assumed=(True, True)))
     assert preferences == [matchers.PREFERENCE, matchers.WIDE_PREFERENCE]
 
 
 def test_a_second_try_that_places_fewer_photos_is_not_taken(
-    matcher, pair, make_room, monkeypatch
+    quick, pair, make_room, monkeypatch
 ):
     stranger = make_room([(0,)], seed=70).views
     views = Views(
@@ -228,7 +236,7 @@ def test_a_second_try_that_places_fewer_photos_is_not_taken(
         return replace(found, indices=nothing, tilted=True)
 
     monkeypatch.setattr(matchers, "with_tilted", without_matches)
-    assert matcher.match(views).registered.tolist() == [[True, True, False]]
+    assert quick.match(views).registered.tolist() == [[True, True, False]]
 
 
 def test_photos_from_one_place_raise_because_depth_cannot_be_read(plain, make_room):
