@@ -50,6 +50,7 @@ FITTING = 0.7  # overlap of an answer with its surface from which depth tells of
 SAME_BOX = 0.7  # overlap of boxes from which a network says the same of both
 AGREED = 0.8  # overlap of answers with the best reading: depth is not asked
 HELD = 0.8  # share of a stroke's points that a reading must hold
+MOSTLY = 0.75  # share of a known thing's answers that must hold a stroke
 BESIDE_A_THING = 0.5  # what a candidate counts for that no known thing agrees with
 SAME = 0.85  # overlap of two candidates above which a step from one to the other shows nothing
 # Where a mask from another view is completed
@@ -287,7 +288,7 @@ def _stroked(evidence: Evidence, places: Sequence[Place]) -> list[Candidate]:
     found = _holding(evidence, logits, places, votes, salient)
     if evidence.prompt is not None and found:
         logits += list(evidence.prompt(clicks, _bounds(found[0].mask)))
-        things = _things(evidence, middle)
+        things = _drawn_over(_things(evidence, middle), places)
         logits += [one for said, _ in things for one in said]
         found = _holding(evidence, logits, places, votes, salient)
         found = _by_things(_by_depth(evidence, found, places[::2]), things)
@@ -309,13 +310,30 @@ def _holding(
         mask = one > 0
         cues = evidence.measure(mask)
         usual = MIN_AREA <= mask.sum() <= MAX_AREA * mask.size
-        held = np.mean([mask[place] for place in places])
-        if cues is None or not usual or held < HELD:
+        if cues is None or not usual or not _holds(mask, places):
             continue
         score = (ALONE + cues.as_part) ** part_power
         score *= _agreement(mask, [one for one in agreements if one[1]])
         found.append(Candidate(one, float(score)))
     return sorted(found, key=lambda one: -one.score)
+
+
+def _holds(mask: np.ndarray, places: Sequence[Place]) -> bool:
+    """Whether a bool mask holds nearly all places."""
+    return bool(np.mean([mask[place] for place in places]) >= HELD)
+
+
+def _drawn_over(
+    things: Sequence[tuple[Sequence[np.ndarray], float]], places: Sequence[Place]
+) -> list[tuple[Sequence[np.ndarray], float]]:
+    """The known things that a stroke lies on by most of a network's answers: the box of a person
+    holds cups before them too, and a stroke over a cup does not mean the person.
+    """
+    return [
+        (said, surety)
+        for said, surety in things
+        if np.mean([_holds(answer > 0, places) for answer in said]) >= MOSTLY
+    ]
 
 
 def _is_clear(best: np.ndarray, asked: Sequence[np.ndarray]) -> bool:

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 import torch
-from edit3r_segmenters.candidates import Candidate, _by_things, by_size, completed
+from edit3r_segmenters.candidates import (
+    Candidate,
+    Evidence,
+    _by_things,
+    by_size,
+    choose,
+    completed,
+)
 
 import edit3r
 from edit3r.contract.interfaces import Marks
@@ -234,6 +241,36 @@ def test_a_wheel_is_the_motorcycle_s_where_that_is_surely_one(surety, first):
     found = [Candidate(logits["wheel"], 1.0), Candidate(logits["motorcycle"], 0.7)]
     things = [] if surety is None else [([logits["motorcycle"]], surety)]
     assert _by_things(found, things)[0].logits is logits[first]
+
+
+@pytest.mark.parametrize(
+    ("answers", "means"),
+    [((20, 18, 17, 16), "person"), ((20, 18, 1, 1), "cup")],
+    ids=["drawn over", "behind the cup"],
+)
+def test_a_stroke_over_a_cup_in_a_person_s_box_is_the_cup(segmenter, answers, means):
+    """Answers to the box that mostly leave the stroke out are of a thing beside what is meant."""
+    radii = {"cup": 8, "person": 20}
+
+    def prompt(clicks, box):
+        is_person = box == ((0, 0), (SIDE, SIDE))
+        return np.stack(
+            [disc_of(one) for one in (answers if is_person else (8, 8, 20))]
+        )
+
+    pixels = np.full((SIDE, SIDE, 3), 90, np.uint8)
+    found = segmenter._analysis(pixels / np.float32(255))
+    evidence = Evidence(
+        found.pixels,
+        found.superpixels,
+        found.members,
+        found.measure,
+        prompt=prompt,
+        things=((((0, 0), (SIDE, SIDE)), 0.9),),
+    )
+    line = [(SIDE // 2, column) for column in range(27, 38, 2)]
+    mask = choose(evidence, [], stroke=line)[0].mask
+    assert mask.sum() == pytest.approx(np.pi * radii[means] ** 2, rel=0.1)
 
 
 def disc_of(radius):
