@@ -70,6 +70,12 @@ class MatcherContract(Contract):
             f"the rotation is off by {math.degrees(angle):.1f} of "
             f"{math.degrees(self.max_angle):.1f} degrees.",
         )
+        moved, truly = found[:3, 3], true[:3, 3]
+        self.require(
+            torch.cosine_similarity(moved, truly, dim=0) > 0.9,
+            "the second camera stands on the wrong side; the last column of c2w is its place in "
+            "the axes of view 0 (x right, y down, z forward).",
+        )
         depths = scene.depths[0, 0]
         error = _depth_error(geometry.depths[0, 0], depths)
         flat = _depth_error(torch.ones_like(depths), depths)
@@ -77,6 +83,11 @@ class MatcherContract(Contract):
         self.require(
             error < 0.5 * flat,
             f"depths are off by {error:.0%}, a flat wall would be by {flat:.0%}; {fix}.",
+        )
+        unit = (geometry.depths[0, 0] / depths).median() * truly.norm() / moved.norm()
+        self.require(
+            0.5 < unit < 2,
+            f"depths are in a unit of their own, {unit:.2g} times that of the poses; {fix}.",
         )
 
     def test_photos_without_texture_raise_a_matching_error(self) -> None:

@@ -43,6 +43,12 @@ def turned(geometry):
     return replace(geometry, c2w=c2w)
 
 
+def mirrored(geometry):
+    c2w = geometry.c2w.clone()
+    c2w[:, 1, :3, 3] *= -1
+    return replace(geometry, c2w=c2w)
+
+
 VALID, PLACED = "test_geometry_is_valid", "test_an_easy_scene_is_placed_right"
 GREY = "test_photos_without_texture_raise_a_matching_error"
 CASES = {
@@ -72,6 +78,12 @@ CASES = {
         {"spoil": lambda g: replace(g, depths=g.depths * 0 + 1)},
         PLACED,
         "depths are off by",
+    ),
+    "the wrong side": ({"spoil": mirrored}, PLACED, "stands on the wrong side"),
+    "depths in another unit": (
+        {"spoil": lambda g: replace(g, depths=3 * g.depths)},
+        PLACED,
+        "3 times that of the poses",
     ),
     "an invented pose": ({"refuse": None}, GREY, "instead of inventing a pose"),
     "a traceback": (
