@@ -91,10 +91,10 @@ def test_a_cluster_without_room_an_error_and_a_job_that_kills_twice_are_told(
 ):
     jobs = jobs_of(tmp_path, 1)
     asked = Workers(2, "ray", may_die=True)
-    too_large = Workers(2, "ray", gpus=1, memory=10**6)
+    too_large = Workers(2, "ray", gpus=8, memory=10**6)  # of the node's one
     with (
         monkeypatch.context() as patch,
-        pytest.raises(RunError, match=r"'num_gpus': 1.*--gpus-per-worker"),
+        pytest.raises(RunError, match=r"'num_gpus': 8.*--gpus-per-worker"),
     ):
         patch.setattr(crews, "MOST_WAIT", 3)
         run_resumable(jobs, logs_itself, tmp_path / "r", workers=too_large)
