@@ -21,7 +21,8 @@ def _import_numba() -> ModuleType:
 
     The folder may be a stranger's, and the file may name a folder of pickles for numba to load.
     """
-    sys.modules["yaml"] = None  # type: ignore[assignment]  # without it, numba only warns of such a file
+    # without it, numba only warns of such a file
+    sys.modules["yaml"] = None  # type: ignore[assignment]
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -173,8 +173,13 @@ def test_gaussians_far_outside_the_pictures_stay_themselves():
 
 
 def test_cells_hold_no_more_memory_than_they_say(cells):
-    for table in (*cells.count.values(), *cells.error.values()):
-        assert table.untyped_storage().nbytes() == table.numel() * 4
+    """A count that is a view of its pixels' sums would keep all of their channels."""
+    sums = torch.rand(module.CHANNELS, 1, 8, 8)
+    settings = SimplifySettings(largest_cell=LEVELS)
+    block = module._measure_block(sums, 10.0, 1.0, settings)
+    for tables in (cells.count, cells.error, *block):
+        for table in tables.values():
+            assert table.untyped_storage().nbytes() == table.numel() * 4
 
 
 def test_views_measured_a_few_at_a_time_have_the_same_cells(monkeypatch):
