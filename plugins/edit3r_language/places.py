@@ -47,7 +47,8 @@ def read_region(tokens: list[str]) -> Thing | None:
 def unclear_place(tokens: list[str]) -> tuple[str, ...]:
     """The words for what no box of the picture is and no name finds.
 
-    A share of something ("half of the wall", "the rest of the bear"), what has no name but stands
+    A share of something ("half of the wall", "the bear half", "the rest of it"), a number alone
+    ("warmth 20"), what has no name but stands
     somewhere ("everything on the table", which is not the table), and what belongs to a thing that
     is known by another ("the man with the hat's jacket").
     """
@@ -70,8 +71,11 @@ def unclear_place(tokens: list[str]) -> tuple[str, ...]:
     named = _plain(head)
     shares = tuple(word for word in named if word in words.SHARES)
     only_places = bool(named) and set(named) <= _SIDES | set(_PARTS) | _COUNTS
-    if shares and only_places:
+    halved = bool(named) and named[-1] == "half"
+    if shares and (only_places or halved):
         return shares
+    if named and all(word.isdigit() for word in named):
+        return tuple(named)
     whole_picture = of_picture or "of" not in inside
     return ("corner",) if only_places and "corner" in named and whole_picture else ()
 

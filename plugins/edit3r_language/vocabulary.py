@@ -264,6 +264,9 @@ _TOO = {
 
 _CHANGES = "paint|make|turn|colour|color|darken|brighten|lighten|remove|change"
 _SHARES_OF_WHAT_IS = (
+    ("", "half a stop", 15),
+    ("", "two (?:full )?stops", 60),
+    ("(?:a |one )", "(?:full )?stop", 30),
     ("", "two thirds", 67),
     ("", "three quarters", 75),
     ("", "half", 50),
@@ -272,7 +275,8 @@ _SHARES_OF_WHAT_IS = (
     ("(?:a |one )", "fifth", 20),
     ("(?:a |one )", "tenth", 10),
 )
-"""How much darker "a third darker" and "darken by a third" are [percent], and the article."""
+"""How much darker "a third darker" and "darken by a third" are [percent], and the article. A stop
+doubles the light, which makes a picture's values 2^(1/2.2) = 37% more, or 27% less."""
 
 _NO_SIDE = "".join(
     rf"(?<!\b{side} )" for side in ("left", "right", "top", "bottom", "upper", "lower")
@@ -282,6 +286,7 @@ _NO_SIDE = "".join(
 _WAYS = "bright|dark|warm|cold|saturated|colou?rful|vivid|contrasty"
 
 PHRASES = (
+    (r"(?<!\S)\d{1,2}[.)] +(?=[a-z])", ", "),  # a list of wishes
     *(
         (rf"\b(?:much |far |way )?too (?:{words})\b(?! and)", f" {wanted} ")
         for words, wanted in _TOO.items()
@@ -321,6 +326,7 @@ PHRASES = (
         r" \1 of ",
     ),
     (r"\bnext to\b", " beside "),
+    (r"\b(left|right|top|bottom)[ -]most\b", r" \1most "),
     (r"(?<=\w) (?:and |but )?not (?=(?:the|its|their|my)\b)", ", not "),
     (r"^\W*(no|without) (?:more|any) ", r" \1 "),
     (
@@ -425,6 +431,11 @@ PHRASES = (
     (r"\b(?:i|we)(?: would|'d)? (?:want|like|love|need) an? ", " turned "),
     (r"\bswitch\b", " change "),
     (r"\bnothing (?:but|except)\b", " "),
+    (
+        r"(?<=\w )(?:anything|whatever|what) (?:is|are|looks)\b",
+        " everything thatis ",
+    ),
+    (r"\banything (?=(?:that|which) (?:is|are)\b)", " everything "),
     (r"\b(?:that|which) (?:is|are)\b", " thatis "),
     (r"\binstead of\b|\brather than\b", " insteadof "),
     (r"\ba (?:bit|little|touch)\b", " slightly "),
