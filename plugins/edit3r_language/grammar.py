@@ -27,6 +27,9 @@ from edit3r_language.together import wishes_of
 MAX_WORDS = 80
 """A longer sentence is no plain wish; what it says is left to editors with a model of their own."""
 
+SHORT = 3
+"""Letters of a word that is spelt nearly like any other: "pop", "add"."""
+
 _SEPARATORS = re.compile(
     r"([,.;!?:]+|\band\b|\bthen\b|&|\bwhile\b|\bwhereas\b|\bbut\b)"
 )
@@ -176,5 +179,7 @@ def _near(word: str) -> str:
     """The words that are spelt nearly like one that nobody knows, colours first."""
     verbs = words.REMOVE | words.PAINT | words.IMPERATIVES | words.LOOKS
     known = [*verbs, *words.ADJUSTMENTS, *words.TINTS]
+    if len(word) <= SHORT:
+        return ""
     near = [*near_colours(word), *difflib.get_close_matches(word, known, 2, 0.75)]
     return f" Near {word!r}: {', '.join(near[:4])}." if near else ""

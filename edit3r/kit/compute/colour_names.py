@@ -157,9 +157,13 @@ def read_colour_of(words: list[str]) -> tuple[Colour, int] | None:
     return Colour(words[0], rgb), 1
 
 
+_RUDE = frozenset("barf booger piss poo poop puke shit snot vomit".split())
+"""Words in names of the survey that are read, and never proposed."""
+
+
 def near_colours(word: str, count: int = 3) -> list[str]:
-    """Names of colours that are spelt nearly like a word, or contain it."""
-    names = colour_names()
+    """Names of colours that are spelt nearly like a word, or contain it; none that is rude."""
+    names = [name for name in colour_names() if not _RUDE & set(name.split())]
     basic = difflib.get_close_matches(word, BASIC_COLOURS, n=1, cutoff=0.7)
     near = difflib.get_close_matches(word, names, n=count, cutoff=0.75)
     within = [name for name in names if word in name.split()]

@@ -213,6 +213,12 @@ def test_a_misspelt_colour_is_suggested():
     assert "Near 'purpel': purple" in GrammarReader().hint(wish)
 
 
+def test_a_short_word_is_named_without_words_of_nearly_its_spelling():
+    (wish,) = read("make the sky pop")
+    assert wish.unread == ("pop",)
+    assert "Near" not in GrammarReader().hint(wish)
+
+
 def test_every_content_word_is_used_or_named():
     """A word that is left out of a sentence leaves the reading, or was a filler."""
     for sentence in READINGS:

@@ -79,3 +79,8 @@ def test_words_that_are_spelt_nearly_like_a_colour_are_offered_the_plain_one_fir
     assert near_colours("purpel")[0] == "purple"
     assert near_colours("turqoise")[0] == "turquoise"
     assert near_colours("qqq") == []
+
+
+def test_rude_names_of_the_survey_are_read_and_never_proposed():
+    assert read_colour(["poop"]) is not None
+    assert near_colours("poop") == []
