@@ -157,7 +157,9 @@ def read_colour_of(words: list[str]) -> tuple[Colour, int] | None:
     return Colour(words[0], rgb), 1
 
 
-_RUDE = frozenset("barf booger piss poo poop puke shit snot vomit".split())
+_RUDE = frozenset(
+    ["barf", "booger", "piss", "poo", "poop", "puke", "shit", "snot", "vomit"]
+)
 """Words in names of the survey that are read, and never proposed."""
 
 
