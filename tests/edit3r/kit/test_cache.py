@@ -3,6 +3,7 @@ anything differs.
 """
 
 import json
+import warnings
 
 import pytest
 import torch
@@ -126,6 +127,11 @@ def test_an_answer_comes_back_equal_from_files(answer, tmp_path):
     again = found.recall("stage", "key", lambda: pytest.fail("computed again"))
     assert fingerprint(again) == fingerprint(answer) and type(again) is type(answer)
     assert found.reused == ["stage"] and found.computed == []
+
+
+def test_an_answer_that_was_never_kept_is_computed_without_a_warning(tmp_path):
+    with warnings.catch_warnings(action="error"):
+        assert Cache(tmp_path).recall("stage", "key", lambda: "anew") == "anew"
 
 
 def test_only_what_was_asked_for_is_written_again(tmp_path):

@@ -12,6 +12,7 @@ from edit3r.kit.geometry.warping import (
     partner_views,
     seen_by,
     seen_by_others,
+    shared_surface,
     warp,
 )
 from edit3r_testing import photograph
@@ -91,6 +92,17 @@ def test_views_see_their_own_points_and_most_of_the_others(truth):
     points = unproject(truth.depths, INTRINSICS, truth.c2w).flatten(2, 3)
     assert seen_by(points[:, 1], truth, INTRINSICS, 1).all()
     assert 0.5 < seen_by_others(truth, INTRINSICS).float().mean() < 1
+
+
+@pytest.mark.parametrize(("factor", "shared"), [(0.5, 0), (1, 1), (2, 0)])
+def test_two_views_share_a_surface_only_at_its_depth_before_and_behind_it(
+    factor, shared
+):
+    depths = torch.full((2, 8, 8), 2.0)
+    depths[1] *= factor
+    k, c2w = torch.eye(3).repeat(2, 1, 1), torch.eye(4).repeat(2, 1, 1)
+    k[:, :2, 2] = 0.5
+    assert shared_surface(depths, k, c2w, 0.04)[1].float().mean() == shared
 
 
 def test_a_view_that_is_not_registered_sees_nothing(truth):

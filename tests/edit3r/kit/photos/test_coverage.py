@@ -8,7 +8,14 @@ import pytest
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, collecting
-from edit3r.kit.photos.coverage import choose_photos, covering, take_frames
+from edit3r.kit.photos.coverage import (
+    MIN_SHARED,
+    choose_photos,
+    covering,
+    features_of,
+    shared,
+    take_frames,
+)
 from edit3r.kit.photos.images import load_photos
 
 SIDE = 240
@@ -51,6 +58,13 @@ def test_photos_are_chosen_that_cover_what_all_show():
     common = np.maximum(0, 1 - abs(place[:, None] - place) / 1.5)
     chosen = covering(common, 4)
     assert len(chosen) == 4 and {5, 6, 7} < set(chosen)
+
+
+def test_photos_of_other_things_share_nothing_though_each_feature_has_a_nearest():
+    noise = np.random.default_rng(1).integers(0, 255, (SIDE, SIDE, 3), dtype=np.uint8)
+    here, elsewhere = features_of(wall()[:, :SIDE]), features_of(noise)
+    assert shared([here, here])[0, 1] > 0.9
+    assert shared([here, elsewhere])[0, 1] < MIN_SHARED
 
 
 def test_a_photo_that_shares_nothing_is_not_chosen_before_those_that_do():

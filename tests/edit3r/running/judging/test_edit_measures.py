@@ -89,6 +89,17 @@ def test_another_colour_than_was_asked_for_is_not_reached(scene):
     assert figures(scene, replace(PAINT_RED, changes=(blue,))).reached == 0
 
 
+@pytest.mark.parametrize(
+    ("colour", "reached"), [((0.8, 0.3, 0.1), 1), ((0.8, 0.6, 0.1), 0)]
+)
+def test_a_shade_of_the_asked_hue_is_the_colour_and_another_hue_is_not(
+    scene, colour, reached
+):
+    orange = torch.tensor(colour)[:, None, None]
+    painted = torch.where(scene.masks[0, :, None] > 0, orange, scene.start.images[0])
+    assert figures(replace(scene, edited=views(painted))).reached == reached
+
+
 def test_reflections_that_hardly_changed_and_stay_grey_do_not_count_as_another_colour(
     scene,
 ):
@@ -171,6 +182,9 @@ def test_the_share_of_the_change_that_the_scene_shows(in_3d):
     half = (in_3d.start.images + in_3d.edited.images) / 2
     faint = replace(in_3d, rendered=replace(in_3d.rendered, images=half))
     assert measure_edit_in_3d(first, faint, range(2)).shown == pytest.approx(0.5)
+    beside = torch.where(in_3d.masks[:, :, None] > 0, in_3d.edited.images, 0.9)
+    elsewhere = replace(in_3d, rendered=replace(in_3d.rendered, images=beside))
+    assert measure_edit_in_3d(first, elsewhere, range(2)).shown == pytest.approx(1)
     unchanged = replace(in_3d, edited=in_3d.start)
     assert measure_edit_in_3d(first, unchanged, range(2)).shown is None
 
