@@ -326,12 +326,12 @@ def expand(path: str | Path) -> list[Path]:
     return found
 
 
-def images_of_folder(folder: Path) -> list[Path]:
+def images_of_folder(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
     """The images that lie in the folder itself, in natural order."""
     found = []
     for path in folder.iterdir() if folder.is_dir() else ():
         hidden = path.name.startswith(".")  # such as macOS's ._IMG_0001.jpg
-        if path.suffix.lower() in SUFFIXES and not hidden and path.is_file():
+        if path.suffix.lower() in suffixes and not hidden and path.is_file():
             found.append(path)
     return sorted(found, key=natural)
 

@@ -7,7 +7,12 @@ from pathlib import Path
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import say
 from edit3r.kit.files.names import natural
+from edit3r.kit.photos.decode import READABLE, SUFFIXES
 from edit3r.kit.photos.images import expand, images_of_folder
+
+MASK_SUFFIXES = (*SUFFIXES, ".gif")
+"""Files taken from a folder of masks; among photos a GIF is an animation, or a picture of a page.
+"""
 
 _Names = Sequence[str]
 """What one photo is called: its file's name, and its view's."""
@@ -18,13 +23,18 @@ def masks_by_photo(given: Sequence[str], photos: Sequence[_Names]) -> dict[int, 
 
     `given` are files, folders of masks, and wildcards that no shell expanded. A mask whose name is
     a photo's with something before or behind, such as left_mask.png or left.jpg.png, is that
-    photo's; else one with the photo's number, such as mask_2.png of IMG_2.jpg. Others follow in the
-    order given, where there is one for each photo; a single one is the first photo's. Raises
-    InputError where that leaves a mask without a photo.
+    photo's, and one in a folder of that name, such as left/0.png; else one with the photo's number,
+    such as mask_2.png of IMG_2.jpg. Others follow in the order given, where there is one for each
+    photo; a single one is the first photo's. Raises InputError where that leaves a mask without a
+    photo.
     """
     files, folders = _files(given, photos)
-    named = {file: _photo_named(file, photos) for file in files}
+    named = {file: _photo_named(file.stem, photos) for file in files}
     way = "by name"
+    if not any(view is not None for view in named.values()):
+        named = {file: _photo_named(file.parent.name, photos) for file in files}
+        if len({file.parent for file in files}) < len(files):
+            named = dict.fromkeys(files)
     if not any(view is not None for view in named.values()):
         named, way = _photos_numbered(files, photos), "by number"
     views = [view for view in named.values() if view is not None]
@@ -62,19 +72,41 @@ def _files(given: Iterable[str], photos: Sequence[_Names]) -> tuple[list[Path], 
             files.append(path)
             continue
         folders = True
-        inside = images_of_folder(path)
-        own = [file for file in inside if _photo_named(file, photos) is not None]
+        inside = images_of_folder(path, MASK_SUFFIXES) or _one_a_photo(path, photos)
+        own = [file for file in inside if _photo_named(file.stem, photos) is not None]
         if not own and len(inside) != len(photos):  # as many go in order
             own = [file for file in inside if _number(file.name) in numbers]
         files += own or inside
-        if not inside:
-            raise InputError(f"--mask {path}: no images in this folder.")
     return files, folders
 
 
-def _photo_named(file: Path, photos: Sequence[_Names]) -> int | None:
+def _one_a_photo(path: Path, photos: Sequence[_Names]) -> list[Path]:
+    """The masks in a folder's folders, which are called like the photos, as of programs that find
+    several things in each. Raises InputError where one holds several: which are meant?
+    """
+    deeper = sorted(path.iterdir(), key=natural)
+    inside = [images_of_folder(one, MASK_SUFFIXES) for one in deeper]
+    several = [
+        files
+        for files in inside
+        if files and _photo_named(files[0].parent.name, photos) is not None
+    ]
+    if not several:
+        raise InputError(
+            f"--mask {path}: no images in this folder; expected {READABLE}."
+        )
+    if max(map(len, several)) > 1:
+        firsts = " ".join(str(files[0]) for files in several[:2])
+        raise InputError(
+            f"--mask {path}: {max(map(len, several))} masks of one photo; expected one for each. "
+            f"Name those of the thing that is meant, such as --mask {firsts}"
+        )
+    return [files[0] for files in several]
+
+
+def _photo_named(stem: str, photos: Sequence[_Names]) -> int | None:
     """The photo whose name a mask's holds, the longest such name; None for none, or several."""
-    text = _spelled(file.stem)
+    text = _spelled(stem)
     lengths = [
         max((len(name) for name in _stems(names) if _speaks_of(text, name)), default=0)
         for names in photos

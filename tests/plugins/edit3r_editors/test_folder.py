@@ -1,7 +1,10 @@
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from edit3r_editors.folder import read_edit
+from PIL import Image, ImageOps
 
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.reporting import Report, collecting
@@ -65,6 +68,27 @@ def test_another_shape_is_cropped_around_its_middle_and_that_is_said(tmp_path):
     images, report = edit(tmp_path)
     assert (images[0] == 1).all()
     assert "left.png is 16x6 but view 'left' is 8x6" in report.warnings[0]
+
+
+@pytest.mark.parametrize("kind", ["squashed", "cropped", "with bars"])
+def test_squares_of_image_models_lie_on_their_photos(tmp_path, kind):
+    """A model returns 1024x1024 whatever it was given, in one of two ways."""
+    coarse = np.random.default_rng(0).integers(0, 255, (9, 12, 3), dtype=np.uint8)
+    photo = Image.fromarray(coarse).resize((96, 72), Image.Resampling.BICUBIC)
+    edited = photo.point(lambda level: 0.7 * level)
+    square = {
+        "squashed": edited.resize((128, 128)),
+        "cropped": ImageOps.fit(edited, (128, 128)),
+        "with bars": ImageOps.pad(edited, (128, 128)),
+    }[kind]
+    square.save(tmp_path / "left.png")
+    like = torch.from_numpy(np.array(photo)).permute(2, 0, 1) / 255
+    with collecting(Report()) as report:
+        found = read_edit(tmp_path / "left.png", like, "left")
+    said = "squashed" if kind == "squashed" else "25% is cropped away"
+    assert said in report.warnings[0]
+    off = (found - 0.7 * like).abs().mean().item()
+    assert (off < 0.02) == (kind != "cropped")  # of which nobody knows the rest
 
 
 def test_a_missing_view_is_named(tmp_path):
