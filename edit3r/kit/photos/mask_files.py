@@ -1,4 +1,4 @@
-"""Which mask files belong to which photos: by name, else in the order given."""
+"""Which files belong to which photos: by name, and masks else in the order given."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -14,11 +14,11 @@ MASK_SUFFIXES = (*SUFFIXES, ".gif")
 """Files taken from a folder of masks; among photos a GIF is an animation, or a picture of a page.
 """
 
-_Names = Sequence[str]
+Names = Sequence[str]
 """What one photo is called: its file's name, and its view's."""
 
 
-def masks_by_photo(given: Sequence[str], photos: Sequence[_Names]) -> dict[int, Path]:
+def masks_by_photo(given: Sequence[str], photos: Sequence[Names]) -> dict[int, Path]:
     """The mask of each photo that has one, by the photo's number.
 
     `given` are files, folders of masks, and wildcards that no shell expanded. A mask whose name is
@@ -29,10 +29,10 @@ def masks_by_photo(given: Sequence[str], photos: Sequence[_Names]) -> dict[int, 
     photo.
     """
     files, folders = _files(given, photos)
-    named = {file: _photo_named(file.stem, photos) for file in files}
+    named = {file: photo_named(file.stem, photos) for file in files}
     way = "by name"
     if not any(view is not None for view in named.values()):
-        named = {file: _photo_named(file.parent.name, photos) for file in files}
+        named = {file: photo_named(file.parent.name, photos) for file in files}
         if len({file.parent for file in files}) < len(files):
             named = dict.fromkeys(files)
     if not any(view is not None for view in named.values()):
@@ -61,7 +61,7 @@ def masks_by_photo(given: Sequence[str], photos: Sequence[_Names]) -> dict[int, 
     return {view: found[view] for view in sorted(found)}
 
 
-def _files(given: Iterable[str], photos: Sequence[_Names]) -> tuple[list[Path], bool]:
+def _files(given: Iterable[str], photos: Sequence[Names]) -> tuple[list[Path], bool]:
     """The files that are meant, and whether a folder was. Of a folder that names photos, only these
     count: it may hold other pictures too.
     """
@@ -73,14 +73,14 @@ def _files(given: Iterable[str], photos: Sequence[_Names]) -> tuple[list[Path], 
             continue
         folders = True
         inside = images_of_folder(path, MASK_SUFFIXES) or _one_a_photo(path, photos)
-        own = [file for file in inside if _photo_named(file.stem, photos) is not None]
+        own = [file for file in inside if photo_named(file.stem, photos) is not None]
         if not own and len(inside) != len(photos):  # as many go in order
             own = [file for file in inside if _number(file.name) in numbers]
         files += own or inside
     return files, folders
 
 
-def _one_a_photo(path: Path, photos: Sequence[_Names]) -> list[Path]:
+def _one_a_photo(path: Path, photos: Sequence[Names]) -> list[Path]:
     """The masks in a folder's folders, which are called like the photos, as of programs that find
     several things in each. Raises InputError where one holds several: which are meant?
     """
@@ -89,7 +89,7 @@ def _one_a_photo(path: Path, photos: Sequence[_Names]) -> list[Path]:
     several = [
         files
         for files in inside
-        if files and _photo_named(files[0].parent.name, photos) is not None
+        if files and photo_named(files[0].parent.name, photos) is not None
     ]
     if not several:
         raise InputError(
@@ -104,7 +104,7 @@ def _one_a_photo(path: Path, photos: Sequence[_Names]) -> list[Path]:
     return [files[0] for files in several]
 
 
-def _photo_named(stem: str, photos: Sequence[_Names]) -> int | None:
+def photo_named(stem: str, photos: Sequence[Names]) -> int | None:
     """The photo whose name a mask's holds, the longest such name; None for none, or several."""
     text = _spelled(stem)
     lengths = [
@@ -116,7 +116,7 @@ def _photo_named(stem: str, photos: Sequence[_Names]) -> int | None:
     return views[0] if longest and len(views) == 1 else None
 
 
-def _stems(names: _Names) -> set[str]:
+def _stems(names: Names) -> set[str]:
     return {_spelled(stem) for name in names for stem in (name, Path(name).stem)}
 
 
@@ -133,7 +133,7 @@ def _speaks_of(text: str, name: str) -> bool:
 
 
 def _photos_numbered(
-    files: Sequence[Path], photos: Sequence[_Names]
+    files: Sequence[Path], photos: Sequence[Names]
 ) -> dict[Path, int | None]:
     """The photo of each mask's number; of none where one number is no photo's, or two are alike."""
     numbers = {_number(names[0]): view for view, names in enumerate(photos)}
@@ -148,7 +148,7 @@ def _number(name: str) -> int | None:
     return int(digits[-1]) if digits else None
 
 
-def _as_photos_lie(files: list[Path], photos: Sequence[_Names]) -> list[Path]:
+def _as_photos_lie(files: list[Path], photos: Sequence[Names]) -> list[Path]:
     """The masks in natural order where a shell sorted them, and the photos lie in that order."""
     names = [Path(photo[0]) for photo in photos]
     by_shell = [file.name for file in files] == sorted(file.name for file in files)
@@ -157,9 +157,7 @@ def _as_photos_lie(files: list[Path], photos: Sequence[_Names]) -> list[Path]:
     return files
 
 
-def _confusing(
-    given: Sequence[str], masks: int, photos: Sequence[_Names]
-) -> InputError:
+def _confusing(given: Sequence[str], masks: int, photos: Sequence[Names]) -> InputError:
     return InputError(
         f"--mask {' '.join(map(str, given[:3]))}: {masks} masks for {len(photos)} photos; give one "
         "per photo, or name each after its photo, such as left_mask.png for left.jpg."
