@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
+from PIL import Image
 from pydantic import Field
 from torch import Tensor
 
@@ -17,7 +18,14 @@ from edit3r.contract.interfaces import Editor
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.photos.framing import frame_for
-from edit3r.kit.photos.images import find_photos, read_image
+from edit3r.kit.photos.images import find_photos, read_image, to_bytes
+from edit3r.kit.photos.mask_files import photo_named
+
+LEAST_CROPPED = 0.01  # share of a picture whose loss is said
+COMPARED = 64  # sides of the copies of picture and photo that are compared [pixels]
+LEAST_LIKENESS = 0.6  # of what lies on its photo; parts of one reach 0.53
+CLEARLY = 0.1  # how much more alike a squashed or turned picture must be
+MOST_ENLARGED = 2.0  # times, of a model that is smaller than its photos
 
 
 class FolderEditor(Editor):
@@ -52,8 +60,8 @@ class FolderEditor(Editor):
 
 
 def match_files(files: list[Path], names: list[str]) -> list[Path]:
-    """Choose one of `files` (in natural order) per view: by stem if any stem fits, else in order if
-    as many.
+    """Choose one of `files` (in natural order) per view: by stem if any stem fits, else by names
+    that hold the view's, such as `left (edited).png`, else in order if as many.
     """
     by_stem: dict[str, list[Path]] = {}
     for file in files:
@@ -68,6 +76,9 @@ def match_files(files: list[Path], names: list[str]) -> list[Path]:
             f"{found}. "
             f"Each view needs a picture of its name, or none of them, for matching in order."
         )
+    named = [photo_named(file.stem, [(name,) for name in names]) for file in files]
+    if sorted(view for view in named if view is not None) == [*range(len(names))]:
+        return [files[named.index(view)] for view in range(len(names))]
     if len(files) != len(names):
         raise InputError(
             f"editor.path: no file is named like a view ({', '.join(names)}) and {len(files)} "
@@ -120,17 +131,61 @@ def read_edit(
     """Read the edit of view `name` from an image file, at the size, dtype and device of `like`.
 
     Another size is framed as photos are when they are loaded: scaled to cover, cropped around the
-    middle. So an edit of the original photo lands where the photo did.
+    middle. So an edit of the original photo lands where the photo did. One of another shape that
+    lies on the photo when it is squashed, as image models return squares, or turned, as programs
+    leave what EXIF told to turn, is squashed or turned.
     """
     image = read_image(path)
     height, width = like.shape[-2:]
     frame = frame_for((image.height, image.width), (height, width))
-    if frame.cropped > 0.01:
+    cut, done = frame.cut(image), []
+    if frame.cropped > LEAST_CROPPED:
+        cut, how = _as_it_lies(image, cut, Image.fromarray(to_bytes(like)))
+        done.append(
+            f"it is {how} to lie on its photo"
+            if how
+            else f"of it {frame.cropped:.0%} is cropped away. Right for an edit of the whole photo "
+            "if that was cropped too"
+        )
+    if frame.scale > MOST_ENLARGED:
+        done.append(f"it is enlarged {frame.scale:.1f} times, and not sharp")
+    if done:
         reporting.warn(
             f"{path.name} is {image.width}x{image.height} but view {name!r} is {width}x{height}: "
-            "of it "
-            f"{frame.cropped:.0%} is cropped away. Right for an edit of the whole photo if that "
-            "was cropped too."
+            f"{'; '.join(done)}."
         )
-    pixels = np.array(frame.cut(image), dtype=np.float32) / 255
+    pixels = np.array(cut, dtype=np.float32) / 255
     return torch.from_numpy(pixels).permute(2, 0, 1).to(like)
+
+
+def _as_it_lies(
+    image: Image.Image, cut: Image.Image, photo: Image.Image
+) -> tuple[Image.Image, str]:
+    """The picture squashed or turned where it clearly lies on the photo then, and how; else as it
+    was cut.
+    """
+    turned = {-90: Image.Transpose.ROTATE_270, 90: Image.Transpose.ROTATE_90}
+    ways = {"squashed": image} | {
+        f"turned by {angle} degrees": image.transpose(turn)
+        for angle, turn in turned.items()
+    }
+    best, how, likeness = cut, "", _likeness(cut, photo) + CLEARLY
+    for way, picture in ways.items():
+        tried = picture.resize(photo.size, Image.Resampling.LANCZOS)
+        if _likeness(tried, photo) > max(LEAST_LIKENESS, likeness):
+            best, how, likeness = tried, way, _likeness(tried, photo)
+    return best, how
+
+
+def _likeness(one: Image.Image, other: Image.Image) -> float:
+    """Correlation of the edges of two pictures, whatever their colours; 0 where one has none."""
+    edges = [_edges(picture) for picture in (one, other)]
+    if min(float(each.std()) for each in edges) == 0:
+        return 0.0
+    return float(np.corrcoef(*edges)[0, 1])
+
+
+def _edges(picture: Image.Image) -> Float[np.ndarray, " pixel"]:
+    small = picture.convert("L").resize((COMPARED, COMPARED), Image.Resampling.BOX)
+    down, across = np.gradient(np.asarray(small, np.float32))
+    return np.hypot(down, across).ravel()

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edit3r.contract.command import Command
-from edit3r.contract.errors import SettingsError
+from edit3r.contract.errors import InputError, SettingsError
 from edit3r.kit.command.flags import add_output_flags
 from edit3r.kit.scenes.files import scene_file
 from edit3r.running import add_mark_flags
@@ -141,6 +141,10 @@ def _edited(
         return add_object(run, args, rasterizer)
     scene = run.gaussians
     chosen = run.chosen(args.name)
+    if args.action not in ("rename", "remove") and not chosen.any():
+        raise InputError(
+            f"{args.name}: no Gaussian is left of it; remove it, or add it anew."
+        )
     if args.action == "isolate":
         only = {args.name: run.names[args.name]}
         return replace(run, gaussians=scene.select(chosen), names=only)

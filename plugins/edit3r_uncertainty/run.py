@@ -16,6 +16,7 @@ from edit3r import build
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Rasterizer, SceneToWrite, SecondLook
 from edit3r.contract.types import Cameras, Gaussians
+from edit3r.kit.files.names import unique_names
 from edit3r.kit.files.text import read_plain
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.photos.cameras import read_scene_cameras
@@ -147,7 +148,7 @@ def with_halfway(run: JudgedRun) -> tuple[Cameras, list[str]]:
     )
     count = run.cameras.count
     between = [f"between_{view}_{view + 1}" for view in range(count - 1)]
-    names = [*run.names, *between]
+    names = unique_names([*run.names, *between])  # a photo may be called so too
     order = sorted(range(every.count), key=lambda place: place % count)
     return every.select(order), [names[place] for place in order]
 

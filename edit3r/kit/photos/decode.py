@@ -285,14 +285,20 @@ def _loaded(image: Image.Image, path: Path) -> Image.Image:
 
 
 def _from_deep_grey(image: Image.Image, path: Path) -> Image.Image:
-    """Grey of more than 8 bits: 16-bit values keep their high byte, as those of colour do."""
+    """Grey of more than 8 bits: 16-bit values keep their high byte, as those of colour do; floats
+    go from 0 to 1, or to 255.
+    """
     values = np.asarray(image)
     low, high = float(values.min()), float(values.max())
-    if image.mode == "F" or low < 0 or high > 65535:
+    is_float = image.mode == "F"
+    if not 0 <= low <= high <= (255 if is_float else 65535):  # or not a number
         raise InputError(
             f"{path}: grey values of mode {image.mode} from {low:g} to {high:g}; expected 8 or "
-            "16 bits per channel."
+            "16 bits per channel, or floats from 0 to 1."
         )
+    if is_float:
+        levels = values * (255 if high <= 1 else 1)
+        return Image.fromarray(np.rint(levels).astype(np.uint8))
     values = values >> (_bits_used(int(high), path) - 8)
     return Image.fromarray(values.astype(np.uint8))
 

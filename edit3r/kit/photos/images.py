@@ -45,6 +45,7 @@ from edit3r.kit.photos.framing import Frame, common_size, frame_for
 from edit3r.kit.photos.intrinsics import (
     Intrinsics,
     IntrinsicsFinder,
+    as_others_of_its_size,
     known_poses,
 )
 from edit3r.kit.photos.only_photos import MADE_HERE, only_photos
@@ -140,13 +141,18 @@ def load_photos(
     sizes = [image_size(file) for file in files]
     target = common_size(sizes, size)
     images, photos, found = [], [], []
-    for name, file, photo_size in track(list(zip(names, files, sizes)), "read photos"):
+    for name, file in track(list(zip(names, files)), "read photos"):
         decoded = decode(file)
         intrinsics = finder.find(file, decoded)
-        frame = frame_for(photo_size, target).through(intrinsics.lens)
-        images.append(_to_tensor(frame.cut(decoded.pixels)))
-        photos.append(_record(name, file, frame, intrinsics))
+        image, photo = _as_view(name, file, decoded.pixels, intrinsics, target)
+        images.append(image)
+        photos.append(photo)
         found.append(intrinsics)
+    for view, (name, file) in enumerate(zip(names, files)):
+        if told := as_others_of_its_size(found, sizes, view):
+            pixels = read_image(file)
+            images[view], photos[view] = _as_view(name, file, pixels, told, target)
+            found[view] = told
     assumed = tuple(intrinsics.assumed for intrinsics in found)
     _warn_of_losses(photos)
     normalised = [
@@ -326,12 +332,12 @@ def expand(path: str | Path) -> list[Path]:
     return found
 
 
-def images_of_folder(folder: Path) -> list[Path]:
+def images_of_folder(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
     """The images that lie in the folder itself, in natural order."""
     found = []
     for path in folder.iterdir() if folder.is_dir() else ():
         hidden = path.name.startswith(".")  # such as macOS's ._IMG_0001.jpg
-        if path.suffix.lower() in SUFFIXES and not hidden and path.is_file():
+        if path.suffix.lower() in suffixes and not hidden and path.is_file():
             found.append(path)
     return sorted(found, key=natural)
 
@@ -373,10 +379,18 @@ def _names(files: Sequence[Path], names: Sequence[str] | None) -> tuple[str, ...
     return tuple(unique_names(names))
 
 
-def _record(name: str, file: Path, frame: Frame, intrinsics: Intrinsics) -> Photo:
-    height, width = frame.source
+def _as_view(
+    name: str,
+    file: Path,
+    pixels: Image.Image,
+    intrinsics: Intrinsics,
+    target: tuple[int, int],
+) -> tuple[Float[Tensor, "3 height width"], Photo]:
+    """The part of a photo that is used, at the views' size, and the record of it."""
+    width, height = pixels.size
+    frame = frame_for((height, width), target).through(intrinsics.lens)
     fx, fy = intrinsics.normalised.diagonal()[:2].tolist()
-    return Photo(
+    return _to_tensor(frame.cut(pixels)), Photo(
         name=name,
         file=origin(file),
         sha256=sha256_of(file),

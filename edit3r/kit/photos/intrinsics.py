@@ -60,6 +60,28 @@ def known_poses(found: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | No
     return torch.stack(poses) if complete else None
 
 
+def as_others_of_its_size(
+    found: Sequence[Intrinsics], sizes: Sequence[Size], index: int
+) -> Intrinsics | None:
+    """What other photos of a photo's size know of their lens, where nobody knows that of its own
+    and they agree: one camera took them. None otherwise.
+    """
+    known = [
+        one
+        for one, size in zip(found, sizes)
+        if size == sizes[index] and not one.assumed
+    ]
+    if not found[index].assumed or not known:
+        return None
+    first, *others = known
+    for other in others:
+        off = (other.normalised / first.normalised - 1).diagonal().abs().max()
+        if off > SHAPE_TOLERANCE or other.lens != first.lens:
+            return None
+    source = f"{first.source}, of other photos of its size"
+    return Intrinsics(first.normalised, source, lens=first.lens)
+
+
 class IntrinsicsFinder:
     """Looks up intrinsics photo by photo; camera files are read once."""
 

@@ -1,4 +1,4 @@
-"""Which mask files belong to which photos: by name, else in the order given."""
+"""Which files belong to which photos: by name, and masks else in the order given."""
 
 import re
 from collections.abc import Iterable, Sequence
@@ -7,24 +7,34 @@ from pathlib import Path
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import say
 from edit3r.kit.files.names import natural
+from edit3r.kit.photos.decode import READABLE, SUFFIXES
 from edit3r.kit.photos.images import expand, images_of_folder
 
-_Names = Sequence[str]
+MASK_SUFFIXES = (*SUFFIXES, ".gif")
+"""Files taken from a folder of masks; among photos a GIF is an animation, or a picture of a page.
+"""
+
+Names = Sequence[str]
 """What one photo is called: its file's name, and its view's."""
 
 
-def masks_by_photo(given: Sequence[str], photos: Sequence[_Names]) -> dict[int, Path]:
+def masks_by_photo(given: Sequence[str], photos: Sequence[Names]) -> dict[int, Path]:
     """The mask of each photo that has one, by the photo's number.
 
     `given` are files, folders of masks, and wildcards that no shell expanded. A mask whose name is
     a photo's with something before or behind, such as left_mask.png or left.jpg.png, is that
-    photo's; else one with the photo's number, such as mask_2.png of IMG_2.jpg. Others follow in the
-    order given, where there is one for each photo; a single one is the first photo's. Raises
-    InputError where that leaves a mask without a photo.
+    photo's, and one in a folder of that name, such as left/0.png; else one with the photo's number,
+    such as mask_2.png of IMG_2.jpg. Others follow in the order given, where there is one for each
+    photo; a single one is the first photo's. Raises InputError where that leaves a mask without a
+    photo.
     """
     files, folders = _files(given, photos)
-    named = {file: _photo_named(file, photos) for file in files}
+    named = {file: photo_named(file.stem, photos) for file in files}
     way = "by name"
+    if not any(view is not None for view in named.values()):
+        named = {file: photo_named(file.parent.name, photos) for file in files}
+        if len({file.parent for file in files}) < len(files):
+            named = dict.fromkeys(files)
     if not any(view is not None for view in named.values()):
         named, way = _photos_numbered(files, photos), "by number"
     views = [view for view in named.values() if view is not None]
@@ -51,7 +61,7 @@ def masks_by_photo(given: Sequence[str], photos: Sequence[_Names]) -> dict[int, 
     return {view: found[view] for view in sorted(found)}
 
 
-def _files(given: Iterable[str], photos: Sequence[_Names]) -> tuple[list[Path], bool]:
+def _files(given: Iterable[str], photos: Sequence[Names]) -> tuple[list[Path], bool]:
     """The files that are meant, and whether a folder was. Of a folder that names photos, only these
     count: it may hold other pictures too.
     """
@@ -62,19 +72,41 @@ def _files(given: Iterable[str], photos: Sequence[_Names]) -> tuple[list[Path], 
             files.append(path)
             continue
         folders = True
-        inside = images_of_folder(path)
-        own = [file for file in inside if _photo_named(file, photos) is not None]
+        inside = images_of_folder(path, MASK_SUFFIXES) or _one_a_photo(path, photos)
+        own = [file for file in inside if photo_named(file.stem, photos) is not None]
         if not own and len(inside) != len(photos):  # as many go in order
             own = [file for file in inside if _number(file.name) in numbers]
         files += own or inside
-        if not inside:
-            raise InputError(f"--mask {path}: no images in this folder.")
     return files, folders
 
 
-def _photo_named(file: Path, photos: Sequence[_Names]) -> int | None:
+def _one_a_photo(path: Path, photos: Sequence[Names]) -> list[Path]:
+    """The masks in a folder's folders, which are called like the photos, as of programs that find
+    several things in each. Raises InputError where one holds several: which are meant?
+    """
+    deeper = sorted(path.iterdir(), key=natural)
+    inside = [images_of_folder(one, MASK_SUFFIXES) for one in deeper]
+    several = [
+        files
+        for files in inside
+        if files and photo_named(files[0].parent.name, photos) is not None
+    ]
+    if not several:
+        raise InputError(
+            f"--mask {path}: no images in this folder; expected {READABLE}."
+        )
+    if max(map(len, several)) > 1:
+        firsts = " ".join(str(files[0]) for files in several[:2])
+        raise InputError(
+            f"--mask {path}: {max(map(len, several))} masks of one photo; expected one for each. "
+            f"Name those of the thing that is meant, such as --mask {firsts}"
+        )
+    return [files[0] for files in several]
+
+
+def photo_named(stem: str, photos: Sequence[Names]) -> int | None:
     """The photo whose name a mask's holds, the longest such name; None for none, or several."""
-    text = _spelled(file.stem)
+    text = _spelled(stem)
     lengths = [
         max((len(name) for name in _stems(names) if _speaks_of(text, name)), default=0)
         for names in photos
@@ -84,7 +116,7 @@ def _photo_named(file: Path, photos: Sequence[_Names]) -> int | None:
     return views[0] if longest and len(views) == 1 else None
 
 
-def _stems(names: _Names) -> set[str]:
+def _stems(names: Names) -> set[str]:
     return {_spelled(stem) for name in names for stem in (name, Path(name).stem)}
 
 
@@ -101,7 +133,7 @@ def _speaks_of(text: str, name: str) -> bool:
 
 
 def _photos_numbered(
-    files: Sequence[Path], photos: Sequence[_Names]
+    files: Sequence[Path], photos: Sequence[Names]
 ) -> dict[Path, int | None]:
     """The photo of each mask's number; of none where one number is no photo's, or two are alike."""
     numbers = {_number(names[0]): view for view, names in enumerate(photos)}
@@ -116,7 +148,7 @@ def _number(name: str) -> int | None:
     return int(digits[-1]) if digits else None
 
 
-def _as_photos_lie(files: list[Path], photos: Sequence[_Names]) -> list[Path]:
+def _as_photos_lie(files: list[Path], photos: Sequence[Names]) -> list[Path]:
     """The masks in natural order where a shell sorted them, and the photos lie in that order."""
     names = [Path(photo[0]) for photo in photos]
     by_shell = [file.name for file in files] == sorted(file.name for file in files)
@@ -125,9 +157,7 @@ def _as_photos_lie(files: list[Path], photos: Sequence[_Names]) -> list[Path]:
     return files
 
 
-def _confusing(
-    given: Sequence[str], masks: int, photos: Sequence[_Names]
-) -> InputError:
+def _confusing(given: Sequence[str], masks: int, photos: Sequence[Names]) -> InputError:
     return InputError(
         f"--mask {' '.join(map(str, given[:3]))}: {masks} masks for {len(photos)} photos; give one "
         "per photo, or name each after its photo, such as left_mask.png for left.jpg."

@@ -41,9 +41,11 @@ def _grey(decoded: DecodedImage, path: Path) -> Image.Image:
     """The mask in a picture, black to white: its alpha where all that is opaque has one colour."""
     if decoded.alpha is None:
         return _without_labels(decoded.pixels, path)
-    opaque = np.asarray(decoded.pixels)[np.asarray(decoded.alpha) == 255]
+    alpha = np.asarray(decoded.alpha)
+    most = int(alpha.max())
+    marked = np.asarray(decoded.pixels)[alpha == most]
     # A hole in a picture may mean black to one program and white to another.
-    if not len(opaque) or np.ptp(opaque, axis=0).max() > _FADED:
+    if most == alpha.min() or np.ptp(marked, axis=0).max() > _FADED:
         raise InputError(
             f"{path}: this mask has transparent parts in a picture; expected black (keep) and "
             "white (may change), or one colour where it may change and else nothing."
@@ -52,7 +54,7 @@ def _grey(decoded: DecodedImage, path: Path) -> Image.Image:
         "selection.alpha",
         f"what is opaque in {path.name} may change; --invert for the contrary",
     )
-    return decoded.alpha
+    return decoded.alpha.point([255 * min(one, most) // most for one in range(256)])
 
 
 _FADED = 12  # most that the channels of a grey differ [levels]

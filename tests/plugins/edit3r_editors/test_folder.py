@@ -1,7 +1,10 @@
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from edit3r_editors.folder import read_edit
+from PIL import Image, ImageOps
 
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.reporting import Report, collecting
@@ -65,6 +68,53 @@ def test_another_shape_is_cropped_around_its_middle_and_that_is_said(tmp_path):
     images, report = edit(tmp_path)
     assert (images[0] == 1).all()
     assert "left.png is 16x6 but view 'left' is 8x6" in report.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    {
+        "squashed": "squashed to lie on its photo",
+        "turned": "turned by 90 degrees to lie on its photo",
+        "cropped": "25% is cropped away",
+        "with bars": "25% is cropped away",
+    }.items(),
+)
+def test_pictures_of_another_shape_lie_on_their_photos(tmp_path, kind, said):
+    """A model returns 1024x1024 whatever it was given; programs forget what EXIF told to turn."""
+    coarse = np.random.default_rng(0).integers(0, 255, (9, 12, 3), dtype=np.uint8)
+    photo = Image.fromarray(coarse).resize((96, 72), Image.Resampling.BICUBIC)
+    edited = photo.point(lambda level: 0.7 * level)
+    square = {
+        "squashed": edited.resize((128, 128)),
+        "turned": edited.transpose(Image.Transpose.ROTATE_270),
+        "cropped": ImageOps.fit(edited, (128, 128)),
+        "with bars": ImageOps.pad(edited, (128, 128)),
+    }[kind]
+    square.save(tmp_path / "left.png")
+    like = torch.from_numpy(np.array(photo)).permute(2, 0, 1) / 255
+    with collecting(Report()) as report:
+        found = read_edit(tmp_path / "left.png", like, "left")
+    assert said in report.warnings[0]
+    off = (found - 0.7 * like).abs().mean().item()
+    assert (off < 0.02) == (kind != "cropped")  # of which nobody knows the rest
+
+
+@pytest.mark.parametrize("name", ["{} (edited)", "ComfyUI_{}_00001_", "{}-flux"])
+def test_names_that_hold_the_photos_are_matched(tmp_path, name):
+    levels = {"right": 0.2, "left": 0.4}
+    for place, (view, level) in enumerate(levels.items()):
+        save_image(flat(level), tmp_path / f"{place}_{name.format(view)}.png")
+    images, report = edit(tmp_path)
+    assert [round(float(image.mean()), 1) for image in images] == [0.4, 0.2]
+    assert not report.warnings
+
+
+def test_a_small_picture_is_said_to_be_enlarged(tmp_path):
+    save_image(flat(0.2, 2, 3), tmp_path / "left.png")
+    save_image(flat(0.2), tmp_path / "right.png")
+    _, report = edit(tmp_path)
+    assert "left.png is 3x2" in report.warnings[0]
+    assert "enlarged 3.0 times" in report.warnings[0]
 
 
 def test_a_missing_view_is_named(tmp_path):

@@ -193,6 +193,21 @@ def test_a_strangers_list_of_objects_is_read_with_care(made, names, capsys):
     assert "run.json: cannot be read" in said and "\x1b" not in said
 
 
+@pytest.mark.parametrize(
+    "line", ["recolor ghost red", "isolate ghost", "scale ghost 2"]
+)
+def test_nothing_is_done_to_an_object_of_which_nothing_is_left(made, line, capsys):
+    run = made / "ghostly"
+    shutil.rmtree(run, ignore_errors=True)
+    shutil.copytree(made / "left", run)
+    facts = manifest_of(run)
+    facts["objects"] = {**facts["objects"], "ghost": 99}
+    (run / "run.json").write_text(json.dumps(facts))
+    assert objects(made, f"ghostly {line} --out {made / 'no'}") == 2
+    assert "ghost: no Gaussian is left of it" in capsys.readouterr().err
+    assert not (made / "no").exists()
+
+
 @pytest.mark.parametrize("form", ["spz", "glb", "ply"])
 def test_a_scene_from_elsewhere_is_listed_without_run_or_cameras(
     made, tmp_path, form, capsys

@@ -1,5 +1,6 @@
 """The shares that rest on one photo, and the views of the sheet."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,11 @@ def test_between_two_photos_is_a_view_half_way(run):
     assert names == ["left", "between_0_1", "right"]
     places = cameras.c2w[0, :, 0, 3]
     torch.testing.assert_close(places, torch.tensor([-0.5, 0.0, 0.5]))
+
+
+def test_a_photo_that_is_called_like_a_view_between_keeps_a_file_of_its_own(run):
+    _, names = with_halfway(replace(run, names=("between_0_1", "right")))
+    assert len(set(names)) == 3
 
 
 def test_uncertain_places_are_brighter():

@@ -92,6 +92,14 @@ DIALECTS = {
         "applied_transform": [[0, 1, 0, 0], [1, 0, 0, 0], [0, 0, -1, 0]],
         "frames": frames(NAMES),
     },
+    "nulls": {"frames": frames(NAMES, k1=None, p1=None, mask_path=None)},
+    "three rows of a pose": {
+        "frames": [
+            one | {"transform_matrix": one["transform_matrix"][:3]}
+            for one in frames(NAMES)
+        ]
+    },
+    "whole numbers with a point": {"frames": frames(NAMES, w=24.0, h=16.0)},
     "listed twice alike": {"frames": frames(NAMES) + frames(NAMES)},
 }
 
@@ -160,6 +168,7 @@ def test_photos_of_another_scene_get_no_cameras_by_their_names(tmp_path):
     [
         ({"is_fisheye": True, "k1": 0.05}, "is_fisheye"),
         ({"camera_model": "OPENCV_FISHEYE"}, "OPENCV_FISHEYE"),
+        ({"camera_model": "EQUIRECTANGULAR"}, "EQUIRECTANGULAR"),
         ({"camera_model": "opencv", "k1": 0.01, "k4": 0.3}, "k4 is 0.3"),
         ({"camera_angle_x": 7, "fl_x": None}, "camera_angle_x is 7"),
     ],

@@ -1,3 +1,4 @@
+import base64
 import re
 import struct
 import time
@@ -228,6 +229,31 @@ def test_heic_without_the_package_says_how_to_get_it(tmp_path, monkeypatch):
         MissingDependencyError, match=r'IMG_1.HEIC.*pip install "edit3r\[heic\]"'
     ):
         decode(tmp_path / "IMG_1.HEIC")
+
+
+# 48x32: black and white above white and grey, as libheif's own encoder writes it.
+HEIC = base64.b64decode(
+    "AAAAHGZ0eXBoZWljAAAAAG1pZjFoZWljbWlhZgAAAb5tZXRhAAAAAAAAACFoZGxyAAAAAAAAAABwaWN0"
+    "AAAAAAAAAAAAAAAAAAAAADRpbG9jAAAAAERAAAIAAQAAAAAB4gABAAAAAAAAAC8AAgAAAAACEQABAAAA"
+    "AAAAACQAAAA4aWluZgAAAAAAAgAAABVpbmZlAgAAAAABAABodmMxAAAAABVpbmZlAgAAAQACAABFeGlm"
+    "AAAAAA5waXRtAAAAAAABAAAA/WlwcnAAAADdaXBjbwAAAHZodmNDAQNwAAAAkAAAAAAAHvAA/P34+AAA"
+    "DwNgAAEAGEABDAH//wNwAAADAJAAAAMAAAMAHroCQGEAAQAqQgEBA3AAAAMAkAAAAwAAAwAeoCCBBZbq"
+    "5Ka5uAhoMCAAAAMDIAAAAwAhYgABAAZEAcFzwIkAAAATY29scm5jbHgAAQANAAaAAAAAFGlzcGUAAAAA"
+    "AAAAQAAAAEAAAAAoY2xhcAAAADAAAAABAAAAIAAAAAH////wAAAAAv///+AAAAACAAAAEHBpeGkAAAAA"
+    "AwgICAAAABhpcG1hAAAAAAAAAAEAAQWBAgMFhAAAABppcmVmAAAAAAAAAA5jZHNjAAIAAQABAAAAW21k"
+    "YXQAAAArKAGvE4Dl/E//7WmBVmcfNejMwfan9nIM3yn/hrCT2vY+uuPJRb9ikVciWgAAAAZFeGlmAABN"
+    "TQAqAAAACAABARIAAwAAAAEABgAAAAAAAA=="
+)
+
+
+@pytest.mark.parametrize("name", ["IMG_1.HEIC", "IMG_1.jpg"])
+def test_heic_is_read_with_the_package_whatever_it_is_called(tmp_path, name):
+    pytest.importorskip("pi_heif")
+    (tmp_path / name).write_bytes(HEIC)
+    assert image_size(tmp_path / name) == (32, 48)
+    pixels = decode(tmp_path / name).pixels
+    corners = [pixels.getpixel(place)[0] for place in ((4, 4), (40, 4), (40, 28))]
+    assert corners == pytest.approx([0, 255, 128], abs=4)
 
 
 def exif_photo(tmp_path, size=(400, 300), **tags):

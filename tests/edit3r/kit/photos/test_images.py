@@ -168,6 +168,29 @@ def test_record_names_file_hash_and_focal(tmp_path):
     )
 
 
+@pytest.mark.parametrize("told_by", ["EXIF", "camera file", "camera file with k1"])
+def test_a_photo_of_the_others_size_was_taken_by_their_lens(tmp_path, told_by):
+    """One that a messenger sent on, or that COLMAP could not place."""
+    focal = 50 if told_by == "EXIF" else None
+    paths = [
+        photo(tmp_path / "a.png", (400, 300), seed=0, focal_35mm=focal),
+        photo(tmp_path / "b.png", (400, 300), seed=1),
+        photo(tmp_path / "small.png", (40, 30), seed=2),
+    ]
+    if told_by != "EXIF":
+        frame = {"file_path": "a.png", "fl_x": 577.8, "w": 400, "h": 300}
+        frame |= {"k1": 0.05} if told_by.endswith("k1") else {}
+        content = {"frames": [frame | {"transform_matrix": torch.eye(4).tolist()}]}
+        (tmp_path / "transforms.json").write_text(json.dumps(content))
+    loaded = load_photos(paths)
+    first, second, small = loaded.photos
+    assert second.focal == pytest.approx(first.focal)
+    assert second.frame == first.frame
+    assert second.intrinsics_source.endswith("of other photos of its size")
+    assert loaded.views.assumed == (False, False, True)
+    assert small.intrinsics_source.startswith("default")
+
+
 def test_intrinsics_sources_take_precedence_per_view(tmp_path):
     """Camera file, else --fov, else EXIF, else the default; each view says which."""
     paths = [

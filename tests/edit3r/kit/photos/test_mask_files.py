@@ -14,7 +14,7 @@ def masks(tmp_path):
     def write(*names):
         for name in names:
             file = tmp_path / name
-            file.parent.mkdir(exist_ok=True)
+            file.parent.mkdir(exist_ok=True, parents=True)
             Image.new("L", (4, 4), 255).save(file, format="PNG")
         return [str(tmp_path / name) for name in names]
 
@@ -37,6 +37,7 @@ def paired(given, photos=PHOTOS):
         ("seg-img10-0.png", "seg-img2-0.png"),
         ("mask_10.png", "mask_2.png"),  # by the photos' numbers
         ("00010.png", "00002.png"),
+        ("img10.gif", "img2.gif"),
     ],
 )
 @pytest.mark.parametrize("how", ["files", "folder", "wildcard"])
@@ -49,6 +50,20 @@ def test_each_goes_to_the_photo_of_its_name(masks, tmp_path, names, how):
         "wildcard": [str(tmp_path / "*[02]*")],
     }
     assert paired(given[how]) == list(names[::-1])
+
+
+@pytest.mark.parametrize("given", ["", "*/1.png", "*"])
+def test_each_in_a_folder_called_like_its_photo_is_that_photos(masks, tmp_path, given):
+    masks("img10/1.png", "img2/1.png", "other/1.png" if given == "" else "img2/1.png")
+    found = masks_by_photo([str(tmp_path / given)], PHOTOS)
+    assert [file.parent.name for file in found.values()] == ["img2", "img10"]
+
+
+def test_several_in_a_photos_folder_are_asked_about(masks, tmp_path):
+    """As Segment Anything writes them: which thing is meant?"""
+    masks("img10/0.png", "img10/1.png", "img2/0.png")
+    with pytest.raises(InputError, match=r"2 masks of one photo.*--mask \S+img2.0.png"):
+        paired([str(tmp_path)])
 
 
 def test_img10_is_not_named_after_img1(masks):

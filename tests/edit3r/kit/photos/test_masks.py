@@ -100,6 +100,26 @@ def test_alpha_is_the_mask_where_all_that_is_opaque_has_one_colour(
     assert found[:90].max() == 0 and "selection.alpha" in report.notes
 
 
+def test_what_a_faint_layer_covers_is_white(tmp_path, photos):
+    """As annotation tools draw their colours over a photo."""
+    alpha = np.zeros((300, 400), np.uint8)
+    alpha[100:200, 100:300] = 100
+    image = Image.new("RGBA", (400, 300), "red")
+    image.putalpha(Image.fromarray(alpha))
+    image.save(tmp_path / "m.png")
+    found = read_mask(tmp_path / "m.png", photos.photos[0].frame)
+    assert found[150, 150] == 1 and found[:90].max() == 0
+
+
+@pytest.mark.parametrize("most", [1, 255])
+def test_floats_are_greys(tmp_path, photos, most):
+    values = np.zeros((300, 400), np.float32)
+    values[100:200], values[200:] = most, 0.2 * most
+    Image.fromarray(values).save(tmp_path / "m.tif")
+    found = read_mask(tmp_path / "m.tif", photos.photos[0].frame)
+    assert found[150].min() == 1 and found[250].mean() == pytest.approx(0.2)
+
+
 def test_a_picture_with_holes_is_no_mask(tmp_path, photos):
     image = Image.open(tmp_path / "a.png").convert("RGBA")
     image.putalpha(outlined("index").convert("L"))
@@ -107,7 +127,8 @@ def test_a_picture_with_holes_is_no_mask(tmp_path, photos):
     image.putpixel((1, 0), (99, 9, 9, 255))
     image.save(tmp_path / "m.png")
     Image.new("RGBA", (300, 300), (255, 255, 255, 0)).save(tmp_path / "n.png")
-    for name in ("m.png", "n.png"):
+    Image.new("RGBA", (300, 300), (255, 0, 0, 90)).save(tmp_path / "o.png")
+    for name in ("m.png", "n.png", "o.png"):
         with pytest.raises(InputError, match="transparent"):
             read_mask(tmp_path / name, photos.photos[0].frame)
 
@@ -141,6 +162,8 @@ def outlined(kind):
     "kind, suffix",
     [
         *((kind, ".png") for kind in ("palette", "red", "green", "index")),
+        *((kind, ".gif") for kind in ("palette", "red")),
+        *((kind, ".webp") for kind in ("red",)),
         *((kind, ".jpg") for kind in ("palette", "red", "green", "small green")),
         *((f"{kind} and void", ".png") for kind in ("index", "colour")),
         ("large index", ".png"),
@@ -149,7 +172,7 @@ def outlined(kind):
 def test_one_label_of_any_colour_is_white(tmp_path, photos, kind, suffix):
     path = tmp_path / f"m{suffix}"
     image = outlined(kind)
-    image = image.convert("RGB") if suffix == ".jpg" else image
+    image = image.convert("RGB") if suffix in (".jpg", ".webp") else image
     if kind.startswith("small"):  # JPEG's blurred edges take more of it
         image = image.resize((100, 75), Image.Resampling.NEAREST)
     image.save(path)
