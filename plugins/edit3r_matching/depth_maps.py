@@ -36,6 +36,9 @@ __all__ = ["DepthSettings", "inverse_depth_range", "measure_depths", "sweep_dept
 
 # Views whose sky is not to be hidden: those of a video say the same.
 MAX_OTHERS = 8
+# Usefulness over the most useful neighbour's below which a view confirms depths, but measures none:
+# where most of what it shows is something else, it draws the mean cost to wrong places.
+LEAST_USEFUL = 0.15
 
 
 class DepthSettings(config.Settings):
@@ -144,9 +147,10 @@ def _swept(
         depths = np.concatenate(
             [registration.shared_depths(view, other) for other in around[view]]
         )
+        useful = registration.neighbours_of(view, LEAST_USEFUL)
         raw[view] = sweep_depth(
             images[view],
-            list(around[view].values()),
+            [near for other, near in around[view].items() if other in useful],
             inverse_depth_range(depths),
             settings.planes,
         )

@@ -24,6 +24,8 @@ COLOUR_LIMIT = (
     0.15  # colour differences above it cost no more: they are occlusions or highlights
 )
 UNSEEN_COST = 0.5  # a hypothesis outside the neighbour's image is neither good nor bad
+# Share of the worst cost that does not count, by the number of neighbours; of more: all.
+WITHOUT_WORST = {1: 0.0, 2: 0.5}
 BLOCK = 16  # planes written to the volume together: one cache line
 
 
@@ -73,19 +75,21 @@ def matching_cost(
     inverse_depths: Float[np.ndarray, "plane"],
 ) -> Float[np.ndarray, "height width plane"]:
     """Cost of every plane at every pixel, float32: the mean over `neighbours`, of three and more
-    without the worst.
+    without the worst, of two with half of it.
 
     What stands before a surface rarely hides it from all neighbours (Kang, Szeliski and Chai 2001,
     section 3.2).
     """
     planes = -(-len(inverse_depths) // BLOCK) * BLOCK
     volume = np.zeros((*reference.size, planes), np.float32)
-    worst = np.zeros_like(volume if len(neighbours) > 2 else volume[:0])
+    worst = np.zeros_like(volume if len(neighbours) > 1 else volume[:0])
     for neighbour in neighbours:
         _add_costs(volume, worst, reference, neighbour, inverse_depths)
+    without = WITHOUT_WORST.get(len(neighbours), 1.0)
     if len(worst):
+        worst *= without
         volume -= worst
-    volume /= len(neighbours) - bool(len(worst))
+    volume /= len(neighbours) - without
     return volume[:, :, : len(inverse_depths)]
 
 

@@ -106,19 +106,20 @@ class Registration:
         depth, other = triangulate(*rays, self.relative(a, b))
         return depth[(depth > 0) & (other > 0)]
 
-    def neighbours_of(self, view: int) -> list[int]:
+    def neighbours_of(self, view: int, least: float = 0.0) -> list[int]:
         """Registered views that share points with `view`, most useful first: many points, seen from
         different sides.
+
+        Those are left out that are less useful than the share `least` of the first.
         """
-        found = [
-            (a + b - view, pair)
+        usefulness = {
+            a + b - view: pair.usefulness
             for (a, b), pair in self.pairs.items()
-            if view in (a, b)
-        ]
-        usable = [(other, pair) for other, pair in found if self.registered[other]]
-        return [
-            other for other, _ in sorted(usable, key=lambda item: -item[1].usefulness)
-        ]
+            if view in (a, b) and self.registered[a + b - view]
+        }
+        limit = least * max(usefulness.values(), default=0.0)
+        ordered = sorted(usefulness, key=lambda other: -usefulness[other])
+        return [other for other in ordered if usefulness[other] >= limit]
 
 
 def register(

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from edit3r_matching import depth_maps
 from edit3r_matching.cameras import CalibratedImage, Pose
 from edit3r_matching.completion import (
     confirmed,
@@ -14,6 +15,7 @@ from edit3r_matching.completion import (
     without_speckles,
 )
 from edit3r_matching.depth_maps import (
+    DepthSettings,
     _before_skies,
     _with_coarse,
     inverse_depth_range,
@@ -24,6 +26,7 @@ from edit3r_matching.plane_sweep import (
     matching_cost,
     plane_inverse_depths,
 )
+from edit3r_matching.registration import Registration
 from edit3r_matching.semi_global import SMALL_STEP, _jump_costs, aggregate, best_plane
 
 SIZE = (48, 64)
@@ -101,18 +104,44 @@ def test_cost_is_least_at_the_true_plane(noise):
     assert (np.abs(found - shift / (60 * 0.5)) < 0.006).mean() > 0.99
 
 
-def test_what_one_of_three_neighbours_does_not_see_costs_nothing(noise):
+def test_what_one_neighbour_does_not_see_costs_a_third_beside_one_and_nothing_beside_two(
+    noise,
+):
     inverse_depths = np.linspace(0.1, 0.3, 21)
     clear = neighbour(np.roll(noise, -6, axis=1))
     hidden = neighbour(np.random.default_rng(1).random((*SIZE, 3)).astype(np.float32))
     picture = CalibratedImage(noise, INTRINSICS)
-    two, three = (
-        matching_cost(picture, around, inverse_depths)
-        for around in ([clear] * 2, [clear, hidden, clear])
-    )
     inner = np.s_[5:-5, 20:-5, 10]  # at the true plane, 0.2
     assert np.abs(inverse_depths[10] - 0.2) < 1e-9
-    assert np.allclose(three[inner], two[inner], atol=1e-5)
+    seen, unseen, beside_one, beside_two = (
+        matching_cost(picture, around, inverse_depths)[inner]
+        for around in ([clear], [hidden], [clear, hidden], [clear, hidden, clear])
+    )
+    assert np.allclose(beside_one, (2 * seen + unseen) / 3, atol=1e-5)
+    assert np.allclose(beside_two, seen, atol=1e-5)
+
+
+def test_a_photo_that_shares_little_confirms_depths_and_measures_none(
+    monkeypatch, noise
+):
+    images = [CalibratedImage(noise, INTRINSICS)] * 3
+    pairs = {(0, 1): 100.0, (0, 2): 10.0, (1, 2): 20.0}
+    registration = Registration(
+        (Pose.identity(),) * 3,
+        np.ones(3, bool),
+        {key: SimpleNamespace(usefulness=value) for key, value in pairs.items()},
+    )
+    monkeypatch.setattr(Registration, "shared_depths", lambda *_: np.ones(9))
+    swept = []
+
+    def sweep(reference, neighbours, *_):
+        swept.append(len(neighbours))
+        return raw(0.1)
+
+    monkeypatch.setattr(depth_maps, "sweep_depth", sweep)
+    around, _, _ = depth_maps._swept(images, registration, DepthSettings())
+    assert [len(near) for near in around] == [2, 2, 2]
+    assert swept == [1, 2, 2]
 
 
 def test_cost_does_not_see_brightness_in_its_correlation(noise):
