@@ -123,6 +123,8 @@ class Views(Tensors):
     def select(self, indices: Iterable[int]) -> "Views":
         """The views at `indices`, in that order."""
         index = list(indices)
+        if index == list(range(self.count)):  # images of many views are not kept twice
+            return self
         names = tuple(self.names[i] for i in index) if self.names else ()
         c2w = None if self.c2w is None else self.c2w[:, index]
         assumed = tuple(self.assumed[i] for i in index) if self.assumed else ()

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -25,16 +24,16 @@ def render_each(
     rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras, text: str
 ) -> Rendering:
     """Render camera by camera, showing progress under `text`."""
-    parts = [
-        render_one(rasterizer, gaussians, cameras.select([i]))
-        for i in track(range(cameras.count), text)
-    ]
-    return Rendering(
-        *(
-            torch.cat([getattr(p, name) for p in parts], 1)
-            for name in ("images", "alphas", "depths")
-        )
-    )
+    whole: dict[str, Tensor] = {}
+    for i in track(range(cameras.count), text):
+        one = render_one(rasterizer, gaussians, cameras.select([i]))
+        for name in ("images", "alphas", "depths"):
+            part: Tensor = getattr(one, name)
+            if i == 0:  # each part goes where it stays: parts and their whole are twice
+                batch, _, *shape = part.shape
+                whole[name] = part.new_empty(batch, cameras.count, *shape)
+            whole[name][:, i] = part[:, 0]
+    return Rendering(**whole)
 
 
 def render_one(

@@ -94,6 +94,8 @@ class Scene:
 
     def select(self, indices: list[int]) -> "Scene":
         """The same with the views at `indices` only; nothing has been reconstructed yet."""
+        if indices == list(range(self.photos.count)):
+            return self
         records = tuple(self.records[i] for i in indices) if self.records else ()
         return replace(
             self,

@@ -61,6 +61,11 @@ class CalibratedImage:
             np.degrees(2 * np.arctan(0.5 * max(self.size) / self.intrinsics[0, 0]))
         )
 
+    def without_pixels(self) -> "CalibratedImage":
+        """The image black, in next to no memory: what is kept of it is its size."""
+        black = np.broadcast_to(np.float32(0), self.pixels.shape)
+        return CalibratedImage(black, self.intrinsics)
+
     def with_fov(self, fov: float) -> "CalibratedImage":
         """The image as if taken with a field of view of `fov` [degrees] across its longer side."""
         intrinsics = self.intrinsics.copy()

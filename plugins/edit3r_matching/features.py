@@ -5,7 +5,7 @@ networks where few match, and looks into tilted images for photos from wide apar
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Literal
@@ -51,8 +51,10 @@ NEIGHBOURS = 6
 """Others with which each one of more images is matched, at least."""
 SAMPLES = 5000
 """Features of all images together that tell which others these are."""
-MANY_KEYPOINTS, MANY_SIZE = 3000, 512
+MANY_KEYPOINTS, MANY_SIZE = 2400, 512
 """Most features of one of more images, and the long side at which they are looked for [pixels]."""
+MANY_ENLARGEMENT = 1.5
+"""How much images are enlarged for that at most: the rest is for two that share little."""
 DIRECTIONS = 96
 """Numbers that tell features of more images apart."""
 LEARNED_NEIGHBOURS = 4
@@ -122,6 +124,13 @@ class FoundFeatures:
     helper: str = ""  # what to call the source of the learned ones
     tilted: bool = False  # some are of tilted images: for photos taken from wide apart
 
+    def without_descriptors(self) -> "FoundFeatures":
+        """The same when nothing is to be compared any more."""
+        bare = (
+            Keypoints(one.points, one.descriptors[:0].copy()) for one in self.keypoints
+        )
+        return replace(self, keypoints=tuple(bare))
+
     def learned(self, a: int, b: int) -> Bool[np.ndarray, "match"]:
         """Which matches of images a and b are learned ones."""
         return self.indices[a, b][:, 0] >= (
@@ -155,7 +164,9 @@ def find_features(
     """
     limits = settings.keypoints, settings.detection_size
     if len(images) > MAX_ALL_PAIRS:
-        limits = min(limits[0], MANY_KEYPOINTS), min(limits[1], MANY_SIZE)
+        longest = max(max(image.size) for image in images)
+        size = min(limits[1], MANY_SIZE, round(MANY_ENLARGEMENT * longest))
+        limits = min(limits[0], MANY_KEYPOINTS), size
     keypoints = tuple(
         detect(image.pixels, *limits) for image in track(images, "find features")
     )

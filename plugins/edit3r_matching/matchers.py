@@ -249,6 +249,14 @@ class _Registered:
     # the narrowest and widest that explain them alike, where these are far apart
     lenses: tuple[float, float] | None = None
 
+    def without_pixels(self) -> "_Registered":
+        """The same without what was compared, which of many photos is most of it."""
+        return replace(
+            self,
+            images=tuple(image.without_pixels() for image in self.images),
+            features=self.features.without_descriptors(),
+        )
+
     def normalised(self, size: tuple[int, int]) -> Float[Tensor, "view 3 3"]:
         """The intrinsics as shares of the photos' (height, width)."""
         return from_pixels(
@@ -283,7 +291,7 @@ class _Asked:
 # Who reads the lens of photos matches them next, and once more when their light is levelled.
 @functools.lru_cache(maxsize=1)
 def _registered(asked: _Asked) -> _Registered:
-    return asked.matcher.register(asked.views, asked.scene)
+    return asked.matcher.register(asked.views, asked.scene).without_pixels()
 
 
 class PosedMatcher(Matcher):

@@ -26,6 +26,8 @@ COLOUR_LIMIT = (
 UNSEEN_COST = 0.5  # a hypothesis outside the neighbour's image is neither good nor bad
 # Share of the worst cost that does not count, by the number of neighbours; of more: all.
 WITHOUT_WORST = {1: 0.0, 2: 0.5}
+TO_CENTRES = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
+FROM_CENTRES = np.linalg.inv(TO_CENTRES)  # OpenCV counts from pixel centres
 BLOCK = 16  # planes written to the volume together: one cache line
 
 
@@ -106,9 +108,18 @@ def _add_costs(
     grey = np.ascontiguousarray(reference.grey)
     statistics = [_statistics(grey, radius) for radius in (SMALL, LARGE)]
     block = np.empty((BLOCK, *reference.size), np.float32)
+    to_rays = np.linalg.inv(reference.intrinsics)
+    everywhere = np.ones(neighbour.image.size, np.uint8)
     for start in range(0, len(inverse_depths), BLOCK):
         for slot, inverse_depth in enumerate(inverse_depths[start : start + BLOCK]):
-            warped, seen = _warp(reference, neighbour, inverse_depth)
+            homography = _homography(to_rays, neighbour, inverse_depth)
+            warped, seen = (
+                _warp(image, homography, reference.size, filtering)
+                for image, filtering in (
+                    (neighbour.image.pixels, cv2.INTER_LINEAR),
+                    (everywhere, cv2.INTER_NEAREST),
+                )
+            )
             moments, difference = _moments(reference.pixels, grey, warped)
             small, large = _box(moments, SMALL), _box(moments, LARGE)
             _combine(
@@ -123,38 +134,37 @@ def _add_costs(
         _write_block(volume, worst, block, start)
 
 
-def _warp(
-    reference: CalibratedImage, neighbour: Neighbour, inverse_depth: float
-) -> tuple[Float[np.ndarray, "height width 3"], UInt8[np.ndarray, "height width"]]:
-    """The neighbour as the reference would see it if everything were at one depth, and where it has
-    pixels.
-    """
+def _homography(
+    to_rays: Float[np.ndarray, "3 3"], neighbour: Neighbour, inverse_depth: float
+) -> Float[np.ndarray, "3 3"]:
+    """From the reference's pixels to the neighbour's if everything were at one depth."""
     motion = neighbour.pose.rotation + np.outer(
         neighbour.pose.translation, (0, 0, inverse_depth)
     )
-    homography = (
-        neighbour.image.intrinsics @ motion @ np.linalg.inv(reference.intrinsics)
-    )
-    centred = np.array(
-        [[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]]
-    )  # OpenCV counts from pixel centres
-    homography = np.linalg.inv(centred) @ homography @ centred
-    size, inverse = reference.size[::-1], cv2.WARP_INVERSE_MAP
-    image = neighbour.image.pixels
-    warped = cv2.warpPerspective(
+    homography = neighbour.image.intrinsics @ motion @ to_rays
+    return FROM_CENTRES @ homography @ TO_CENTRES
+
+
+def _warp(
+    image: Float[np.ndarray, "height width *channel"]
+    | UInt8[np.ndarray, "height width"],
+    homography: Float[np.ndarray, "3 3"],
+    size: tuple[int, int],
+    filtering: int,
+) -> np.ndarray:
+    """The image by the homography, at `size`; what it does not hold repeats its border, or is 0
+    where single pixels are taken.
+    """
+    border = cv2.BORDER_REPLICATE
+    if filtering == cv2.INTER_NEAREST:
+        border = cv2.BORDER_CONSTANT
+    return cv2.warpPerspective(
         image,
         homography,
-        size,
-        flags=cv2.INTER_LINEAR | inverse,
-        borderMode=cv2.BORDER_REPLICATE,
+        size[::-1],
+        flags=filtering | cv2.WARP_INVERSE_MAP,
+        borderMode=border,
     )
-    seen = cv2.warpPerspective(
-        np.ones(image.shape[:2], np.uint8),
-        homography,
-        size,
-        flags=cv2.INTER_NEAREST | inverse,
-    )
-    return warped, seen
 
 
 def _statistics(

@@ -22,6 +22,7 @@ from edit3r.contract.reporting import note, progress
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.compute.layers import one_thread
+from edit3r.kit.photos.images import evenly
 
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
@@ -32,7 +33,7 @@ CALM, LAST_SHARE = (
 )  # share of the steps after which they get shorter, and how short the last one is
 MOST_VIEWS = 20  # whose steps a refinement takes: of more views, each takes fewer
 ENOUGH_VIEWS = 4  # from which views settle enough between them: no Gaussian is left out
-AT_ONCE = 8  # views drawn together to know the error: images of all take much memory
+TELLING_VIEWS = 8  # that tell the error before and after, where there are more
 # error of a pixel [sRGB] below which its square counts, and beyond which its size
 SQUARED_BELOW = 0.05
 
@@ -71,8 +72,8 @@ class RefineSettings(Settings):
 
 @dataclass(frozen=True)
 class Refined:
-    """Better Gaussians, and how the steps went. Mean squared errors are over the input views'
-    pixels, sRGB.
+    """Better Gaussians, and how the steps went. Mean squared errors are over the pixels of the
+    input views, of many those of some, sRGB.
     """
 
     gaussians: Gaussians
@@ -158,14 +159,11 @@ def _errors(
     rasterizer: Rasterizer,
     groups: tuple[Bool[Tensor, "batch camera height width"], ...],
 ) -> tuple[float, ...]:
-    """Mean squared error of each group of pixels."""
-    parts = []
-    for first in range(0, cameras.count, AT_ONCE):
-        views = [*range(first, min(first + AT_ONCE, cameras.count))]
-        shown = rasterizer.render(gaussians, cameras.select(views)).images
-        parts.append((shown - images[:, views]).square().mean(2))
-    error = torch.cat(parts, 1)
-    return tuple(float(error[group].mean()) for group in groups)
+    """Mean squared error of each group of pixels, of many views by some."""
+    views = evenly(range(cameras.count), TELLING_VIEWS)
+    shown = rasterizer.render(gaussians, cameras.select(views)).images
+    error = (shown - images[:, views]).square().mean(2)
+    return tuple(float(error[group[:, views]].mean()) for group in groups)
 
 
 class RefineRefiner(Refiner):

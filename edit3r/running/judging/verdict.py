@@ -110,15 +110,32 @@ def _psnr(
     ignored: Bool[Tensor, "batch view height width"] | None,
 ) -> list[float]:
     """PSNR [dB] of each view; of several scenes the worst counts."""
-    height, width = rendered.images.shape[-2:]
-    difference = rendered.images.clamp(0, 1) - edited.at((height, width)).images
+    errors = [
+        _squared_error(
+            rendered.images[:, one],
+            edited.select(one),
+            None if ignored is None else ignored[:, one],
+        )
+        # View by view: of many large photos, squares in double precision fill the memory.
+        for one in ([view] for view in range(edited.count))
+    ]
+    error = torch.cat(errors, 1).amax(0).clamp(min=1e-10)
+    return (-10 * torch.log10(error)).tolist()
+
+
+def _squared_error(
+    rendered: Float[Tensor, "batch view 3 height width"],
+    edited: Views,
+    ignored: Bool[Tensor, "batch view height width"] | None,
+) -> Float[Tensor, "batch view"]:
+    """Mean over the pixels that count."""
+    height, width = rendered.shape[-2:]
+    difference = rendered.clamp(0, 1) - edited.at((height, width)).images
     squares = difference.double().square().mean(2)
     counts = torch.ones_like(squares)
     if ignored is not None:
         counts -= interpolate(ignored.to(counts), (height, width), mode="nearest-exact")
-    share = counts.mean((2, 3)).clamp(min=1e-3)
-    error = ((squares * counts).mean((2, 3)) / share).amax(0).clamp(min=1e-10)
-    return (-10 * torch.log10(error)).tolist()
+    return (squares * counts).mean((2, 3)) / counts.mean((2, 3)).clamp(min=1e-3)
 
 
 def _label(

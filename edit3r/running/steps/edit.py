@@ -38,8 +38,10 @@ def edit(scene: Scene, parts: Parts) -> Scene:
                 answer = replace(answer, images=found[-1].images)
             edited = _held_to_masks(task.editor, edited, answer, request.masks)
             done += len(task.wishes)
-        _note_change(edited.images - chosen.images)
-        images = torch.cat((edited.images, views.images[:, count:]), dim=1)
+        _note_change(edited, chosen)
+        images = edited.images
+        if count < views.count:
+            images = torch.cat((images, views.images[:, count:]), dim=1)
         scene = replace(scene, edited=replace(views, images=images))
         return _with_edit_verdict(scene, parts, range(count), found)
 
@@ -100,9 +102,10 @@ def _note_spill(
     note("edit.change_outside_mask_before_composite", float(mean))
 
 
-def _note_change(change: Float[Tensor, "batch view 3 height width"]) -> None:
-    per_view = change.abs().mean((0, 2, 3, 4))
-    note("edit.mean_change_per_view", [round(float(value), 5) for value in per_view])
+def _note_change(edited: Views, views: Views) -> None:
+    pairs = zip(edited.images.unbind(1), views.images.unbind(1))
+    per_view = [float((after - before).abs().mean()) for after, before in pairs]
+    note("edit.mean_change_per_view", [round(value, 5) for value in per_view])
 
 
 def _surety(scene: Scene) -> float | None:

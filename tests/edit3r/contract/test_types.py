@@ -117,6 +117,12 @@ def test_views_select_keeps_names_with_their_pictures():
     assert chosen.c2w is None
 
 
+def test_views_that_are_all_selected_are_not_copied():
+    views = Views(torch.rand(1, 3, 3, 2, 2), torch.zeros(1, 3, 3, 3))
+    assert views.select(range(3)) is views
+    assert views.select([0, 2, 1]) is not views
+
+
 def test_views_select_keeps_poses_with_their_pictures():
     poses = torch.arange(3.0).view(1, 3, 1, 1) * torch.eye(4)
     views = Views(torch.zeros(1, 3, 3, 2, 2), torch.zeros(1, 3, 3, 3), c2w=poses)

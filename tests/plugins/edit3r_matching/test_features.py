@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import pytest
 from edit3r_matching import features
+from edit3r_matching.cameras import CalibratedImage
 from edit3r_matching.features import (
     FoundFeatures,
     _loose_pairs,
@@ -192,3 +193,38 @@ def test_fewer_numbers_tell_the_same_features_apart():
         assert len(both) >= 320 and len(few) <= len(long)
     assert {keys.descriptors.shape[1] for keys in short} == {features.DIRECTIONS}
     assert np.allclose(np.linalg.norm(short[0].descriptors, axis=1), 1, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "count, longest, limits",
+    [(10, 256, (4000, 640)), (11, 256, (2400, 384)), (11, 400, (2400, 512))],
+)
+def test_many_photos_are_enlarged_less_and_have_fewer_features(
+    monkeypatch, count, longest, limits
+):
+    asked = []
+
+    def seen(image, *given):
+        asked.append(given)
+        return crowds((1,), ())[0]
+
+    monkeypatch.setattr(features, "detect", seen)
+    black = CalibratedImage(np.zeros((8, longest, 3), np.float32), np.eye(3))
+    features.find_features([black] * count, features.FeatureSettings(matches="sift"))
+    assert asked == [limits] * count
+
+
+def test_what_is_kept_of_compared_features_are_their_places():
+    found = FoundFeatures(tuple(crowds((2,), ())), {(0, 1): np.zeros((3, 2), int)})
+    bare = found.without_descriptors()
+    for whole, kept in zip(found.keypoints, bare.keypoints):
+        assert kept.points is whole.points and len(kept) == len(whole)
+        assert kept.descriptors.nbytes == 0 and kept.descriptors.base is None
+    assert bare.indices is found.indices
+
+
+def test_an_image_without_pixels_keeps_its_size_and_lens_alone():
+    image = CalibratedImage(np.ones((6, 8, 3), np.float32), 2 * np.eye(3))
+    bare = image.without_pixels()
+    assert bare.size == (6, 8) and bare.fov == image.fov
+    assert bare.pixels.base is not image.pixels and not any(bare.pixels.strides)

@@ -163,6 +163,23 @@ def test_the_result_is_what_was_measured(rasterizer, scene):
     assert float(error) == pytest.approx(expected, rel=1e-3)
 
 
+def test_of_many_views_eight_tell_the_error_before_and_after(rasterizer):
+    truth, cameras = gaussian_cloud(40), cameras_around(10)
+    with torch.no_grad():
+        images = rasterizer.render(truth, cameras).images
+    counts = []
+
+    class Counting:
+        def render(self, gaussians, seen_from):
+            counts.append(seen_from.count)
+            return rasterizer.render(gaussians, seen_from)
+
+    spoilt = replace(truth, harmonics=truth.harmonics * 0.5 + 0.1)
+    result = refine(spoilt, cameras, images, Counting(), 10)
+    assert counts == [8, *[1] * 10, 8]
+    assert 0 < result.fitted[1] < result.fitted[0]
+
+
 def test_the_input_is_left_alone_and_the_result_is_valid(rasterizer, scene):
     before = {name: getattr(scene[0], name).clone() for name in FIELDS}
     result = refine(
