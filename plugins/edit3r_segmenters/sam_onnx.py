@@ -285,6 +285,8 @@ def _session(path: Path, content: bytes) -> Any:
     options.intra_op_num_threads = torch.get_num_threads()
     options.log_severity_level = 4  # what fails is raised as well
     options.enable_mem_pattern = False  # a third less memory, and as fast
+    # Threads that wait for each other turn no circles: a third less of the processor.
+    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     try:
         return foreign("onnxruntime", "InferenceSession")(
             content, options, providers=["CPUExecutionProvider"]
