@@ -66,7 +66,7 @@ USUAL_PACE = 5.0
 """[s] that the geometry of one photo takes, as long as this machine has not shown its own."""
 POINTED_FIRST = 10.0
 """[s] at most that reading photos ahead waits for somebody who points."""
-LOOKED_FIRST = 4.0
+LOOKED_FIRST = 8.0
 """[s] that a made scene has this machine for itself, as long as nobody points."""
 MAX_CLICKED_AHEAD = 8
 """Photos that the segmenter reads before anybody clicks."""
@@ -105,14 +105,16 @@ class KeepingRegistry(Registry):
     def __init__(self, registry: Registry) -> None:
         super().__init__(registry.plugins)
         self._built: dict[tuple, Any] = {}
+        self._building = threading.RLock()
 
     def build_choice(
         self, kind: str, choice: PartChoice, parts: dict[str, Any] | None = None
     ) -> Any:
         key = (kind, choice.model_dump_json(), *(parts or {}).items())
-        if key not in self._built:
-            self._built[key] = super().build_choice(kind, choice, parts)
-        return self._built[key]
+        with self._building:
+            if key not in self._built:
+                self._built[key] = super().build_choice(kind, choice, parts)
+            return self._built[key]
 
     def forget(self) -> None:
         """Build everything anew from now on."""
@@ -148,19 +150,33 @@ class Looker:
         self.registry = KeepingRegistry(registry)
         self.size = size  # of the photos [pixels]
         self._working = threading.RLock()
-        # Pointing has components and a lock of its own: it never waits for an answer in full.
-        self._pointer = KeepingRegistry(registry)
+        # Pointing has a lock of its own: it never waits for an answer in full. The segmenter is
+        # the same, so that what it read of the photos is read once.
         self._pointing = threading.RLock()
         self._opening = threading.RLock()
         self._nobody_points = threading.Event()
         self._nobody_points.set()
         self._background = ThreadPoolExecutor(6)
+        self._prepared = threading.Event()
         self._pace = USUAL_PACE
         self._known: set[tuple[str, tuple[str, ...]]] = set()  # what was opened
         self._opened = lru_cache(maxsize=4)(self._open)
         self._looks = lru_cache(maxsize=64)(self._look)
         self._points = lru_cache(maxsize=64)(self._point)
         self._edits = lru_cache(maxsize=4)(self._edit)
+
+    def prepare(self) -> None:
+        """Load, in the background and once, what pointing needs, before there are photos."""
+        if not self._prepared.is_set():
+            self._prepared.set()
+            self._background.submit(self._load).add_done_callback(_said)
+
+    def _load(self) -> None:
+        # A word of which a picture of nothing knows nothing reads no more than it must.
+        choice = PartChoice(name=DEFAULTS["segmenter"])
+        with collecting(Report()), suppress(Edit3rError):
+            segmenter = self.registry.build_choice("segmenter", choice)
+            segmenter.segment_text(torch.zeros(3, 48, 64), "sky")
 
     def begin(self, state: str) -> BeingRead:
         """Read a state's photos in the background, from the first call on; say how far it is."""
@@ -202,7 +218,6 @@ class Looker:
         """Answer anew from now on: other weights are on this machine."""
         with self._working, self._pointing:
             self.registry.forget()
-            self._pointer.forget()
             self._looks.cache_clear()
             self._points.cache_clear()
             self._edits.cache_clear()
@@ -236,7 +251,13 @@ class Looker:
         opened.wanted.set()
         own = [one for one in draft.marks if getattr(one, "photo", name) == name]
         alone = Draft(own)
-        return _over(self._points(opened, alone.as_json(), name), line)
+        self._nobody_points.clear()
+        try:
+            with self._pointing:  # who asks the same meanwhile gets this answer
+                mask = self._points(opened, alone.as_json(), name)
+        finally:
+            self._nobody_points.set()
+        return _over(mask, line)
 
     def _point(self, opened: _Opened, text: str, name: str) -> Tensor | None:
         draft = DRAFT.validate_json(text)
@@ -250,13 +271,9 @@ class Looker:
             grow=draft.outline["grow"],
             inverted=draft.outline["invert"],
         )
-        self._nobody_points.clear()
-        try:
-            with self._pointing, _working_with(opened.cache), suppress(Edit3rError):
-                segmenter = self._pointer.build_choice("segmenter", choice)
-                return select_masks(alone.images[0], selection, segmenter).masks[0, 0]
-        finally:
-            self._nobody_points.set()
+        with _working_with(opened.cache), suppress(Edit3rError):
+            segmenter = self.registry.build_choice("segmenter", choice)
+            return select_masks(alone.images[0], selection, segmenter).masks[0, 0]
         return None
 
     def reading(self, state: str, draft: Draft, number: int) -> bytes:
@@ -335,7 +352,7 @@ class Looker:
             # Between two photos a waiting user comes first.
             self._nobody_points.wait(POINTED_FIRST)
             with self._pointing, _working_with(cache), suppress(Edit3rError):
-                segmenter = self._pointer.build_choice("segmenter", choice)
+                segmenter = self.registry.build_choice("segmenter", choice)
                 segmenter.segment_marks(image, middle)
 
     def _answers(self, state: str) -> Path:

@@ -174,6 +174,7 @@ class Answers:
     # ---- data ----
 
     def home(self) -> dict[str, Any]:
+        self.studio.prepare()
         return {
             "scenes": self.studio.scenes(),
             "made": list(offered_scenes()),

@@ -41,6 +41,11 @@ class Studio:
         self.looker.renew()
         self.runner.renew()
 
+    def prepare(self) -> None:
+        """Load what somebody who sees the first page will need next."""
+        self.looker.prepare()
+        self.runner.make_ready()
+
     # ---- what there is ----
 
     def scenes(self) -> list[dict[str, Any]]:

@@ -6,6 +6,7 @@ image. It knows colours and edges, not things: an object of several colours come
 words mean nothing to it.
 """
 
+import threading
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -168,6 +169,7 @@ class ClassicalSegmenter(Segmenter):
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._memory: dict[Hashable, Any] = {}
+        self._remembering = threading.Lock()
         self._prints: Latest[str] = Latest()
         self._pixels: Latest[Hashable] = Latest()
 
@@ -443,14 +445,18 @@ class ClassicalSegmenter(Segmenter):
 
     def _kept(self, key: Hashable, compute: Callable[[], Known]) -> Known:
         """What was computed for the same picture before: clicks follow each other on one
-        picture.
+        picture, and may come from several threads.
         """
-        if key not in self._memory:
+        with self._remembering:
+            if key in self._memory:
+                self._memory[key] = known = self._memory.pop(key)
+                return known
+        known = compute()
+        with self._remembering:
             if len(self._memory) >= MAX_KEPT:  # what was asked for longest ago goes
                 del self._memory[next(iter(self._memory))]
-            self._memory[key] = compute()
-        self._memory[key] = self._memory.pop(key)
-        return self._memory[key]
+            self._memory[key] = known
+        return known
 
     @remembered
     def segment_text(

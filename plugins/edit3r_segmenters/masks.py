@@ -146,16 +146,17 @@ def distance_to(mask: np.ndarray) -> np.ndarray:
 
 class Latest(Generic[Known]):
     """What was computed of the picture that was asked about last: questions follow each other on
-    one, which is told by its identity. Nobody changes a picture in place.
+    one, which is told by its identity. Nobody changes a picture in place. Threads may ask at once.
     """
 
     def __init__(self) -> None:
         self._held: tuple[Any, Known] | None = None
 
     def of(self, picture: Any, compute: Callable[[], Known]) -> Known:
-        if self._held is None or self._held[0] is not picture:
-            self._held = picture, compute()
-        return self._held[1]
+        held = self._held
+        if held is None or held[0] is not picture:
+            held = self._held = picture, compute()
+        return held[1]
 
 
 def stepped(areas: Sequence[float], best: int, larger: int) -> int:

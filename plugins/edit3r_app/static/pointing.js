@@ -52,7 +52,8 @@ export function pointing(box, tool, done, rests) {
     box.setPointerCapture(event.pointerId);
     drag = { places: [place(event)], set: now(event) };
     clearTimeout(waiting);
-    rests(null);
+    // a press is asked about before it ends: most are clicks
+    rests(drag.set.kind === "point" ? markOf(drag.places, drag.set) : null);
     draw();
   });
   box.addEventListener("pointermove", (event) => {
@@ -60,6 +61,7 @@ export function pointing(box, tool, done, rests) {
     const at = place(event);
     if (drag.set.kind === "box") drag.places[1] = at;
     else if (far(at, drag.places.at(-1)) > 0.006) drag.places.push(at);
+    if (drag.places.length > 1) rests(null);
     draw();
   });
   box.addEventListener("pointerup", () => {

@@ -2,7 +2,10 @@
 
 import io
 import time
+from functools import partial
 from pathlib import Path
+from threading import Thread
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -14,6 +17,7 @@ from PIL import Image
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, collecting
+from edit3r.contract.settings import PartChoice
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.loading.registry import default_registry
 from edit3r.running.config import RunConfig
@@ -80,7 +84,7 @@ def test_a_click_gives_a_mask_on_every_photo(looker, scene):
 
 def test_the_segmenter_has_read_the_photos_before_the_first_click(folder, scene):
     looker = Looker(folder, default_registry(), SIZE)
-    build = looker._pointer.build_choice
+    build = looker.registry.build_choice
     clicked = []
 
     class Watched:
@@ -88,10 +92,10 @@ def test_the_segmenter_has_read_the_photos_before_the_first_click(folder, scene)
             clicked.append((image, marks))
             raise InputError("nothing at this click")
 
-    looker._pointer.build_choice = lambda kind, choice: (
+    looker.registry.build_choice = lambda kind, choice, *parts: (
         Watched()
         if (kind, choice.name) == ("segmenter", "auto")
-        else build(kind, choice)
+        else build(kind, choice, *parts)
     )
     images = looker.look(scene, Draft()).views.images[0]
     deadline = time.monotonic() + 60
@@ -99,6 +103,44 @@ def test_the_segmenter_has_read_the_photos_before_the_first_click(folder, scene)
         time.sleep(0.01)
     for (image, marks), photo in zip(clicked, images, strict=True):
         assert torch.equal(image, photo) and marks.positive
+
+
+def test_two_who_ask_at_once_get_one_component(folder):
+    looker, found = Looker(folder, default_registry(), SIZE), []
+    ask = partial(
+        looker.registry.build_choice, "segmenter", PartChoice(name="classical")
+    )
+    threads = [Thread(target=lambda: found.append(ask())) for _ in range(4)]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert len(found) == 4 and len(set(map(id, found))) == 1
+
+
+def test_the_same_question_twice_at_once_is_answered_once(folder, scene, monkeypatch):
+    """A press asks, and its end asks again."""
+    asked = []
+
+    def found(images, *_):
+        asked.append(1)
+        time.sleep(0.2)
+        return SimpleNamespace(masks=torch.ones(1, 1, *images.shape[-2:]))
+
+    monkeypatch.setattr(Looker, "_click_ahead", lambda *_: None)
+    monkeypatch.setattr(Looker, "_geometry", lambda *_: None)
+    monkeypatch.setattr(looking, "select_masks", found)
+    looker = Looker(folder, default_registry(), SIZE)
+    name = looker._open_once(scene).views.names[0]
+    draft = Draft([Mark("add", name, [(0.5, 0.5)])])
+    threads = [
+        Thread(target=looker.pointed, args=(scene, draft, name)) for _ in range(2)
+    ]
+    for one in threads:
+        one.start()
+    for one in threads:
+        one.join()
+    assert len(asked) == 1
 
 
 @pytest.mark.slow
