@@ -33,6 +33,10 @@ shows it too.
 """
 
 
+LITTLE_MEASURED = 0.5
+"""Share of a view that was measured, below which its guesses count less than what others show."""
+CLEARLY_MORE = 0.15
+"""By how much more another view must have measured [share of its pixels]."""
 NEAR_VIEWS = 12
 """Others that tell of each view's pixels which ones they contradict: asking all of many views takes
 time with the square of their number.
@@ -112,10 +116,13 @@ def contradicted(
     """Pixels that other registered views show better or see through.
 
     Guesses (confidence below 0.5) on or before a surface that another view measured, and measured
-    pixels that more views see through than confirm. Of many views, the nearest are asked.
+    pixels that more views see through than confirm; of a view that is mostly guessed, guesses at
+    places that another shows of which clearly more was measured. Of many views, the nearest are
+    asked.
     """
     points = unproject(geometry.depths, intrinsics, geometry.c2w)
     guessed = geometry.confidence < 0.5
+    better = _better_measured(geometry)
     surfaces = geometry.depths * (~guessed & geometry.registered[..., None, None])
     nearest = -dilate(
         -surfaces, 1
@@ -135,7 +142,18 @@ def contradicted(
         edge = torch.where(guessed[:, view], seen, close)
         through[:, view] += (z > 0) & (z < (1 - TOLERANCE) * edge)
         confirmed[:, view] += (z > 0) & ((z - seen).abs() <= TOLERANCE * seen)
+        shown = (z > 0) & ((grid > 0) & (grid < 1)).all(-1) & guessed[:, view]
+        confirmed[:, view] += shown & better[:, view, other, None, None]
     return torch.where(guessed, through + confirmed > 0, through > confirmed)
+
+
+def _better_measured(
+    geometry: MatchedGeometry,
+) -> Bool[Tensor, "batch view view"]:
+    """For each view that is mostly guessed the others of which clearly more was measured."""
+    share = geometry.measured * geometry.registered
+    own, other = share[:, :, None], share[:, None]
+    return (own < LITTLE_MEASURED) & (other > own + CLEARLY_MORE)
 
 
 def _near_views(geometry: MatchedGeometry) -> list[tuple[int, int]]:
