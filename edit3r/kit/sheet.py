@@ -39,8 +39,8 @@ Size = tuple[int, int]
 
 
 def images_of(views: Views | Rendering) -> Float[Tensor, "view 3 height width"]:
-    """The images of the first scene, as a sheet shows them."""
-    return views.images[0].clamp(0, 1).cpu()
+    """The images of the first scene, which are clipped where they are drawn or written."""
+    return views.images[0].cpu()
 
 
 def draw_sheet(

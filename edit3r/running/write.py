@@ -29,7 +29,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import collecting, note, warn
 from edit3r.kit.checks import check_needs, check_written, errors_named_after
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
-from edit3r.kit.photos.images import save_pixels, to_bytes
+from edit3r.kit.photos.images import save_image, save_pixels, to_bytes
 from edit3r.kit.photos.outline import outlined_views
 from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.kit.run_folder import (
@@ -218,12 +218,12 @@ def _write_images(folder: RunFolder, result: RunRecord) -> None:
         folder.renders: images_of(result.rendered),
     }
     jobs = [
-        (to_bytes(picture), directory / f"{name}.png")
+        (picture, directory / f"{name}.png")
         for directory, pictures in shown.items()
         for name, picture in zip(result.photos.names, pictures)
     ]
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
-        list(pool.map(lambda job: save_pixels(*job), jobs))
+        list(pool.map(lambda job: save_image(*job), jobs))
 
 
 def _write_masks(folder: RunFolder, result: RunRecord) -> None:
