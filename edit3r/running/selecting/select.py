@@ -29,9 +29,18 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import note, say, warn
 from edit3r.kit.cache import fingerprint
-from edit3r.kit.geometry.warping import shared_surface, warp
+from edit3r.kit.geometry.warping import nearest_views, shared_surface, warp
 from edit3r.kit.segmenting import HeldSegmenter
-from edit3r.running.selecting.agreeing import ONE_SURFACE, agreed
+from edit3r.running.selecting.agreeing import (
+    CARRIED,
+    EXACT,
+    FOUND,
+    ONE_SURFACE,
+    Told,
+    agreed,
+    of_itself,
+    told_by,
+)
 from edit3r.running.selecting.confirming import ASKED, surest
 from edit3r.running.selecting.obeying import (
     SAME_SURFACE,
@@ -48,11 +57,12 @@ MIN_SHARE = 0.2
 FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
 MIN_AREA = 2e-4  # share of a view under which a carried mask shows nothing
 SURE = 0.63  # surety under which what words found is not taken unasked
-FOUND = 0.05  # surety under which words found as good as nothing
+FOUND_AT_ALL = 0.05  # surety under which words found as good as nothing
 CLICKED_SURE = 0.25  # the same where a click lies on what they found
 SAME_THING = 0.6  # overlap from which a click and words mean one thing
 SAME_READING = 0.85  # overlap from which two readings are one
 MAX_READINGS = 3  # that are shown
+VOTES = 6  # photos near a view that say what of it belongs to the thing
 SHARES = "expected shares of its sides, 0 to 1 (x / width, y / height)"
 ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
 
@@ -207,8 +217,8 @@ def select_masks(
     for view in range(len(images)):
         if view not in work.masks:
             work.carry(view)
+    work.agree()
     for view in range(len(images)):
-        work.agree(view)
         work.obey(view)
     how = tuple(work.how[view] for view in range(len(images)))
     masks = torch.stack([work.masks[view] for view in range(len(images))])[:, None]
@@ -325,7 +335,7 @@ class _Work:
         if words:
             view, found = self._named_on(view)
             if found is not None:
-                found = tuple(one for one in found if one.surety >= FOUND)
+                found = tuple(one for one in found if one.surety >= FOUND_AT_ALL)
         elif self.selection.which:  # "the big one" may be one of anything
             proposals = self.segmenter.propose(self.images[view])
             found = tuple(replace(one, surety=SURE / 2) for one in proposals)
@@ -500,17 +510,38 @@ class _Work:
                 )
         self._paint(view)
 
-    def agree(self, view: int) -> None:
-        """Add to a carried mask what the photos with masks of their own show of the thing."""
-        if self.how[view] != "geometry":
-            return
+    def agree(self) -> None:
+        """Let photos that show one surface agree about patches of it."""
+        own, before = self._own(), {}
+        for view, how in self.how.items():
+            if how not in ("pictures", "not found"):
+                weight = FOUND if view in own else CARRIED
+                weight = EXACT if view in self._exact() else weight
+                before[view] = of_itself(self.masks[view], weight)
+        for view, mine in before.items():
+            others = [self._told(view, one, before) for one in self._near(view, own)]
+            said = [one for one in others if one is not None]
+            if said and mine.weight != EXACT:
+                self.masks[view] = agreed(mine, said)
+                self._paint(view)
+
+    def _near(self, view: int, own: Sequence[int]) -> list[int]:
+        """The photos that say something of a view: those nearest to it, and those with masks of
+        their own.
+        """
+        if self.geometry is None:
+            return []
+        near = nearest_views(self.geometry.c2w, self.geometry.depths, VOTES)[view]
+        return [one for one in dict.fromkeys((*own, *near)) if one != view]
+
+    def _told(self, view: int, source: int, masks: Mapping[int, Told]) -> Told | None:
+        """What another photo says of a view; None where it shows nothing of it."""
+        shared = self._shared(view, source, ONE_SURFACE)
+        if shared is None or source not in masks:
+            return None
         assert self.geometry is not None
-        for source in self._own():
-            shared = self._shared(view, source, ONE_SURFACE)
-            if shared is not None:
-                confidence = self.geometry.confidence[0, [view, source]]
-                mask, other = self.masks[view], self.masks[source]
-                self.masks[view] = agreed(mask, other, shared, confidence)
+        confidence = self.geometry.confidence[0, [view, source]]
+        return told_by(masks[source], shared, confidence)
 
     def _paint(self, view: int) -> None:
         """Brush, exact boxes and eraser are taken as they are."""
@@ -625,6 +656,11 @@ class _Work:
         """Views whose masks were not carried from another one."""
         carried = ("geometry", "pictures", "not found")
         return [view for view, how in self.how.items() if how not in carried]
+
+    def _exact(self) -> set[int]:
+        """Views whose masks are taken as they are: given, painted or a box to the pixel."""
+        given = {view for view, how in self.how.items() if how in ("given", "region")}
+        return given | set(self.selection.added)
 
     def tell_empty(self, masks: Float[Tensor, "view 1 height width"]) -> None:
         """Say which photos stay as they are because nothing is selected there."""
