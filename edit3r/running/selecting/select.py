@@ -28,6 +28,7 @@ from edit3r.contract.interfaces import (
     Tracks,
 )
 from edit3r.contract.reporting import note, say, warn
+from edit3r.contract.wishes import EVERY
 from edit3r.kit.cache import fingerprint
 from edit3r.kit.geometry.warping import nearest_views, shared_surface, warp
 from edit3r.kit.segmenting import HeldSegmenter
@@ -57,6 +58,7 @@ MIN_SHARE = 0.2
 FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
 MIN_AREA = 2e-4  # share of a view under which a carried mask shows nothing
 SURE = 0.63  # surety under which what words found is not taken unasked
+ALSO = 0.5  # the same for one of several beside one that is sure
 FOUND_AT_ALL = 0.05  # surety under which words found as good as nothing
 CLICKED_SURE = 0.25  # the same where a click lies on what they found
 SAME_THING = 0.6  # overlap from which a click and words mean one thing
@@ -327,6 +329,7 @@ class _Work:
         self.warnings: list[str] = []
         self.surety: float | None = None  # of what the words named
         self.readings: list[Reading] = []
+        self.by_name: set[int] = set()  # views on each of which several were looked for
 
     def look_up(self, view: int) -> None:
         """The mask of what the words name, or of what stands out where a guess is allowed."""
@@ -378,12 +381,10 @@ class _Work:
         only sure ones may be taken.
         """
         words, which = self.selection.words, self.selection.which
-        sure = [one for one in found if one.surety >= SURE]
-        if self.selection.several and not which and sure:
-            picked = tuple(sure)
-        else:
-            picked = pick(found, which, self.images[view])
-        self.surety = min(proposal.surety for proposal in picked)
+        several = self._also(found) if self.selection.several and not which else ()
+        picked = several or pick(found, which, self.images[view])
+        sure = [one.surety for one in picked if one.surety >= SURE]
+        self.surety = min(sure if several else [one.surety for one in picked])
         named = " ".join((*which, words)).strip()
         if len(picked) > 1:
             say("selection.several", f"{len(picked)} {words} on photo {view + 1}")
@@ -401,6 +402,32 @@ class _Work:
         elif self.surety < 1:
             say("selection.words", f"{named}: found, {self.surety:.0%} sure")
         self._keep(view, mask, "words")
+        every = several or set(which) & EVERY
+        if every and not self.selection.larger and self.selection.reading == 1:
+            self._look_on_others(view)
+
+    def _look_on_others(self, first: int) -> None:
+        """Several are looked for on every photo, as surely as on the first: people walk, and a
+        photo shows what another does not.
+        """
+        assert self.surety is not None
+        least = min(SURE, self.surety)
+        for view in range(len(self.images)):
+            if view == first or view in self.masks:
+                continue
+            found = self.segmenter.segment_text(self.images[view], self.selection.words)
+            found = tuple(found or ())
+            likely = [one for one in found if one.surety >= least]
+            alike = [one.soft_mask for one in self._also(found) or likely]
+            if alike:
+                self._keep(view, torch.stack(alike).amax(0), "words")
+                self.by_name.update((first, view))
+
+    def _also(self, found: tuple[Proposal, ...]) -> tuple[Proposal, ...]:
+        """Those that are sure, and others that are likely beside them; none where none is sure."""
+        if all(one.surety < SURE for one in found):
+            return ()
+        return tuple(one for one in found if one.surety >= ALSO)
 
     def _tell_doubt(self, view: int, named: str) -> None:
         others = [one.number for one in self.readings]
@@ -514,7 +541,7 @@ class _Work:
         """Let photos that show one surface agree about patches of it."""
         own, before = self._own(), {}
         for view, how in self.how.items():
-            if how not in ("pictures", "not found"):
+            if how not in ("pictures", "not found") and view not in self.by_name:
                 weight = FOUND if view in own else CARRIED
                 weight = EXACT if view in self._exact() else weight
                 before[view] = of_itself(self.masks[view], weight)
