@@ -42,6 +42,9 @@ MAX_BORDER = 4.5  # length of the border of the paint on a thing [sides of the t
 BORDER_SIDE = 256  # pixels of the longer side at which that is measured
 HUE_BINS = 72
 HUE_FALL = 0.5  # of the tolerance, over which membership falls to 0
+# What steps of 8 bits and compression move the chroma of a pixel by, and lightness at which that no
+# longer counts and at which it counts fully: the hue of dark fur is mostly noise
+DARK_NOISE, NOISE_FADES = 0.015, (0.35, 0.25)
 
 
 @dataclass(frozen=True)
@@ -239,9 +242,15 @@ def _commonest_hue(lab: Pixels, weights: Weights, tolerance: float) -> float:
 
 
 def _near_hue(lab: Pixels, own: Paint) -> Weights:
-    """1 up to the paint's tolerance, falling to 0 beyond."""
+    """1 up to the paint's tolerance, falling to 0 beyond; noise widens it in the dark, where the
+    paint is not vivid.
+    """
     apart = (_hue(lab) - own.hue + math.pi).remainder(2 * math.pi) - math.pi
-    beyond = torch.rad2deg(apart).abs() / own.tolerance - 1
+    light, dark = NOISE_FADES
+    faint = 0 < own.saturation < VIVID
+    noise = faint * DARK_NOISE * ((light - lab[0]) / (light - dark)).clamp(0, 1)
+    tolerance = own.tolerance + torch.rad2deg(torch.atan2(noise, _chroma(lab)))
+    beyond = torch.rad2deg(apart).abs() / tolerance - 1
     return (1 - beyond / HUE_FALL).clamp(0, 1)
 
 

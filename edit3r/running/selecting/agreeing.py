@@ -1,11 +1,13 @@
-"""What one photo shows of a thing holds in the others: no nose without the colour of its bear.
+"""What most photos show of a thing holds in all: no nose without the colour of its bear.
 
-A mask that was carried to another photo is drawn anew there, by what that photo shows, and a snout
-before a dark wood may be missed. In 3D both colours then stand at one place. Where depth was
-measured in both photos and says that they show one surface, what belongs to the thing in the photo
-that was marked belongs to it there too. Only patches count: outlines never lie at the same pixel.
-Nothing is taken away: a first mask that holds too little would spoil one that is right.
+A mask that was carried to another photo is drawn anew there, by what that photo shows. It may miss
+a snout before a dark wood, or take a rock along, and a click may do so in its own photo. In 3D both
+colours then stand at one place. Where depth was measured in several photos and says that they show
+one surface, they vote on it. Only patches count: outlines never lie at the same pixel.
 """
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -19,28 +21,61 @@ ONE_SURFACE = 0.03  # relative difference in depth within which two photos show 
 MEASURED = 0.5  # confidence from which a depth was measured
 SURELY = 0.99  # share of four pixels whose depth was measured
 THIN = 0.012  # radius of the disc that fits into what is a patch [longer sides]
+SEVERAL = 3  # photos of a place from which one that was marked counts twice
+CARRIED, FOUND, EXACT = 1, 2, 100
+"""How much a mask counts that was carried to its photo, was found there by marks or words, or was
+given: nothing outvotes that.
+"""
 
 Mask = Float[Tensor, "height width"]
 
 
-def agreed(
-    mask: Mask,
-    source: Mask,
+@dataclass(frozen=True)
+class Told:
+    """What one photo says of the pixels of a view."""
+
+    mask: Mask
+    says: Bool[Tensor, "height width"]  # where it says anything
+    weight: int  # CARRIED, FOUND or EXACT
+
+
+def of_itself(mask: Mask, weight: int) -> Told:
+    """What a view says of itself."""
+    return Told(mask, torch.ones_like(mask, dtype=torch.bool), weight)
+
+
+def told_by(
+    source: Told,
     shared: tuple[Float[Tensor, "height width 2"], Bool[Tensor, "height width"]],
     confidence: Float[Tensor, "2 height width"],
-) -> Mask:
-    """The mask of a view, with the patches that it lacks of `source`, that of another one.
+) -> Told:
+    """What another photo says of a view.
 
-    `shared` is where its pixels lie in the other, and whether both show one surface, within
+    `shared` is where the view's pixels lie in the other, and whether both show one surface, within
     `ONE_SURFACE`; `confidence` is that of the depths of both.
     """
     grid, same = shared
-    here, there = (confidence >= MEASURED).to(mask)
-    told, known = warp(torch.stack((source.to(mask), there)), grid, padding="zeros")
-    measured = same & (here > 0) & (known > SURELY)
-    lacking = measured & (told > 0.5) & (mask <= 0.5)
-    near = measured & _about_patches(lacking)
-    return torch.where(near, torch.maximum(told, mask), mask)
+    here, there = confidence >= MEASURED
+    layers = torch.stack((source.mask, there.to(source.mask)))
+    mask, known = warp(layers, grid, padding="zeros")
+    return Told(mask, same & here & (known > SURELY), source.weight)
+
+
+def agreed(own: Told, others: Sequence[Told]) -> Mask:
+    """The mask of a view with its patches as most photos have them; half of them are enough."""
+    said = (own, *others)
+    masks = torch.stack([one.mask for one in said])
+    says = torch.stack([one.says for one in said])
+    counts = torch.tensor([one.weight for one in said], device=masks.device)
+    weights = says * counts[:, None, None]
+    few = says.sum(0) < SEVERAL
+    weights = torch.where(few & (weights == FOUND), CARRIED, weights)
+    wanted = 2 * (weights * (masks > 0.5)).sum(0) >= weights.sum(0)
+    told = says[1:].any(0)
+    near = told & _about_patches(told & (wanted != (own.mask > 0.5)))
+    most = torch.where(says, masks, 0).amax(0)
+    least = torch.where(says, masks, 1).amin(0)
+    return torch.where(near, torch.where(wanted, most, least), own.mask)
 
 
 def _about_patches(where: Bool[Tensor, "height width"]) -> Bool[Tensor, "height width"]:

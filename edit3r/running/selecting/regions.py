@@ -28,6 +28,7 @@ from edit3r.running.selecting.select import (
 )
 
 PLAIN = Selection()
+LEFT = 0.5  # share of a thing that must be left beside what is kept of it
 RIM = 0.012  # half of how thick a rim between two outlines may be [longer sides]
 Masks = Float[Tensor, "view height width"]
 
@@ -155,12 +156,33 @@ class RegionFinder:
         thing = wish.thing
         mask = self._base(wish, marked_thing)
         for kept in wish.without:
-            mask = mask * self._all_but(kept, marked_thing)
+            rest = mask * self._all_but(kept, marked_thing)
+            if self._is_denied(mask, rest, kept, wish):
+                continue
+            mask = rest
             if kept.name and kept.name == thing.name:  # "the cups but the middle one"
                 mask = _without_rims(mask)
         if thing.part is not None:
             mask = near_colour(mask, self._views.images[0], thing.part)
         return mask
+
+    def _is_denied(self, mask: Masks, rest: Masks, kept: Thing, wish: Wish) -> bool:
+        """Whether what was found unsurely for a thing to keep is the thing to change itself: "the
+        fern, not the planter" says that these are two.
+        """
+        found = self._found.get(replace(kept, part=None))
+        unsure = found is not None and not found.is_sure
+        other = wish.thing.scope == "named" and kept.name != wish.thing.name
+        if not (unsure and other and kept.part is None):
+            return False
+        left = float((rest > 0.5).sum() / (mask > 0.5).sum().clamp(min=1))
+        if left >= LEFT:
+            return False
+        warn(
+            f"what was found for {kept.name!r} is {wish.thing.name!r} itself, so it is not left "
+            "out; to leave it out, mark what is to change (--point X,Y)."
+        )
+        return True
 
     def _base(self, wish: Wish, marked_thing: Thing | None) -> Masks:
         """The wish's thing before anything is taken out of it."""

@@ -28,10 +28,20 @@ from edit3r.contract.interfaces import (
     Tracks,
 )
 from edit3r.contract.reporting import note, say, warn
+from edit3r.contract.wishes import EVERY
 from edit3r.kit.cache import fingerprint
-from edit3r.kit.geometry.warping import shared_surface, warp
+from edit3r.kit.geometry.warping import nearest_views, shared_surface, warp
 from edit3r.kit.segmenting import HeldSegmenter
-from edit3r.running.selecting.agreeing import ONE_SURFACE, agreed
+from edit3r.running.selecting.agreeing import (
+    CARRIED,
+    EXACT,
+    FOUND,
+    ONE_SURFACE,
+    Told,
+    agreed,
+    of_itself,
+    told_by,
+)
 from edit3r.running.selecting.confirming import ASKED, surest
 from edit3r.running.selecting.obeying import (
     SAME_SURFACE,
@@ -48,11 +58,13 @@ MIN_SHARE = 0.2
 FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
 MIN_AREA = 2e-4  # share of a view under which a carried mask shows nothing
 SURE = 0.63  # surety under which what words found is not taken unasked
-FOUND = 0.05  # surety under which words found as good as nothing
+ALSO = 0.5  # the same for one of several beside one that is sure
+FOUND_AT_ALL = 0.05  # surety under which words found as good as nothing
 CLICKED_SURE = 0.25  # the same where a click lies on what they found
 SAME_THING = 0.6  # overlap from which a click and words mean one thing
 SAME_READING = 0.85  # overlap from which two readings are one
 MAX_READINGS = 3  # that are shown
+VOTES = 6  # photos near a view that say what of it belongs to the thing
 SHARES = "expected shares of its sides, 0 to 1 (x / width, y / height)"
 ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
 
@@ -207,8 +219,8 @@ def select_masks(
     for view in range(len(images)):
         if view not in work.masks:
             work.carry(view)
+    work.agree()
     for view in range(len(images)):
-        work.agree(view)
         work.obey(view)
     how = tuple(work.how[view] for view in range(len(images)))
     masks = torch.stack([work.masks[view] for view in range(len(images))])[:, None]
@@ -317,6 +329,7 @@ class _Work:
         self.warnings: list[str] = []
         self.surety: float | None = None  # of what the words named
         self.readings: list[Reading] = []
+        self.by_name: set[int] = set()  # views on each of which several were looked for
 
     def look_up(self, view: int) -> None:
         """The mask of what the words name, or of what stands out where a guess is allowed."""
@@ -325,7 +338,7 @@ class _Work:
         if words:
             view, found = self._named_on(view)
             if found is not None:
-                found = tuple(one for one in found if one.surety >= FOUND)
+                found = tuple(one for one in found if one.surety >= FOUND_AT_ALL)
         elif self.selection.which:  # "the big one" may be one of anything
             proposals = self.segmenter.propose(self.images[view])
             found = tuple(replace(one, surety=SURE / 2) for one in proposals)
@@ -368,12 +381,10 @@ class _Work:
         only sure ones may be taken.
         """
         words, which = self.selection.words, self.selection.which
-        sure = [one for one in found if one.surety >= SURE]
-        if self.selection.several and not which and sure:
-            picked = tuple(sure)
-        else:
-            picked = pick(found, which, self.images[view])
-        self.surety = min(proposal.surety for proposal in picked)
+        several = self._also(found) if self.selection.several and not which else ()
+        picked = several or pick(found, which, self.images[view])
+        sure = [one.surety for one in picked if one.surety >= SURE]
+        self.surety = min(sure if several else [one.surety for one in picked])
         named = " ".join((*which, words)).strip()
         if len(picked) > 1:
             say("selection.several", f"{len(picked)} {words} on photo {view + 1}")
@@ -391,6 +402,32 @@ class _Work:
         elif self.surety < 1:
             say("selection.words", f"{named}: found, {self.surety:.0%} sure")
         self._keep(view, mask, "words")
+        every = several or set(which) & EVERY
+        if every and not self.selection.larger and self.selection.reading == 1:
+            self._look_on_others(view)
+
+    def _look_on_others(self, first: int) -> None:
+        """Several are looked for on every photo, as surely as on the first: people walk, and a
+        photo shows what another does not.
+        """
+        assert self.surety is not None
+        least = min(SURE, self.surety)
+        for view in range(len(self.images)):
+            if view == first or view in self.masks:
+                continue
+            found = self.segmenter.segment_text(self.images[view], self.selection.words)
+            found = tuple(found or ())
+            likely = [one for one in found if one.surety >= least]
+            alike = [one.soft_mask for one in self._also(found) or likely]
+            if alike:
+                self._keep(view, torch.stack(alike).amax(0), "words")
+                self.by_name.update((first, view))
+
+    def _also(self, found: tuple[Proposal, ...]) -> tuple[Proposal, ...]:
+        """Those that are sure, and others that are likely beside them; none where none is sure."""
+        if all(one.surety < SURE for one in found):
+            return ()
+        return tuple(one for one in found if one.surety >= ALSO)
 
     def _tell_doubt(self, view: int, named: str) -> None:
         others = [one.number for one in self.readings]
@@ -500,17 +537,38 @@ class _Work:
                 )
         self._paint(view)
 
-    def agree(self, view: int) -> None:
-        """Add to a carried mask what the photos with masks of their own show of the thing."""
-        if self.how[view] != "geometry":
-            return
+    def agree(self) -> None:
+        """Let photos that show one surface agree about patches of it."""
+        own, before = self._own(), {}
+        for view, how in self.how.items():
+            if how not in ("pictures", "not found") and view not in self.by_name:
+                weight = FOUND if view in own else CARRIED
+                weight = EXACT if view in self._exact() else weight
+                before[view] = of_itself(self.masks[view], weight)
+        for view, mine in before.items():
+            others = [self._told(view, one, before) for one in self._near(view, own)]
+            said = [one for one in others if one is not None]
+            if said and mine.weight != EXACT:
+                self.masks[view] = agreed(mine, said)
+                self._paint(view)
+
+    def _near(self, view: int, own: Sequence[int]) -> list[int]:
+        """The photos that say something of a view: those nearest to it, and those with masks of
+        their own.
+        """
+        if self.geometry is None:
+            return []
+        near = nearest_views(self.geometry.c2w, self.geometry.depths, VOTES)[view]
+        return [one for one in dict.fromkeys((*own, *near)) if one != view]
+
+    def _told(self, view: int, source: int, masks: Mapping[int, Told]) -> Told | None:
+        """What another photo says of a view; None where it shows nothing of it."""
+        shared = self._shared(view, source, ONE_SURFACE)
+        if shared is None or source not in masks:
+            return None
         assert self.geometry is not None
-        for source in self._own():
-            shared = self._shared(view, source, ONE_SURFACE)
-            if shared is not None:
-                confidence = self.geometry.confidence[0, [view, source]]
-                mask, other = self.masks[view], self.masks[source]
-                self.masks[view] = agreed(mask, other, shared, confidence)
+        confidence = self.geometry.confidence[0, [view, source]]
+        return told_by(masks[source], shared, confidence)
 
     def _paint(self, view: int) -> None:
         """Brush, exact boxes and eraser are taken as they are."""
@@ -625,6 +683,11 @@ class _Work:
         """Views whose masks were not carried from another one."""
         carried = ("geometry", "pictures", "not found")
         return [view for view, how in self.how.items() if how not in carried]
+
+    def _exact(self) -> set[int]:
+        """Views whose masks are taken as they are: given, painted or a box to the pixel."""
+        given = {view for view, how in self.how.items() if how in ("given", "region")}
+        return given | set(self.selection.added)
 
     def tell_empty(self, masks: Float[Tensor, "view 1 height width"]) -> None:
         """Say which photos stay as they are because nothing is selected there."""

@@ -1,11 +1,21 @@
-"""What a photo with a mask of its own shows of a thing belongs to it in the others."""
+"""What most photos show of a thing belongs to it in all."""
 
+import pytest
 import torch
 
 from edit3r.kit.geometry.warping import shared_surface
-from edit3r.running.selecting.agreeing import ONE_SURFACE, agreed
+from edit3r.running.selecting.agreeing import (
+    CARRIED,
+    EXACT,
+    FOUND,
+    ONE_SURFACE,
+    agreed,
+    of_itself,
+    told_by,
+)
 
 SIDE = 64
+SNOUT, GROUND = (slice(22, 43), slice(9, 15)), (slice(46, 54), slice(22, 38))
 
 
 def at_one_place():
@@ -14,31 +24,53 @@ def at_one_place():
     return shared_surface(depths, lenses, torch.eye(4).expand(2, 4, 4), ONE_SURFACE)
 
 
-def masks() -> tuple[torch.Tensor, torch.Tensor]:
-    """A bear without its snout and with a thin stripe too few; the bear, without the ground that
-    the first has.
-    """
-    bear = torch.zeros(SIDE, SIDE)
-    bear[20:44, 8:50] = 1
-    carried = bear.clone()
-    carried[:, :16] = 0  # the snout
-    carried[20] = 0  # its outline lies a pixel lower
-    carried[44:56, 20:40] = 1  # the ground
-    return carried, bear
+def bear() -> torch.Tensor:
+    mask = torch.zeros(SIDE, SIDE)
+    mask[20:44, 8:50] = 1
+    return mask
 
 
-def joined(measured=1.0) -> torch.Tensor:
+def other() -> torch.Tensor:
+    """The bear without its snout, with the ground, and with its outline a pixel lower."""
+    mask = bear()
+    mask[:, :16] = 0
+    mask[44:56, 20:40] = 1
+    mask[20] = 0
+    return mask
+
+
+def joined(own, *others, measured=1.0) -> torch.Tensor:
+    """What is left of a mask, each with how much it counts."""
     confidence = torch.full((2, SIDE, SIDE), measured)
-    return agreed(*masks(), at_one_place(), confidence)
+    told = [told_by(of_itself(*one), at_one_place(), confidence) for one in others]
+    return agreed(of_itself(*own), told)
 
 
-def test_a_patch_that_is_lacking_is_added_and_nothing_is_taken_away():
-    carried, _ = masks()
-    found = joined()
-    assert found[22:43, 8:16].min() == 1
-    assert (found >= carried).all()
-    assert found[20, 30] == 0  # outlines never lie at the same pixel
+@pytest.mark.parametrize(
+    ("own", "others", "snout", "ground"),
+    [
+        # of two photos both hold: what one of them lacks would be of two colours in 3D
+        ((other(), CARRIED), [(bear(), FOUND)], True, True),
+        ((bear(), FOUND), [(other(), CARRIED)], True, True),
+        # of four the most, and the marked one counts twice
+        ((other(), CARRIED), [(bear(), FOUND), (bear(), CARRIED)], True, False),
+        ((bear(), FOUND), [(other(), CARRIED)] * 3, False, True),
+        ((bear(), FOUND), [(other(), CARRIED)] * 2, True, True),
+        # what was given is exact
+        ((other(), CARRIED), [(bear(), EXACT)], True, False),
+        ((other(), CARRIED), [(bear(), EXACT), *[(other(), CARRIED)] * 4], True, False),
+    ],
+)
+def test_patches_are_as_most_photos_have_them(own, others, snout, ground):
+    found = joined(own, *others) > 0.5
+    for place, wanted in ((SNOUT, snout), (GROUND, ground)):
+        assert bool(found[place].all()) == wanted and bool(found[place].any()) == wanted
+
+
+def test_outlines_stay_for_they_never_lie_at_the_same_pixel():
+    assert not joined((other(), CARRIED), (bear(), FOUND))[20, 20:50].any()
 
 
 def test_where_depth_was_not_measured_the_mask_stays():
-    assert torch.equal(joined(measured=0.2), masks()[0])
+    found = joined((other(), CARRIED), (bear(), FOUND), measured=0.2)
+    assert torch.equal(found, other())

@@ -1,5 +1,7 @@
 """Where each wish applies: what is marked, named, left out, or near a colour."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -334,3 +336,28 @@ def test_a_kept_cup_has_no_rim_that_goes_with_the_others():
     masks[:, 21:60, 61:80] = 0  # and as its own outline is
     left = _without_rims(masks)
     assert left[:, :, 50:].sum() == 0 and torch.equal(left[..., :50], masks[..., :50])
+
+
+class Unsure(Halves):
+    """Takes the left half for a pot as well, and is as sure of that as told."""
+
+    def __init__(self, surety):
+        super().__init__()
+        self.surety = surety
+
+    def segment_text(self, image, text):
+        if text != "pot":
+            return super().segment_text(image, text)
+        return (replace(self._half(image, LEFT), surety=self.surety),)
+
+
+@pytest.mark.parametrize(("surety", "changed"), [(0.35, IN_LEFT), (0.9, [False] * 16)])
+def test_what_is_kept_is_not_the_thing_to_change_where_its_name_is_unsure(
+    surety, changed
+):
+    report = Report()
+    with collecting(report):
+        masks = regions("paint the door red, not the pot", segmenter=Unsure(surety))
+    assert columns(masks[0]) == changed
+    told = any("'pot' is 'door' itself" in text for text in report.warnings)
+    assert told == any(changed)

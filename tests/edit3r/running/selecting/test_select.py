@@ -268,6 +268,44 @@ def test_what_words_found_unsurely_is_taken_and_told_with_other_readings():
     assert [one.number for one in second.readings] == [1, 2]
 
 
+class Walkers(Squares):
+    """People who stand elsewhere on each photo, told apart by its brightness; surest first."""
+
+    def __init__(self, *sureties):
+        super().__init__()
+        self.sureties = sureties
+
+    def segment_text(self, image, text):
+        first = 2 if image.mean() < 0.5 else 14
+        found = [square(2, first), square(8, first + 4), square(16, first + 8)]
+        return tuple(
+            replace(self._proposal(mask), surety=surety)
+            for mask, surety in zip(found, self.sureties)
+        )
+
+
+@pytest.mark.parametrize(
+    ("sureties", "several", "which", "each", "count"),
+    [
+        ((0.8, 0.6, 0.4), True, (), True, 2),  # one that is likely beside a sure one
+        ((0.6, 0.55), True, (), False, 1),  # none is sure: the best of the first photo
+        ((0.6, 0.55), True, ("all",), True, 2),
+        ((0.8, 0.6, 0.4), False, (), False, 1),  # one is followed
+    ],
+)
+def test_several_are_looked_for_on_every_photo(sureties, several, which, each, count):
+    images = torch.stack((torch.zeros(3, 24, 32), torch.ones(3, 24, 32)))
+    words = Selection(words="people", several=several, which=which)
+    found = select_masks(images, words, Walkers(*sureties))
+    assert (found.how == ("words", "words")) == each
+    one = float(square(2, 2).sum())
+    assert float(inside(found, 0).sum()) == count * one
+    if each:
+        there = inside(found, 1)
+        assert there[2, 14] and not there[2, 2] and float(there.sum()) == count * one
+    assert found.surety == (sureties[-1] if which else sureties[0])
+
+
 def test_what_words_found_unsurely_is_refused_where_only_sure_things_may_be_taken():
     with pytest.raises(InputError, match=r"30% sure.*--sure"):
         select_masks(IMAGES, Selection(words="box", sure=True), Unsure())
