@@ -12,6 +12,7 @@ import os
 import shutil
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 
@@ -24,6 +25,7 @@ from screens import SOFTWARE_GL, app
 from edit3r.kit.photos.images import packaged_pair
 
 PATIENCE = 300_000  # [ms]
+ALL = "in all"
 TANK = 0.55, 0.4  # of the motorcycle, in shares of the photo
 
 
@@ -32,25 +34,38 @@ class Watch:
 
     def __init__(self) -> None:
         self.spent: dict[int, tuple[str, float]] = {}
+        threading.Thread(target=self._follow, daemon=True).start()
         self.begun = self.last = time.perf_counter()
-        self.before = self.processor()
+        self.before = self.first = self.processor()
+
+    def _follow(self) -> None:
+        while True:  # what a process used is known as long as it lives
+            self.processor()
+            time.sleep(0.2)
 
     def processor(self) -> tuple[float, float]:
-        """In Python and in the browser, [s]."""
+        """In the app and in the browser, [s]."""
         for one in psutil.Process(os.getpid()).children(recursive=True):
             try:
                 used = one.cpu_times()
-                self.spent[one.pid] = (one.name(), used.user + used.system)
+                kind = "browser" if "chrom" in one.name() else "app"
+                self.spent[one.pid] = (kind, used.user + used.system)
             except psutil.Error:
                 continue
-        python = [used for name, used in self.spent.values() if "python" in name]
-        return sum(python), sum(used for _, used in self.spent.values()) - sum(python)
+        spent = list(self.spent.values())
+        return tuple(
+            sum(used for kind, used in spent if kind == wanted)
+            for wanted in ("app", "browser")
+        )
 
     def step(self, name: str) -> None:
         now, used = time.perf_counter(), self.processor()
-        python, browser = (a - b for a, b in zip(used, self.before))
+        begun, before = (
+            (self.begun, self.first) if name == ALL else (self.last, self.before)
+        )
+        app, browser = (a - b for a, b in zip(used, before))
         print(
-            f"{name:28s} {now - self.last:6.1f} s   CPU {python:5.1f} s   browser {browser:5.1f} s",
+            f"{name:28s} {now - begun:6.1f} s   CPU {app:5.1f} s   browser {browser:5.1f} s",
             flush=True,
         )
         self.last, self.before = now, used
@@ -105,9 +120,7 @@ def main() -> None:
             file.press("Enter")
         loading.value.path()
         watch.step("download")
-        watch.last = watch.begun
-        watch.before = (0.0, 0.0)
-        watch.step("in all")
+        watch.step(ALL)
 
 
 if __name__ == "__main__":

@@ -87,6 +87,9 @@ export function toast(sentence, isProblem = false) {
   if (toasts.matches(":popover-open")) toasts.hidePopover();
   toasts.showPopover(); // above dialogs, too
   setTimeout(() => note.remove(), isProblem ? 12000 : 5000);
+  // Who goes on has read it.
+  const goesOn = (event) => toasts.contains(event.target) || note.remove();
+  for (const kind of ["pointerdown", "input"]) addEventListener(kind, goesOn, { once: true });
 }
 
 // A dialog of the browser's own, which keeps the focus and closes by Escape.

@@ -105,14 +105,14 @@ export function home(page) {
       ),
       el(
         "section",
-        { class: "story" },
+        { class: "story unready" },
         STORY.map(([svg, title, text]) =>
           el("figure", {}, drawn(svg), el("figcaption", {}, el("strong", {}, title), " ", text)),
         ),
       ),
       el(
         "section",
-        {},
+        { class: "unready" },
         el("h2", {}, "Or open one of these"),
         el(
           "p",
@@ -124,7 +124,7 @@ export function home(page) {
       yours,
       el(
         "section",
-        {},
+        { class: "unready" },
         el("h2", {}, "Photos that work"),
         el(
           "div",
@@ -143,12 +143,15 @@ export function home(page) {
     ),
   );
 
+  const story = page.querySelector(".story");
   let timer = 0,
     gone = false;
   async function refresh() {
     try {
       const found = await ask("home");
       if (gone) return;
+      // Who comes back sees the own scenes first; nothing is moved that was seen.
+      if (found.scenes.length && story.classList.contains("unready")) story.before(yours);
       if (!tries.children.length) tries.replaceChildren(...found.made.map(madeCard));
       yours.hidden = !found.scenes.length;
       scenes.replaceChildren(...found.scenes.map(card));
@@ -157,6 +160,7 @@ export function home(page) {
     } catch (error) {
       toast(error.message, true);
     }
+    for (const one of page.querySelectorAll(".unready")) one.classList.remove("unready");
   }
   refresh();
   const stop = dropAnywhere(take);

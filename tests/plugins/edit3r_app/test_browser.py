@@ -272,7 +272,10 @@ def test_from_photos_to_a_download(server, tab):
     scene_address = drop(page, server)
     assert share_of_the_scene(page) >= 0.6 and within_reach(page)
 
+    page.get_by_role("button", name="Go", exact=True).click()
+    page.get_by_text("Say what shall change first").wait_for()
     click_photo(page)
+    assert page.locator(".toast").count() == 0, "who goes on has read it"
     for _ in range(2):  # shown in the strip, on both photos
         page.wait_for_function(
             "[...document.querySelectorAll('.strip .over')].every((one) => one.naturalWidth > 1)"
@@ -334,6 +337,12 @@ def test_from_photos_to_a_download(server, tab):
     page.reload()
     page.wait_for_function("document.querySelector('.box .over')?.naturalWidth > 1")
     assert page.get_by_label("what to change").input_value() == "paint it blue"
+    assert shifts(page) <= 0.05
+
+    page.goto(server.address)  # who comes back sees the own scenes first
+    page.get_by_role("heading", name="Your scenes").wait_for()
+    first = page.locator("main section").nth(1)
+    assert first.get_by_role("heading").first.inner_text() == "Your scenes"
     assert shifts(page) <= 0.05
     assert tab.problems == []
 
