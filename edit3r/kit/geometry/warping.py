@@ -116,9 +116,9 @@ def contradicted(
     """Pixels that other registered views show better or see through.
 
     Guesses (confidence below 0.5) on or before a surface that another view measured, and measured
-    pixels that more views see through than confirm; of a view that is mostly guessed, guesses at
-    places that another shows of which clearly more was measured. Of many views, the nearest are
-    asked.
+    pixels that more views see through than confirm; of three views and more also guesses of a
+    mostly guessed one, at places that another shows of which clearly more was measured. Of many
+    views, the nearest are asked.
     """
     points = unproject(geometry.depths, intrinsics, geometry.c2w)
     guessed = geometry.confidence < 0.5
@@ -150,10 +150,13 @@ def contradicted(
 def _better_measured(
     geometry: MatchedGeometry,
 ) -> Bool[Tensor, "batch view view"]:
-    """For each view that is mostly guessed the others of which clearly more was measured."""
+    """For each view that is mostly guessed the others of which clearly more was measured; none of
+    two: what one of them guesses, nobody else shows.
+    """
     share = geometry.measured * geometry.registered
     own, other = share[:, :, None], share[:, None]
-    return (own < LITTLE_MEASURED) & (other > own + CLEARLY_MORE)
+    several = geometry.registered.sum(1)[:, None, None] > 2
+    return several & (own < LITTLE_MEASURED) & (other > own + CLEARLY_MORE)
 
 
 def _near_views(geometry: MatchedGeometry) -> list[tuple[int, int]]:

@@ -88,6 +88,24 @@ def test_what_was_measured_falls_only_where_more_views_see_through_it_than_confi
     assert found[0, 0, 21:25, 31:35].all() and found.sum() < 60
 
 
+@pytest.mark.parametrize(
+    ("guessed_rows", "views", "falls"), [(48, 3, True), (48, 2, False), (20, 3, False)]
+)
+def test_guesses_of_a_mostly_guessed_view_fall_where_two_better_measured_ones_look(
+    guessed_rows, views, falls
+):
+    """The guesses lie behind what the others measured, so that they hide nothing of it."""
+    scene = photograph(views, (48, 64))
+    depths, confidence = scene.depths.clone(), torch.ones_like(scene.depths)
+    depths[:, 0, :guessed_rows] *= 1.3
+    confidence[:, 0, :guessed_rows] = 0
+    geometry = MatchedGeometry(
+        scene.cameras.c2w, depths, confidence, torch.ones(1, views, dtype=torch.bool)
+    )
+    found = contradicted(geometry, scene.views.intrinsics)[:, 0, :guessed_rows]
+    assert (found.float().mean() > 0.8) == falls
+
+
 def test_views_see_their_own_points_and_most_of_the_others(truth):
     points = unproject(truth.depths, INTRINSICS, truth.c2w).flatten(2, 3)
     assert seen_by(points[:, 1], truth, INTRINSICS, 1).all()
