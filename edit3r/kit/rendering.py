@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -78,7 +79,8 @@ def path_around(cameras: Cameras, rendered: Rendering, frames: int) -> Cameras:
     """A camera path between and around `cameras`, whose swing is bounded by the depth of what they
     show.
     """
-    seen = rendered.depths[rendered.alphas > 0.5]
+    # Indexing by a mask makes five whole numbers of each pixel first.
+    seen = torch.masked_select(rendered.depths, rendered.alphas > 0.5)
     return between_and_around(
         cameras, frames, float(seen.median()) if seen.numel() else None
     )
