@@ -1,5 +1,5 @@
-"""Sky, ground and plain walls, which need no learning: where they lie, what they look like, and how surely it is
-them.
+"""Sky, ground and plain walls, which need no learning: where they lie, what they look like, and how
+surely it is them.
 """
 
 import cv2
