@@ -16,7 +16,7 @@ from edit3r.contract.reporting import say
 from edit3r.kit.geometry.maps import dilate
 from edit3r_segmenters import MINISAM
 from edit3r_segmenters.classical import ESSENTIALS, ClassicalSegmenter
-from edit3r_segmenters.named import DETECTORS, Namer, usable
+from edit3r_segmenters.named import DETECTORS, Namer, knows, usable
 from edit3r_segmenters.stuff import STUFF
 from edit3r_segmenters.words import plain
 
@@ -97,7 +97,7 @@ class AutoSegmenter(Segmenter):
         )
         if known and self._network is not None and plain(text) in STUFF:
             return (self._completed(image, known[0]),)
-        if known is not None:
+        if known or (known is not None and not knows(text)):
             return known
         if self._chosen is not self.classical and detects:
             return self._picked.segment_text(image, text)

@@ -672,12 +672,25 @@ class _Work:
             return
         logits = self._followed(source, view)
         there = bool((logits > 0).any())
+        if not there and self._named_again(view):
+            return
         self._keep(view, logits.sigmoid() * there, "pictures" if there else "not found")
         if not there:
             self.warnings.append(
                 f"the object was not found again on photo {view + 1}, which stays as it is; "
                 "click on it there."
             )
+
+    def _named_again(self, view: int) -> bool:
+        """Whether what words found elsewhere, as surely, is found by them on this photo too."""
+        if self.surety is None or self.selection.which or self.selection.larger:
+            return False
+        words = self.selection.words
+        found = self.segmenter.segment_text(self.images[view], words) or ()
+        likely = [one for one in found if one.surety >= min(SURE, self.surety)]
+        if likely:
+            self._keep(view, likely[0].soft_mask, "words")
+        return bool(likely)
 
     def _own(self) -> list[int]:
         """Views whose masks were not carried from another one."""

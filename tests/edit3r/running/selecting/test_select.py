@@ -306,6 +306,13 @@ def test_several_are_looked_for_on_every_photo(sureties, several, which, each, c
     assert found.surety == (sureties[-1] if which else sureties[0])
 
 
+@pytest.mark.parametrize(("words", "how"), [("box", "words"), ("", "not found")])
+def test_what_was_named_is_named_again_where_it_was_lost(words, how):
+    chosen = Selection(words=words, masks={} if words else {0: square(2, 2)})
+    found = select_masks(IMAGES, chosen, Squares(lost=True))
+    assert found.how[1] == how and bool(inside(found, 1).any()) == bool(words)
+
+
 def test_what_words_found_unsurely_is_refused_where_only_sure_things_may_be_taken():
     with pytest.raises(InputError, match=r"30% sure.*--sure"):
         select_masks(IMAGES, Selection(words="box", sure=True), Unsure())
