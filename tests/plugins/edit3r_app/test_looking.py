@@ -118,6 +118,16 @@ def test_two_who_ask_at_once_get_one_component(folder):
     assert len(found) == 4 and len(set(map(id, found))) == 1
 
 
+def test_what_pointing_needs_is_loaded_once_before_there_are_photos(folder):
+    looker, asked = Looker(folder, default_registry(), SIZE), []
+    segmenter = SimpleNamespace(segment_text=lambda image, text: asked.append(text))
+    looker.registry.build_choice = lambda *_: segmenter
+    for _ in range(2):
+        looker.prepare()
+    looker._background.shutdown()
+    assert asked == ["sky"]
+
+
 def test_the_same_question_twice_at_once_is_answered_once(folder, scene, monkeypatch):
     """A press asks, and its end asks again."""
     asked = []

@@ -55,8 +55,8 @@ def test_each_goes_to_the_photo_of_its_name(masks, tmp_path, names, how):
 @pytest.mark.parametrize("given", ["", "*/1.png", "*"])
 def test_each_in_a_folder_called_like_its_photo_is_that_photos(masks, tmp_path, given):
     masks("img10/1.png", "img2/1.png", "other/1.png" if given == "" else "img2/1.png")
-    found = masks_by_photo([str(tmp_path / given)], PHOTOS)
-    assert [file.parent.name for file in found.values()] == ["img2", "img10"]
+    found = masks_by_photo([str(tmp_path / given)], PHOTOS[::-1])
+    assert [file.parent.name for file in found.values()] == ["img10", "img2"]
 
 
 def test_several_in_a_photos_folder_are_asked_about(masks, tmp_path):
