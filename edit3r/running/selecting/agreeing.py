@@ -21,6 +21,9 @@ ONE_SURFACE = 0.03  # relative difference in depth within which two photos show 
 MEASURED = 0.5  # confidence from which a depth was measured
 SURELY = 0.99  # share of four pixels whose depth was measured
 THIN = 0.012  # radius of the disc that fits into what is a patch [longer sides]
+GAP = (
+    0.1  # from a mask to the photo's border, where it may end too early [longer sides]
+)
 SEVERAL = 3  # photos of a place from which one that was marked counts twice
 CARRIED, FOUND, EXACT = 1, 2, 100
 """How much a mask counts that was carried to its photo, was found there by marks or words, or was
@@ -41,7 +44,22 @@ class Told:
 
 def of_itself(mask: Mask, weight: int) -> Told:
     """What a view says of itself."""
-    return Told(mask, torch.ones_like(mask, dtype=torch.bool), weight)
+    says = torch.ones_like(mask, dtype=torch.bool)
+    return Told(mask, says if weight == EXACT else ~cut_off(mask), weight)
+
+
+def cut_off(mask: Mask) -> Bool[Tensor, "height width"]:
+    """What lies between a mask and the photo's border where both are near: the end of a thing that
+    the border cuts is often left out, so that this says nothing of it.
+    """
+    inside = (mask > 0.5).numpy(force=True)
+    if not inside.any():
+        return torch.zeros_like(mask, dtype=torch.bool)
+    to_mask = cv2.distanceTransform((~inside).astype(np.uint8), cv2.DIST_L2, 5)
+    framed = np.pad(np.ones_like(inside, np.uint8), 1)
+    to_border = cv2.distanceTransform(framed, cv2.DIST_L2, 5)[1:-1, 1:-1]
+    near = to_mask + to_border <= GAP * max(inside.shape)
+    return torch.from_numpy(~inside & near).to(mask.device)
 
 
 def told_by(
@@ -56,7 +74,7 @@ def told_by(
     """
     grid, same = shared
     here, there = confidence >= MEASURED
-    layers = torch.stack((source.mask, there.to(source.mask)))
+    layers = torch.stack((source.mask, (there & source.says).to(source.mask)))
     mask, known = warp(layers, grid, padding="zeros")
     return Told(mask, same & here & (known > SURELY), source.weight)
 

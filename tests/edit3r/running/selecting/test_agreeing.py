@@ -74,3 +74,14 @@ def test_outlines_stay_for_they_never_lie_at_the_same_pixel():
 def test_where_depth_was_not_measured_the_mask_stays():
     found = joined((other(), CARRIED), (bear(), FOUND), measured=0.2)
     assert torch.equal(found, other())
+
+
+@pytest.mark.parametrize(("column", "added"), [(2, True), (8, False)])
+def test_what_the_border_cuts_is_told_by_a_photo_that_shows_it(column, added):
+    """Of three photos one has the snout; the marked ones end before it, at the border or not."""
+    marked = torch.zeros(SIDE, SIDE)
+    marked[20:44, column + 3 : 50] = 1
+    whole = marked.clone()
+    whole[20:44, column : column + 3] = 1
+    found = joined((marked, FOUND), (marked, FOUND), (whole, CARRIED)) > 0.5
+    assert bool(found[24:40, column : column + 3].all()) == added
