@@ -37,6 +37,7 @@ MOST_GROWTH, BEHIND = 20.0, 0.5
 # The largest share of a photo that is a thing: far trees beside a near trunk are as little measured
 # and as unlike what others guess there
 LARGEST = 0.15
+FEW = 3  # photos of which guesses that agree tell of a place too
 PLACES = 9  # along a ray, before the surface that others show
 NEAREST = 0.8  # where they begin [depth of the nearest 2 % of what was measured]
 MARGIN = 0.016  # around what was found [long sides]
@@ -49,9 +50,13 @@ def passing(
     geometry: MatchedGeometry, photos: Views
 ) -> Bool[Tensor, "batch view height width"] | None:
     """Pixels of what passed while `photos` were taken, at their size; None: nothing, or fewer than
-    three photos, which cannot tell.
+    three photos, which cannot tell, as photos of which nothing was measured.
     """
-    if int(geometry.registered.sum(1).min()) < 3:
+    measured = geometry.confidence >= 0.5
+    if (
+        int(geometry.registered.sum(1).min()) < 3
+        or not measured.flatten(1).any(1).all()
+    ):
         return None
     share = min(1.0, LONGEST / max(photos.image_size))
     height, width = (max(1, round(share * side)) for side in photos.image_size)
@@ -152,6 +157,8 @@ class _Scene:
         got = warp(shown, grid.unflatten(0, shape), "nearest", "zeros")
         depth, least, most = got.split((1, 3, 3))
         same = (z.view(shape) / depth[0].clamp(min=1e-9) - 1).abs() < SAME_SURFACE
+        if len(self.images) > FEW:
+            same &= self.measured[one]
         return same & (_beyond(self.images[one], least, most) < ALIKE)
 
     def _passing_in(self, view: int, sure: dict[int, Mask]) -> Mask:

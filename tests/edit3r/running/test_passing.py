@@ -56,6 +56,19 @@ def test_a_scene_that_holds_still_and_what_others_measured_too_are_no_passing_th
     assert passing(*as_seen([0, 1, 2], unmeasured=False)) is None
 
 
+@pytest.mark.parametrize(("count", "told"), [(3, True), (4, False)])
+def test_guesses_that_agree_tell_of_a_place_only_among_three_photos(count, told):
+    scene = photograph(count, (64, 96))
+    images = scene.views.images.clone()
+    images[0, 1, :, THING[2], THING[3]] = torch.tensor([1.0, 0, 1])[:, None, None]
+    everywhere = torch.ones(1, count, dtype=torch.bool)
+    guessed = torch.zeros_like(scene.depths)
+    guessed[..., 80:] = 1  # but for a stripe
+    geometry = MatchedGeometry(scene.cameras.c2w, scene.depths, guessed, everywhere)
+    found = passing(geometry, replace(scene.views, images=images))
+    assert (found is not None) == told
+
+
 @pytest.mark.parametrize(("wide", "grown"), [(10, True), (40, False)])
 def test_a_thing_is_its_whole_unmeasured_piece_unless_that_is_a_background(wide, grown):
     unmeasured = torch.zeros(60, 80, dtype=torch.bool)
