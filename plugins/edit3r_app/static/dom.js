@@ -87,9 +87,10 @@ export function toast(sentence, isProblem = false) {
   if (toasts.matches(":popover-open")) toasts.hidePopover();
   toasts.showPopover(); // above dialogs, too
   setTimeout(() => note.remove(), isProblem ? 12000 : 5000);
-  // Who goes on has read it.
+  // Who goes on has read it; who types may have typed before a problem was said.
   const goesOn = (event) => toasts.contains(event.target) || note.remove();
-  for (const kind of ["pointerdown", "input"]) addEventListener(kind, goesOn, { once: true });
+  const kinds = isProblem ? ["pointerdown"] : ["pointerdown", "input"];
+  for (const kind of kinds) addEventListener(kind, goesOn, { once: true });
 }
 
 // A dialog of the browser's own, which keeps the focus and closes by Escape.
