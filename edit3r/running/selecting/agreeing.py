@@ -21,9 +21,7 @@ ONE_SURFACE = 0.03  # relative difference in depth within which two photos show 
 MEASURED = 0.5  # confidence from which a depth was measured
 SURELY = 0.99  # share of four pixels whose depth was measured
 THIN = 0.012  # radius of the disc that fits into what is a patch [longer sides]
-GAP = (
-    0.1  # from a mask to the photo's border, where it may end too early [longer sides]
-)
+GAP = 0.1  # between a mask that may end too early and a border [longer sides]
 SEVERAL = 3  # photos of a place from which one that was marked counts twice
 CARRIED, FOUND, EXACT = 1, 2, 100
 """How much a mask counts that was carried to its photo, was found there by marks or words, or was
