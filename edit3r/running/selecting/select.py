@@ -539,11 +539,13 @@ class _Work:
 
     def agree(self) -> None:
         """Let photos that show one surface agree about patches of it."""
-        own, before = self._own(), {}
+        own, exact, before = self._own(), self._exact(), {}
+        if self.geometry is None or exact >= self.how.keys():
+            return
         for view, how in self.how.items():
             if how not in ("pictures", "not found") and view not in self.by_name:
                 weight = FOUND if view in own else CARRIED
-                weight = EXACT if view in self._exact() else weight
+                weight = EXACT if view in exact else weight
                 before[view] = of_itself(self.masks[view], weight)
         for view, mine in before.items():
             others = [self._told(view, one, before) for one in self._near(view, own)]
@@ -556,8 +558,7 @@ class _Work:
         """The photos that say something of a view: those nearest to it, and those with masks of
         their own.
         """
-        if self.geometry is None:
-            return []
+        assert self.geometry is not None
         near = nearest_views(self.geometry.c2w, self.geometry.depths, VOTES)[view]
         return [one for one in dict.fromkeys((*own, *near)) if one != view]
 
