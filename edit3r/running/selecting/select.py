@@ -538,7 +538,9 @@ class _Work:
         self._paint(view)
 
     def agree(self) -> None:
-        """Let photos that show one surface agree about patches of it."""
+        """Let photos that show one surface agree about patches of it: those nearest to a photo, and
+        those with masks of their own, say something of it.
+        """
         own, exact, before = self._own(), self._exact(), {}
         if self.geometry is None or exact >= self.how.keys():
             return
@@ -547,25 +549,21 @@ class _Work:
                 weight = FOUND if view in own else CARRIED
                 weight = EXACT if view in exact else weight
                 before[view] = of_itself(self.masks[view], weight)
+        near = nearest_views(self.geometry.c2w, self.geometry.depths, VOTES)
         for view, mine in before.items():
-            others = [self._told(view, one, before) for one in self._near(view, own)]
+            if mine.weight == EXACT:
+                continue
+            asked = [one for one in dict.fromkeys((*own, *near[view])) if one != view]
+            others = [self._told(view, one, before) for one in asked]
             said = [one for one in others if one is not None]
-            if said and mine.weight != EXACT:
+            if said:
                 self.masks[view] = agreed(mine, said)
                 self._paint(view)
 
-    def _near(self, view: int, own: Sequence[int]) -> list[int]:
-        """The photos that say something of a view: those nearest to it, and those with masks of
-        their own.
-        """
-        assert self.geometry is not None
-        near = nearest_views(self.geometry.c2w, self.geometry.depths, VOTES)[view]
-        return [one for one in dict.fromkeys((*own, *near)) if one != view]
-
     def _told(self, view: int, source: int, masks: Mapping[int, Told]) -> Told | None:
         """What another photo says of a view; None where it shows nothing of it."""
-        shared = self._shared(view, source, ONE_SURFACE)
-        if shared is None or source not in masks:
+        shared = self._shared(view, source, ONE_SURFACE) if source in masks else None
+        if shared is None:
             return None
         assert self.geometry is not None
         confidence = self.geometry.confidence[0, [view, source]]
