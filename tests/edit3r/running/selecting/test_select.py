@@ -137,6 +137,21 @@ def test_a_lost_object_is_told():
     assert any("photo 2" in text for text in selected.warnings)
 
 
+@pytest.mark.parametrize("measured", [1.0, 0.2])
+def test_photos_of_one_surface_agree_what_belongs_to_the_thing(measured):
+    ones = torch.ones(1, 2, 24, 32)
+    c2w, placed = torch.eye(4).expand(1, 2, 4, 4), torch.ones(1, 2, dtype=torch.bool)
+    geometry = MatchedGeometry(c2w, 2 * ones, measured * ones, placed)
+    lenses = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
+    own = [square(9, 8) > 0.5, square(9, 19) > 0.5]
+    images = torch.stack([one.expand(3, -1, -1).float() for one in own])
+    boxes = {0: (8 / 32, 9 / 24, 0.2, 0.25), 1: (19 / 32, 9 / 24, 0.2, 0.25)}
+    found = select_masks(images, Selection(boxes=boxes), Squares(), geometry, lenses)
+    for view in range(2):
+        wanted = own[0] | own[1] if measured > 0.5 else own[view]
+        assert torch.equal(inside(found, view), wanted)
+
+
 def test_geometry_carries_before_pictures_do():
     scene = photograph(2, (48, 64))
     views = scene.views
