@@ -137,7 +137,7 @@ def test_the_same_question_twice_at_once_is_answered_once(folder, scene, monkeyp
         time.sleep(0.2)
         return SimpleNamespace(masks=torch.ones(1, 1, *images.shape[-2:]))
 
-    monkeypatch.setattr(Looker, "_click_ahead", lambda *_: None)
+    monkeypatch.setattr(Looker, "_click", lambda *_: None)
     monkeypatch.setattr(Looker, "_geometry", lambda *_: None)
     monkeypatch.setattr(looking, "select_masks", found)
     looker = Looker(folder, default_registry(), SIZE)
