@@ -338,6 +338,7 @@ class Looker:
             with _working_with(cache):
                 photos = views = load_photos(files, size=self.size).views
         opened = _Opened(views, cache, began)
+        opened.geometry.add_done_callback(_said)
         if photos is views:  # else the scene is looked at first
             self._begin_reading(opened, 0)
         ahead = self._background.submit(self._read_ahead, opened, photos, state)
