@@ -102,7 +102,7 @@ class SamOnnxSegmenter(Segmenter):
         self._encoder: Any = None
         self._decoder: Any = None
         self._embeddings: dict[str, Tensor] = {}
-        self._remembering = threading.Lock()  # threads may ask at once
+        self._reading = threading.Lock()  # threads may ask at once
         self._latest: Latest[np.ndarray] = Latest()
 
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
@@ -194,13 +194,15 @@ class SamOnnxSegmenter(Segmenter):
 
         def kept() -> Tensor:
             known = self._embeddings.get(key)
-            if known is None:
-                known = self._encode(image).half()  # half as much to keep
-                with self._remembering:
+            if known is not None:
+                return known
+            with self._reading:  # who asks for the same meanwhile finds it then
+                if key not in self._embeddings:
+                    known = self._encode(image).half()  # half as much to keep
                     if len(self._embeddings) >= MAX_KEPT:  # the first read goes
                         del self._embeddings[next(iter(self._embeddings))]
                     self._embeddings[key] = known
-            return known
+                return self._embeddings[key]
 
         return recall("embed", self, key, kept).float().numpy()
 
