@@ -57,7 +57,7 @@ from edit3r_app.draft import DRAFT, Draft
 from edit3r_app.forms import run_settings
 from edit3r_app.jobs import PREVIEW, JobsFolder
 
-GEOMETRY_PATIENCE = 4.0
+GEOMETRY_PATIENCE = 10.0
 """[s] that the full answer waits for poses and depths where they are nearly there; else masks are
 carried by what the photos show, and it is answered anew later.
 """
