@@ -194,10 +194,10 @@ def test_the_photo_that_is_shown_is_read_first_and_others_while_nobody_speaks(
         spoke.wait(60)
         read.append("geometry")
 
-    monkeypatch.setattr(Looker, "_click", lambda _, opened, view: read.append(view))
-    monkeypatch.setattr(Looker, "_geometry", located)
-    monkeypatch.setattr(Looker, "_keep_answers", lambda *_: done.set())
     looker = Looker(folder, default_registry(), SIZE)
+    monkeypatch.setattr(looker, "_click", lambda opened, view: read.append(view))
+    monkeypatch.setattr(looker, "_geometry", located)
+    monkeypatch.setattr(looker, "_keep_answers", lambda *_: done.set())
     opened = looker._open_once(scene)
     if speaks:
         opened.asked.set()
