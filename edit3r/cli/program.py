@@ -54,8 +54,12 @@ def program() -> int:
 
     Python looks for cycles among what importing torch leaves dozens of times, though all of it
     stays, and once more on leaving: 0.7 of the 2.7 seconds of a process that only imports it.
+
+    Threads of OpenMP turn circles while they wait, and take the core from the one that they wait
+    for wherever something else works too: a run beside a browser took twice the seconds.
     """
     steady_streams()
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # read when torch is imported
     interruptions: list[int] = []
 
     def interrupt(number: int, frame: object) -> None:

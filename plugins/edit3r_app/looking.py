@@ -12,11 +12,10 @@ from concurrent.futures import (
     CancelledError,
     Future,
     ThreadPoolExecutor,
-    TimeoutError as NotYet,
     wait,
 )
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -58,18 +57,16 @@ from edit3r_app.draft import DRAFT, Draft
 from edit3r_app.forms import run_settings
 from edit3r_app.jobs import PREVIEW, JobsFolder
 
-GEOMETRY_PATIENCE = 0.0
-"""[s] that a mark waits for poses and depths before masks are carried by what the photos show; it
-is answered anew once they are there.
+GEOMETRY_PATIENCE = 10.0
+"""[s] that the full answer waits for poses and depths where they are nearly there; else masks are
+carried by what the photos show, and it is answered anew later.
 """
-USUAL_PACE = 5.0
+USUAL_PACE = 2.0
 """[s] that the geometry of one photo takes, as long as this machine has not shown its own."""
-POINTED_FIRST = 10.0
-"""[s] at most that reading photos ahead waits for somebody who points."""
 LOOKED_FIRST = 8.0
 """[s] that a made scene has this machine for itself, as long as nobody points."""
-MAX_CLICKED_AHEAD = 8
-"""Photos that the segmenter reads before anybody clicks."""
+MAX_READ_AHEAD = 8
+"""Photos that the segmenter reads before anybody looks at them."""
 DIMMED = 0.55
 """Brightness of what is not selected."""
 DRAWN = 1024
@@ -127,10 +124,13 @@ class _Opened:
 
     views: Views  # its photos, edited where it is a run
     cache: Cache
-    geometry: "Future[MatchedGeometry | None]"
-    clicked: "Future[None]"  # the segmenter has read the photos
-    wanted: threading.Event  # that the segmenter reads the photos now
     began: float  # when they began to be read [seconds since 1970]
+    geometry: "Future[MatchedGeometry | None]" = field(default_factory=Future)
+    read: dict[int, "Future[None]"] = field(default_factory=dict)
+    """By photo: that the segmenter has read it."""
+    shown: set[int] = field(default_factory=set)  # photos that somebody looked at
+    asked: threading.Event = field(default_factory=threading.Event)
+    """That somebody said something, and nothing more is read ahead."""
 
 
 @dataclass(frozen=True)
@@ -154,9 +154,8 @@ class Looker:
         # the same, so that what it read of the photos is read once.
         self._pointing = threading.RLock()
         self._opening = threading.RLock()
-        self._nobody_points = threading.Event()
-        self._nobody_points.set()
-        self._background = ThreadPoolExecutor(6)
+        self._reading = threading.Lock()
+        self._background = ThreadPoolExecutor(12)
         self._prepared = threading.Event()
         self._pace = USUAL_PACE
         self._known: set[tuple[str, tuple[str, ...]]] = set()  # what was opened
@@ -185,12 +184,19 @@ class Looker:
         self._opening.release()
         if self._is_open(state):
             opened = self._open_once(state)
-            spent = time.time() - opened.began
-            left = max(1.0, self._pace * opened.views.count - spent)
-            ready = opened.geometry.done()
-            return BeingRead(opened.clicked.done(), ready, 0.0 if ready else left)
+            seen = [
+                opened.read.get(view) for view in tuple(opened.shown or opened.read)
+            ]
+            photos = bool(seen) and all(one is not None and one.done() for one in seen)
+            return BeingRead(photos, opened.geometry.done(), self._left(opened))
         self._background.submit(self._open_once, state).add_done_callback(_said)
         return BeingRead(left=self._pace * len(self.folder.photos(state)))
+
+    def _left(self, opened: _Opened) -> float:
+        """Until its geometry is known, about [s]."""
+        spent = time.time() - opened.began
+        left = max(1.0, self._pace * opened.views.count - spent)
+        return 0.0 if opened.geometry.done() else left
 
     def _is_open(self, state: str) -> bool:
         return (state, tuple(self.folder.photos(state))) in self._known
@@ -201,18 +207,20 @@ class Looker:
 
     def look(self, state: str, draft: Draft) -> DraftAnswer:
         opened = self._open_once(state)
-        if draft.selects:  # what is read already need not be read twice
-            opened.wanted.set()
-            wait([opened.clicked])
+        if draft.selects:
+            opened.asked.set()
+            wait(list(opened.read.values()))  # what is being read is not read twice
+            if self._left(opened) <= GEOMETRY_PATIENCE:
+                wait([opened.geometry], GEOMETRY_PATIENCE)
         with self._working:
-            located = _ready(opened.geometry)
+            located = opened.geometry.done()
             return self._looks(opened, draft.as_json(), located)
 
     def is_located(self, state: str) -> bool:
         """Whether answers know the geometry of the photos; they are others before."""
         if not (self.folder.root / state).is_dir():  # an edit that waits
             return False
-        return self._is_open(state) and _ready(self._open_once(state).geometry)
+        return self._is_open(state) and self._open_once(state).geometry.done()
 
     def renew(self) -> None:
         """Answer anew from now on: other weights are on this machine."""
@@ -230,10 +238,14 @@ class Looker:
             return old is not new
         return not torch.equal(old, new)
 
-    def photo(self, state: str, name: str) -> bytes:
-        """JPEG of one photo as the run sees it."""
-        views = self._open_once(state).views
-        return _jpeg(views.images[0, _place(views, name)])
+    def photo(self, state: str, name: str, shown: bool = False) -> bytes:
+        """JPEG of one photo as the run sees it; `shown`: in full, so that it may be pointed at."""
+        opened = self._open_once(state)
+        view = _place(opened.views, name)
+        if shown:
+            opened.shown.add(view)
+            self._begin_reading(opened, view)
+        return _jpeg(opened.views.images[0, view])
 
     def overlay(self, state: str, draft: Draft, name: str) -> bytes:
         """PNG to lie over one photo: what is selected is outlined, and the rest is darker."""
@@ -247,16 +259,13 @@ class Looker:
         With `line` nothing is darker.
         """
         opened = self._open_once(state)
-        _place(opened.views, name)
-        opened.wanted.set()
+        view = _place(opened.views, name)
+        opened.asked.set()
+        wait([opened.read[view]] if view in opened.read else [])
         own = [one for one in draft.marks if getattr(one, "photo", name) == name]
         alone = Draft(own)
-        self._nobody_points.clear()
-        try:
-            with self._pointing:  # who asks the same meanwhile gets this answer
-                mask = self._points(opened, alone.as_json(), name)
-        finally:
-            self._nobody_points.set()
+        with self._pointing:  # who asks the same meanwhile gets this answer
+            mask = self._points(opened, alone.as_json(), name)
         return _over(mask, line)
 
     def _point(self, opened: _Opened, text: str, name: str) -> Tensor | None:
@@ -328,32 +337,48 @@ class Looker:
             files = list(self.folder.photos(state).values())
             with _working_with(cache):
                 photos = views = load_photos(files, size=self.size).views
-        wanted = threading.Event()
-        if not self.folder.is_run(state):  # else the scene is looked at first
-            wanted.set()
-        geometry = self._background.submit(self._geometry, photos, cache)
-        geometry.add_done_callback(_said)
-        clicked = self._background.submit(self._click_ahead, views, cache, wanted)
-        clicked.add_done_callback(_said)
-        if not self.folder.is_run(state):
-            for reading in (geometry, clicked):
-                reading.add_done_callback(lambda _: self._keep_answers(state, cache))
+        opened = _Opened(views, cache, began)
+        opened.geometry.add_done_callback(_said)
+        if photos is views:  # else the scene is looked at first
+            self._begin_reading(opened, 0)
+        ahead = self._background.submit(self._read_ahead, opened, photos, state)
+        ahead.add_done_callback(_said)
         self._known.add((state, names))
-        return _Opened(views, cache, geometry, clicked, wanted, began)
+        return opened
 
-    def _click_ahead(
-        self, photos: Views, cache: Cache, wanted: threading.Event
-    ) -> None:
-        """Click on the photos, so that the segmenter has read them when the user does."""
-        wanted.wait(LOOKED_FIRST)
+    def _read_ahead(self, opened: _Opened, photos: Views, state: str) -> None:
+        """After the first photo read where the photos were taken from, and as long as nobody says
+        anything the other ones: who points early waits for no more than that needs. `photos` are
+        the unedited ones.
+        """
+        wait(list(opened.read.values()))
+        try:
+            opened.geometry.set_result(self._geometry(photos, opened.cache))
+        except Exception as error:  # told with each answer
+            opened.geometry.set_exception(error)
+        if photos is not opened.views:
+            opened.asked.wait(LOOKED_FIRST)
+        for view in range(min(photos.count, MAX_READ_AHEAD)):
+            if view == 0 or not opened.asked.is_set():
+                wait([self._begin_reading(opened, view)])
+        if photos is opened.views:
+            self._keep_answers(state, opened.cache)
+
+    def _begin_reading(self, opened: _Opened, view: int) -> "Future[None]":
+        """Let the segmenter read a photo, once; a click on it is answered soon then."""
+        with self._reading:
+            if view not in opened.read:
+                opened.read[view] = self._background.submit(self._click, opened, view)
+                opened.read[view].add_done_callback(_said)
+            return opened.read[view]
+
+    def _click(self, opened: _Opened, view: int) -> None:
+        """Click on a photo, so that the segmenter has read it when the user does."""
         choice = PartChoice(name=DEFAULTS["segmenter"])
         middle = Marks(positive=((0.5, 0.5),))
-        for image in photos.images[0, :MAX_CLICKED_AHEAD]:
-            # Between two photos a waiting user comes first.
-            self._nobody_points.wait(POINTED_FIRST)
-            with self._pointing, _working_with(cache), suppress(Edit3rError):
-                segmenter = self.registry.build_choice("segmenter", choice)
-                segmenter.segment_marks(image, middle)
+        with _working_with(opened.cache), suppress(Edit3rError):
+            segmenter = self.registry.build_choice("segmenter", choice)
+            segmenter.segment_marks(opened.views.images[0, view], middle)
 
     def _answers(self, state: str) -> Path:
         """Where what was read from a set of photos is kept; changed by nothing but this."""
@@ -434,9 +459,7 @@ def _with_marks(
     look: DraftAnswer, draft: Draft, opened: _Opened, parts: Parts
 ) -> DraftAnswer:
     """What the marks select on every photo."""
-    geometry = None
-    with suppress(NotYet):
-        geometry = opened.geometry.result(GEOMETRY_PATIENCE)
+    geometry = opened.geometry.result() if opened.geometry.done() else None
     images = look.views.images[0]
     found = select_masks(
         images,
@@ -465,13 +488,6 @@ def _with_marks(
 def _readings(scene: Scene) -> tuple[Reading, ...]:
     """What else words may mean, where they were unsure."""
     return next((one.readings for one in scene.selected if one.readings), ())
-
-
-def _ready(reading: Future) -> bool:
-    """Whether something that is read in the background is there; it may be waited for a little."""
-    with suppress(NotYet):
-        reading.result(GEOMETRY_PATIENCE)
-    return reading.done()
 
 
 def _said(done: Future) -> None:

@@ -19,6 +19,7 @@ import yaml
 from edit3r.contract.errors import InputError
 from edit3r.kit.children import PYTHON
 from edit3r.kit.files.atomic import atomic_write, remove_abandoned
+from edit3r.running import DEFAULTS
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.progress import read_progress
 from edit3r_app.ready import CAN_WAIT, ReadyProcess
@@ -34,6 +35,8 @@ except (
 EDIT3R = (*PYTHON, "-m", "edit3r")
 """The command `edit3r`; no file of the current folder is imported."""
 
+OUTPUTS = [one for one in DEFAULTS["outputs"] if one != "video"]
+"""What a run of the app writes; a video is made when somebody asks for it."""
 PATIENCE = 5.0  # [s] between asking a child to stop and ending it
 INTERRUPTED = "the run ended without saying why; start it again."
 
@@ -48,7 +51,8 @@ def command_of(folder: JobsFolder, job: AppJob) -> list[str]:
         run = str(folder.path(job.parent))
         return ["objects", "--quiet", *out, *marked, "--", run, *job.object]
     settings = beside / "settings.yaml"
-    content = yaml.safe_dump({"size": job.size, **job.settings}, allow_unicode=True)
+    asked = {"size": job.size, "outputs": OUTPUTS, **job.settings}
+    content = yaml.safe_dump(asked, allow_unicode=True)
     with atomic_write(settings) as partial:  # never through a stranger's link
         partial.write_text(content, encoding="utf-8")
     command = ["run", "--config", str(settings), "--progress", "json"]

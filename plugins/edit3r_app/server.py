@@ -72,6 +72,7 @@ def serve(
             f"edit3r app: {address}\n  jobs are kept in {folder.root}\n  Ctrl-C ends it",
             flush=True,
         )
+        app.state.studio.prepare()
         if show:
             webbrowser.open(address)
 
@@ -105,10 +106,15 @@ def make_app(
 
     guard = Middleware(Guard, token=token, max_bytes=uploads.MAX_BYTES)
     refusals = {Edit3rError: refused, OSError: refused}
-    routes = Answers(Studio(folder, runner, looker), place, token).routes()
-    return Starlette(
-        routes=routes, middleware=[guard], exception_handlers=refusals, lifespan=running
+    studio = Studio(folder, runner, looker)
+    app = Starlette(
+        routes=Answers(studio, place, token).routes(),
+        middleware=[guard],
+        exception_handlers=refusals,
+        lifespan=running,
     )
+    app.state.studio = studio
+    return app
 
 
 def refused(request: Request, error: Exception) -> Response:
@@ -242,7 +248,8 @@ class Answers:
         return _jpeg(_small(photo, photo.stat().st_mtime_ns))
 
     def photo(self, request: Request) -> Response:
-        return _jpeg(self.looker.photo(*_named(request, "state", "name")))
+        shown = "shown" in request.query_params
+        return _jpeg(self.looker.photo(*_named(request, "state", "name"), shown))
 
     def overlay(self, request: Request) -> Response:
         state, name = _named(request, "state", "name")

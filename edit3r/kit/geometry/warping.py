@@ -217,10 +217,22 @@ def shared_surface(
     `depths` are camera z (0: none); `tolerance` is the relative difference in depth within which
     it is one surface.
     """
+    coordinates, apart = surfaces_apart(depths, intrinsics, c2w)
+    return coordinates, apart < tolerance
+
+
+def surfaces_apart(
+    depths: Float[Tensor, "2 height width"],
+    intrinsics: Float[Tensor, "2 3 3"],
+    c2w: Float[Tensor, "2 4 4"],
+) -> tuple[Float[Tensor, "height width 2"], Float[Tensor, "height width"]]:
+    """Where the pixels of the first view lie in the second, and the relative difference of their
+    depth from what that one shows there; infinite where one of them shows nothing.
+    """
     points = unproject(depths[:1], intrinsics[:1], c2w[:1])
     coordinates, seen, z = _seen_there(points, depths[1:], intrinsics[1:], c2w[1:])
-    near = (z / seen.clamp(min=1e-9) - 1).abs() < tolerance
-    return coordinates[0], ((z > 0) & (seen > 0) & near)[0]
+    apart = (z / seen.clamp(min=1e-9) - 1).abs()
+    return coordinates[0], torch.where((z > 0) & (seen > 0), apart, torch.inf)[0]
 
 
 def _seen_there(

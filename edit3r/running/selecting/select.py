@@ -30,7 +30,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import note, say, warn
 from edit3r.contract.wishes import EVERY
 from edit3r.kit.cache import fingerprint
-from edit3r.kit.geometry.warping import nearest_views, shared_surface, warp
+from edit3r.kit.geometry.warping import nearest_views, surfaces_apart, warp
 from edit3r.kit.segmenting import HeldSegmenter
 from edit3r.running.selecting.agreeing import (
     CARRIED,
@@ -320,6 +320,9 @@ class _Work:
             intrinsics
             if geometry is None or geometry.intrinsics is None
             else geometry.intrinsics
+        )
+        self.places: _Hashed | None = (
+            None  # of the pixels in 3D, once they are asked for
         )
         self.masks: dict[int, Tensor] = {}
         self.how: dict[int, str] = {}
@@ -756,12 +759,11 @@ class _Work:
             return None
         if not geometry.registered[0, pair].all():
             return None
-        photos = (
-            geometry.depths[0, pair],
-            self.intrinsics[0, pair],
-            geometry.c2w[0, pair],
-        )
-        return _shared_by(_Hashed(fingerprint(photos), photos), tolerance)
+        if self.places is None:
+            photos = geometry.depths[0], self.intrinsics[0], geometry.c2w[0]
+            self.places = _Hashed(fingerprint(photos), photos)
+        grid, apart = _apart(self.places, *pair)
+        return grid, apart < tolerance
 
     def _keep(self, view: int, mask: Tensor, how: str) -> None:
         mask = mask.to(self.images).clamp(0, 1)
@@ -770,16 +772,16 @@ class _Work:
 
 @dataclass(frozen=True)
 class _Hashed:
-    """Depths, intrinsics and poses of two views, compared by their fingerprint alone."""
+    """Depths, intrinsics and poses of all views, compared by their fingerprint alone."""
 
     fingerprint: str
     photos: tuple[Tensor, Tensor, Tensor] = field(compare=False)
 
 
 @lru_cache(maxsize=24)
-def _shared_by(pair: _Hashed, tolerance: float) -> tuple[Tensor, Tensor]:
+def _apart(places: _Hashed, view: int, source: int) -> tuple[Tensor, Tensor]:
     """Clicks follow each other on the same photos."""
-    return shared_surface(*pair.photos, tolerance)
+    return surfaces_apart(*(one[[view, source]] for one in places.photos))
 
 
 def _at(

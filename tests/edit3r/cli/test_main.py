@@ -78,6 +78,13 @@ def program(code, *arguments):
     )
 
 
+def test_threads_of_a_command_sleep_while_they_wait(monkeypatch):
+    monkeypatch.delenv("OMP_WAIT_POLICY", raising=False)
+    code = "import os; program(); print(os.environ['OMP_WAIT_POLICY'])"
+    out, _ = program(code, "--version").communicate(timeout=60)
+    assert out.split()[-1] == "PASSIVE"
+
+
 def test_the_program_is_main_and_leaves_without_a_search_for_cycles():
     code = "print(program(), gc.get_freeze_count() > 0)"
     out, _ = program(code, "--version").communicate(timeout=60)

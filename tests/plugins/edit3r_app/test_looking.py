@@ -2,9 +2,10 @@
 
 import io
 import time
+from concurrent.futures import wait
 from functools import partial
 from pathlib import Path
-from threading import Thread
+from threading import Event, Thread
 from types import SimpleNamespace
 
 import pytest
@@ -137,7 +138,7 @@ def test_the_same_question_twice_at_once_is_answered_once(folder, scene, monkeyp
         time.sleep(0.2)
         return SimpleNamespace(masks=torch.ones(1, 1, *images.shape[-2:]))
 
-    monkeypatch.setattr(Looker, "_click_ahead", lambda *_: None)
+    monkeypatch.setattr(Looker, "_click", lambda *_: None)
     monkeypatch.setattr(Looker, "_geometry", lambda *_: None)
     monkeypatch.setattr(looking, "select_masks", found)
     looker = Looker(folder, default_registry(), SIZE)
@@ -181,6 +182,33 @@ def test_photos_are_read_beside_the_users_looking_and_it_is_said_how_far(folder,
             break
         time.sleep(0.1)
     assert now.left == 0 and looker.is_located(scene)
+
+
+@pytest.mark.parametrize("speaks", [False, True])
+def test_the_photo_that_is_shown_is_read_first_and_others_while_nobody_speaks(
+    folder, scene, monkeypatch, speaks
+):
+    read, spoke, done = [], Event(), Event()
+
+    def located(*_):
+        spoke.wait(60)
+        read.append("geometry")
+
+    looker = Looker(folder, default_registry(), SIZE)
+    monkeypatch.setattr(looker, "_click", lambda opened, view: read.append(view))
+    monkeypatch.setattr(looker, "_geometry", located)
+    monkeypatch.setattr(looker, "_keep_answers", lambda *_: done.set())
+    opened = looker._open_once(scene)
+    if speaks:
+        opened.asked.set()
+    spoke.set()
+    assert done.wait(60)
+    assert read == [0, "geometry", *([] if speaks else [1])]
+    looker.photo(scene, opened.views.names[1])  # a small one in the strip
+    assert len(opened.read) == 2 - speaks
+    looker.photo(scene, opened.views.names[1], shown=True)
+    wait(opened.read.values())
+    assert read == [0, "geometry", 1]
 
 
 @pytest.mark.slow

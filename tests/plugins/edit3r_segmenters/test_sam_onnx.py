@@ -1,5 +1,8 @@
 """Segmenter `sam-onnx` on a tiny network that answers with discs around the first click."""
 
+import time
+from threading import Thread
+
 import pytest
 import torch
 
@@ -89,3 +92,23 @@ def test_without_weights_the_command_that_fetches_them_is_told(
         build_sam_onnx(encoder="", decoder="")
     with pytest.raises(InputError, match="both files"):
         build_sam_onnx(encoder="")
+
+
+def test_two_who_ask_at_once_have_a_photo_read_once(build_sam_onnx, photo, monkeypatch):
+    segmenter, read = build_sam_onnx(), []
+    encode = segmenter._encode
+
+    def slowly(image):
+        read.append(image)
+        time.sleep(0.2)
+        return encode(image)
+
+    monkeypatch.setattr(segmenter, "_encode", slowly)
+    asks = [
+        Thread(target=segmenter.segment_marks, args=(photo, CLICK)) for _ in range(2)
+    ]
+    for one in asks:
+        one.start()
+    for one in asks:
+        one.join()
+    assert len(read) == 1

@@ -41,7 +41,7 @@ export function stageOf(page, { stage, views, files, objects, dock }) {
         ? page.s.preview.includes(name)
           ? path("image", page.state(), "preview", name)
           : path("thumbnail", page.scene, name)
-        : path("photo", page.state(), name);
+        : `${path("photo", page.state(), name)}?shown`; // which will be pointed at
     page.picture.show(name, source, kind === "photo" && page.strip.over(name));
   }
   const drawViews = () =>
