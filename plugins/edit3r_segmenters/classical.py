@@ -286,9 +286,7 @@ class ClassicalSegmenter(Segmenter):
             () if prior is not None else self._evident(rgb, shape, marks, network),
             None if network is None else self._prompt(image, shape, network),
             self._surfaces(marks.relief, shape),
-            ()
-            if network is None or prior is not None
-            else self._things(image, shape, marks.words),
+            () if network is None or prior is not None else self._things(image, shape),
         )
         box = None if marks.box is None else _in_pixels(marks.box, shape)
         stroke = [_in_image(place, shape) for place in marks.drawn]
@@ -429,14 +427,10 @@ class ClassicalSegmenter(Segmenter):
             ) from None
 
     def _things(
-        self,
-        image: Float[Tensor, "3 height width"],
-        shape: tuple[int, int],
-        words: str,
+        self, image: Float[Tensor, "3 height width"], shape: tuple[int, int]
     ) -> list[tuple[Box, float]]:
         """Boxes of everyday things at working size, and how surely each is one."""
-        key = ("things", self._print_of(image), words)
-        found = self._kept(key, lambda: things_on(image, words))
+        found = self._kept(("things", self._print_of(image)), lambda: things_on(image))
         return [(_in_pixels(box, shape), surety) for box, surety in found]
 
     def _surfaces(

@@ -108,16 +108,16 @@ class Namer:
 
 
 def things_on(
-    image: Float[Tensor, "3 height width"], words: str
+    image: Float[Tensor, "3 height width"],
 ) -> tuple[tuple[Box, float], ...]:
     """Boxes of everyday things [shares of the sides], and how surely each is one; none without the
-    detector. With words only those that they name: a tank is not its motorcycle.
+    detector.
     """
     if not usable("coco"):
         return ()
     height, width = image.shape[-2:]
     found = []
-    for one in build("detector", "coco").detect(image, words):
+    for one in build("detector", "coco").detect(image, ""):
         if one.score >= THING and one.label not in SUPPORTS:
             x, y, across, down = one.box
             box = (x / width, y / height, across / width, down / height)

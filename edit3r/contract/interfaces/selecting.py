@@ -66,7 +66,6 @@ class Marks:
     # places along what was drawn over the object
     stroke: tuple[tuple[float, float], ...] = ()
     relief: Relief | None = None  # tells things from what is behind them
-    words: str = ""  # what the object is called, if anybody said
 
     def __post_init__(self) -> None:
         places = np.array([*self.positive, *self.negative, *self.stroke]).ravel()

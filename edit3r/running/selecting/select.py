@@ -520,7 +520,6 @@ class _Work:
                 prior=prior if expected else None,
                 larger=chosen.larger,
                 relief=self._relief(view),
-                words=chosen.words,
             )
             if marks.inside or marks.box is not None or (marks.negative and expected):
                 self._keep(view, self._described(view, marks), "marked")
