@@ -41,7 +41,16 @@ def test_depth_that_ends_beside_the_outline_is_moved_onto_it(cameras, beside):
     assert torch.allclose(found, wanted[0, 0], rtol=1e-4)
 
 
-def test_nothing_moves_where_the_depth_goes_on_or_ends_far_from_the_outline(cameras):
+def test_nothing_moves_where_what_is_selected_lies_behind_or_depth_ends_far_away(
+    cameras,
+):
     masks = square(30, 70, 1.0, 0.0)
-    for depths in (square(15, 85, NEAR, FAR), square(30, 70, FAR, NEAR)):
+    for depths in (square(15, 85, NEAR, FAR), square(31, 69, FAR, NEAR)):
         assert torch.allclose(moved(cameras, depths, masks), depths[0, 0], rtol=1e-4)
+
+
+def test_a_thin_part_without_depth_of_its_own_stays_where_it_was_measured(cameras):
+    depths, masks = square(30, 70, NEAR, FAR), square(30, 70, 1.0, 0.0)
+    masks[..., 5:30, 49:51] = 1
+    pole = moved(cameras, depths, masks)[5:20, 49:51]
+    assert torch.allclose(pole, torch.full_like(pole, FAR), rtol=1e-4)
