@@ -38,6 +38,7 @@ COMPARED_STEP = 0.08  # of lightness, that "darker" is darker than before
 MAX_BEND = 3.0  # slope on one side of the paint's lightness over that on the other
 METAL_CONTRAST = 2.0  # slope of new lightness over old in the middle
 DARKEST, BRIGHTEST = 0.08, 0.98  # lightness of metal
+MOSTLY = 0.85  # share of the thing from which a paint that is not vivid is all of it
 MAX_BORDER = 4.5  # length of the border of the paint on a thing [sides of the thing]
 BORDER_SIDE = 256  # pixels of the longer side at which that is measured
 HUE_BINS = 72
@@ -86,10 +87,11 @@ def paint(
     goal = _compared(goal, own, than_now)
     member = membership(lab, own)
     share = float((weights * member).sum() / weights.sum())
-    if own.saturation and _is_in_islands(own, _placed(member, inside), region):
+    natural = 0 < own.saturation < VIVID
+    if natural and (share >= MOSTLY or _is_in_islands(_placed(member, inside), region)):
         say(
             "paint",
-            f"{share:.0%} of the thing, in patches, has one colour: all of it is painted",
+            f"{share:.0%} of the thing has one colour, and no clear parts: all of it is painted",
         )
         own = own_paint(lab, weights, tolerance, flood=True)
         member = membership(lab, own)
@@ -115,14 +117,12 @@ def _placed(values: Weights, inside: Bool[Tensor, "view height width"]) -> Masks
     return places
 
 
-def _is_in_islands(own: Paint, member: Masks, region: Masks) -> bool:
-    """Whether a paint that is not vivid lies on a part of the thing in many pieces.
+def _is_in_islands(member: Masks, region: Masks) -> bool:
+    """Whether a paint lies on a part of the thing in many pieces.
 
     Bark, bricks and fur have a colour that comes and goes; the parts of a made thing have theirs
     with short borders.
     """
-    if own.saturation >= VIVID:
-        return False
     small = [_reduced(one).double() for one in (member, region)]
     painted, thing = (one > 0.5 for one in small)
     inner = -F.max_pool2d(-thing.double()[:, None], 5, 1, 2)[:, 0] > 0

@@ -266,7 +266,7 @@ def _first(evidence: Evidence, place: Place) -> list[Candidate]:
                 found = _by_depth(evidence, found, [place], [(box, boxed)])
             found = _by_things(found, things)
     if found:
-        return _trimmed(evidence, _voted(evidence, found, clicks), place)
+        return _voted(evidence, found, clicks)
     cut = _locally_cut(evidence.pixels, nothing > 0, place, True)
     return [Candidate(_as_logits(cut), 0.0)]
 
@@ -293,7 +293,7 @@ def _stroked(evidence: Evidence, places: Sequence[Place]) -> list[Candidate]:
         logits += [one for said, _ in things for one in said]
         found = _holding(evidence, logits, places, votes, salient)
         found = _by_things(_by_depth(evidence, found, places[::2]), things)
-    return _trimmed(evidence, _voted(evidence, found, []), middle)
+    return _voted(evidence, found, [])
 
 
 def _holding(
@@ -531,18 +531,6 @@ def _voted(
     share = SURE * votes / sum(one.score for one in alike)
     logits = np.where(inside == (votes > 0), share, _as_logits(inside))
     return [Candidate(logits.astype(np.float32), best.score), *found]
-
-
-def _trimmed(
-    evidence: Evidence, found: list[Candidate], place: Place
-) -> list[Candidate]:
-    """The candidates; the first one without what hangs on it and lies behind."""
-    if not found or evidence.surfaces is None:
-        return found
-    best = found[0]
-    left = evidence.surfaces.without_what_hangs_on(best.mask, place)
-    kept = np.where(left == best.mask, best.logits, _as_logits(left))
-    return [Candidate(kept, best.score), *found[1:]]
 
 
 def _agreements(evidence: Evidence, place: Place, asked: list[np.ndarray]) -> list:

@@ -1,5 +1,5 @@
-"""Sky, ground and plain walls, which need no learning: where they lie, what they look like, and how
-surely it is them.
+"""Sky and ground, which need no learning: where they lie, what they look like, and how surely it is
+them.
 """
 
 import cv2
@@ -8,7 +8,7 @@ import numpy as np
 from edit3r_segmenters.masks import graph_cut, tidied
 from edit3r_segmenters.superpixels import Superpixels
 
-STUFF = ("sky", "ground", "floor", "wall", "walls")
+STUFF = ("sky", "ground", "floor")
 SKY_CHROMA = 14.0  # of a grey or white sky, at most [CIE Lab units]
 SKY_LIGHT = 45.0  # least lightness of a sky
 SMOOTH = 0.22  # most edge strength of a sky
@@ -26,10 +26,6 @@ BRIGHTER = (25.0, 45.0)  # than all else: as a wall may be, and as only a sky is
 SPANS = 0.7  # share of the photo's upper edge that a sky reaches along
 HIGHEST_SURETY = 0.9  # what looks like a sky may be none
 GROUND_SURETY = 0.35  # what joins the lower edge is often a table or a wall
-SAME_WALL = 12.0  # colour distance within which a wall is one, lightness counting half
-LEAST_WALL = 0.12  # share of the photo below which what is plain is a cupboard's or a book's side
-LOWEST_WALL = 0.55  # mean row of a wall at most: below lie tables and streets [heights]
-WALL_SURETY = 0.35  # a white wardrobe is as plain as the wall behind it
 
 
 def stuff(
@@ -38,9 +34,6 @@ def stuff(
     """One of `STUFF` on uint8 RGB `[H, W, 3]`: a bool mask, empty where it is not there, and how
     surely it is that.
     """
-    if word in ("wall", "walls"):
-        mask = wall(pixels, cells)
-        return mask, WALL_SURETY * mask.any()
     if word != "sky":
         return ground(pixels), GROUND_SURETY
     mask = sky(pixels, cells)
@@ -88,35 +81,6 @@ def sky(pixels: np.ndarray, cells: Superpixels) -> np.ndarray | None:
     trimap[(edges < 2 * SMOOTH)[cells.labels] & (trimap == cv2.GC_BGD)] = cv2.GC_PR_BGD
     trimap[seeds[cells.labels]] = cv2.GC_FGD
     return tidied(graph_cut(pixels, trimap), seeds[cells.labels])
-
-
-def wall(pixels: np.ndarray, cells: Superpixels) -> np.ndarray:
-    """The plain wall on uint8 RGB `[H, W, 3]` as a bool mask: the commonest colour of what is
-    smooth, where it reaches the border's upper half; empty where that is too little, or a sky.
-    """
-    height = len(pixels)
-    colours = cells.colours * (0.5, 1, 1)
-    edges = np.bincount(cells.labels.ravel(), cells.edges.ravel()) / cells.areas
-    smooth = edges < SMOOTH
-    sides = cells.labels[: height // 2, [0, -1]]
-    reached = np.unique(np.concatenate((cells.labels[0], sides.ravel())))
-    border = smooth & np.isin(np.arange(len(colours)), reached)
-    nothing = np.zeros(pixels.shape[:2], dtype=bool)
-    if not border.any():
-        return nothing
-    apart = np.linalg.norm(colours[:, None] - colours[None, border], axis=2)
-    alike = (apart < SAME_WALL) & smooth[:, None]
-    common = int((alike * cells.areas[:, None]).sum(0).argmax())
-    trimap = np.where(alike[:, common], cv2.GC_PR_FGD, cv2.GC_PR_BGD)
-    trimap[apart[:, common] > 1.5 * SAME_WALL] = cv2.GC_BGD
-    seeds = alike[:, common] & border
-    trimap[seeds] = cv2.GC_FGD
-    cut = graph_cut(pixels, trimap[cells.labels].astype(np.uint8))
-    mask = tidied(cut, seeds[cells.labels])
-    too_little = mask.mean() < LEAST_WALL
-    if too_little or np.nonzero(mask)[0].mean() > LOWEST_WALL * height:
-        return nothing
-    return nothing if sky_surety(pixels, mask) > 0.5 else mask
 
 
 def ground(pixels: np.ndarray) -> np.ndarray:

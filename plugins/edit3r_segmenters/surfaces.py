@@ -13,7 +13,7 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from edit3r_segmenters.masks import overlap, tidied
+from edit3r_segmenters.masks import overlap
 
 STEPS = (0.01, 0.02, 0.03, 0.05, 0.08)  # of inverse depth, at which a surface may end
 AREAS = (0.001, 0.6)  # shares of the image that a surface may cover
@@ -28,8 +28,6 @@ SAMPLES = 3000
 CLEAR_STEP = (
     0.05  # in log inverse depth, from which a thing stands clearly before others
 )
-HANGER = 0.1  # share of a mask that a piece which hangs on it may have
-SMALLEST_HANGER = 12  # pixels of such a piece
 BESIDE = 9  # side of the windows that are compared across an outline [pixels]
 
 
@@ -86,36 +84,6 @@ class Surfaces:
         nearer = summed(values * inside) / np.maximum(within, 1)
         nearer -= summed(values * (1 - inside)) / np.maximum(beyond, 1)
         return float(np.clip(nearer[ring] / CLEAR_STEP, -1, 1).mean() + 1) / 2
-
-    def without_what_hangs_on(
-        self, mask: np.ndarray, place: tuple[int, int]
-    ) -> np.ndarray:
-        """A bool mask without small pieces that lie a clear step behind it and go on beside it: a
-        flower of the wall behind a head.
-        """
-        free = mask & ~(self._step > CLEAR_STEP)
-        bits = cv2.morphologyEx(free.astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3)))
-        _, labels, stats, _ = cv2.connectedComponentsWithStats(bits, connectivity=4)
-        left = mask.copy()
-        for number, area in enumerate(stats[1:, cv2.CC_STAT_AREA], 1):
-            piece = labels == number
-            usual = SMALLEST_HANGER <= area <= HANGER * mask.sum()
-            if usual and not piece[place] and self._goes_on(piece, mask, bits > 0):
-                others = (bits > 0) & ~piece
-                left &= ~_wider(piece, 5) | others
-        return tidied(left, left) if left[place] and (left != mask).any() else mask
-
-    def _goes_on(self, piece: np.ndarray, mask: np.ndarray, free: np.ndarray) -> bool:
-        """Whether a piece of a mask lies behind the rest of it, and touches more of its own surface
-        beyond the mask than of the mask.
-        """
-        around = _wider(piece, 11) & ~piece
-        rest = self.inverse[around & free]
-        here = np.median(self.inverse[piece])
-        if len(rest) < 5 or here > (1 - CLEAR_STEP) * np.median(rest):
-            return False
-        alike = np.abs(self.inverse / here - 1) < CLEAR_STEP
-        return bool((around & ~mask & alike).sum() >= (around & mask).sum())
 
     @cached_property
     def _logarithm(self) -> np.ndarray:
@@ -189,10 +157,6 @@ class Surfaces:
             left = np.abs(places @ fit / values - 1) >= ON_PLANE
             places, values = places[left], values[left]
         return found
-
-
-def _wider(mask: np.ndarray, side: int) -> np.ndarray:
-    return cv2.dilate(mask.astype(np.uint8), np.ones((side, side))) > 0
 
 
 def _joined(free: np.ndarray, place: tuple[int, int]) -> np.ndarray | None:

@@ -14,6 +14,9 @@ NEAR, FAR = 13.0, 20.0
 """Differences up to which a pixel has the colour, and from which it has not."""
 LIGHTNESS_WEIGHT, HUE_WEIGHT = 0.5, 1.7
 """Shade changes lightness, and names are about hue: the weights of both in the difference."""
+NEAR_HUE, FAR_HUE = 12.0, 20.0
+"""The same for the hue of what joins that [degrees]."""
+MOST_OF_A_PIECE = 0.6
 MIN_CHROMA_SHARE = 0.2
 """Share of the named colour's chroma that there must be: grey is never red."""
 
@@ -35,12 +38,40 @@ def near_colour(
     least = MIN_CHROMA_SHARE * named[1:].norm()
     chroma = lab[:, 1:].norm(dim=1)
     coloured = (4 * (chroma - least) / least.clamp(min=4) + 1).clamp(0, 1)
-    found = masks * (near * coloured).to(masks)
+    found = masks * _with_shades(near * coloured, _hue_apart(lab, named), coloured).to(
+        masks
+    )
     if not found.any():
         raise PromptError(
             f"nothing there is near {colour.name}, so nothing would change; name the colour it has."
         )
     return found
+
+
+def _with_shades(near: Tensor, apart: Tensor, coloured: Tensor) -> Tensor:
+    """What has the colour, with what joins it in its hue: shade at the rim, a paler stripe.
+
+    Where most of a piece of one hue has not the colour, the rest of it has another one.
+    """
+    hue = coloured * ((FAR_HUE - apart) / (FAR_HUE - NEAR_HUE)).clamp(0, 1)
+    whole = near.clone()
+    for view, pieces in enumerate((hue > 0.5).numpy(force=True).astype(np.uint8)):
+        labels = cv2.connectedComponents(pieces, connectivity=4)[1]
+        flat = labels.ravel()
+        has = np.bincount(flat, (near[view] > 0.5).numpy(force=True).ravel())
+        taken = has > MOST_OF_A_PIECE * np.bincount(flat)
+        taken[0] = False
+        inside = torch.from_numpy(taken[labels]).to(near.device)
+        whole[view] = torch.where(inside, torch.maximum(near, hue)[view], near[view])
+    return whole
+
+
+def _hue_apart(
+    lab: Float[Tensor, "view 3 height width"], named: Float[Tensor, "3 1 1"]
+) -> Float[Tensor, "view height width"]:
+    """How far the hue is from that of the name [degrees]."""
+    apart = torch.atan2(lab[:, 2], lab[:, 1]) - torch.atan2(named[2], named[1])
+    return torch.rad2deg((apart + np.pi).remainder(2 * np.pi) - np.pi).abs()
 
 
 def _smoothed(

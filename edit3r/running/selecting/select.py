@@ -64,6 +64,7 @@ CLICKED_SURE = 0.25  # the same where a click lies on what they found
 SAME_THING = 0.6  # overlap from which a click and words mean one thing
 SAME_READING = 0.85  # overlap from which two readings are one
 MAX_READINGS = 3  # that are shown
+BACKGROUND = "background"  # all but what stands out
 VOTES = 6  # photos near a view that say what of it belongs to the thing
 SHARES = "expected shares of its sides, 0 to 1 (x / width, y / height)"
 ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
@@ -214,6 +215,10 @@ def select_masks(
     work = _Work(images, selection, segmenter, geometry, intrinsics)
     if not selection.says_where:
         work.look_up(selection.views[0] if selection.views else 0)
+    # a thing is found again on other photos, all else is not
+    all_else = selection.words == BACKGROUND and not selection.says_where
+    if all_else:
+        work.masks = {view: 1 - mask for view, mask in work.masks.items()}
     for view in selection.views:
         work.mark(view)
     for view in range(len(images)):
@@ -234,8 +239,8 @@ def select_masks(
             "how": how,
         },
     )
-    masks = grown(masks, selection.grow)
-    if selection.inverted:
+    masks = grown(masks, -selection.grow if all_else else selection.grow)
+    if selection.inverted != all_else:
         work.tell_empty(masks)
         masks = (1 - masks) * shown(masks)
     for text in work.warnings:

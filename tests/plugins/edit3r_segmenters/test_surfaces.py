@@ -47,20 +47,6 @@ def test_a_large_plane_is_found_where_the_click_is_not_on_it(surfaces):
     assert overlap(surfaces._support((30, 40)), ~BALL) > 0.8
 
 
-FLOWER = np.hypot(ROWS - 30, COLUMNS - 55) < 4  # of the wall, beside the ball
-
-
-def test_a_flower_of_the_wall_does_not_hang_on_what_stands_before_it(surfaces):
-    both = BALL | FLOWER
-    left = surfaces.without_what_hangs_on(both, (30, 40))
-    assert overlap(left, BALL) > 0.9
-    assert not left[FLOWER & (COLUMNS > 54)].any()
-    # it stays where it was clicked on, and where it is no small piece
-    assert surfaces.without_what_hangs_on(both, (30, 56))[FLOWER].all()
-    large = BALL | (np.hypot(ROWS - 30, COLUMNS - 58) < 8)
-    assert (surfaces.without_what_hangs_on(large, (30, 40)) == large).all()
-
-
 class Two:
     """A network that is of two minds: the ball, or all that has its colour; both as it believes."""
 

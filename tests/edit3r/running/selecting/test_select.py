@@ -262,6 +262,23 @@ def test_all_but_an_empty_mask_is_nothing_and_said(grow):
     assert "nothing is selected on photo 2" in selected.warnings[-1]
 
 
+class Surroundings(Squares):
+    """Knows all around a square, and finds again only what is small."""
+
+    def segment_text(self, image, text):
+        return (self._proposal(1 - square(2, 2)),)
+
+    def track(self, images, masks):
+        self.lost = bool(masks.mean() > 0.5)
+        return super().track(images, masks)
+
+
+def test_of_a_background_the_thing_before_it_is_found_again():
+    asked = Selection(words="background", grow=1)
+    selected = select_masks(IMAGES[:2], asked, Surroundings())
+    assert torch.equal(selected.masks[1, 0] > 0.5, ~square(3, 6, 4).bool())
+
+
 class Unsure(Squares):
     """Finds a box, but does not believe in it; a larger reading of a box is its own."""
 

@@ -1,0 +1,27 @@
+"""Only what has a colour changes, with the shade of it that hangs together with it."""
+
+import torch
+
+from edit3r.contract.wishes import Colour
+from edit3r.running.selecting.near_colour import near_colour
+
+RED, DARK_RED, GREY = (0.8, 0.1, 0.1), (0.28, 0.045, 0.04), (0.5, 0.5, 0.5)
+
+
+def found(*pieces):
+    """Where a grey picture with squares (first column, columns, colour) is near red."""
+    image = torch.tensor(GREY)[:, None, None].repeat(1, 40, 80)
+    for first, count, colour in pieces:
+        image[:, 10:30, first : first + count] = torch.tensor(colour)[:, None, None]
+    near = near_colour(torch.ones(1, 40, 80), image[None], Colour("red", RED))
+    return near[0, 20] > 0.5
+
+
+def test_shade_at_the_rim_of_what_has_the_colour_has_it_too():
+    columns = found((10, 24, RED), (34, 6, DARK_RED))
+    assert columns[12:38].all() and not columns[42:].any()
+
+
+def test_what_is_mostly_another_shade_or_stands_alone_does_not():
+    columns = found((5, 8, RED), (13, 20, DARK_RED), (50, 20, DARK_RED))
+    assert columns[6:12].all() and not columns[15:].any()
