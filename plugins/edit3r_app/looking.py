@@ -155,7 +155,8 @@ class Looker:
         self._pointing = threading.RLock()
         self._opening = threading.RLock()
         self._reading = threading.Lock()
-        self._background = ThreadPoolExecutor(12)
+        self._background = ThreadPoolExecutor(6)
+        self._ahead = ThreadPoolExecutor(6)  # waits for what is in the background
         self._prepared = threading.Event()
         self._pace = USUAL_PACE
         self._known: set[tuple[str, tuple[str, ...]]] = set()  # what was opened
@@ -341,7 +342,7 @@ class Looker:
         opened.geometry.add_done_callback(_said)
         if photos is views:  # else the scene is looked at first
             self._begin_reading(opened, 0)
-        ahead = self._background.submit(self._read_ahead, opened, photos, state)
+        ahead = self._ahead.submit(self._read_ahead, opened, photos, state)
         ahead.add_done_callback(_said)
         self._known.add((state, names))
         return opened

