@@ -38,6 +38,7 @@ MOST_GROWTH, BEHIND = 20.0, 0.5
 # and as unlike what others guess there
 LARGEST = 0.15
 FEW = 3  # photos of which guesses that agree tell of a place too
+MOST_TELLING = 3  # others that must show what lies behind, where there are more
 PLACES = 9  # along a ray, before the surface that others show
 NEAREST = 0.8  # where they begin [depth of the nearest 2 % of what was measured]
 MARGIN = 0.016  # around what was found [long sides]
@@ -165,14 +166,16 @@ class _Scene:
         """What passed in one view; `sure` are the pixels of others that some third view agrees
         with.
         """
-        told = torch.zeros_like(self.measured[view])
-        alike, surface = told.clone(), torch.full_like(self.depths[view], torch.inf)
+        tell = torch.zeros_like(self.measured[view], dtype=torch.int32)
+        alike = torch.zeros_like(self.measured[view])
+        surface = torch.full_like(self.depths[view], torch.inf)
         for other, mask in sure.items():
             depth, colour = self._drawn(other, mask, view)
             seen = depth < torch.inf
             off = _beyond(colour, self.least[view], self.most[view])
-            told, alike = told | seen, alike | (seen & (off < UNLIKE))
+            tell, alike = tell + seen, alike | (seen & (off < UNLIKE))
             surface = torch.minimum(surface, depth)
+        told = tell >= max(1, min(MOST_TELLING, len(sure) - 1))
         before = self.measured[view] & (self.depths[view] < (1 - IN_FRONT) * surface)
         found = torch.zeros_like(told)
         for piece in _pieces(told & ~alike & ~before, told):

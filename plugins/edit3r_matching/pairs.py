@@ -64,7 +64,7 @@ MIN_FILLED = 0.045
 """Share of the area that a pair's matches fill, in one picture times that in the other, below which
 the motion of tilted images is not believed, unless nearly all matches agree with it.
 """
-FEW_IMAGES = 10
+FEW_IMAGES = 4
 """Images up to which two robust estimates are made of each motion: of more, the others correct it.
 """
 NEARLY_ALL = 0.9

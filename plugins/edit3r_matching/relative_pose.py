@@ -37,7 +37,7 @@ show.
 """
 _REFINEMENT_ROUNDS = 3
 _MOST_STEPS = 30
-_LEAST_GAIN = 1e-6  # share of the loss below which a step is the last
+_LEAST_GAIN = 1e-4  # share of the loss below which a step is the last
 _NEAR = 1.5  # times the threshold: matches that take part in the refinement
 # times the threshold: what a good match is off, where it is asked how exactly they agree
 _SHARP = 0.15

@@ -69,6 +69,20 @@ def test_guesses_that_agree_tell_of_a_place_only_among_three_photos(count, told)
     assert (found is not None) == told
 
 
+@pytest.mark.parametrize(("telling", "found"), [([0, 2], False), ([0, 2, 3], True)])
+def test_of_many_photos_three_must_show_what_lies_behind(telling, found):
+    scene = photograph(5, (64, 96))
+    images = scene.views.images.clone()
+    images[0, 1, :, THING[2], THING[3]] = torch.tensor([1.0, 0, 1])[:, None, None]
+    confidence = torch.zeros_like(scene.depths)
+    confidence[:, [1, *telling]] = 1
+    confidence[THING] = 0
+    everywhere = torch.ones(1, 5, dtype=torch.bool)
+    geometry = MatchedGeometry(scene.cameras.c2w, scene.depths, confidence, everywhere)
+    seen = passing(geometry, replace(scene.views, images=images))
+    assert (seen is not None) == found
+
+
 @pytest.mark.parametrize(("wide", "grown"), [(10, True), (40, False)])
 def test_a_thing_is_its_whole_unmeasured_piece_unless_that_is_a_background(wide, grown):
     unmeasured = torch.zeros(60, 80, dtype=torch.bool)
