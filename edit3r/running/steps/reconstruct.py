@@ -16,7 +16,6 @@ from edit3r.kit.checks import check_reconstruction, errors_named_after
 from edit3r.kit.geometry.gravity import quarter_turns
 from edit3r.kit.geometry.light import estimate_light, relit
 from edit3r.kit.geometry.pose import estimate_cameras
-from edit3r.running.edges import edges_on_outlines
 from edit3r.running.editors import request_of
 from edit3r.running.judging.between import guessed_between
 from edit3r.running.parts import Parts
@@ -33,7 +32,7 @@ def reconstruct(scene: Scene, parts: Parts) -> Scene:
     """Gaussians and cameras of the edited views, and the scene as it was before the edit."""
     with stage(f"reconstruct ({component_name(parts.reconstructor)})"):
         scene = _with_light(scene, parts)
-        reconstruction = _with_edges(_reconstructed(scene, parts), scene, parts)
+        reconstruction = _reconstructed(scene, parts)
         scene = replace(scene, masks=_masks_of_change(scene, parts))
         scene = replace(scene, passing=_passing(scene, parts))
         if reconstruction.measured is not None:
@@ -249,26 +248,4 @@ def _before(scene: Scene, parts: Parts) -> Reconstruction | None:
     def compute() -> Reconstruction:
         return _checked(recon, photos, lambda: recon(photos, photos, grid))
 
-    found = recall("before", recon, (photos, grid), compute)
-    return _with_edges(found, scene, parts)
-
-
-def _with_edges(
-    reconstruction: Reconstruction, scene: Scene, parts: Parts
-) -> Reconstruction:
-    """The reconstruction with what is selected ending in depth where its outline ends."""
-    if not scene.confined or parts.changes_shape:
-        return reconstruction
-    geometry = parts.located(scene.photos).geometry
-    if geometry is None:
-        return reconstruction
-    assert scene.masks is not None
-    placed = _placed(reconstruction, scene.photos.count)
-    used = [view for view, there in enumerate(placed) if there]
-    gaussians = edges_on_outlines(
-        reconstruction.gaussians,
-        known_cameras(reconstruction),
-        geometry.depths[:, used],
-        scene.masks[:, used],
-    )
-    return replace(reconstruction, gaussians=gaussians)
+    return recall("before", recon, (photos, grid), compute)
