@@ -38,9 +38,8 @@ def near_colour(
     least = MIN_CHROMA_SHARE * named[1:].norm()
     chroma = lab[:, 1:].norm(dim=1)
     coloured = (4 * (chroma - least) / least.clamp(min=4) + 1).clamp(0, 1)
-    found = masks * _with_shades(near * coloured, _hue_apart(lab, named), coloured).to(
-        masks
-    )
+    shares = _with_shades(near * coloured, _hue_apart(lab, named), coloured)
+    found = masks * shares.to(masks)
     if not found.any():
         raise PromptError(
             f"nothing there is near {colour.name}, so nothing would change; name the colour it has."

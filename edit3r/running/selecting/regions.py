@@ -21,6 +21,7 @@ from edit3r.kit.geometry.maps import dilate
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.select import (
     ASK,
+    BACKGROUND,
     Selected,
     Selection,
     select_masks,
@@ -207,7 +208,7 @@ class RegionFinder:
         if self._known:  # all but what earlier runs named
             named = torch.stack(list(self._known.values())).amax(0)
             return (1 - named) * shown(named)
-        asked = Selection(words="background")
+        asked = Selection(words=BACKGROUND)
         selected = self._look_for(Thing("background"), asked)
         masks = selected.masks[:, 0]
         return self._inverse(selected) if "guess" in selected.how else masks

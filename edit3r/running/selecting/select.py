@@ -326,9 +326,7 @@ class _Work:
             if geometry is None or geometry.intrinsics is None
             else geometry.intrinsics
         )
-        self.places: _Hashed | None = (
-            None  # of the pixels in 3D, once they are asked for
-        )
+        self.places: _Hashed | None = None  # once they are asked for
         self.masks: dict[int, Tensor] = {}
         self.how: dict[int, str] = {}
         self.tracks: dict[

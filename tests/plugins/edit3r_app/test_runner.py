@@ -13,7 +13,7 @@ import torch
 from edit3r_app import runner as runner_module
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.progress import read_progress
-from edit3r_app.runner import EDIT3R, Runner, command_of
+from edit3r_app.runner import EDIT3R, OUTPUTS, Runner, command_of
 
 from edit3r.contract.errors import InputError
 from edit3r.running import CACHE
@@ -194,8 +194,9 @@ def test_the_command_names_photos_masks_settings_and_the_earlier_run(folder):
     assert [mask.name for mask in masks] == ["000.png", "001.png"]
     assert all(mask.is_file() for mask in masks)
     settings = command[command.index("--config") + 1]
-    assert "video" not in Path(settings).read_text()
-    assert Path(settings).read_text().endswith("prompt: gold\nsize: 96\n")
+    outputs = "".join(f"- {one}\n" for one in OUTPUTS)
+    written = f"outputs:\n{outputs}prompt: gold\nsize: 96\n"
+    assert "video" not in OUTPUTS and Path(settings).read_text() == written
     command = command_of(folder, queued(folder, scene, parent=scene))
     assert (
         command[command.index("--from") + 1] == str(folder.path(scene))
