@@ -214,8 +214,8 @@ class SamOnnxSegmenter(Segmenter):
                     self._embeddings[key] = {n: one.half() for n, one in known.items()}
                 return self._embeddings[key]
 
-        read = recall("embed", self, key, kept)
-        return {name: one.float() for name, one in read.items()}
+        read = recall("embed", self, key, lambda: tuple(kept().items()))
+        return {name: one.float() for name, one in read}
 
     def _encode(self, image: Float[Tensor, "3 height width"]) -> Embedding:
         """What the encoder reads: a SAM's the longer side to its size, the rest zero; a SAM 2's
