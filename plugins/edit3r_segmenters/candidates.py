@@ -50,8 +50,6 @@ FITTING = 0.7  # overlap of an answer with its surface from which depth tells of
 SAME_BOX = 0.7  # overlap of boxes from which a network says the same of both
 AGREED = 0.8  # overlap of answers with the best reading: depth is not asked
 HELD = 0.8  # share of a stroke's points that a reading must hold
-MOSTLY = 0.75  # share of a known thing's answers that must hold a stroke
-BESIDE_A_THING = 0.5  # what a candidate counts for that no known thing agrees with
 SAME = 0.85  # overlap of two candidates above which a step from one to the other shows nothing
 # Where a mask from another view is completed
 MIN_OPEN = 0.2  # share of its rim of which nothing is known
@@ -97,15 +95,6 @@ class Evidence:
     saliences: Sequence[Salience] = ()
     prompt: Prompt | None = None
     surfaces: Surfaces | None = None
-    things: Sequence[tuple[Box, float]] = ()  # that a detector knows, and how surely
-
-    def things_at(self, place: Place) -> list[tuple[Box, float]]:
-        row, column = place
-        return [
-            (((top, left), (bottom, right)), surety)
-            for ((top, left), (bottom, right)), surety in self.things
-            if top <= row < bottom and left <= column < right
-        ]
 
     def regions(self, place: Place) -> list[np.ndarray]:
         """Bool masks of regions at a place, smaller ones first."""
@@ -258,13 +247,10 @@ def _first(evidence: Evidence, place: Place) -> list[Candidate]:
         if found:  # it sees better what to do once it is told how far the thing goes
             box = _bounds(found[0].mask)
             boxed = list(evidence.prompt(clicks, box))
-            things = _things(evidence, place)
-            more = [*boxed, *(one for said, _ in things for one in said)]
-            found += _ranked(evidence, nothing, clicks, more, asked)
+            found += _ranked(evidence, nothing, clicks, boxed, asked)
             found.sort(key=lambda one: -one.score)
             if not _is_clear(found[0].mask, asked):
                 found = _by_depth(evidence, found, [place], [(box, boxed)])
-            found = _by_things(found, things)
     if found:
         return _voted(evidence, found, clicks)
     cut = _locally_cut(evidence.pixels, nothing > 0, place, True)
@@ -289,10 +275,8 @@ def _stroked(evidence: Evidence, places: Sequence[Place]) -> list[Candidate]:
     found = _holding(evidence, logits, places, votes, salient)
     if evidence.prompt is not None and found:
         logits += list(evidence.prompt(clicks, _bounds(found[0].mask)))
-        things = _drawn_over(_things(evidence, middle), places)
-        logits += [one for said, _ in things for one in said]
         found = _holding(evidence, logits, places, votes, salient)
-        found = _by_things(_by_depth(evidence, found, places[::2]), things)
+        found = _by_depth(evidence, found, places[::2])
     return _voted(evidence, found, [])
 
 
@@ -322,19 +306,6 @@ def _holding(
 def _holds(mask: np.ndarray, places: Sequence[Place]) -> bool:
     """Whether a bool mask holds nearly all places."""
     return bool(np.mean([mask[place] for place in places]) >= HELD)
-
-
-def _drawn_over(
-    things: Sequence[tuple[Sequence[np.ndarray], float]], places: Sequence[Place]
-) -> list[tuple[Sequence[np.ndarray], float]]:
-    """The known things that a stroke lies on by most of a network's answers: the box of a person
-    holds cups before them too, and a stroke over a cup does not mean the person.
-    """
-    return [
-        (said, surety)
-        for said, surety in things
-        if np.mean([_holds(answer > 0, places) for answer in said]) >= MOSTLY
-    ]
 
 
 def _is_clear(best: np.ndarray, asked: Sequence[np.ndarray]) -> bool:
@@ -378,36 +349,6 @@ def _by_depth(
         factor = ALONE + float(np.average(best, weights=weights))
         factor *= ALONE + surfaces.before(one.mask)
         judged.append(Candidate(one.logits, one.score * factor))
-    return sorted(judged, key=lambda one: -one.score)
-
-
-def _things(
-    evidence: Evidence, place: Place
-) -> list[tuple[Sequence[np.ndarray], float]]:
-    """What a network says of each known thing at a place, and how surely it is one."""
-    if evidence.prompt is None:
-        return []
-    return [
-        (evidence.prompt([(place, True)], box), surety)
-        for box, surety in evidence.things_at(place)
-    ]
-
-
-def _by_things(
-    found: list[Candidate], things: Sequence[tuple[Sequence[np.ndarray], float]]
-) -> list[Candidate]:
-    """The candidates in the order that known things give them: who clicks on a wheel or a shirt
-    means the motorcycle or the person more often.
-    """
-    if not things:
-        return found
-    judged = []
-    for one in found:
-        agreed = max(
-            surety * max(overlap(one.mask, answer > 0) for answer in said)
-            for said, surety in things
-        )
-        judged.append(Candidate(one.logits, one.score * (BESIDE_A_THING + agreed)))
     return sorted(judged, key=lambda one: -one.score)
 
 

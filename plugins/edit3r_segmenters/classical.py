@@ -54,7 +54,6 @@ from edit3r_segmenters.masks import (
     tidied,
     to_bytes,
 )
-from edit3r_segmenters.named import things_on
 from edit3r_segmenters.salience import (
     MAX_AREA,
     MIN_AREA,
@@ -286,7 +285,6 @@ class ClassicalSegmenter(Segmenter):
             () if prior is not None else self._evident(rgb, shape, marks, network),
             None if network is None else self._prompt(image, shape, network),
             self._surfaces(marks.relief, shape),
-            () if network is None or prior is not None else self._things(image, shape),
         )
         box = None if marks.box is None else _in_pixels(marks.box, shape)
         stroke = [_in_image(place, shape) for place in marks.drawn]
@@ -425,13 +423,6 @@ class ClassicalSegmenter(Segmenter):
             raise InputError(
                 f"{weights}: is no whole U²-Net as ONNX; fetch it anew with: {U2NETP.get}"
             ) from None
-
-    def _things(
-        self, image: Float[Tensor, "3 height width"], shape: tuple[int, int]
-    ) -> list[tuple[Box, float]]:
-        """Boxes of everyday things at working size, and how surely each is one."""
-        found = self._kept(("things", self._print_of(image)), lambda: things_on(image))
-        return [(_in_pixels(box, shape), surety) for box, surety in found]
 
     def _surfaces(
         self, relief: Relief | None, shape: tuple[int, int]

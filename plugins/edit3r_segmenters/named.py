@@ -24,8 +24,6 @@ DETECTORS = {"coco": "nanodet", "imagenet": "efficientnet-lite0"}
 SHARE = 0.45  # of the best box's score that other things of its name must reach
 PART = 0.7  # share of a box inside a better one from which it is only a part of that
 MAX_THINGS = 8
-THING = 0.6  # score from which a box tells a click how far a thing goes
-SUPPORTS = ("dining table", "bed", "couch", "bench")  # others lie on them
 PEAKS = 8  # places of the activation at which masks are asked for
 LEAST_PEAK = 0.3  # activation of such a place beside the highest one
 APART = 0.12  # distance of such places [longer sides of the image]
@@ -105,24 +103,6 @@ class Namer:
         large = torch.nn.functional.interpolate(logits[None], size, mode="bilinear")[0]
         some = (large > 0).any(-1).any(-1)
         return large[some], quality[some]
-
-
-def things_on(
-    image: Float[Tensor, "3 height width"],
-) -> tuple[tuple[Box, float], ...]:
-    """Boxes of everyday things [shares of the sides], and how surely each is one; none without the
-    detector.
-    """
-    if not usable("coco"):
-        return ()
-    height, width = image.shape[-2:]
-    found = []
-    for one in build("detector", "coco").detect(image, ""):
-        if one.score >= THING and one.label not in SUPPORTS:
-            x, y, across, down = one.box
-            box = (x / width, y / height, across / width, down / height)
-            found.append((box, _surety(one.score, *COCO_CURVE)))
-    return tuple(found)
 
 
 def _distinct(detections: Sequence[Detection]) -> list[Detection]:

@@ -5,10 +5,7 @@ import pytest
 import torch
 from edit3r_segmenters.candidates import (
     Candidate,
-    Evidence,
-    _by_things,
     by_size,
-    choose,
     completed,
 )
 
@@ -202,77 +199,3 @@ class TestCompleted:
 
         assert np.array_equal(completed(self.EXPECTED, self.KNOWN, prompt), self.THING)
         assert asked == [((16, 16), (48, 48))]  # all places at once, in their box
-
-
-class Boxed(Aside):
-    """The same network, for which the box of a thing means all that lies in it."""
-
-    def ask(self, image, clicks, box=None):
-        if box is None or box[2] < 0.8:
-            return super().ask(image, clicks, box)
-        rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
-        (x, y, across, down), side = box, SIDE
-        edges = columns - x * side, (x + across) * side - columns
-        edges += rows - y * side, (y + down) * side - rows
-        return np.minimum.reduce(edges)[None], np.array([0.9])
-
-
-@pytest.mark.parametrize(
-    ("top", "is_read"), [(0.05, True), (0.6, False)], ids=["at the click", "elsewhere"]
-)
-def test_a_known_thing_at_the_click_is_a_reading(
-    segmenter, image, monkeypatch, top, is_read
-):
-    def things(image):
-        return (((0.05, top, 0.9, 0.95 - top), 0.9),)
-
-    monkeypatch.setattr("edit3r_segmenters.classical.things_on", things)
-    segmenter._memory.clear()
-    readings = segmenter.likely(image, Marks(positive=(CENTRE,)), Boxed())
-    segmenter._memory.clear()
-    assert (max(map(area, readings)) > 2 * np.pi * RADII[1] ** 2) == is_read
-
-
-@pytest.mark.parametrize(
-    ("surety", "first"), [(0.8, "motorcycle"), (0.1, "wheel"), (None, "wheel")]
-)
-def test_a_wheel_is_the_motorcycle_s_where_that_is_surely_one(surety, first):
-    logits = {"wheel": disc_of(6), "motorcycle": disc_of(20)}
-    found = [Candidate(logits["wheel"], 1.0), Candidate(logits["motorcycle"], 0.7)]
-    things = [] if surety is None else [([logits["motorcycle"]], surety)]
-    assert _by_things(found, things)[0].logits is logits[first]
-
-
-@pytest.mark.parametrize(
-    ("answers", "means"),
-    [((20, 18, 17, 16), "person"), ((20, 18, 1, 1), "cup")],
-    ids=["drawn over", "behind the cup"],
-)
-def test_a_stroke_over_a_cup_in_a_person_s_box_is_the_cup(segmenter, answers, means):
-    """Answers to the box that mostly leave the stroke out are of a thing beside what is meant."""
-    radii = {"cup": 8, "person": 20}
-
-    def prompt(clicks, box):
-        is_person = box == ((0, 0), (SIDE, SIDE))
-        return np.stack(
-            [disc_of(one) for one in (answers if is_person else (8, 8, 20))]
-        )
-
-    pixels = np.full((SIDE, SIDE, 3), 90, np.uint8)
-    found = segmenter._analysis(pixels / np.float32(255))
-    evidence = Evidence(
-        found.pixels,
-        found.superpixels,
-        found.members,
-        found.measure,
-        prompt=prompt,
-        things=((((0, 0), (SIDE, SIDE)), 0.9),),
-    )
-    line = [(SIDE // 2, column) for column in range(27, 38, 2)]
-    mask = choose(evidence, [], stroke=line)[0].mask
-    assert mask.sum() == pytest.approx(np.pi * radii[means] ** 2, rel=0.1)
-
-
-def disc_of(radius):
-    rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
-    return radius - np.hypot(columns - SIDE / 2, rows - SIDE / 2)
