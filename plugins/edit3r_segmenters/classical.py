@@ -256,8 +256,8 @@ class ClassicalSegmenter(Segmenter):
     ) -> tuple[Proposal, ...]:
         """The most likely readings of the marks; each has its share of all their scores."""
         rgb = _to_numpy(image)
-        found, _ = by_size(self._found(rgb, image, marks, network))
-        found = sorted(found, key=lambda one: -one.score)
+        all_found = self._found(rgb, image, marks, network)
+        found = sorted(by_size(all_found)[0], key=all_found.index)
         total = sum(one.score for one in found)
         return tuple(
             replace(

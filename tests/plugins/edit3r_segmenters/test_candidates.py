@@ -153,6 +153,16 @@ def test_candidates_that_look_the_same_are_one_step():
     assert ordered[place] is best
 
 
+def test_the_most_likely_reading_is_the_answer_where_a_part_scores_as_much(
+    segmenter, image, monkeypatch
+):
+    found = [Candidate(disc_of(20), 1.0), Candidate(disc_of(8), 1.0)]
+    monkeypatch.setattr(segmenter, "_found", lambda *_: found)
+    marks = Marks(positive=(CENTRE,))
+    first, second = map(area, segmenter.likely(image, marks, Discs()))
+    assert first == area(segmenter.answer(image, marks, Discs())) > second
+
+
 class TestCompleted:
     """A thing of two halves; the photo that says where it is shows only the left half."""
 
