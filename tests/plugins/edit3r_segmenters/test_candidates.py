@@ -23,7 +23,7 @@ SIDE = 64
 class Discs:
     """A network whose masks are discs around the first click, and a bar at one that is wrong."""
 
-    def ask(self, image, clicks, box=None):
+    def ask(self, image, clicks, box=None, before=None):
         rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
         (x, y), _ = clicks[0]
         away = np.hypot(columns - x * SIDE, rows - y * SIDE)
@@ -82,7 +82,7 @@ def test_a_click_on_what_is_wrong_takes_the_part_away_and_not_a_dot(segmenter, i
 class Aside:
     """A network that sees the disc of the image wherever on it one clicks, and a crumb there."""
 
-    def ask(self, image, clicks, box=None):
+    def ask(self, image, clicks, box=None, before=None):
         rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
         (x, y), _ = clicks[0]
         to_middle = np.hypot(columns - SIDE / 2, rows - SIDE / 2)
@@ -98,10 +98,28 @@ def test_a_click_aside_of_the_middle_means_the_same_thing(segmenter, image, asid
     assert 0.85 * disc < area(found) < 1.15 * disc
 
 
+def test_a_network_is_told_the_answer_that_a_click_corrects(segmenter, image):
+    told = []
+
+    class Told(Discs):
+        def ask(self, image, clicks, box=None, before=None):
+            if before is not None:
+                told.append((len(clicks), before > 0))
+            return super().ask(image, clicks, box)
+
+    segmenter._memory.clear()
+    once = segmenter.answer(image, Marks(positive=(CENTRE,)), Told())
+    assert not told
+    segmenter.answer(image, Marks(positive=(CENTRE, (0.85, 0.5))), Told())
+    ((clicks, before),) = told
+    assert clicks == 2
+    assert before.sum() == pytest.approx(area(once), rel=0.1)
+
+
 class Islands:
     """A network whose masks are the disc of the image and a square apart from it."""
 
-    def ask(self, image, clicks, box=None):
+    def ask(self, image, clicks, box=None, before=None):
         rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
         disc = RADII[1] - np.hypot(columns - SIDE / 2, rows - SIDE / 2)
         disc[2:9, 2:9] = 1
@@ -122,7 +140,7 @@ def test_what_lies_apart_from_one_click_is_left_out_and_a_second_click_adds_it(
 class Crumbs:
     """A network whose four masks are one disc, each with a bite and a crumb of its own."""
 
-    def ask(self, image, clicks, box=None):
+    def ask(self, image, clicks, box=None, before=None):
         rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
         away = np.hypot(columns - SIDE / 2, rows - SIDE / 2)
         logits = np.stack([RADII[1] - away] * 4)
@@ -217,9 +235,9 @@ class TestCompleted:
 class Boxed(Aside):
     """The same network, for which the box of a thing means all that lies in it."""
 
-    def ask(self, image, clicks, box=None):
+    def ask(self, image, clicks, box=None, before=None):
         if box is None or box[2] < 0.8:
-            return super().ask(image, clicks, box)
+            return super().ask(image, clicks, box, before)
         rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
         (x, y, across, down), side = box, SIDE
         edges = columns - x * side, (x + across) * side - columns
