@@ -9,6 +9,7 @@ All masks are `[h, w]` at one working size.
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -63,8 +64,15 @@ MIN_SCORE = 0.02  # of the best one's score, under which a candidate is no step 
 Place = tuple[int, int]  # row and column
 Click = tuple[Place, bool]  # and whether the object is there
 Box = tuple[Place, Place]  # first row and column inside, and first ones beyond
-Prompt = Callable[[Sequence[Click], Box | None], np.ndarray]
-"""Asks a network with clicks and a box: logits of several masks `[n, h, w]`."""
+
+
+class Prompt(Protocol):
+    def __call__(
+        self, clicks: Sequence[Click], box: Box | None, before: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Ask a network with clicks, a box, and its answer `before` the last click (logits
+        `[h, w]`): logits of several masks `[n, h, w]`.
+        """
 
 
 @dataclass(frozen=True)
@@ -366,6 +374,7 @@ def _corrected(
     if evidence.prompt is not None:
         parts += list(evidence.prompt([(place, True)], None))
         wholes += list(evidence.prompt(clicks, None))
+        wholes += list(evidence.prompt(clicks, None, before))
         wholes += list(evidence.prompt(clicks, _bounds(before > 0)))
     if wanted:
         logits = [np.maximum(before, part) for part in parts]

@@ -106,8 +106,11 @@ class Network(Protocol):
         image: Float[Tensor, "3 height width"],
         clicks: Sequence[tuple[tuple[float, float], bool]],
         box: tuple[float, float, float, float] | None = None,
+        before: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Logits `[n, h, w]` of masks that cover the image, and their quality `[n]`."""
+        """Logits `[n, h, w]` of masks that cover the image, and their quality `[n]`; `before` are
+        those of the answer that the last click corrects.
+        """
 
 
 @dataclass(frozen=True)
@@ -255,8 +258,8 @@ class ClassicalSegmenter(Segmenter):
     ) -> tuple[Proposal, ...]:
         """The most likely readings of the marks; each has its share of all their scores."""
         rgb = _to_numpy(image)
-        found, _ = by_size(self._found(rgb, image, marks, network))
-        found = sorted(found, key=lambda one: -one.score)
+        all_found = self._found(rgb, image, marks, network)
+        found = sorted(by_size(all_found)[0], key=all_found.index)
         total = sum(one.score for one in found)
         return tuple(
             replace(
@@ -349,7 +352,9 @@ class ClassicalSegmenter(Segmenter):
         """Asks the network at working size; an answer is kept, since each click asks all again."""
         key, (height, width) = self._print_of(image), shape
 
-        def prompt(clicks: Sequence[Click], box: Box | None) -> np.ndarray:
+        def prompt(
+            clicks: Sequence[Click], box: Box | None, before: np.ndarray | None = None
+        ) -> np.ndarray:
             places = [
                 (((column + 0.5) / width, (row + 0.5) / height), inside)
                 for (row, column), inside in clicks
@@ -359,8 +364,10 @@ class ClassicalSegmenter(Segmenter):
                 (top, left), (bottom, right) = box
                 sides = (right - left) / width, (bottom - top) / height
                 frame = (left / width, top / height, *sides)
+            told = None if before is None else before.tobytes()
+            asked = (key, tuple(clicks), box, told)
             logits = self._kept(
-                (key, tuple(clicks), box), lambda: network.ask(image, places, frame)[0]
+                asked, lambda: network.ask(image, places, frame, before)[0]
             )
             return np.stack([cv2.resize(one, (width, height)) for one in logits])
 

