@@ -410,8 +410,9 @@ class _Work:
             say("selection.words", f"{named}: found, {self.surety:.0%} sure")
         self._keep(view, mask, "words")
         every = several or set(which) & EVERY
-        if not which and self.surety >= SURE and _spans(mask > 0.5):
-            every = True  # beyond the border it has parts that another photo shows
+        if words != BACKGROUND and not which and self.surety >= SURE:
+            # beyond the border it has parts that another photo shows
+            every = every or _spans(mask > 0.5)
         if every and not self.selection.larger and self.selection.reading == 1:
             self._look_on_others(view)
 
