@@ -409,7 +409,7 @@ class _Work:
         elif self.surety < 1:
             say("selection.words", f"{named}: found, {self.surety:.0%} sure")
         self._keep(view, mask, "words")
-        every = several or set(which) & EVERY
+        every = several or bool(set(which) & EVERY)
         if words != BACKGROUND and not which and self.surety >= SURE:
             # beyond the border it has parts that another photo shows
             every = every or _spans(mask > 0.5)

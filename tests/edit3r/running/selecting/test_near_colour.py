@@ -27,7 +27,7 @@ def test_a_highlight_on_what_has_the_colour_has_it_too():
     columns = found((10, 24, RED), (34, 6, SHINE))
     assert columns[12:38].all()
     other = found((10, 24, RED), (34, 6, DARK_PINK))
-    assert columns[12:32].all() and not other[36:].any()
+    assert other[12:32].all() and not other[36:].any()
 
 
 def test_what_is_mostly_another_shade_or_stands_alone_does_not():
