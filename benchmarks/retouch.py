@@ -4,7 +4,7 @@ taken away.
     python benchmarks/retouch.py --scenes 24 --size 128
 
 Rims: mean absolute error in the ring of 5 pixels around masks that are 2 pixels too small.
-PSNR [dB] over the pixels of the holes, against the rendered truth: of OpenCV's inpainting of each
+PSNR [dB] over the pixels of the holes, against the rendered truth: of a smooth filling of each
 photo alone, of `retouch`, and of `retouch` given the true depths; once where another photo sees
 behind the object (points of its true depths fall there), once over whole holes. Scenes whose photos
 cannot be matched are counted.
@@ -158,7 +158,7 @@ def main() -> None:
 def _alone(editor, image, hole):
     from edit3r_editors.retouch import _inpainted
 
-    return _inpainted(image, hole, editor.settings.radius)
+    return _inpainted(image, hole)
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from harness import Row, run_benchmark
 from PIL import Image
 
 import edit3r
+from edit3r.contract.errors import Edit3rError
 from edit3r.contract.types import Cameras
 from edit3r.kit.rendering import render_one
 
@@ -79,7 +80,11 @@ def main(
     for name, case in CASES.items():
         if only and name not in only:
             continue
-        result = done(case, data, size)
+        try:
+            result = done(case, data, size)
+        except Edit3rError as error:
+            print(f"{name}: {str(error)[:90]}")
+            continue
         wide = [wider(result, view) for view in range(2)]
         borders = [one for view in wide for one in compared(*view)]
         levels, stripes = np.array(borders).T

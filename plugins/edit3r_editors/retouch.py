@@ -1,7 +1,7 @@
 """The editor `retouch`: takes away what is masked and shows what the other photos see behind it.
 
 What another photo sees is carried over by the matched geometry, which no editor of single pictures
-can do; only what no photo sees is invented, from what surrounds it, by OpenCV's inpainting.
+can do; only what no photo sees is invented, as a smooth surface between what surrounds it.
 """
 
 import math
@@ -73,12 +73,6 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
             le=0.3,
             description="how far from the thing its shadow is removed too [longer sides]",
         )
-        radius: float = Field(
-            5,
-            gt=0,
-            le=50,
-            description="inpainting: how far known pixels reach [pixels]",
-        )
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
@@ -141,12 +135,7 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
                 "most of what is taken away hides what no other photo shows; what is behind it "
                 "is invented."
             )
-        return torch.stack(
-            [
-                _inpainted(*one, self.settings.radius)
-                for one in zip(images, hole & ~seen)
-            ]
-        )
+        return torch.stack([_inpainted(*one) for one in zip(images, hole & ~seen)])
 
     def _geometry(self, views: Views) -> MatchedGeometry | None:
         """Geometry of the photos; None where they cannot be placed."""
@@ -411,22 +400,11 @@ def _spanned(
 
 
 def _inpainted(
-    image: Float[Tensor, "3 height width"],
-    hole: Bool[Tensor, "height width"],
-    radius: float,
+    image: Float[Tensor, "3 height width"], hole: Bool[Tensor, "height width"]
 ) -> Float[Tensor, "3 height width"]:
-    """The image with the hole filled from its surroundings (Telea 2004)."""
+    """The image with the hole spanned from its surroundings."""
     if not hole.any():
         return image
-    pixels = (
-        (image.permute(1, 2, 0) * 255)
-        .round()
-        .clamp(0, 255)
-        .to(torch.uint8)
-        .cpu()
-        .numpy()
-    )
-    mask = hole.cpu().numpy().astype(np.uint8)
-    filled = cv2.inpaint(np.ascontiguousarray(pixels), mask, radius, cv2.INPAINT_TELEA)
-    filled = torch.from_numpy(filled).to(image).permute(2, 0, 1) / 255
-    return torch.where(hole, filled, image)
+    known = torch.where(hole, 0.0, image + 1)  # 0 is unknown
+    filled = [torch.from_numpy(_spanned(one)) for one in known.numpy(force=True)]
+    return torch.where(hole, (torch.stack(filled).to(image) - 1).clamp(0, 1), image)

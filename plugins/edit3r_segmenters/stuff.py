@@ -15,6 +15,7 @@ SMOOTH = 0.22  # most edge strength of a sky
 SAME_SKY = (
     14.0  # colour distance to a piece of sky at the top within which more of it may lie
 )
+HAZE_STEP = 6.0  # colour distance between neighbours, over which sky passes into haze
 HIGHEST_GROUND, SURE_GROUND = (
     0.3,
     0.93,
@@ -75,12 +76,27 @@ def sky(pixels: np.ndarray, cells: Superpixels) -> np.ndarray | None:
     distance = np.linalg.norm(
         cells.colours[:, None] - cells.colours[None, seeds], axis=2
     ).min(1)
-    trimap = np.where(alike & (distance < SAME_SKY), cv2.GC_PR_FGD, cv2.GC_BGD)[
-        cells.labels
-    ].astype(np.uint8)
+    likely = _with_haze(alike & (distance < SAME_SKY), alike, cells)
+    trimap = np.where(likely, cv2.GC_PR_FGD, cv2.GC_BGD)[cells.labels].astype(np.uint8)
     trimap[(edges < 2 * SMOOTH)[cells.labels] & (trimap == cv2.GC_BGD)] = cv2.GC_PR_BGD
     trimap[seeds[cells.labels]] = cv2.GC_FGD
     return tidied(graph_cut(pixels, trimap), seeds[cells.labels])
+
+
+def _with_haze(likely: np.ndarray, alike: np.ndarray, cells: Superpixels) -> np.ndarray:
+    """The superpixels that may be sky, with those into which it passes without an edge."""
+    one, other = cells.pairs.T
+    step = np.linalg.norm(cells.colours[one] - cells.colours[other], axis=1)
+    smooth = (step < HAZE_STEP) & (cells.strengths < SMOOTH)
+    found = likely.copy()
+    while True:
+        joins = smooth & (found[one] != found[other])
+        reached = np.zeros_like(found)
+        reached[np.concatenate((one[joins], other[joins]))] = True
+        more = found | (reached & alike)
+        if (more == found).all():
+            return found
+        found = more
 
 
 def ground(pixels: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from edit3r.running.judging.edit_verdict import (
     MIN_SHARE,
     EditMeasures,
 )
+from edit3r.running.judging.elsewhere import Ask, meant_elsewhere
 from edit3r.running.scene import Scene
 from edit3r.running.selecting.select import Selected
 
@@ -54,9 +55,12 @@ Masks = Float[Tensor, "view height width"]
 
 
 def measure_edit(
-    scene: Scene, wishes: Sequence[Wish], views: Sequence[int]
+    scene: Scene, wishes: Sequence[Wish], views: Sequence[int], ask: Ask | None = None
 ) -> EditMeasures:
-    """Return the figures of the 2D edit of these views; of several scenes the first counts."""
+    """Return the figures of the 2D edit of these views; of several scenes the first counts.
+
+    `ask` answers a click on a photo, as `Segmenter.answers` does.
+    """
     before = _small(scene.start.images[0, views])
     after = _small(scene.edited.images[0, views])
     visibly = (after - before).abs().amax(1) > VISIBLE
@@ -80,6 +84,9 @@ def measure_edit(
         measures = replace(measures, clicked=max(shares), pieces=pieces(masks))
     part, reading = likely_part(scene.start.images[0], scene.selected)
     measures = replace(measures, part=part, part_reading=reading)
+    if ask is not None:
+        found = meant_elsewhere(scene.start.images[0], scene.selected, ask)
+        measures = replace(measures, elsewhere=found)
     if any(wish.action == "remove" for wish in wishes):  # its shadow and rim go with it
         return replace(
             measures,

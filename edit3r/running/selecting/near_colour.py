@@ -16,6 +16,8 @@ LIGHTNESS_WEIGHT, HUE_WEIGHT = 0.5, 1.7
 """Shade changes lightness, and names are about hue: the weights of both in the difference."""
 NEAR_HUE, FAR_HUE = 12.0, 20.0
 """The same for the hue of what joins that [degrees]."""
+LIGHTER = 10.0
+"""Lightness above the named colour's, at which hues may be twice as far apart."""
 MOST_OF_A_PIECE = 0.6
 MIN_CHROMA_SHARE = 0.2
 """Share of the named colour's chroma that there must be: grey is never red."""
@@ -38,7 +40,10 @@ def near_colour(
     least = MIN_CHROMA_SHARE * named[1:].norm()
     chroma = lab[:, 1:].norm(dim=1)
     coloured = (4 * (chroma - least) / least.clamp(min=4) + 1).clamp(0, 1)
-    shares = _with_shades(near * coloured, _hue_apart(lab, named), coloured)
+    # a highlight mixes the paint's hue with that of the light
+    lighter = ((lab[:, 0] - named[0]) / LIGHTER).clamp(0, 1)
+    apart = _hue_apart(lab, named) / (1 + lighter)
+    shares = _with_shades(near * coloured, apart, coloured)
     found = masks * shares.to(masks)
     if not found.any():
         raise PromptError(

@@ -14,7 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.component import component_name
@@ -65,6 +65,7 @@ SAME_THING = 0.6  # overlap from which a click and words mean one thing
 SAME_READING = 0.85  # overlap from which two readings are one
 MAX_READINGS = 3  # that are shown
 BACKGROUND = "background"  # all but what stands out
+SPANS = 0.7  # share of a side of a photo along which a thing goes on beyond it
 VOTES = 6  # photos near a view that say what of it belongs to the thing
 SHARES = "expected shares of its sides, 0 to 1 (x / width, y / height)"
 ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
@@ -408,7 +409,10 @@ class _Work:
         elif self.surety < 1:
             say("selection.words", f"{named}: found, {self.surety:.0%} sure")
         self._keep(view, mask, "words")
-        every = several or set(which) & EVERY
+        every = several or bool(set(which) & EVERY)
+        if words != BACKGROUND and not which and self.surety >= SURE:
+            # beyond the border it has parts that another photo shows
+            every = every or _spans(mask > 0.5)
         if every and not self.selection.larger and self.selection.reading == 1:
             self._look_on_others(view)
 
@@ -794,6 +798,11 @@ def _at(
     height, width = mask.shape
     column, row = int(place[0] * width), int(place[1] * height)
     return mask[min(row, height - 1), min(column, width - 1)]
+
+
+def _spans(inside: Bool[Tensor, "height width"]) -> bool:
+    sides = (inside[0], inside[-1], inside[:, 0], inside[:, -1])
+    return max(float(side.double().mean()) for side in sides) > SPANS
 
 
 def _overlap(

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_editors.retouch import RetouchEditor, _spanned, standing_on
+from edit3r_editors.retouch import RetouchEditor, _inpainted, _spanned, standing_on
 
 import edit3r
 from edit3r.contract.errors import InputError, MatchingError
@@ -137,6 +137,17 @@ def test_the_surface_behind_a_hole_continues_the_plane_around_it():
     hole = (x - 30).abs().lt(9) & (y - 22).abs().lt(12)
     found = _spanned(torch.where(hole, 0, plane).numpy())
     assert abs(found - plane.numpy()).max() < 0.01 * plane.max()
+
+
+def test_what_is_invented_has_no_streak_of_a_thing_that_touches_the_hole():
+    """A paper's corner beside a magazine on a table."""
+    table = torch.full((3, SIZE, SIZE), 0.4)
+    hole = torch.zeros(SIZE, SIZE, dtype=torch.bool)
+    hole[20:44, 20:44] = True
+    table[:, 16:20, 30:34] = 1.0
+    filled = _inpainted(table, hole)
+    assert torch.equal(filled[:, ~hole], table[:, ~hole])
+    assert filled[:, 28:44, 20:44].max() < 0.5
 
 
 def test_a_photo_without_any_measured_depth_is_still_filled():

@@ -49,6 +49,14 @@ def test_a_word_for_stuff_says_how_sure_it_is():
     assert found[-1].all() and surety == GROUND_SURETY < SURE
 
 
+def test_haze_into_which_a_sky_passes_is_sky_and_a_pale_house_is_not():
+    pixels = np.full((120, 80, 3), EARTH, np.uint8)
+    pixels[:80] = np.linspace(BLUE_SKY, (200, 205, 225), 80)[:, None]
+    pixels[80:100, 20:50] = GREY_WALL
+    found, _ = stuff("sky", pixels, superpixels(pixels.astype(np.float32) / 255))
+    assert found[:76].mean() > 0.95 and found[84:].mean() < 0.05
+
+
 def test_without_sky_nothing_is_found_for_sure():
     pixels, _ = photo((30, 25, 20), EARTH)
     found, surety = stuff("sky", pixels, superpixels(pixels.astype(np.float32) / 255))

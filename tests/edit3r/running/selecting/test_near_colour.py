@@ -6,6 +6,7 @@ from edit3r.contract.wishes import Colour
 from edit3r.running.selecting.near_colour import near_colour
 
 RED, DARK_RED, GREY = (0.8, 0.1, 0.1), (0.28, 0.045, 0.04), (0.5, 0.5, 0.5)
+SHINE, DARK_PINK = (1.0, 0.42, 0.5), (0.55, 0.18, 0.26)
 
 
 def found(*pieces):
@@ -20,6 +21,13 @@ def found(*pieces):
 def test_shade_at_the_rim_of_what_has_the_colour_has_it_too():
     columns = found((10, 24, RED), (34, 6, DARK_RED))
     assert columns[12:38].all() and not columns[42:].any()
+
+
+def test_a_highlight_on_what_has_the_colour_has_it_too():
+    columns = found((10, 24, RED), (34, 6, SHINE))
+    assert columns[12:38].all()
+    other = found((10, 24, RED), (34, 6, DARK_PINK))
+    assert other[12:32].all() and not other[36:].any()
 
 
 def test_what_is_mostly_another_shade_or_stands_alone_does_not():

@@ -338,6 +338,20 @@ def test_several_are_looked_for_on_every_photo(sureties, several, which, each, c
     assert found.surety == (sureties[-1] if which else sureties[0])
 
 
+@pytest.mark.parametrize("rows", [10, 24])
+def test_what_goes_on_beyond_a_side_is_looked_for_on_every_photo(rows):
+    """A sky has pieces that another photo does not show; a thing inside is followed."""
+
+    class Sky(Squares):
+        def segment_text(self, image, text):
+            mask = torch.zeros(24, 32)
+            mask[24 - rows : 20, :30] = 1
+            return (replace(self._proposal(mask), surety=0.9),)
+
+    found = select_masks(IMAGES, Selection(words="sky"), Sky())
+    assert (found.how[1] == "words") == (rows == 24)
+
+
 @pytest.mark.parametrize(("words", "how"), [("box", "words"), ("", "not found")])
 def test_what_was_named_is_named_again_where_it_was_lost(words, how):
     chosen = Selection(words=words, masks={} if words else {0: square(2, 2)})
