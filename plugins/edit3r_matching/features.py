@@ -1,10 +1,10 @@
 """Features of images, and which of them look alike.
 
 SIFT with the square-root descriptor (Arandjelovic and Zisserman 2012) finds them, helped by learned
-networks where few match, and looks into tilted images for photos from wide apart.
+networks where few of few images match, and looks into tilted images for photos from wide apart.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
@@ -21,7 +21,7 @@ from edit3r.kit.weights.find import at_hand, find
 from edit3r_matching import ALIKED
 from edit3r_matching.cameras import CalibratedImage, rays_through
 from edit3r_matching.keypoints import Keypoints
-from edit3r_matching.relative_pose import Matches, agreeing
+from edit3r_matching.relative_pose import Matches
 
 __all__ = [
     "ENOUGH_MATCHES",
@@ -33,7 +33,6 @@ __all__ = [
     "likely_pairs",
     "match",
     "match_tilted",
-    "most_alike",
     "shortened",
     "with_tilted",
 ]
@@ -57,14 +56,10 @@ MANY_ENLARGEMENT = 1.5
 """How much images are enlarged for that at most: the rest is for two that share little."""
 DIRECTIONS = 96
 """Numbers that tell features of more images apart."""
-LEARNED_NEIGHBOURS = 4
-"""Others with which each one of more than `MAX_ALL_LEARNED` images gets learned matches, at least:
-a pair of them takes thirty times as long as with SIFT.
+MAX_LEARNED = 7
+"""Images up to which learned matches help pairs that few matches join: of more, a row of pairs
+places nearly all, and tilted images place more of the rest in less time.
 """
-MAX_ALL_LEARNED = 7
-"""Images up to which all pairs that few matches join get learned ones."""
-ENOUGH_AGREEING = 60
-"""Of more images, matches that agree on one motion from which a pair needs no learned ones."""
 ENOUGH_MATCHES = 250
 """Matches of SIFT that place two views without help."""
 TILTS = ((2**0.5, 0.0), (2.0, 0.0), (2.0, 36.0), (2.0, 144.0))
@@ -102,8 +97,8 @@ class FeatureSettings(config.Settings):
         "auto",
         description="'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r "
         "weights get "
-        "aliked-lightglue` fetches; 'auto': so for two photos with few matches, where those "
-        "weights are at hand",
+        "aliked-lightglue` fetches; 'auto': so for two of at most seven photos with few matches, "
+        "where those weights are at hand",
     )
     learned_keypoints: int = Field(
         1024, ge=128, le=4096, description="most learned features a photo"
@@ -178,8 +173,10 @@ def find_features(
     }
     found = FoundFeatures(keypoints, matches)
     asked = settings.matches == "learned"
+    if settings.matches == "sift" or not (asked or len(images) <= MAX_LEARNED):
+        return found
     few = list(found.indices) if asked else _loose_pairs(found)
-    if settings.matches == "sift" or not few:
+    if not few:
         return found
     folder = find(ALIKED) if asked else at_hand(ALIKED)
     return (
@@ -189,34 +186,11 @@ def find_features(
 
 def _loose_pairs(found: FoundFeatures) -> list[tuple[int, int]]:
     """Pairs with few matches whose images no row of pairs with enough of them joins."""
-    group = _groups(found)
-    return [(a, b) for a, b in found.indices if group[a] != group[b]]
-
-
-def _groups(found: FoundFeatures) -> list[int]:
-    """The group of each image: within one, pairs with enough matches join all."""
-    many = len(found.keypoints) > MAX_ALL_LEARNED
     group = list(range(len(found.keypoints)))
     for (a, b), indices in found.indices.items():
-        enough = len(indices) >= ENOUGH_MATCHES
-        if group[a] != group[b] and (enough or (many and _agree(found, a, b))):
+        if len(indices) >= ENOUGH_MATCHES:
             group = [group[a] if one == group[b] else one for one in group]
-    return group
-
-
-def _agree(found: FoundFeatures, a: int, b: int) -> bool:
-    """Whether far more matches agree on one motion, whatever the lens, than chance gives."""
-    if len(found.indices[a, b]) < ENOUGH_AGREEING:
-        return False
-    first, second = (
-        keypoints.points[own]
-        for keypoints, own in zip(
-            (found.keypoints[a], found.keypoints[b]), found.indices[a, b].T
-        )
-    )
-    cv2.setRNGSeed(0)
-    kept = agreeing(first, second, 1.0)
-    return kept is not None and int(kept.sum()) >= ENOUGH_AGREEING
+    return [(a, b) for a, b in found.indices if group[a] != group[b]]
 
 
 def shortened(keypoints: Sequence[Keypoints]) -> tuple[Keypoints, ...]:
@@ -313,11 +287,6 @@ def _with_learned(
         view: networks.detect(images[view].pixels, settings.detection_size)
         for view in track(views, "find learned features")
     }
-    if len(images) > MAX_ALL_LEARNED:
-        groups = _groups(found)
-        largest = max(groups, key=groups.count)
-        apart = [view for view, group in enumerate(groups) if group != largest]
-        pairs = most_alike(apart or views, more, pairs, settings.ratio)
     sift = tuple(map(len, found.keypoints))
     indices = dict(found.indices)
     for a, b in track(pairs, "match learned features"):
@@ -330,21 +299,6 @@ def _with_learned(
         for view, k in enumerate(found.keypoints)
     )
     return FoundFeatures(keypoints, indices, sift, LEARNED)
-
-
-def most_alike(
-    views: Sequence[int],
-    keypoints: Mapping[int, Keypoints],
-    pairs: Sequence[tuple[int, int]],
-    ratio: float,
-) -> list[tuple[int, int]]:
-    """Of `pairs` for each of the `views` those with the `LEARNED_NEIGHBOURS` most like it."""
-    alike = {(a, b): len(match(keypoints[a], keypoints[b], ratio)) for a, b in pairs}
-    chosen = set()
-    for view in views:
-        own = sorted((pair for pair in pairs if view in pair), key=lambda p: -alike[p])
-        chosen.update(own[:LEARNED_NEIGHBOURS])
-    return sorted(chosen)
 
 
 def detect(

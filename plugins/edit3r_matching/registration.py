@@ -161,7 +161,7 @@ def register(
     growing = _IncrementalRegistration(images, features, pairs, threshold, seed)
     growing.start(partner, pair)
     growing.place_the_rest()
-    while features.tilted and growing.join_one():
+    while growing.join_one():
         growing.place_the_rest()
     return growing.settled(free_focal)
 

@@ -7,13 +7,11 @@ from edit3r_matching import features
 from edit3r_matching.cameras import CalibratedImage
 from edit3r_matching.features import (
     FoundFeatures,
-    _loose_pairs,
     detect,
     detect_tilted,
     likely_pairs,
     match,
     match_tilted,
-    most_alike,
     shortened,
 )
 from edit3r_matching.keypoints import Keypoints
@@ -155,33 +153,6 @@ def test_two_crowds_of_images_are_joined_where_they_are_most_alike():
     pairs = likely_pairs(crowds((10, 10), (4, 13)), 0.85)
     assert [(a, b) for a, b in pairs if a < 10 <= b] == [(4, 13)]
     assert len(pairs) < 10 * 9
-
-
-def test_learned_matches_are_made_for_pairs_of_one_crowd_alone():
-    images = dict(enumerate(crowds((4, 4), ())))
-    every = list(combinations(range(8), 2))
-    pairs = most_alike(range(8), images, every, 0.85)
-    assert {*combinations(range(4), 2), *combinations(range(4, 8), 2)} <= set(pairs)
-    alone = most_alike([1], images, every, 0.85)
-    assert len(alone) == 4 and {(0, 1), (1, 2), (1, 3)} < set(alone)
-
-
-@pytest.mark.parametrize("few, loose", [(7, True), (2, False)])
-def test_of_many_photos_those_join_whose_matches_agree_however_few(
-    photo, monkeypatch, few, loose
-):
-    monkeypatch.setattr(features, "MAX_ALL_LEARNED", few)
-    keypoints = [
-        detect(part, 300, 768)
-        for part in (photo[:, :-20], photo[:, 20:], photo[::-1, 20:])
-    ]
-    pairs = {
-        (a, b): match(keypoints[a], keypoints[b], 0.85)[:200]
-        for a, b in combinations(range(3), 2)
-    }
-    found = FoundFeatures(tuple(keypoints), pairs)
-    assert ((0, 1) in _loose_pairs(found)) == loose
-    assert (0, 2) in _loose_pairs(found)
 
 
 def test_fewer_numbers_tell_the_same_features_apart():

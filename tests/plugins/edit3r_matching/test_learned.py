@@ -120,6 +120,9 @@ def test_auto_asks_the_networks_only_where_sift_finds_few(pair, weights, monkeyp
     assert not find_features(images, settings()).sift
     monkeypatch.setattr(features, "ENOUGH_MATCHES", 10**6)
     assert find_features(images, settings()).sift
+    monkeypatch.setattr(features, "MAX_LEARNED", 1)  # two photos are many then
+    assert not find_features(images, settings()).sift
+    assert find_features(images, settings(matches="learned")).sift
 
 
 @pytest.mark.slow

@@ -51,7 +51,7 @@ def same(count, start=0):
     return np.stack([np.arange(start, start + count)] * 2, axis=1)
 
 
-def chain(tilted, deeper=None):
+def chain(deeper=None):
     """Three views in a row: the first two share 150 points of a wall, the last two 150 others.
 
     `deeper` [150] moves each of the last ones away from the middle view by a factor, which that
@@ -66,14 +66,12 @@ def chain(tilted, deeper=None):
         keypoints(np.concatenate((seen(first, 1), seen(last, 1, 9)))),
         keypoints(np.concatenate((np.zeros((150, 2)), seen(last, 2, 9)))),
     )
-    found = FoundFeatures(
-        keys, {(0, 1): same(150), (1, 2): same(150, 150)}, tilted=tilted
-    )
+    found = FoundFeatures(keys, {(0, 1): same(150), (1, 2): same(150, 150)})
     return registration.register(images(3), "abc", found, threshold=1.0, seed=0)
 
 
 def test_three_in_a_row_without_a_common_point_are_joined_by_points_near_each_other():
-    result = chain(tilted=True)
+    result = chain()
     assert result.registered.all()
     for view, true in POSES.items():
         turn = cv2.Rodrigues(result.poses[view].rotation @ true.rotation.T)[0]
@@ -88,13 +86,9 @@ def test_three_in_a_row_without_a_common_point_are_joined_by_points_near_each_ot
     assert steps[1] / steps[0] == pytest.approx(1, abs=0.05)
 
 
-def test_where_nothing_was_tilted_such_a_photo_stays_out():
-    assert chain(tilted=False).registered.tolist() == [True, True, False]
-
-
 def test_depths_that_tell_no_common_scale_join_nothing():
     deeper = np.random.default_rng(4).uniform(0.6, 1.6, 150)
-    assert chain(tilted=True, deeper=deeper).registered.tolist() == [True, True, False]
+    assert chain(deeper=deeper).registered.tolist() == [True, True, False]
 
 
 def test_where_only_the_first_photo_matches_none_the_message_says_which_to_give_first():
