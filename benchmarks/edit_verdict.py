@@ -35,7 +35,7 @@ from edit3r.contract.interfaces import Editor
 from edit3r.running import EditVerdict
 from edit3r.running.judging.edit_measures import measure_edit, measure_edit_in_3d
 from edit3r.running.judging.edit_verdict import judge_edit
-from edit3r.running.selecting.select import Reading, Selected
+from edit3r.running.selecting.select import Selected
 
 SIZE = 256
 COLOURS = {"red": (0.8, 0.1, 0.1), "blue": (0.1, 0.2, 0.8), "green": (0.1, 0.6, 0.2)}
@@ -219,15 +219,12 @@ def verdict_on(edit: dict, data: Path, cache: edit3r.Cache) -> EditVerdict:
             files, edit["prompt"], masks=masks, size=SIZE, outputs=[], cache=cache
         )
     how = "marked" if edit["clicked"] else "words"
-    masks = result.scene.masks[0]
-    reading = Reading(0, masks[0], 1.0, 1)
-    selected = Selected(masks[:, None], (how, "geometry"), readings=(reading,))
+    selected = Selected(result.scene.masks[0][:, None], (how, "geometry"))
     scene = replace(result.scene, selected=(selected,))
     views = range(scene.start.count)
     wishes = [wish for task in result.parts.tasks for wish in task.wishes]
-    measures = measure_edit(scene, wishes, views, result.parts.segmenter.answers)
-    measures = measure_edit_in_3d(measures, scene, views)
-    measures = replace(measures, part=edit["part"], part_reading=0)
+    measures = measure_edit_in_3d(measure_edit(scene, wishes, views), scene, views)
+    measures = replace(measures, part=edit["part"])
     return judge_edit(measures, edit["surety"])
 
 

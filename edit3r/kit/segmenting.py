@@ -41,9 +41,6 @@ class HeldSegmenter(Segmenter):
             )
         return found
 
-    def answers(self, image: Image, place: tuple[float, float]) -> tuple[Proposal, ...]:
-        return self._several(image, lambda: self.asked.answers(image, place))
-
     def segment_text(self, image: Image, text: str) -> tuple[Proposal, ...] | None:
         with errors_named_after(self.asked, image):
             answer = self.asked.segment_text(image, text)

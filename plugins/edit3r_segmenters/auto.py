@@ -83,11 +83,6 @@ class AutoSegmenter(Segmenter):
             return self.classical.likely(image, marks, self._network)
         return chosen.readings(image, marks)
 
-    def answers(
-        self, image: Float[Tensor, "3 height width"], place: tuple[float, float]
-    ) -> tuple[Proposal, ...]:
-        return () if self._network is None else self._network.answers(image, place)
-
     def track(
         self,
         images: Float[Tensor, "view 3 height width"],

@@ -162,16 +162,6 @@ class SamOnnxSegmenter(Segmenter):
         large = enlarge(small, tuple(image.shape[-2:]))[0]
         return proposal(large, float(quality[best]))
 
-    def answers(
-        self, image: Float[Tensor, "3 height width"], place: tuple[float, float]
-    ) -> tuple[Proposal, ...]:
-        logits, quality = self.ask(image, [(place, True)])
-        large = enlarge(torch.from_numpy(logits).to(image), tuple(image.shape[-2:]))
-        return tuple(
-            proposal(large[best], float(quality[best]))
-            for best in (-quality).argsort(kind="stable")
-        )
-
     def track(
         self,
         images: Float[Tensor, "view 3 height width"],

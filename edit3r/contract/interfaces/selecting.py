@@ -145,16 +145,6 @@ class Segmenter(Configured, ABC):
         """
         return (self.segment_marks(image, marks),)
 
-    def answers(
-        self, image: Float[Tensor, "3 height width"], place: tuple[float, float]
-    ) -> tuple[Proposal, ...]:
-        """All that a network alone answers to one click at x, y in [0, 1], the surest first.
-
-        Asked where a selection is judged: clicks elsewhere on a thing should mean that thing too.
-        Empty where there is no such network.
-        """
-        return ()
-
     def segment_text(
         self, image: Float[Tensor, "3 height width"], text: str
     ) -> tuple[Proposal, ...] | None:

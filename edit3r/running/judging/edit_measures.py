@@ -21,7 +21,6 @@ from edit3r.running.judging.edit_verdict import (
     MIN_SHARE,
     EditMeasures,
 )
-from edit3r.running.judging.elsewhere import Ask, meant_elsewhere
 from edit3r.running.scene import Scene
 from edit3r.running.selecting.select import Selected
 
@@ -55,12 +54,9 @@ Masks = Float[Tensor, "view height width"]
 
 
 def measure_edit(
-    scene: Scene, wishes: Sequence[Wish], views: Sequence[int], ask: Ask | None = None
+    scene: Scene, wishes: Sequence[Wish], views: Sequence[int]
 ) -> EditMeasures:
-    """Return the figures of the 2D edit of these views; of several scenes the first counts.
-
-    `ask` answers a click on a photo, as `Segmenter.answers` does.
-    """
+    """Return the figures of the 2D edit of these views; of several scenes the first counts."""
     before = _small(scene.start.images[0, views])
     after = _small(scene.edited.images[0, views])
     visibly = (after - before).abs().amax(1) > VISIBLE
@@ -84,9 +80,6 @@ def measure_edit(
         measures = replace(measures, clicked=max(shares), pieces=pieces(masks))
     part, reading = likely_part(scene.start.images[0], scene.selected)
     measures = replace(measures, part=part, part_reading=reading)
-    if ask is not None:
-        found = meant_elsewhere(scene.start.images[0], scene.selected, ask)
-        measures = replace(measures, elsewhere=found)
     if any(wish.action == "remove" for wish in wishes):  # its shadow and rim go with it
         return replace(
             measures,

@@ -49,8 +49,6 @@ class EditMeasures:
     # how likely a part of another colour was meant instead, beside what was taken, and its reading
     part: float | None = None
     part_reading: int = 0
-    # whether clicks elsewhere on a clicked thing mean it too
-    elsewhere: bool | None = None
     # share of a thing that took the colour, where the rest of it has much the same own colour
     taken: float | None = None
     # share of a photo that shows what was made up behind a removed thing, without texture
@@ -121,11 +119,6 @@ def _doubts_of_meaning(found: EditMeasures, surety: float | None) -> Iterator[st
         yield (
             "a part of what was taken has other colours and may be all that is meant (--reading "
             f"{found.part_reading} takes that)"
-        )
-    if found.elsewhere is False:
-        yield (
-            "a click elsewhere on what was taken means another thing (look at the outline; "
-            "--not-point takes away what is too much)"
         )
 
 

@@ -12,7 +12,6 @@ from edit3r.contract.reporting import note, say, stage, warn
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.checks import check_edit, errors_named_after
 from edit3r.kit.geometry.maps import composite
-from edit3r.kit.segmenting import HeldSegmenter
 from edit3r.running.editors import request_of
 from edit3r.running.in_place import InPlace, put_in_place
 from edit3r.running.judging.edit_measures import measure_edit
@@ -54,8 +53,7 @@ def _with_edit_verdict(
     if not parts.config.prompt and torch.equal(scene.edited.images, scene.start.images):
         return scene
     wishes = scene.wishes or [wish for task in parts.tasks for wish in task.wishes]
-    ask = HeldSegmenter(parts.segmenter).answers if scene.selected else None
-    measures = measure_edit(scene, wishes, views, ask)
+    measures = measure_edit(scene, wishes, views)
     faults = [fault for one in found for fault in one.faults]
     moved = tuple(clause for one in found for clause in one.moved)
     measures = replace(measures, faults=(*faults, *measures.faults), moved=moved)

@@ -33,9 +33,6 @@ class Answers(Segmenter):
     def readings(self, image, marks):
         return self.propose(image)
 
-    def answers(self, image, place):
-        return self.propose(image)
-
     def segment_text(self, image, text):
         return self.propose(image)
 
@@ -53,7 +50,6 @@ ASKED = {
     "propose": lambda held: held.propose(IMAGES[0]),
     "marks": lambda held: held.segment_marks(IMAGES[0], Marks(((0.5, 0.5),))),
     "readings": lambda held: held.readings(IMAGES[0], Marks(((0.5, 0.5),))),
-    "answers": lambda held: held.answers(IMAGES[0], (0.5, 0.5)),
     "text": lambda held: held.segment_text(IMAGES[0], "box"),
     "track": lambda held: held.track(IMAGES, MASK[None]),
 }

@@ -32,7 +32,6 @@ def test_an_edit_without_a_bad_figure_is_good():
         ("clicked", 0.5, "50% of a photo was taken for the thing"),
         ("pieces", 0.4, "lies in several pieces"),
         ("part", 0.8, "has other colours and may be all that is meant"),
-        ("elsewhere", False, "a click elsewhere on what was taken means another thing"),
         ("taken", 0.4, "only 40% of what was selected took the colour"),
         ("made_up", 0.3, "is made up"),
         ("changed", 0.01, "only 1% of what was selected changed"),
