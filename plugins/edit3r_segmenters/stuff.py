@@ -85,18 +85,18 @@ def sky(pixels: np.ndarray, cells: Superpixels) -> np.ndarray | None:
 
 def _with_haze(likely: np.ndarray, alike: np.ndarray, cells: Superpixels) -> np.ndarray:
     """The superpixels that may be sky, with those into which it passes without an edge."""
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
     one, other = cells.pairs.T
     step = np.linalg.norm(cells.colours[one] - cells.colours[other], axis=1)
     smooth = (step < HAZE_STEP) & (cells.strengths < SMOOTH)
-    found = likely.copy()
-    while True:
-        joins = smooth & (found[one] != found[other])
-        reached = np.zeros_like(found)
-        reached[np.concatenate((one[joins], other[joins]))] = True
-        more = found | (reached & alike)
-        if (more == found).all():
-            return found
-        found = more
+    joined = smooth & alike[one] & alike[other]
+    links = coo_matrix(
+        (joined[joined], (one[joined], other[joined])), (len(alike), len(alike))
+    )
+    _, piece = connected_components(links, directed=False)
+    return alike & np.isin(piece, piece[likely])
 
 
 def ground(pixels: np.ndarray) -> np.ndarray:
