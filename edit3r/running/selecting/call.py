@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import torch
 from jaxtyping import Float
@@ -20,6 +21,9 @@ from edit3r.running.selecting.geometry import default_matcher, geometry_of, of_s
 from edit3r.running.selecting.select import Reading, Selected, Selection, select_masks
 
 Files = str | Path | Sequence[str | Path]
+
+_built: WeakKeyDictionary[Cache, tuple[str, Segmenter]] = WeakKeyDictionary()
+"""The segmenter that answered last by a cache: loading its networks takes longer than a click."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +55,10 @@ def select(
     Raises:
         InputError: For marks outside the photos, and for words that nobody knows or finds.
     """
+    cache = cache or Cache()
     matcher = default_matcher(default_registry())
-    with using(cache or Cache()), torch.no_grad():
-        return select_with(photos, selection, _built(segmenter), matcher)
+    with using(cache), torch.no_grad():
+        return select_with(photos, selection, _ready(segmenter, cache), matcher)
 
 
 def select_with(
@@ -96,7 +101,7 @@ def _why(views: Views, found: Selected) -> str:
     return f"{listed}; {found.surety:.0%} sure that it is what the words mean"
 
 
-def _built(choice: Any) -> Segmenter:
+def _ready(choice: Any, cache: Cache) -> Segmenter:
     if isinstance(choice, Segmenter):
         return choice
     if isinstance(choice, Mapping):
@@ -104,7 +109,13 @@ def _built(choice: Any) -> Segmenter:
         choice = PartChoice(name=choice["name"], settings=settings)
     if not isinstance(choice, PartChoice):
         choice = PartChoice(name=choice or DEFAULTS["segmenter"])
-    return default_registry().build_choice("segmenter", choice)
+    registry = default_registry()
+    # As settings, since what "best" means changes when weights are fetched.
+    checked = registry.check("segmenter", choice)
+    key = f"{choice.name} {checked.model_dump_json()}"
+    if _built.get(cache, ("",))[0] != key:
+        _built[cache] = key, registry.build_choice("segmenter", choice)
+    return _built[cache][1]
 
 
 def _loaded(files: Files) -> Views:

@@ -60,9 +60,9 @@ def locate(matcher: Matcher | None, views: Views) -> Located:
 
 def default_matcher(registry: Registry) -> Matcher | None:
     """The matcher of the reconstructor that a run takes unasked, so that both find the same."""
-    choice = RunConfig.model_fields["reconstructor"].default
-    reconstructor = registry.build_choice("reconstructor", choice)
-    return getattr(reconstructor, "parts", {}).get("matcher")
+    usual = RunConfig.model_fields["reconstructor"].default
+    choice = getattr(registry.check("reconstructor", usual), "matcher", None)
+    return choice and registry.build_choice("matcher", choice)
 
 
 def _has_depth(geometry: MatchedGeometry, views: Views) -> bool:

@@ -4,6 +4,7 @@ import pytest
 import torch
 
 import edit3r
+from edit3r.running.selecting import call
 from edit3r.running.selecting.select import Selection
 from edit3r_testing.scenes import photograph
 
@@ -44,3 +45,13 @@ def test_what_one_call_found_is_kept_for_the_next():
         edit3r.select(views, Selection(positive=((0, 0.3, 0.55),)), cache=cache)
     computed = cache.computed.count("match")
     assert computed <= 1 and cache.reused.count("match") == computed
+
+
+def test_a_further_call_with_the_same_cache_builds_a_segmenter_only_for_other_settings():
+    cache = edit3r.Cache()
+    small, large = (
+        {"name": "classical", "learned": False, "size": size} for size in (64, 96)
+    )
+    first, again, other = (call._ready(one, cache) for one in (small, small, large))
+    assert again is first
+    assert other is not first and other.settings.size == 96
