@@ -20,6 +20,7 @@ MATERIALS = {
     "wood": "wood",
     "wooden": "wood",
     "snow": "snow",
+    "snowy": "snow",
 }
 """Words for what a thing may look as if it were made of."""
 

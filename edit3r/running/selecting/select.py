@@ -63,6 +63,7 @@ FOUND_AT_ALL = 0.05  # surety under which words found as good as nothing
 CLICKED_SURE = 0.25  # the same where a click lies on what they found
 SAME_THING = 0.6  # overlap from which a click and words mean one thing
 SAME_READING = 0.85  # overlap from which two readings are one
+INSIDE = 0.95  # share of a part that lies inside of its whole, at least
 MAX_READINGS = 3  # that are shown
 BACKGROUND = "background"  # all but what stands out
 SPANS = 0.7  # share of a side of a photo along which a thing goes on beyond it
@@ -637,7 +638,7 @@ class _Work:
         self, view: int, marks: Marks, named: Tensor | None
     ) -> Float[Tensor, "height width"]:
         """The reading of the marks that is asked for; what the words name is one, as likely as
-        the first.
+        the first, and comes before a larger one: a fox before the fox with its plaque.
         """
         image = self.images[view]
         if marks.larger or marks.prior is not None:
@@ -646,10 +647,12 @@ class _Work:
         if self.readings:  # another view was marked before, and says which
             return found[0].soft_mask
         options = [(one.soft_mask, one.surety) for one in found[:MAX_READINGS]]
-        if named is not None and all(
-            _overlap(named, mask) < SAME_READING for mask, _ in options
-        ):
-            options.append((named, options[0][1]))
+        if named is not None:
+            same = [_overlap(named, mask) >= SAME_READING for mask, _ in options]
+            if not any(same):
+                options.append((named, options[0][1]))
+            elif _within(options[same.index(True)][0], options[0][0]):
+                options.insert(0, options.pop(same.index(True)))
         return self._read_among(view, options)
 
     def _named_at(
@@ -811,6 +814,14 @@ def _overlap(
     """Intersection over union of two soft masks."""
     one, other = one > 0.5, other > 0.5
     return float((one & other).sum() / (one | other).sum().clamp(min=1))
+
+
+def _within(
+    part: Float[Tensor, "height width"], whole: Float[Tensor, "height width"]
+) -> bool:
+    """Whether nearly all of a soft mask lies inside another one."""
+    part, whole = part > 0.5, whole > 0.5
+    return float((part & whole).sum()) >= INSIDE * float(part.sum())
 
 
 def _places(

@@ -421,6 +421,28 @@ def test_what_the_words_name_is_one_more_reading_of_a_click():
     assert (inside(asked, 0) == square(9, 11).bool()).all()
 
 
+@pytest.mark.parametrize(
+    "named, taken",
+    [
+        (square(9, 12, 4), square(9, 12, 4)),  # a fox, before the fox with its plaque
+        (square(9, 12, 7), square(9, 12, 6)),  # a bear with its plinth, after the bear
+    ],
+)
+def test_of_the_readings_of_a_click_a_name_takes_a_smaller_one_and_no_larger(
+    named, taken
+):
+    class Several(Whole):
+        def readings(self, image, marks):
+            return tuple(self._proposal(square(9, 12, size)) for size in (6, 4, 7))
+
+        def segment_text(self, image, text):
+            return (replace(self._proposal(named), surety=self.surety),)
+
+    marks = Selection(positive=((0, 0.4, 0.4),), words="bike")
+    selected = select_masks(IMAGES, marks, Several())
+    assert (inside(selected, 0) == taken.bool()).all()
+
+
 def test_further_clicks_correct_what_the_words_say():
     marks = Selection(
         positive=((0, 0.4, 0.4),), negative=((0, 0.5, 0.7),), words="bike"
