@@ -389,10 +389,17 @@ class _Work:
         only sure ones may be taken.
         """
         words, which = self.selection.words, self.selection.which
-        several = self._also(found) if self.selection.several and not which else ()
+        alike = () if which else self._also(found)
+        several = alike if self.selection.several else ()
         picked = several or pick(found, which, self.images[view])
         sure = [one.surety for one in picked if one.surety >= SURE]
         self.surety = min(sure if several else [one.surety for one in picked])
+        if not several and len(alike) > 1:
+            self.surety /= len(alike)  # nothing says which of them is meant
+            self.warnings.append(
+                f"{len(alike)} things on photo {view + 1} may be {words!r}, and the likeliest is "
+                f"taken; say which is meant ('the left {words}')."
+            )
         named = " ".join((*which, words)).strip()
         if len(picked) > 1:
             say("selection.several", f"{len(picked)} {words} on photo {view + 1}")

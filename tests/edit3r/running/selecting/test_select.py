@@ -335,7 +335,27 @@ def test_several_are_looked_for_on_every_photo(sureties, several, which, each, c
     if each:
         there = inside(found, 1)
         assert there[2, 14] and not there[2, 2] and float(there.sum()) == count * one
-    assert found.surety == (sureties[-1] if which else sureties[0])
+    if several:
+        assert found.surety == (sureties[-1] if which else sureties[0])
+
+
+@pytest.mark.parametrize(
+    ("sureties", "which", "surety"),
+    [
+        ((0.8, 0.6, 0.4), (), 0.4),  # two may be meant, and one is taken
+        ((0.8, 0.4), (), 0.8),
+        ((0.8, 0.7), ("left",), 0.8),
+    ],
+)
+def test_of_several_of_one_name_none_is_surely_meant_unless_words_say_which(
+    sureties, which, surety
+):
+    found = select_masks(
+        IMAGES, Selection(words="person", which=which), Walkers(*sureties)
+    )
+    assert found.surety == surety
+    told = "2 things on photo 1 may be 'person'"
+    assert any(told in text for text in found.warnings) == (surety == 0.4)
 
 
 @pytest.mark.parametrize("rows", [10, 24])
