@@ -96,6 +96,31 @@ def pytest_ignore_collect(collection_path, config):
     return True if only_slow and b"slow" not in collection_path.read_bytes() else None
 
 
+TOGETHER = ("tests/plugins/edit3r_diffusers/", "tests/plugins/edit3r_training/")
+"""Rooms that one process does alone: what they import takes seconds in each that does."""
+
+
+def _room(nodeid):
+    return next((room for room in TOGETHER if nodeid.startswith(room)), "")
+
+
+def pytest_collection_modifyitems(items):
+    """Rooms that one process does alone come first, so that the others fill up the time."""
+    items.sort(key=lambda item: not _room(item.nodeid))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    from xdist.scheduler import LoadFileScheduling
+
+    class ByRoomOrFile(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return _room(nodeid) or super()._split_scope(nodeid)
+
+    if config.getvalue("dist") == "loadfile":
+        return ByRoomOrFile(config, log)
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item):
     """Hold quick tests to `--quick-limit`.

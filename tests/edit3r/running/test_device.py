@@ -33,8 +33,9 @@ def test_a_run_there_finds_what_one_on_the_cpu_finds():
 def test_a_run_there_uses_what_an_earlier_one_kept_and_is_saved(tmp_path):
     cache = Cache()
     with second_device() as device:
-        run("paint everything blue", device=str(device), cache=cache)
-        again = run("paint everything red", device=str(device), cache=cache)
+        few = {"device": str(device), "cache": cache, "refine": 2, "frames": 2}
+        run("paint everything blue", **few)
+        again = run("paint everything red", **few)
         again.save(tmp_path / "run")
     assert "match" in cache.reused
     assert (tmp_path / "run" / "scene.ply").stat().st_size
