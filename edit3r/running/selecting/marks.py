@@ -185,8 +185,8 @@ def _outside(flag: str, text: str, view: int, frame: Frame) -> InputError:
     height, width = frame.source
     left, top, right, bottom = map(round, frame.box)
     return InputError(
-        f"{flag} {text}: lies outside of what is used of photo {view + 1}: x from {left} to {right} "
-        f"and y from {top} to {bottom} of its {width} x {height} pixels."
+        f"{flag} {text}: lies outside of what is used of photo {view + 1}: x from {left} to "
+        f"{right} and y from {top} to {bottom} of its {width} x {height} pixels."
     )
 
 
