@@ -1,5 +1,6 @@
 """What tests of several rooms share."""
 
+import multiprocessing
 import os
 import sys
 
@@ -65,6 +66,18 @@ def killed_at():
     return run
 
 
+@pytest.fixture
+def forked_workers(monkeypatch):
+    """Start worker processes as forks of this one, so that none has to import all anew.
+
+    That processes of their own start, as users' do, is asked in `kit/test_workers.py`. Without
+    xdist they do here too: torch may have begun threads, with which a fork can hang.
+    """
+    if "PYTEST_XDIST_WORKER" in os.environ and hasattr(os, "fork"):
+        fork = multiprocessing.get_context("fork")
+        monkeypatch.setattr(multiprocessing, "get_context", lambda method: fork)
+
+
 MANY_IMPORTS = 30  # modules
 
 
@@ -75,6 +88,37 @@ def pytest_addoption(parser):
         metavar="SECONDS",
         help="fail a test that is not marked slow and takes more CPU seconds, such as 1",
     )
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Import no file without slow tests where only those are asked for: each process would."""
+    only_slow = config.option.markexpr == "slow" and collection_path.suffix == ".py"
+    return True if only_slow and b"slow" not in collection_path.read_bytes() else None
+
+
+TOGETHER = ("tests/plugins/edit3r_diffusers/", "tests/plugins/edit3r_training/")
+"""Rooms that one process does alone: what they import takes seconds in each that does."""
+
+
+def _room(nodeid):
+    return next((room for room in TOGETHER if nodeid.startswith(room)), "")
+
+
+def pytest_collection_modifyitems(items):
+    """Rooms that one process does alone come first, so that the others fill up the time."""
+    items.sort(key=lambda item: not _room(item.nodeid))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    from xdist.scheduler import LoadFileScheduling
+
+    class ByRoomOrFile(LoadFileScheduling):
+        def _split_scope(self, nodeid):
+            return _room(nodeid) or super()._split_scope(nodeid)
+
+    if config.getvalue("dist") == "loadfile":
+        return ByRoomOrFile(config, log)
 
 
 @pytest.hookimpl(wrapper=True)

@@ -332,11 +332,20 @@ def make_run_config(*layers: Mapping[str, Any]) -> RunConfig:
         )
     merged = with_quality(merged)
     for key in PART_KEYS:
-        default = RunConfig.model_fields[key].default
         given = merged.get(key)
-        if isinstance(given, dict) and "name" not in given and default is not None:
-            merged[key] = {"name": default.name, **given}
+        if isinstance(given, dict) and "name" not in given:
+            merged[key] = {"name": _default_name(key), **given}
     return make_settings(RunConfig, merged, where="run")
+
+
+def _default_name(key: str) -> str:
+    """The component whose settings are meant where none is named."""
+    if key == "editor":
+        raise SettingsError(
+            "run.editor: settings without an editor, which is chosen by what the prompt asks; name "
+            f"one too: --editor {DEFAULTS[key]}."
+        )
+    return DEFAULTS[key]
 
 
 def _named(key: str, value: Any) -> Any:

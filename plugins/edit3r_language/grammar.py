@@ -19,7 +19,7 @@ from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.compute.colour_names import near_colours, read_colour
 from edit3r_language import vocabulary as words
 from edit3r_language.clauses import Clause, asks_nothing, read_clause, read_kept
-from edit3r_language.nouns import is_plural
+from edit3r_language.nouns import is_plural, near_nouns
 from edit3r_language.strangers import is_known
 from edit3r_language.things import read_thing
 from edit3r_language.together import wishes_of
@@ -88,6 +88,8 @@ class GrammarReader(Reader):
                 hints.append(f" {words.INSTEAD[word]}")
             elif not is_known(word):
                 hints.append(_near(word) or _beside_colour(word, wish.text.split()))
+        named = [] if wish.unread else wish.thing.name.split()
+        hints += [_did_you_mean(near_nouns(word)) for word in named]
         return "".join(hints)
 
 
@@ -176,10 +178,14 @@ def _beside_colour(word: str, said: list[str]) -> str:
 
 
 def _near(word: str) -> str:
-    """The words that are spelt nearly like one that nobody knows, colours first."""
+    """Asks for words that are spelt nearly like one that nobody knows, colours first."""
     verbs = words.REMOVE | words.PAINT | words.IMPERATIVES | words.LOOKS
     known = [*verbs, *words.ADJUSTMENTS, *words.TINTS]
-    if len(word) <= SHORT:
-        return ""
-    near = [*near_colours(word), *difflib.get_close_matches(word, known, 2, 0.75)]
-    return f" Near {word!r}: {', '.join(near[:4])}." if near else ""
+    near = []
+    if len(word) > SHORT:
+        near = [*near_colours(word), *difflib.get_close_matches(word, known, 2, 0.75)]
+    return _did_you_mean([*near, *near_nouns(word)][:4])
+
+
+def _did_you_mean(near: list[str]) -> str:
+    return f" Did you mean {' or '.join(map(repr, near))}?" if near else ""

@@ -1,5 +1,6 @@
 """Everyday words for things, to tell a noun from a misspelt colour; others are things too."""
 
+import difflib
 from functools import cache
 from importlib.resources import files
 
@@ -19,6 +20,22 @@ def is_noun(word: str) -> bool:
 def is_plural(word: str) -> bool:
     """Whether a word is the plural of an everyday thing: "cups", but not "glasses"."""
     return word in _PLURALS or (word not in _nouns() and is_noun(word))
+
+
+def near_nouns(word: str) -> list[str]:
+    """Everyday things that a slip makes an unknown word: "fxo" is "fox" with two letters swapped.
+
+    In words of more than three letters one may also be left out, added or wrong, but for the first.
+    """
+    if is_noun(word):
+        return []
+    pairs = range(len(word) - 1)
+    swapped = [word[:i] + word[i + 1] + word[i] + word[i + 2 :] for i in pairs]
+    meant = [other for other in swapped if is_noun(other)]
+    if meant or len(word) <= 3:
+        return meant
+    near = difflib.get_close_matches(word, sorted(_nouns()), n=2, cutoff=0.85)
+    return [noun for noun in near if noun[0] == word[0]]
 
 
 def is_thing_too(colour: Colour) -> bool:

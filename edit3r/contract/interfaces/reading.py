@@ -33,7 +33,9 @@ class Reader(Configured, ABC):
         """The thing that words name, such as "the left cup" (`--thing`)."""
 
     def hint(self, wish: Wish) -> str:
-        """What to say instead of a wish's unread words, as the end of an error: " Near: ..."."""
+        """What to say instead of a wish's unread words, or of the words for a thing that was not
+        found, as the end of an error: " Did you mean ...?".
+        """
         return ""
 
     def after_undo(self, prompt: str) -> str | None:

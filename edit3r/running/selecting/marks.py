@@ -135,7 +135,7 @@ def _place(
         x, y = frame.lens.straightened_place(x, y)
     place = _in_crop(x, y, frame)
     if min(place) < 0 or max(place) > 1:
-        raise _outside(flag, text, view)
+        raise _outside(flag, text, view, frame)
     return place
 
 
@@ -152,7 +152,7 @@ def _box(flag: str, text: str, frames: list[Frame]) -> tuple[int, Box]:
     (left, top), (right, bottom) = (_in_crop(*corner, frame) for corner in corners)
     left, top = max(0.0, left), max(0.0, top)
     if left >= min(1.0, right) or top >= min(1.0, bottom):
-        raise _outside(flag, text, view)
+        raise _outside(flag, text, view, frame)
     return view, (left, top, min(1.0, right) - left, min(1.0, bottom) - top)
 
 
@@ -181,9 +181,12 @@ def _numbers(
     return view, values
 
 
-def _outside(flag: str, text: str, view: int) -> InputError:
+def _outside(flag: str, text: str, view: int, frame: Frame) -> InputError:
+    height, width = frame.source
+    left, top, right, bottom = map(round, frame.box)
     return InputError(
-        f"{flag} {text}: lies outside of what is used of photo {view + 1}."
+        f"{flag} {text}: lies outside of what is used of photo {view + 1}: x from {left} to "
+        f"{right} and y from {top} to {bottom} of its {width} x {height} pixels."
     )
 
 

@@ -77,10 +77,14 @@ def _with_regions(scene: Scene, parts: Parts) -> Scene:
     )
     if scene.marked is None and not regional and not named:
         return scene
-    found = [
-        _finder(index, scene, parts).find(wishes or (MARKED,))
-        for index in range(len(views.images))
-    ]
+    try:
+        found = [
+            _finder(index, scene, parts).find(wishes or (MARKED,))
+            for index in range(len(views.images))
+        ]
+    except InputError as error:
+        hints = "".join(parts.reader.hint(wish) for wish in wishes)
+        raise InputError(f"{error}{hints}") from None
     regions = torch.stack([one.masks for one in found], dim=1)
     masks = regions.amax(0)
     if not regional and scene.marked is None:  # words are less exact than marks

@@ -91,7 +91,7 @@ DOORS = [
 
 @pytest.mark.slow
 @pytest.mark.parametrize("door", DOORS)
-def test_a_file_names_a_program_only_with_consent(door, mark, capsys):
+def test_a_file_names_a_program_only_with_consent(door, mark, capsys, forked_workers):
     command = [*door().split(), "--plugin", PLUGIN]
     assert main(command) != 0
     said = capsys.readouterr().err

@@ -104,7 +104,7 @@ def test_a_cluster_without_room_an_error_and_a_job_that_kills_twice_are_told(
     assert "worker process died" in rows["j0"]["failure"]
 
 
-def test_a_worker_does_all_of_a_group_before_another_one(tmp_path):
+def test_a_worker_does_all_of_a_group_before_another_one(tmp_path, forked_workers):
     """A worker that starts late is helped: two may do jobs of one group."""
     jobs = {
         f"{n}": {"name": name, "seconds": 0.2, "log": str(tmp_path)}

@@ -28,6 +28,11 @@ def test_settings_without_a_name_keep_the_default_component():
     }
 
 
+def test_settings_of_the_segmenter_are_of_the_one_that_a_run_takes():
+    chosen = make_run_config({"segmenter": {"pick": "minisam"}}).segmenter
+    assert (chosen.name, chosen.settings) == ("auto", {"pick": "minisam"})
+
+
 def test_a_tighter_limit_holds_over_the_number_of_a_preset_or_of_the_user():
     config = make_run_config({"gaussians": 5000}, {"max_gaussians": 100})
     first = config.all_refiners()[0]
@@ -43,6 +48,7 @@ def test_a_tighter_limit_holds_over_the_number_of_a_preset_or_of_the_user():
         ({"seeds": 1}, "run.seeds: unknown setting. Did you mean 'seed'?"),
         ({"size": 1}, "run.size: input should be greater than or equal to 8, got 1"),
         ({"edit_views": "last"}, "run.edit_views"),
+        ({"editor": {"strength": 1}}, "name one too: --editor recolor"),
         ({"larger": [1, "x"]}, "run.larger: input should be a valid integer"),
     ],
 )

@@ -50,7 +50,7 @@ def test_what_none_can_do_names_the_words_and_who_might():
     ("prompt", "message"),
     [
         ("paint the wall zorbic green", r"'zorbic' is no shade .* say 'into green'"),
-        ("paint the sofa in turqoise", r"Near 'turqoise': turquoise"),
+        ("paint the sofa in turqoise", r"Did you mean 'turquoise'"),
         ("brighten the corner", r"Say which: the top right corner"),
         ("paint half of the wall red", r"Halves are of the picture"),
         ("make it look like mars", r"'mars' .* is no look that an editor here knows"),

@@ -45,7 +45,7 @@ QUICK += [
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
+def place(tmp_path, monkeypatch, forked_workers):
     monkeypatch.setenv("EDIT3R_TEST_LOG", str(tmp_path / "log"))
     for name, photo in zip("ab", packaged_pair()[0]):
         Image.open(photo).resize((48, 32)).save(tmp_path / f"{name}.png")

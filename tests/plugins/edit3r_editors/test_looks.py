@@ -164,6 +164,7 @@ def test_describe_lists_every_look(capsys):
             ["--prompt", "paint the door green and the wall white"],
             "'door' is not a word",
         ),
+        (["--prompt", "paint the fxo red"], "Did you mean 'fox'?"),
         (["--prompt", "from green to brown", "--point", "100,100"], "near green"),
     ],
 )

@@ -210,13 +210,29 @@ def test_undo_is_told_from_what_else_is_asked(sentence, rest):
 
 def test_a_misspelt_colour_is_suggested():
     (wish,) = read("paint the bike purpel")
-    assert "Near 'purpel': purple" in GrammarReader().hint(wish)
+    assert "Did you mean 'purple'" in GrammarReader().hint(wish)
 
 
 def test_a_short_word_is_named_without_words_of_nearly_its_spelling():
     (wish,) = read("make the sky pop")
     assert wish.unread == ("pop",)
-    assert "Near" not in GrammarReader().hint(wish)
+    assert "Did you mean" not in GrammarReader().hint(wish)
+
+
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [
+        ("fxo", " Did you mean 'fox'?"),
+        ("hosue", " Did you mean 'house'?"),
+        ("motorcyle", " Did you mean 'motorcycle'?"),
+        ("fax", ""),  # another word, not a slip
+        ("gazebo", ""),
+        ("ladder", ""),
+    ],
+)
+def test_a_misspelt_thing_is_suggested_and_no_thing_of_another_name(word, meant):
+    (wish,) = read(f"paint the {word} red")
+    assert GrammarReader().hint(wish) == meant
 
 
 def test_every_content_word_is_used_or_named():

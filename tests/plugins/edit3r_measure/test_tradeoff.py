@@ -128,7 +128,9 @@ points: {base: {}, wrong: {reconstructor: nobody}}
 
 
 @pytest.mark.slow
-def test_the_command_measures_runs_and_says_which_failed(tmp_path, capsys):
+def test_the_command_measures_runs_and_says_which_failed(
+    tmp_path, capsys, forked_workers
+):
     (tmp_path / "plan.yaml").write_text(PLAN)
     out = tmp_path / "out"
     command = f"tradeoff --plan {tmp_path}/plan.yaml --scenes 1 --repeats 1 --threads 1"

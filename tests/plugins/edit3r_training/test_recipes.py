@@ -134,7 +134,8 @@ def test_the_tiny_recipes_lead_from_data_to_images(stages, photos, tmp_path):
             str(out),
             "--quiet",
         ]
-        assert main([*command, *_options(f"reconstructor.weights={best}")]) == 0
+        few = ("frames=2", "outputs=scene,images", f"reconstructor.weights={best}")
+        assert main([*command, *_options(*few)]) == 0
         assert (out / "scene.ply").is_file()
 
 
@@ -206,6 +207,8 @@ def test_a_reconstructor_of_a_plugin_file_is_trained_and_used(photos, tmp_path):
         *photos,
         "--recon",
         "learned",
+        "--frames",
+        "2",
         *options,
         "--out",
         str(tmp_path / "scene"),

@@ -1,11 +1,7 @@
-"""Two gloo processes on a CPU, started by torchrun as a user would."""
+"""Two gloo processes on a CPU, started as torchrun does, but as forks, which import nothing."""
 
 import json
-import os
 import runpy
-import socket
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -17,30 +13,38 @@ from edit3r_testing.training import tiny_job
 pytestmark = pytest.mark.slow
 
 SCRIPT = Path(__file__).with_name("two_processes.py")
-STEPS, trainer = (runpy.run_path(str(SCRIPT))[name] for name in ("STEPS", "trainer"))
+STEPS, trainer, main = (
+    runpy.run_path(str(SCRIPT))[name] for name in ("STEPS", "trainer", "main")
+)
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory) -> Path:
+def alone(tmp_path_factory):
+    """A training in this process, and the weights that it began with."""
+    job = tiny_job(tmp_path_factory.mktemp("alone"))
+    state = job.reconstructor.network.state_dict()
+    start = {name: tensor.clone() for name, tensor in state.items()}
+    trainer(batch=2).train(job)
+    return job, start
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory, alone) -> Path:
+    """The folder of both; after `alone`, for what training imports the forks find imported."""
+    from torch.distributed.launcher.api import LaunchConfig, elastic_launch
+
     out = tmp_path_factory.mktemp("two")
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    command = [
-        sys.executable,
-        "-m",
-        "torch.distributed.run",
-        "--nproc-per-node=2",
-        "--master-addr=127.0.0.1",
-    ]
-    command += [f"--master-port={port}", str(SCRIPT), str(out)]
-    done = subprocess.run(
-        command,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
+    config = LaunchConfig(
+        min_nodes=1,
+        max_nodes=1,
+        nproc_per_node=2,
+        rdzv_backend="c10d",
+        rdzv_endpoint="127.0.0.1:0",
+        max_restarts=0,
+        monitor_interval=0.1,
+        start_method="fork",
     )
-    assert done.returncode == 0, done.stderr[-3000:]
+    elastic_launch(config, main)(out)
     return out
 
 
@@ -54,19 +58,14 @@ def _weights(folder: Path, name: str) -> list[dict]:
     return [torch.load(folder / f"{name}-{rank}.pt") for rank in (0, 1)]
 
 
-def test_two_processes_with_half_batches_give_one_process_s_weights(run, tmp_path):
-    alone = tiny_job(tmp_path)
-    start = {
-        name: tensor.clone()
-        for name, tensor in alone.reconstructor.network.state_dict().items()
-    }
-    trainer(batch=2).train(alone)
+def test_two_processes_with_half_batches_give_one_process_s_weights(run, alone):
+    job, start = alone
     for mine in _weights(run / "straight", "weights"):
-        for name, expected in alone.reconstructor.network.state_dict().items():
+        for name, expected in job.reconstructor.network.state_dict().items():
             assert torch.allclose(mine[name], expected, atol=1e-5), name
             assert not torch.allclose(start[name], expected, atol=1e-3), name
     together, single = (
-        line for folder in (run / "straight", tmp_path) for line in [_lines(folder)]
+        line for folder in (run / "straight", job.out) for line in [_lines(folder)]
     )
     for one, other in zip(
         together, single, strict=True

@@ -94,8 +94,10 @@ def test_what_cannot_be_read_says_what_was_expected(photos, words):
     "words",
     [("--point", "200,30"), ("--box", "100,30,9,9"), ("--box=-15,30,9,9",)],
 )
-def test_a_place_outside_the_photo_is_an_error(photos, words):
-    with pytest.raises(InputError, match="outside"):
+def test_a_place_outside_the_photo_is_an_error_that_says_its_size(photos, words):
+    with pytest.raises(
+        InputError, match=r"outside.* y from 0 to 60 of its 80 x 60 pix"
+    ):
         read(photos, *words)
 
 
