@@ -84,6 +84,8 @@ def _with_regions(scene: Scene, parts: Parts) -> Scene:
         ]
     except InputError as error:
         hints = "".join(parts.reader.hint(wish) for wish in wishes)
+        if not hints:
+            raise
         raise InputError(f"{error}{hints}") from None
     regions = torch.stack([one.masks for one in found], dim=1)
     masks = regions.amax(0)

@@ -85,7 +85,6 @@ def columns(mask) -> list[bool]:
 IN_LEFT = [True] * 8 + [False] * 8
 IN_RIGHT = [False] * 8 + [True] * 8
 EVERYWHERE = [True] * 16
-EVERYWHERE = [True] * 16
 CLICK = Selection(positive=((0, 0.2, 0.5),))
 
 
@@ -114,13 +113,21 @@ def test_things_are_looked_up_by_name(prompt, expected):
         ("the background in black and white", IN_RIGHT),
         ("everything black and white except the fox", IN_RIGHT),
         ("paint the fox red but not the door", [False] * 16),
-        ("paint the house red", EVERYWHERE),  # its name says how far it goes
+        ("paint the house red", IN_LEFT),  # half of what has this name
         ("paint the house of the street red", IN_LEFT),  # a part's name does not
         ("paint the wall red", IN_LEFT),  # what has this name is elsewhere
     ],
 )
 def test_marks_stand_for_what_the_sentence_names(prompt, expected):
     assert columns(regions(prompt, CLICK)[0]) == expected
+
+
+def test_a_name_says_how_far_goes_what_a_click_finds_a_small_part_of():
+    class Small(Halves):
+        def segment(self, image, points=(), box=None):
+            return self._half(image, slice(0, 3))
+
+    assert columns(regions("paint the house red", CLICK, Small())[0]) == EVERYWHERE
 
 
 def test_two_wishes_have_their_own_regions_and_a_thing_is_looked_for_once():
