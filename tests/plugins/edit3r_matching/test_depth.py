@@ -27,6 +27,7 @@ from edit3r_matching.plane_sweep import (
     plane_inverse_depths,
 )
 from edit3r_matching.registration import Registration
+from edit3r_matching.relative_pose import Matches
 from edit3r_matching.semi_global import SMALL_STEP, _jump_costs, aggregate, best_plane
 
 SIZE = (48, 64)
@@ -121,16 +122,25 @@ def test_what_one_neighbour_does_not_see_costs_a_third_beside_one_and_nothing_be
     assert np.allclose(beside_two, seen, atol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("matches", "wide", "measures"),
+    [(80, 1.0, True), (80, 0.4, False), (40, 1.0, False)],
+    ids=["all over", "in a part", "few"],
+)
 def test_a_photo_that_shares_little_confirms_depths_and_measures_none(
-    monkeypatch, noise
+    monkeypatch, noise, matches, wide, measures
 ):
+    """A hundredth as useful as the best one it measures only with many matches all over."""
     images = [CalibratedImage(noise, INTRINSICS)] * 3
-    pairs = {(0, 1): 100.0, (0, 2): 10.0, (1, 2): 20.0}
-    registration = Registration(
-        (Pose.identity(),) * 3,
-        np.ones(3, bool),
-        {key: SimpleNamespace(usefulness=value) for key, value in pairs.items()},
-    )
+
+    def pair(usefulness, count, width):
+        rays = np.random.default_rng(0).uniform(-1, 1, (count, 3)) * width
+        return SimpleNamespace(
+            usefulness=usefulness, matches=Matches(rays, rays, 60.0, 0.01)
+        )
+
+    pairs = {(0, 1): pair(100.0, 400, 1.0), (0, 2): pair(1.0, matches, wide)}
+    registration = Registration((Pose.identity(),) * 3, np.ones(3, bool), pairs)
     monkeypatch.setattr(Registration, "shared_depths", lambda *_: np.ones(9))
     swept = []
 
@@ -140,8 +150,8 @@ def test_a_photo_that_shares_little_confirms_depths_and_measures_none(
 
     monkeypatch.setattr(depth_maps, "sweep_depth", sweep)
     around, _, _ = depth_maps._swept(images, registration, DepthSettings())
-    assert [len(near) for near in around] == [2, 2, 2]
-    assert swept == [1, 2, 2]
+    assert [len(near) for near in around] == [2, 1, 1]
+    assert swept == [1 + measures, 1, 1]
 
 
 def test_cost_does_not_see_brightness_in_its_correlation(noise):
