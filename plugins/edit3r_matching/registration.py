@@ -35,7 +35,9 @@ ONE_SCALE = 0.1
 LEAST_USEFUL = 0.15
 """Usefulness over the best neighbour's from which a view measures depth."""
 MANY, ALL_OVER = 50, 0.45
-"""Or so many matches in so large a share of the places where any neighbour has some."""
+"""Matches, and the share of the places where any neighbour has some, from which one measures depth
+beside a single other one.
+"""
 ADVICE = (
     "Give photos of one still scene taken a step apart, with more than half of "
     "the picture in common."
@@ -122,23 +124,23 @@ class Registration:
         """Neighbours that measure the depth of `view`; the others confirm it.
 
         Where most of what a neighbour shows is something else, it draws the mean cost to wrong
-        places. So it is nearly as useful as the best one, or shares points all over the view.
+        places. So it is nearly as useful as the best one; beside that one alone, those count too
+        that share points all over the view.
         """
         near = self._pairs_of(view)
         best = max((pair.usefulness for pair in near.values()), default=0.0)
+        useful = {o for o, p in near.items() if p.usefulness >= LEAST_USEFUL * best}
+        if len(useful) > 1:
+            return useful
         places = {
             other: cells(pair.matches.rays_a if view < other else pair.matches.rays_b)
             for other, pair in near.items()
         }
-        every = set().union(*places.values())
-        return {
+        least = ALL_OVER * len(set().union(*places.values()))
+        return useful | {
             other
             for other, pair in near.items()
-            if pair.usefulness >= LEAST_USEFUL * best
-            or (
-                len(pair.matches) >= MANY
-                and len(places[other]) >= ALL_OVER * len(every)
-            )
+            if len(pair.matches) >= MANY and len(places[other]) >= least
         }
 
     def _pairs_of(self, view: int) -> dict[int, PairView]:

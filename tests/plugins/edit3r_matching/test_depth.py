@@ -123,24 +123,29 @@ def test_what_one_neighbour_does_not_see_costs_a_third_beside_one_and_nothing_be
 
 
 @pytest.mark.parametrize(
-    ("matches", "wide", "measures"),
-    [(80, 1.0, True), (80, 0.4, False), (40, 1.0, False)],
-    ids=["all over", "in a part", "few"],
+    ("matches", "wide", "third", "measured_by"),
+    [(80, 0.5, 1, 2), (80, 0.2, 1, 1), (40, 0.5, 1, 1), (80, 0.5, 50, 2)],
+    ids=["all over", "in a part", "few", "beside two"],
 )
 def test_a_photo_that_shares_little_confirms_depths_and_measures_none(
-    monkeypatch, noise, matches, wide, measures
+    monkeypatch, noise, matches, wide, third, measured_by
 ):
-    """A hundredth as useful as the best one it measures only with many matches all over."""
-    images = [CalibratedImage(noise, INTRINSICS)] * 3
+    """A hundredth as useful as the best one it measures with many matches all over, beside that one
+    alone.
+    """
+    images = [CalibratedImage(noise, INTRINSICS)] * 4
 
     def pair(usefulness, count, width):
         rays = np.random.default_rng(0).uniform(-1, 1, (count, 3)) * width
-        return SimpleNamespace(
-            usefulness=usefulness, matches=Matches(rays, rays, 60.0, 0.01)
-        )
+        shared = Matches(rays, rays, 60.0, 0.01)
+        return SimpleNamespace(usefulness=usefulness, matches=shared)
 
-    pairs = {(0, 1): pair(100.0, 400, 1.0), (0, 2): pair(1.0, matches, wide)}
-    registration = Registration((Pose.identity(),) * 3, np.ones(3, bool), pairs)
+    pairs = {
+        (0, 1): pair(100.0, 400, 0.5),
+        (0, 2): pair(1.0, matches, wide),
+        (0, 3): pair(third, 9, 0.5),
+    }
+    registration = Registration((Pose.identity(),) * 4, np.ones(4, bool), pairs)
     monkeypatch.setattr(Registration, "shared_depths", lambda *_: np.ones(9))
     swept = []
 
@@ -150,8 +155,8 @@ def test_a_photo_that_shares_little_confirms_depths_and_measures_none(
 
     monkeypatch.setattr(depth_maps, "sweep_depth", sweep)
     around, _, _ = depth_maps._swept(images, registration, DepthSettings())
-    assert [len(near) for near in around] == [2, 1, 1]
-    assert swept == [1 + measures, 1, 1]
+    assert [len(near) for near in around] == [3, 1, 1, 1]
+    assert swept == [measured_by, 1, 1, 1]
 
 
 def test_cost_does_not_see_brightness_in_its_correlation(noise):
