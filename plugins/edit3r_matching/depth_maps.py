@@ -36,9 +36,6 @@ __all__ = ["DepthSettings", "inverse_depth_range", "measure_depths", "sweep_dept
 
 # Views whose sky is not to be hidden: those of a video say the same.
 MAX_OTHERS = 8
-# Usefulness over the most useful neighbour's below which a view confirms depths, but measures none:
-# where most of what it shows is something else, it draws the mean cost to wrong places.
-LEAST_USEFUL = 0.15
 
 
 class DepthSettings(config.Settings):
@@ -147,10 +144,10 @@ def _swept(
         depths = np.concatenate(
             [registration.shared_depths(view, other) for other in around[view]]
         )
-        useful = registration.neighbours_of(view, LEAST_USEFUL)
+        measuring = registration.measuring(view)
         raw[view] = sweep_depth(
             images[view],
-            [near for other, near in around[view].items() if other in useful],
+            [near for other, near in around[view].items() if other in measuring],
             inverse_depth_range(depths),
             settings.planes,
         )

@@ -29,6 +29,7 @@ __all__ = [
     "MIN_PARALLAX",
     "PairView",
     "agreeing_pairs",
+    "cells",
     "on_a_plane",
 ]
 
@@ -253,7 +254,7 @@ def _in_a_corner(agreeing: Matches, matches: Matches) -> bool:
         ]
         for m in both
     ]
-    places = [[_places(rays) for rays in (m.rays_a, m.rays_b)] for m in both]
+    places = [[len(cells(rays)) for rays in (m.rays_a, m.rays_b)] for m in both]
     return bool(np.prod(np.divide(*inside)) < CORNER and min(np.divide(*places)) < 0.5)
 
 
@@ -279,9 +280,9 @@ def on_a_plane(agreeing: Matches, threshold: float, share: float = PLANE) -> boo
     return kept is None or kept.mean() > share
 
 
-def _places(rays: Float[np.ndarray, "match 3"]) -> int:
-    """In how many cells of the picture there are any."""
-    return len(np.unique(np.floor(6 * rays[:, :2]), axis=0))
+def cells(rays: Float[np.ndarray, "match 3"]) -> set[tuple[float, float]]:
+    """The cells of the picture where there are any."""
+    return set(map(tuple, np.floor(6 * rays[:, :2]).tolist()))
 
 
 def _evident(
@@ -328,5 +329,6 @@ def _holds_together(found: TwoViewPose, matches: Matches) -> bool:
     )  # itself and four neighbours
     step = np.median(np.abs(log_depth[near[:, 1:]] - log_depth[:, None]))
     return bool(
-        step <= DEPTH_STEP and _places(kept.rays_a) >= SPREAD * _places(matches.rays_a)
+        step <= DEPTH_STEP
+        and len(cells(kept.rays_a)) >= SPREAD * len(cells(matches.rays_a))
     )

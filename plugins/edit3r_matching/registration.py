@@ -14,12 +14,13 @@ from jaxtyping import Bool, Float, Int
 
 from edit3r.contract.errors import MatchingError
 from edit3r_matching.cameras import CalibratedImage, Pose, triangulate
-from edit3r_matching.features import FoundFeatures
+from edit3r_matching.features import MAX_LEARNED, FoundFeatures
 from edit3r_matching.pairs import (
     MIN_LOG_EVIDENCE,
     MIN_PARALLAX,
     PairView,
     agreeing_pairs,
+    cells,
 )
 from edit3r_matching.relative_pose import MIN_INLIERS, log_chance, support
 
@@ -31,6 +32,12 @@ MIN_NEAR = 3
 """How many such points a scale needs."""
 ONE_SCALE = 0.1
 """Median deviation of their scales (logarithm) above which they tell none."""
+LEAST_USEFUL = 0.15
+"""Usefulness over the best neighbour's from which a view measures depth."""
+MANY, ALL_OVER = 50, 0.45
+"""Matches, and the share of the places where any neighbour has some, from which one measures depth
+beside a single other one.
+"""
 ADVICE = (
     "Give photos of one still scene taken a step apart, with more than half of "
     "the picture in common."
@@ -106,20 +113,43 @@ class Registration:
         depth, other = triangulate(*rays, self.relative(a, b))
         return depth[(depth > 0) & (other > 0)]
 
-    def neighbours_of(self, view: int, least: float = 0.0) -> list[int]:
+    def neighbours_of(self, view: int) -> list[int]:
         """Registered views that share points with `view`, most useful first: many points, seen from
         different sides.
-
-        Those are left out that are less useful than the share `least` of the first.
         """
-        usefulness = {
-            a + b - view: pair.usefulness
+        near = self._pairs_of(view)
+        return sorted(near, key=lambda other: -near[other].usefulness)
+
+    def measuring(self, view: int) -> set[int]:
+        """Neighbours that measure the depth of `view`; the others confirm it.
+
+        Where most of what a neighbour shows is something else, it draws the mean cost to wrong
+        places. So it is nearly as useful as the best one; beside that one alone, those count too
+        that share points all over the view.
+        """
+        near = self._pairs_of(view)
+        best = max((pair.usefulness for pair in near.values()), default=0.0)
+        useful = {o for o, p in near.items() if p.usefulness >= LEAST_USEFUL * best}
+        if len(useful) > 1:
+            return useful
+        places = {
+            other: cells(pair.matches.rays_a if view < other else pair.matches.rays_b)
+            for other, pair in near.items()
+        }
+        least = ALL_OVER * len(set().union(*places.values()))
+        return useful | {
+            other
+            for other, pair in near.items()
+            if len(pair.matches) >= MANY and len(places[other]) >= least
+        }
+
+    def _pairs_of(self, view: int) -> dict[int, PairView]:
+        """The pairs of `view` by its registered partner."""
+        return {
+            a + b - view: pair
             for (a, b), pair in self.pairs.items()
             if view in (a, b) and self.registered[a + b - view]
         }
-        limit = least * max(usefulness.values(), default=0.0)
-        ordered = sorted(usefulness, key=lambda other: -usefulness[other])
-        return [other for other in ordered if usefulness[other] >= limit]
 
 
 def register(
@@ -161,7 +191,8 @@ def register(
     growing = _IncrementalRegistration(images, features, pairs, threshold, seed)
     growing.start(partner, pair)
     growing.place_the_rest()
-    while growing.join_one():
+    # Fewer got learned matches first: what these do not join stands at a wrong scale too often.
+    while (features.tilted or len(images) > MAX_LEARNED) and growing.join_one():
         growing.place_the_rest()
     return growing.settled(free_focal)
 

@@ -27,6 +27,7 @@ from edit3r_matching.plane_sweep import (
     plane_inverse_depths,
 )
 from edit3r_matching.registration import Registration
+from edit3r_matching.relative_pose import Matches
 from edit3r_matching.semi_global import SMALL_STEP, _jump_costs, aggregate, best_plane
 
 SIZE = (48, 64)
@@ -121,16 +122,30 @@ def test_what_one_neighbour_does_not_see_costs_a_third_beside_one_and_nothing_be
     assert np.allclose(beside_two, seen, atol=1e-5)
 
 
+@pytest.mark.parametrize(
+    ("matches", "wide", "third", "measured_by"),
+    [(80, 0.5, 1, 2), (80, 0.2, 1, 1), (40, 0.5, 1, 1), (80, 0.5, 50, 2)],
+    ids=["all over", "in a part", "few", "beside two"],
+)
 def test_a_photo_that_shares_little_confirms_depths_and_measures_none(
-    monkeypatch, noise
+    monkeypatch, noise, matches, wide, third, measured_by
 ):
-    images = [CalibratedImage(noise, INTRINSICS)] * 3
-    pairs = {(0, 1): 100.0, (0, 2): 10.0, (1, 2): 20.0}
-    registration = Registration(
-        (Pose.identity(),) * 3,
-        np.ones(3, bool),
-        {key: SimpleNamespace(usefulness=value) for key, value in pairs.items()},
-    )
+    """A hundredth as useful as the best one it measures with many matches all over, beside that one
+    alone.
+    """
+    images = [CalibratedImage(noise, INTRINSICS)] * 4
+
+    def pair(usefulness, count, width):
+        rays = np.random.default_rng(0).uniform(-1, 1, (count, 3)) * width
+        shared = Matches(rays, rays, 60.0, 0.01)
+        return SimpleNamespace(usefulness=usefulness, matches=shared)
+
+    pairs = {
+        (0, 1): pair(100.0, 400, 0.5),
+        (0, 2): pair(1.0, matches, wide),
+        (0, 3): pair(third, 9, 0.5),
+    }
+    registration = Registration((Pose.identity(),) * 4, np.ones(4, bool), pairs)
     monkeypatch.setattr(Registration, "shared_depths", lambda *_: np.ones(9))
     swept = []
 
@@ -140,8 +155,8 @@ def test_a_photo_that_shares_little_confirms_depths_and_measures_none(
 
     monkeypatch.setattr(depth_maps, "sweep_depth", sweep)
     around, _, _ = depth_maps._swept(images, registration, DepthSettings())
-    assert [len(near) for near in around] == [2, 2, 2]
-    assert swept == [1, 2, 2]
+    assert [len(near) for near in around] == [3, 1, 1, 1]
+    assert swept == [measured_by, 1, 1, 1]
 
 
 def test_cost_does_not_see_brightness_in_its_correlation(noise):

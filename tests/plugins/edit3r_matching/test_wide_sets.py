@@ -51,7 +51,7 @@ def same(count, start=0):
     return np.stack([np.arange(start, start + count)] * 2, axis=1)
 
 
-def chain(deeper=None):
+def chain(deeper=None, tilted=True):
     """Three views in a row: the first two share 150 points of a wall, the last two 150 others.
 
     `deeper` [150] moves each of the last ones away from the middle view by a factor, which that
@@ -66,7 +66,9 @@ def chain(deeper=None):
         keypoints(np.concatenate((seen(first, 1), seen(last, 1, 9)))),
         keypoints(np.concatenate((np.zeros((150, 2)), seen(last, 2, 9)))),
     )
-    found = FoundFeatures(keys, {(0, 1): same(150), (1, 2): same(150, 150)})
+    found = FoundFeatures(
+        keys, {(0, 1): same(150), (1, 2): same(150, 150)}, tilted=tilted
+    )
     return registration.register(images(3), "abc", found, threshold=1.0, seed=0)
 
 
@@ -84,6 +86,12 @@ def test_three_in_a_row_without_a_common_point_are_joined_by_points_near_each_ot
         for a in (0, 1)
     ]
     assert steps[1] / steps[0] == pytest.approx(1, abs=0.05)
+
+
+def test_of_few_photos_those_that_were_not_tilted_are_not_joined_so(monkeypatch):
+    assert chain(tilted=False).registered.tolist() == [True, True, False]
+    monkeypatch.setattr(registration, "MAX_LEARNED", 2)  # three photos are many then
+    assert chain(tilted=False).registered.all()
 
 
 def test_depths_that_tell_no_common_scale_join_nothing():
