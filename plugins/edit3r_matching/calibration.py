@@ -125,7 +125,10 @@ def contradiction(
     if search is None or not search.doubted():
         return None
     given, *others = search.scan()
-    best = search.between(max(others, key=lambda trial: trial.score))
+    place = max(range(len(others)), key=lambda index: others[index].score)
+    if place in (0, len(others) - 1):  # still better beyond: nothing is told
+        return None
+    best = search.between(others[place])
     beyond = max(others[0].score, others[-1].score)
     clear = (
         given.score < (1 - _CLEAR) * best.score

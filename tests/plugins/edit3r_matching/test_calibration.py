@@ -108,6 +108,7 @@ def test_a_field_of_view_far_from_what_the_photos_tell_is_contradicted(fov):
         matches(40, (0, 0, 0), (-1, 0, 0)),
         matches(40, (0.05, 0.35, 0.02), (-1, 0.1, 0.3), count=60),
         matches(40, (0, 0.1, 0), (-1, 0, 0), outliers=1.0),
+        matches(132, (0.05, 0.35, 0.02), (-1, 0.1, 0.3)),
     ],
     ids=[
         "right",
@@ -116,6 +117,7 @@ def test_a_field_of_view_far_from_what_the_photos_tell_is_contradicted(fov):
         "moved sideways",
         "few matches",
         "no motion",
+        "wider than any that is tried",
     ],
 )
 def test_what_is_nearly_right_or_cannot_be_told_is_not_contradicted(found):
