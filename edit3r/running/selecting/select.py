@@ -336,6 +336,7 @@ class _Work:
         ] = {}  # by view of the mask and direction
         self.warnings: list[str] = []
         self.surety: float | None = None  # of what the words named
+        self.least = SURE  # surety from which words find it on another photo too
         self.readings: list[Reading] = []
         self.by_name: set[int] = set()  # views on each of which several were looked for
 
@@ -394,6 +395,7 @@ class _Work:
         picked = several or pick(found, which, self.images[view])
         sure = [one.surety for one in picked if one.surety >= SURE]
         self.surety = min(sure if several else [one.surety for one in picked])
+        self.least = min(SURE, self.surety)
         if not several and len(alike) > 1:
             self.surety /= len(alike)  # nothing says which of them is meant
             self.warnings.append(
@@ -428,14 +430,12 @@ class _Work:
         """Several are looked for on every photo, as surely as on the first: people walk, and a
         photo shows what another does not.
         """
-        assert self.surety is not None
-        least = min(SURE, self.surety)
         for view in range(len(self.images)):
             if view == first or view in self.masks:
                 continue
             found = self.segmenter.segment_text(self.images[view], self.selection.words)
             found = tuple(found or ())
-            likely = [one for one in found if one.surety >= least]
+            likely = [one for one in found if one.surety >= self.least]
             alike = [one.soft_mask for one in self._also(found) or likely]
             if alike:
                 self._keep(view, torch.stack(alike).amax(0), "words")
@@ -706,7 +706,7 @@ class _Work:
             return False
         words = self.selection.words
         found = self.segmenter.segment_text(self.images[view], words) or ()
-        likely = [one for one in found if one.surety >= min(SURE, self.surety)]
+        likely = [one for one in found if one.surety >= self.least]
         if likely:
             self._keep(view, likely[0].soft_mask, "words")
         return bool(likely)

@@ -358,6 +358,23 @@ def test_of_several_of_one_name_none_is_surely_meant_unless_words_say_which(
     assert any(told in text for text in found.warnings) == (surety == 0.4)
 
 
+def test_one_of_several_is_found_again_only_as_surely_as_it_was_found():
+    """That nothing says which is meant makes others on other photos no likelier."""
+
+    class Lost(Walkers):
+        def track(self, images, masks):
+            tracks = super().track(images, masks)
+            return replace(tracks, present=torch.tensor([[True], [False]]))
+
+        def segment_text(self, image, text):
+            found = super().segment_text(image, text)
+            return found if image.mean() < 0.5 else found[2:]
+
+    images = torch.stack((torch.zeros(3, 24, 32), torch.ones(3, 24, 32)))
+    found = select_masks(images, Selection(words="person"), Lost(0.8, 0.7, 0.5))
+    assert found.surety < 0.5 and found.how == ("words", "not found")
+
+
 @pytest.mark.parametrize("rows", [10, 24])
 def test_what_goes_on_beyond_a_side_is_looked_for_on_every_photo(rows):
     """A sky has pieces that another photo does not show; a thing inside is followed."""
