@@ -124,8 +124,14 @@ def test_what_one_neighbour_does_not_see_costs_a_third_beside_one_and_nothing_be
 
 @pytest.mark.parametrize(
     ("matches", "wide", "third", "measured_by"),
-    [(80, 0.5, 1, 2), (80, 0.2, 1, 1), (40, 0.5, 1, 1), (80, 0.5, 20, 2)],
-    ids=["all over", "in a part", "few", "beside two"],
+    [
+        (80, 0.5, 1, 2),
+        (80, 0.2, 1, 1),
+        (40, 0.5, 1, 1),
+        (40, 0.5, 20, 2),
+        (80, 0.5, 20, 2),
+    ],
+    ids=["all over", "in a part", "few", "a fifth as useful", "beside two"],
 )
 def test_a_photo_that_shares_little_confirms_depths_and_measures_none(
     monkeypatch, noise, matches, wide, third, measured_by
