@@ -21,12 +21,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from edit3r_matching.cameras import Pose, project, rays_through, triangulate
-from edit3r_matching.features import Keypoints, detect, match
+from edit3r_geometry.cameras import Pose, project, rays_through, triangulate
+from edit3r_geometry.features import Keypoints, detect, match
 
 import edit3r
 from edit3r.contract.errors import Edit3rError
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.rotations import rotation_angle
 from edit3r.kit.photos.images import evenly
@@ -223,7 +223,7 @@ def views_of(photos: Sequence[PosedPhoto], posed: bool) -> Views:
 
 
 def measured(
-    truth: Truth, pair: tuple[int, int], geometry: MatchedGeometry
+    truth: Truth, pair: tuple[int, int], geometry: Geometry
 ) -> dict[str, float]:
     """Shares of right points of both photos, of all and of those in the other photo; and of exact
     matches.

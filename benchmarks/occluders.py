@@ -17,7 +17,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from edit3r_matching.sky import find_skies
+from edit3r_geometry.sky import find_skies
 
 import edit3r
 

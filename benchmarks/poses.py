@@ -18,10 +18,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from edit3r_matching.calibration import calibrate
-from edit3r_matching.cameras import CalibratedImage, Pose
-from edit3r_matching.features import FeatureSettings, find_features
-from edit3r_matching.registration import register
+from edit3r_geometry.calibration import calibrate
+from edit3r_geometry.cameras import CalibratedImage, Pose
+from edit3r_geometry.features import FeatureSettings, find_features
+from edit3r_geometry.registration import register
 from scenes import for_tuning
 
 from edit3r.contract.errors import MatchingError

@@ -18,7 +18,7 @@ from edit3r_editors.retouch import behind
 
 import edit3r
 from edit3r.contract.errors import MatchingError
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.geometry.maps import dilate
@@ -108,7 +108,7 @@ def main() -> None:
             cameras.intrinsics,
             tuple(map(str, range(options.views))),
         )
-        truth = MatchedGeometry(
+        truth = Geometry(
             cameras.c2w, sample.context_depths[None], torch.ones_like(sample.context_depths)[None],
             torch.ones(1, options.views, dtype=torch.bool),
         )  # fmt: skip

@@ -10,9 +10,9 @@ from torch import Tensor, nn
 from edit3r.contract.interfaces import (
     Backbone,
     GaussianHead,
+    Geometry,
     GeometryBackbone,
     GeometryHead,
-    MatchedGeometry,
 )
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import PER_GAUSSIAN, Features, Gaussians, Views
@@ -183,9 +183,7 @@ class HeadContract(Contract):
         return self.scene(count, size=size).views
 
 
-def _geometry(
-    part: Backbone | GaussianHead, views: Views
-) -> tuple[MatchedGeometry, ...]:
+def _geometry(part: Backbone | GaussianHead, views: Views) -> tuple[Geometry, ...]:
     """What a part that takes geometry is given: the true one of the test photos."""
     if not isinstance(part, GeometryBackbone | GeometryHead):
         return ()
@@ -194,7 +192,7 @@ def _geometry(
     confidence = torch.ones_like(truth.depths)
     registered = confidence[:, :, 0, 0] > 0
     poses = truth.cameras.c2w
-    return (MatchedGeometry(poses, truth.depths, confidence, registered),)
+    return (Geometry(poses, truth.depths, confidence, registered),)
 
 
 def require_gradients(

@@ -14,7 +14,7 @@ from torch import Tensor
 from edit3r.contract.errors import Edit3rError, MatchingError
 from edit3r.contract.interfaces import (
     Backbone,
-    MatchedGeometry,
+    Geometry,
     Matcher,
     Reconstructor,
     RefineInputs,
@@ -99,9 +99,9 @@ class MatcherContract(Contract):
             "inventing a pose.",
         )
 
-    def _match(self, views: Views) -> MatchedGeometry:
+    def _match(self, views: Views) -> Geometry:
         match = self.subject.match
-        return self.call("match()", match, views, returns=MatchedGeometry)
+        return self.call("match()", match, views, returns=Geometry)
 
 
 def _depth_error(

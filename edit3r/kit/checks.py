@@ -25,7 +25,7 @@ from edit3r.contract.errors import (
 from edit3r.contract.interfaces import (
     INTERFACES,
     Editor,
-    MatchedGeometry,
+    Geometry,
     Matcher,
     Proposal,
     Rasterizer,
@@ -114,11 +114,11 @@ def check_written(writer: Writer, path: Path) -> None:
     _require(writer, is_there, f"{promise}: {path.name}")
 
 
-def check_geometry(matcher: Matcher, views: Views, answer: MatchedGeometry) -> None:
+def check_geometry(matcher: Matcher, views: Views, answer: Geometry) -> None:
     """Shapes, dtypes and finiteness of what a matcher found, cameras that are some, and depths
     above 0.
     """
-    _require_type(matcher, answer, MatchedGeometry)
+    _require_type(matcher, answer, Geometry)
     dtype, views_of = views.images.dtype, list(views.images.shape[:2])
     sides = list(getattr(answer.depths, "shape", ()))[2:]
     grid = [*views_of, *(sides if len(sides) == 2 else ("height", "width"))]

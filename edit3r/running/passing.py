@@ -13,7 +13,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Gaussians, Views
 from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.geometry.maps import dilate
@@ -48,7 +48,7 @@ Mask = Bool[Tensor, "height width"]
 
 
 def passing(
-    geometry: MatchedGeometry, photos: Views
+    geometry: Geometry, photos: Views
 ) -> Bool[Tensor, "batch view height width"] | None:
     """Pixels of what passed while `photos` were taken, at their size; None: nothing, or fewer than
     three photos, which cannot tell, as photos of which nothing was measured.
@@ -109,7 +109,7 @@ class _Scene:
     near: list[list[int]]  # the others that are asked about each view
 
     @staticmethod
-    def of(views: Views, geometry: MatchedGeometry, scene: int) -> "_Scene":
+    def of(views: Views, geometry: Geometry, scene: int) -> "_Scene":
         images, there = views.images[scene], geometry.registered[scene]
         points = unproject(geometry.depths, views.intrinsics, geometry.c2w)[scene]
         near = nearest_views(geometry.c2w, geometry.depths, NEAR_VIEWS)

@@ -29,7 +29,7 @@ from torch import Tensor
 
 from edit3r import Registry
 from edit3r.contract.errors import Edit3rError, InputError
-from edit3r.contract.interfaces import Marks, MatchedGeometry
+from edit3r.contract.interfaces import Geometry, Marks
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
@@ -125,7 +125,7 @@ class _Opened:
     views: Views  # its photos, edited where it is a run
     cache: Cache
     began: float  # when they began to be read [seconds since 1970]
-    geometry: "Future[MatchedGeometry | None]" = field(default_factory=Future)
+    geometry: "Future[Geometry | None]" = field(default_factory=Future)
     read: dict[int, "Future[None]"] = field(default_factory=dict)
     """By photo: that the segmenter has read it."""
     shown: set[int] = field(default_factory=set)  # photos that somebody looked at
@@ -397,7 +397,7 @@ class Looker:
                 with atomic_folder(self._answers(state), overwrite=True) as partial:
                     cache.save(partial)
 
-    def _geometry(self, photos: Views, cache: Cache) -> MatchedGeometry | None:
+    def _geometry(self, photos: Views, cache: Cache) -> Geometry | None:
         """Poses and depths, as a run with the default reconstructor finds them."""
         began = time.time()
         with _working_with(cache):

@@ -19,7 +19,7 @@ from edit3r.contract.interfaces import (
     ChangesShape,
     Editor,
     EditsRegions,
-    MatchedGeometry,
+    Geometry,
     Matcher,
 )
 from edit3r.contract.reporting import note, warn
@@ -114,7 +114,7 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
         self,
         views: Views,
         holes: Bool[Tensor, "b view height width"],
-        geometry: MatchedGeometry | None,
+        geometry: Geometry | None,
         scene: int,
     ) -> Float[Tensor, "view 3 height width"]:
         """The images of one scene of the batch, with its holes filled."""
@@ -137,7 +137,7 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
             )
         return torch.stack([_inpainted(*one) for one in zip(images, hole & ~seen)])
 
-    def _geometry(self, views: Views) -> MatchedGeometry | None:
+    def _geometry(self, views: Views) -> Geometry | None:
         """Geometry of the photos; None where they cannot be placed."""
         try:
             return self.matcher.match(views)
@@ -232,7 +232,7 @@ def _shadow(
 def behind(
     views: Views,
     holes: Bool[Tensor, "view height width"],
-    geometry: MatchedGeometry,
+    geometry: Geometry,
     scene: int,
     margin: int,
 ) -> tuple[Float[Tensor, "view 3 height width"], Bool[Tensor, "view height width"]]:

@@ -16,7 +16,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract import settings as config
-from edit3r.contract.interfaces import GeometryBackbone, MatchedGeometry, Matcher
+from edit3r.contract.interfaces import Geometry, GeometryBackbone, Matcher
 from edit3r.contract.settings import Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.compute.layers import one_thread
@@ -87,7 +87,7 @@ class MatchedForm:
         return replace(made, placed=geometry.registered, measured=matched.measured)
 
     def from_geometry(
-        self, views: Views, source: Views, geometry: MatchedGeometry
+        self, views: Views, source: Views, geometry: Geometry
     ) -> Reconstruction:
         """Reconstruct from given geometry, differentiably.
 
@@ -109,9 +109,7 @@ class MatchedForm:
         size = tuple(prior.depths.shape[-2:])
         return Reconstruction(gaussians, Cameras(c2w, source.intrinsics, size))
 
-    def _gaussians(
-        self, views: Views, source: Views, prior: MatchedGeometry
-    ) -> Gaussians:
+    def _gaussians(self, views: Views, source: Views, prior: Geometry) -> Gaussians:
         """Backbone, then head; a backbone that takes no geometry is given none."""
         backbone, head = self.network.backbone, self.network.head
         coarse = source.at(tuple(prior.depths.shape[-2:]))
@@ -130,7 +128,7 @@ class MatchedForm:
         made: Reconstruction,
         views: Views,
         source: Views,
-        geometry: MatchedGeometry,
+        geometry: Geometry,
     ) -> Reconstruction:
         """Continue the fused images beyond their borders and behind their surfaces; say what
         fusing added.
@@ -168,9 +166,7 @@ def network_grid(
     return height, width
 
 
-def _in_unit(
-    geometry: MatchedGeometry, unit: Float[Tensor, "batch"]
-) -> MatchedGeometry:
+def _in_unit(geometry: Geometry, unit: Float[Tensor, "batch"]) -> Geometry:
     """The geometry with `unit` as its unit of length."""
     factor = 1 / unit
     return replace(

@@ -10,9 +10,9 @@ from edit3r.contract.errors import MissingDependencyError, SettingsError
 from edit3r.contract.interfaces import (
     Backbone,
     GaussianHead,
+    Geometry,
     GeometryBackbone,
     GeometryHead,
-    MatchedGeometry,
     Matcher,
     Reconstructor,
     TakesGeometry,
@@ -124,7 +124,7 @@ class Edit3rReconstructor(Reconstructor, TakesGeometry):
         return self.form(views, views if source is None else source, grid)
 
     def from_geometry(
-        self, views: Views, source: Views, geometry: MatchedGeometry
+        self, views: Views, source: Views, geometry: Geometry
     ) -> Reconstruction:
         """Reconstruct from given geometry, differentiably; a single pass has no use for it."""
         if self.fuses_by_itself:

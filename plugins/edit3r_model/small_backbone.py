@@ -13,7 +13,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import GeometryBackbone, MatchedGeometry
+from edit3r.contract.interfaces import Geometry, GeometryBackbone
 from edit3r.contract.settings import Index, Settings
 from edit3r.contract.types import Features
 from edit3r.kit.compute.layers import Conv2d, GroupNorm, bilinear
@@ -81,7 +81,7 @@ class MatchedUNet(GeometryBackbone):
         self,
         images: Images,
         intrinsics: Float[Tensor, "batch view 3 3"],
-        geometry: MatchedGeometry | None = None,
+        geometry: Geometry | None = None,
     ) -> Features:
         """Encode unedited images; the depths of `geometry` have a median of about 1."""
         height, width = images.shape[-2:]
@@ -106,7 +106,7 @@ class MatchedUNet(GeometryBackbone):
         return Features((tokens,), tuple(x2.shape[-2:]))
 
     def _inputs(
-        self, images: Images, geometry: MatchedGeometry, matches: Correspondences
+        self, images: Images, geometry: Geometry, matches: Correspondences
     ) -> Float[Tensor, "batch view 12 height width"]:
         """Own and warped colours, log depth and how far the views agree."""
         partners, inside = partner_views(images.shape[1]), matches.inside[:, :, None]
@@ -126,7 +126,7 @@ class MatchedUNet(GeometryBackbone):
         return torch.cat((images - 0.5, colours, confidence, gap, maps), 2)
 
 
-def averaged(geometry: MatchedGeometry, size: tuple[int, int]) -> MatchedGeometry:
+def averaged(geometry: Geometry, size: tuple[int, int]) -> Geometry:
     """Return `geometry` for images shrunk to `size` (height, width); depths are averaged as inverse
     depths.
     """

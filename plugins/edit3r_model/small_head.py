@@ -18,7 +18,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from edit3r.contract.errors import SettingsError
-from edit3r.contract.interfaces import Backbone, GeometryHead, MatchedGeometry
+from edit3r.contract.interfaces import Backbone, Geometry, GeometryHead
 from edit3r.contract.settings import Index, Settings, Share
 from edit3r.contract.types import Cameras, Features, Gaussians, Views
 from edit3r.kit.compute.layers import bilinear
@@ -141,7 +141,7 @@ class EditFusionHead(GeometryHead):
         features: Features,
         images: Images,
         source: Views,
-        geometry: MatchedGeometry,
+        geometry: Geometry,
     ) -> Gaussians:
         grid = tuple(geometry.depths.shape[-2:])
         edited = replace(source, images=images)
@@ -157,7 +157,7 @@ class EditFusionHead(GeometryHead):
         features: Features,
         images: Images,
         source: Views,
-        geometry: MatchedGeometry,
+        geometry: Geometry,
         fuses: bool,
     ) -> Decisions:
         """Everything learned, on the grid of the backbone's images."""
@@ -180,7 +180,7 @@ class EditFusionHead(GeometryHead):
         after: Images,
         before: Images,
         intrinsics: Float[Tensor, "batch view 3 3"],
-        geometry: MatchedGeometry,
+        geometry: Geometry,
     ) -> Choices:
         """What each view takes of the reference's edit."""
         matches = find_correspondences(geometry.depths, intrinsics, geometry.c2w)
@@ -251,7 +251,7 @@ def _nearest(images: Images, size: tuple[int, int]) -> Images:
 def assemble(
     edited: Images,
     source: Views,
-    geometry: MatchedGeometry,
+    geometry: Geometry,
     decisions: Decisions,
     settings: EditFusionHead.Settings,
     single: tuple[Images, Images],

@@ -13,7 +13,7 @@ from edit3r.contract.component import component_name
 from edit3r.contract.interfaces import (
     ConditionedOnDepth,
     Editor,
-    MatchedGeometry,
+    Geometry,
     Matcher,
 )
 from edit3r.contract.reporting import note, warn
@@ -44,13 +44,13 @@ class FittedGeometry(Matcher):
     def __init__(self, cameras: Cameras, depths: Depths, alphas: Depths) -> None:
         self.cameras, self.depths, self.alphas = cameras, depths, alphas
 
-    def match(self, views: Views) -> MatchedGeometry:
+    def match(self, views: Views) -> Geometry:
         """Return the geometry of the views it was made for, whatever their images."""
         registered = torch.ones(
             1, self.cameras.count, dtype=torch.bool, device=self.depths.device
         )
         confidence = (self.alphas > OPAQUE).to(self.depths)
-        return MatchedGeometry(
+        return Geometry(
             self.cameras.c2w, self.depths[None], confidence[None], registered
         )
 

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import MatchedGeometry, SceneSample
+from edit3r.contract.interfaces import Geometry, SceneSample
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.geometry.cameras import scale_poses, unproject
 from edit3r_training.asymmetric_inputs import (
@@ -40,7 +40,7 @@ class TrainingBatch:
     target_cameras: Cameras
     depths: Float[Tensor, "batch view height width"] | None  # true camera z
     # as a matcher would give it, where the data has depths
-    geometry: MatchedGeometry | None
+    geometry: Geometry | None
     # where an edit may have added or removed something, so that `depths` tell nothing of the truth;
     # None: nowhere
     reshaped: Bool[Tensor, "batch view height width"] | None = None

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from edit3r.contract.errors import MatchingError
-from edit3r.contract.interfaces import MatchedGeometry, Matcher, SceneSample
+from edit3r.contract.interfaces import Geometry, Matcher, SceneSample
 from edit3r.contract.types import Views
 from edit3r.kit.compute.smoothing import weighted_smooth
 from edit3r.kit.geometry.cameras import project, unproject
@@ -33,7 +33,7 @@ class SimulatedMatch:
     went wrong.
     """
 
-    geometry: MatchedGeometry  # batch 1
+    geometry: Geometry  # batch 1
     unit: float
 
 
@@ -59,7 +59,7 @@ def simulate_match(sample: SceneSample, rng: np.random.Generator) -> SimulatedMa
             _noisy_pose(cameras.c2w[0, view].double().numpy(), rng, severity)
         ).float()
     c2w[:, :, :3, 3] *= unit
-    geometry = MatchedGeometry(
+    geometry = Geometry(
         c2w=c2w,
         depths=torch.from_numpy(np.stack(depths)).float()[None],
         confidence=torch.from_numpy(np.stack(confidence))[None],

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from edit3r.contract.errors import MatchingError
-from edit3r.contract.interfaces import MatchedGeometry, Matcher
+from edit3r.contract.interfaces import Geometry, Matcher
 from edit3r_testing import MatcherContract, photograph
 
 
@@ -22,7 +22,7 @@ class Knowing(Matcher):
         if views.images.std() == 0 and self.refuse is not None:
             raise self.refuse("no texture")
         scene = photograph(views.count, views.image_size)
-        geometry = MatchedGeometry(
+        geometry = Geometry(
             scene.cameras.c2w,
             scene.depths,
             torch.ones_like(scene.depths),
@@ -71,7 +71,7 @@ CASES = {
     "a tuple": (
         {"spoil": lambda g: (g.c2w, g.depths)},
         VALID,
-        "return MatchedGeometry",
+        "return Geometry",
     ),
     "a wrong rotation": ({"spoil": turned}, PLACED, "the rotation is off by"),
     "flat depths": (

@@ -5,7 +5,7 @@ that take no time.
 import torch
 
 from edit3r import Cameras, Component, Gaussians, Reconstruction, hookimpl
-from edit3r.contract.interfaces import MatchedGeometry, Matcher, Reconstructor
+from edit3r.contract.interfaces import Geometry, Matcher, Reconstructor
 
 
 @hookimpl
@@ -76,7 +76,7 @@ class FlatMatcher(Matcher):
         height, width = views.image_size
         depths = torch.linspace(1, 4, width).expand(batch, count, height, width)
         poses = torch.eye(4).expand(batch, count, 4, 4)
-        return MatchedGeometry(
+        return Geometry(
             poses,
             depths,
             torch.ones_like(depths),

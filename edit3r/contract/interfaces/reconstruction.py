@@ -80,7 +80,7 @@ class EditsViews(ABC):
 
 
 @dataclass(frozen=True, repr=False)
-class MatchedGeometry(Tensors):
+class Geometry(Tensors):
     """Relative poses and depths of B scenes, read from photos that agree with each other.
 
     The unit of length is arbitrary but common to poses and depths.
@@ -116,7 +116,7 @@ class MatchedGeometry(Tensors):
             else replace(views, intrinsics=self.intrinsics)
         )
 
-    def at(self, size: tuple[int, int]) -> "MatchedGeometry":
+    def at(self, size: tuple[int, int]) -> "Geometry":
         """This geometry for views of another (height, width) [pixels]."""
         # Nearest: depths are never mixed across an edge.
         depths = interpolate(self.depths, size, mode="nearest-exact")
@@ -129,7 +129,7 @@ class TakesGeometry(ABC):
 
     @abstractmethod
     def from_geometry(
-        self, views: Views, source: Views, geometry: MatchedGeometry
+        self, views: Views, source: Views, geometry: Geometry
     ) -> Reconstruction:
         """Reconstruct `views` from poses and depths of `source` instead of matching.
 
@@ -161,7 +161,7 @@ class GeometryBackbone(Backbone):
         self,
         images: Float[Tensor, "batch view 3 height width"],
         intrinsics: Float[Tensor, "batch view 3 3"],
-        geometry: MatchedGeometry | None = None,
+        geometry: Geometry | None = None,
     ) -> Features:
         """Features of images in [0, 1] with normalised intrinsics.
 
@@ -189,7 +189,7 @@ class GeometryHead(GaussianHead):
         features: Features,
         images: Float[Tensor, "batch view 3 height width"],
         source: Views,
-        geometry: MatchedGeometry,
+        geometry: Geometry,
     ) -> Gaussians:
         """Gaussians with `view_index` set, on the grid and in the unit of `geometry`.
 
@@ -202,7 +202,7 @@ class Matcher(Configured, ABC):
     """Reads relative pose and depth from unedited photos."""
 
     @abstractmethod
-    def match(self, views: Views) -> MatchedGeometry:
+    def match(self, views: Views) -> Geometry:
         """Geometry at the views' own resolution.
 
         Raises MatchingError when view 0 matches no other view.

@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.warping import nearest_views, shared_surface, warp
 
@@ -105,7 +105,7 @@ class _Pair:
         return float(torch.corrcoef(greys)[0, 1]) >= MIN_CORRELATION
 
 
-def estimate_light(views: Views, geometry: MatchedGeometry) -> Light | None:
+def estimate_light(views: Views, geometry: Geometry) -> Light | None:
     """Return the light of the photos; None where all have that of the reference.
 
     Two photos tell the ratio of their gains by the spread of the colours that they share, which
@@ -121,7 +121,7 @@ def estimate_light(views: Views, geometry: MatchedGeometry) -> Light | None:
 
 
 def _of_scene(
-    views: Views, geometry: MatchedGeometry, scene: int
+    views: Views, geometry: Geometry, scene: int
 ) -> tuple[Float[Tensor, "view 3"], Float[Tensor, "view 3"]]:
     """Gains and offsets of one scene of the batch."""
     count = views.count
@@ -215,7 +215,7 @@ def _reduced_size(views: Views) -> tuple[int, int]:
 
 
 def _shared(
-    views: Views, geometry: MatchedGeometry, scene: int, pair: list[int]
+    views: Views, geometry: Geometry, scene: int, pair: list[int]
 ) -> tuple[Float[Tensor, "pixel 3"], Float[Tensor, "pixel 3"]]:
     """Colours of the surfaces that two views surely show, as each shows them, on the CPU: what is
     settled from them is small. The geometry is at the reduced size.

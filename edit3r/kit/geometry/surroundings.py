@@ -14,7 +14,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.geometry.cameras import (
     from_pixels,
@@ -50,9 +50,7 @@ BLURS = 3  # passes of a 3x3 mean, in blocks
 FADING = 0.3
 
 
-def rim(
-    views: Views, geometry: MatchedGeometry, width: float, opacity: float
-) -> Gaussians:
+def rim(views: Views, geometry: Geometry, width: float, opacity: float) -> Gaussians:
     """Rims `width` (of the long side) wide around every registered view, in the colours of `views`.
 
     They fade to nothing outwards, so that the scene ends softly.
@@ -65,9 +63,7 @@ def rim(
     return _layer(wide, depths, geometry, opacity * fading * outside, RIM_FOOTPRINT)
 
 
-def background_layer(
-    views: Views, geometry: MatchedGeometry, opacity: float
-) -> Gaussians:
+def background_layer(views: Views, geometry: Geometry, opacity: float) -> Gaussians:
     """What lies behind depth edges and guessed depths of registered views, in `views`' colours.
 
     A guess in front of it may be faint without letting the empty background through.
@@ -98,7 +94,7 @@ def background_layer(
 
 def second_layer(
     views: Views,
-    geometry: MatchedGeometry,
+    geometry: Geometry,
     opacities: Float[Tensor, "batch view height width"],
     opacity: float,
 ) -> Gaussians:
@@ -143,7 +139,7 @@ def _block_means(
 
 def _hidden_layer(
     views: Views,
-    geometry: MatchedGeometry,
+    geometry: Geometry,
     opacity: float,
     footprint: float,
     depths: Float[Tensor, "batch view rows columns"],
@@ -166,7 +162,7 @@ def _hidden_layer(
 def _layer(
     coarse: Views,
     depths: Float[Tensor, "batch view rows columns"],
-    geometry: MatchedGeometry,
+    geometry: Geometry,
     opacities: Float[Tensor, "batch view rows columns"],
     footprint: float,
 ) -> Gaussians:
@@ -256,7 +252,7 @@ def _outside_all(
     wide: Views,
     depths: Float[Tensor, "batch view rows columns"],
     views: Views,
-    geometry: MatchedGeometry,
+    geometry: Geometry,
 ) -> Bool[Tensor, "batch view rows columns"]:
     """Blocks of registered views whose centre no registered view shows, their own among them."""
     points = unproject(depths, wide.intrinsics, geometry.c2w).flatten(2, 3)

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.geometry.maps import dilate
 
@@ -111,7 +111,7 @@ def warp(
 
 
 def contradicted(
-    geometry: MatchedGeometry, intrinsics: Float[Tensor, "batch view 3 3"]
+    geometry: Geometry, intrinsics: Float[Tensor, "batch view 3 3"]
 ) -> Bool[Tensor, "batch view height width"]:
     """Pixels that other registered views show better or see through.
 
@@ -148,7 +148,7 @@ def contradicted(
 
 
 def _better_measured(
-    geometry: MatchedGeometry,
+    geometry: Geometry,
 ) -> Bool[Tensor, "batch view view"]:
     """For each view that is mostly guessed the others of which clearly more was measured; none of
     two: what one of them guesses, nobody else shows.
@@ -159,7 +159,7 @@ def _better_measured(
     return several & (own < LITTLE_MEASURED) & (other > own + CLEARLY_MORE)
 
 
-def _near_views(geometry: MatchedGeometry) -> list[tuple[int, int]]:
+def _near_views(geometry: Geometry) -> list[tuple[int, int]]:
     """Each view with each other one, or with the `NEAR_VIEWS` nearest to it."""
     nearest = nearest_views(geometry.c2w, geometry.depths, NEAR_VIEWS)
     return [(view, other) for view, row in enumerate(nearest) for other in row]
@@ -249,7 +249,7 @@ def _seen_there(
 
 
 def seen_by_others(
-    geometry: MatchedGeometry, intrinsics: Float[Tensor, "batch view 3 3"]
+    geometry: Geometry, intrinsics: Float[Tensor, "batch view 3 3"]
 ) -> Bool[Tensor, "batch view height width"]:
     """Pixels whose point lies within the image of another registered view, whether hidden there or
     not.
@@ -263,7 +263,7 @@ def seen_by_others(
 
 def seen_by(
     points: Float[Tensor, "batch point 3"],
-    geometry: MatchedGeometry,
+    geometry: Geometry,
     intrinsics: Float[Tensor, "batch view 3 3"],
     view: int,
 ) -> Bool[Tensor, "batch point"]:

@@ -10,7 +10,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.geometry.maps import dilate
@@ -27,9 +27,7 @@ BLANK = 0.02  # standard deviation of colours [sRGB] below which a surface shows
 
 
 @torch.no_grad()
-def guessed_between(
-    geometry: MatchedGeometry, photos: Views
-) -> Float[Tensor, "batch view"]:
+def guessed_between(geometry: Geometry, photos: Views) -> Float[Tensor, "batch view"]:
     """For each photo the share of the view half-way to its nearest one that shows a pattern whose
     depth no photo measured; 1 for photos that were not placed, or alone.
     """
@@ -50,7 +48,7 @@ class _HalfWay:
     """The placed views of one scene, and what they show half-way between two of them."""
 
     def __init__(
-        self, geometry: MatchedGeometry, views: Views, scene: int, placed: list[int]
+        self, geometry: Geometry, views: Views, scene: int, placed: list[int]
     ) -> None:
         self.images = views.images[scene, placed]
         self.intrinsics = views.intrinsics[scene, placed]

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from edit3r.contract.errors import MatchingError
-from edit3r.contract.interfaces import MatchedGeometry, Matcher
+from edit3r.contract.interfaces import Geometry, Matcher
 from edit3r.contract.reporting import warn
 from edit3r.contract.types import Views
 from edit3r.kit.checks import check_geometry, errors_named_after
@@ -34,10 +34,10 @@ STOOD_STILL = (
 class Located:
     """What a matcher found of the photos, and why it is not to be selected by, if so."""
 
-    geometry: MatchedGeometry | None  # None: nobody looked, or it could not be found
+    geometry: Geometry | None  # None: nobody looked, or it could not be found
     problem: str = ""  # a clause; "": the geometry can be trusted
 
-    def told(self) -> MatchedGeometry | None:
+    def told(self) -> Geometry | None:
         """The geometry where it can be trusted; where it cannot, the user is told."""
         if self.problem:
             warn(f"selecting goes by what the photos show alone: {self.problem}")
@@ -65,7 +65,7 @@ def default_matcher(registry: Registry) -> Matcher | None:
     return choice and registry.build_choice("matcher", choice)
 
 
-def _has_depth(geometry: MatchedGeometry, views: Views) -> bool:
+def _has_depth(geometry: Geometry, views: Views) -> bool:
     """Whether, in every scene, photos were taken from places that lie apart.
 
     Where a camera stood still and somebody moved, poses are read from what moved: nearly all else
@@ -81,13 +81,13 @@ def _has_depth(geometry: MatchedGeometry, views: Views) -> bool:
     )
 
 
-def _motion(geometry: MatchedGeometry, views: Views, view: int, other: int) -> float:
+def _motion(geometry: Geometry, views: Views, view: int, other: int) -> float:
     """How far the middle one of all measured points of `view` lies elsewhere in `other`."""
     here, there = _places(geometry, views, view, other)
     return float(np.median(np.linalg.norm(there - here, axis=1))) if len(here) else 0.0
 
 
-def lies_flat(geometry: MatchedGeometry | None, views: Views) -> bool:
+def lies_flat(geometry: Geometry | None, views: Views) -> bool:
     """Whether one homography explains all that any two photos of the first scene share.
 
     So it is for a flat thing, and where the camera only turned. Neither tells the lens, and with a
@@ -120,7 +120,7 @@ def _on_one_plane(
 
 
 def _places(
-    geometry: MatchedGeometry, views: Views, view: int, other: int
+    geometry: Geometry, views: Views, view: int, other: int
 ) -> tuple[Float[np.ndarray, "point 2"], Float[np.ndarray, "point 2"]]:
     """Where the measured points of `view` lie in it, and in `other` [long sides]."""
     lens = geometry.calibrated(views).intrinsics
@@ -134,12 +134,12 @@ def _places(
     return (here * sides).numpy(force=True), (there * sides).numpy(force=True)
 
 
-def geometry_of(matcher: Matcher | None, views: Views) -> MatchedGeometry | None:
+def geometry_of(matcher: Matcher | None, views: Views) -> Geometry | None:
     """The geometry of the photos to select by; None, and said so, where it cannot be trusted."""
     return locate(matcher, views).told()
 
 
-def of_scene(geometry: MatchedGeometry, index: int) -> MatchedGeometry:
+def of_scene(geometry: Geometry, index: int) -> Geometry:
     """The geometry of one scene of a batch, as a batch of one."""
     one = slice(index, index + 1)
     lens = geometry.intrinsics

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import Marks, MatchedGeometry, Segmenter
+from edit3r.contract.interfaces import Geometry, Marks, Segmenter
 from edit3r.kit.geometry.cameras import pixel_grid, project, unproject
 
 SAME_SURFACE = 0.04
@@ -36,7 +36,7 @@ def points_of(marks: Marks) -> list[Point]:
 
 def seen_elsewhere(
     points: Sequence[Point],
-    geometry: MatchedGeometry,
+    geometry: Geometry,
     intrinsics: Float[Tensor, "1 view 3 3"],
     pair: tuple[int, int],
 ) -> Iterator[Point]:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.errors import InputError, PromptError
-from edit3r.contract.interfaces import MatchedGeometry, Segmenter
+from edit3r.contract.interfaces import Geometry, Segmenter
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Views
 from edit3r.contract.wishes import BENEATH, FLOOD, Change, Colour, Thing, Wish
@@ -53,7 +53,7 @@ class RegionFinder:
         self,
         views: Views,
         segmenter: Callable[[], Segmenter],
-        geometry: Callable[[], MatchedGeometry | None],
+        geometry: Callable[[], Geometry | None],
         marked: Selection | None = None,
         defaults: Selection = PLAIN,
         known: Mapping[str, Masks] | None = None,

@@ -20,8 +20,8 @@ from torch import Tensor
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
+    Geometry,
     Marks,
-    MatchedGeometry,
     Proposal,
     Relief,
     Segmenter,
@@ -203,7 +203,7 @@ def select_masks(
     images: Float[Tensor, "view 3 height width"],
     selection: Selection,
     segmenter: Segmenter,
-    geometry: MatchedGeometry | None = None,
+    geometry: Geometry | None = None,
     intrinsics: Float[Tensor, "1 view 3 3"] | None = None,
 ) -> Selected:
     """Find the chosen object on every view.
@@ -317,7 +317,7 @@ class _Work:
         images: Float[Tensor, "view 3 height width"],
         selection: Selection,
         segmenter: Segmenter,
-        geometry: MatchedGeometry | None,
+        geometry: Geometry | None,
         intrinsics: Float[Tensor, "1 view 3 3"] | None,
     ) -> None:
         self.images, self.selection = images, selection

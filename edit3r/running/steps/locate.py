@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.reporting import note, say, stage
 from edit3r.kit.geometry.cameras import field_of_view
 from edit3r.running.parts import Parts
@@ -33,8 +33,8 @@ def _by_exif(scene: Scene) -> bool:
 
 
 def _without_exif(
-    scene: Scene, geometry: MatchedGeometry | None, parts: Parts
-) -> tuple[Scene, MatchedGeometry | None]:
+    scene: Scene, geometry: Geometry | None, parts: Parts
+) -> tuple[Scene, Geometry | None]:
     """The photos as if nobody knew their lens, where that is how they fit together."""
     unknown = (True,) * scene.photos.count
     photos, start = (
@@ -51,7 +51,7 @@ def _without_exif(
     return replace(scene, photos=photos, start=start), found
 
 
-def _with_lens(scene: Scene, geometry: MatchedGeometry | None) -> Scene:
+def _with_lens(scene: Scene, geometry: Geometry | None) -> Scene:
     """The scene with what is not sure about its lens; `run.json` says who told the lens."""
     told = [record.intrinsics_source for record in scene.records]
     unknown = bool(scene.photos.assumed) and all(scene.photos.assumed)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import EditsRegions, MatchedGeometry, Reconstructor
+from edit3r.contract.interfaces import EditsRegions, Geometry, Reconstructor
 from edit3r.contract.reporting import stage, warn
 from edit3r.contract.types import Views
 from edit3r.contract.wishes import Thing, Wish
@@ -152,7 +152,7 @@ def _finder(index: int, scene: Scene, parts: Parts) -> RegionFinder:
     )
 
 
-def _geometry(index: int, scene: Scene, parts: Parts) -> MatchedGeometry | None:
+def _geometry(index: int, scene: Scene, parts: Parts) -> Geometry | None:
     """What is known of one scene's unedited photos, where it can be trusted."""
     geometry = parts.located(scene.photos).told()
     return None if geometry is None else of_scene(geometry, index)

@@ -12,7 +12,7 @@ from safetensors.torch import save
 
 import edit3r
 from edit3r import Settings
-from edit3r.contract.interfaces import MatchedGeometry, Proposal, Tracks
+from edit3r.contract.interfaces import Geometry, Proposal, Tracks
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.cache import Cache, fingerprint, identity, remembered, using
 from edit3r_testing import second_device
@@ -105,9 +105,7 @@ GAUSSIANS = Gaussians(
     torch.rand(1, 5, 1, 3),
 )
 ANSWERS = {
-    "geometry": MatchedGeometry(
-        torch.rand(1, 2, 4, 4), MAPS, MAPS, torch.ones(1, 2) > 0
-    ),
+    "geometry": Geometry(torch.rand(1, 2, 4, 4), MAPS, MAPS, torch.ones(1, 2) > 0),
     "proposals": (Proposal(torch.rand(3, 3), 0.5, 0.25, 1.0, (0.0, 1.0, 2.0, 3.0)),),
     "no proposals": (),
     "cannot read": None,

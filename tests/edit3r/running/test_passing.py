@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.running.passing import _grown, passing, without_passing
@@ -22,7 +22,7 @@ def as_seen(views, unmeasured=True):
     confidence = torch.ones_like(SCENE.depths)
     if unmeasured:
         confidence[THING] = 0
-    geometry = MatchedGeometry(
+    geometry = Geometry(
         SCENE.cameras.c2w,
         SCENE.depths,
         confidence,
@@ -64,7 +64,7 @@ def test_guesses_that_agree_tell_of_a_place_only_among_three_photos(count, told)
     everywhere = torch.ones(1, count, dtype=torch.bool)
     guessed = torch.zeros_like(scene.depths)
     guessed[..., 80:] = 1  # but for a stripe
-    geometry = MatchedGeometry(scene.cameras.c2w, scene.depths, guessed, everywhere)
+    geometry = Geometry(scene.cameras.c2w, scene.depths, guessed, everywhere)
     found = passing(geometry, replace(scene.views, images=images))
     assert (found is not None) == told
 
@@ -78,7 +78,7 @@ def test_of_many_photos_three_must_show_what_lies_behind(telling, found):
     confidence[:, [1, *telling]] = 1
     confidence[THING] = 0
     everywhere = torch.ones(1, 5, dtype=torch.bool)
-    geometry = MatchedGeometry(scene.cameras.c2w, scene.depths, confidence, everywhere)
+    geometry = Geometry(scene.cameras.c2w, scene.depths, confidence, everywhere)
     seen = passing(geometry, replace(scene.views, images=images))
     assert (seen is not None) == found
 

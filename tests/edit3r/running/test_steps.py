@@ -13,7 +13,7 @@ from edit3r.contract.errors import InputError, PluginError, SettingsError
 from edit3r.contract.interfaces import (
     Editor,
     EditsViews,
-    MatchedGeometry,
+    Geometry,
     Reconstructor,
 )
 from edit3r.contract.reporting import Report
@@ -443,7 +443,7 @@ class Matched(Flat):
         depths = self.scene.depths
         placed = torch.ones(depths.shape[:2], dtype=torch.bool)
         sure = torch.ones_like(depths)
-        return MatchedGeometry(self.scene.cameras.c2w, depths, sure, placed)
+        return Geometry(self.scene.cameras.c2w, depths, sure, placed)
 
     def __call__(self, views, source=None, grid=None):
         self.given.append((views, source))

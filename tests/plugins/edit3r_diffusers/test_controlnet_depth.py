@@ -7,7 +7,7 @@ import torch
 
 import edit3r
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import MatchedGeometry, Matcher
+from edit3r.contract.interfaces import Geometry, Matcher
 
 pytestmark = pytest.mark.slow
 
@@ -27,7 +27,7 @@ class SlopeMatcher(Matcher):
             batch, count, height, width
         )
         pose = torch.eye(4).expand(batch, count, 4, 4)
-        return MatchedGeometry(
+        return Geometry(
             pose,
             depths,
             torch.ones_like(depths),

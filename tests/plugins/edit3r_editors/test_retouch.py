@@ -8,7 +8,7 @@ from edit3r_editors.retouch import RetouchEditor, _inpainted, _spanned, standing
 
 import edit3r
 from edit3r.contract.errors import InputError, MatchingError
-from edit3r.contract.interfaces import MatchedGeometry, Matcher, Reconstructor
+from edit3r.contract.interfaces import Geometry, Matcher, Reconstructor
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
@@ -18,7 +18,7 @@ SIZE, WALL, BOARD, STEP = 64, 4.0, 2.0, 0.5
 """A striped wall, a board before it, and a second camera that stands to the right of the first."""
 
 
-def _scene() -> tuple[Views, torch.Tensor, torch.Tensor, MatchedGeometry]:
+def _scene() -> tuple[Views, torch.Tensor, torch.Tensor, Geometry]:
     """Two views of wall and board, the same without the board, where the board is, and the true
     geometry.
     """
@@ -40,7 +40,7 @@ def _scene() -> tuple[Views, torch.Tensor, torch.Tensor, MatchedGeometry]:
     c2w = torch.eye(4).repeat(1, 2, 1, 1)
     c2w[0, 1, 0, 3] = STEP
     depths = torch.stack(depths)[None]
-    geometry = MatchedGeometry(
+    geometry = Geometry(
         c2w, depths, torch.ones_like(depths), torch.ones(1, 2, dtype=torch.bool)
     )
     views = Views(torch.stack(images)[None], k.expand(1, 2, 3, 3), ("left", "right"))
@@ -48,17 +48,17 @@ def _scene() -> tuple[Views, torch.Tensor, torch.Tensor, MatchedGeometry]:
 
 
 class _Known(Matcher):
-    def __init__(self, geometry: MatchedGeometry | None) -> None:
+    def __init__(self, geometry: Geometry | None) -> None:
         self.geometry = geometry
 
-    def match(self, views: Views) -> MatchedGeometry:
+    def match(self, views: Views) -> Geometry:
         if self.geometry is None:
             raise MatchingError("too few matches.")
         return self.geometry
 
 
 def _retouched(
-    geometry: MatchedGeometry | None, views: Views, masks: torch.Tensor
+    geometry: Geometry | None, views: Views, masks: torch.Tensor
 ) -> tuple[torch.Tensor, Report]:
     editor = RetouchEditor(RetouchEditor.Settings(), _Known(geometry))
     with collecting(Report()) as report:
@@ -108,7 +108,7 @@ def test_what_one_of_three_photos_shows_against_its_own_depth_is_not_believed():
         views.intrinsics[:, :1].expand(1, 3, 3, 3),
     )
     masks = torch.cat((masks, torch.zeros_like(masks[:, :1])), 1)
-    known = MatchedGeometry(
+    known = Geometry(
         c2w, depths, torch.ones_like(depths), torch.ones(1, 3, dtype=torch.bool)
     )
     doubtful = replace(

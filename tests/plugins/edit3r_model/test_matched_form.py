@@ -17,7 +17,7 @@ from edit3r_model.small_head import (
 )
 from edit3r_recolor.paint import paint
 
-from edit3r.contract.interfaces import MatchedGeometry, Matcher
+from edit3r.contract.interfaces import Geometry, Matcher
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.loading.registry import build
@@ -33,12 +33,12 @@ class TrueGeometry(Matcher):
     def __init__(self, **changes) -> None:
         self.changes = changes
 
-    def match(self, views: Views) -> MatchedGeometry:
+    def match(self, views: Views) -> Geometry:
         count = views.count
         depths = SCENE.depths[:, :count]
         seen = torch.ones(1, count, dtype=torch.bool)
         c2w = SCENE.cameras.c2w[:, :count]
-        geometry = MatchedGeometry(c2w, depths, torch.ones_like(depths), seen)
+        geometry = Geometry(c2w, depths, torch.ones_like(depths), seen)
         return replace(geometry, **self.changes)
 
 

@@ -19,7 +19,7 @@ from edit3r_training.validation import held_out_batches, held_out_measures
 from edit3r.contract.errors import MatchingError, PluginError, SettingsError
 from edit3r.contract.interfaces import (
     Dataset,
-    MatchedGeometry,
+    Geometry,
     Matcher,
     Reconstructor,
     TrainingJob,
@@ -87,7 +87,7 @@ class _TrueMatcher(Matcher):
             raise MatchingError("nothing matches.")
         cameras, depths = self.sample.context_cameras, self.sample.context_depths[None]
         c2w = scale_poses(cameras.c2w, torch.full((1, 1), 3.0))
-        return MatchedGeometry(
+        return Geometry(
             c2w, 3 * depths, torch.ones_like(depths), torch.ones(1, 2, dtype=torch.bool)
         )
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.light import estimate_light
 from edit3r_testing import photograph
@@ -15,8 +15,8 @@ GAINS = torch.tensor([[1.0, 1.0, 1.0], [0.7, 0.65, 0.75], [0.8, 0.9, 0.85]])
 OFFSETS = torch.tensor([[0.0, 0.0, 0.0], [0.05, 0.04, 0.05], [0.1, 0.02, 0.0]])
 
 
-def _geometry(registered: tuple[bool, ...] = (True, True, True)) -> MatchedGeometry:
-    return MatchedGeometry(
+def _geometry(registered: tuple[bool, ...] = (True, True, True)) -> Geometry:
+    return Geometry(
         SCENE.cameras.c2w,
         SCENE.depths,
         torch.ones_like(SCENE.depths),
@@ -94,7 +94,7 @@ def test_each_scene_of_a_batch_has_its_own_light():
         for name in ("c2w", "depths", "confidence", "registered")
         if (value := getattr(geometry, name)) is not None
     }
-    light = estimate_light(both, MatchedGeometry(**twice))
+    light = estimate_light(both, Geometry(**twice))
     assert bool((light.gain[0] == 1).all()) and bool((light.gain[1, 1:] != 1).all())
 
 

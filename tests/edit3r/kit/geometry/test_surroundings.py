@@ -5,7 +5,7 @@ import dataclasses
 import pytest
 import torch
 
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.geometry.surroundings import background_layer, rim, second_layer
@@ -20,7 +20,7 @@ def pair():
 @pytest.fixture
 def truth(pair):
     confidence = torch.ones_like(pair.depths)
-    return MatchedGeometry(
+    return Geometry(
         pair.cameras.c2w, pair.depths, confidence, torch.ones(1, 2, dtype=torch.bool)
     )
 

@@ -3,7 +3,7 @@ import dataclasses
 import pytest
 import torch
 
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.kit.geometry.cameras import unproject
 from edit3r.kit.geometry.warping import (
     contradicted,
@@ -58,7 +58,7 @@ def test_points_behind_the_partner_are_outside_and_finite():
 @pytest.fixture
 def truth():
     registered = torch.ones(1, 2, dtype=torch.bool)
-    return MatchedGeometry(
+    return Geometry(
         SCENE.cameras.c2w, SCENE.depths, torch.ones_like(SCENE.depths), registered
     )
 
@@ -78,7 +78,7 @@ def test_what_was_measured_falls_only_where_more_views_see_through_it_than_confi
     scene = photograph(3, (48, 64))
     depths = scene.depths.clone()
     depths[0, 0, 20:26, 30:36] *= 0.5
-    geometry = MatchedGeometry(
+    geometry = Geometry(
         scene.cameras.c2w,
         depths,
         torch.ones_like(depths),
@@ -99,7 +99,7 @@ def test_guesses_of_a_mostly_guessed_view_fall_where_two_better_measured_ones_lo
     depths, confidence = scene.depths.clone(), torch.ones_like(scene.depths)
     depths[:, 0, :guessed_rows] *= 1.3
     confidence[:, 0, :guessed_rows] = 0
-    geometry = MatchedGeometry(
+    geometry = Geometry(
         scene.cameras.c2w, depths, confidence, torch.ones(1, views, dtype=torch.bool)
     )
     found = contradicted(geometry, scene.views.intrinsics)[:, 0, :guessed_rows]

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from edit3r import Component, hookimpl
 from edit3r.contract import settings as config
-from edit3r.contract.interfaces import Editor, MatchedGeometry, Matcher, Reconstructor
+from edit3r.contract.interfaces import Editor, Geometry, Matcher, Reconstructor
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.cache import remembered
@@ -61,14 +61,12 @@ class PlantedMatcher(Matcher):
         self.settings = settings
 
     @remembered
-    def match(self, views: Views) -> MatchedGeometry:
+    def match(self, views: Views) -> Geometry:
         CALLS.append("match")
         scene = photograph(views.count, SIZE)
         depths = self.settings.depth * scene.depths
         registered = torch.ones(1, views.count, dtype=torch.bool)
-        return MatchedGeometry(
-            scene.cameras.c2w, depths, torch.ones_like(depths), registered
-        )
+        return Geometry(scene.cameras.c2w, depths, torch.ones_like(depths), registered)
 
 
 class PlantedReconstructor(Reconstructor):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.running.judging.between import guessed_between
 from edit3r_testing import photograph
 
@@ -18,7 +18,7 @@ def shares(guessing, images=PATTERN, registered=(True, True, True)):
     """What is guessed half-way where those photos measured nothing in their left halves."""
     confidence = torch.ones_like(SCENE.depths)
     confidence[:, list(guessing), :, :32] = 0
-    geometry = MatchedGeometry(
+    geometry = Geometry(
         SCENE.cameras.c2w, SCENE.depths, confidence, torch.tensor([registered])
     )
     return guessed_between(geometry, replace(SCENE.views, images=images))[0].tolist()

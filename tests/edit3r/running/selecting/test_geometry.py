@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from edit3r.contract.errors import MatchingError, PluginError
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.running.selecting.geometry import (
     geometry_of,
     lies_flat,
@@ -21,7 +21,7 @@ SCENE = photograph(3, (48, 64), batch=2)
 def true_geometry(scene=SCENE):
     placed = torch.ones(scene.depths.shape[:2], dtype=torch.bool)
     sure = torch.ones_like(scene.depths)
-    return MatchedGeometry(scene.cameras.c2w, scene.depths, sure, placed)
+    return Geometry(scene.cameras.c2w, scene.depths, sure, placed)
 
 
 class Knows:
@@ -108,7 +108,7 @@ LENS = SCENE.views.intrinsics
         (seen(intrinsics=LENS[:, :1]), "must return intrinsics of shape"),
         (seen(lenses=5), "must return lenses as two angles"),
         (ValueError("no luck"), "raised ValueError: no luck"),
-        (None, "must return edit3r.MatchedGeometry, got NoneType"),
+        (None, "must return edit3r.Geometry, got NoneType"),
         (
             replace(true_geometry(), depths=true_geometry().depths.double()),
             "must return depths in torch.float32",

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from edit3r.contract.interfaces import MatchedGeometry, Proposal, Segmenter, Tracks
+from edit3r.contract.interfaces import Geometry, Proposal, Segmenter, Tracks
 from edit3r.running.selecting.obeying import (
     Point,
     joined_change,
@@ -16,7 +16,7 @@ from edit3r_testing.scenes import photograph
 SCENE = photograph(3, (48, 64))
 VIEWS = SCENE.views
 FIRST, SECOND = SCENE.objects[0, 0] > 0.5, SCENE.objects[1, 0] > 0.5  # [view, h, w]
-GEOMETRY = MatchedGeometry(
+GEOMETRY = Geometry(
     SCENE.cameras.c2w,
     SCENE.depths,
     torch.ones_like(SCENE.depths),
@@ -71,9 +71,7 @@ def test_a_point_is_seen_where_the_same_surface_is_shown_and_nowhere_else():
     assert back.place == pytest.approx(on_first.place, abs=0.02)
     hidden = GEOMETRY.depths.clone()
     hidden[0, 1] *= 0.5  # something stands before all of it
-    behind = MatchedGeometry(
-        GEOMETRY.c2w, hidden, GEOMETRY.confidence, GEOMETRY.registered
-    )
+    behind = Geometry(GEOMETRY.c2w, hidden, GEOMETRY.confidence, GEOMETRY.registered)
     assert not list(seen_elsewhere([on_first], behind, VIEWS.intrinsics, (0, 1)))
 
 

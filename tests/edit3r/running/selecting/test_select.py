@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import MatchedGeometry, Proposal, Segmenter, Tracks
+from edit3r.contract.interfaces import Geometry, Proposal, Segmenter, Tracks
 from edit3r.running.selecting.select import Selection, select_masks
 from edit3r_testing.scenes import photograph
 
@@ -141,7 +141,7 @@ def test_a_lost_object_is_told():
 def test_photos_of_one_surface_agree_what_belongs_to_the_thing(measured):
     ones = torch.ones(1, 2, 24, 32)
     c2w, placed = torch.eye(4).expand(1, 2, 4, 4), torch.ones(1, 2, dtype=torch.bool)
-    geometry = MatchedGeometry(c2w, 2 * ones, measured * ones, placed)
+    geometry = Geometry(c2w, 2 * ones, measured * ones, placed)
     lenses = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
     own = [square(9, 8) > 0.5, square(9, 19) > 0.5]
     images = torch.stack([one.expand(3, -1, -1).float() for one in own])
@@ -155,7 +155,7 @@ def test_photos_of_one_surface_agree_what_belongs_to_the_thing(measured):
 def test_geometry_carries_before_pictures_do():
     scene = photograph(2, (48, 64))
     views = scene.views
-    geometry = MatchedGeometry(
+    geometry = Geometry(
         scene.cameras.c2w,
         scene.depths,
         torch.ones_like(scene.depths),
@@ -191,7 +191,7 @@ def told_by_half_a_photo(count):
     scene = photograph(3, (48, 64))
     depths = scene.depths[:, :count].clone()
     depths[:, 0, :, 32:] = 0
-    geometry = MatchedGeometry(
+    geometry = Geometry(
         scene.cameras.c2w[:, :count],
         depths,
         torch.ones_like(depths),

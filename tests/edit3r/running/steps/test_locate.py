@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from edit3r.contract.interfaces import MatchedGeometry
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
 from edit3r.running.scene import Scene
@@ -19,7 +19,7 @@ PHOTOS = Views(torch.rand(1, 2, 3, 8, 8), K)
 def geometry(**fields):
     ones = torch.ones(1, 2, 8, 8)
     poses = torch.eye(4).expand(1, 2, 4, 4)
-    return MatchedGeometry(poses, ones, ones, torch.ones(1, 2).bool(), **fields)
+    return Geometry(poses, ones, ones, torch.ones(1, 2).bool(), **fields)
 
 
 def located(source, known, unknown):

@@ -70,7 +70,7 @@ def register_matchers():
     return [
         Component(
             "classical",
-            "edit3r_matching.matchers:ClassicalMatcher",
+            "edit3r_geometry.matchers:ClassicalMatcher",
             "relative poses by rootSIFT and essential matrices, depths by plane sweep and "
             "semi-global aggregation",
             min_views=2,
@@ -78,7 +78,7 @@ def register_matchers():
         ),
         Component(
             "posed",
-            "edit3r_matching.matchers:PosedMatcher",
+            "edit3r_geometry.matchers:PosedMatcher",
             "depth by plane sweep from the poses that the views carry; without poses, what its "
             "matcher says",
             parts=("matcher",),
@@ -86,7 +86,7 @@ def register_matchers():
         ),
         Component(
             "da3",
-            "edit3r_matching.depth_anything_3:DepthAnything3Matcher",
+            "edit3r_geometry.depth_anything_3:DepthAnything3Matcher",
             "Depth Anything 3: poses, field of view and depths by one network; needs weights "
             "(0.1 or 0.5 GB)",
             requires=("depth_anything_3", "omegaconf", "antlr4", "addict", "einops"),
@@ -103,7 +103,7 @@ def register_matchers():
         ),
         Component(
             "auto",
-            "edit3r_matching.matchers:AutoMatcher",
+            "edit3r_geometry.matchers:AutoMatcher",
             "the best at hand: da3 with base, then small weights, else its matcher (classical); "
             "never downloads",
             parts=("matcher",),
@@ -117,7 +117,7 @@ def register_reconstructors():
     return [
         Component(
             "classical",
-            "edit3r_matching.reconstructor:ClassicalReconstructor",
+            "edit3r_geometry.reconstructor:ClassicalReconstructor",
             "one Gaussian a pixel at the depth a matcher measured; no learned weights",
             parts=("matcher",),
             min_views=2,

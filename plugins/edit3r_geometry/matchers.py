@@ -16,7 +16,7 @@ from edit3r import build, default_registry
 from edit3r.contract import reporting, settings as config
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import MatchingError
-from edit3r.contract.interfaces import MatchedGeometry, Matcher
+from edit3r.contract.interfaces import Geometry, Matcher
 from edit3r.contract.lens import Lens
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
@@ -24,22 +24,22 @@ from edit3r.kit.cache import fingerprint, identity, remembered
 from edit3r.kit.checks import require_matchable
 from edit3r.kit.geometry.cameras import from_pixels, relative_to_first
 from edit3r.kit.geometry.light import in_own_light
-from edit3r_matching.calibration import (
+from edit3r_geometry.calibration import (
     PREFERENCE,
     WIDE_PREFERENCE,
     calibrate,
     contradiction,
 )
-from edit3r_matching.cameras import CalibratedImage, Pose, calibrated_images
-from edit3r_matching.depth_maps import DepthSettings, measure_depths
-from edit3r_matching.features import (
+from edit3r_geometry.cameras import CalibratedImage, Pose, calibrated_images
+from edit3r_geometry.depth_maps import DepthSettings, measure_depths
+from edit3r_geometry.features import (
     FeatureSettings,
     FoundFeatures,
     find_features,
     with_tilted,
 )
-from edit3r_matching.pairs import NEARLY_ALL, agreeing_pairs, on_a_plane
-from edit3r_matching.registration import Registration, register
+from edit3r_geometry.pairs import NEARLY_ALL, agreeing_pairs, on_a_plane
+from edit3r_geometry.registration import Registration, register
 
 __all__ = ["AutoMatcher", "ClassicalMatcher", "PosedMatcher"]
 
@@ -90,7 +90,7 @@ class ClassicalMatcher(Matcher):
         self.settings = settings
 
     @remembered
-    def match(self, views: Views) -> MatchedGeometry:
+    def match(self, views: Views) -> Geometry:
         require_matchable(views, MIN_SIZE)
         scenes = [
             self._match_scene(views, scene) for scene in range(views.images.shape[0])
@@ -101,7 +101,7 @@ class ClassicalMatcher(Matcher):
             torch.stack(field).to(views.images.device)
             for field in (*measured, intrinsics)
         )
-        return MatchedGeometry(
+        return Geometry(
             *measured,
             None if known else intrinsics,
             next(filter(None, lenses), None),
@@ -117,7 +117,7 @@ class ClassicalMatcher(Matcher):
     def lens(self, views: Views) -> Lens | None:
         if views.count < 3 or len(views.images) > 1 or not self._reads_fov(views):
             return None
-        from edit3r_matching.bundle_adjustment import fit_distortion
+        from edit3r_geometry.bundle_adjustment import fit_distortion
 
         try:
             found = _registered(_Asked.of(self, views, 0))
@@ -144,7 +144,7 @@ class ClassicalMatcher(Matcher):
         return Lens((fx, fy), (cx, cy), (radial, 0.0, 0.0, 0.0, 0.0))
 
     def _match_scene(self, views: Views, scene: int) -> tuple[Any, ...]:
-        """Fields of `MatchedGeometry` of one scene: poses, depths, confidence, registered flags,
+        """Fields of `Geometry` of one scene: poses, depths, confidence, registered flags,
         intrinsics, lenses, and the field of view that the matches tell.
         """
         unknown = self._reads_fov(views)
@@ -321,7 +321,7 @@ class PosedMatcher(Matcher):
         self.settings, self.matcher = settings, matcher
 
     @remembered
-    def match(self, views: Views) -> MatchedGeometry:
+    def match(self, views: Views) -> Geometry:
         if views.c2w is None:
             return self.matcher.match(views)
         poses = relative_to_first(views.c2w.detach().double().cpu())
@@ -331,7 +331,7 @@ class PosedMatcher(Matcher):
         ]
         parts = (torch.stack(field).to(views.images.device) for field in zip(*scenes))
         poses, depths, confidence, registered = parts
-        return MatchedGeometry(poses.to(views.images), depths, confidence, registered)
+        return Geometry(poses.to(views.images), depths, confidence, registered)
 
     def _match_scene(
         self, views: Views, scene: int, c2w: Float[Tensor, "view 4 4"]
@@ -364,7 +364,7 @@ class PosedMatcher(Matcher):
         """The poses settled on what the photos have in common; the first, and the unit of length,
         stay.
         """
-        from edit3r_matching.bundle_adjustment import adjust
+        from edit3r_geometry.bundle_adjustment import adjust
 
         points, limit = (
             [keypoints.points for keypoints in features.keypoints],
@@ -431,7 +431,7 @@ class AutoMatcher(Matcher):
     def lens(self, views: Views) -> Lens | None:
         return self.matcher.lens(views)
 
-    def match(self, views: Views) -> MatchedGeometry:
+    def match(self, views: Views) -> Geometry:
         pick, name = self.settings.pick, component_name(self.matcher)
         reporting.say("matcher.picked", name if pick == "part" else f"{name} ({pick})")
         return self.matcher.match(views)

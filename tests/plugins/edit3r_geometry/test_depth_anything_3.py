@@ -11,7 +11,7 @@ import json
 
 import pytest
 import torch
-from edit3r_matching import depth_anything_3
+from edit3r_geometry import depth_anything_3
 from safetensors.torch import save_file
 from torch import nn
 

@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from edit3r_matching import depth_maps
-from edit3r_matching.cameras import CalibratedImage, Pose
-from edit3r_matching.completion import (
+from edit3r_geometry import depth_maps
+from edit3r_geometry.cameras import CalibratedImage, Pose
+from edit3r_geometry.completion import (
     confirmed,
     fill,
     main_plane,
@@ -14,21 +14,21 @@ from edit3r_matching.completion import (
     push_back,
     without_speckles,
 )
-from edit3r_matching.depth_maps import (
+from edit3r_geometry.depth_maps import (
     DepthSettings,
     _before_skies,
     _with_coarse,
     inverse_depth_range,
 )
-from edit3r_matching.plane_sweep import (
+from edit3r_geometry.plane_sweep import (
     Neighbour,
     RawDepth,
     matching_cost,
     plane_inverse_depths,
 )
-from edit3r_matching.registration import Registration
-from edit3r_matching.relative_pose import Matches
-from edit3r_matching.semi_global import SMALL_STEP, _jump_costs, aggregate, best_plane
+from edit3r_geometry.registration import Registration
+from edit3r_geometry.relative_pose import Matches
+from edit3r_geometry.semi_global import SMALL_STEP, _jump_costs, aggregate, best_plane
 
 SIZE = (48, 64)
 INTRINSICS = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])

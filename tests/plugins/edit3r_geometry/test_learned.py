@@ -5,11 +5,11 @@ ones are.
 import numpy as np
 import pytest
 import torch
-from edit3r_matching import features
-from edit3r_matching.cameras import calibrated_images
-from edit3r_matching.features import FeatureSettings, find_features
-from edit3r_matching.keypoints import Keypoints
-from edit3r_matching.learned import LearnedFeatures
+from edit3r_geometry import features
+from edit3r_geometry.cameras import calibrated_images
+from edit3r_geometry.features import FeatureSettings, find_features
+from edit3r_geometry.keypoints import Keypoints
+from edit3r_geometry.learned import LearnedFeatures
 
 from edit3r.contract.errors import InputError, MissingDependencyError
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from edit3r.kit.geometry.quiet_pycolmap import pycolmap
-from edit3r_matching.cameras import Pose, cross_matrix, triangulate
+from edit3r_geometry.cameras import Pose, cross_matrix, triangulate
 
 __all__ = [
     "Matches",

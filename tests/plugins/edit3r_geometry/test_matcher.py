@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from edit3r_matching import matchers
+from edit3r_geometry import matchers
 
 import edit3r
 from edit3r import Views

@@ -7,7 +7,7 @@ from edit3r_measure.novel_view import best_blurred_copy
 import edit3r
 from edit3r import Cameras, Views
 from edit3r.contract.errors import MatchingError
-from edit3r.contract.interfaces import MatchedGeometry, Matcher
+from edit3r.contract.interfaces import Geometry, Matcher
 from edit3r.kit.compute.likeness import psnr
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.harmonics import dc_to_colour
@@ -30,7 +30,7 @@ class KnownGeometry(Matcher):
 @pytest.fixture
 def truth(pair):
     depths = torch.from_numpy(pair.depths).float()[None]
-    return MatchedGeometry(
+    return Geometry(
         torch.from_numpy(pair.c2w).float()[None],
         depths,
         torch.ones_like(depths),

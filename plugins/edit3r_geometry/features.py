@@ -18,10 +18,10 @@ from pydantic import Field
 from edit3r.contract import settings as config
 from edit3r.contract.reporting import track
 from edit3r.kit.weights.find import at_hand, find
-from edit3r_matching import ALIKED
-from edit3r_matching.cameras import CalibratedImage, rays_through
-from edit3r_matching.keypoints import Keypoints
-from edit3r_matching.relative_pose import Matches
+from edit3r_geometry import ALIKED
+from edit3r_geometry.cameras import CalibratedImage, rays_through
+from edit3r_geometry.keypoints import Keypoints
+from edit3r_geometry.relative_pose import Matches
 
 __all__ = [
     "ENOUGH_MATCHES",
@@ -279,7 +279,7 @@ def _with_learned(
 ) -> FoundFeatures:
     """Add learned matches of `pairs` to those `found`; `folder` holds the weights."""
     # kornia's networks load only where they are used
-    from edit3r_matching.learned import LearnedFeatures
+    from edit3r_geometry.learned import LearnedFeatures
 
     networks = LearnedFeatures.load(folder, settings.learned_keypoints)
     views = sorted({view for pair in pairs for view in pair})

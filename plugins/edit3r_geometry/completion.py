@@ -10,8 +10,8 @@ from jaxtyping import Bool, Float
 
 from edit3r.kit.compute.compiling import compiled
 from edit3r.kit.compute.smoothing import weighted_smooth
-from edit3r_matching.cameras import CalibratedImage, pixel_rays, project
-from edit3r_matching.plane_sweep import Neighbour, RawDepth
+from edit3r_geometry.cameras import CalibratedImage, pixel_rays, project
+from edit3r_geometry.plane_sweep import Neighbour, RawDepth
 
 __all__ = [
     "confirmed",

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
-from edit3r_matching.cameras import CalibratedImage, Pose, pixel_rays
-from edit3r_matching.ground import Ground, above_ground, find_ground
-from edit3r_matching.plane_sweep import RawDepth
+from edit3r_geometry.cameras import CalibratedImage, Pose, pixel_rays
+from edit3r_geometry.ground import Ground, above_ground, find_ground
+from edit3r_geometry.plane_sweep import RawDepth
 
 SIZE = (48, 64)
 INTRINSICS = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])

@@ -3,10 +3,10 @@
 import cv2
 import numpy as np
 import pytest
-from edit3r_matching import registration
-from edit3r_matching.cameras import CalibratedImage, Pose, project
-from edit3r_matching.features import FoundFeatures
-from edit3r_matching.keypoints import Keypoints
+from edit3r_geometry import registration
+from edit3r_geometry.cameras import CalibratedImage, Pose, project
+from edit3r_geometry.features import FoundFeatures
+from edit3r_geometry.keypoints import Keypoints
 
 from edit3r.contract.errors import MatchingError
 

@@ -12,24 +12,24 @@ from pydantic import Field
 
 from edit3r.contract import reporting, settings as config
 from edit3r.kit.geometry.maps import upsample_depth
-from edit3r_matching.cameras import CalibratedImage
-from edit3r_matching.completion import (
+from edit3r_geometry.cameras import CalibratedImage
+from edit3r_geometry.completion import (
     confirmed,
     fill,
     pull_forward,
     push_back,
     without_speckles,
 )
-from edit3r_matching.ground import above_ground, find_ground
-from edit3r_matching.plane_sweep import (
+from edit3r_geometry.ground import above_ground, find_ground
+from edit3r_geometry.plane_sweep import (
     Neighbour,
     RawDepth,
     matching_cost,
     plane_inverse_depths,
 )
-from edit3r_matching.registration import Registration
-from edit3r_matching.semi_global import aggregate, best_plane
-from edit3r_matching.sky import coloured_like_sky, find_skies
+from edit3r_geometry.registration import Registration
+from edit3r_geometry.semi_global import aggregate, best_plane
+from edit3r_geometry.sky import coloured_like_sky, find_skies
 
 __all__ = ["DepthSettings", "inverse_depth_range", "measure_depths", "sweep_depth"]
 

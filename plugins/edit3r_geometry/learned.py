@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from edit3r.contract.errors import InputError
-from edit3r_matching.keypoints import Keypoints
+from edit3r_geometry.keypoints import Keypoints
 
 _PREFIX = "matcher."
 

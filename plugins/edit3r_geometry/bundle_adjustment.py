@@ -16,7 +16,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from edit3r.kit.geometry.quiet_pycolmap import pycolmap
-from edit3r_matching.cameras import (
+from edit3r_geometry.cameras import (
     CalibratedImage,
     Pose,
     parallax_degrees,
@@ -24,7 +24,7 @@ from edit3r_matching.cameras import (
     rays_through,
     triangulate,
 )
-from edit3r_matching.pairs import MIN_PARALLAX
+from edit3r_geometry.pairs import MIN_PARALLAX
 
 __all__ = ["adjust"]
 

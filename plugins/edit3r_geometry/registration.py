@@ -13,16 +13,16 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from edit3r.contract.errors import MatchingError
-from edit3r_matching.cameras import CalibratedImage, Pose, triangulate
-from edit3r_matching.features import MAX_LEARNED, FoundFeatures
-from edit3r_matching.pairs import (
+from edit3r_geometry.cameras import CalibratedImage, Pose, triangulate
+from edit3r_geometry.features import MAX_LEARNED, FoundFeatures
+from edit3r_geometry.pairs import (
     MIN_LOG_EVIDENCE,
     MIN_PARALLAX,
     PairView,
     agreeing_pairs,
     cells,
 )
-from edit3r_matching.relative_pose import MIN_INLIERS, log_chance, support
+from edit3r_geometry.relative_pose import MIN_INLIERS, log_chance, support
 
 __all__ = ["Registration", "register"]
 
@@ -296,7 +296,7 @@ class _IncrementalRegistration:
         )
         if len(poses) < 3:
             return found
-        from edit3r_matching.bundle_adjustment import (  # a pair does without
+        from edit3r_geometry.bundle_adjustment import (  # a pair does without
             FIRST_TRACKS,
             MOST_TRACKS,
             adjust,

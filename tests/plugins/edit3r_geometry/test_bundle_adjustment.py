@@ -10,13 +10,13 @@ from itertools import combinations
 import cv2
 import numpy as np
 import pytest
-from edit3r_matching import bundle_adjustment, registration
-from edit3r_matching.bundle_adjustment import adjust, fit_distortion, join_tracks
-from edit3r_matching.cameras import CalibratedImage, Pose, project, rays_through
-from edit3r_matching.features import FoundFeatures
-from edit3r_matching.keypoints import Keypoints
-from edit3r_matching.pairs import PairView, agreeing_pairs
-from edit3r_matching.relative_pose import Matches
+from edit3r_geometry import bundle_adjustment, registration
+from edit3r_geometry.bundle_adjustment import adjust, fit_distortion, join_tracks
+from edit3r_geometry.cameras import CalibratedImage, Pose, project, rays_through
+from edit3r_geometry.features import FoundFeatures
+from edit3r_geometry.keypoints import Keypoints
+from edit3r_geometry.pairs import PairView, agreeing_pairs
+from edit3r_geometry.relative_pose import Matches
 
 from edit3r.contract.errors import MatchingError
 
@@ -192,7 +192,7 @@ def test_a_track_that_sees_a_view_twice_is_left_out():
 def test_a_process_that_is_ended_prints_no_stack_trace(where):
     load = (
         "import sys, threading, time; load = lambda: "
-        "__import__('edit3r_matching.bundle_adjustment')"
+        "__import__('edit3r_geometry.bundle_adjustment')"
     )
     code = f"{load}; {where}; print(1, flush=True); time.sleep(60)"
     process = subprocess.Popen(

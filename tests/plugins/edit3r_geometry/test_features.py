@@ -3,9 +3,9 @@ from itertools import combinations
 import cv2
 import numpy as np
 import pytest
-from edit3r_matching import features
-from edit3r_matching.cameras import CalibratedImage
-from edit3r_matching.features import (
+from edit3r_geometry import features
+from edit3r_geometry.cameras import CalibratedImage
+from edit3r_geometry.features import (
     FoundFeatures,
     detect,
     detect_tilted,
@@ -14,7 +14,7 @@ from edit3r_matching.features import (
     match_tilted,
     shortened,
 )
-from edit3r_matching.keypoints import Keypoints
+from edit3r_geometry.keypoints import Keypoints
 from skimage.data import camera
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from edit3r.kit.compute.compiling import compiled
-from edit3r_matching.cameras import CalibratedImage, Pose, pixel_rays, project
+from edit3r_geometry.cameras import CalibratedImage, Pose, pixel_rays, project
 
 __all__ = ["Neighbour", "RawDepth", "matching_cost", "plane_inverse_depths"]
 

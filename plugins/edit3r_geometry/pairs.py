@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from edit3r.contract.reporting import track
-from edit3r_matching.cameras import CalibratedImage, Pose, parallax_degrees, triangulate
-from edit3r_matching.features import FoundFeatures
-from edit3r_matching.relative_pose import (
+from edit3r_geometry.cameras import CalibratedImage, Pose, parallax_degrees, triangulate
+from edit3r_geometry.features import FoundFeatures
+from edit3r_geometry.relative_pose import (
     MIN_INLIERS,
     Matches,
     TwoViewPose,

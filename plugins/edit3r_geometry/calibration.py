@@ -16,8 +16,8 @@ from itertools import pairwise
 import cv2
 import numpy as np
 
-from edit3r_matching.cameras import CalibratedImage, Pose
-from edit3r_matching.relative_pose import (
+from edit3r_geometry.cameras import CalibratedImage, Pose
+from edit3r_geometry.relative_pose import (
     Matches,
     agreeing,
     quick_pose,

@@ -3,8 +3,8 @@ from functools import partial
 import cv2
 import numpy as np
 import pytest
-from edit3r_matching.cameras import Pose, cross_matrix, parallax_degrees, triangulate
-from edit3r_matching.relative_pose import (
+from edit3r_geometry.cameras import Pose, cross_matrix, parallax_degrees, triangulate
+from edit3r_geometry.relative_pose import (
     Matches,
     _moved,
     _settled,

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from edit3r.contract import reporting, settings as config
 from edit3r.contract.errors import InputError, MatchingError
-from edit3r.contract.interfaces import MatchedGeometry, Matcher
+from edit3r.contract.interfaces import Geometry, Matcher
 from edit3r.contract.types import Views
 from edit3r.contract.weights import Weights
 from edit3r.kit.cache import remembered
@@ -25,7 +25,7 @@ from edit3r.kit.geometry.cameras import from_pixels, invert_rigid, relative_to_f
 from edit3r.kit.geometry.maps import resize, upsample_depth
 from edit3r.kit.weights.find import find, record_of
 from edit3r.kit.weights.load import out_of_memory_told
-from edit3r_matching import DEPTH_ANYTHING_3
+from edit3r_geometry import DEPTH_ANYTHING_3
 
 IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 PATCH = 14
@@ -69,7 +69,7 @@ class DepthAnything3Matcher(Matcher):
 
     @torch.no_grad()
     @remembered
-    def match(self, views: Views) -> MatchedGeometry:
+    def match(self, views: Views) -> Geometry:
         require_matchable(views, MIN_SIZE)
         images = views.images.float()
         if float(images.std((2, 3, 4)).amin()) < FLAT:
@@ -85,7 +85,7 @@ class DepthAnything3Matcher(Matcher):
         )
         network = self._network.to(small.device)
         with out_of_memory_told(
-            "matching",
+            "geometry",
             "try a smaller --set reconstructor.matcher.network_size, or fewer photos",
         ):
             found = [network((scene[None] - mean) / std) for scene in small]
@@ -98,7 +98,7 @@ class DepthAnything3Matcher(Matcher):
         depths, confidence = _at_full_size(depths, 1 - 1 / trust, small, images)
         placed = torch.ones(c2w.shape[:2], dtype=torch.bool, device=c2w.device)
         intrinsics = _lens(from_pixels(intrinsics, small.shape[-2:]), views)
-        return MatchedGeometry(
+        return Geometry(
             *(x.to(views.images) for x in (c2w, depths, confidence)), placed, intrinsics
         )
 

@@ -5,10 +5,10 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from edit3r_matching.calibration import calibrate, contradiction
-from edit3r_matching.cameras import CalibratedImage, rays_through
-from edit3r_matching.matchers import ClassicalMatcher
-from edit3r_matching.relative_pose import Matches
+from edit3r_geometry.calibration import calibrate, contradiction
+from edit3r_geometry.cameras import CalibratedImage, rays_through
+from edit3r_geometry.matchers import ClassicalMatcher
+from edit3r_geometry.relative_pose import Matches
 
 SIDE = 256
 

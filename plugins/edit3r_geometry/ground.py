@@ -13,8 +13,8 @@ import torch
 from jaxtyping import Bool, Float
 
 from edit3r.kit.geometry.gravity import up_direction
-from edit3r_matching.cameras import CalibratedImage, Pose, pixel_rays
-from edit3r_matching.plane_sweep import RawDepth
+from edit3r_geometry.cameras import CalibratedImage, Pose, pixel_rays
+from edit3r_geometry.plane_sweep import RawDepth
 
 __all__ = ["Ground", "above_ground", "find_ground"]
 
