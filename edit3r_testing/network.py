@@ -18,7 +18,7 @@ from edit3r.contract.settings import Settings
 from edit3r.contract.types import PER_GAUSSIAN, Features, Gaussians, Views
 from edit3r.kit.checks import check_gaussians
 from edit3r_testing.contract import Contract, require_of_views
-from edit3r_testing.scenes import photograph
+from edit3r_testing.scenes import true_geometry
 
 PATCHES = (2, 3)
 
@@ -187,12 +187,7 @@ def _geometry(part: Backbone | GaussianHead, views: Views) -> tuple[Geometry, ..
     """What a part that takes geometry is given: the true one of the test photos."""
     if not isinstance(part, GeometryBackbone | GeometryHead):
         return ()
-    batch, count = views.images.shape[:2]
-    truth = photograph(count, views.image_size, batch).to(views.images.device)
-    confidence = torch.ones_like(truth.depths)
-    registered = confidence[:, :, 0, 0] > 0
-    poses = truth.cameras.c2w
-    return (Geometry(poses, truth.depths, confidence, registered),)
+    return (true_geometry(views),)
 
 
 def require_gradients(
