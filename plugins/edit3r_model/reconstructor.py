@@ -11,8 +11,6 @@ from edit3r.contract.interfaces import (
     Backbone,
     GaussianHead,
     Geometry,
-    GeometryBackbone,
-    GeometryHead,
     Matcher,
     Reconstructor,
     TakesGeometry,
@@ -93,7 +91,7 @@ class Edit3rReconstructor(Reconstructor, TakesGeometry):
     ) -> None:
         self.settings = settings
         self.matcher = matcher
-        self.fuses_by_itself = not isinstance(head, GeometryHead)
+        self.fuses_by_itself = not head.uses_geometry
         _check_parts(settings, backbone, head, matcher)
         network = GaussianNetwork(backbone, head)
         plan = _plan(settings) if self.fuses_by_itself else EnginePlan()
@@ -187,8 +185,8 @@ def _check_parts(
             "reconstructor.weights=FILE (a NoPoSplat .ckpt, or a folder written by edit3r convert),"
             " or use the reconstructor edit3r."
         )
-    if not isinstance(head, GeometryHead):
-        if isinstance(backbone, GeometryBackbone):
+    if not head.uses_geometry:
+        if backbone.uses_geometry:
             raise SettingsError(
                 "reconstructor.backbone: it needs matched geometry, and this head takes none; "
                 "choose another backbone, such as asymmetric-vit."

@@ -12,15 +12,24 @@ from raster_scenes import cameras, cloud
 import edit3r
 from edit3r.contract.component import Component, Offer
 from edit3r.contract.errors import InputError, MissingDependencyError, SettingsError
+from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Gaussians
 from edit3r.loading.load import LoadedPlugins
 from edit3r.loading.registry import Registry
 
 
+class DepthsAlone(Rasterizer):
+    gives = ("depths",)
+
+
 def made_for(name, *devices, requires=()):
+    """`depths` gives no images."""
+    target = "edit3r_rasterizers.torch_rasterizer:TorchRasterizer"
+    if name == "depths":
+        target = f"{__name__}:DepthsAlone"
     component = Component(
-        name, "module:Class", "a rasterizer", requires=requires, devices=devices
+        name, target, "a rasterizer", requires=requires, devices=devices
     )
     return Offer("rasterizer", component, "plugin", "1")
 
@@ -41,6 +50,7 @@ def test_auto_picks_by_declared_devices_among_all_that_is_installed(
         made_for("anywhere"),
         made_for("gsplat", "cuda"),
         made_for("not-here", "mps", requires=("no_such_module",)),
+        made_for("depths", "cpu"),
         made_for("numba", "cpu"),
         made_for("strangers", "xpu"),
     )
