@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
+from edit3r.contract.component import component_name
 from edit3r.contract.errors import SettingsError, UnknownComponentError
 from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
 from edit3r.kit.files.yaml import read_yaml
@@ -375,7 +376,24 @@ def check_components(
             registry.check(kind, choice)
     for choice in config.all_refiners():
         registry.check("refiner", choice)
+    _check_rasterizer(config, registry, given or {})
     _check_outputs(config, registry)
+
+
+def _check_rasterizer(
+    config: RunConfig, registry: Registry, given: Mapping[str, Any]
+) -> None:
+    """Raise for a rasterizer that does not give what a run needs."""
+    # torch comes with them, which reading a configuration does without
+    from edit3r.contract.types import RENDERED
+    from edit3r.kit.checks import require_gives
+
+    name, rasterizer = config.rasterizer.name, given.get("rasterizer")
+    if rasterizer is None:
+        rasterizer = registry.load_class(registry.find("rasterizer", name))
+    else:
+        name = component_name(rasterizer)
+    require_gives(rasterizer, name, *RENDERED, who="a run")
 
 
 def _check_outputs(config: RunConfig, registry: Registry) -> None:

@@ -6,6 +6,8 @@ from pathlib import Path
 from edit3r import Registry
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, track
+from edit3r.contract.types import RENDERED
+from edit3r.kit.checks import require_gives
 from edit3r.kit.command.results import grouped
 from edit3r.kit.reconstructing import WithMatcher
 from edit3r_measure.evaluate_options import PARTS, Evaluation
@@ -28,6 +30,7 @@ def measure(asked: Evaluation, registry: Registry, report: Report) -> list[Scene
         registry.build_choice(kind, getattr(asked, kind)) for kind in PARTS
     )
     tools = WithMatcher(reconstructor, matcher), rasterizer
+    require_gives(rasterizer, asked.rasterizer.name, *RENDERED, who="evaluate")
     if asked.index:
         kind = "protocol"
         distance = "lpips" if asked.lpips else "perceptual"

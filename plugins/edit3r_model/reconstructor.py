@@ -11,8 +11,6 @@ from edit3r.contract.interfaces import (
     Backbone,
     GaussianHead,
     Geometry,
-    GeometryBackbone,
-    GeometryHead,
     Reconstructor,
 )
 from edit3r.contract.settings import PartChoice
@@ -78,7 +76,7 @@ class Edit3rReconstructor(Reconstructor):
         head: GaussianHead,
     ) -> None:
         self.settings = settings
-        self.uses_geometry = isinstance(head, GeometryHead)
+        self.uses_geometry = head.uses_geometry
         self.fuses_by_itself = not self.uses_geometry
         _check_parts(settings, backbone, head)
         network = GaussianNetwork(backbone, head)
@@ -160,8 +158,8 @@ def _check_parts(
             "reconstructor.weights=FILE (a NoPoSplat .ckpt, or a folder written by edit3r convert),"
             " or use the reconstructor edit3r."
         )
-    if not isinstance(head, GeometryHead):
-        if isinstance(backbone, GeometryBackbone):
+    if not head.uses_geometry:
+        if backbone.uses_geometry:
             raise SettingsError(
                 "reconstructor.backbone: it needs matched geometry, and this head takes none; "
                 "choose another backbone, such as asymmetric-vit."

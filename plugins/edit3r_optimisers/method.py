@@ -201,7 +201,9 @@ def begin(
     with errors_named_after(reconstructor):
         answer = reconstructor(photos, photos, scene.geometry)
     check_reconstruction(reconstructor, photos, answer)
-    cameras = answer.cameras or estimate_cameras(answer.gaussians, photos)
+    cameras = answer.cameras or estimate_cameras(
+        answer.gaussians, photos, answer.per_pixel
+    )
     gaussians = thinned(
         answer.gaussians.select(answer.gaussians.opacities[0] > 0), most, seed
     )

@@ -20,6 +20,7 @@ from edit3r import Registry
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Trainer, TrainingJob
 from edit3r.contract.settings import FileText, PartChoice, Settings, make_settings
+from edit3r.kit.checks import require_gives
 from edit3r.kit.weights.files import WEIGHTS
 from edit3r.running import DEFAULTS
 from edit3r_training.checkpoint import LAST
@@ -93,6 +94,7 @@ def prepare(
         reference=None if reference is None else build("reconstructor", reference),
         config=config.model_dump(mode="json"),
     )
+    require_gives(job.rasterizer, config.rasterizer.name, "images", who="training")
     return build("trainer", config.trainer), job
 
 

@@ -61,9 +61,12 @@ def held_out_measures(
             made = reconstruct(job, batch)
         except MatchingError:
             continue
+        novel = _novel(job, made, batch) if rendered else {}
+        if rendered and made.per_pixel == 0:
+            rows.append(novel)
+            continue
         maps = pixel_maps(made, batch.context_cameras)
-        row = _measured(maps, batch)
-        rows.append(row | _novel(job, made, batch) if rendered else row)
+        rows.append(_measured(maps, batch) | novel)
         shown = shown or (maps, batch)
     values = processes.means(rows)
     if not values:

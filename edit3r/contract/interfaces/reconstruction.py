@@ -172,18 +172,8 @@ class Backbone(Configured, nn.Module, ABC):
 
     patch_size: int  # height and width of its input must be multiples of this [pixels]
     feature_widths: tuple[int, ...]  # channels of each level it returns
-
-    @abstractmethod
-    def forward(
-        self,
-        images: Float[Tensor, "batch view 3 height width"],
-        intrinsics: Float[Tensor, "batch view 3 3"],
-    ) -> Features:
-        """Features of images in [0, 1] with normalised intrinsics."""
-
-
-class GeometryBackbone(Backbone):
-    """A backbone that looks at matched geometry as well."""
+    uses_geometry: bool = False
+    """Whether it cannot do without `geometry`; it goes with a head that uses geometry, then."""
 
     @abstractmethod
     def forward(
@@ -194,36 +184,36 @@ class GeometryBackbone(Backbone):
     ) -> Features:
         """Features of images in [0, 1] with normalised intrinsics.
 
-        `geometry` is what a matcher read from these images, at their size, in a unit that makes
-        depths about 1; None: nothing is known.
+        `geometry` is that of these images, at their size, in a unit that makes depths about 1;
+        None: nothing is known, as in a single pass. A backbone that predicts poses returns them as
+        `Features.cameras`.
         """
 
 
 class GaussianHead(Configured, nn.Module, ABC):
-    """Network from features to one Gaussian per pixel, ordered view-major, then row-major."""
+    """Network from features to Gaussians in the frame of view 0."""
+
+    uses_geometry: bool = False
+    """Whether it cannot do without `geometry`; the reconstructor then gets the run's."""
+    per_pixel: int = 1
+    """How many Gaussians it makes of each pixel, ordered view by view, row by row, those of a pixel
+    together; 0: it does not make them pixel by pixel. An object may set it by its settings.
+    """
 
     @abstractmethod
     def forward(
-        self, features: Features, images: Float[Tensor, "batch view 3 height width"]
-    ) -> Gaussians:
-        """Gaussians with `view_index` set, for images in [0, 1]."""
-
-
-class GeometryHead(GaussianHead):
-    """A head that places its Gaussians by matched geometry."""
-
-    @abstractmethod
-    def forward(  # type: ignore[override]  # the reconstructor asks which of the two it has
         self,
         features: Features,
         images: Float[Tensor, "batch view 3 height width"],
         source: Views,
-        geometry: Geometry,
+        geometry: Geometry | None,
     ) -> Gaussians:
-        """Gaussians with `view_index` set, on the grid and in the unit of `geometry`.
+        """Gaussians of images in [0, 1], with `view_index` set.
 
-        `images`, after the edit, and `source`, before it, have the photos' size. The grid of
-        `geometry` need be neither theirs nor the backbone's.
+        `images` are the views after the edit and `source` those before it, with their intrinsics;
+        in a single pass both are the same, of the backbone's size, and `geometry` is None. A head
+        that uses geometry gets both at the photos' size, and makes its Gaussians on the grid and in
+        the unit of `geometry`, whose grid need be neither the photos' nor the backbone's.
         """
 
 

@@ -199,7 +199,8 @@ def _checked(
     check_reconstruction(recon, views, reconstruction)
     if reconstruction.cameras is None:
         note("cameras", "PnP on the predicted Gaussian centres")
-        cameras = estimate_cameras(reconstruction.gaussians, views)
+        per_pixel = reconstruction.per_pixel
+        cameras = estimate_cameras(reconstruction.gaussians, views, per_pixel)
         reconstruction = replace(reconstruction, cameras=cameras)
     return _only_placed(reconstruction)
 
