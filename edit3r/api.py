@@ -22,6 +22,7 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.cache import Cache
 from edit3r.loading.registry import Registry
@@ -38,6 +39,7 @@ Choice = str | Mapping[str, Any] | PartChoice
 """A component by its name, or by its name and settings."""
 
 
+@in_usual_torch
 def run(
     photos: Views | Files = (),
     prompt: str | None = None,
@@ -144,7 +146,7 @@ def run(
         result = run_job(job, registry, own_report)
     if report is None and not progress:
         for text in own_report.warnings:
-            warnings.warn(text, stacklevel=2)
+            warnings.warn(text, stacklevel=3)  # of the caller, past the decorator
     return result
 
 

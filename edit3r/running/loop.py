@@ -9,6 +9,7 @@ from PIL import Image
 
 from edit3r.contract.devices import require_device
 from edit3r.contract.reporting import Report, collecting
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Reconstruction
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.atomic import atomic_folder
@@ -41,6 +42,7 @@ STEPS_OF_PREVIEW: tuple[Step, ...] = (select, edit)
 class RunResult(RunRecord):
     """What a run made, in memory. In a notebook it shows the sheet and the viewer."""
 
+    @in_usual_torch
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
         """Write what `edit3r run` leaves into `folder`, which appears whole or not at all."""
         with atomic_folder(folder, overwrite) as root:
@@ -61,10 +63,12 @@ class RunResult(RunRecord):
             things=self.scene.things,
         )
 
+    @in_usual_torch
     def view(self) -> Path:
         """Open the scene in the browser; returns the page, a temporary file."""
         return open_viewer(self)
 
+    @in_usual_torch
     def compare(self, other: "RunResult") -> Image.Image:
         """A sheet of the photos, this scene and an `other` of the same photos.
 
@@ -76,10 +80,12 @@ class RunResult(RunRecord):
         made = f"{self.gaussians.count:,} Gaussians from {self.photos.count} photos"
         return f"RunResult({self.verdict.label}: {made}, {self.config.prompt!r})"
 
+    @in_usual_torch
     def _repr_html_(self) -> str:
         return as_html(self)
 
 
+@in_usual_torch
 def run(
     job: RunJob, registry: Registry | None = None, report: Report | None = None
 ) -> RunResult:
@@ -96,6 +102,7 @@ def run(
     return RunResult(scene, parts, report, cache)
 
 
+@in_usual_torch
 def preview(
     job: RunJob,
     registry: Registry | None = None,

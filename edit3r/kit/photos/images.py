@@ -23,6 +23,7 @@ from torch import Tensor
 from edit3r.contract.errors import InputError
 from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say, track, warn
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import atomic_write, sha256_of
 from edit3r.kit.files.names import natural, unique_names
@@ -113,6 +114,7 @@ def load_views(
     ).views
 
 
+@in_usual_torch
 def load_photos(
     paths: str | Path | Sequence[str | Path],
     *,

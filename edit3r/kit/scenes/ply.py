@@ -21,6 +21,7 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import say, warn
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import MAX_DEGREE, Gaussians
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.geometry.harmonics import DC
@@ -77,6 +78,7 @@ _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _ASCII = "ascii"
 
 
+@in_usual_torch
 def save_ply(
     path: str | Path,
     gaussians: Gaussians,
@@ -121,6 +123,7 @@ def save_ply(
         file.write(table.data)
 
 
+@in_usual_torch
 def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
     """Read a 3DGS PLY (binary or text, any number type, extra properties ignored) as one scene on
     the CPU.

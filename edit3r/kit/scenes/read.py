@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from edit3r.contract.errors import InputError, MissingDependencyError, RunError
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Gaussians
 from edit3r.kit.children import PYTHON
 from edit3r.kit.scenes.axes import UP_AND_BACK, flipped, sound
@@ -37,6 +38,7 @@ open(sys.argv[2], "wb").write(answer["data"])
 """
 
 
+@in_usual_torch
 def load_scene(path: str | Path, *, visible: bool = True) -> Gaussians:
     """Read a scene of any format that `edit3r export` writes, told by its content.
 

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Matcher, Segmenter
 from edit3r.contract.settings import PartChoice
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Views
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.photos.images import load_photos
@@ -40,6 +41,7 @@ class Selecting:
     warnings: tuple[str, ...] = ()
 
 
+@in_usual_torch
 def select(
     photos: Views | Files,
     selection: Selection,
