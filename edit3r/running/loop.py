@@ -10,6 +10,7 @@ from torch import Tensor
 
 from edit3r.contract.devices import require_device
 from edit3r.contract.reporting import Report, collecting
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Reconstruction
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.atomic import atomic_folder
@@ -36,6 +37,7 @@ from edit3r.running.write import as_html, comparison, open_viewer, write_result
 class RunResult(RunRecord):
     """What a run made, in memory. In a notebook it shows the sheet and the viewer."""
 
+    @in_usual_torch
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
         """Write what `edit3r run` leaves into `folder`, which appears whole or not at all."""
         with atomic_folder(folder, overwrite) as root:
@@ -57,10 +59,12 @@ class RunResult(RunRecord):
             things=self.records.selection.things,
         )
 
+    @in_usual_torch
     def view(self) -> Path:
         """Open the scene in the browser; returns the page, a temporary file."""
         return open_viewer(self)
 
+    @in_usual_torch
     def compare(self, other: "RunResult") -> Image.Image:
         """A sheet of the photos, this scene and an `other` of the same photos.
 
@@ -72,10 +76,12 @@ class RunResult(RunRecord):
         made = f"{self.gaussians.count:,} Gaussians from {self.photos.count} photos"
         return f"RunResult({self.verdict.label}: {made}, {self.config.prompt!r})"
 
+    @in_usual_torch
     def _repr_html_(self) -> str:
         return as_html(self)
 
 
+@in_usual_torch
 def run(
     job: RunJob, registry: Registry | None = None, report: Report | None = None
 ) -> RunResult:
@@ -113,6 +119,7 @@ def _made(inputs: Inputs, parts: Parts) -> Records:
     return Records(inputs, located, selection, edited, made, gaussians, judged)
 
 
+@in_usual_torch
 def preview(
     job: RunJob,
     registry: Registry | None = None,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError, RunError, SettingsError
 from edit3r.kit.command.flags import add_trust_flag
+from edit3r.kit.files.home import expanded
 
 if TYPE_CHECKING:
     from edit3r.kit.workers import Progress, Workers
@@ -126,7 +127,7 @@ class BatchCommand(Command):
         registry = default_registry(args.plugin)
         with StageConsole(args.quiet) as console, collecting(Report(on_event=console)):
             jobs = read_jobs(Path(args.jobs), defaults, registry, args.trust_config)
-        out = Path(args.out).expanduser().resolve()
+        out = expanded(args.out).resolve()
         done = _done(jobs, out, args)
         try:
             out.mkdir(parents=True, exist_ok=True)

@@ -19,6 +19,7 @@ from edit3r.contract.interfaces import (
     Selector,
 )
 from edit3r.contract.settings import PartChoice
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Views
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.photos.images import load_photos
@@ -46,6 +47,7 @@ class Selecting:
     warnings: tuple[str, ...] = ()
 
 
+@in_usual_torch
 def select(
     photos: Views | Files,
     selection: Selection,
