@@ -109,35 +109,6 @@ def main() -> None:
         written(args.by, {kind: fits[kind, None] for kind in (*FIRST, "more")})
 
 
-def folds(things: list[Thing], kinds: Sequence[str]) -> Fits:
-    """The weights of each kind for each scene left out, and for none."""
-    scenes = [*sorted({one.scene for one in things}), None]
-    return {
-        (kind, scene): fitted_without(things, kind, scene)
-        for kind in kinds
-        for scene in scenes
-    }
-
-
-def corrections(things: list[Thing], bench: Bench, fits: Fits, rounds: int) -> Fits:
-    """Weights for more clicks. What is shown to be corrected depends on them, so that they are
-    fitted in rounds; things keep the rows of the last.
-    """
-    more = {
-        ("more", scene): started(weights)
-        for (kind, scene), weights in fits.items()
-        if kind == "click"
-    }
-    for number in range(rounds):
-        for thing in things:
-            click, then = (fits["click", thing.scene], more["more", thing.scene])
-            rows = bench.corrected(thing, click, then)
-            thing.rows = [one for one in thing.rows if one.kind != "more"] + rows
-        if number + 1 < rounds:
-            more = folds(things, ("more",))
-    return more
-
-
 def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path, help="folder of photo sets")
@@ -355,6 +326,35 @@ def logistic(
 
     margin, constant = minimize(loss, np.zeros(2), method="L-BFGS-B").x
     return {"margin": float(margin), "constant": float(constant)}
+
+
+def folds(things: list[Thing], kinds: Sequence[str]) -> Fits:
+    """The weights of each kind for each scene left out, and for none."""
+    scenes = [*sorted({one.scene for one in things}), None]
+    return {
+        (kind, scene): fitted_without(things, kind, scene)
+        for kind in kinds
+        for scene in scenes
+    }
+
+
+def corrections(things: list[Thing], bench: Bench, fits: Fits, rounds: int) -> Fits:
+    """Weights for more clicks. What is shown to be corrected depends on them, so that they are
+    fitted in rounds; things keep the rows of the last.
+    """
+    more = {
+        ("more", scene): started(weights)
+        for (kind, scene), weights in fits.items()
+        if kind == "click"
+    }
+    for number in range(rounds):
+        for thing in things:
+            click, then = (fits["click", thing.scene], more["more", thing.scene])
+            rows = bench.corrected(thing, click, then)
+            thing.rows = [one for one in thing.rows if one.kind != "more"] + rows
+        if number + 1 < rounds:
+            more = folds(things, ("more",))
+    return more
 
 
 def report(things: list[Thing], fits: Fits) -> str:
