@@ -1,6 +1,7 @@
 """Contracts of the two halves of a reconstruction network: backbone and head."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -11,14 +12,12 @@ from edit3r.contract.interfaces import (
     Backbone,
     GaussianHead,
     Geometry,
-    GeometryBackbone,
-    GeometryHead,
 )
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import PER_GAUSSIAN, Features, Gaussians, Views
 from edit3r.kit.checks import check_gaussians
 from edit3r_testing.contract import Contract, require_of_views
-from edit3r_testing.scenes import photograph
+from edit3r_testing.scenes import true_geometry
 
 PATCHES = (2, 3)
 
@@ -44,6 +43,7 @@ class TinyBackbone(Backbone):
         self,
         images: Float[Tensor, "batch view 3 height width"],
         intrinsics: Float[Tensor, "batch view 3 3"],
+        geometry: Geometry | None = None,
     ) -> Features:
         features = self.map(images.flatten(0, 1))  # [B * V, C, rows, columns]
         grid = tuple(features.shape[-2:])
@@ -90,12 +90,12 @@ class BackboneContract(Contract):
     def test_gradients_are_finite(self) -> None:
         views = self._views(2)
         images = views.images.clone().requires_grad_()
-        rest = (views.intrinsics, *_geometry(self.subject, views))
+        rest = (views.intrinsics, _geometry(self.subject, views))
         features = self.call("forward()", self.subject, images, *rest)
         require_gradients(self, features.levels, {"images": images})
 
     def _features(self, views: Views) -> Features:
-        given = (views.images, views.intrinsics, *_geometry(self.subject, views))
+        given = (views.images, views.intrinsics, _geometry(self.subject, views))
         what = f"forward() of {views.count} views"
         with torch.no_grad():
             return self.call(what, self.subject, *given, returns=Features)
@@ -106,7 +106,7 @@ class BackboneContract(Contract):
 
 
 class HeadContract(Contract):
-    """One valid Gaussian per pixel for any number of views, with finite gradients."""
+    """Valid Gaussians, `per_pixel` of each, for any number of views, with finite gradients."""
 
     kind = "head"
     subject: GaussianHead
@@ -133,20 +133,25 @@ class HeadContract(Contract):
             gaussians = self._gaussians(views)
             self.keeps(check_gaussians, gaussians, 1, views.images.dtype)
             require_of_views(self, gaussians, count)
+            each = self.subject.per_pixel
             height, width = views.image_size
             pixels = count * height * width
             self.require(
-                gaussians.count == pixels,
-                f"{gaussians.count} Gaussians came for {pixels} pixels; return one each.",
+                each == 0 or gaussians.count == each * pixels,
+                f"{gaussians.count} Gaussians came for {pixels} pixels; return {each} each, as "
+                "per_pixel says, or set it to 0 where they are not made pixel by pixel.",
             )
 
     def test_view_index_is_view_major(self) -> None:
-        views = self._views(3)
+        views, each = self._views(3), self.subject.per_pixel
+        if each == 0:
+            return
         height, width = views.image_size
-        expected = torch.arange(3, device=self.device).repeat_interleave(height * width)
+        count = height * width * each
+        expected = torch.arange(3, device=self.device).repeat_interleave(count)
         fix = (
-            "set view_index to torch.arange(V).repeat_interleave(H * W) and order Gaussians view "
-            "by view, row by row"
+            "set view_index to torch.arange(V).repeat_interleave(H * W * per_pixel) and order "
+            "Gaussians view by view, row by row"
         )
         found = self._gaussians(views).view_index
         self.require_equal("view_index is not view-major", found, expected, fix)
@@ -155,7 +160,7 @@ class HeadContract(Contract):
         views = self._views(2)
         features = self._features(views)
         levels = [level.clone().requires_grad_() for level in features.levels]
-        features = Features(tuple(levels), features.grid)
+        features = replace(features, levels=tuple(levels))
         given = self._given(views)
         gaussians = self.call("forward()", self.subject, features, *given)
         outputs = [getattr(gaussians, name) for name in PER_GAUSSIAN]
@@ -169,30 +174,22 @@ class HeadContract(Contract):
             return self.call(what, self.subject, *given, returns=Gaussians)
 
     def _features(self, views: Views) -> Features:
-        given = (views.images, views.intrinsics, *_geometry(self.backbone, views))
+        given = (views.images, views.intrinsics, _geometry(self.backbone, views))
         with torch.no_grad():
             return self.backbone(*given)
 
     def _given(self, views: Views) -> tuple:
         """What the head gets beside the features."""
-        geometry = _geometry(self.subject, views)
-        return (views.images, views, *geometry) if geometry else (views.images,)
+        return views.images, views, _geometry(self.subject, views)
 
     def _views(self, count: int) -> Views:
         size = tuple(side * self.backbone.patch_size for side in self.patches)
         return self.scene(count, size=size).views
 
 
-def _geometry(part: Backbone | GaussianHead, views: Views) -> tuple[Geometry, ...]:
-    """What a part that takes geometry is given: the true one of the test photos."""
-    if not isinstance(part, GeometryBackbone | GeometryHead):
-        return ()
-    batch, count = views.images.shape[:2]
-    truth = photograph(count, views.image_size, batch).to(views.images.device)
-    confidence = torch.ones_like(truth.depths)
-    registered = confidence[:, :, 0, 0] > 0
-    poses = truth.cameras.c2w
-    return (Geometry(poses, truth.depths, confidence, registered),)
+def _geometry(part: Backbone | GaussianHead, views: Views) -> Geometry | None:
+    """What a part that uses geometry is given: the true one of the test photos."""
+    return true_geometry(views) if part.uses_geometry else None
 
 
 def require_gradients(

@@ -8,7 +8,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import Rasterizer
-from edit3r.contract.types import PER_GAUSSIAN, Cameras, Gaussians, Rendering
+from edit3r.contract.types import (
+    PER_GAUSSIAN,
+    RENDERED,
+    Cameras,
+    Gaussians,
+    Rendering,
+)
 from edit3r.kit.checks import check_rendering
 from edit3r.loading.registry import default_registry
 from edit3r.running.config import DEFAULTS
@@ -27,7 +33,7 @@ def reference_rasterizer(**settings: Any) -> Rasterizer:
 
 
 class RasterizerContract(Contract):
-    """Agrees with the reference `torch` in images and gradients; empty scenes."""
+    """Agrees with the reference `torch` in what it gives, and in gradients; empty scenes."""
 
     kind = "rasterizer"
     subject: Rasterizer
@@ -44,13 +50,19 @@ class RasterizerContract(Contract):
         return rendering
 
     def test_rendering_is_in_range(self) -> None:
-        rendering = self.render(gaussian_cloud(), cameras_around())
-        fix = "an alpha is 1 minus the transmittance"
-        self.require_range("alphas", rendering.alphas, 0, 1 + 1e-5, fix)
-        fix = "clamp max(0, SH + 0.5) per Gaussian"
-        self.require_range("images", rendering.images, -1e-6, torch.inf, fix)
-        fix = "Gaussians behind the camera must be culled"
-        self.require_range("depths", rendering.depths, 0, torch.inf, fix)
+        self.require(
+            bool(self.subject.gives), "its `gives` is empty; name what it renders."
+        )
+        ranges = {
+            "alphas": (0, 1 + 1e-5, "an alpha is 1 minus the transmittance"),
+            "images": (-1e-6, torch.inf, "clamp max(0, SH + 0.5) per Gaussian"),
+            "depths": (0, torch.inf, "Gaussians behind the camera must be culled"),
+        }
+        for name, tensor in self.render(
+            gaussian_cloud(), cameras_around()
+        ).given.items():
+            if name in ranges:
+                self.require_range(name, tensor, *ranges[name])
 
     def test_agrees_with_the_reference(self) -> None:
         self._compare(batch=1, cameras=2, degree=0, size=(24, 32))
@@ -60,30 +72,35 @@ class RasterizerContract(Contract):
     def test_gaussians_behind_the_camera_are_not_seen(self) -> None:
         cloud = gaussian_cloud()
         behind = replace(cloud, means=cloud.means * torch.tensor([1.0, 1.0, -1.0]))
-        alphas = self.render(behind, cameras_around()).alphas
+        empty = cloud.select(torch.arange(0))
+        found = self.render(behind, cameras_around()).given
         fix = "Gaussians behind the camera are seen: cull z <= near"
-        self.require_range("alphas", alphas, 0, 0, fix)
+        for name, nothing in self.render(empty, cameras_around()).given.items():
+            self.require_equal(f"{name} of them", found[name], nothing, fix, 0)
 
     def test_empty_scene_shows_the_background(self) -> None:
         empty = gaussian_cloud().select(torch.arange(0))
         rendering = self.render(empty, cameras_around())
-        nothing = rendering.alphas.abs().max() + rendering.depths.abs().max()
-        self.require(
-            nothing == 0,
-            "a scene of 0 Gaussians has alphas or depths; both must be 0 everywhere.",
-        )
-        flat = rendering.images.flatten(-2)
-        self.require(
-            (flat == flat[..., :1]).all(),
-            "a scene of 0 Gaussians must show the background colour only.",
-        )
+        for name, tensor in rendering.given.items():
+            flat = tensor.flatten(-2)
+            self.require(
+                name not in ("alphas", "depths") or bool((flat == 0).all()),
+                "a scene of 0 Gaussians has alphas or depths; both must be 0 everywhere.",
+            )
+            self.require(
+                bool((flat == flat[..., :1]).all()),
+                "a scene of 0 Gaussians must show the background colour only.",
+            )
 
     def test_same_input_gives_the_same_image(self) -> None:
         cloud, cameras = gaussian_cloud(), cameras_around()
         fix = "sort ties by index and sum in a fixed order"
-        self.require_same_twice(
-            lambda: self.render(cloud, cameras).images, "scene", fix
-        )
+
+        def drawn() -> Tensor:
+            given = self.render(cloud, cameras).given.values()
+            return torch.cat([tensor.flatten() for tensor in given])
+
+        self.require_same_twice(drawn, "scene", fix)
 
     def test_gradients_agree_with_the_reference(self) -> None:
         scene, cameras = gaussian_cloud(30), cameras_around(1)
@@ -92,6 +109,12 @@ class RasterizerContract(Contract):
             self._reference, scene, cameras, torch.device("cpu")
         )
         for field, a, b in zip(PER_GAUSSIAN, mine, reference):
+            if b is None:  # as of colours by depths
+                continue
+            self.require(
+                a is not None,
+                f"no gradient reaches {field}; the rendering must depend on it.",
+            )
             self.require(
                 torch.isfinite(a).all(),
                 f"the gradient of {field} is not finite; guard divisions by depth.",
@@ -129,21 +152,26 @@ class RasterizerContract(Contract):
             "front-to-back blending"
         )
         for name in ("images", "alphas"):
-            a, b = getattr(mine, name), getattr(reference, name)
-            self.require_equal(f"{name} {case}", a, b, fix, self.agreement)
-        covered = reference.alphas > 0.05
-        a, b = mine.depths[covered], reference.depths[covered]
-        fix = "depth is the expected camera z, sum(w z) / sum(w)"
-        self.require_equal(f"depths {case}", a, b, fix, 0.02)
+            if name in mine.given:
+                a, b = mine.given[name], reference.given[name]
+                self.require_equal(f"{name} {case}", a, b, fix, self.agreement)
+        if "depths" in mine.given:
+            covered = reference.alphas > 0.05
+            a, b = mine.depths[covered], reference.depths[covered]
+            fix = "depth is the expected camera z, sum(w z) / sum(w)"
+            self.require_equal(f"depths {case}", a, b, fix, 0.02)
 
     def _loss(
         self, rasterizer: Rasterizer, scene: Gaussians, cameras: Cameras
     ) -> Float[Tensor, ""]:
-        """A smooth scalar of everything rendered, summed in float64."""
-        rendering = rasterizer.render(scene, cameras)
+        """A smooth scalar of what the subject gives, summed in float64."""
+        given = rasterizer.render(scene, cameras).given
         generator = torch.Generator().manual_seed(2)
-        total = torch.zeros((), dtype=torch.float64, device=rendering.images.device)
-        for tensor in (rendering.images, rendering.alphas, 0.1 * rendering.depths):
+        total = torch.zeros((), dtype=torch.float64, device=scene.means.device)
+        for name in RENDERED:
+            if name not in self.subject.gives:
+                continue
+            tensor = given[name] * (0.1 if name == "depths" else 1)
             weights = torch.rand(tensor.shape, generator=generator, dtype=torch.float64)
             total = total + (weights.to(tensor.device) * tensor.double()).sum()
         return total
@@ -154,7 +182,7 @@ class RasterizerContract(Contract):
         scene: Gaussians,
         cameras: Cameras,
         device: torch.device,
-    ) -> list[Tensor]:
+    ) -> list[Tensor | None]:
         leaves = {
             name: getattr(scene, name).to(device).clone().requires_grad_()
             for name in PER_GAUSSIAN
@@ -165,10 +193,4 @@ class RasterizerContract(Contract):
             loss.requires_grad,
             "the rendering carries no gradient; it must be differentiable in the Gaussians.",
         )
-        gradients = torch.autograd.grad(loss, list(leaves.values()), allow_unused=True)
-        for name, gradient in zip(leaves, gradients):
-            self.require(
-                gradient is not None,
-                f"no gradient reaches {name}; the rendering must depend on every field.",
-            )
-        return list(gradients)
+        return list(torch.autograd.grad(loss, list(leaves.values()), allow_unused=True))

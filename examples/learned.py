@@ -3,6 +3,8 @@
 Untrained, it shows the photos on curtains.
 """
 
+from dataclasses import replace
+
 import torch
 import torch.nn.functional as F
 from pydantic import Field
@@ -45,7 +47,7 @@ class CurtainHead(GaussianHead):
             torch.manual_seed(settings.seed)
             self.out = nn.Linear(backbone.feature_widths[-1], 2 * self.patch_size**2)
 
-    def forward(self, features, images):
+    def forward(self, features, images, source, geometry):
         batch, views, _, height, width = images.shape
         raw = (
             self.out(features.levels[-1]).transpose(-1, -2).unflatten(-1, features.grid)
@@ -97,7 +99,7 @@ class LearnedReconstructor(Reconstructor):
     def network(self):
         return self._network
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         patch = self.network["backbone"].patch_size
         scale = self.settings.size / max(views.image_size)
         fitting = [
@@ -110,7 +112,9 @@ class LearnedReconstructor(Reconstructor):
         features = self.network["backbone"](
             images, views.intrinsics
         )  # normalised: resizing changes nothing
-        return Reconstruction(self.network["head"](features, images))
+        head, views = self.network["head"], replace(views, images=images)
+        gaussians = head(features, images, views, None)
+        return Reconstruction(gaussians, features.cameras, per_pixel=head.per_pixel)
 
 
 @hookimpl

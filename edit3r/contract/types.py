@@ -14,9 +14,9 @@ foreign libraries are converted at the door (`edit3r.kit`); everything inside tr
 classes are frozen; change one with `dataclasses.replace`.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
-from typing import Any, TypeVar
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -40,26 +40,40 @@ class Tensors:
 
     def to(self: Moved, *args: Any, **kwargs: Any) -> Moved:
         """`Tensor.to` on floating-point fields; integer fields follow to the device."""
-        changes: dict[str, Any] = {}
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, Tensor):
-                moved = value.to(*args, **kwargs)
-                if not value.is_floating_point():
-                    moved = value.to(moved.device)
-                changes[field.name] = moved
-            elif isinstance(value, Tensors):
-                changes[field.name] = value.to(*args, **kwargs)
+
+        def to(tensor: Tensor) -> Tensor:
+            moved = tensor.to(*args, **kwargs)
+            return moved if tensor.is_floating_point() else tensor.to(moved.device)
+
+        changes = {
+            one.name: _moved(getattr(self, one.name), to) for one in fields(self)
+        }
         return replace(self, **changes)
 
     def __repr__(self) -> str:
         """Name and fields; of tensors the shape alone."""
         shown = []
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for one in fields(self):
+            value = getattr(self, one.name)
             text = list(value.shape) if isinstance(value, Tensor) else repr(value)
-            shown.append(f"{field.name}={text}")
+            shown.append(f"{one.name}={text}")
         return f"{type(self).__name__}({', '.join(shown)})"
+
+
+def _moved(value: Any, to: Callable[[Tensor], Tensor]) -> Any:
+    """`value` with all tensors in it moved."""
+    if isinstance(value, Tensor):
+        return to(value)
+    if isinstance(value, Tensors):
+        changes = {
+            one.name: _moved(getattr(value, one.name), to) for one in fields(value)
+        }
+        return replace(value, **changes)
+    if isinstance(value, Mapping):
+        return {name: _moved(inner, to) for name, inner in value.items()}
+    if isinstance(value, tuple):
+        return tuple(_moved(inner, to) for inner in value)
+    return value
 
 
 @dataclass(frozen=True, repr=False)
@@ -219,16 +233,22 @@ class Features(Tensors):
 
     levels: tuple[Float[Tensor, "batch view token channel"], ...]
     grid: tuple[int, int]
+    # of the views as the backbone predicts them, in the frame of view 0; None: it predicts none
+    cameras: Cameras | None = None
+    # tokens of no patch by name, such as "camera" or "register"
+    tokens: Mapping[str, Float[Tensor, "batch view _token _channel"]] = field(
+        default_factory=dict
+    )
 
     def __post_init__(self) -> None:
         tokens = self.grid[0] * self.grid[1]
         for index, level in enumerate(self.levels):
             _check(f"Features.levels[{index}]", level, (None, None, tokens, None))
-
-    def to(self, *args: Any, **kwargs: Any) -> "Features":
-        return Features(
-            tuple(level.to(*args, **kwargs) for level in self.levels), self.grid
-        )
+        views = self.levels[0].shape[:2] if self.levels else (None, None)
+        for name, named in self.tokens.items():
+            _check(f"Features.tokens[{name!r}]", named, (*views, None, None))
+        if self.cameras is not None:
+            _check("Features.cameras", self.cameras.c2w, (*views, 4, 4))
 
 
 @dataclass(frozen=True, repr=False)
@@ -384,20 +404,53 @@ class Reconstruction(Tensors):
     placed: Bool[Tensor, "batch view"] | None = None
     # share of pixels whose depth was measured; None: unknown
     measured: Float[Tensor, "batch view"] | None = None
+    # Gaussians that each pixel of the views has, which come first, view by view, row by row, those
+    # of a pixel together; 0: they are not made pixel by pixel
+    per_pixel: int = 1
     # what was added to the views' colours [sRGB] so that their edits agree, at a size of its own;
     # None: nothing
     fusion: Float[Tensor, "batch view 3 height width"] | None = None
 
 
+_Images = Float[Tensor, "batch camera 3 height width"]
+_Maps = Float[Tensor, "batch camera 1 height width"]
+if not TYPE_CHECKING:
+    # None in the answer of a rasterizer that does not give them; whoever needs them has asked its
+    # `gives` before, so types say that they are there.
+    _Images, _Maps = _Images | None, _Maps | None
+
+
 @dataclass(frozen=True, repr=False)
 class Rendering(Tensors):
-    """A rasterizer's answer for C cameras."""
+    """A rasterizer's answer for C cameras: what it `gives`, the rest is None."""
 
     # sRGB, >= 0, not clipped above 1
-    images: Float[Tensor, "batch camera 3 height width"]
-    alphas: Float[Tensor, "batch camera 1 height width"]  # in [0, 1]
+    images: _Images = None  # type: ignore[assignment]
+    alphas: _Maps = None  # type: ignore[assignment]  # in [0, 1]
     # expected camera z; 0 where nothing is hit
-    depths: Float[Tensor, "batch camera 1 height width"]
+    depths: _Maps = None  # type: ignore[assignment]
+    # more by name, such as "normals" (world, unit length) or "features"
+    extra: Mapping[str, Float[Tensor, "batch camera _channel height width"]] = field(
+        default_factory=dict
+    )
+
+    @property
+    def given(self) -> dict[str, Tensor]:
+        """All that is there by name, `extra` among it."""
+        usual = {name: getattr(self, name) for name in RENDERED}
+        there = {name: value for name, value in usual.items() if value is not None}
+        return {**there, **self.extra}
+
+    @staticmethod
+    def of(given: Mapping[str, Tensor]) -> "Rendering":
+        """The rendering of which `given` is all that is there."""
+        usual = {name: value for name, value in given.items() if name in RENDERED}
+        extra = {name: value for name, value in given.items() if name not in RENDERED}
+        return Rendering(**usual, extra=extra)
+
+
+RENDERED = {"images": 3, "alphas": 1, "depths": 1}
+"""What rasterizers usually give, and the channels of each."""
 
 
 def _check(name: str, tensor: Tensor, shape: tuple[int | None, ...]) -> None:

@@ -20,13 +20,13 @@ from edit3r.contract.errors import (
     InputError,
     MatchingError,
     PluginError,
+    SettingsError,
     is_out_of_memory,
 )
 from edit3r.contract.interfaces import (
     INTERFACES,
     Editor,
     Geometry,
-    Matcher,
     Proposal,
     Rasterizer,
     Reader,
@@ -37,7 +37,14 @@ from edit3r.contract.interfaces import (
     Tracks,
     Writer,
 )
-from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
+from edit3r.contract.types import (
+    RENDERED,
+    Cameras,
+    Gaussians,
+    Reconstruction,
+    Rendering,
+    Views,
+)
 from edit3r.contract.wishes import Wish
 
 FARTHEST = 1e6  # depths that a camera may stand from the first
@@ -114,7 +121,7 @@ def check_written(writer: Writer, path: Path) -> None:
     _require(writer, is_there, f"{promise}: {path.name}")
 
 
-def check_geometry(matcher: Matcher, views: Views, answer: Geometry) -> None:
+def check_geometry(matcher: Any, views: Views, answer: Geometry) -> None:
     """Shapes, dtypes and finiteness of what a matcher found, cameras that are some, and depths
     above 0.
     """
@@ -261,12 +268,29 @@ def check_gaussians(
 def check_rendering(
     rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras, answer: Rendering
 ) -> None:
-    """Shapes, dtype and finiteness of a rendering."""
+    """Shapes, dtype and finiteness of what the rasterizer `gives`, and nothing else."""
     _require_type(rasterizer, answer, Rendering)
-    views = cameras.c2w.shape[:2]
-    for name, channels in (("images", 3), ("alphas", 1), ("depths", 1)):
-        shape, tensor = [*views, channels, *cameras.image_size], getattr(answer, name)
+    given, views = answer.given, cameras.c2w.shape[:2]
+    for name in rasterizer.gives:
+        tensor: Any = given.pop(name, None)
+        sizes = list(getattr(tensor, "shape", ()))
+        channels = RENDERED.get(name, sizes[2] if len(sizes) == 5 else "channels")
+        shape = [*views, channels, *cameras.image_size]
         _require_tensor(rasterizer, name, tensor, shape, gaussians.means.dtype)
+    more = ", ".join(given)
+    _require(rasterizer, not given, f"name in its `gives` what it gives: {more}")
+
+
+def require_gives(
+    rasterizer: Rasterizer | type[Rasterizer], name: str, *needed: str, who: str
+) -> None:
+    """Raise SettingsError where the rasterizer called `name` does not give all that `who` needs."""
+    if any(one not in rasterizer.gives for one in needed):
+        raise SettingsError(
+            f"rasterizer {name!r} gives {' and '.join(rasterizer.gives) or 'nothing'}, and {who} "
+            f"needs {', '.join(needed)}; choose another "
+            "(edit3r list-plugins --kind rasterizer)."
+        )
 
 
 def named_after(component: Any) -> str:
@@ -354,3 +378,15 @@ def require_matchable(views: Views, least_size: int) -> None:
             f"the photos have {width} x {height} pixels, too few to match; "
             f"give photos of at least {least_size} pixels a side."
         )
+
+
+def require_geometry(
+    reconstructor: Reconstructor, geometry: Geometry | None
+) -> Geometry:
+    """For reconstructors that use geometry: raise InputError where the caller gives none."""
+    if geometry is None:
+        raise InputError(
+            f"reconstructor {component_name(reconstructor)!r} uses geometry, and none was given; "
+            'hand over a matcher\'s: edit3r.build("matcher", "auto").match(source).'
+        )
+    return geometry

@@ -28,13 +28,12 @@ def render_each(
     whole: dict[str, Tensor] = {}
     for i in track(range(cameras.count), text):
         one = render_one(rasterizer, gaussians, cameras.select([i]))
-        for name in ("images", "alphas", "depths"):
-            part: Tensor = getattr(one, name)
+        for name, part in one.given.items():
             if i == 0:  # each part goes where it stays: parts and their whole are twice
                 batch, _, *shape = part.shape
                 whole[name] = part.new_empty(batch, cameras.count, *shape)
             whole[name][:, i] = part[:, 0]
-    return Rendering(**whole)
+    return Rendering.of(whole)
 
 
 def render_one(

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator
 
+from edit3r.contract.component import component_name
 from edit3r.contract.errors import SettingsError, UnknownComponentError
 from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
 from edit3r.kit.files.yaml import read_yaml
@@ -27,7 +28,14 @@ OWN_OUTPUTS = {
 }
 """What a run writes by itself, and the files and folders of each; all else is made by writers."""
 USUAL_OUTPUTS: tuple[str, ...] = tuple(DEFAULTS["outputs"])
-PART_KEYS = ("reader", "editor", "reconstructor", "rasterizer", "segmenter")
+PART_KEYS = (
+    "reader",
+    "editor",
+    "matcher",
+    "reconstructor",
+    "rasterizer",
+    "segmenter",
+)
 
 
 class RunConfig(Settings):
@@ -51,6 +59,11 @@ class RunConfig(Settings):
     reconstructor: PartChoice = Field(
         PartChoice(name=DEFAULTS["reconstructor"]),
         description="reconstructor and its settings",
+    )
+    matcher: PartChoice = Field(
+        PartChoice.model_validate(DEFAULTS["matcher"]),
+        description="reads poses and depths from the photos where somebody needs them; where "
+        "--cameras has all poses, they are used as they are unless a matcher is chosen",
     )
     rasterizer: PartChoice = Field(
         PartChoice(name=DEFAULTS["rasterizer"]),
@@ -238,7 +251,7 @@ class RunConfig(Settings):
         """Name and settings of the refiners that `gaussians` and `refine` stand for."""
         names = DEFAULTS["shorthands"]
         implied: dict[str, dict[str, Any]] = {}
-        asked = self._set_by_the_user()
+        asked = self.set_by_the_user()
         fewer_asked = by_default or asked & {"gaussians", "max_gaussians"}
         if fewer_asked and (self.gaussians != "all" or self.max_gaussians is not None):
             fewer: dict[str, Any] = {"gaussians": self.gaussians}
@@ -251,7 +264,7 @@ class RunConfig(Settings):
             implied[names["refine"]] = {"steps": self.refine}
         return implied
 
-    def _set_by_the_user(self) -> set[str]:
+    def set_by_the_user(self) -> set[str]:
         """Names of the settings that were given, other than by the preset."""
         preset = read_quality().preset(self.quality).settings if self.quality else {}
         given = self.model_fields_set
@@ -333,7 +346,8 @@ def make_run_config(*layers: Mapping[str, Any]) -> RunConfig:
     merged = with_quality(merged)
     for key in PART_KEYS:
         given = merged.get(key)
-        if isinstance(given, dict) and "name" not in given:
+        has_default = isinstance(RunConfig.model_fields[key].default, PartChoice)
+        if isinstance(given, dict) and "name" not in given and not has_default:
             merged[key] = {"name": _default_name(key), **given}
     return make_settings(RunConfig, merged, where="run")
 
@@ -362,7 +376,24 @@ def check_components(
             registry.check(kind, choice)
     for choice in config.all_refiners():
         registry.check("refiner", choice)
+    _check_rasterizer(config, registry, given or {})
     _check_outputs(config, registry)
+
+
+def _check_rasterizer(
+    config: RunConfig, registry: Registry, given: Mapping[str, Any]
+) -> None:
+    """Raise for a rasterizer that does not give what a run needs."""
+    # torch comes with them, which reading a configuration does without
+    from edit3r.contract.types import RENDERED
+    from edit3r.kit.checks import require_gives
+
+    name, rasterizer = config.rasterizer.name, given.get("rasterizer")
+    if rasterizer is None:
+        rasterizer = registry.load_class(registry.find("rasterizer", name))
+    else:
+        name = component_name(rasterizer)
+    require_gives(rasterizer, name, *RENDERED, who="a run")
 
 
 def _check_outputs(config: RunConfig, registry: Registry) -> None:

@@ -18,7 +18,8 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice, make_settings
-from edit3r.contract.types import Cameras, EditRequest
+from edit3r.contract.types import RENDERED, Cameras, EditRequest
+from edit3r.kit.checks import require_gives
 from edit3r.kit.geometry.cameras import scale_poses
 from edit3r.kit.geometry.maps import composite
 from edit3r.kit.geometry.paths import between_and_around
@@ -89,6 +90,8 @@ class ItemRunner:
         views = item.photos.select(order)
         if method.poses and item.cameras is not None:
             views = replace(views, c2w=item.cameras.c2w[:, order])
+        rasterizer = self._component("rasterizer", method.rasterizer)
+        require_gives(rasterizer, method.rasterizer.name, *RENDERED, who="bench")
         result = edit3r.run(
             views,
             item.record.prompt,
@@ -105,7 +108,6 @@ class ItemRunner:
         gaussians = result.gaussians
         if method.gaussians_of == "first":
             gaussians = gaussians.from_view(0)
-        rasterizer = self._component("rasterizer", method.rasterizer)
         with report.stage("render"):
             rendering = render_each(rasterizer, gaussians, cameras, "render")
         return MethodOutput(

@@ -13,7 +13,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from edit3r.contract.errors import InputError, SettingsError
-from edit3r.contract.interfaces import Backbone
+from edit3r.contract.interfaces import Backbone, Geometry
 from edit3r.contract.settings import Count, Settings
 from edit3r.contract.types import Features
 from edit3r_model.memory import construct
@@ -125,6 +125,7 @@ class AsymmetricViT(Backbone):
         self,
         images: Images,
         intrinsics: Intrinsics,
+        geometry: Geometry | None = None,
     ) -> Features:
         """Return the four levels that the heads read, see `hook_levels`."""
         return self._features(images, intrinsics, self.hooks)

@@ -16,9 +16,9 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from edit3r.contract.errors import SettingsError
-from edit3r.contract.interfaces import Backbone, GaussianHead
+from edit3r.contract.interfaces import Backbone, GaussianHead, Geometry
 from edit3r.contract.settings import Count, Settings
-from edit3r.contract.types import Features, Gaussians
+from edit3r.contract.types import Features, Gaussians, Views
 from edit3r_model.backbone import ROLES
 from edit3r_model.gaussian_adapter import adapt, attribute_channels
 from edit3r_model.memory import construct
@@ -75,6 +75,11 @@ class DptGaussianHead(GaussianHead):
             lt=1,
             description="share of the attribute predictor's features left out while training",
         )
+        levels: tuple[int, int, int, int] | None = Field(
+            None,
+            description="which of the backbone's levels it reads, counted from 0, finest use "
+            "first; default: four evenly spread from the first to the last",
+        )
         strip_rows: Count = Field(
             16,
             description="image rows computed at a time in the last layers; fewer need less "
@@ -89,31 +94,28 @@ class DptGaussianHead(GaussianHead):
     def __init__(self, settings: Settings, backbone: Backbone) -> None:
         super().__init__()
         self.settings = settings
-        self.token_widths = tuple(backbone.feature_widths)
         self.patch_size = backbone.patch_size
-        if len(self.token_widths) != 4:
-            raise SettingsError(
-                f"head: dpt-gaussian reads 4 levels, the backbone gives {len(self.token_widths)}."
-            )
-        if self.patch_size != 16:
-            raise SettingsError(
-                "head: dpt-gaussian needs patches of 16 pixels, the backbone has "
-                f"{self.patch_size}."
-            )
+        self.levels = _levels(settings.levels, len(backbone.feature_widths))
+        self.token_widths = tuple(backbone.feature_widths[i] for i in self.levels)
         kept, predicted = settings.keep_degree, settings.harmonics_degree
         self.degree = predicted if kept is None else min(kept, predicted)
         construct(self, self._build, settings.seed)
 
     def _build(self) -> None:
-        sizes = self.token_widths, self.settings
+        sizes = self.token_widths, self.patch_size, self.settings
         self.centres = nn.ModuleList(CentrePredictor(*sizes) for _ in range(ROLES))
         self.attributes = nn.ModuleList(
             AttributePredictor(*sizes) for _ in range(ROLES)
         )
 
     def forward(
-        self, features: Features, images: Float[Tensor, "batch view 3 height width"]
+        self,
+        features: Features,
+        images: Float[Tensor, "batch view 3 height width"],
+        source: Views,
+        geometry: Geometry | None = None,
     ) -> Gaussians:
+        """Gaussians of `images` alone."""
         return adapt(
             self.raw_points(features),
             self.raw_parameters(features, images),
@@ -141,17 +143,18 @@ class DptGaussianHead(GaussianHead):
         """Run the right predictor on each view, one at a time: maps are large, and only one set is
         in memory.
         """
-        batch, views = features.levels[0].shape[:2]
+        levels = [features.levels[index] for index in self.levels]
+        batch, views = levels[0].shape[:2]
         # [batch, view, height, width, channel], as the Gaussians are ordered.
         maps: Tensor | None = None
         for scene, view in product(range(batch), range(views)):
-            levels = [
+            given = [
                 level[scene, view].T.unflatten(1, features.grid)[None]
-                for level in features.levels
+                for level in levels
             ]
             extra = () if pixels is None else (pixels[scene, view, None],)
             predictor = predictors[min(view, ROLES - 1)]
-            result = predictor(levels, *extra)[0].movedim(0, -1)
+            result = predictor(given, *extra)[0].movedim(0, -1)
             if maps is None:
                 maps = result.new_empty(batch, views, *result.shape)
             maps[scene, view] = result
@@ -159,14 +162,18 @@ class DptGaussianHead(GaussianHead):
 
 
 class CentrePredictor(nn.Module):
-    """Raw centres of one view's Gaussians: trunk, then three convolutions with one doubling between
-    them.
+    """Raw centres of one view's Gaussians: trunk, then three convolutions, between which the map
+    gets the image's size.
     """
 
     def __init__(
-        self, token_widths: tuple[int, ...], settings: DptGaussianHead.Settings
+        self,
+        token_widths: tuple[int, ...],
+        patch_size: int,
+        settings: DptGaussianHead.Settings,
     ) -> None:
         super().__init__()
+        self.patch_size = patch_size
         width, points = settings.feature_width, settings.point_width
         self.strip_rows = settings.strip_rows
         self.trunk = DptTrunk(token_widths, settings.layer_widths, width)
@@ -175,25 +182,30 @@ class CentrePredictor(nn.Module):
         self.out = nn.Conv2d(points, 3, 1)
 
     def forward(self, maps: list[Maps]) -> Maps:
-        half = self.conv1(self.trunk(maps))
-        height = 2 * half.shape[2]
+        coarse = self.conv1(self.trunk(maps))
+        height, width = (side * self.patch_size for side in maps[0].shape[-2:])
+        fine = partial(resized_rows, coarse, (height, width))
 
         def strip(start: int, stop: int) -> Tensor:
-            rows = with_border(partial(double_rows, half), start, stop, height, 1)
+            rows = with_border(fine, start, stop, height, 1)
             return self.out(F.relu(self.conv2(rows)))
 
         return in_strips(height, self.strip_rows, strip)
 
 
 class AttributePredictor(nn.Module):
-    """Raw attributes of one view's Gaussians: doubled trunk plus features of the image, then two
-    convolutions.
+    """Raw attributes of one view's Gaussians: trunk at the image's size plus features of the image,
+    then two convolutions.
     """
 
     def __init__(
-        self, token_widths: tuple[int, ...], settings: DptGaussianHead.Settings
+        self,
+        token_widths: tuple[int, ...],
+        patch_size: int,
+        settings: DptGaussianHead.Settings,
     ) -> None:
         super().__init__()
+        self.patch_size = patch_size
         width = settings.feature_width
         self.strip_rows = settings.strip_rows
         self.dropout = settings.dropout
@@ -203,16 +215,17 @@ class AttributePredictor(nn.Module):
         self.out = nn.Conv2d(width, attribute_channels(settings.harmonics_degree), 1)
 
     def forward(self, maps: list[Maps], pixels: Maps) -> Maps:
-        half = self.trunk(maps)
-        height = 2 * half.shape[2]
-        pixels = pixels.to(half.dtype)
+        coarse = self.trunk(maps)
+        height, width = (side * self.patch_size for side in maps[0].shape[-2:])
+        fine = partial(resized_rows, coarse, (height, width))
+        pixels = pixels.to(coarse.dtype)
 
         def photo(start: int, stop: int) -> Tensor:
             return pixels[:, :, start:stop]
 
         def seen(start: int, stop: int) -> Tensor:
             near = with_border(photo, start, stop, height, 3)
-            return double_rows(half, start, stop) + F.relu(self.shortcut(near))
+            return fine(start, stop) + F.relu(self.shortcut(near))
 
         def strip(start: int, stop: int) -> Tensor:
             x = F.relu(self.conv(with_border(seen, start, stop, height, 1)))
@@ -225,7 +238,7 @@ class DptTrunk(nn.Module):
     """Reassemble token levels into maps of four resolutions and fuse them from coarse to fine.
 
     With a patch grid of n x m the maps are 4n x 4m, 2n x 2m, n x m and ceil(n/2) x ceil(m/2); the
-    result is 8n x 8m.
+    result is 8n x 8m, whatever the patches' size.
     """
 
     def __init__(
@@ -292,18 +305,23 @@ def double(x: Maps) -> Maps:
     return F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=True)
 
 
-def double_rows(x: Maps, start: int, stop: int) -> Maps:
-    """Compute the rows `start` to `stop` (exclusive) of `double(x)` without the others."""
-    height, width = x.shape[2:]
-    at = torch.arange(start, stop, device=x.device) * ((height - 1) / (2 * height - 1))
+def resized_rows(x: Maps, size: tuple[int, int], start: int, stop: int) -> Maps:
+    """Compute the rows `start` to `stop` (exclusive) of `x` at `size` without the others.
+
+    Bilinear, corner pixels in place: `double(x)` for twice the size.
+    """
+    height = x.shape[2]
+    step = (height - 1) / max(size[0] - 1, 1)
+    at = torch.arange(start, stop, device=x.device) * step
     low = at.long().clamp(max=max(height - 2, 0))
     high = (low + 1).clamp(max=height - 1)
     share = (at - low).to(x.dtype)[:, None, None]
     # Indexing this way round keeps channels-last maps channels-last.
     nhwc = x.permute(0, 2, 3, 1)
     rows = torch.lerp(nhwc[:, low], nhwc[:, high], share).permute(0, 3, 1, 2)
-    size = (stop - start, 2 * width)
-    return F.interpolate(rows, size, mode="bilinear", align_corners=True)
+    return F.interpolate(
+        rows, (stop - start, size[1]), mode="bilinear", align_corners=True
+    )
 
 
 def in_strips(height: int, rows: int, compute: Rows) -> Maps:
@@ -326,6 +344,21 @@ def with_border(rows: Rows, start: int, stop: int, height: int, border: int) -> 
     above, below = first - (start - border), stop + border - last
     found = rows(first, last)
     return F.pad(found, (0, 0, above, below)) if above or below else found
+
+
+def _levels(chosen: tuple[int, ...] | None, given: int) -> tuple[int, ...]:
+    """Indices of the four of `given` levels that the head reads."""
+    if given < 4:
+        raise SettingsError(
+            f"head: dpt-gaussian reads four levels, the backbone gives {given}."
+        )
+    if chosen is None:
+        return tuple(round(index * (given - 1) / 3) for index in range(4))
+    if not all(0 <= index < given for index in chosen):
+        raise SettingsError(
+            f"head.levels: the backbone has levels 0 to {given - 1}, got {chosen}."
+        )
+    return chosen
 
 
 def _reassemble(index: int, token_width: int, layer_width: int) -> nn.Module:

@@ -16,7 +16,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract import settings as config
-from edit3r.contract.interfaces import Geometry, GeometryBackbone, Matcher
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.settings import Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.compute.layers import one_thread
@@ -61,44 +61,43 @@ class MatchedSettings(config.Settings):
 class MatchedForm:
     """Matched poses and depths, and a head that draws disagreeing edits to the reference's."""
 
-    def __init__(
-        self, settings: MatchedSettings, network: GaussianNetwork, matcher: Matcher
-    ) -> None:
+    def __init__(self, settings: MatchedSettings, network: GaussianNetwork) -> None:
         self.settings = settings
         self.network = network
-        self.matcher = matcher
 
     def __call__(
-        self, views: Views, source: Views, grid: tuple[int, int] | None
+        self,
+        views: Views,
+        source: Views,
+        matched: Geometry,
+        grid: tuple[int, int] | None,
     ) -> Reconstruction:
-        """Reconstruct; differentiable only while the network is in training mode."""
-        with torch.no_grad():
-            matched = self.matcher.match(source)
+        """Reconstruct; in training mode differentiably, and the photos' own pixels alone."""
         grid = grid or views.image_size
         views, source = matched.calibrated(views), matched.calibrated(source)
         geometry = matched.at(grid)
-        learns = self.network.training and torch.is_grad_enabled()
-        # Silu, sigmoid and others round the last few values of what each thread is given in another
-        # way.
-        with one_thread(), torch.set_grad_enabled(learns):
-            made = self.from_geometry(views, source, geometry)
-            coarse = views.at(grid), source.at(grid)
-            made = self._with_surroundings(made, *coarse, geometry)
+        if self.network.training and torch.is_grad_enabled():
+            made = self._of_pixels(views, source, geometry)
+        else:
+            # Silu, sigmoid and others round the last few values of what each thread is given in
+            # another way.
+            with one_thread(), torch.no_grad():
+                made = self._of_pixels(views, source, geometry)
+                coarse = views.at(grid), source.at(grid)
+                made = self._with_surroundings(made, *coarse, geometry)
         return replace(made, placed=geometry.registered, measured=matched.measured)
 
-    def from_geometry(
+    def _of_pixels(
         self, views: Views, source: Views, geometry: Geometry
     ) -> Reconstruction:
-        """Reconstruct from given geometry, differentiably.
-
-        The Gaussians lie on the geometry's grid; the views may be finer.
-        """
+        """One Gaussian a pixel of the geometry's grid; the views may be finer."""
         unit = geometry.depths[:, 0].flatten(1).median(1).values
         prior = _in_unit(geometry, unit)
         gaussians = self._gaussians(views, source, prior)
         # Back in the matcher's own unit; views that could not be placed are transparent.
         factor = unit[:, None, None]
-        placed = geometry.registered[:, gaussians.view_index]
+        of_view = gaussians.view_index
+        placed = geometry.registered[:, of_view] | (of_view < 0)
         gaussians = replace(
             gaussians,
             means=gaussians.means * factor,
@@ -107,20 +106,19 @@ class MatchedForm:
         )
         c2w = scale_poses(prior.c2w, unit[:, None])
         size = tuple(prior.depths.shape[-2:])
-        return Reconstruction(gaussians, Cameras(c2w, source.intrinsics, size))
+        cameras = Cameras(c2w, source.intrinsics, size)
+        per_pixel = self.network.head.per_pixel
+        return Reconstruction(gaussians, cameras, per_pixel=per_pixel)
 
     def _gaussians(self, views: Views, source: Views, prior: Geometry) -> Gaussians:
-        """Backbone, then head; a backbone that takes no geometry is given none."""
+        """Backbone, then head."""
         backbone, head = self.network.backbone, self.network.head
         coarse = source.at(tuple(prior.depths.shape[-2:]))
         size = network_grid(
             coarse.image_size, self.settings.network_size, backbone.patch_size
         )
         images = resize(coarse.images, size)
-        if isinstance(backbone, GeometryBackbone):
-            features = backbone(images, coarse.intrinsics, averaged(prior, size))
-        else:
-            features = backbone(images, coarse.intrinsics)
+        features = backbone(images, coarse.intrinsics, averaged(prior, size))
         return head(features, views.images, source, prior)
 
     def _with_surroundings(
@@ -132,17 +130,23 @@ class MatchedForm:
     ) -> Reconstruction:
         """Continue the fused images beyond their borders and behind their surfaces; say what
         fusing added.
+
+        Where a pixel has several Gaussians, its colour is their mean, and it is as opaque as the
+        most opaque; where they are not made pixel by pixel, the views' own colours count, and all
+        is opaque.
         """
-        chosen = self.settings
-        shape = (*source.images.shape[:2], *source.image_size, 3)
-        colours = dc_to_colour(made.gaussians.harmonics[:, :, 0])
-        colours = colours.reshape(shape).permute(0, 1, 4, 2, 3)
+        chosen, each = self.settings, made.per_pixel
+        shape = (*source.images.shape[:2], *source.image_size, each)
+        colours, opacities = views.images, torch.ones_like(geometry.depths)
+        if each:
+            plain = dc_to_colour(made.gaussians.harmonics[:, :, 0])
+            colours = plain.reshape(*shape, 3).mean(4).permute(0, 1, 4, 2, 3)
+            opacities = made.gaussians.opacities.reshape(shape).amax(4)
         fused = Views(colours, source.intrinsics)
         parts = [made.gaussians]
         if chosen.background_layer > 0:
             parts.append(background_layer(fused, geometry, chosen.background_layer))
         if chosen.second_layer > 0:
-            opacities = made.gaussians.opacities.view_as(geometry.depths)
             parts.append(second_layer(fused, geometry, opacities, chosen.second_layer))
         if chosen.rim > 0:
             parts.append(rim(fused, geometry, chosen.rim, chosen.rim_opacity))

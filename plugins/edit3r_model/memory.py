@@ -27,7 +27,7 @@ MLP hidden (4).
 _WORKING_MAPS = 5
 """Feature maps at half resolution alive at once in a dense head."""
 _PER_GAUSSIAN = 4 * (2 * (3 + 83) + 86)
-"""Bytes per pixel for raw maps, their stacked copies and the Gaussians in float32."""
+"""Bytes per Gaussian for raw maps, their stacked copies and the Gaussians in float32."""
 _PAGEOUT = 21
 """MADV_PAGEOUT (Linux 5.4): drops clean file pages from the process, never data; Python's mmap does
 not name it.
@@ -89,6 +89,7 @@ def estimate_bytes(
     views: int,
     size: tuple[int, int],
     feature_width: int = 256,
+    per_pixel: int = 1,
 ) -> int:
     """Estimate the memory of one run beside the weights [bytes], usually within a factor of 1.5."""
     height, width = size
@@ -99,7 +100,7 @@ def estimate_bytes(
     blocks = 4 * tokens * max(backbone.feature_widths) * tensors
     # Dense heads take one image at a time.
     heads = feature_width * pixels * _WORKING_MAPS
-    return blocks + heads + batch * views * pixels * _PER_GAUSSIAN
+    return blocks + heads + batch * views * pixels * per_pixel * _PER_GAUSSIAN
 
 
 def available_bytes(device: torch.device) -> int | None:

@@ -13,7 +13,7 @@ from pydantic import Field
 from edit3r.contract import settings as config
 from edit3r.contract.errors import RunError, SettingsError
 from edit3r.contract.reporting import note
-from edit3r.contract.types import Gaussians, Reconstruction, Views
+from edit3r.contract.types import Reconstruction, Views
 from edit3r.kit.weights.load import out_of_memory_told
 from edit3r_model.engine import Precision
 from edit3r_model.memory import ADVICE, check_fits, estimate_bytes
@@ -64,6 +64,11 @@ class SinglePass:
     """
 
     def __init__(self, settings: SinglePassSettings, network: GaussianNetwork) -> None:
+        if settings.fit == "pad" and network.head.per_pixel == 0:
+            raise SettingsError(
+                "reconstructor.fit: this head does not make its Gaussians pixel by pixel, so those "
+                "of the padding cannot be left out; set fit=resize."
+            )
         self.settings = settings
         self.network = network
         self.resolution = settings.resolution or RESOLUTION
@@ -75,11 +80,11 @@ class SinglePass:
         """
         chosen, backbone = self.settings, self.network.backbone
         fitted = fit_views(views, backbone.patch_size, self.resolution, chosen.fit)
-        gaussians = self._run(fitted.views).to(views.images.device)
-        _require_finite(gaussians)
-        return Reconstruction(fitted.drop_padding(gaussians))
+        made = self._run(fitted.views).to(views.images.device)
+        _require_finite(made)
+        return fitted.drop_padding(made)
 
-    def _run(self, views: Views) -> Gaussians:
+    def _run(self, views: Views) -> Reconstruction:
         """The network's own answer for views of a size that it takes."""
         learns = self.network.training and torch.is_grad_enabled()
         chosen, size = self.settings, views.image_size
@@ -91,18 +96,21 @@ class SinglePass:
         what = f"reconstructing {views.count} views at {size[0]}x{size[1]}"
         device = (*self.network.parameters(), *self.network.buffers())[0].device
         needed = estimate_bytes(
-            self.network.backbone, len(views.images), views.count, size
+            self.network.backbone,
+            len(views.images),
+            views.count,
+            size,
+            per_pixel=self.network.head.per_pixel,
         )
         check_fits(needed, device, what)
         with out_of_memory_told(what, ADVICE), torch.set_grad_enabled(learns):
-            inputs = views.to(device, torch.float32)
-            return self.network(inputs.images, inputs.intrinsics)
+            return self.network.reconstruct(views.to(device, torch.float32))
 
 
-def _require_finite(gaussians: Gaussians) -> None:
+def _require_finite(made: Reconstruction) -> None:
     """Raise RunError that names the first tensor with NaN or infinite values."""
     for name in ("means", "scales", "quats", "opacities", "harmonics"):
-        if not getattr(gaussians, name).isfinite().all():
+        if not getattr(made.gaussians, name).isfinite().all():
             raise RunError(
                 f"the network's {name} are not finite; in float16 this is an overflow: set "
                 "reconstructor.precision to bfloat16 or float32."

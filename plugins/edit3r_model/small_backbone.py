@@ -13,7 +13,7 @@ from pydantic import Field
 from torch import Tensor, nn
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Geometry, GeometryBackbone
+from edit3r.contract.interfaces import Backbone, Geometry
 from edit3r.contract.settings import Index, Settings
 from edit3r.contract.types import Features
 from edit3r.kit.compute.layers import Conv2d, GroupNorm, bilinear
@@ -38,12 +38,13 @@ Images = Float[Tensor, "batch view 3 height width"]
 Maps = Float[Tensor, "batch channel height width"]
 
 
-class MatchedUNet(GeometryBackbone):
+class MatchedUNet(Backbone):
     """U-Net with global attention at an eighth of the images' resolution; one level of features, at
     half of it.
     """
 
     patch_size = STRIDE
+    uses_geometry = True
 
     class Settings(Settings):
         width: int = Field(
@@ -87,8 +88,7 @@ class MatchedUNet(GeometryBackbone):
         height, width = images.shape[-2:]
         if geometry is None:
             raise InputError(
-                "matched-unet needs matched geometry: give the reconstructor a matcher, as "
-                "edit3r has."
+                "matched-unet needs geometry: hand over what a matcher read from the images."
             )
         if min(height, width) < SMALLEST or height % STRIDE or width % STRIDE:
             raise InputError(

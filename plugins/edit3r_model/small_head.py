@@ -17,8 +17,8 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
-from edit3r.contract.errors import SettingsError
-from edit3r.contract.interfaces import Backbone, Geometry, GeometryHead
+from edit3r.contract.errors import InputError, SettingsError
+from edit3r.contract.interfaces import Backbone, GaussianHead, Geometry
 from edit3r.contract.settings import Index, Settings, Share
 from edit3r.contract.types import Cameras, Features, Gaussians, Views
 from edit3r.kit.compute.layers import bilinear
@@ -72,13 +72,15 @@ class Choices:
     weights: Images  # of the candidates, together 1; 0 for the reference
 
 
-class EditFusionHead(GeometryHead):
+class EditFusionHead(GaussianHead):
     """Corrects matched geometry, and draws edits that disagree to the reference's; starts as no
     correction.
 
     It reads the last level of any backbone. The Gaussians lie on the geometry's grid, whatever the
     images' size.
     """
+
+    uses_geometry = True
 
     class Settings(Settings):
         width: int = Field(
@@ -141,8 +143,12 @@ class EditFusionHead(GeometryHead):
         features: Features,
         images: Images,
         source: Views,
-        geometry: Geometry,
+        geometry: Geometry | None,
     ) -> Gaussians:
+        if geometry is None:
+            raise InputError(
+                "edit-fusion needs geometry: hand over what a matcher read from `source`."
+            )
         grid = tuple(geometry.depths.shape[-2:])
         edited = replace(source, images=images)
         # An edit is a function of colour pixel by pixel; means of several pixels are not.

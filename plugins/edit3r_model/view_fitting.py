@@ -1,6 +1,6 @@
 """Photos of any size to what the network takes, and its Gaussians back to the photos' size."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.contract.types import Gaussians, Views
+from edit3r.contract.types import Cameras, Reconstruction, Views
 
 Images = Float[Tensor, "batch view 3 height width"]
 Size = tuple[int, int]  # (height, width) [pixels]
@@ -21,15 +21,22 @@ class FittedViews:
     views: Views
     inner_size: Size  # of the photo, from the top-left corner
 
-    def drop_padding(self, gaussians: Gaussians) -> Gaussians:
-        """Keep only the Gaussians of pixels that show the photo."""
+    def drop_padding(self, made: Reconstruction) -> Reconstruction:
+        """Keep only the Gaussians of pixels that show the photo, and cameras of the photo alone."""
         if self.views.image_size == self.inner_size:
-            return gaussians
+            return made
         rows, columns = self.inner_size
         size = (self.views.count, *self.views.image_size)
-        inside = torch.zeros(size, dtype=torch.bool, device=gaussians.means.device)
+        device = made.gaussians.means.device
+        inside = torch.zeros(size, dtype=torch.bool, device=device)
         inside[:, :rows, :columns] = True
-        return gaussians.select(inside.flatten())
+        inside = inside.flatten().repeat_interleave(made.per_pixel)
+        cameras = made.cameras
+        if cameras is not None:
+            shares = _shares(self.inner_size, self.views.image_size)
+            intrinsics = cameras.intrinsics / cameras.intrinsics.new_tensor(shares)
+            cameras = Cameras(cameras.c2w, intrinsics, self.inner_size)
+        return replace(made, gaussians=made.gaussians.select(inside), cameras=cameras)
 
 
 def fit_views(
@@ -53,10 +60,14 @@ def fit_views(
     if any(margins):
         padded = F.pad(images.flatten(0, 1), margins, mode="replicate")
         images = padded.unflatten(0, images.shape[:2])
-    height, width = images.shape[-2:]
-    shares = views.intrinsics.new_tensor([inner[1] / width, inner[0] / height, 1.0])
-    intrinsics = views.intrinsics * shares[:, None]
+    shares = views.intrinsics.new_tensor(_shares(inner, tuple(images.shape[-2:])))
+    intrinsics = views.intrinsics * shares
     return FittedViews(Views(images, intrinsics, views.names), inner)
+
+
+def _shares(inner: Size, outer: Size) -> list[list[float]]:
+    """Of the photo in width and height of the padded image: factors of normalised intrinsics."""
+    return [[inner[1] / outer[1]], [inner[0] / outer[0]], [1.0]]
 
 
 def _scaled(size: Size, resolution: int, unit: int) -> Size:

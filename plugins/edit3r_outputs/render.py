@@ -162,13 +162,16 @@ def _views(
         view = render_one(rasterizer, gaussians, cameras.select([index]))
         if files:
             save_image(view.images[0, 0].clamp(0, 1), files[index])
-        parts = (view.images, view.alphas, view.depths)
-        kept.append([part[..., ::step, ::step].clone() for part in parts])
-    return Rendering(*(torch.cat(parts, 1) for parts in zip(*kept)))
+        parts = view.given.items()
+        kept.append({name: part[..., ::step, ::step].clone() for name, part in parts})
+    given = {name: torch.cat([one[name] for one in kept], 1) for name in kept[0]}
+    return Rendering.of(given)
 
 
 def _rasterizer(args: argparse.Namespace) -> "Rasterizer":
     from edit3r import default_registry
+    from edit3r.contract.types import RENDERED
+    from edit3r.kit.checks import require_gives
     from edit3r.kit.files.configs import parse_assignments
     from edit3r.running import make_run_config
 
@@ -179,7 +182,9 @@ def _rasterizer(args: argparse.Namespace) -> "Rasterizer":
         )
     flag = {"rasterizer": args.rasterizer} if args.rasterizer else {}
     choice = make_run_config(settings, flag).rasterizer
-    return default_registry(tuple(args.plugin)).build_choice("rasterizer", choice)
+    rasterizer = default_registry(tuple(args.plugin)).build_choice("rasterizer", choice)
+    require_gives(rasterizer, choice.name, *RENDERED, who="render")
+    return rasterizer
 
 
 def _gaussians(args: argparse.Namespace) -> "Gaussians":

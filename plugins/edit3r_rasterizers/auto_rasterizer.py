@@ -7,22 +7,32 @@ from edit3r import Registry, default_registry
 from edit3r.contract import reporting
 from edit3r.contract.component import Offer
 from edit3r.contract.interfaces import Rasterizer
-from edit3r.contract.types import Cameras, Gaussians, Rendering
+from edit3r.contract.types import RENDERED, Cameras, Gaussians, Rendering
 from edit3r_rasterizers.settings import RasterizerSettings
 
 
 def choose(registry: Registry, device: str) -> tuple[Offer, str]:
-    """The installed rasterizer made for a type of device, else one made for the CPU; and why."""
+    """The installed rasterizer made for a type of device that gives what one usually does, else
+    one made for the CPU; and why.
+    """
     offers = [
         offer for offer in registry.offers("rasterizer") if not registry.missing(offer)
     ]
     for offer in offers:
-        if device in offer.component.devices:
+        if device in offer.component.devices and _gives_all(registry, offer):
             return offer, f"made for {device}, where the Gaussians are"
-    on_cpu = next(offer for offer in offers if "cpu" in offer.component.devices)
+    on_cpu = next(
+        offer
+        for offer in offers
+        if "cpu" in offer.component.devices and _gives_all(registry, offer)
+    )
     return on_cpu, (
         f"no rasterizer made for {device} is installed, so the Gaussians are copied to the CPU"
     )
+
+
+def _gives_all(registry: Registry, offer: Offer) -> bool:
+    return set(RENDERED) <= set(registry.load_class(offer).gives)
 
 
 class AutoRasterizer(Rasterizer):

@@ -46,19 +46,14 @@ class GsplatRasterizer(Rasterizer):
 
         Raises InputError for input that is not finite or not on a CUDA device.
         """
-        if gaussians.means.device.type != "cuda":
-            raise InputError(
-                "rasterizer 'gsplat' renders on a CUDA device, the Gaussians are on "
-                f"{gaussians.means.device}; "
-                f"move them with .to('cuda'), or use 'numba'."
-            )
+        _check_device(gaussians)
         check_scene(gaussians, cameras)
         backgrounds = resolve_background(
             background, self.settings.background, gaussians, cameras
         )
         scenes = [
-            self._render_scene(gaussians, cameras, scene)
-            for scene in range(gaussians.means.shape[0])
+            self._render_scene(gaussians, cameras, scene, near)
+            for scene, near in enumerate(self.settings.near_planes(gaussians))
         ]
         colours, alphas, depths = (torch.stack(images) for images in zip(*scenes))
         return Rendering(
@@ -66,7 +61,7 @@ class GsplatRasterizer(Rasterizer):
         )
 
     def _render_scene(
-        self, gaussians: Gaussians, cameras: Cameras, scene: int
+        self, gaussians: Gaussians, cameras: Cameras, scene: int, near: float
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Premultiplied colour [C, 3, H, W], alpha and expected depth [C, 1, H, W] of one scene."""
         height, width = cameras.image_size
@@ -86,7 +81,7 @@ class GsplatRasterizer(Rasterizer):
             Ks=to_pixels(cameras.intrinsics[scene], cameras.image_size).float(),
             width=width,
             height=height,
-            near_plane=self.settings.near_plane(gaussians),
+            near_plane=near,
             far_plane=self.settings.far,
             eps2d=self.settings.eps2d,
             sh_degree=gaussians.degree,
@@ -95,6 +90,15 @@ class GsplatRasterizer(Rasterizer):
         images = images.movedim(-1, 1).to(dtype)
         alphas = alphas.movedim(-1, 1).to(dtype)
         return images[:, :3], alphas, images[:, 3:]
+
+
+def _check_device(gaussians: Gaussians) -> None:
+    device = gaussians.means.device
+    if device.type != "cuda":
+        raise InputError(
+            f"rasterizer 'gsplat' renders on a CUDA device, the Gaussians are on {device}; "
+            "move them with .to('cuda'), or use 'numba'."
+        )
 
 
 def _require_cuda() -> None:

@@ -101,9 +101,9 @@ class NumbaRasterizer(Rasterizer):
             single.opacities,
             single.harmonics,
         )
-        near = self.settings.near_plane(single)
         outputs = _Rasterize.apply(
-            self.settings.model_copy(update={"near": near}),
+            self.settings,
+            self.settings.near_planes(single),
             cameras.image_size,
             backgrounds,
             pack_cameras(cameras),
@@ -193,7 +193,7 @@ class _Rasterize(torch.autograd.Function):
     """Renders B scenes with C cameras each, one after the other, and differentiates that."""
 
     @staticmethod
-    def forward(ctx, settings, image_size, backgrounds, cameras, *fields):
+    def forward(ctx, settings, nears, image_size, backgrounds, cameras, *fields):
         batch, count = cameras.shape[:2]
         grid = TileGrid(*image_size)
         images = torch.empty(batch, count, 3, grid.height, grid.width)
@@ -206,9 +206,10 @@ class _Rasterize(torch.autograd.Function):
             for b in range(batch)
         ]
         for b in range(batch):
+            in_scene = settings.model_copy(update={"near": nears[b]})
             for c in range(count):
                 frame = project_scene(
-                    settings,
+                    in_scene,
                     threads,
                     scenes[b],
                     _array(cameras[b, c]),
@@ -232,7 +233,7 @@ class _Rasterize(torch.autograd.Function):
     def backward(ctx, *gradients):
         outputs = ctx.saved_tensors
         batch, count = outputs[0].shape[:2]
-        by_background, *by_shapes, by_colours = ctx.needs_input_grad[2:]
+        by_background, *by_shapes, by_colours = ctx.needs_input_grad[3:]
         by_scenes = [
             GaussianArrays(*map(np.zeros_like, scene.arrays)) for scene in ctx.scenes
         ]
@@ -261,9 +262,9 @@ class _Rasterize(torch.autograd.Function):
         ] or [None] * 5
         by_fields = [
             field if wanted else None
-            for field, wanted in zip(stacked, ctx.needs_input_grad[4:])
+            for field, wanted in zip(stacked, ctx.needs_input_grad[5:])
         ]
-        return None, None, by_backgrounds, by_cameras, *by_fields
+        return None, None, None, by_backgrounds, by_cameras, *by_fields
 
 
 def _stack(arrays: tuple[np.ndarray, ...]) -> Tensor:

@@ -23,6 +23,8 @@ NEAR = 0.01
 """Camera z below which Gaussians are culled, but in smaller scenes [scene units]."""
 SMALL = 32 * NEAR
 """A scene of smaller size has a nearer near plane [scene units]."""
+FAR = 1e30
+"""Camera z above which nothing is drawn: sums of depths stay finite in float32 [scene units]."""
 LOOKED_AT = 4096  # Gaussians that tell the size of a scene, evenly spaced
 GAUSSIAN_FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
 MIN_TOTAL_ALPHA = 1e-10
@@ -42,10 +44,10 @@ class RasterizerSettings(Settings):
         "in scenes smaller than 0.32.",
     )
     far: float = Field(
-        1e10,
+        FAR,
         ge=1e-6,
-        le=1e15,
-        description="Gaussians with camera z above are culled [scene units].",
+        le=FAR,
+        description="Gaussians with camera z above are culled [scene units]; default: 1e30, none.",
     )
     background: tuple[Share, Share, Share] = Field(
         (0.0, 0.0, 0.0), description="sRGB colour behind everything, each in [0, 1]."
@@ -82,25 +84,36 @@ class RasterizerSettings(Settings):
             raise ValueError(f"far ({self.far}) must be above near ({near})")
         return self
 
-    def near_plane(self, gaussians: Gaussians) -> float:
-        """`near`, or what suits the size of the scene: halved until it is a 32nd of it at most.
+    def near_planes(self, gaussians: Gaussians) -> list[float]:
+        """Each scene's near plane: `near`, or what suits the scene's size: halved until it is a
+        32nd of it at most.
 
         Scenes of ordinary size all have the same, so that parts of one are drawn as the whole is.
         """
+        scenes = range(gaussians.means.shape[0])
         if self.near is not None:
-            return self.near
-        size = size_of(gaussians)
-        if not 0 < size < SMALL:
-            return NEAR
-        return NEAR * 2.0 ** math.floor(math.log2(size / SMALL))
+            return [self.near for _ in scenes]
+        return [_near_plane(size_of(gaussians, scene)) for scene in scenes]
 
 
-def size_of(gaussians: Gaussians) -> float:
-    """How far nine of ten centres lie from the middle one at most [scene units]; 0 for none."""
-    step = max(1, gaussians.count // LOOKED_AT)
-    means = gaussians.means.detach()[:, ::step].flatten(0, 1)
-    if len(means) == 0:
+def _near_plane(size: float) -> float:
+    if not 0 < size < SMALL:
+        return NEAR
+    return NEAR * 2.0 ** math.floor(math.log2(size / SMALL))
+
+
+def size_of(gaussians: Gaussians, scene: int) -> float:
+    """How far nine of ten centres of one scene lie from the middle one at most [scene units]; 0
+    for none.
+
+    Transparent Gaussians do not count: they may be what fills a batch up.
+    """
+    shown = gaussians.opacities[scene].detach().nonzero()[:, 0]
+    if len(shown) == 0:
         return 0.0
+    means = gaussians.means[scene].detach()[shown[:: max(1, len(shown) // LOOKED_AT)]]
+    # The squares of distances of 1e-23 are 0 in float32.
+    means = means.to("cpu", torch.float64)
     distances = (means - means.median(0).values).norm(dim=-1)
     return float(distances.kthvalue(math.ceil(0.9 * len(means))).values)
 

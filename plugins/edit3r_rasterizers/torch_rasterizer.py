@@ -74,10 +74,10 @@ class TorchRasterizer(Rasterizer):
         )
         images = [
             [
-                self._render_one(gaussians, cameras, scene, camera)
+                self._render_one(gaussians, cameras, scene, camera, near)
                 for camera in range(cameras.count)
             ]
-            for scene in range(gaussians.means.shape[0])
+            for scene, near in enumerate(self.settings.near_planes(gaussians))
         ]
         height, width = cameras.image_size
         empty = gaussians.means.new_zeros(*cameras.c2w.shape[:2], 5, height, width)
@@ -95,12 +95,17 @@ class TorchRasterizer(Rasterizer):
         )
 
     def _render_one(
-        self, gaussians: Gaussians, cameras: Cameras, scene: int, camera: int
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        scene: int,
+        camera: int,
+        near: float,
     ) -> Float[Tensor, "5 height width"]:
         """Weighted sums of colour and depth, then the transmittance left."""
         c2w, intrinsics = cameras.c2w[scene, camera], cameras.intrinsics[scene, camera]
         splats = project_scene(
-            gaussians, scene, c2w, intrinsics, cameras.image_size, self.settings
+            gaussians, scene, c2w, intrinsics, cameras.image_size, self.settings, near
         )
         dtype = gaussians.means.dtype
         height, width = cameras.image_size
@@ -211,12 +216,12 @@ def project_scene(
     intrinsics: Float[Tensor, "3 3"],
     image_size: tuple[int, int],
     settings: RasterizerSettings,
+    near: float,
 ) -> Splats:
     """Project one scene into one camera with normalised intrinsics; differentiable in all fields of
     `gaussians`.
     """
     work = working_dtype(gaussians.means)
-    near = settings.near_plane(gaussians)
     offsets = gaussians.means[scene].to(work) - c2w[:3, 3].to(
         work
     )  # subtracting first is exact far from the origin

@@ -66,6 +66,7 @@ class SimplifyCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from edit3r import default_registry
         from edit3r.contract.reporting import Report, collecting
+        from edit3r.kit.checks import require_gives
         from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.atomic import check_new_file
         from edit3r.kit.scenes.look import SIDES, look_at
@@ -78,6 +79,7 @@ class SimplifyCommand(Command):
         rasterizer = default_registry(tuple(args.plugin)).build(
             "rasterizer", args.rasterizer
         )
+        require_gives(rasterizer, args.rasterizer, "images", who="simplify")
         with (
             StageConsole(quiet=args.quiet) as console,
             collecting(Report(on_event=console)) as report,

@@ -20,6 +20,7 @@ from edit3r import Registry
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Trainer, TrainingJob
 from edit3r.contract.settings import FileText, PartChoice, Settings, make_settings
+from edit3r.kit.checks import require_gives
 from edit3r.kit.weights.files import WEIGHTS
 from edit3r.running import DEFAULTS
 from edit3r_training.checkpoint import LAST
@@ -41,6 +42,10 @@ class TrainingConfig(Settings):
         description="frozen reconstructor, whose centres of the unedited photos the 3D losses "
         "hold to; default: the "
         "true surface where the data has depths, else what is trained as it is at the start",
+    )
+    matcher: PartChoice = Field(
+        PartChoice.model_validate(DEFAULTS["matcher"]),
+        description="reads the geometry of photos whose depth the data does not know",
     )
     rasterizer: PartChoice = Field(
         PartChoice(name=DEFAULTS["training_rasterizer"]),
@@ -77,6 +82,7 @@ def prepare(
     validation, reference = config.validation_data, config.reference
     job = TrainingJob(
         reconstructor=build("reconstructor", config.reconstructor),
+        matcher=build("matcher", config.matcher),
         rasterizer=build("rasterizer", config.rasterizer),
         train_data=build("dataset", config.train_data),
         validation_data=None if validation is None else build("dataset", validation),
@@ -88,6 +94,7 @@ def prepare(
         reference=None if reference is None else build("reconstructor", reference),
         config=config.model_dump(mode="json"),
     )
+    require_gives(job.rasterizer, config.rasterizer.name, "images", who="training")
     return build("trainer", config.trainer), job
 
 

@@ -2,7 +2,7 @@
 what hides what.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 import torch.nn.functional as F
@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.errors import SettingsError
-from edit3r.contract.types import Cameras, Reconstruction
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction
 from edit3r.kit.compute.changes import change_error, change_uptake, mean_change
 from edit3r.kit.geometry.cameras import invert_rigid, transform_points
 from edit3r.kit.geometry.harmonics import dc_to_colour
@@ -33,22 +33,27 @@ class PixelMaps:
 
 
 def pixel_maps(reconstruction: Reconstruction, cameras: Cameras) -> PixelMaps:
-    """Undo the view-major, row-major order of pixel-aligned Gaussians; any beyond one a pixel (a
-    rim) are left out.
+    """Undo the view-major, row-major order of pixel-aligned Gaussians; any beyond (a rim) are left
+    out. Several of one pixel are blended by their opacities.
 
     Depths are those in the predicted cameras, or in the true `cameras` of the views where none were
     predicted.
     """
     gaussians, (height, width) = reconstruction.gaussians, cameras.image_size
+    each = reconstruction.per_pixel
     shape = (len(gaussians.means), cameras.count, height, width)
-    pixels = cameras.count * height * width
-    if gaussians.count < pixels:
+    wanted = cameras.count * height * width * each
+    if each == 0 or gaussians.count < wanted:
         raise SettingsError(
-            f"training.reconstructor: gives {gaussians.count} Gaussians for {pixels} pixels; the "
-            "recolor trainer needs one that gives every pixel its own."
+            f"training.reconstructor: gives {gaussians.count} Gaussians for "
+            f"{cameras.count * height * width} pixels; errors pixel by pixel need one that gives "
+            "every pixel its own. For others set the trainer's colour, depth and opacity to 0 and "
+            "score to renderings."
         )
-    if gaussians.count > pixels:
-        gaussians = gaussians.select(torch.arange(pixels))
+    if gaussians.count > wanted:
+        gaussians = gaussians.select(torch.arange(wanted))
+    if each > 1:
+        gaussians = _blended(gaussians, each)
     colours = dc_to_colour(gaussians.harmonics[:, :, 0]).reshape(*shape, 3)
     seen_from = reconstruction.cameras or cameras
     means = gaussians.means.reshape(*shape, 3)
@@ -57,6 +62,25 @@ def pixel_maps(reconstruction: Reconstruction, cameras: Cameras) -> PixelMaps:
         colours=colours.permute(0, 1, 4, 2, 3),
         depths=points[..., 2],
         opacities=gaussians.opacities.reshape(shape),
+    )
+
+
+def _blended(gaussians: Gaussians, each: int) -> Gaussians:
+    """One Gaussian in place of `each` of a pixel: their means, weighted by opacity."""
+    opacities = gaussians.opacities.unflatten(1, (-1, each))
+    weights = opacities / opacities.sum(2, keepdim=True).clamp(min=1e-6)
+    first = gaussians.select(torch.arange(0, gaussians.count, each))
+
+    def mean(values: Tensor) -> Tensor:
+        return torch.einsum(
+            "bpk,bpk...->bp...", weights, values.unflatten(1, (-1, each))
+        )
+
+    return replace(
+        first,
+        means=mean(gaussians.means),
+        harmonics=mean(gaussians.harmonics),
+        opacities=1 - (1 - opacities).prod(2),
     )
 
 

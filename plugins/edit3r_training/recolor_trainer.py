@@ -25,13 +25,13 @@ from torch import Tensor
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import (
     LossInputs,
-    Reconstructor,
     SceneSample,
     Trainer,
     TrainingJob,
 )
 from edit3r.contract.settings import Index, NonNegative, Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction
+from edit3r.kit.reconstructing import WithMatcher
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import TrainingBatch, Unit, make_batch
 from edit3r_training.loop import LoopSettings, Recipe, StepLoss, train
@@ -179,8 +179,7 @@ class RecolorRecipe(Recipe):
         if not self.settings.matched or rng.random() >= self.settings.matched:
             return simulate_match(sample, rng)
         if sample.name not in self._matches:
-            matcher = self.job.reconstructor.matcher
-            self._matches[sample.name] = really_match(sample, matcher)
+            self._matches[sample.name] = really_match(sample, self.job.matcher)
         return self._matches[sample.name] or simulate_match(sample, rng)
 
     def _samples(self, step: int, processes: Processes) -> list[SceneSample]:
@@ -216,7 +215,7 @@ class RecolorRecipe(Recipe):
             reconstruction = reconstruct(self.job, batch)
         terms = self._pixel_terms(batch, reconstruction)
         if chosen.render_every and step % chosen.render_every == 0:
-            terms |= self._rendered_terms(batch, reconstruction.gaussians, step)
+            terms |= self._rendered_terms(batch, reconstruction, step)
         return terms
 
     def _pixel_terms(
@@ -238,21 +237,21 @@ class RecolorRecipe(Recipe):
         }
 
     def _rendered_terms(
-        self, batch: TrainingBatch, gaussians: Gaussians, step: int
+        self, batch: TrainingBatch, made: Reconstruction, step: int
     ) -> dict[str, Tensor]:
         """The job's losses of rendered views.
 
         First-view drop (section 4.4): now and then without the reference's Gaussians, so that the
         others have to show the edit; the reference's own view cannot be asked for then.
         """
-        chosen = self.settings
+        chosen, gaussians = self.settings, made.gaussians
         draw = step_generator(chosen.seed, step, 1_000_000).random()
         dropped = draw < chosen.drop_first
         shown = gaussians.without_view(0) if dropped else gaussians
         first = int(dropped) if chosen.render_context else batch.source.count
         cameras, wished = _supervised_views(batch, first)
         rendered = self.job.rasterizer.render(shown, cameras).images
-        reference = self._reference(batch, gaussians)
+        reference = self._reference(batch, made)
         inputs = LossInputs(rendered, wished, gaussians, reference)
         return {
             name: weight * loss(inputs)
@@ -283,7 +282,7 @@ class GeometricReference:
     generated edit added or removed things, it holds to nothing.
     """
 
-    def __init__(self, frozen: Reconstructor | None = None) -> None:
+    def __init__(self, frozen: WithMatcher | None = None) -> None:
         self.frozen = frozen
 
     @staticmethod
@@ -297,29 +296,32 @@ class GeometricReference:
         if frozen is not None and frozen.network is not None:
             device = next(job.reconstructor.network.parameters()).device
             frozen.network.eval().requires_grad_(False).to(device)
-        return GeometricReference(frozen)
+        return GeometricReference(frozen and WithMatcher(frozen, job.matcher))
 
     @torch.no_grad()
-    def __call__(self, batch: TrainingBatch, gaussians: Gaussians) -> Gaussians | None:
+    def __call__(self, batch: TrainingBatch, made: Reconstruction) -> Gaussians | None:
         """Reference Gaussians, one for each predicted; None when there are none."""
+        gaussians, each = made.gaussians, made.per_pixel
         if self.frozen is None:
             centres = batch.true_centres()
+            if centres is not None:
+                centres = centres.repeat_interleave(each, 1)
         else:
             centres = self.frozen(batch.source, batch.source).gaussians.means
         if centres is None or centres.shape != gaussians.means.shape:
             return None
-        return replace(gaussians, means=_free_where_reshaped(centres, batch, gaussians))
+        return replace(gaussians, means=_free_where_reshaped(centres, batch, made))
 
 
 def _free_where_reshaped(
     centres: Float[Tensor, "batch gaussian 3"],
     batch: TrainingBatch,
-    gaussians: Gaussians,
+    made: Reconstruction,
 ) -> Float[Tensor, "batch gaussian 3"]:
     """The reference's centres, but where the edit may have moved the surface: nothing holds the
     predicted ones there.
     """
     if batch.reshaped is None:
         return centres
-    free = batch.reshaped.flatten(1)[..., None]
-    return torch.where(free, gaussians.means.detach(), centres)
+    free = batch.reshaped.flatten(1).repeat_interleave(made.per_pixel, 1)[..., None]
+    return torch.where(free, made.gaussians.means.detach(), centres)

@@ -19,7 +19,7 @@ class SpoiledBackbone(Backbone):
             self.good.feature_widths,
         )
 
-    def forward(self, images, intrinsics):
+    def forward(self, images, intrinsics, geometry=None):
         return self.spoil(images, self.good(images, intrinsics))
 
 
@@ -28,8 +28,8 @@ class SpoiledHead(GaussianHead):
         super().__init__()
         self.good, self.spoil = good, spoil
 
-    def forward(self, features, images):
-        return self.spoil(self.good(features, images))
+    def forward(self, *given):
+        return self.spoil(self.good(*given))
 
 
 def levels(features, change):
@@ -106,7 +106,7 @@ HEADS = {
     "a Gaussian too few": (
         lambda g: g.select(torch.arange(g.count - 1)),
         VALID,
-        "return one each",
+        "return 1 each",
     ),
     "no view numbers": (
         lambda g: replace(g, view_index=None),

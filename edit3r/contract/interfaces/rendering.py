@@ -14,9 +14,15 @@ from edit3r.contract.types import DC, Cameras, Gaussians, Rendering, Views
 class Rasterizer(Configured, ABC):
     """Renders Gaussians; differentiable in means, quats, scales, opacities and harmonics."""
 
+    gives: tuple[str, ...] = ("images", "alphas", "depths")
+    """What its renderings hold: some of these, and what it adds to `Rendering.extra` by name, such
+    as "normals". A run needs these three, and says so of a rasterizer that lacks one before any
+    work.
+    """
+
     @abstractmethod
     def render(self, gaussians: Gaussians, cameras: Cameras) -> Rendering:
-        """Images, alphas and expected depths of every camera of every scene."""
+        """What it `gives` of every camera of every scene."""
 
     def prepare(self, device: str) -> None:
         """Begin in the background what would delay the first image, such as compiling.

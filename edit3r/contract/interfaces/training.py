@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.utils import data
 
 from edit3r.contract.interfaces.base import Configured
-from edit3r.contract.interfaces.reconstruction import Reconstructor
+from edit3r.contract.interfaces.reconstruction import Matcher, Reconstructor
 from edit3r.contract.interfaces.rendering import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians
 
@@ -81,6 +81,7 @@ class TrainingJob:
     """Everything a trainer is given, already built."""
 
     reconstructor: Reconstructor
+    matcher: Matcher  # of photos whose geometry the data does not know
     rasterizer: Rasterizer
     train_data: Dataset
     validation_data: Dataset | None

@@ -25,15 +25,21 @@ REPROJECTION_ERROR = 5 / 256
 """Largest distance of an inlier from its pixel, as a share of the longer side of the grid."""
 
 
-def estimate_cameras(gaussians: Gaussians, views: Views) -> Cameras:
+def estimate_cameras(gaussians: Gaussians, views: Views, per_pixel: int = 1) -> Cameras:
     """Cameras of `views` in the frame of `gaussians`; view 0 is the identity.
 
-    Uses `gaussians.view_index` and the order of each view's Gaussians: one per pixel, row-major, on
-    the grid that `pixel_layout` finds. Deterministic, not differentiable. Raises MatchingError for
-    a view that cannot be placed.
+    Uses `gaussians.view_index` and the order of each view's Gaussians: `per_pixel` of each pixel,
+    row-major, on the grid that `pixel_layout` finds. Deterministic, not differentiable. Raises
+    MatchingError for a view that cannot be placed.
     """
+    if per_pixel == 0:
+        raise MatchingError(
+            "the Gaussians are not made pixel by pixel, so they tell no poses; choose a "
+            "reconstructor that predicts cameras itself, or a head with Gaussians of each pixel."
+        )
     poses = [
-        _scene_poses(gaussians, views, scene) for scene in range(len(views.images))
+        _scene_poses(gaussians, views, scene, per_pixel)
+        for scene in range(len(views.images))
     ]
     c2w = torch.from_numpy(np.stack(poses)).to(views.images)
     return Cameras(c2w, views.intrinsics, views.image_size)
@@ -48,7 +54,7 @@ def pixel_layout(count: int, image_size: tuple[int, int]) -> tuple[int, int]:
 
 
 def _scene_poses(
-    gaussians: Gaussians, views: Views, scene: int
+    gaussians: Gaussians, views: Views, scene: int, per_pixel: int
 ) -> Float[np.ndarray, "view 4 4"]:
     """Camera-to-world poses of one scene's views."""
     poses = [np.eye(4)]
@@ -57,7 +63,7 @@ def _scene_poses(
         points = gaussians.means[scene, own]
         if not len(points):
             raise MatchingError(f"view {view} has 0 Gaussians, expected one per pixel.")
-        layout = pixel_layout(len(points), views.image_size)
+        layout = pixel_layout(len(points) // per_pixel, views.image_size)
         name = views.called[view]
         poses.append(
             _pose(
@@ -65,6 +71,7 @@ def _scene_poses(
                 gaussians.opacities[scene, own],
                 views.intrinsics[scene, view],
                 layout,
+                per_pixel,
                 name,
             )
         )
@@ -72,14 +79,15 @@ def _scene_poses(
 
 
 def _pose(
-    points: Float[Tensor, "pixel 3"],
-    opacities: Float[Tensor, "pixel"],
+    points: Float[Tensor, "gaussian 3"],
+    opacities: Float[Tensor, "gaussian"],
     intrinsics: Float[Tensor, "3 3"],
     layout: tuple[int, int],
+    per_pixel: int,
     name: str,
 ) -> Float[np.ndarray, "4 4"]:
     """Camera-to-world pose under which each point falls on its pixel."""
-    centres, pixels = _voters(points, opacities, layout)
+    centres, pixels = _voters(points, opacities, layout, per_pixel)
     if len(centres) < MIN_POINTS:
         raise MatchingError(
             f"{name} cannot be placed: only {len(centres)} of its Gaussians are visible enough, "
@@ -116,14 +124,16 @@ def _pose(
 
 
 def _voters(
-    points: Float[Tensor, "pixel 3"],
-    opacities: Float[Tensor, "pixel"],
+    points: Float[Tensor, "gaussian 3"],
+    opacities: Float[Tensor, "gaussian"],
     layout: tuple[int, int],
+    per_pixel: int,
 ) -> tuple[Float[np.ndarray, "point 3"], Float[np.ndarray, "point 2"]]:
     """Visible, finite centres and the (x, y) of their pixels, thinned evenly."""
     visible = (opacities > MIN_OPACITY) & points.isfinite().all(-1)
     every = visible.nonzero()[:, 0]
     index = every[:: max(1, -(-len(every) // MAX_POINTS))].cpu().numpy()
-    pixels = np.stack((index % layout[1] + 0.5, index // layout[1] + 0.5), -1)
+    pixel = index // per_pixel
+    pixels = np.stack((pixel % layout[1] + 0.5, pixel // layout[1] + 0.5), -1)
     chosen = points[torch.from_numpy(index).to(points.device)]
     return chosen.detach().cpu().double().numpy(), pixels

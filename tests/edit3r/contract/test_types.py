@@ -93,8 +93,16 @@ def test_an_empty_scene_is_allowed():
 def test_to_changes_float_fields_and_keeps_indices_whole():
     scene = gaussians(torch.arange(6)).to(torch.float64)
     assert scene.means.dtype == torch.float64 and scene.view_index.dtype == torch.int64
-    features = Features((torch.zeros(1, 2, 6, 8),), grid=(2, 3)).to(torch.float64)
-    assert features.levels[0].dtype == torch.float64
+    cameras = Cameras(
+        torch.eye(4).repeat(1, 2, 1, 1), torch.eye(3).repeat(1, 2, 1, 1), (4, 5)
+    )
+    features = Features(
+        (torch.zeros(1, 2, 6, 8),), (2, 3), cameras, {"camera": torch.zeros(1, 2, 1, 9)}
+    ).to(torch.float64)
+    assert features.levels[0].dtype == features.cameras.c2w.dtype == torch.float64
+    assert features.tokens["camera"].dtype == torch.float64
+    with pytest.raises(ValueError, match=r"tokens\['camera'\]: expected shape \[1, 2"):
+        replace(features, tokens={"camera": torch.zeros(1, 3, 1, 9)})
 
 
 def test_views_without_names_are_called_by_their_numbers():

@@ -35,7 +35,7 @@ def views(distance):
 @pytest.mark.parametrize("distance", [1e-6, 0.003, 1.0, 40.0, 1e6])
 def test_cameras_stand_about_one_apart_and_only_the_exponent_changes(distance):
     factor = own_unit(views(distance))
-    assert np.log2(factor) % 1 == 0
+    assert np.log2(float(factor)) % 1 == 0
     assert 0.7 < 1.5 * distance * factor < 1.42
 
 
@@ -43,6 +43,32 @@ def test_without_poses_or_distance_there_is_no_other_unit():
     assert own_unit(replace(views(1.0), c2w=None)) == 1
     assert own_unit(views(0.0)) == 1
     assert own_unit(views(0.001).select([1])) == 1
+
+
+def test_each_scene_of_a_batch_has_the_unit_that_it_has_alone(gaussians_at):
+    distances = (1.0, 1e-4, 1e6)
+    alone = [views(distance) for distance in distances]
+    batch = replace(
+        alone[0],
+        images=torch.cat([one.images for one in alone]),
+        intrinsics=torch.cat([one.intrinsics for one in alone]),
+        c2w=torch.cat([one.c2w for one in alone]),
+    )
+    factors = torch.cat([own_unit(one) for one in alone])
+    assert torch.equal(own_unit(batch), factors)
+    scene, factor = to_own_unit(Scene(photos=batch, start=batch))
+    assert 0.7 < scene.photos.c2w[:, 1:, :3, 3].norm(dim=-1).mean(1).min() < 1.42
+    # The second scene's poses are its own, so its answer is in no unit of the photos.
+    cameras = Cameras(scene.photos.c2w.clone(), batch.intrinsics, (4, 5))
+    cameras.c2w[1, 1, 1, 3] += 0.1
+    points = edit3r.Gaussians.stack([gaussians_at(3.0)] * 3)
+    made = Reconstruction(points, cameras)
+    back = to_given_unit(replace(scene, reconstruction=made, gaussians=points), factor)
+    expected = 3 / factors
+    expected[1] = 3
+    assert torch.allclose(back.gaussians.means[:, 0, 2].double(), expected)
+    assert torch.equal(back.photos.c2w, batch.c2w)
+    assert has_given_poses(back.reconstruction, batch).tolist() == [True, False, True]
 
 
 @pytest.fixture(scope="module")

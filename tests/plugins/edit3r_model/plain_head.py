@@ -23,7 +23,7 @@ class WallHead(GaussianHead):
         self.settings = settings
         self.out = torch.nn.Linear(backbone.feature_widths[-1], 1)
 
-    def forward(self, features, images):
+    def forward(self, features, images, source, geometry):
         batch, views, _, height, width = images.shape
         count = views * height * width
         more = self.out(features.levels[-1]).mean((1, 2, 3)).sigmoid()[:, None]

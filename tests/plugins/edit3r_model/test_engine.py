@@ -5,7 +5,7 @@ from functools import partial
 
 import pytest
 import torch
-from edit3r_model.dpt_head import double, double_rows, in_strips, with_border
+from edit3r_model.dpt_head import double, in_strips, resized_rows, with_border
 from edit3r_model.engine import EnginePlan, bfloat16_gain, make_plan
 from edit3r_model.int8_layers import (
     Int8Conv,
@@ -73,9 +73,10 @@ def test_the_largest_values_and_weights_do_not_overflow():
 @pytest.mark.parametrize("rows", [1, 3, 8, 100])
 def test_strips_equal_the_whole_map(rows):
     conv, half = nn.Conv2d(4, 4, 3, padding=(0, 1)), torch.randn(1, 4, 5, 7)
+    fine = partial(resized_rows, half, (10, 14))
 
     def strip(start, stop):
-        return conv(with_border(partial(double_rows, half), start, stop, 10, 1))
+        return conv(with_border(fine, start, stop, 10, 1))
 
     whole = nn.functional.conv2d(double(half), conv.weight, conv.bias, padding=1)
     strips = in_strips(10, rows, strip)
@@ -83,12 +84,16 @@ def test_strips_equal_the_whole_map(rows):
 
 
 @pytest.mark.parametrize("height", [1, 2, 5])
-def test_rows_of_a_doubled_map_are_its_rows(height):
+def test_rows_of_a_resized_map_are_its_rows(height):
     x = torch.randn(1, 2, height, 3)
-    for start, stop in ((0, 2 * height), (0, 1), (height, 2 * height)):
-        rows = double_rows(x, start, stop)
-        expected = double(x)[:, :, start:stop]
-        torch.testing.assert_close(rows, expected, atol=1e-6, rtol=1e-5)
+    twice = (2 * height, 6)
+    torch.testing.assert_close(resized_rows(x, twice, 0, 2 * height), double(x))
+    for size in (twice, (7 * height // 4, 5), (height, 3), (1, 2)):
+        whole = nn.functional.interpolate(x, size, mode="bilinear", align_corners=True)
+        for start, stop in ((0, size[0]), (0, 1), (size[0] // 2, size[0])):
+            rows = resized_rows(x, size, start, stop)
+            expected = whole[:, :, start:stop]
+            torch.testing.assert_close(rows, expected, atol=1e-6, rtol=1e-5)
 
 
 @pytest.fixture

@@ -231,10 +231,10 @@ def test_too_large_a_run_is_refused_before_it_starts(reconstructor, monkeypatch)
 
 
 def test_running_out_of_memory_says_what_to_lower(reconstructor, monkeypatch):
-    def exhausted(images, intrinsics):
+    def exhausted(views):
         raise RuntimeError("[enforce fail] DefaultCPUAllocator: not enough memory")
 
-    monkeypatch.setattr(reconstructor.network, "forward", exhausted)
+    monkeypatch.setattr(reconstructor.network, "reconstruct", exhausted)
     words = r"out of memory while .* 32x32; lower reconstructor\.resolution"
     with pytest.raises(RunError, match=words):
         reconstructor(photos(32, 32))

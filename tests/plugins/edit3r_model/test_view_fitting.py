@@ -5,7 +5,7 @@ import torch
 import torch.nn.functional as F
 from edit3r_model.view_fitting import fit_views
 
-from edit3r.contract.types import Gaussians, Views
+from edit3r.contract.types import Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.cameras import intrinsics_from_fov, pixel_rays
 from edit3r.kit.geometry.harmonics import colour_to_dc
 
@@ -60,6 +60,7 @@ def test_padded_pixels_leave_no_gaussians():
     fitted = fit_views(views_of(40, 50), 16, 256, "pad")
     places = torch.cartesian_prod(torch.arange(48.0), torch.arange(64.0))
     means = F.pad(places, (0, 1)).repeat(2, 1)[None]
-    kept = fitted.drop_padding(gaussians_at(means, views=2))
+    made = Reconstruction(gaussians_at(means, views=2))
+    kept = fitted.drop_padding(made).gaussians
     assert kept.count == 2 * 40 * 50
     assert kept.means[0].amax(0).tolist() == [39, 49, 0]

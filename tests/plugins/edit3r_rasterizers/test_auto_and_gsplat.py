@@ -1,8 +1,10 @@
 import sys
 import types
+from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_rasterizers import gsplat_rasterizer
 from edit3r_rasterizers.auto_rasterizer import choose
 from edit3r_rasterizers.gsplat_rasterizer import GsplatRasterizer
 from raster_scenes import cameras, cloud
@@ -10,14 +12,24 @@ from raster_scenes import cameras, cloud
 import edit3r
 from edit3r.contract.component import Component, Offer
 from edit3r.contract.errors import InputError, MissingDependencyError, SettingsError
+from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.reporting import Report, collecting
+from edit3r.contract.types import Gaussians
 from edit3r.loading.load import LoadedPlugins
 from edit3r.loading.registry import Registry
 
 
+class DepthsAlone(Rasterizer):
+    gives = ("depths",)
+
+
 def made_for(name, *devices, requires=()):
+    """`depths` gives no images."""
+    target = "edit3r_rasterizers.torch_rasterizer:TorchRasterizer"
+    if name == "depths":
+        target = f"{__name__}:DepthsAlone"
     component = Component(
-        name, "module:Class", "a rasterizer", requires=requires, devices=devices
+        name, target, "a rasterizer", requires=requires, devices=devices
     )
     return Offer("rasterizer", component, "plugin", "1")
 
@@ -38,6 +50,7 @@ def test_auto_picks_by_declared_devices_among_all_that_is_installed(
         made_for("anywhere"),
         made_for("gsplat", "cuda"),
         made_for("not-here", "mps", requires=("no_such_module",)),
+        made_for("depths", "cpu"),
         made_for("numba", "cpu"),
         made_for("strangers", "xpu"),
     )
@@ -98,10 +111,8 @@ def test_gsplat_is_called_in_its_own_conventions(monkeypatch):
 
     _pretend_cuda(monkeypatch, rasterization)
     scene, views = cloud(7, degree=2, batch=2), cameras((20, 30), count=3, batch=2)
-    rasterizer = GsplatRasterizer(
-        GsplatRasterizer.Settings(background=(1, 0, 0), near=0.5)
-    )
-    colours, alphas, depths = rasterizer._render_scene(scene, views, 1)
+    rasterizer = GsplatRasterizer(GsplatRasterizer.Settings(background=(1, 0, 0)))
+    colours, alphas, depths = rasterizer._render_scene(scene, views, 1, near=0.5)
     assert colours.shape == (3, 3, 20, 30) and alphas.shape == depths.shape == (
         3,
         1,
@@ -119,6 +130,25 @@ def test_gsplat_is_called_in_its_own_conventions(monkeypatch):
         and given["near_plane"] == 0.5
     )
     assert torch.allclose(given["quats"].norm(dim=-1), torch.ones(7))
+
+
+def test_gsplat_gets_each_scene_s_own_near_plane(monkeypatch):
+    planes = []
+
+    def rasterization(**arguments):
+        planes.append((arguments["near_plane"], arguments["far_plane"]))
+        return torch.zeros(1, 20, 30, 4), torch.zeros(1, 20, 30, 1), {}
+
+    _pretend_cuda(monkeypatch, rasterization)
+    monkeypatch.setattr(gsplat_rasterizer, "_check_device", lambda gaussians: None)
+    small = cloud(9)
+    small = replace(small, means=small.means * 2.0**-10)
+    scene = Gaussians.stack([cloud(9), small])
+    views = cameras((20, 30), batch=2)
+    GsplatRasterizer(GsplatRasterizer.Settings()).render(scene, views)
+    (near, far), (near_of_small, far_of_small) = planes
+    assert near == 0.01 and near_of_small < 1e-4
+    assert far == far_of_small == 1e30
 
 
 def _pretend_cuda(monkeypatch, rasterization=None):

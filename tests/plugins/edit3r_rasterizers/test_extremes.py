@@ -3,6 +3,7 @@ gradients too.
 """
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -88,17 +89,50 @@ def test_gaussians_at_and_behind_the_near_plane(rasterizer):
     check(rasterizer, scene, cameras())
 
 
-@pytest.mark.parametrize("unit", [2.0**-9, 2.0**-30, 2.0**20])
+def in_unit(scene, views, unit):
+    moved = Cameras(views.c2w.clone(), views.intrinsics, views.image_size)
+    moved.c2w[..., :3, 3] *= unit
+    return replace(scene, means=scene.means * unit, scales=scene.scales * unit), moved
+
+
+@pytest.mark.parametrize("unit", [2.0**-80, 2.0**-30, 2.0**-9, 2.0**20, 1e10, 1e28])
 def test_a_scene_in_another_unit_looks_the_same(rasterizer, unit):
     scene, views = cloud(80), cameras((24, 31), count=2)
     expected = rasterizer.render(scene, views)
-    moved = Cameras(views.c2w.clone(), views.intrinsics, views.image_size)
-    moved.c2w[..., :3, 3] *= unit
-    fields = (scene.means * unit, scene.scales * unit, *list_fields(scene))
-    shown = rasterizer.render(Gaussians(*fields), moved)
+    moved = in_unit(scene, views, unit)
+    shown = rasterizer.render(*moved)
     assert float(expected.alphas.max()) > 0.5
     assert torch.allclose(shown.images, expected.images, atol=1e-5)
     assert torch.allclose(shown.depths / unit, expected.depths, atol=1e-4)
+    assert_gradients_finite(rasterizer, *moved)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_scenes_of_a_batch_are_drawn_as_each_alone_whatever_their_units(
+    rasterizer, dtype
+):
+    usual, views = cloud(60, dtype=dtype), cameras((24, 31), count=2, dtype=dtype)
+    few = cloud(7, dtype=dtype)  # filled up with transparent ones in the batch
+    alone = [
+        in_unit(scene, views, unit)
+        for scene in (usual, few)
+        for unit in (1.0, 1e-4, 1e6, 1e12)
+    ]
+    batch = rasterizer.render(
+        Gaussians.stack(scene for scene, _ in alone),
+        replace(
+            views,
+            c2w=torch.cat([seen.c2w for _, seen in alone]),
+            intrinsics=views.intrinsics.expand(len(alone), -1, -1, -1),
+        ),
+    )
+    for index, (scene, seen) in enumerate(alone):
+        expected = rasterizer.render(scene, seen)
+        assert float(expected.alphas.max()) > 0.5
+        assert_matches_naive(expected, scene, seen, near=0, far=math.inf)
+        for name in ("images", "alphas", "depths"):
+            shown = getattr(batch, name)[index : index + 1]
+            assert torch.equal(shown, getattr(expected, name)), (index, name)
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])

@@ -36,7 +36,7 @@ class MovingReconstructor(Reconstructor):
         self.inner = inner
         self.network = torch.nn.Linear(1, 1)
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         answer = self.inner(views, source)
         means = answer.gaussians.means * (1 + self.network.weight * 0.1)
         return replace(answer, gaussians=replace(answer.gaussians, means=means))
@@ -65,18 +65,19 @@ def _batch(job):
 def test_true_depths_are_the_reference_where_there_are_any(tmp_path):
     job = _job(tmp_path, depths=True)
     reference, batch = GeometricReference.of_start(job), _batch(job)
-    gaussians = job.reconstructor(batch.edited).gaussians
+    made = job.reconstructor(batch.edited)
     assert reference.frozen is None
-    assert torch.equal(reference(batch, gaussians).means, batch.true_centres())
+    assert torch.equal(reference(batch, made).means, batch.true_centres())
 
 
 def test_nothing_holds_centres_where_an_edit_may_have_moved_the_surface(tmp_path):
     job = _job(tmp_path, depths=True)
     batch = _batch(job)
-    gaussians = job.reconstructor(batch.edited).gaussians
+    made = job.reconstructor(batch.edited)
+    gaussians = made.gaussians
     moved = torch.zeros_like(batch.reshaped)
     moved[:, 1, :, :5] = True
-    reference = GeometricReference()(replace(batch, reshaped=moved), gaussians)
+    reference = GeometricReference()(replace(batch, reshaped=moved), made)
     free = moved.flatten()
     assert torch.equal(reference.means[:, free], gaussians.means.detach()[:, free])
     assert torch.equal(reference.means[:, ~free], batch.true_centres()[:, ~free])
@@ -90,10 +91,10 @@ def test_without_depths_the_frozen_network_s_centres_of_the_unedited_photos_are(
     start = job.reconstructor(batch.source).gaussians.means.detach()
     with torch.no_grad():
         job.reconstructor.network.weight.add_(1)
-    moved = job.reconstructor(batch.edited).gaussians
+    moved = job.reconstructor(batch.edited)
     held = reference(batch, moved).means
     assert torch.equal(held, start) and not held.requires_grad
-    assert not torch.allclose(held, moved.means)
+    assert not torch.allclose(held, moved.gaussians.means)
 
 
 def test_a_named_reference_wins_over_the_true_surface_and_stays_frozen(tmp_path):
@@ -101,7 +102,7 @@ def test_a_named_reference_wins_over_the_true_surface_and_stays_frozen(tmp_path)
     named = MovingReconstructor(job.reconstructor.inner)
     job = replace(job, reference=named)
     reference, batch = GeometricReference.of_start(job), _batch(job)
-    held = reference(batch, job.reconstructor(batch.edited).gaussians).means
+    held = reference(batch, job.reconstructor(batch.edited)).means
     assert torch.equal(held, named(batch.source).gaussians.means.detach())
     assert not torch.allclose(held, batch.true_centres(), atol=1e-3)
     before = named.network.weight.detach().clone()
@@ -118,7 +119,7 @@ def test_the_frozen_network_sees_the_unedited_photos(tmp_path):
     class ByColour(MovingReconstructor):
         """Its centres lie the farther off the brighter the reference is."""
 
-        def __call__(self, views, source=None, grid=None):
+        def __call__(self, views, source=None, geometry=None, grid=None):
             answer = super().__call__(views, source)
             means = answer.gaussians.means + 10 * views.images[:, 0].mean()
             return replace(answer, gaussians=replace(answer.gaussians, means=means))
@@ -129,7 +130,7 @@ def test_the_frozen_network_sees_the_unedited_photos(tmp_path):
         GeometricReference.of_start(replace(job, reconstructor=reconstructor)),
         _batch(job),
     )
-    held = reference(batch, reconstructor(batch.edited).gaussians).means
+    held = reference(batch, reconstructor(batch.edited)).means
     assert torch.equal(held, reconstructor(batch.source).gaussians.means.detach())
     assert not torch.allclose(
         held, reconstructor(batch.edited).gaussians.means, atol=1e-3
@@ -165,9 +166,9 @@ def test_the_frozen_reference_is_in_evaluation_mode_while_the_network_learns(tmp
     """Layers that are random or keep statistics while they learn would move what must stay."""
     job = _job(tmp_path, depths=False)
     job.reconstructor.network.train()
-    frozen = GeometricReference.of_start(job).frozen
+    frozen = GeometricReference.of_start(job).frozen.reconstructor
     assert frozen is not job.reconstructor and not frozen.network.training
     assert job.reconstructor.network.training
     named = replace(job, reference=MovingReconstructor(job.reconstructor))
     named.reference.network.train()
-    assert not GeometricReference.of_start(named).frozen.network.training
+    assert not GeometricReference.of_start(named).frozen.reconstructor.network.training

@@ -54,6 +54,19 @@ def test_pixels_are_in_view_major_row_major_order_and_a_rim_beyond_them_is_left_
     assert torch.equal(maps.depths, expected + 1)
 
 
+def test_several_gaussians_of_a_pixel_are_blended():
+    made = _reconstruction(3 * PIXELS)
+    opacities = torch.tensor([0.0, 0.25, 0.75]).repeat(1, PIXELS)
+    gaussians = replace(made.gaussians, opacities=opacities)
+    maps = pixel_maps(replace(made, gaussians=gaussians, per_pixel=3), CAMERAS)
+    first = 3 * torch.arange(PIXELS).reshape(1, VIEWS, HEIGHT, WIDTH)
+    assert torch.allclose(maps.colours[:, :, 0], (first + 1.75) / 100, atol=1e-6)
+    assert torch.allclose(maps.depths, first + 2.75)
+    assert torch.allclose(maps.opacities, torch.tensor(1 - 0.75 * 0.25))
+    with pytest.raises(SettingsError, match="score to renderings"):
+        pixel_maps(replace(made, per_pixel=0), CAMERAS)
+
+
 def test_fewer_gaussians_than_pixels_are_refused():
     with pytest.raises(
         SettingsError, match=f"{PIXELS - 1} Gaussians for {PIXELS} pixels"

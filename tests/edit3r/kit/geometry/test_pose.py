@@ -53,6 +53,15 @@ def test_a_known_camera_is_found_again(scene):
     assert cameras.image_size == SIZE
 
 
+def test_several_gaussians_of_each_pixel_find_the_camera_too(scene):
+    gaussians, views, c2w = scene
+    three = gaussians.select(torch.arange(gaussians.count).repeat_interleave(3))
+    cameras = estimate_cameras(three, views, per_pixel=3)
+    torch.testing.assert_close(cameras.c2w, c2w, atol=1e-4, rtol=0)
+    with pytest.raises(MatchingError, match="not made pixel by pixel"):
+        estimate_cameras(gaussians, views, per_pixel=0)
+
+
 def test_a_third_of_wrong_centres_does_not_move_the_camera(scene):
     gaussians, views, c2w = scene
     means = gaussians.means.clone()
