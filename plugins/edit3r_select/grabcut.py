@@ -1,5 +1,5 @@
 """Answers to marks without a network: GrabCut (Rother et al. 2004) in windows of several sizes, and
-regions of like colours around a click.
+the regions of a graph segmentation (Felzenszwalb and Huttenlocher 2004) at several scales.
 """
 
 from collections.abc import Sequence
@@ -11,7 +11,10 @@ from edit3r_select.cues import Box, Click, Photo
 
 LONGER = 256  # longer side on which is computed [pixels]
 WINDOWS = (0.15, 0.3, 0.55, 1.0)  # around the clicks [longer sides]
-TOLERANCES = (6, 12, 20, 32)  # of a colour to the clicked one's [8-bit Lab]
+SCALES = (100, 300, 800, 2000)  # of the graph segmentation: larger regions
+CORE = 0.4  # share of a box's sides in which an ellipse surely is the thing: else all may go
+LEAST = 60  # pixels of one of its regions
+MARGIN = 0.3  # what is looked at beside what may be the thing [longer sides]
 ROUNDS = 3
 SURE = 4.0  # logit of every pixel: nothing was measured
 MIN_SAMPLES = 16  # pixels that a colour model needs on either side
@@ -25,6 +28,7 @@ class GrabCut:
         scale = min(1.0, LONGER / max(height, width))
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
         self.small = Photo(cv2.resize(photo.rgb, size, interpolation=cv2.INTER_AREA))
+        self._regions: dict[int, np.ndarray] = {}
 
     def ask(
         self,
@@ -35,12 +39,14 @@ class GrabCut:
         """Logits `[n, h, w]` of several masks, and zeros for what they expect of themselves."""
         told = [(self.small.pixel(place), wanted) for place, wanted in clicks]
         if box is not None:
+            nothing = np.zeros(self.small.size, np.uint8)
             masks = [self._in(self._boxed(box), told)]
+            masks += [self._ellipse(nothing, box, 1.0, 1) > 0]
         elif before is not None:
             masks = [self._near(before, told, reach) for reach in WINDOWS[:3]]
         else:
             masks = [self._in(self._window(told, size), told) for size in WINDOWS]
-            masks += [self._alike(told, tolerance) for tolerance in TOLERANCES]
+            masks += [self._region(told, scale) for scale in SCALES]
         logits = np.where(np.stack(masks), SURE, -SURE).astype(np.float32)
         return logits, np.zeros(len(masks))
 
@@ -58,7 +64,18 @@ class GrabCut:
         bottom, right = self.small.pixel((box[0] + box[2], box[1] + box[3]))
         trimap = np.full(self.small.size, cv2.GC_BGD, np.uint8)
         trimap[top : bottom + 1, left : right + 1] = cv2.GC_PR_FGD
+        self._ellipse(trimap, box, CORE, cv2.GC_FGD)
         return trimap
+
+    def _ellipse(
+        self, canvas: np.ndarray, box: Box, share: float, value: int
+    ) -> np.ndarray:
+        """Draw the ellipse that fills a share of a box's sides."""
+        height, width = canvas.shape
+        x, y, w, h = box
+        middle = ((x + w / 2) * width, (y + h / 2) * height)
+        sides = (max(1.0, share * w * width), max(1.0, share * h * height))
+        return cv2.ellipse(canvas, (middle, sides, 0.0), value, cv2.FILLED)
 
     def _near(self, before: np.ndarray, told: list, size: float) -> np.ndarray:
         """The answer before, changed only around the last click."""
@@ -78,29 +95,37 @@ class GrabCut:
         for (row, column), wanted in told:
             value = cv2.GC_FGD if wanted else cv2.GC_BGD
             cv2.circle(trimap, (column, row), radius, value, cv2.FILLED)
-        inside = np.isin(trimap, (cv2.GC_FGD, cv2.GC_PR_FGD))
-        if min(inside.sum(), (~inside).sum()) >= MIN_SAMPLES:
-            cv2.setRNGSeed(0)  # its colour models start from k-means
-            models = np.zeros((1, 65)), np.zeros((1, 65))
-            cv2.grabCut(
-                self.small.rgb, trimap, None, *models, ROUNDS, cv2.GC_INIT_WITH_MASK
-            )
-            inside = np.isin(trimap, (cv2.GC_FGD, cv2.GC_PR_FGD))
+        inside = self._cut(trimap)
         places = [place for place, wanted in told if wanted]
         return inside if whole or not places else _joining(inside, places)
 
-    def _alike(self, told: list, tolerance: int) -> np.ndarray:
-        """What joins the places on the thing and has their colours."""
+    def _cut(self, trimap: np.ndarray) -> np.ndarray:
+        """What a trimap becomes by the colours in and around what may be the thing."""
         height, width = self.small.size
-        soft = cv2.bilateralFilter(self.small.lab.astype(np.uint8), 5, 20, 5)
-        filled = np.zeros((height + 2, width + 2), np.uint8)
-        flags = 4 | (1 << 8) | cv2.FLOODFILL_FIXED_RANGE | cv2.FLOODFILL_MASK_ONLY
-        for (row, column), wanted in told:
-            if wanted:
-                step = (tolerance,) * 3
-                cv2.floodFill(soft, filled, (column, row), 0, step, step, flags)
-        closed = cv2.morphologyEx(filled, cv2.MORPH_CLOSE, np.ones((3, 3)))
-        return closed[1:-1, 1:-1] > 0
+        x, y, w, h = cv2.boundingRect((trimap != cv2.GC_BGD).astype(np.uint8))
+        margin = round(MARGIN * max(height, width))
+        rows = slice(max(0, y - margin), min(height, y + h + margin))
+        columns = slice(max(0, x - margin), min(width, x + w + margin))
+        labels = np.ascontiguousarray(trimap[rows, columns])
+        inside = np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
+        if min(inside.sum(), (~inside).sum()) >= MIN_SAMPLES:
+            cv2.setRNGSeed(0)  # its colour models start from k-means
+            models = np.zeros((1, 65)), np.zeros((1, 65))
+            part = np.ascontiguousarray(self.small.rgb[rows, columns])
+            cv2.grabCut(part, labels, None, *models, ROUNDS, cv2.GC_INIT_WITH_MASK)
+            inside = np.isin(labels, (cv2.GC_FGD, cv2.GC_PR_FGD))
+        whole = np.zeros(self.small.size, bool)
+        whole[rows, columns] = inside
+        return whole
+
+    def _region(self, told: list, scale: int) -> np.ndarray:
+        """The regions at places on the thing."""
+        if scale not in self._regions:
+            cut = cv2.ximgproc.segmentation.createGraphSegmentation(0.8, scale, LEAST)
+            self._regions[scale] = cut.processImage(self.small.lab.astype(np.uint8))
+        labels = self._regions[scale]
+        wanted = [labels[place] for place, inside in told if inside]
+        return _joining(np.isin(labels, wanted), [p for p, inside in told if inside])
 
     def _distance(self, places: list) -> np.ndarray:
         away = np.ones(self.small.size, np.uint8)
