@@ -41,7 +41,7 @@ from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
 from edit3r.running import Selection, select_masks, usual_reader
-from edit3r.running.selecting.geometry import locate
+from edit3r.running.geometry import GeometryOfRun
 from edit3r.running.selecting.obeying import points_of, seen_elsewhere
 
 CLICKS = 3
@@ -327,7 +327,7 @@ def depth_of(photo, matcher, known):
         lens = intrinsics_from_fov(FOV, tuple(frames.shape[-2:]))
         lens = lens.expand(1, len(frames), 3, 3)
         views = Views(frames[None], lens, assumed=(True,) * len(frames))
-        found = locate(matcher, views)
+        found = GeometryOfRun(matcher).of(views)
         if (
             found.geometry is None
             or found.problem

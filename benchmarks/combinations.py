@@ -47,11 +47,7 @@ def run(editor: str, recon: str, matcher: str = "classical") -> dict:
     """One run by the command, in a process of its own."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     row = {"editor": editor, "recon": recon, "matcher": matcher}
-    chosen = (
-        ["--set", f"reconstructor.matcher={MATCHERS[matcher]}"]
-        if matcher in MATCHERS
-        else []
-    )
+    chosen = ["--set", f"matcher={MATCHERS[matcher]}"] if matcher in MATCHERS else []
     with tempfile.TemporaryDirectory() as folder:
         command = [
             sys.executable,

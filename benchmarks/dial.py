@@ -76,7 +76,7 @@ def measure(folder: Path, chosen: list[int], preset: str, known: bool) -> Figure
     size = read_quality().preset(quality).settings["size"] if quality else FULL
     given = edit3r.load_views(files[:count], size=size)
     posed = whole.c2w[:, :count] if known else None
-    options = {"recon": {"name": "edit3r", "matcher": posed_matcher(quality)}}
+    options = {"matcher": posed_matcher(quality)}
     result = edit3r.run(
         replace(given, c2w=posed),
         editor="none",
@@ -118,9 +118,8 @@ def as_numpy(image: torch.Tensor) -> np.ndarray:
 
 def posed_matcher(quality: str | None) -> dict:
     """The matcher that trusts poses, as fine as that of the preset."""
-    chosen = read_quality().preset(quality).settings["reconstructor"] if quality else ""
-    own = chosen["matcher"] if isinstance(chosen, dict) else {}
-    return {**MATCHER, **own, "name": "posed"}
+    chosen = read_quality().preset(quality).settings if quality else {}
+    return {**MATCHER, **chosen.get("matcher", {}), "name": "posed"}
 
 
 if __name__ == "__main__":

@@ -36,12 +36,13 @@ from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.geometry.cameras import field_of_view, intrinsics_from_fov
 from edit3r.kit.photos.intrinsics import DEFAULT_FOV
 from edit3r.kit.photos.posed_folder import read_posed_folder
+from edit3r.running import DEFAULTS
 
 WIDE, NARROW = (90, 100, 110, 120), (40, 55, 70)
 COUNTS = (3, 4, 6)
 SIZE = (288, 384)  # of the generated photos
-MATCHER = {"detection_size": 448, "keypoints": 2500, "planes": 64, "working_size": 160}
-"""What the reconstructor `edit3r` asks of its matcher."""
+MATCHER = {k: v for k, v in DEFAULTS["matcher"].items() if k != "name"}
+"""The matcher of a run, as defaults.yaml has it."""
 RIGHT = 6.0  # largest error of a lens that is read rightly [degrees]
 
 

@@ -4,8 +4,8 @@ was given, without and with looking for sky and ground.
     python benchmarks/occluders.py FOLDER --photos 0,2,4 --held-out 1,3,5
 
 A folder holds photos, and nobody knows their cameras: those of all photos together are read first.
-Sets of the given photos are then reconstructed with neither, with `reconstructor.matcher.sky`, and
-with `reconstructor.matcher.ground` as well. Each held-out photo is rendered from its place beside
+Sets of the given photos are then reconstructed with neither, with `matcher.sky`, and
+with `matcher.ground` as well. Each held-out photo is rendered from its place beside
 the nearest given photo. Its pose is then drawn to the photo by gradient descent, since the two
 readings differ by some pixels, and its light is fitted (gain and offset of each channel). Printed
 are the verdict and the PSNR [dB] of the given photos, and of each held-out photo: of all, of its
@@ -86,10 +86,8 @@ def measure(
     settings of the matcher.
     """
     alone = replace(views.select(given), c2w=None)
-    by_default = edit3r.build("reconstructor", "edit3r").matcher.settings.model_dump()
-    matcher = {"name": "classical", **by_default, **looked_for}
-    recon = {"name": "edit3r", "matcher": matcher}
-    result = edit3r.run(alone, editor="none", recon=recon, size=max(views.image_size))
+    size = max(views.image_size)
+    result = edit3r.run(alone, editor="none", matcher=looked_for, size=size)
     placed = [given[i] for i, there in enumerate(result.verdict.placed) if there]
     truth = views.c2w[0]
     found = result.cameras.c2w[0]

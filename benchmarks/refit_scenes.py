@@ -20,6 +20,7 @@ import edit3r
 from edit3r.contract.interfaces import SceneSample
 from edit3r.contract.types import EditRequest, Gaussians, Views
 from edit3r.kit.compute.likeness import psnr
+from edit3r.kit.reconstructing import WithMatcher
 
 METHODS = ("refit", "instruct-nerf2nerf", "gaussctrl", "editsplat")
 SCENE_SEED = 3  # of the data set; training and the benchmark use others
@@ -69,7 +70,8 @@ def measure_steps(args: argparse.Namespace) -> None:
     for index in range(args.scenes):
         sample = sample_of(index, args.views, args.size)
         views = posed_views(sample)
-        first = edit3r.build("reconstructor", "classical", matcher="posed")
+        matcher = edit3r.build("matcher", "posed")
+        first = WithMatcher(edit3r.build("reconstructor", "classical"), matcher)
         result, seconds = timed(lambda first=first, views=views: first(views))
         print(
             index,
@@ -78,7 +80,9 @@ def measure_steps(args: argparse.Namespace) -> None:
             result.gaussians.count,
         )
         for steps in args.steps:
-            method = edit3r.build("reconstructor", "refit", steps=steps)
+            method = WithMatcher(
+                edit3r.build("reconstructor", "refit", steps=steps), matcher
+            )
             result, seconds = timed(lambda method=method, views=views: method(views))
             decibels = novel_psnr(result.gaussians, sample, rasterizer)
             print(

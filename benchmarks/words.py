@@ -26,10 +26,10 @@ from edit3r.running import (
     SURE,
     Selection,
     default_matcher,
+    geometry_of,
     select_masks,
     usual_reader,
 )
-from edit3r.running.selecting.geometry import locate
 
 MATCHER = default_matcher(default_registry())
 
@@ -108,7 +108,7 @@ def answer(tensor, text, segmenter, truth) -> tuple[float, float | None, float]:
     start = time.perf_counter()
     try:
         lens = intrinsics_from_fov(FOV, tensor.shape[-2:]).expand(1, len(tensor), 3, 3)
-        geometry = locate(MATCHER, Views(tensor[None], lens)).told()
+        geometry = geometry_of(MATCHER, Views(tensor[None], lens))
         found = select_masks(
             tensor, replace(asked, guess=True), segmenter, geometry, lens
         )

@@ -7,78 +7,46 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
+from typing_extensions import Unpack
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import (
-    Editor,
-    Rasterizer,
-    Reader,
-    Reconstructor,
-    Segmenter,
-)
+from edit3r.contract.interfaces import Editor, Reconstructor
 from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.cache import Cache
 from edit3r.loading.registry import Registry
-from edit3r.running.config import PART_KEYS, RunConfig, make_run_config
+from edit3r.running.config import PART_KEYS, make_run_config
 from edit3r.running.earlier import EarlierRun, read_earlier_run
 from edit3r.running.given import check_cameras, check_views, checked_masks
 from edit3r.running.job import RunJob, inherited, with_cameras
 from edit3r.running.loop import RunResult, run as run_job
 from edit3r.running.selecting.marks import MarkTexts
 from edit3r.running.selecting.select import Selection
+from edit3r.running.settings import Choice, RunSettings
 
 Files = str | Path | Sequence[str | Path]
-Choice = str | Mapping[str, Any] | PartChoice
-"""A component by its name, or by its name and settings."""
 
 
 def run(
     photos: Views | Files = (),
     prompt: str | None = None,
     *,
-    reader: Choice | Reader | None = None,
     editor: Choice | Editor | None = None,
     recon: Choice | Reconstructor | None = None,
-    rasterizer: Choice | Rasterizer | None = None,
-    segmenter: Choice | Segmenter | None = None,
-    refiners: Sequence[Choice] | None = None,
     masks: Float[Tensor, "batch view height width"] | Selection | Files | None = None,
     cameras: str | Path | Cameras | None = None,
     refine_poses: bool = False,
     earlier: RunResult | EarlierRun | str | Path | None = None,
-    seed: int | None = None,
-    guess: bool | None = None,
-    sure: bool | None = None,
-    reading: int | None = None,
-    larger: int | None = None,
-    grow: float | None = None,
-    invert: bool | None = None,
-    edit_views: Literal["all", "first"] | None = None,
-    moved_edits: Literal["undo", "keep"] | None = None,
-    passing: Literal["leave-out", "keep"] | None = None,
-    size: int | None = None,
-    fov: float | None = None,
-    views: int | None = None,
-    device: str | None = None,
-    gaussians: int | Literal["all", "auto"] | None = None,
-    max_gaussians: int | None = None,
-    refine: int | None = None,
-    grid: float | None = None,
-    light: Literal["one", "own"] | None = None,
-    quality: Literal["fast", "balanced", "best"] | None = None,
-    frames: int | None = None,
-    outputs: Sequence[str] | None = None,
-    export: Sequence[str] | None = None,
     registry: Registry | None = None,
     report: Report | None = None,
     cache: Cache | None = None,
     progress: bool = False,
+    **settings: Unpack[RunSettings],
 ) -> RunResult:
     """Edit photos as `prompt` says and reconstruct them in 3D.
 
@@ -87,8 +55,7 @@ def run(
     Args:
         photos: Loaded views, or photo files, folders and videos. May be left out with `earlier`.
         prompt: What to change, such as "paint the bike red".
-        reader, editor, recon, rasterizer, segmenter, refiners: Names, names with settings, or (but
-            for refiners) built objects. `reader` reads the prompt, `recon` is the reconstructor.
+        editor, recon: Names, names with settings, or built objects; `recon` is the reconstructor.
         masks: Where pixels may change: masks in [0, 1] of all views, mask files, or a Selection
             (clicks, boxes, masks of some views) from which a segmenter finds them.
         cameras: A camera file, or the cameras of all loaded views. Poses in it are used as they
@@ -100,6 +67,8 @@ def run(
         cache: Keeps what several runs have in common from being computed twice.
         progress: Show stages and warnings as the command line does, in notebooks too; a `report`
             shows its own.
+        **settings: All other settings of a run, by the names of its flags. Components among them
+            (`matcher`, `rasterizer`, `reader`, `segmenter`) are given as `editor` is.
 
     Raises:
         InputError: For photos, masks or a folder that cannot be used.
@@ -107,20 +76,16 @@ def run(
         UnknownComponentError: For a name that no installed plugin offers.
         PluginError: For a component that breaks its contract.
     """
-    given = {**locals(), "reconstructor": recon}
-    settings = {
-        key: given[key] for key in RunConfig.model_fields if given[key] is not None
-    }
-    built = {
-        key: settings.pop(key) for key in PART_KEYS if _is_built(settings.get(key))
-    }
+    named = {"prompt": prompt, "editor": editor, "reconstructor": recon}
+    given = {k: v for k, v in {**settings, **named}.items() if v is not None}
+    built = {key: given.pop(key) for key in PART_KEYS if _is_built(given.get(key))}
     if isinstance(earlier, RunResult) and not {"reconstructor", "quality"} & {
-        *settings,
+        *given,
         *built,
     }:
         built["reconstructor"] = earlier.reconstructor
     before = _earlier(earlier)
-    layers = [{key: _plain(value) for key, value in settings.items()}]
+    layers = [{key: _plain(value) for key, value in given.items()}]
     if before is not None:
         layers.insert(0, inherited(before, layers))
     photos = _photos(photos, cameras)

@@ -17,7 +17,7 @@ from edit3r.contract.settings import Settings
 from edit3r.contract.types import PER_GAUSSIAN, Features, Gaussians, Views
 from edit3r.kit.checks import check_gaussians
 from edit3r_testing.contract import Contract, require_of_views
-from edit3r_testing.scenes import photograph
+from edit3r_testing.scenes import true_geometry
 
 PATCHES = (2, 3)
 
@@ -189,14 +189,7 @@ class HeadContract(Contract):
 
 def _geometry(part: Backbone | GaussianHead, views: Views) -> Geometry | None:
     """What a part that uses geometry is given: the true one of the test photos."""
-    if not part.uses_geometry:
-        return None
-    batch, count = views.images.shape[:2]
-    truth = photograph(count, views.image_size, batch).to(views.images.device)
-    confidence = torch.ones_like(truth.depths)
-    registered = confidence[:, :, 0, 0] > 0
-    poses = truth.cameras.c2w
-    return Geometry(poses, truth.depths, confidence, registered)
+    return true_geometry(views) if part.uses_geometry else None
 
 
 def require_gradients(

@@ -14,6 +14,7 @@ from torch import Tensor
 from edit3r.contract.errors import Edit3rError, MatchingError
 from edit3r.contract.interfaces import (
     Backbone,
+    FindsGeometry,
     Geometry,
     Matcher,
     Reconstructor,
@@ -21,14 +22,18 @@ from edit3r.contract.interfaces import (
     Refiner,
 )
 from edit3r.contract.types import PER_GAUSSIAN, Gaussians, Reconstruction, Views
-from edit3r.kit.checks import check_reconstruction, check_refinement
+from edit3r.kit.checks import (
+    check_geometry,
+    check_reconstruction,
+    check_refinement,
+)
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.rotations import rotation_angle
 from edit3r.kit.weights.files import WEIGHTS, save_weights
 from edit3r_testing.contract import Contract, require_of_views
 from edit3r_testing.network import require_gradients
 from edit3r_testing.rasterizer import reference_rasterizer
-from edit3r_testing.scenes import Photographed
+from edit3r_testing.scenes import Photographed, true_geometry
 
 FRAME = "express poses and Gaussians in the frame of view 0 (geometry.cameras.relative_to_first)"
 
@@ -159,7 +164,7 @@ class ReconstructorContract(Contract):
         subject: Reconstructor | None = None,
     ) -> Reconstruction:
         """One reconstruction, without gradients, that keeps what the pipeline checks."""
-        given = (views, source, views.image_size)
+        given = (views, source, self.geometry(views), views.image_size)
         what = f"reconstructing photos {list(views.images.shape)}"
         with torch.no_grad():
             result = self.call(what, subject or self.subject, *given)
@@ -167,8 +172,20 @@ class ReconstructorContract(Contract):
         require_of_views(self, result.gaussians, views.count)
         return result
 
+    def geometry(self, views: Views) -> Geometry | None:
+        """The true one of the test photos, where the reconstructor uses any."""
+        return true_geometry(views) if self.subject.uses_geometry else None
+
     def test_gaussians_are_valid_and_finite(self) -> None:
         self.reconstruct(self._views())
+
+    def test_geometry_of_its_own_is_valid(self) -> None:
+        """Of one that finds it by itself: what runs select by and level exposure with."""
+        if not isinstance(self.subject, FindsGeometry):
+            return
+        views = self._views()
+        found = self.call("find_geometry()", self.subject.find_geometry, views)
+        self.keeps(check_geometry, views, found)
 
     def test_source_photos_are_accepted(self) -> None:
         """With the photos before editing beside; they are what geometry is best read from."""
@@ -228,7 +245,10 @@ class ReconstructorContract(Contract):
     def test_photos_without_texture_end_in_a_result_or_a_sentence(self) -> None:
         """Grey photos may be refused with an Edit3rError, never with a traceback or NaN."""
         views = self._views()
-        result = _of_grey(self, views, self.subject, Edit3rError)
+        geometry = self.geometry(views)
+        result = _of_grey(
+            self, views, lambda v: self.subject(v, v, geometry), Edit3rError
+        )
         if result is not None:
             self.keeps(check_reconstruction, views, result)
 
@@ -290,7 +310,13 @@ class ReconstructorContract(Contract):
         network = subject.network
         views = self._views()
         network.train()
-        result = self.call("reconstructing in training mode", subject, views, views)
+        result = self.call(
+            "reconstructing in training mode",
+            subject,
+            views,
+            views,
+            self.geometry(views),
+        )
         outputs = [getattr(result.gaussians, name) for name in PER_GAUSSIAN]
         require_gradients(self, outputs, {}, network)
         for name, part in network.named_modules():

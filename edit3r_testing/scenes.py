@@ -15,6 +15,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.geometry.cameras import intrinsics_from_fov, pixel_rays
 
@@ -54,6 +55,15 @@ def photograph(
     """Photos of `batch` scenes that differ in texture, from cameras on a slightly curved line."""
     scene = _photographed(view_count, tuple(image_size), batch, seed)
     return deepcopy(scene)  # whoever gets it may write into it
+
+
+def true_geometry(views: Views) -> Geometry:
+    """What a matcher that makes no errors reads from photos of `photograph`, or edits of them."""
+    batch, count = views.images.shape[:2]
+    truth = photograph(count, views.image_size, batch).to(views.images.device)
+    confidence = torch.ones_like(truth.depths)
+    registered = confidence[:, :, 0, 0] > 0
+    return Geometry(truth.cameras.c2w, truth.depths, confidence, registered)
 
 
 @lru_cache(maxsize=32)

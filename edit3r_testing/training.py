@@ -16,6 +16,7 @@ from edit3r.contract.interfaces import (
     Geometry,
     Loss,
     LossInputs,
+    Matcher,
     Rasterizer,
     Reconstructor,
     SceneSample,
@@ -28,7 +29,12 @@ from edit3r.kit.geometry.cameras import pixels_to_gaussians
 from edit3r_testing.contract import Contract
 from edit3r_testing.rasterizer import reference_rasterizer
 from edit3r_testing.reconstruction import FRAME
-from edit3r_testing.scenes import cameras_around, gaussian_cloud, photograph
+from edit3r_testing.scenes import (
+    cameras_around,
+    gaussian_cloud,
+    photograph,
+    true_geometry,
+)
 
 
 class DatasetContract(Contract):
@@ -288,6 +294,7 @@ class _PixelReconstructor(Reconstructor):
         self,
         views: Views,
         source: Views | None = None,
+        geometry: Geometry | None = None,
         grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
         images = views.images
@@ -333,11 +340,17 @@ class _MeanSquares(Loss):
         return F.mse_loss(inputs.rendered, inputs.target)
 
 
+class _TrueMatcher(Matcher):
+    def match(self, views: Views) -> Geometry:
+        return true_geometry(views)
+
+
 def tiny_job(out: Path) -> TrainingJob:
     """A training that takes seconds: a network of one layer, four scenes by formula, one loss."""
     return TrainingJob(
-        _PixelReconstructor(),
-        reference_rasterizer(),
+        reconstructor=_PixelReconstructor(),
+        matcher=_TrueMatcher(),
+        rasterizer=reference_rasterizer(),
         train_data=_FormulaScenes(),
         validation_data=_FormulaScenes(),
         losses={"mean-squares": (1.0, _MeanSquares())},

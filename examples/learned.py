@@ -99,7 +99,7 @@ class LearnedReconstructor(Reconstructor):
     def network(self):
         return self._network
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         patch = self.network["backbone"].patch_size
         scale = self.settings.size / max(views.image_size)
         fitting = [

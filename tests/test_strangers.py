@@ -125,6 +125,7 @@ def trained(registry, tmp_path, losses, **settings):
     )
     job = TrainingJob(
         network,
+        edit3r.build("matcher", "classical"),
         Counted(Counted.Settings()),
         train_data=data,
         validation_data=data,

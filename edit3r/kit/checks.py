@@ -27,7 +27,6 @@ from edit3r.contract.interfaces import (
     INTERFACES,
     Editor,
     Geometry,
-    Matcher,
     Proposal,
     Rasterizer,
     Reader,
@@ -122,7 +121,7 @@ def check_written(writer: Writer, path: Path) -> None:
     _require(writer, is_there, f"{promise}: {path.name}")
 
 
-def check_geometry(matcher: Matcher, views: Views, answer: Geometry) -> None:
+def check_geometry(matcher: Any, views: Views, answer: Geometry) -> None:
     """Shapes, dtypes and finiteness of what a matcher found, cameras that are some, and depths
     above 0.
     """
@@ -379,3 +378,15 @@ def require_matchable(views: Views, least_size: int) -> None:
             f"the photos have {width} x {height} pixels, too few to match; "
             f"give photos of at least {least_size} pixels a side."
         )
+
+
+def require_geometry(
+    reconstructor: Reconstructor, geometry: Geometry | None
+) -> Geometry:
+    """For reconstructors that use geometry: raise InputError where the caller gives none."""
+    if geometry is None:
+        raise InputError(
+            f"reconstructor {component_name(reconstructor)!r} uses geometry, and none was given; "
+            'hand over a matcher\'s: edit3r.build("matcher", "auto").match(source).'
+        )
+    return geometry

@@ -21,6 +21,10 @@ from .flags import (
     add_mark_flags as add_mark_flags,
     given_flags as given_flags,
 )
+from .geometry import (
+    default_matcher as default_matcher,
+    geometry_of as geometry_of,
+)
 from .job import (
     RunJob as RunJob,
     job_from as job_from,
@@ -50,10 +54,6 @@ from .saved import (
 )
 from .scene import Scene as Scene
 from .selecting.call import select_with as select_with
-from .selecting.geometry import (
-    default_matcher as default_matcher,
-    geometry_of as geometry_of,
-)
 from .selecting.marks import MarkTexts as MarkTexts
 from .selecting.select import (
     MIN_AREA as MIN_AREA,

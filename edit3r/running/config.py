@@ -28,7 +28,14 @@ OWN_OUTPUTS = {
 }
 """What a run writes by itself, and the files and folders of each; all else is made by writers."""
 USUAL_OUTPUTS: tuple[str, ...] = tuple(DEFAULTS["outputs"])
-PART_KEYS = ("reader", "editor", "reconstructor", "rasterizer", "segmenter")
+PART_KEYS = (
+    "reader",
+    "editor",
+    "matcher",
+    "reconstructor",
+    "rasterizer",
+    "segmenter",
+)
 
 
 class RunConfig(Settings):
@@ -52,6 +59,11 @@ class RunConfig(Settings):
     reconstructor: PartChoice = Field(
         PartChoice(name=DEFAULTS["reconstructor"]),
         description="reconstructor and its settings",
+    )
+    matcher: PartChoice = Field(
+        PartChoice.model_validate(DEFAULTS["matcher"]),
+        description="reads poses and depths from the photos where somebody needs them; where "
+        "--cameras has all poses, they are used as they are unless a matcher is chosen",
     )
     rasterizer: PartChoice = Field(
         PartChoice(name=DEFAULTS["rasterizer"]),
@@ -239,7 +251,7 @@ class RunConfig(Settings):
         """Name and settings of the refiners that `gaussians` and `refine` stand for."""
         names = DEFAULTS["shorthands"]
         implied: dict[str, dict[str, Any]] = {}
-        asked = self._set_by_the_user()
+        asked = self.set_by_the_user()
         fewer_asked = by_default or asked & {"gaussians", "max_gaussians"}
         if fewer_asked and (self.gaussians != "all" or self.max_gaussians is not None):
             fewer: dict[str, Any] = {"gaussians": self.gaussians}
@@ -252,7 +264,7 @@ class RunConfig(Settings):
             implied[names["refine"]] = {"steps": self.refine}
         return implied
 
-    def _set_by_the_user(self) -> set[str]:
+    def set_by_the_user(self) -> set[str]:
         """Names of the settings that were given, other than by the preset."""
         preset = read_quality().preset(self.quality).settings if self.quality else {}
         given = self.model_fields_set
@@ -334,7 +346,8 @@ def make_run_config(*layers: Mapping[str, Any]) -> RunConfig:
     merged = with_quality(merged)
     for key in PART_KEYS:
         given = merged.get(key)
-        if isinstance(given, dict) and "name" not in given:
+        has_default = isinstance(RunConfig.model_fields[key].default, PartChoice)
+        if isinstance(given, dict) and "name" not in given and not has_default:
             merged[key] = {"name": _default_name(key), **given}
     return make_settings(RunConfig, merged, where="run")
 

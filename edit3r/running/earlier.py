@@ -49,6 +49,7 @@ class EarlierRun:
     prompts: tuple[str, ...]  # the edits so far, in order
     records: tuple[Photo, ...]  # how the photos became views
     reconstructor: dict[str, Any]  # name and settings, as a configuration holds them
+    matcher: dict[str, Any]  # the same
     frames: int  # of its camera path
     # masks of what was named, in [0, 1]; the last named comes last
     things: Mapping[str, Float[Tensor, "view height width"]] = field(
@@ -87,7 +88,11 @@ def read_earlier_run(root: str | Path, trusted: bool = False) -> EarlierRun:
     earlier = _read(root, _earlier_run)
     if trusted:
         return earlier
-    return replace(earlier, reconstructor=of_file(earlier.reconstructor))
+    return replace(
+        earlier,
+        reconstructor=of_file(earlier.reconstructor),
+        matcher=of_file(earlier.matcher),
+    )
 
 
 def read_views_of_run(root: str | Path) -> tuple[Views, Views]:
@@ -146,13 +151,16 @@ def _earlier_run(root: Path, manifest: dict[str, Any]) -> EarlierRun:
         scene=Reconstruction(load_ply(root / "scene.ply", visible=True), cameras),
         prompts=tuple(str(prompt) for prompt in manifest["notes"]["edits"]),
         records=_records(manifest["inputs"], len(names)),
-        reconstructor={
-            "name": run["reconstructor"]["name"],
-            **run["reconstructor"]["settings"],
-        },
+        reconstructor=_flat(run["reconstructor"]),
+        matcher=_flat(run["matcher"]),
         frames=int(run["frames"]),
         things=_things(root, manifest["notes"].get(THINGS, []), photos),
     )
+
+
+def _flat(choice: dict[str, Any]) -> dict[str, Any]:
+    """A component's name and settings, as a configuration holds them."""
+    return {"name": choice["name"], **choice["settings"]}
 
 
 def _views_of_run(root: Path, manifest: dict[str, Any]) -> tuple[Views, Views]:

@@ -98,18 +98,22 @@ def _takes_usual_editor(layers: Sequence[Mapping[str, Any]]) -> bool:
 def inherited(
     earlier: EarlierRun, layers: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """The earlier run's frames and, unless another is asked for, its reconstructor."""
+    """The earlier run's frames and, unless others are asked for, its reconstructor and matcher."""
     inherited: dict[str, Any] = {"frames": earlier.frames}
-    named = [layer["reconstructor"] for layer in layers if "reconstructor" in layer]
-    names = [
-        choice.get("name") if isinstance(choice, Mapping) else choice
-        for choice in named
-    ]
-    another = any(name not in (None, earlier.reconstructor["name"]) for name in names)
-    has_preset = any("quality" in layer for layer in layers)
-    if not another and not has_preset:
-        inherited["reconstructor"] = earlier.reconstructor
+    if any("quality" in layer for layer in layers):
+        return inherited
+    for kind in ("reconstructor", "matcher"):
+        choice = getattr(earlier, kind)
+        if not _names_another(kind, choice["name"], layers):
+            inherited[kind] = choice
     return inherited
+
+
+def _names_another(kind: str, name: str, layers: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether a layer names another component of that kind than `name`."""
+    choices = [layer[kind] for layer in layers if kind in layer]
+    names = {one.get("name") if isinstance(one, Mapping) else one for one in choices}
+    return not names <= {None, name}
 
 
 def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:

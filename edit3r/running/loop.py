@@ -16,7 +16,7 @@ from edit3r.loading.registry import Registry, default_registry
 from edit3r.running.config import check_components
 from edit3r.running.earlier import EarlierRun
 from edit3r.running.job import RunJob
-from edit3r.running.parts import Parts, undone, with_known_poses, with_reader
+from edit3r.running.parts import Parts, undone, with_reader
 from edit3r.running.quality import note_quality
 from edit3r.running.record import RunRecord
 from edit3r.running.scene import Scene
@@ -34,7 +34,7 @@ Step = Callable[[Scene, Parts], Scene]
 STEPS: tuple[Step, ...] = (locate, select, edit, reconstruct, refine, judge)
 """What follows `read`."""
 STEPS_OF_PREVIEW: tuple[Step, ...] = (select, edit)
-"""Here geometry is looked for only where something is selected by it."""
+"""Here geometry is asked for only where something is selected by it."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -49,7 +49,7 @@ class RunResult(RunRecord):
 
     def as_earlier(self) -> EarlierRun:
         """This run as what a further edit starts from."""
-        choice = self.config.reconstructor
+        choice, matcher = self.config.reconstructor, self.config.matcher
         return EarlierRun(
             photos=self.photos,
             edited=self.edited,
@@ -57,6 +57,7 @@ class RunResult(RunRecord):
             prompts=self.scene.prompts,
             records=self.scene.records,
             reconstructor={"name": choice.name, **choice.settings},
+            matcher={"name": matcher.name, **matcher.settings},
             frames=self.config.frames,
             things=self.scene.things,
         )
@@ -118,8 +119,9 @@ def _take(
     check_components(job.config, registry, job.components)
     note_quality(job.config)
     job = undone(with_reader(job, registry))
-    scene, factor = to_own_unit(read(job, registry))
-    parts = Parts(with_known_poses(job, scene.photos, registry), registry, job)
+    parts = Parts(job.config, registry, job)
+    scene, factor = to_own_unit(read(job, parts.lens))
+    parts.settle_matcher(scene.photos)
     if reconstruct in steps:
         parts.rasterizer.prepare(torch.device(job.config.device).type)
     scene = load(scene, parts)

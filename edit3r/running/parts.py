@@ -6,10 +6,11 @@ from functools import cached_property
 from typing import Any
 
 from edit3r.contract.component import component_name
-from edit3r.contract.errors import InputError, PromptError
+from edit3r.contract.errors import InputError, PromptError, SettingsError
 from edit3r.contract.interfaces import (
     ChangesShape,
     Editor,
+    FindsGeometry,
     Matcher,
     Rasterizer,
     Reader,
@@ -22,13 +23,12 @@ from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
-from edit3r.kit.cache import fingerprint
 from edit3r.kit.checks import errors_named_after
 from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.editors import EditorTask, tasks_for_editor, tasks_without_editor
+from edit3r.running.geometry import GeometryOfRun, uses_geometry
 from edit3r.running.job import RunJob
-from edit3r.running.selecting.geometry import Located, locate
 
 
 class Parts:
@@ -42,7 +42,6 @@ class Parts:
         self.job = job
         self._registry = registry
         self._given = job.components
-        self._located: dict[str, Located] = {}
 
     @property
     def edits_again(self) -> bool:
@@ -91,10 +90,19 @@ class Parts:
 
     @cached_property
     def reconstructor(self) -> Reconstructor:
-        reconstructor = self._build("reconstructor", {"editor": self.editor})
+        parts = {"editor": self.editor} if self._takes_an_editor else None
+        reconstructor = self._build("reconstructor", parts)
         if reconstructor.network is not None and not _places_itself(reconstructor):
             reconstructor.network.to(self.config.device)
         return reconstructor
+
+    @property
+    def _takes_an_editor(self) -> bool:
+        """Whether the reconstructor edits by itself, with the run's editor as its part."""
+        if "reconstructor" in self._given:
+            return False
+        name = self.config.reconstructor.name
+        return "editor" in self._registry.find("reconstructor", name).component.parts
 
     @cached_property
     def rasterizer(self) -> Rasterizer:
@@ -108,17 +116,65 @@ class Parts:
             self._registry.build_choice("refiner", choice) for choice in choices
         )
 
-    @property
-    def matcher(self) -> Matcher | None:
-        """The reconstructor's own, where it has one."""
-        return getattr(self.reconstructor, "parts", {}).get("matcher")
+    @cached_property
+    def geometry(self) -> GeometryOfRun:
+        """Who reads the photos' geometry: the matcher, or a reconstructor that finds it itself."""
+        reconstructor = self.reconstructor
+        if not isinstance(reconstructor, FindsGeometry):
+            return GeometryOfRun(self._build("matcher"))
+        if "matcher" in {*self._given, *self.config.set_by_the_user()}:
+            name = component_name(reconstructor)
+            raise SettingsError(
+                f"matcher: reconstructor {name!r} finds geometry by itself, so no matcher is asked;"
+                " leave --matcher out."
+            )
+        return GeometryOfRun(reconstructor)
 
-    def located(self, photos: Views) -> Located:
-        """Geometry of unedited photos by the reconstructor's matcher, looked for once."""
-        key = fingerprint(photos)
-        if key not in self._located:
-            self._located[key] = locate(self.matcher, photos)
-        return self._located[key]
+    @property
+    def geometry_parts(self) -> dict[str, Any]:
+        """The matcher by its kind, where the run asked one."""
+        asked = self.__dict__.get("geometry")
+        source = None if asked is None or not asked.was_asked else asked.source
+        return {"matcher": source} if isinstance(source, Matcher) else {}
+
+    @property
+    def uses_geometry(self) -> bool:
+        """Whether the scene stands on the run's geometry."""
+        return uses_geometry(self.reconstructor)
+
+    def lens(self, photos: Views) -> Lens | None:
+        """What bends straight lines in photos whose lens nobody knows, as the matcher tells."""
+        source = self.geometry.source if self.uses_geometry else None
+        if not isinstance(source, Matcher):
+            return None
+        with errors_named_after(source, photos.images):
+            return source.lens(photos)
+
+    def settle_matcher(self, photos: Views) -> None:
+        """Take the matcher of known poses where the job's cameras have them and none was chosen.
+
+        Raises InputError for poses that shall be refined and are not there.
+        """
+        job = self.job
+        chosen = "matcher" in {*self._given, *self.config.set_by_the_user()}
+        usable = photos.c2w is not None and not chosen and self.uses_geometry
+        if job.refine_poses and not usable:
+            raise InputError(
+                "--refine-poses: needs --cameras with the poses of all photos, and no other matcher"
+                " nor a reconstructor that uses none."
+            )
+        if not usable or not (job.cameras or job.refine_poses):
+            return
+        if isinstance(self.reconstructor, FindsGeometry):
+            return
+        say(
+            "poses.source",
+            "those that were given" + ("" if job.refine_poses else ", as they are"),
+        )
+        choice = DEFAULTS["refined_poses" if job.refine_poses else "known_poses"]
+        matcher = PartChoice.model_validate(choice)
+        self.config = self.config.model_copy(update={"matcher": matcher})
+        self.__dict__.pop("geometry", None)
 
     @cached_property
     def segmenter(self) -> Segmenter:
@@ -184,44 +240,3 @@ def undone(job: RunJob) -> RunJob:
         config=job.config.model_copy(update=changed),
         earlier=job.earlier.undone(),
     )
-
-
-def read_lens(config: RunConfig, registry: Registry, views: Views) -> Lens | None:
-    """What bends straight lines in the photos, as the chosen reconstructor's matcher reads it."""
-    settings = registry.check("reconstructor", config.reconstructor)
-    matcher = getattr(settings, "matcher", None)
-    if not isinstance(matcher, PartChoice):
-        return None
-    built = registry.build_choice("matcher", matcher)
-    with errors_named_after(built, views.images):
-        return built.lens(views)
-
-
-def with_known_poses(job: RunJob, photos: Views, registry: Registry) -> RunConfig:
-    """The job's settings; given poses are used as they are, unless a matcher was chosen.
-
-    With `refine_poses` they are where bundle adjustment starts.
-    """
-    config = job.config
-    if "reconstructor" in job.components or not (job.cameras or job.refine_poses):
-        return config
-    chosen = config.reconstructor
-    has_matcher = (
-        "matcher" in registry.find("reconstructor", chosen.name).component.parts
-    )
-    usable = photos.c2w is not None and has_matcher and "matcher" not in chosen.settings
-    if job.refine_poses and not usable:
-        raise InputError(
-            "--refine-poses: needs --cameras with the poses of all photos, and no other matcher."
-        )
-    if not usable:
-        return config
-    say(
-        "poses.source",
-        "those that were given" + ("" if job.refine_poses else ", as they are"),
-    )
-    matcher = DEFAULTS["refined_poses" if job.refine_poses else "known_poses"]
-    reconstructor = PartChoice(
-        name=chosen.name, settings={**chosen.settings, **matcher}
-    )
-    return config.model_copy(update={"reconstructor": reconstructor})

@@ -323,6 +323,7 @@ def _manifest(result: RunRecord) -> RunManifest:
     report, config = result.report, result.config
     components = {
         "editor": result.editor,
+        **result.parts.geometry_parts,
         "reconstructor": result.reconstructor,
         "rasterizer": result.rasterizer,
     }

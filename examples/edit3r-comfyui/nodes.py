@@ -2,7 +2,6 @@
 width]`, and its nodes run where PyTorch keeps no gradients, which refining a scene needs.
 """
 
-import inspect
 import tempfile
 from itertools import count
 from pathlib import Path
@@ -17,9 +16,10 @@ from edit3r.kit.files.yaml import parse_yaml
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.kit.rendering import path_around, render_each
+from edit3r.running import RunConfig
 
-OTHER_INPUTS = {"photos", "prompt", "masks", "seed", "registry", "report", "cache"}
-"""Keywords of `edit3r.run` that are inputs of their own, or no text."""
+OTHER_INPUTS = {"prompt", "seed"}
+"""Settings of a run that are inputs of their own."""
 
 
 class Edit3rEdit:
@@ -139,7 +139,9 @@ def _settings(text):
         content = parse_yaml(text) or {}
     except ValueError as error:
         raise InputError(f"settings: not YAML ({error}).") from None
-    known = sorted({*inspect.signature(edit3r.run).parameters} - OTHER_INPUTS)
+    known = sorted(
+        {*RunConfig.model_fields, "recon"} - {*OTHER_INPUTS, "reconstructor"}
+    )
     if not isinstance(content, dict):
         raise InputError("settings: expected lines such as 'size: 768'.")
     for key in content:

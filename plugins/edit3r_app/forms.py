@@ -80,6 +80,7 @@ EXPLAINED = {
 }
 """Settings of the run in words: their label, what they do and cost, and their unit."""
 EXPERT = (
+    "matcher",
     "rasterizer",
     "reader",
     "segmenter",

@@ -119,7 +119,6 @@ def register_reconstructors():
             "classical",
             "edit3r_geometry.reconstructor:ClassicalReconstructor",
             "one Gaussian a pixel at the depth a matcher measured; no learned weights",
-            parts=("matcher",),
             min_views=2,
         )
     ]

@@ -86,7 +86,7 @@ class DepthAnything3Matcher(Matcher):
         network = self._network.to(small.device)
         with out_of_memory_told(
             "geometry",
-            "try a smaller --set reconstructor.matcher.network_size, or fewer photos",
+            "try a smaller --set matcher.network_size, or fewer photos",
         ):
             found = [network((scene[None] - mean) / std) for scene in small]
         w2c, intrinsics, depths, trust = (

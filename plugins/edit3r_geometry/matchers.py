@@ -16,14 +16,13 @@ from edit3r import build, default_registry
 from edit3r.contract import reporting, settings as config
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import MatchingError
-from edit3r.contract.interfaces import Geometry, Matcher
+from edit3r.contract.interfaces import Geometry, Matcher, MatchesLevelled
 from edit3r.contract.lens import Lens
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
 from edit3r.kit.cache import fingerprint, identity, remembered
 from edit3r.kit.checks import require_matchable
 from edit3r.kit.geometry.cameras import from_pixels, relative_to_first
-from edit3r.kit.geometry.light import in_own_light
 from edit3r_geometry.calibration import (
     PREFERENCE,
     WIDE_PREFERENCE,
@@ -55,7 +54,7 @@ believed.
 """
 
 
-class ClassicalMatcher(Matcher):
+class ClassicalMatcher(Matcher, MatchesLevelled):
     """Features, essential matrices, plane sweep, semi-global aggregation, cross-check and
     edge-aware filling.
 
@@ -91,9 +90,17 @@ class ClassicalMatcher(Matcher):
 
     @remembered
     def match(self, views: Views) -> Geometry:
+        return self._geometry(views, views)
+
+    @remembered
+    def match_levelled(self, views: Views, levelled: Views) -> Geometry:
+        return self._geometry(views, levelled)
+
+    def _geometry(self, views: Views, levelled: Views) -> Geometry:
         require_matchable(views, MIN_SIZE)
         scenes = [
-            self._match_scene(views, scene) for scene in range(views.images.shape[0])
+            self._match_scene(views, levelled, scene)
+            for scene in range(views.images.shape[0])
         ]
         *measured, intrinsics, lenses, told = zip(*scenes)
         known = not self._reads_fov(views)
@@ -143,12 +150,14 @@ class ClassicalMatcher(Matcher):
         (fx, _, cx), (_, fy, cy), _ = found.normalised(views.image_size)[0].tolist()
         return Lens((fx, fy), (cx, cy), (radial, 0.0, 0.0, 0.0, 0.0))
 
-    def _match_scene(self, views: Views, scene: int) -> tuple[Any, ...]:
+    def _match_scene(
+        self, views: Views, levelled: Views, scene: int
+    ) -> tuple[Any, ...]:
         """Fields of `Geometry` of one scene: poses, depths, confidence, registered flags,
         intrinsics, lenses, and the field of view that the matches tell.
         """
         unknown = self._reads_fov(views)
-        found = _registered(_Asked.of(self, in_own_light(views), scene))
+        found = _registered(_Asked.of(self, views, scene))
         registration = found.registration
         if unknown and (found.told is not None or registration.zoom != 1):
             reporting.note("matcher.fov", round(found.images[0].fov, 1))
@@ -162,7 +171,7 @@ class ClassicalMatcher(Matcher):
         c2w = np.stack([pose.inverse().matrix for pose in registration.poses])
         images = [
             replace(image, pixels=shown.pixels)
-            for image, shown in zip(found.images, calibrated_images(views, scene))
+            for image, shown in zip(found.images, calibrated_images(levelled, scene))
         ]
         maps = (c2w, *measure_depths(images, registration, self.settings))
         c2w, inverse, confidence = (
@@ -294,7 +303,7 @@ def _registered(asked: _Asked) -> _Registered:
     return asked.matcher.register(asked.views, asked.scene).without_pixels()
 
 
-class PosedMatcher(Matcher):
+class PosedMatcher(Matcher, MatchesLevelled):
     """Trusts the views' own poses; views without any go to the matcher it was built with.
 
     Features that agree with the known epipolar geometry tell the range of depths, plane sweep
@@ -322,11 +331,18 @@ class PosedMatcher(Matcher):
 
     @remembered
     def match(self, views: Views) -> Geometry:
+        return self._geometry(views, views)
+
+    @remembered
+    def match_levelled(self, views: Views, levelled: Views) -> Geometry:
+        return self._geometry(views, levelled)
+
+    def _geometry(self, views: Views, levelled: Views) -> Geometry:
         if views.c2w is None:
-            return self.matcher.match(views)
+            return _matched(self.matcher, views, levelled)
         poses = relative_to_first(views.c2w.detach().double().cpu())
         scenes = [
-            self._match_scene(views, scene, poses[scene])
+            self._match_scene(views, levelled, scene, poses[scene])
             for scene in range(len(views.images))
         ]
         parts = (torch.stack(field).to(views.images.device) for field in zip(*scenes))
@@ -334,7 +350,11 @@ class PosedMatcher(Matcher):
         return Geometry(poses.to(views.images), depths, confidence, registered)
 
     def _match_scene(
-        self, views: Views, scene: int, c2w: Float[Tensor, "view 4 4"]
+        self,
+        views: Views,
+        levelled: Views,
+        scene: int,
+        c2w: Float[Tensor, "view 4 4"],
     ) -> tuple[Tensor, ...]:
         """Poses, depths, confidence and which views have any, of one scene."""
         images = calibrated_images(views, scene)
@@ -349,7 +369,8 @@ class PosedMatcher(Matcher):
         registration = Registration.on_poses(
             images, features, dict(enumerate(poses)), limit
         )
-        maps = measure_depths(images, registration, self.settings)
+        shown = images if levelled is views else calibrated_images(levelled, scene)
+        maps = measure_depths(shown, registration, self.settings)
         inverse, confidence = (
             torch.from_numpy(part).to(views.images.dtype) for part in maps
         )
@@ -397,7 +418,7 @@ class PosedMatcher(Matcher):
         return tuple(moved[view] for view in range(len(poses)))
 
 
-class AutoMatcher(Matcher):
+class AutoMatcher(Matcher, MatchesLevelled):
     """Depth Anything 3 where its package is installed and its weights are at hand, base before
     small; else its part.
 
@@ -432,9 +453,19 @@ class AutoMatcher(Matcher):
         return self.matcher.lens(views)
 
     def match(self, views: Views) -> Geometry:
+        return self.match_levelled(views, views)
+
+    def match_levelled(self, views: Views, levelled: Views) -> Geometry:
         pick, name = self.settings.pick, component_name(self.matcher)
         reporting.say("matcher.picked", name if pick == "part" else f"{name} ({pick})")
-        return self.matcher.match(views)
+        return _matched(self.matcher, views, levelled)
+
+
+def _matched(matcher: Matcher, views: Views, levelled: Views) -> Geometry:
+    """What a part says, with depth measured in one exposure where it can do that."""
+    if isinstance(matcher, MatchesLevelled):
+        return matcher.match_levelled(views, levelled)
+    return matcher.match(views)
 
 
 def best_at_hand() -> str:

@@ -4,9 +4,9 @@ import torch
 from pydantic import Field
 
 from edit3r.contract import settings as config
-from edit3r.contract.interfaces import Matcher, Reconstructor
-from edit3r.contract.settings import PartChoice
+from edit3r.contract.interfaces import Geometry, Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r.kit.checks import require_geometry
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.surroundings import background_layer, rim
 from edit3r.kit.geometry.warping import contradicted, seen_by_others
@@ -22,9 +22,6 @@ class ClassicalReconstructor(Reconstructor):
     """
 
     class Settings(config.Settings):
-        matcher: PartChoice = Field(
-            PartChoice(name="classical"), description="what reads poses and depths"
-        )
         footprint: float = Field(
             0.35,
             gt=0,
@@ -57,17 +54,16 @@ class ClassicalReconstructor(Reconstructor):
             description="opacity of the blurred layer behind depth edges and guesses; 0: none",
         )
 
-    def __init__(self, settings: Settings, matcher: Matcher) -> None:
-        self.settings = settings
-        self.matcher = matcher
+    uses_geometry = True
 
     def __call__(
         self,
         views: Views,
         source: Views | None = None,
+        geometry: Geometry | None = None,
         grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
-        geometry = self.matcher.match(views if source is None else source)
+        geometry = require_geometry(self, geometry)
         grid = grid or views.image_size
         measured, views, geometry = (
             geometry.measured,

@@ -5,14 +5,22 @@ from typing import Any
 from pydantic import Field
 
 from edit3r.contract.settings import PartChoice, Settings
+from edit3r.running import DEFAULTS
 
-PARTS = {"reconstructor": "edit3r", "rasterizer": "auto"}
+PARTS = {
+    "reconstructor": "edit3r",
+    "matcher": DEFAULTS["matcher"],
+    "rasterizer": "auto",
+}
 
 
 class EvaluateOptions(Settings):
     """What is measured, and how."""
 
     reconstructor: PartChoice = Field(description="what is measured (default edit3r)")
+    matcher: PartChoice = Field(
+        description="reads the geometry that it uses, if any (default that of a run)"
+    )
     rasterizer: PartChoice = Field(description="draws the images (default auto)")
     pairs: int = Field(
         6,

@@ -9,6 +9,7 @@ from edit3r.contract.reporting import Report, track
 from edit3r.contract.types import RENDERED
 from edit3r.kit.checks import require_gives
 from edit3r.kit.command.results import grouped
+from edit3r.kit.reconstructing import WithMatcher
 from edit3r_measure.evaluate_options import PARTS, Evaluation
 from edit3r_measure.novel_view import (
     SceneScore,
@@ -25,8 +26,11 @@ UNSEEN = {"procedural": {"seed": 1000, "targets": 1, "angles": [5, 25]}}
 
 def measure(asked: Evaluation, registry: Registry, report: Report) -> list[SceneScore]:
     """Return the scores of all scenes that are asked for."""
-    tools = [registry.build_choice(kind, getattr(asked, kind)) for kind in PARTS]
-    require_gives(tools[-1], asked.rasterizer.name, *RENDERED, who="evaluate")
+    reconstructor, matcher, rasterizer = (
+        registry.build_choice(kind, getattr(asked, kind)) for kind in PARTS
+    )
+    require_gives(rasterizer, asked.rasterizer.name, *RENDERED, who="evaluate")
+    tools = WithMatcher(reconstructor, matcher), rasterizer
     if asked.index:
         kind = "protocol"
         distance = "lpips" if asked.lpips else "perceptual"

@@ -15,13 +15,14 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 
 from edit3r.contract.errors import MatchingError, PluginError
-from edit3r.contract.interfaces import Rasterizer, Reconstructor
+from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.compute.changes import change_error, change_uptake
 from edit3r.kit.compute.likeness import Image, Region, psnr, ssim
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.photos.posed_folder import PosedPhoto
 from edit3r.kit.photos.triples import Pose, rotation_degrees
+from edit3r.kit.reconstructing import WithMatcher
 from edit3r_measure.scene_sources import EvaluationScene
 
 # Standard deviations tried for the best-blurred copy [pixels]
@@ -156,7 +157,7 @@ def score_scene(scene: EvaluationScene, kind: str, measure: Measure) -> SceneSco
 
 @torch.no_grad()
 def novel_view(
-    reconstructor: Reconstructor, rasterizer: Rasterizer, scene: EvaluationScene
+    reconstructor: WithMatcher, rasterizer: Rasterizer, scene: EvaluationScene
 ) -> dict[str, float]:
     """Reconstruct from the scene's outer two inputs and compare the predicted target with the real
     one.
@@ -224,7 +225,7 @@ def score_edit(
 
 @torch.no_grad()
 def carried_edit(
-    reconstructor: Reconstructor, rasterizer: Rasterizer, scene: EvaluationScene
+    reconstructor: WithMatcher, rasterizer: Rasterizer, scene: EvaluationScene
 ) -> dict[str, float]:
     """Reconstruct the scene unedited, with its first photo edited, and with the second edited the
     opposite way too.

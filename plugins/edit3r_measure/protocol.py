@@ -29,7 +29,6 @@ from edit3r.contract.interfaces import (
     Loss,
     LossInputs,
     Rasterizer,
-    Reconstructor,
 )
 from edit3r.contract.settings import Settings, make_settings
 from edit3r.contract.types import Cameras
@@ -38,6 +37,7 @@ from edit3r.kit.compute.likeness import psnr, ssim
 from edit3r.kit.geometry.rotations import cross_matrix
 from edit3r.kit.photos.posed_folder import PosedPhoto, read_posed_folder
 from edit3r.kit.photos.triples import Pose
+from edit3r.kit.reconstructing import WithMatcher
 from edit3r_measure.novel_view import PredictedScene, pose_errors, views_of
 from edit3r_measure.scene_sources import EvaluationScene, SceneSource
 
@@ -256,7 +256,7 @@ def auc(errors: Sequence[float], limit: float) -> float:
 class PairProtocol:
     """Measures one pair of an index; means over its targets."""
 
-    reconstructor: Reconstructor
+    reconstructor: WithMatcher
     rasterizer: Rasterizer
     distance: str  # name of the loss, and of its figures
     loss: Loss

@@ -91,7 +91,7 @@ def register_reconstructors():
         target="edit3r_model.reconstructor:Edit3rReconstructor",
         summary="matched geometry, and a small network that carries and fuses the edits (weights "
         "ship); or the full network in a single pass",
-        parts=("matcher", "backbone", "head"),
+        parts=("backbone", "head"),
         min_views=2,
         weights=(OFFICIAL,),
         citation="Edit3r: Instant 3D Scene Editing from Sparse Unposed Images",

@@ -16,7 +16,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract import settings as config
-from edit3r.contract.interfaces import Geometry, Matcher
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.settings import Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.compute.layers import one_thread
@@ -61,38 +61,36 @@ class MatchedSettings(config.Settings):
 class MatchedForm:
     """Matched poses and depths, and a head that draws disagreeing edits to the reference's."""
 
-    def __init__(
-        self, settings: MatchedSettings, network: GaussianNetwork, matcher: Matcher
-    ) -> None:
+    def __init__(self, settings: MatchedSettings, network: GaussianNetwork) -> None:
         self.settings = settings
         self.network = network
-        self.matcher = matcher
 
     def __call__(
-        self, views: Views, source: Views, grid: tuple[int, int] | None
+        self,
+        views: Views,
+        source: Views,
+        matched: Geometry,
+        grid: tuple[int, int] | None,
     ) -> Reconstruction:
-        """Reconstruct; differentiable only while the network is in training mode."""
-        with torch.no_grad():
-            matched = self.matcher.match(source)
+        """Reconstruct; in training mode differentiably, and the photos' own pixels alone."""
         grid = grid or views.image_size
         views, source = matched.calibrated(views), matched.calibrated(source)
         geometry = matched.at(grid)
-        learns = self.network.training and torch.is_grad_enabled()
-        # Silu, sigmoid and others round the last few values of what each thread is given in another
-        # way.
-        with one_thread(), torch.set_grad_enabled(learns):
-            made = self.from_geometry(views, source, geometry)
-            coarse = views.at(grid), source.at(grid)
-            made = self._with_surroundings(made, *coarse, geometry)
+        if self.network.training and torch.is_grad_enabled():
+            made = self._of_pixels(views, source, geometry)
+        else:
+            # Silu, sigmoid and others round the last few values of what each thread is given in
+            # another way.
+            with one_thread(), torch.no_grad():
+                made = self._of_pixels(views, source, geometry)
+                coarse = views.at(grid), source.at(grid)
+                made = self._with_surroundings(made, *coarse, geometry)
         return replace(made, placed=geometry.registered, measured=matched.measured)
 
-    def from_geometry(
+    def _of_pixels(
         self, views: Views, source: Views, geometry: Geometry
     ) -> Reconstruction:
-        """Reconstruct from given geometry, differentiably.
-
-        The Gaussians lie on the geometry's grid; the views may be finer.
-        """
+        """One Gaussian a pixel of the geometry's grid; the views may be finer."""
         unit = geometry.depths[:, 0].flatten(1).median(1).values
         prior = _in_unit(geometry, unit)
         gaussians = self._gaussians(views, source, prior)

@@ -11,12 +11,11 @@ from edit3r.contract.interfaces import (
     Backbone,
     GaussianHead,
     Geometry,
-    Matcher,
     Reconstructor,
-    TakesGeometry,
 )
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Reconstruction, Views
+from edit3r.kit.checks import require_geometry
 from edit3r.kit.weights.load import pick_device
 from edit3r_model.checkpoints import load_weights, with_parts_of
 from edit3r_model.engine import EnginePlan, make_plan
@@ -45,30 +44,18 @@ class NetworkSettings(SinglePassSettings):
         return with_parts_of(load_weights(weights), values)
 
 
-class Edit3rReconstructor(Reconstructor, TakesGeometry):
+class Edit3rReconstructor(Reconstructor):
     """A backbone and a head, in the form that the head asks for.
 
-    A head that takes matched geometry: poses and depths come from the matcher, the network draws
-    disagreeing edits to the reference's. View 0 is the reference: its edit is kept as it is. Where
-    another view's edit is the same function of colour, that view keeps its own edited colours
-    exactly, as it does without any edit.
+    A head that takes geometry: poses and depths are the run's, the network draws disagreeing edits
+    to the reference's. View 0 is the reference: its edit is kept as it is. Where another view's
+    edit is the same function of colour, that view keeps its own edited colours exactly, as it does
+    without any edit.
 
     Any other head: the paper's form, a single pass from the edited photos alone.
     """
 
     class Settings(NetworkSettings, MatchedSettings):
-        matcher: PartChoice = Field(
-            PartChoice(
-                name="classical",
-                settings={
-                    "working_size": 160,
-                    "detection_size": 448,
-                    "keypoints": 2500,
-                    "planes": 64,
-                },
-            ),
-            description="reads pose and depth from the photos; coarser and quicker than on its own",
-        )
         backbone: PartChoice = Field(
             PartChoice(name="matched-unet"),
             description="images and geometry to features",
@@ -87,19 +74,18 @@ class Edit3rReconstructor(Reconstructor, TakesGeometry):
         settings: NetworkSettings,
         backbone: Backbone,
         head: GaussianHead,
-        matcher: Matcher | None = None,
     ) -> None:
         self.settings = settings
-        self.matcher = matcher
-        self.fuses_by_itself = not head.uses_geometry
-        _check_parts(settings, backbone, head, matcher)
+        self.uses_geometry = head.uses_geometry
+        self.fuses_by_itself = not self.uses_geometry
+        _check_parts(settings, backbone, head)
         network = GaussianNetwork(backbone, head)
         plan = _plan(settings) if self.fuses_by_itself else EnginePlan()
         self._network = load_network(network, settings.weights, plan, settings.seed)
         if self.fuses_by_itself:
             self.form = SinglePass(settings, network)
         else:
-            self.form = MatchedForm(settings, network, matcher)
+            self.form = MatchedForm(settings, network)
 
     @property
     def network(self) -> GaussianNetwork:
@@ -110,24 +96,14 @@ class Edit3rReconstructor(Reconstructor, TakesGeometry):
         self,
         views: Views,
         source: Views | None = None,
+        geometry: Geometry | None = None,
         grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
-        """Reconstruct; without `source` the edited images must agree well enough to be matched.
-
-        A single pass uses neither `source` nor `grid`. Differentiable only while the network is in
-        training mode.
-        """
-        if self.fuses_by_itself:
+        """Reconstruct; a single pass uses the views alone."""
+        if not self.uses_geometry:
             return self.form(views)
-        return self.form(views, views if source is None else source, grid)
-
-    def from_geometry(
-        self, views: Views, source: Views, geometry: Geometry
-    ) -> Reconstruction:
-        """Reconstruct from given geometry, differentiably; a single pass has no use for it."""
-        if self.fuses_by_itself:
-            return self.form(views)
-        return self.form.from_geometry(views, source, geometry)
+        geometry = require_geometry(self, geometry)
+        return self.form(views, views if source is None else source, geometry, grid)
 
     def weights_metadata(self) -> dict[str, str]:
         """Which parts the network's weights are for, and the size they were trained at."""
@@ -146,7 +122,7 @@ class Edit3rReconstructor(Reconstructor, TakesGeometry):
 
 
 class NoPoSplatReconstructor(Edit3rReconstructor):
-    """The same network by itself, without matcher: baseline, and reference of the training."""
+    """The same network in a single pass: baseline, and reference of the training."""
 
     class Settings(NetworkSettings):
         backbone: PartChoice = Field(
@@ -173,10 +149,7 @@ def _plan(settings: SinglePassSettings) -> EnginePlan:
 
 
 def _check_parts(
-    settings: NetworkSettings,
-    backbone: Backbone,
-    head: GaussianHead,
-    matcher: Matcher | None,
+    settings: NetworkSettings, backbone: Backbone, head: GaussianHead
 ) -> None:
     """Raise for parts and settings that do not go together, and where there are no weights."""
     if settings.weights is None:
@@ -192,10 +165,10 @@ def _check_parts(
                 "choose another backbone, such as asymmetric-vit."
             )
         return
-    if matcher is None:
+    if not isinstance(settings, MatchedSettings):
         raise SettingsError(
-            "reconstructor.head: it needs matched geometry, and this reconstructor has no matcher; "
-            "use the reconstructor edit3r."
+            "reconstructor.head: it needs matched geometry, and this reconstructor is a single pass"
+            "; use the reconstructor edit3r."
         )
     given = settings.model_fields_set & SinglePassSettings.model_fields.keys()
     if given:

@@ -14,6 +14,7 @@ from edit3r.contract.component import component_name
 from edit3r.contract.interfaces import (
     Editor,
     EditsViews,
+    Geometry,
     Rasterizer,
     Reconstructor,
     StartsFromImages,
@@ -35,7 +36,7 @@ class MethodSettings(FitSettings):
     """A fit of the photos, edits, and a fit of the edits."""
 
     reconstructor: PartChoice = Field(
-        PartChoice(name="classical", settings={"matcher": "posed"}),
+        PartChoice(name="classical"),
         description="where the first Gaussians come from",
     )
     editor: PartChoice = Field(
@@ -74,6 +75,7 @@ class EditJob:
     photos: Views  # unedited
     edited: Views  # as the caller's editor made them; the photos themselves where it edited nothing
     request: EditRequest
+    geometry: Geometry | None  # of the photos; None: the reconstructor uses none
 
     @property
     def is_edited(self) -> bool:
@@ -94,11 +96,13 @@ class FittingMethod(Reconstructor, EditsViews):
     ) -> None:
         self.settings, self.reconstructor = settings, reconstructor
         self.editor, self.rasterizer = editor, rasterizer
+        self.uses_geometry = reconstructor.uses_geometry
 
     def __call__(
         self,
         views: Views,
         source: Views | None = None,
+        geometry: Geometry | None = None,
         grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
         """Reconstruct every scene of the batch by itself; prompt and seed are the settings' own."""
@@ -106,12 +110,16 @@ class FittingMethod(Reconstructor, EditsViews):
         wishes = wishes_for(self.editor, prompt)
         request = EditRequest(prompt, self.settings.seed, wishes=wishes)
         return self.edit_and_reconstruct(
-            views, views if source is None else source, request
+            views, views if source is None else source, request, geometry
         )
 
     @torch.no_grad()
     def edit_and_reconstruct(
-        self, views: Views, source: Views, request: EditRequest
+        self,
+        views: Views,
+        source: Views,
+        request: EditRequest,
+        geometry: Geometry | None = None,
     ) -> Reconstruction:
         photos = source
         if photos.c2w is None and views.c2w is not None:
@@ -121,7 +129,10 @@ class FittingMethod(Reconstructor, EditsViews):
             results.append(
                 self._reconstruct(
                     EditJob(
-                        photos.scene(item), views.scene(item), request.of_scene(item)
+                        photos.scene(item),
+                        views.scene(item),
+                        request.of_scene(item),
+                        None if geometry is None else geometry.scene(item),
                     )
                 )
             )
@@ -142,7 +153,7 @@ class FittingMethod(Reconstructor, EditsViews):
     def _fit_photos(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         """Fit the unedited scene; returns it and its cameras in the frame of view 0."""
         start, cameras = begin(
-            scene.photos, self.reconstructor, self.settings.points, self.settings.seed
+            scene, self.reconstructor, self.settings.points, self.settings.seed
         )
         return self._fit(
             "photos", start, cameras, TargetImages(scene.photos.images[0])
@@ -178,7 +189,7 @@ class FittingMethod(Reconstructor, EditsViews):
 
 
 def begin(
-    photos: Views, reconstructor: Reconstructor, most: int, seed: int
+    scene: EditJob, reconstructor: Reconstructor, most: int, seed: int
 ) -> tuple[Gaussians, Cameras]:
     """Return at most `most` first Gaussians of one scene's unedited photos (batch 1), and the
     photos' cameras.
@@ -186,8 +197,9 @@ def begin(
     Both are in view 0's frame. Raises MatchingError where the reconstructor cannot place the
     photos.
     """
+    photos = scene.photos
     with errors_named_after(reconstructor):
-        answer = reconstructor(photos, source=photos)
+        answer = reconstructor(photos, photos, scene.geometry)
     check_reconstruction(reconstructor, photos, answer)
     cameras = answer.cameras or estimate_cameras(
         answer.gaussians, photos, answer.per_pixel

@@ -43,6 +43,10 @@ class TrainingConfig(Settings):
         "hold to; default: the "
         "true surface where the data has depths, else what is trained as it is at the start",
     )
+    matcher: PartChoice = Field(
+        PartChoice.model_validate(DEFAULTS["matcher"]),
+        description="reads the geometry of photos whose depth the data does not know",
+    )
     rasterizer: PartChoice = Field(
         PartChoice(name=DEFAULTS["training_rasterizer"]),
         description="renders during training",
@@ -78,6 +82,7 @@ def prepare(
     validation, reference = config.validation_data, config.reference
     job = TrainingJob(
         reconstructor=build("reconstructor", config.reconstructor),
+        matcher=build("matcher", config.matcher),
         rasterizer=build("rasterizer", config.rasterizer),
         train_data=build("dataset", config.train_data),
         validation_data=None if validation is None else build("dataset", validation),

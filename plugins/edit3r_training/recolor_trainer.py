@@ -25,13 +25,13 @@ from torch import Tensor
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import (
     LossInputs,
-    Reconstructor,
     SceneSample,
     Trainer,
     TrainingJob,
 )
 from edit3r.contract.settings import Index, NonNegative, Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering
+from edit3r.kit.reconstructing import WithMatcher
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import TrainingBatch, Unit, make_batch
 from edit3r_training.loop import LoopSettings, Recipe, StepLoss, train
@@ -179,8 +179,7 @@ class RecolorRecipe(Recipe):
         if not self.settings.matched or rng.random() >= self.settings.matched:
             return simulate_match(sample, rng)
         if sample.name not in self._matches:
-            matcher = self.job.reconstructor.matcher
-            self._matches[sample.name] = really_match(sample, matcher)
+            self._matches[sample.name] = really_match(sample, self.job.matcher)
         return self._matches[sample.name] or simulate_match(sample, rng)
 
     def _samples(self, step: int, processes: Processes) -> list[SceneSample]:
@@ -311,7 +310,7 @@ class GeometricReference:
     generated edit added or removed things, it holds to nothing.
     """
 
-    def __init__(self, frozen: Reconstructor | None = None) -> None:
+    def __init__(self, frozen: WithMatcher | None = None) -> None:
         self.frozen = frozen
 
     @staticmethod
@@ -325,7 +324,7 @@ class GeometricReference:
         if frozen is not None and frozen.network is not None:
             device = next(job.reconstructor.network.parameters()).device
             frozen.network.eval().requires_grad_(False).to(device)
-        return GeometricReference(frozen)
+        return GeometricReference(frozen and WithMatcher(frozen, job.matcher))
 
     @torch.no_grad()
     def __call__(self, batch: TrainingBatch, made: Reconstruction) -> Gaussians | None:

@@ -7,9 +7,10 @@ import torch
 
 from edit3r.contract import reporting
 from edit3r.contract.errors import MatchingError, SettingsError
-from edit3r.contract.interfaces import Dataset, TakesGeometry, TrainingJob
+from edit3r.contract.interfaces import Dataset, TrainingJob
 from edit3r.contract.types import Reconstruction
 from edit3r.kit.photos.images import save_image
+from edit3r.kit.reconstructing import WithMatcher
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import Match, TrainingBatch, Unit, make_batch
 from edit3r_training.pixel_losses import (
@@ -28,13 +29,14 @@ SEED = 987_654_321
 
 
 def reconstruct(job: TrainingJob, batch: TrainingBatch) -> Reconstruction:
-    """With the batch's simulated matching where the reconstructor takes geometry, else from the
-    images alone.
+    """With the batch's simulated matching where the reconstructor uses geometry, else with the
+    job's matcher's.
     """
-    reconstructor = job.reconstructor
-    if batch.geometry is not None and isinstance(reconstructor, TakesGeometry):
-        return reconstructor.from_geometry(batch.edited, batch.source, batch.geometry)
-    return reconstructor(batch.edited, batch.source)
+    reconstructor, source = job.reconstructor, batch.source
+    geometry = batch.geometry if reconstructor.uses_geometry else None
+    if geometry is None:
+        geometry = WithMatcher(reconstructor, job.matcher).geometry(source)
+    return reconstructor(batch.edited, source, geometry)
 
 
 @torch.no_grad()

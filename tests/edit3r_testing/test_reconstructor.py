@@ -6,12 +6,13 @@ import pytest
 import torch
 from torch import nn
 
-from edit3r.contract.interfaces import Reconstructor
+from edit3r.contract.interfaces import FindsGeometry, Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction
 from edit3r.kit.geometry.cameras import unproject
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r_testing import ContractViolation, ReconstructorContract
 from edit3r_testing.network import TinyBackbone
+from edit3r_testing.scenes import true_geometry
 
 
 class Flat(Reconstructor):
@@ -28,7 +29,7 @@ class Flat(Reconstructor):
     def network(self):
         return self.gain
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         self.calls += 1
         if self.before:
             self.before(views, source)
@@ -250,7 +251,7 @@ from torch import nn
 
 from edit3r import Component, Settings, hookimpl
 from edit3r.kit.geometry.cameras import pixels_to_gaussians
-from edit3r.contract.interfaces import Reconstructor
+from edit3r.contract.interfaces import FindsGeometry, Reconstructor
 from edit3r.kit.weights.files import load_weights
 from edit3r.contract.types import Cameras, Reconstruction
 
@@ -269,7 +270,7 @@ class Gain(Reconstructor):
     def network(self):
         return self._network
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         images = self._network(views.images.flatten(0, 1)).sigmoid()
         images = images.unflatten(0, views.images.shape[:2])
         depths = images.new_full(images[:, :, 0].shape, 3.0)
@@ -317,9 +318,24 @@ def test_trained_weights_that_cannot_be_used_are_found(tmp_path, name, setting, 
         getattr(type("Bound", (ReconstructorContract,), attributes)(), WEIGHTS)()
 
 
+class FindsDepthsAlone(Flat, FindsGeometry):
+    def find_geometry(self, views):
+        return replace(true_geometry(views), c2w=torch.zeros(1, views.count, 4, 4))
+
+
+def test_geometry_of_its_own_that_is_wrong_is_found(complaint):
+    assert "a rotation" in complaint(
+        ReconstructorContract,
+        FindsDepthsAlone,
+        "test_geometry_of_its_own_is_valid",
+        image_size=(24, 32),
+    )
+
+
 def test_every_claim_about_reconstructors_can_fail():
     own = {name for name in vars(ReconstructorContract) if name.startswith("test_")}
     assert own == {claim for _, claim, _ in CASES.values()} | {
+        "test_geometry_of_its_own_is_valid",
         "test_checkpoint_round_trip",
         WEIGHTS,
     }

@@ -32,7 +32,7 @@ class FlatReconstructor(Reconstructor):
     def __init__(self, settings):
         self.settings = settings
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         images = views.images
         batch, count = images.shape[:2]
         height, width = views.image_size

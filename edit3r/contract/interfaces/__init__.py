@@ -22,11 +22,12 @@ from edit3r.contract.interfaces.reading import Reader
 from edit3r.contract.interfaces.reconstruction import (
     Backbone,
     EditsViews,
+    FindsGeometry,
     GaussianHead,
     Geometry,
     Matcher,
+    MatchesLevelled,
     Reconstructor,
-    TakesGeometry,
 )
 from edit3r.contract.interfaces.rendering import (
     ComparesWithBefore,
@@ -100,6 +101,7 @@ __all__ = [
     "Editor",
     "EditsRegions",
     "EditsViews",
+    "FindsGeometry",
     "GaussianHead",
     "Geometry",
     "GivesAttention",
@@ -107,6 +109,7 @@ __all__ = [
     "LossInputs",
     "Marks",
     "Matcher",
+    "MatchesLevelled",
     "NamedObjects",
     "OtherReadings",
     "Proposal",
@@ -121,7 +124,6 @@ __all__ = [
     "SecondLook",
     "Segmenter",
     "StartsFromImages",
-    "TakesGeometry",
     "Tracks",
     "Trainer",
     "TrainingJob",

@@ -29,19 +29,29 @@ class Reconstructor(Configured, ABC):
     # above it the pipeline takes evenly spaced views and says so
     max_views: int | None = None
 
+    uses_geometry: bool = False
+    """Whether it needs `geometry`; an object may set it by its parts.
+
+    A run asks its matcher only where somebody needs geometry, and brings photos to one exposure
+    only for a reconstructor that uses it.
+    """
+
     @abstractmethod
     def __call__(
         self,
         views: Views,
         source: Views | None = None,
+        geometry: "Geometry | None" = None,
         grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
         """Reconstruct `views`.
 
-        `source` is the same photos before editing, which agree with each other. `grid` is the
-        (height, width) of the grid on which Gaussians are made, one a pixel [pixels]; None: that of
-        the views. A reconstructor may ignore it; cameras that it returns have the size it used.
-        Poses that somebody knows are `views.c2w`; it may ignore them and give its own.
+        `source` is the same photos before editing, which agree with each other; None: the views
+        do. `geometry` is what was read from `source`, at its resolution; None where `uses_geometry`
+        is False. `grid` is the (height, width) of the grid on which Gaussians are made [pixels];
+        None: that of the views. A reconstructor may ignore it; cameras that it returns have the
+        size it used. Poses that somebody knows are `views.c2w`; it may ignore them and give its
+        own. Differentiable by `network` in training mode.
 
         Raises MatchingError when the photos cannot be placed relative to each other.
         """
@@ -71,11 +81,16 @@ class EditsViews(ABC):
 
     @abstractmethod
     def edit_and_reconstruct(
-        self, views: Views, source: Views, request: EditRequest
+        self,
+        views: Views,
+        source: Views,
+        request: EditRequest,
+        geometry: "Geometry | None" = None,
     ) -> Reconstruction:
         """Reconstruct the photos `source`, edited as `request` says.
 
-        `views` are those photos as the run's editor changed them, a first edit to begin with.
+        `views` are those photos as the run's editor changed them, a first edit to begin with;
+        `geometry` is that of `source`, None where `uses_geometry` is False.
         """
 
 
@@ -116,6 +131,19 @@ class Geometry(Tensors):
             else replace(views, intrinsics=self.intrinsics)
         )
 
+    def scene(self, index: int) -> "Geometry":
+        """The geometry of one scene of the batch, as a batch of one."""
+        one = slice(index, index + 1)
+        lens = self.intrinsics
+        return replace(
+            self,
+            c2w=self.c2w[one],
+            depths=self.depths[one],
+            confidence=self.confidence[one],
+            registered=self.registered[one],
+            intrinsics=None if lens is None else lens[one],
+        )
+
     def at(self, size: tuple[int, int]) -> "Geometry":
         """This geometry for views of another (height, width) [pixels]."""
         # Nearest: depths are never mixed across an edge.
@@ -124,17 +152,18 @@ class Geometry(Tensors):
         return replace(self, depths=depths, confidence=confidence)
 
 
-class TakesGeometry(ABC):
-    """A reconstructor that can use geometry which somebody else measured, as training does."""
+class FindsGeometry(ABC):
+    """A reconstructor that finds poses and depths by itself, as VGGT does.
+
+    The run asks it, in place of a matcher, for whoever needs geometry: selecting, exposure, the
+    check of what was measured.
+    """
 
     @abstractmethod
-    def from_geometry(
-        self, views: Views, source: Views, geometry: Geometry
-    ) -> Reconstruction:
-        """Reconstruct `views` from poses and depths of `source` instead of matching.
+    def find_geometry(self, views: Views) -> Geometry:
+        """Geometry of unedited photos, at their resolution.
 
-        `source` is the same photos before editing, `geometry` at their resolution. Differentiable
-        by `network`.
+        Raises MatchingError when view 0 cannot be placed relative to any other view.
         """
 
 
@@ -204,3 +233,16 @@ class Matcher(Configured, ABC):
         Asked only where nobody knows the lens.
         """
         return None
+
+
+class MatchesLevelled(ABC):
+    """A matcher that places photos as they were taken and measures depth in one exposure.
+
+    Exposure moves no point, but it changes what the colours of two photos say about depth.
+    """
+
+    @abstractmethod
+    def match_levelled(self, views: Views, levelled: Views) -> Geometry:
+        """As `match` of `views`, with depth measured on `levelled`, the same photos in one
+        exposure.
+        """

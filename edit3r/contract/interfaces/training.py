@@ -11,7 +11,11 @@ from torch import Tensor
 from torch.utils import data
 
 from edit3r.contract.interfaces.base import Configured
-from edit3r.contract.interfaces.reconstruction import Geometry, Reconstructor
+from edit3r.contract.interfaces.reconstruction import (
+    Geometry,
+    Matcher,
+    Reconstructor,
+)
 from edit3r.contract.interfaces.rendering import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians, Rendering
 
@@ -33,7 +37,7 @@ class LossInputs:
     # what `rendered` shows from any cameras, all that the rasterizer gives, differentiable; from
     # `cameras` themselves nothing is drawn again
     render: Callable[[Cameras], Rendering] | None = None
-    # poses and depths of the input views that the reconstructor was given
+    # poses and depths of the input views, as a matcher reads them, in the unit of `cameras`
     geometry: Geometry | None = None
 
 
@@ -89,6 +93,7 @@ class TrainingJob:
     """Everything a trainer is given, already built."""
 
     reconstructor: Reconstructor
+    matcher: Matcher  # of photos whose geometry the data does not know
     rasterizer: Rasterizer
     train_data: Dataset
     validation_data: Dataset | None

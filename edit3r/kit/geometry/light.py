@@ -6,9 +6,6 @@ law such as sRGB's. Offsets stand for haze and for the ends of a camera's curve.
 """
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
-from contextvars import ContextVar
 from dataclasses import dataclass
 
 import torch
@@ -57,30 +54,6 @@ class Light:
 
     def select(self, indices: list[int]) -> "Light":
         return Light(self.gain[:, indices], self.offset[:, indices])
-
-
-_relit: ContextVar[tuple[Views, Views] | None] = ContextVar(
-    "edit3r_relit", default=None
-)
-
-
-@contextmanager
-def relit(photos: Views, own: Views) -> Iterator[None]:
-    """Inside the block, `photos` are the `own` ones in another light; see `in_own_light`."""
-    token = _relit.set((photos, own))
-    try:
-        yield
-    finally:
-        _relit.reset(token)
-
-
-def in_own_light(views: Views) -> Views:
-    """The photos as they were taken, where `views` are these in another light; else `views`.
-
-    Light moves no point: what matches and where cameras stood need not be found again.
-    """
-    known = _relit.get()
-    return views if known is None or known[0] is not views else known[1]
 
 
 @dataclass(frozen=True)

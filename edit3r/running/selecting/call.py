@@ -17,7 +17,7 @@ from edit3r.kit.cache import Cache, using
 from edit3r.kit.photos.images import load_photos
 from edit3r.loading.registry import default_registry
 from edit3r.running.config import DEFAULTS
-from edit3r.running.selecting.geometry import default_matcher, geometry_of, of_scene
+from edit3r.running.geometry import default_matcher, geometry_of
 from edit3r.running.selecting.select import Reading, Selected, Selection, select_masks
 
 Files = str | Path | Sequence[str | Path]
@@ -69,13 +69,13 @@ def select_with(
 ) -> Selecting:
     """The same with built parts, by the cache of the current run."""
     views = photos if isinstance(photos, Views) else _loaded(photos)
-    geometry = geometry_of(matcher, views)
+    geometry = None if matcher is None else geometry_of(matcher, views)
     scenes = [
         select_masks(
             images,
             selection,
             segmenter,
-            None if geometry is None else of_scene(geometry, index),
+            None if geometry is None else geometry.scene(index),
             views.intrinsics[index : index + 1],
         )
         for index, images in enumerate(views.images)

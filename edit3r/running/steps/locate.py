@@ -1,4 +1,4 @@
-"""Step 2: poses and depth of the unedited photos, which everything after it shares."""
+"""Step 2: poses and depths of the unedited photos, where the scene shall stand on them."""
 
 from dataclasses import replace
 
@@ -7,18 +7,21 @@ import torch
 from edit3r.contract.interfaces import Geometry
 from edit3r.contract.reporting import note, say, stage
 from edit3r.kit.geometry.cameras import field_of_view
+from edit3r.running.geometry import lies_flat
 from edit3r.running.parts import Parts
 from edit3r.running.scene import Scene
-from edit3r.running.selecting.geometry import lies_flat
 
 
 @torch.no_grad()
 def locate(scene: Scene, parts: Parts) -> Scene:
-    """Find the photos' geometry before anything is edited; `Parts` keeps it for later steps."""
+    """Read the photos' geometry before anything is edited; later steps share it.
+
+    Where the reconstructor uses none, nothing is read here: selecting may ask for it.
+    """
     geometry = None
-    if parts.matcher is not None:
+    if parts.uses_geometry:
         with stage("geometry"):
-            geometry = parts.located(scene.photos).geometry
+            geometry = parts.geometry.of(scene.photos).geometry
             if _by_exif(scene) and (geometry is None or geometry.contradicts):
                 scene, geometry = _without_exif(scene, geometry, parts)
             if any(scene.photos.assumed):
@@ -40,7 +43,7 @@ def _without_exif(
     photos, start = (
         replace(views, assumed=unknown) for views in (scene.photos, scene.start)
     )
-    found = parts.located(photos).geometry
+    found = parts.geometry.of(photos).geometry
     if found is None or found.intrinsics is None:
         return scene, geometry
     say(

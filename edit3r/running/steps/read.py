@@ -1,13 +1,14 @@
 """Step 1: the photos, as views, and what is marked on them."""
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Reader
+from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say, stage, warn
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import sha256_of
@@ -15,10 +16,8 @@ from edit3r.kit.files.names import unique_names
 from edit3r.kit.photos.coverage import USUAL_FRAMES, choose_photos, origin
 from edit3r.kit.photos.images import LoadedPhotos, find_photos, load_photos
 from edit3r.kit.photos.masks import read_mask
-from edit3r.loading.registry import Registry
 from edit3r.running.earlier import EarlierRun
 from edit3r.running.job import RunJob
-from edit3r.running.parts import read_lens
 from edit3r.running.scene import Scene
 from edit3r.running.selecting.marks import MarkTexts
 from edit3r.running.selecting.select import Selection
@@ -27,8 +26,11 @@ _MOST_OF_A_THING = 0.5
 """Share of the photos [mean of the masks] above which masks are of no thing."""
 
 
-def read(job: RunJob, registry: Registry) -> Scene:
-    """The photos of the job, or of the earlier run that it goes on from, and their marks."""
+def read(job: RunJob, read_lens: Callable[[Views], Lens | None]) -> Scene:
+    """The photos of the job, or of the earlier run that it goes on from, and their marks.
+
+    `read_lens` says of photos whose lens nobody knows what bends straight lines in them.
+    """
     with stage("read photos"):
         masks = job.masks
         if job.earlier is not None:
@@ -38,7 +40,7 @@ def read(job: RunJob, registry: Registry) -> Scene:
             photos = replace(job.photos, names=names)
             scene = Scene(photos=photos, start=photos)
         else:
-            found, scene = _read_files(job.photos, job, registry)
+            found, scene = _read_files(job.photos, job, read_lens)
             if isinstance(masks, MarkTexts):
                 used = [record.file for record in scene.records]
                 masks = masks.for_photos([origin(path) for path in found], used)
@@ -60,7 +62,7 @@ def _read_earlier(earlier: EarlierRun) -> Scene:
 
 
 def _read_files(
-    photos: tuple[Path, ...], job: RunJob, registry: Registry
+    photos: tuple[Path, ...], job: RunJob, read_lens: Callable[[Views], Lens | None]
 ) -> tuple[list[Path], Scene]:
     """All photos that were found, and the scene of those that are used."""
     config = job.config
@@ -70,7 +72,7 @@ def _read_files(
         fov=config.fov,
         size=config.size,
         cameras=job.cameras if isinstance(job.cameras, Path) else None,
-        read_lens=partial(read_lens, config, registry),
+        read_lens=read_lens,
     )
     return found, Scene(photos=loaded.views, start=loaded.views, records=loaded.photos)
 

@@ -8,13 +8,18 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.component import component_name
-from edit3r.contract.interfaces import ComparesWithBefore, EditsViews, Reconstructor
+from edit3r.contract.interfaces import (
+    ComparesWithBefore,
+    EditsViews,
+    Geometry,
+    Reconstructor,
+)
 from edit3r.contract.reporting import note, say, stage, warn
 from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.cache import recall
 from edit3r.kit.checks import check_reconstruction, errors_named_after
 from edit3r.kit.geometry.gravity import quarter_turns
-from edit3r.kit.geometry.light import estimate_light, relit
+from edit3r.kit.geometry.light import estimate_light
 from edit3r.kit.geometry.pose import estimate_cameras
 from edit3r.running.editors import request_of
 from edit3r.running.judging.between import guessed_between
@@ -35,8 +40,7 @@ def reconstruct(scene: Scene, parts: Parts) -> Scene:
         reconstruction = _reconstructed(scene, parts)
         scene = replace(scene, masks=_masks_of_change(scene, parts))
         scene = replace(scene, passing=_passing(scene, parts))
-        if reconstruction.measured is not None:
-            scene = replace(scene, guessed=_guessed(scene, parts))
+        scene = replace(scene, guessed=_guessed(scene, parts))
         before = _before(scene, parts)
     if before is not None:
         size = known_cameras(reconstruction).image_size
@@ -76,12 +80,13 @@ def _passing(
     scene: Scene, parts: Parts
 ) -> Bool[Tensor, "batch view height width"] | None:
     """What passed while the photos were taken, but for what the user selected."""
-    if parts.config.passing == "keep" or scene.photos.count < 3:
+    if not parts.uses_geometry or scene.photos.count < 3:
+        return None
+    if parts.config.passing == "keep":
         return None
     from edit3r.running.passing import passing
 
-    geometry = parts.located(scene.photos).geometry
-    found = None if geometry is None else passing(geometry, scene.photos)
+    found = passing(parts.geometry.of(scene.photos).required(), scene.photos)
     if found is not None and scene.confined:
         assert scene.masks is not None
         found &= scene.masks <= 0
@@ -90,8 +95,10 @@ def _passing(
 
 def _guessed(scene: Scene, parts: Parts) -> Float[Tensor, "batch view"] | None:
     """How much of the picture half-way from each photo to its nearest one is guessed."""
-    geometry = parts.located(scene.photos).geometry
-    return None if geometry is None else guessed_between(geometry, scene.photos)
+    if not parts.uses_geometry:
+        return None
+    geometry = parts.geometry.of(scene.photos).required()
+    return guessed_between(geometry, scene.photos)
 
 
 def _without_passing(reconstruction: Reconstruction, scene: Scene) -> Reconstruction:
@@ -125,12 +132,10 @@ def _tell_of_passing(scene: Scene) -> None:
 
 
 def _with_light(scene: Scene, parts: Parts) -> Scene:
-    """The scene with the photos' light, where a matcher can tell what they share."""
-    if parts.config.light == "own":
+    """The scene with the photos' light, where it stands on what they share."""
+    if parts.config.light == "own" or not parts.uses_geometry:
         return scene
-    geometry = parts.located(scene.photos).geometry
-    if geometry is None:  # told by the reconstructor, if it needs what was not found
-        return scene
+    geometry = parts.geometry.of(scene.photos).required()
     light = estimate_light(scene.photos, geometry)
     if light is not None:
         for name, value in (("gain", light.gain), ("offset", light.offset)):
@@ -146,18 +151,32 @@ def _with_light(scene: Scene, parts: Parts) -> Scene:
 def _reconstructed(scene: Scene, parts: Parts) -> Reconstruction:
     """The edited views in 3D; their geometry is that of the photos, unless things come or go."""
     recon, edited = parts.reconstructor, scene.in_one_light(scene.edited)
-    photos = scene.in_one_light(scene.photos)
-    source = edited if parts.changes_shape else photos
+    source = edited if parts.changes_shape else scene.in_one_light(scene.photos)
+    geometry = _geometry(scene, parts, edited if parts.changes_shape else None)
     if not isinstance(recon, EditsViews):
-        with relit(photos, scene.photos):
-            return _checked(
-                recon, edited, lambda: recon(edited, source, _grid(parts, edited))
-            )
+        grid = _grid(parts, edited)
+        return _checked(recon, edited, lambda: recon(edited, source, geometry, grid))
     task = parts.only_task
     request = request_of(task, scene, parts.config.seed, range(len(task.wishes)))
     return _checked(
-        recon, edited, lambda: recon.edit_and_reconstruct(edited, source, request)
+        recon,
+        edited,
+        lambda: recon.edit_and_reconstruct(edited, source, request, geometry),
     )
+
+
+def _geometry(
+    scene: Scene, parts: Parts, reshaped: Views | None = None
+) -> Geometry | None:
+    """What the reconstructor is given of the photos' geometry; of the `reshaped` ones where the
+    edit adds or removes things.
+    """
+    if not parts.reconstructor.uses_geometry:
+        return None
+    if reshaped is not None:
+        return parts.geometry.of(reshaped).required()
+    levelled = None if scene.light is None else scene.in_one_light(scene.photos)
+    return parts.geometry.of(scene.photos, levelled).required()
 
 
 def _grid(parts: Parts, views: Views) -> tuple[int, int]:
@@ -244,9 +263,9 @@ def _before(scene: Scene, parts: Parts) -> Reconstruction | None:
         recon, EditsViews
     ):  # it has no answer for photos that are not to be edited
         return None
-    grid = _grid(parts, photos)
+    geometry, grid = _geometry(scene, parts), _grid(parts, photos)
 
     def compute() -> Reconstruction:
-        return _checked(recon, photos, lambda: recon(photos, photos, grid))
+        return _checked(recon, photos, lambda: recon(photos, photos, geometry, grid))
 
-    return recall("before", recon, (photos, grid), compute)
+    return recall("before", recon, (photos, geometry, grid), compute)

@@ -15,7 +15,6 @@ from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.parts import Parts
 from edit3r.running.scene import Scene
-from edit3r.running.selecting.geometry import of_scene
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.regions import RegionFinder
 from edit3r.running.selecting.select import Selection
@@ -154,5 +153,7 @@ def _finder(index: int, scene: Scene, parts: Parts) -> RegionFinder:
 
 def _geometry(index: int, scene: Scene, parts: Parts) -> Geometry | None:
     """What is known of one scene's unedited photos, where it can be trusted."""
-    geometry = parts.located(scene.photos).told()
-    return None if geometry is None else of_scene(geometry, index)
+    if scene.photos.count < 2:
+        return None
+    geometry = parts.geometry.of(scene.photos).trusted()
+    return None if geometry is None else geometry.scene(index)

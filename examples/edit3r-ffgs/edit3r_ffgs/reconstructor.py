@@ -7,7 +7,7 @@ from ffgs.registry import get_model_spec
 from pydantic import Field
 from safetensors.torch import load_file
 
-from edit3r.contract.interfaces import Reconstructor
+from edit3r.contract.interfaces import Geometry, Reconstructor
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.cameras import invert_rigid, relative_to_first
@@ -38,6 +38,7 @@ class FfgsReconstructor(Reconstructor):
         self,
         views: Views,
         source: Views | None = None,
+        geometry: Geometry | None = None,
         grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
         pipeline = self.pipeline.to(views.images.device)

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from edit3r.contract import settings as config
 from edit3r.contract.errors import RunError
-from edit3r.contract.interfaces import Reconstructor
+from edit3r.contract.interfaces import Geometry, Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import save_image
@@ -39,6 +39,7 @@ class ProgramReconstructor(Reconstructor):
         self,
         views: Views,
         source: Views | None = None,
+        geometry: Geometry | None = None,
         grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
         scenes, cameras = zip(*(self._scene(images) for images in views.images))

@@ -26,7 +26,7 @@ class Sepia(Editor):
 
 
 class Lifted(Reconstructor):
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         raise NotImplementedError
 
 

@@ -13,6 +13,7 @@ from edit3r.contract.errors import InputError, PluginError, SettingsError
 from edit3r.contract.interfaces import (
     Editor,
     EditsViews,
+    FindsGeometry,
     Geometry,
     Reconstructor,
 )
@@ -54,7 +55,7 @@ class Flat(Reconstructor):
     def __init__(self, spoil=None):
         self.spoil = spoil
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         colours = views.images.permute(0, 1, 3, 4, 2).flatten(1, 3)
         ones = torch.ones_like(colours[..., :1])
         count = colours.shape[1] // views.count
@@ -192,7 +193,7 @@ def test_both_verdicts_stand_in_the_manifest(views, tmp_path):
 
 def test_a_reconstructor_that_edits_is_given_the_request(views):
     class Editing(Flat, EditsViews):
-        def edit_and_reconstruct(self, views, source, request):
+        def edit_and_reconstruct(self, views, source, request, geometry=None):
             self.request = request
             return self(views)
 
@@ -207,7 +208,7 @@ def test_gaussians_are_made_on_a_grid_only_where_steps_bring_the_detail(
     views, refine, grid
 ):
     class OnGrid(Flat):
-        def __call__(self, views, source=None, grid=None):
+        def __call__(self, views, source=None, geometry=None, grid=None):
             self.made = views.at(grid)
             return super().__call__(self.made)
 
@@ -244,13 +245,13 @@ class Counting(Flat):
 
     calls = 0
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         self.calls += 1
         return super().__call__(views, source)
 
 
 class CountingAndEditing(Counting, EditsViews):
-    def edit_and_reconstruct(self, views, source, request):
+    def edit_and_reconstruct(self, views, source, request, geometry=None):
         return self(views, source)
 
 
@@ -279,7 +280,7 @@ def test_the_scene_before_the_edit_is_made_only_where_a_mask_keeps_something(
 class LeavingOut(Flat):
     """Could not place view 1 of three."""
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         placed = torch.tensor([[True, False, True]])
         return replace(
             super().__call__(views),
@@ -323,7 +324,7 @@ def test_a_view_that_was_not_placed_leaves_the_scene_and_is_told(views):
 class OnItsSide(Flat):
     """Finds that the last view was turned by a quarter, clockwise."""
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         found = super().__call__(views, source)
         c2w = found.cameras.c2w.clone()
         clockwise = torch.tensor([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
@@ -346,7 +347,7 @@ def test_a_photo_that_is_not_held_as_the_others_is_named_with_the_way_to_turn_it
 class Fused(Flat):
     """Says that fusing the edits made the second view lighter."""
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         fusion = torch.zeros(1, views.count, 3, 4, 5)
         fusion[:, 1] = 0.25
         return replace(super().__call__(views, source), fusion=fusion)
@@ -430,22 +431,21 @@ def test_an_editor_that_leaves_the_program_is_named(views):
         run(views, "x", editor=Answer(lambda v: sys.exit(0)), recon=Flat())
 
 
-class Matched(Flat):
-    """Keeps the views that it was given; its matcher knows the true geometry."""
+class FindsTruth(Flat, FindsGeometry):
+    """Keeps the views that it was given, and knows the true geometry."""
 
     def __init__(self, scene):
         super().__init__()
-        self.parts = {"matcher": self}
         self.scene = scene
         self.given = []
 
-    def match(self, views):
+    def find_geometry(self, views):
         depths = self.scene.depths
         placed = torch.ones(depths.shape[:2], dtype=torch.bool)
         sure = torch.ones_like(depths)
         return Geometry(self.scene.cameras.c2w, depths, sure, placed)
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         self.given.append((views, source))
         return super().__call__(views)
 
@@ -457,7 +457,7 @@ def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_one
     views = replace(scene.views, images=images)
     results = {}
     for light in ("one", "own"):
-        recon = Matched(scene)
+        recon = FindsTruth(scene)
         result = run(views, editor="none", recon=recon, light=light, **PLAIN)
         results[light] = (recon.given[0], result)
     (edited, source), one = results["one"]
@@ -479,10 +479,10 @@ def test_geometry_of_the_unedited_photos_is_found_once_and_before_the_edit():
     scene = photograph(2, (48, 64))
     asked = []
 
-    class Listening(Matched):
-        def match(self, views):
+    class Listening(FindsTruth):
+        def find_geometry(self, views):
             asked.append(views.images)
-            return super().match(views)
+            return super().find_geometry(views)
 
     result = run(scene.views, "x", editor=Invert(), recon=Listening(scene), **PLAIN)
     assert len(asked) == 1 and torch.equal(asked[0], scene.views.images)

@@ -41,7 +41,7 @@ EVERY = (*USUAL_OUTPUTS, "frames")
 class Wall(Reconstructor):
     """One Gaussian per pixel on the plane z = 1."""
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         warn("the wall is flat")
         height, width = views.image_size
         ys, xs = torch.meshgrid(

@@ -33,7 +33,7 @@ class Cards(Reconstructor):
     def __init__(self, settings):
         self.settings = settings
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         if self.settings.fails:
             raise MatchingError("the cards fell over.")
         places = views.c2w[:, :, :3, 3]  # in a unit of the run's own choosing

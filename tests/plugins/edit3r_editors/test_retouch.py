@@ -180,7 +180,7 @@ def test_the_run_reconstructs_what_is_left_from_the_edited_photos():
     seen = []
 
     class Spy(Reconstructor):
-        def __call__(self, views, source=None, grid=None):
+        def __call__(self, views, source=None, geometry=None, grid=None):
             seen.append(source)
             raise MatchingError("enough.")
 

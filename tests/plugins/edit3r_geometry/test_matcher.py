@@ -10,7 +10,6 @@ import edit3r
 from edit3r import Views
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.reporting import Report, collecting
-from edit3r.kit.geometry.light import relit
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.photos.triples import rotation_degrees
 
@@ -75,8 +74,7 @@ def test_photos_in_another_light_are_not_matched_anew(matcher, pair, monkeypatch
     first = matcher.match(pair.views)
     brighter = replace(pair.views, images=(1.3 * pair.views.images).clamp(max=1))
     monkeypatch.setattr(matchers, "find_features", None)
-    with relit(brighter, pair.views):
-        again = matcher.match(brighter)
+    again = matcher.match_levelled(pair.views, brighter)
     assert torch.equal(again.c2w, first.c2w)
     assert not torch.equal(again.depths, first.depths)  # measured in one light
     with pytest.raises(TypeError):

@@ -13,6 +13,7 @@ from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.geometry.surroundings import background_layer
 from edit3r.kit.geometry.warping import contradicted, seen_by_others
+from edit3r.kit.reconstructing import WithMatcher
 
 
 class KnownGeometry(Matcher):
@@ -39,11 +40,14 @@ def truth(pair):
 
 
 def build(geometry, **settings):
-    return edit3r.build(
-        "reconstructor",
-        "classical",
-        parts={"matcher": KnownGeometry(geometry)},
-        **settings,
+    built = edit3r.build("reconstructor", "classical", **settings)
+    return WithMatcher(built, KnownGeometry(geometry))
+
+
+def by_matching(pair_of_photos):
+    matcher = edit3r.build("matcher", "classical")
+    return WithMatcher(edit3r.build("reconstructor", "classical"), matcher)(
+        pair_of_photos
     )
 
 
@@ -80,7 +84,6 @@ def test_geometry_comes_from_the_source_and_colours_from_the_edit(pair, truth):
     edited = dataclasses.replace(pair.views, images=1 - pair.views.images)
     reconstructor = build(truth, rim=0, background_layer=0)
     plain, other = reconstructor(pair.views), reconstructor(edited, source=pair.views)
-    assert reconstructor.matcher.asked is pair.views
     assert torch.equal(plain.gaussians.means, other.gaussians.means)
     assert torch.allclose(
         plain.gaussians.harmonics, -other.gaussians.harmonics, atol=1e-5
@@ -115,7 +118,7 @@ def test_guessed_pixels_are_less_opaque(pair, truth):
     half = truth.confidence.clone()
     half[..., :40] = 0
     geometry = dataclasses.replace(truth, confidence=half)
-    settings = build(geometry).settings
+    settings = build(geometry).reconstructor.settings
     opacities = build(geometry, rim=0, background_layer=0)(
         pair.views
     ).gaussians.opacities
@@ -158,12 +161,12 @@ def test_predicted_cameras_are_those_of_the_photos(pair, truth):
 def test_photos_that_cannot_be_matched_raise():
     views = Views(torch.full((1, 2, 3, 64, 64), 0.5), torch.eye(3).expand(1, 2, 3, 3))
     with pytest.raises(MatchingError):
-        edit3r.build("reconstructor", "classical")(views)
+        by_matching(views)
 
 
 @pytest.mark.slow
 def test_photos_alone_give_a_scene_that_shows_them_again(pair):
-    reconstruction = edit3r.build("reconstructor", "classical")(pair.views)
+    reconstruction = by_matching(pair.views)
     seen = edit3r.build("rasterizer", "numba").render(
         reconstruction.gaussians, reconstruction.cameras
     )

@@ -90,7 +90,7 @@ class WallKnown(Reconstructor):
     def __init__(self, folder, fails=False):
         self.folder, self.fails = folder, fails
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         if self.fails:
             raise MatchingError("nothing in common.")
         first, second = (self.folder.cameras[i].c2w for i in (0, 2))

@@ -140,7 +140,7 @@ class Carries(Reconstructor):
         self.c2w, self.carries = torch.from_numpy(poses).float()[None], carries
         self.edited = views_of(scene.edited[:2]).images
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         is_edited = not torch.equal(views.images[:, 0], source.images[:, 0])
         images = self.edited if self.carries and is_edited else source.images
         return self.posed(replace(views, images=images, c2w=self.c2w))

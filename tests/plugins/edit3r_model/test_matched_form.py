@@ -20,6 +20,7 @@ from edit3r_recolor.paint import paint
 from edit3r.contract.interfaces import Geometry, Matcher
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.harmonics import dc_to_colour
+from edit3r.kit.reconstructing import WithMatcher
 from edit3r.loading.registry import build
 from edit3r_testing import photograph
 
@@ -42,10 +43,10 @@ class TrueGeometry(Matcher):
         return replace(geometry, **self.changes)
 
 
-def reconstructor(matcher: Matcher | None = None, **settings):
-    parts = {"matcher": matcher or TrueGeometry()}
+def reconstructor(matcher: Matcher | None = None, **settings) -> WithMatcher:
     settings = {"network_size": 64, **settings}
-    return build("reconstructor", "edit3r", parts=parts, **settings)
+    built = build("reconstructor", "edit3r", **settings)
+    return WithMatcher(built, matcher or TrueGeometry())
 
 
 @pytest.fixture(scope="module")
@@ -289,15 +290,14 @@ def test_switching_fusion_off_shows_every_view_s_own_edit():
 def test_centres_move_the_correction_of_depth_and_colours_do_not():
     """Colours look at the corrected depth without a say in it."""
     edited, source = contradicting(), views_of()
-    geometry = TrueGeometry().match(source)
     strength = {}
     for repair, name in ((1.0, "means"), (0.0, "harmonics")):
         recon = reconstructor(head={"depth_repair": repair})
-        recon.network.train()
-        gaussians = recon.from_geometry(edited, source, geometry).gaussians
+        recon.reconstructor.network.train()
+        gaussians = recon(edited, source).gaussians
         getattr(gaussians, name).square().sum().backward()
         # The first third of the channels is depth's.
-        corrections = recon.network.head.corrections.weight.grad
+        corrections = recon.reconstructor.network.head.corrections.weight.grad
         strength[name] = float(corrections[: len(corrections) // 3].abs().max())
     assert strength["means"] > 0 and strength["harmonics"] == 0
 

@@ -58,7 +58,7 @@ def same_weights(one, other) -> bool:
 def test_describe_shows_the_parts(capsys):
     assert main(["describe", "reconstructor", "edit3r"]) == 0
     shown = capsys.readouterr().out
-    for part in ("backbone = matched-unet", "head = edit-fusion", "matcher = "):
+    for part in ("backbone = matched-unet", "head = edit-fusion"):
         assert part in shown
 
 
@@ -135,7 +135,7 @@ def test_a_damaged_description_is_an_error_that_names_the_file(tmp_path):
 
 def test_another_backbone_carries_the_edit_with_the_same_head():
     """The vision transformer in the place of the U-Net: untrained features, but a network."""
-    made = small(backbone=VIT, weights="untrained", matcher="posed")
+    made = small(backbone=VIT, weights="untrained")
     assert type(made.network.backbone) is AsymmetricViT and not made.fuses_by_itself
 
 
@@ -162,7 +162,7 @@ def test_parts_that_do_not_go_together_are_an_error(registry):
         small(precision="int8")
     unet = build("backbone", "matched-unet", width=8)
     assert type(unet) is MatchedUNet
-    with pytest.raises(InputError, match="needs matched geometry"):
+    with pytest.raises(InputError, match="matched-unet needs geometry"):
         unet(VIEWS.images, VIEWS.intrinsics)
 
 

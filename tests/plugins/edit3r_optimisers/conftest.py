@@ -23,7 +23,7 @@ class TrueDepth(Reconstructor):
     def __init__(self, every: int = 2) -> None:
         self.every = every
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         truth = photograph(views.count, views.image_size)
         cut = (..., slice(None, None, self.every), slice(None, None, self.every))
         height, width = truth.depths[cut].shape[-2:]

@@ -6,8 +6,8 @@ from edit3r.cli.main import main
 from edit3r.kit.cache import using
 from edit3r.kit.photos.images import load_photos, packaged_pair
 from edit3r.loading.registry import default_registry
+from edit3r.running.geometry import default_matcher
 from edit3r.running.job import JobInputs, job_from
-from edit3r.running.selecting.geometry import default_matcher
 
 pytestmark = pytest.mark.slow
 

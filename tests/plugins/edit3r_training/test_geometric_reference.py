@@ -36,7 +36,7 @@ class MovingReconstructor(Reconstructor):
         self.inner = inner
         self.network = torch.nn.Linear(1, 1)
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         answer = self.inner(views, source)
         means = answer.gaussians.means * (1 + self.network.weight * 0.1)
         return replace(answer, gaussians=replace(answer.gaussians, means=means))
@@ -119,7 +119,7 @@ def test_the_frozen_network_sees_the_unedited_photos(tmp_path):
     class ByColour(MovingReconstructor):
         """Its centres lie the farther off the brighter the reference is."""
 
-        def __call__(self, views, source=None, grid=None):
+        def __call__(self, views, source=None, geometry=None, grid=None):
             answer = super().__call__(views, source)
             means = answer.gaussians.means + 10 * views.images[:, 0].mean()
             return replace(answer, gaussians=replace(answer.gaussians, means=means))
@@ -166,9 +166,9 @@ def test_the_frozen_reference_is_in_evaluation_mode_while_the_network_learns(tmp
     """Layers that are random or keep statistics while they learn would move what must stay."""
     job = _job(tmp_path, depths=False)
     job.reconstructor.network.train()
-    frozen = GeometricReference.of_start(job).frozen
+    frozen = GeometricReference.of_start(job).frozen.reconstructor
     assert frozen is not job.reconstructor and not frozen.network.training
     assert job.reconstructor.network.training
     named = replace(job, reference=MovingReconstructor(job.reconstructor))
     named.reference.network.train()
-    assert not GeometricReference.of_start(named).frozen.network.training
+    assert not GeometricReference.of_start(named).frozen.reconstructor.network.training

@@ -67,7 +67,13 @@ def _job(out, **changes) -> TrainingJob:
         "geometry": (0.1, build("loss", "geometry", samples=32)),
     }
     job = TrainingJob(
-        reconstructor, build("rasterizer", "torch"), data, data, losses, out
+        reconstructor=reconstructor,
+        matcher=build("matcher", "classical"),
+        rasterizer=build("rasterizer", "torch"),
+        train_data=data,
+        validation_data=data,
+        losses=losses,
+        out=out,
     )
     return replace(job, **changes)
 
@@ -98,7 +104,8 @@ def test_geometry_is_the_matcher_s_own_where_asked_for_and_the_truth_is_in_its_u
 ):
     job = _job(tmp_path)
     sample = job.train_data[0]
-    matcher = job.reconstructor.matcher = _TrueMatcher(sample, places)
+    matcher = _TrueMatcher(sample, places)
+    job = replace(job, matcher=matcher)
     job = replace(job, train_data=_StopAt([sample], at=-1, number=0))
     recipe = RecolorRecipe(_trainer(batch=2, matched=1.0).settings, job)
     first, second = (recipe._batch(step, Processes()) for step in range(2))
@@ -197,7 +204,7 @@ def test_photos_that_cannot_be_matched_are_left_out_and_said(tmp_path):
     class Unmatched(Reconstructor):
         network = torch.nn.Linear(2, 2)
 
-        def __call__(self, views, source=None, grid=None):
+        def __call__(self, views, source=None, geometry=None, grid=None):
             raise MatchingError("too little in common")
 
     job = replace(_job(tmp_path), reconstructor=Unmatched())
@@ -221,6 +228,7 @@ class _Spy:
     """
 
     def __init__(self, job: TrainingJob, **settings) -> None:
+        self.uses_geometry = job.reconstructor.uses_geometry
         self.reconstructor, self.rasterizer, self.network = (
             job.reconstructor,
             job.rasterizer,
@@ -235,9 +243,9 @@ class _Spy:
         settings = {"batch": 1, "colour": 0, "depth": 0, "opacity": 0, **settings}
         self.recipe = RecolorRecipe(RecolorTrainer.Settings(**settings), job)
 
-    def __call__(self, views, source=None, grid=None):
+    def __call__(self, views, source=None, geometry=None, grid=None):
         self.edited, self.source = views.images, source.images
-        return self.reconstructor(views, source)
+        return self.reconstructor(views, source, geometry)
 
     def render(self, gaussians, cameras):
         self.shown, self.cameras = set(gaussians.view_index.tolist()), cameras.count
@@ -307,7 +315,7 @@ def test_a_loss_without_a_gradient_is_a_sentence(tmp_path):
     class Frozen(Reconstructor):
         network = torch.nn.Linear(2, 2)
 
-        def __call__(self, views, source=None, grid=None):
+        def __call__(self, views, source=None, geometry=None, grid=None):
             with torch.no_grad():
                 return inner(views, source)
 
@@ -517,9 +525,10 @@ def test_without_pixel_by_pixel_terms_any_set_of_gaussians_can_be_trained(tmp_pa
         """Every second pixel alone has a Gaussian."""
 
         network = inner.network
+        uses_geometry = inner.uses_geometry
 
-        def __call__(self, views, source=None, grid=None):
-            answer = inner(views, source)
+        def __call__(self, views, source=None, geometry=None, grid=None):
+            answer = inner(views, source, geometry)
             return replace(
                 answer,
                 gaussians=answer.gaussians.select(

@@ -9,7 +9,6 @@ from pydantic import Field
 from edit3r import Component, hookimpl
 from edit3r.contract import settings as config
 from edit3r.contract.interfaces import Editor, Geometry, Matcher, Reconstructor
-from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.cache import remembered
 from edit3r.kit.geometry.cameras import unproject
@@ -39,7 +38,6 @@ def register_reconstructors():
             name="planted",
             target="planted:PlantedReconstructor",
             summary="test scene",
-            parts=("matcher",),
         ),
     ]
 
@@ -71,19 +69,17 @@ class PlantedMatcher(Matcher):
 
 class PlantedReconstructor(Reconstructor):
     class Settings(config.Settings):
-        matcher: PartChoice = Field(
-            PartChoice(name="planted"), description="where depth comes from"
-        )
         footprint: float = Field(0.4, gt=0, description="size of a Gaussian [pixels]")
 
-    def __init__(self, settings: Settings, matcher: Matcher) -> None:
-        self.settings, self.matcher = settings, matcher
+    uses_geometry = True
+
+    def __init__(self, settings: Settings) -> None:
+        self.settings = settings
 
     def __call__(
-        self, views: Views, source: Views | None = None, grid=None
+        self, views: Views, source: Views | None = None, geometry=None, grid=None
     ) -> Reconstruction:
         CALLS.append("reconstruct")
-        geometry = self.matcher.match(views if source is None else source)
         means = unproject(geometry.depths, views.intrinsics, geometry.c2w).reshape(
             1, -1, 3
         )

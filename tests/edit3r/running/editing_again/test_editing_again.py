@@ -21,6 +21,8 @@ PLUGIN = Path(__file__).parent / "planted.py"
 PARTS = (
     "--recon",
     "planted",
+    "--matcher",
+    "planted",
     "--editor",
     "inverted",
     "--rasterizer",
@@ -40,6 +42,7 @@ def edit(planted, rasterizer):
         chosen = {
             "editor": "inverted",
             "recon": "planted",
+            "matcher": "planted",
             "rasterizer": rasterizer,
             "registry": planted.registry,
             "prompt": "x",
@@ -231,6 +234,8 @@ def test_given_photos_are_edited_from_the_start_with_what_is_known_of_them(
         "51.57",
         "--recon",
         "planted",
+        "--matcher",
+        "planted",
         "--prompt",
         "B",
         "--mask",
@@ -247,7 +252,7 @@ def test_what_changed_is_computed_again(planted, folders):
         "--prompt",
         "B",
         "--set",
-        "reconstructor.matcher.depth=1.1",
+        "matcher.depth=1.1",
         "--mask",
         *masks_of(folders, 1),
     )

@@ -26,9 +26,11 @@ def located(source, known, unknown):
     """What becomes of photos whose lens `source` tells, by what is found with it and without."""
     records = tuple(SimpleNamespace(intrinsics_source=source) for _ in range(2))
     parts = SimpleNamespace(
-        matcher=object(),
-        located=lambda photos: SimpleNamespace(
-            geometry=unknown if photos.assumed else known
+        uses_geometry=True,
+        geometry=SimpleNamespace(
+            of=lambda photos: SimpleNamespace(
+                geometry=unknown if photos.assumed else known
+            )
         ),
     )
     scene = Scene(photos=PHOTOS, start=replace(PHOTOS), records=records)

@@ -7,12 +7,7 @@ import torch
 
 from edit3r.contract.errors import MatchingError, PluginError
 from edit3r.contract.interfaces import Geometry
-from edit3r.running.selecting.geometry import (
-    geometry_of,
-    lies_flat,
-    locate,
-    of_scene,
-)
+from edit3r.running.geometry import GeometryOfRun, geometry_of, lies_flat
 from edit3r_testing.scenes import photograph
 
 SCENE = photograph(3, (48, 64), batch=2)
@@ -37,8 +32,8 @@ class Knows:
 
 
 def test_what_a_matcher_finds_is_taken_where_the_photos_lie_apart():
-    located = locate(Knows(true_geometry()), SCENE.views)
-    assert located.problem == "" and located.told() is located.geometry
+    located = GeometryOfRun(Knows(true_geometry())).of(SCENE.views)
+    assert located.problem == "" and located.trusted() is located.geometry
 
 
 def test_a_camera_that_stood_still_tells_no_depth_however_much_was_measured():
@@ -70,7 +65,7 @@ def test_photos_that_cannot_be_placed_are_told_and_selected_without():
 
 def test_one_scene_of_a_batch_keeps_its_own_geometry():
     both = replace(true_geometry(), intrinsics=SCENE.views.intrinsics)
-    second = of_scene(both, 1)
+    second = both.scene(1)
     assert torch.equal(second.depths, both.depths[1:])
     assert second.intrinsics.shape[0] == len(second.c2w) == 1
 
@@ -113,9 +108,9 @@ LENS = SCENE.views.intrinsics
             replace(true_geometry(), depths=true_geometry().depths.double()),
             "must return depths in torch.float32",
         ),
-        (of_scene(true_geometry(), 0), r"must return c2w of shape \[2, 3, 4, 4\]"),
+        (true_geometry().scene(0), r"must return c2w of shape \[2, 3, 4, 4\]"),
     ],
 )
 def test_a_matcher_that_breaks_its_contract_is_named(answer, said):
     with pytest.raises(PluginError, match=said):
-        locate(Knows(answer), SCENE.views)
+        GeometryOfRun(Knows(answer)).of(SCENE.views)

@@ -1,6 +1,6 @@
-"""Poses and depth of the unedited photos: found once, before anything is selected, and shared."""
+"""Poses and depths of the photos: asked for when somebody needs them, found once, and shared."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations, permutations
 
 import cv2
@@ -8,13 +8,21 @@ import numpy as np
 from jaxtyping import Float
 
 from edit3r.contract.errors import MatchingError
-from edit3r.contract.interfaces import Geometry, Matcher
+from edit3r.contract.interfaces import (
+    FindsGeometry,
+    Geometry,
+    Matcher,
+    MatchesLevelled,
+    Reconstructor,
+)
 from edit3r.contract.reporting import warn
+from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
+from edit3r.kit.cache import fingerprint
 from edit3r.kit.checks import check_geometry, errors_named_after
 from edit3r.kit.geometry.cameras import pixel_grid, project, unproject
 from edit3r.loading.registry import Registry
-from edit3r.running.config import RunConfig
+from edit3r.running.config import DEFAULTS
 
 MIN_MOTION = 0.004
 """How far measured points must move from photo to photo for depth to mean anything [long sides]."""
@@ -30,39 +38,85 @@ STOOD_STILL = (
 )
 
 
+Source = Matcher | FindsGeometry
+"""Who reads the geometry of a run: its matcher, or a reconstructor that finds it by itself."""
+
+
 @dataclass(frozen=True, eq=False)
 class Located:
-    """What a matcher found of the photos, and why it is not to be selected by, if so."""
+    """The geometry of photos, and why it is not to be selected by, if so."""
 
-    geometry: Geometry | None  # None: nobody looked, or it could not be found
+    geometry: Geometry | None  # None: nobody looked, or the photos could not be placed
     problem: str = ""  # a clause; "": the geometry can be trusted
 
-    def told(self) -> Geometry | None:
-        """The geometry where it can be trusted; where it cannot, the user is told."""
+    def required(self) -> Geometry:
+        """The geometry; raises MatchingError where the photos could not be placed."""
+        if self.geometry is None:
+            raise MatchingError(self.problem)
+        return self.geometry
+
+    def trusted(self) -> Geometry | None:
+        """The geometry to select by; where it cannot be trusted, the user is told why."""
         if self.problem:
             warn(f"selecting goes by what the photos show alone: {self.problem}")
             return None
         return self.geometry
 
 
-def locate(matcher: Matcher | None, views: Views) -> Located:
-    """What `matcher` reads from unedited photos; nothing without one, or for a single photo."""
-    if matcher is None or views.count < 2:
-        return Located(None)
-    try:
-        with errors_named_after(matcher, views.images):
-            geometry = matcher.match(views)
-    except MatchingError as error:
-        return Located(None, str(error))
-    check_geometry(matcher, views, geometry)
+class GeometryOfRun:
+    """Asks a run's matcher, or a reconstructor in its place, once for each set of photos."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self._located: dict[str, Located] = {}
+
+    @property
+    def was_asked(self) -> bool:
+        return bool(self._located)
+
+    def of(self, views: Views, levelled: Views | None = None) -> Located:
+        """The geometry of `views`; `levelled`: the same photos in one exposure, on which depth is
+        measured where the matcher can do that.
+        """
+        if not isinstance(self.source, MatchesLevelled):
+            levelled = None
+        key = fingerprint(views, levelled)
+        if key not in self._located:
+            self._located[key] = _locate(self.source, views, levelled)
+        return self._located[key]
+
+
+def _locate(source: Source, views: Views, levelled: Views | None) -> Located:
+    with errors_named_after(source, views.images):
+        try:
+            geometry = _read(source, views, levelled)
+        except MatchingError as error:
+            return Located(None, str(error))
+    check_geometry(source, views, geometry)
     return Located(geometry, "" if _has_depth(geometry, views) else STOOD_STILL)
 
 
-def default_matcher(registry: Registry) -> Matcher | None:
-    """The matcher of the reconstructor that a run takes unasked, so that both find the same."""
-    usual = RunConfig.model_fields["reconstructor"].default
-    choice = getattr(registry.check("reconstructor", usual), "matcher", None)
-    return choice and registry.build_choice("matcher", choice)
+def _read(source: Source, views: Views, levelled: Views | None) -> Geometry:
+    if isinstance(source, FindsGeometry):
+        return source.find_geometry(views)
+    if levelled is not None and isinstance(source, MatchesLevelled):
+        return source.match_levelled(views, levelled)
+    return source.match(views)
+
+
+def uses_geometry(reconstructor: Reconstructor) -> bool:
+    """Whether its scene stands on the geometry of the run: read by a matcher, or by itself."""
+    return reconstructor.uses_geometry or isinstance(reconstructor, FindsGeometry)
+
+
+def default_matcher(registry: Registry) -> Matcher:
+    """The matcher that a run takes unasked, so that both find the same."""
+    return registry.build_choice("matcher", usual_choice())
+
+
+def usual_choice() -> PartChoice:
+    """The matcher of photos whose poses nobody knows, and its settings."""
+    return PartChoice.model_validate(DEFAULTS["matcher"])
 
 
 def _has_depth(geometry: Geometry, views: Views) -> bool:
@@ -73,7 +127,7 @@ def _has_depth(geometry: Geometry, views: Views) -> bool:
     """
     return all(
         any(
-            _motion(of_scene(geometry, scene), views.scene(scene), *pair) > MIN_MOTION
+            _motion(geometry.scene(scene), views.scene(scene), *pair) > MIN_MOTION
             for pair in permutations(range(views.count), 2)
             if geometry.registered[scene, list(pair)].all()
         )
@@ -95,7 +149,7 @@ def lies_flat(geometry: Geometry | None, views: Views) -> bool:
     """
     if geometry is None:
         return False
-    first, photos = of_scene(geometry, 0), views.scene(0)
+    first, photos = geometry.scene(0), views.scene(0)
     pairs = [
         pair
         for pair in combinations(range(views.count), 2)
@@ -134,20 +188,6 @@ def _places(
     return (here * sides).numpy(force=True), (there * sides).numpy(force=True)
 
 
-def geometry_of(matcher: Matcher | None, views: Views) -> Geometry | None:
+def geometry_of(matcher: Matcher, views: Views) -> Geometry | None:
     """The geometry of the photos to select by; None, and said so, where it cannot be trusted."""
-    return locate(matcher, views).told()
-
-
-def of_scene(geometry: Geometry, index: int) -> Geometry:
-    """The geometry of one scene of a batch, as a batch of one."""
-    one = slice(index, index + 1)
-    lens = geometry.intrinsics
-    return replace(
-        geometry,
-        c2w=geometry.c2w[one],
-        depths=geometry.depths[one],
-        confidence=geometry.confidence[one],
-        registered=geometry.registered[one],
-        intrinsics=None if lens is None else lens[one],
-    )
+    return None if views.count < 2 else _locate(matcher, views, None).trusted()

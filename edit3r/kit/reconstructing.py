@@ -1,0 +1,43 @@
+"""A reconstructor together with who reads the geometry that it uses."""
+
+from dataclasses import dataclass
+
+from edit3r.contract.interfaces import (
+    FindsGeometry,
+    Geometry,
+    Matcher,
+    Reconstructor,
+)
+from edit3r.contract.types import Reconstruction, Views
+
+
+@dataclass(frozen=True)
+class WithMatcher:
+    """A reconstructor whose geometry, where it uses any, a matcher reads from the source views.
+
+    What runs do step by step, in one call, for whoever measures or fits reconstructions.
+    """
+
+    reconstructor: Reconstructor
+    matcher: Matcher
+
+    def geometry(self, source: Views) -> Geometry | None:
+        """What the reconstructor is given of `source`; None where it uses no geometry.
+
+        Raises MatchingError when the photos cannot be placed relative to each other.
+        """
+        if not self.reconstructor.uses_geometry:
+            return None
+        if isinstance(self.reconstructor, FindsGeometry):
+            return self.reconstructor.find_geometry(source)
+        return self.matcher.match(source)
+
+    def __call__(
+        self,
+        views: Views,
+        source: Views | None = None,
+        grid: tuple[int, int] | None = None,
+    ) -> Reconstruction:
+        """Reconstruct `views`; geometry is read from `source`, where given, as edits disagree."""
+        source = views if source is None else source
+        return self.reconstructor(views, source, self.geometry(source), grid)

@@ -1,0 +1,46 @@
+"""The settings of `edit3r.run` as keywords, for editors and type checkers.
+
+`RunConfig` defines them: default, range and a sentence each. A test holds that both name the same.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, TypedDict
+
+from edit3r.contract.interfaces import Matcher, Rasterizer, Reader, Segmenter
+from edit3r.contract.settings import PartChoice
+
+Choice = str | Mapping[str, Any] | PartChoice
+"""A component by its name, or by its name and settings."""
+
+
+class RunSettings(TypedDict, total=False):
+    """What `edit3r.run` takes beside its own parameters; see `edit3r run --help`."""
+
+    reader: Choice | Reader
+    matcher: Choice | Matcher
+    rasterizer: Choice | Rasterizer
+    segmenter: Choice | Segmenter
+    refiners: Sequence[Choice]
+    guess: bool
+    sure: bool
+    reading: int
+    larger: int
+    grow: float
+    invert: bool
+    edit_views: Literal["all", "first"]
+    moved_edits: Literal["undo", "keep"]
+    passing: Literal["leave-out", "keep"]
+    seed: int
+    size: int
+    fov: float
+    views: int
+    device: str
+    frames: int
+    outputs: Sequence[str]
+    export: Sequence[str]
+    gaussians: int | Literal["all", "auto"]
+    max_gaussians: int
+    refine: int
+    grid: float
+    light: Literal["one", "own"]
+    quality: Literal["fast", "balanced", "best"]
