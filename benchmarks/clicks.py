@@ -34,16 +34,18 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from edit3r_select.obeying import points_of, seen_elsewhere
+from edit3r_select.select import select_masks
 from PIL import Image, ImageDraw
 
 from edit3r import Views, build
 from edit3r.contract.errors import Edit3rError
+from edit3r.contract.interfaces import Selection
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
-from edit3r.running import Selection, select_masks, usual_reader
+from edit3r.running import usual_reader
 from edit3r.running.geometry import GeometryOfRun
-from edit3r.running.selecting.obeying import points_of, seen_elsewhere
 
 CLICKS = 3
 ANYWHERE = 6  # first clicks a photo

@@ -14,9 +14,10 @@ from torch import Tensor
 from typing_extensions import Unpack
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Editor, Reconstructor
+from edit3r.contract.interfaces import Editor, Reconstructor, Selection
 from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.cache import Cache
 from edit3r.loading.registry import Registry
@@ -26,12 +27,12 @@ from edit3r.running.given import check_cameras, check_views, checked_masks
 from edit3r.running.job import RunJob, inherited, with_cameras
 from edit3r.running.loop import RunResult, run as run_job
 from edit3r.running.selecting.marks import MarkTexts
-from edit3r.running.selecting.select import Selection
 from edit3r.running.settings import Choice, RunSettings
 
 Files = str | Path | Sequence[str | Path]
 
 
+@in_usual_torch
 def run(
     photos: Views | Files = (),
     prompt: str | None = None,
@@ -109,7 +110,7 @@ def run(
         result = run_job(job, registry, own_report)
     if report is None and not progress:
         for text in own_report.warnings:
-            warnings.warn(text, stacklevel=2)
+            warnings.warn(text, stacklevel=3)  # of the caller, past the decorator
     return result
 
 

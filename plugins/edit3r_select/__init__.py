@@ -1,5 +1,17 @@
-"""Selecting as one sum: masks that answer marks, and which of them is meant.
+"""Selectors: what is marked or named on some photos, on all of them."""
 
-`asking` gathers masks from anything that answers marks (any SAM, or `grabcut` without a network),
-`cues` says what can be seen of each, `sum` adds it with the weights of `fitted.yaml`.
-"""
+from edit3r import Component, hookimpl
+
+EDIT3R_API = 1
+
+
+@hookimpl
+def register_selectors():
+    return [
+        Component(
+            "by-segmenter",
+            "edit3r_select.select:SegmenterSelector",
+            "a segmenter's answers on each photo, carried to the others by geometry",
+            parts=("segmenter",),
+        )
+    ]

@@ -85,7 +85,7 @@ def choose_photos(files: Sequence[Path], most: int | None) -> list[Path]:
         return list(files)
     features = []
     for file in track(list(files), "compare photos"):
-        features.append(features_of(np.asarray(read_image(file))))
+        features.append(features_of(np.asarray(read_image(file, 2 * SIDE))))
     return [files[index] for index in covering(shared(features), most)]
 
 
