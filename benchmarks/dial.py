@@ -1,14 +1,16 @@
-"""Does a dearer preset show views that were not given better? Ten wide pairs of real photos.
+"""Does a dearer preset show more? Ten wide pairs of real photos, at the photos and between them.
 
     python benchmarks/dial.py photos/ --presets fast default best
     python benchmarks/dial.py photos/ --only "fox 25,29" --poses known
 
-A row a pair: the photo between the two, at 512 pixels, as each preset shows it (`default`: none):
-PSNR [dB] at its true pose, then PSNR and SSIM where the scene shows it best: poses of a pair are
-off by a fraction of a degree, and a sharp picture beside its place loses more than a soft one.
-`--poses known` gives the run the true poses of its photos too.
+A row a pair and preset (`default`: none), then the means: CPU seconds of the run, and PSNR [dB],
+SSIM, LPIPS and share of detail (benchmarks/likeness.py) at 512 pixels, whatever the preset's size:
+of the photos given; of the photo between the two at its true pose; and where the scene shows it
+best: poses of a pair are off by a fraction of a degree, and a sharp picture beside its place loses
+more than a soft one. `--poses known` gives the run the true poses of its photos too.
 """
 
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,10 +22,10 @@ import torch.nn.functional as F
 from edit3r_measure.protocol import align
 from harness import Row, run_benchmark
 from lenses import MATCHER
+from likeness import TITLE, Likeness, likeness, mean
 from verdict import between, unseen_camera
 
 import edit3r
-from edit3r.kit.compute.likeness import psnr, ssim
 from edit3r.kit.photos.posed_folder import read_posed_folder
 from edit3r.running.quality import read_quality
 
@@ -37,10 +39,11 @@ PAIRS = (
     ),
     *("bear 0,2", "fern 0,4", "fox 0,8", "dinosaur 0,1", "fox 36,38"),
 )
-FULL = 512  # long side of the photos between [pixels]
+FULL = 512  # long side of the photos that are compared [pixels]
 STEPS, RATE = 40, 0.0005  # that bring a camera to where the scene shows its photo best
 
-Figures = tuple[float, float, float]  # PSNR, PSNR and SSIM where it is shown best
+# CPU seconds; photos given, photo between at its true pose, and where it is shown best
+Measured = tuple[float, Likeness, Likeness, Likeness]
 
 
 def main(
@@ -50,23 +53,34 @@ def main(
     only: Sequence[str] = PAIRS,
     poses: str = "unknown",
 ) -> Iterator[Row]:
-    shown: dict[str, list[Figures]] = {preset: [] for preset in presets}
+    measured: dict[str, list[Measured]] = {preset: [] for preset in presets}
     for pair in only:
         scene, _, numbers = pair.partition(" ")
         chosen = [int(number) for number in numbers.split(",")]
-        for preset, figures in shown.items():
-            figures.append(measure(data / scene, chosen, preset, poses == "known"))
-        yield {"photos": pair, **{name: cell(own[-1:]) for name, own in shown.items()}}
-    yield {"photos": "mean", **{name: cell(own) for name, own in shown.items()}}
+        for preset, own in measured.items():
+            own.append(measure(data / scene, chosen, preset, poses == "known"))
+            yield cells(pair, preset, own[-1:])
+    for preset, own in measured.items():
+        yield cells("mean", preset, own)
 
 
-def cell(figures: Sequence[Figures]) -> str:
-    at_its_pose, aligned, likeness = np.mean(figures, axis=0)
-    return f"{at_its_pose:.2f}, {aligned:.2f}, {likeness:.3f}"
+def cells(pair: str, preset: str, several: Sequence[Measured]) -> Row:
+    seconds, *figures = zip(*several)
+    titles = (
+        f"photos: {TITLE}",
+        "between, true pose",
+        "between, where shown best",
+    )
+    return {
+        "pair": pair,
+        "preset": preset,
+        "CPU s": (float(np.mean(seconds)), ".2f"),
+        **{title: str(mean(own)) for title, own in zip(titles, figures)},
+    }
 
 
-def measure(folder: Path, chosen: list[int], preset: str, known: bool) -> Figures:
-    """Means over the photos between the chosen ones."""
+def measure(folder: Path, chosen: list[int], preset: str, known: bool) -> Measured:
+    """Means over the photos given, and over those between them."""
     cameras = read_posed_folder(folder).cameras
     centres = np.stack([camera.c2w[:3, 3] for camera in cameras])
     targets = [target for target in between(centres, chosen) if target is not None]
@@ -77,6 +91,7 @@ def measure(folder: Path, chosen: list[int], preset: str, known: bool) -> Figure
     given = edit3r.load_views(files[:count], size=size)
     posed = whole.c2w[:, :count] if known else None
     options = {"matcher": posed_matcher(quality)}
+    start = time.process_time()
     result = edit3r.run(
         replace(given, c2w=posed),
         editor="none",
@@ -84,22 +99,35 @@ def measure(folder: Path, chosen: list[int], preset: str, known: bool) -> Figure
         quality=quality,
         **options if known else {},
     )
+    seconds = time.process_time() - start
     figures = [compared(result, whole, view) for view in range(count, whole.count)]
-    return tuple(np.mean(figures, axis=0))
+    shown = [mean(own) for own in zip(*figures)]
+    return seconds, at_the_photos(result, whole), *shown
 
 
-def compared(result: edit3r.RunResult, whole: edit3r.Views, target: int) -> Figures:
+def at_the_photos(result: edit3r.RunResult, whole: edit3r.Views) -> Likeness:
+    """How the placed photos of a run, the first of `whole`, are shown at their full size."""
+    placed = [view for view, there in enumerate(result.verdict.placed) if there]
+    cameras = result.cameras.select(range(len(placed))).at(whole.image_size)
+    return mean(
+        [
+            likeness(drawn(result, cameras.select([camera])), as_numpy(whole, view))
+            for camera, view in enumerate(placed)
+        ]
+    )
+
+
+def compared(
+    result: edit3r.RunResult, whole: edit3r.Views, target: int
+) -> tuple[Likeness, Likeness]:
     """How view `target` is shown from its true pose, and from where it is shown best."""
     placed = [view for view, there in enumerate(result.verdict.placed) if there]
     camera = unseen_camera(result, whole, placed, target)
     photo, scene = whole.images[:, [target]], in_unit(result)
     best = align(scene, camera, photo, F.mse_loss, STEPS, RATE)
-    true = as_numpy(photo)
-    first, last = (
-        as_numpy(result.rasterizer.render(result.gaussians, place).images.clamp(0, 1))
-        for place in (camera, best)
-    )
-    return psnr(first, true), psnr(last, true), ssim(last, true)
+    true = as_numpy(whole, target)
+    first, last = (likeness(drawn(result, place), true) for place in (camera, best))
+    return first, last
 
 
 def in_unit(result: edit3r.RunResult) -> SimpleNamespace:
@@ -112,8 +140,14 @@ def in_unit(result: edit3r.RunResult) -> SimpleNamespace:
     )
 
 
-def as_numpy(image: torch.Tensor) -> np.ndarray:
-    return image[0, 0].permute(1, 2, 0).numpy()
+@torch.no_grad()
+def drawn(result: edit3r.RunResult, camera: edit3r.Cameras) -> np.ndarray:
+    image = result.rasterizer.render(result.gaussians, camera).images
+    return image[0, 0].clamp(0, 1).permute(1, 2, 0).numpy()
+
+
+def as_numpy(views: edit3r.Views, view: int) -> np.ndarray:
+    return views.images[0, view].permute(1, 2, 0).numpy()
 
 
 def posed_matcher(quality: str | None) -> dict:

@@ -14,7 +14,7 @@ from torch import Tensor
 from typing_extensions import Unpack
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Editor, Reconstructor
+from edit3r.contract.interfaces import Editor, Reconstructor, Selection
 from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.torch_state import in_usual_torch
@@ -28,7 +28,6 @@ from edit3r.running.given import check_cameras, check_views, checked_masks
 from edit3r.running.job import RunJob, inherited, with_cameras
 from edit3r.running.loop import RunResult, run as run_job
 from edit3r.running.selecting.marks import MarkTexts
-from edit3r.running.selecting.select import Selection
 from edit3r.running.settings import Choice, RunSettings
 
 Files = str | Path | Sequence[str | Path]

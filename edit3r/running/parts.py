@@ -9,6 +9,7 @@ from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError, PromptError, SettingsError
 from edit3r.contract.interfaces import (
     ChangesShape,
+    Critic,
     Editor,
     FindsGeometry,
     Matcher,
@@ -17,6 +18,7 @@ from edit3r.contract.interfaces import (
     Reconstructor,
     Refiner,
     Segmenter,
+    Selector,
     Writer,
 )
 from edit3r.contract.lens import Lens
@@ -109,6 +111,10 @@ class Parts:
                 f"editor, and this sentence needs {self.editor_names}; ask for one thing at a time."
             )
         return self.tasks[0]
+
+    def edited_count(self, views: Views) -> int:
+        """How many of the views, from the first, are edited."""
+        return views.count if self.config.edit_views == "all" else 1
 
     @property
     def changes_shape(self) -> bool:
@@ -211,6 +217,17 @@ class Parts:
         return self._registry.build_choice(
             "segmenter", PartChoice(name=DEFAULTS["segmenter"])
         )
+
+    @cached_property
+    def selector(self) -> Selector:
+        if "selector" in self._given:
+            return self._given["selector"]
+        parts = {"segmenter": self.segmenter}
+        return self._registry.build_choice("selector", self.config.selector, parts)
+
+    @cached_property
+    def critic(self) -> Critic:
+        return self._build("critic")
 
     def writer(self, name: str) -> Writer:
         """The writer of that name."""

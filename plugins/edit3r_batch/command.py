@@ -111,9 +111,9 @@ class BatchCommand(Command):
         from edit3r import default_registry
         from edit3r.contract.reporting import Report, collecting
         from edit3r.contract.settings import merge
+        from edit3r.contract.verdicts import LABELS
         from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.configs import parse_assignments, read_config
-        from edit3r.running import LABELS
         from edit3r_batch.jobs import read_jobs
 
         workers = _workers(args)
@@ -269,7 +269,7 @@ def _run(
 
 def _known_row(row: dict[str, Any]) -> dict[str, Any]:
     """A row as it is shown; one of something else is an error here."""
-    from edit3r.running import LABELS
+    from edit3r.contract.verdicts import LABELS
 
     if "failure" not in row:
         LABELS.index(row["verdict"])

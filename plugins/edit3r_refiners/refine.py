@@ -1,10 +1,8 @@
 """Refine Gaussians by photometric steps on the input views; the cameras stay.
 
 Each step renders one input view, in turn, and moves colours, opacities, sizes and centres a little
-towards its image. Each step leaves other Gaussians out (Park, Ryu and Kim, "DropGaussian", 2025):
-those that show a photo only together learn it by heart, and other viewpoints lose. A share of the
-pixels is held back from the loss; the best state by them is returned: it is never worse on them
-than the start.
+towards its image. A share of the pixels is held back from the loss; the best state by them is
+returned: it is never worse on them than the start.
 """
 
 import math
@@ -32,7 +30,6 @@ CALM, LAST_SHARE = (
     0.2,
 )  # share of the steps after which they get shorter, and how short the last one is
 MOST_VIEWS = 20  # whose steps a refinement takes: of more views, each takes fewer
-ENOUGH_VIEWS = 4  # from which views settle enough between them: no Gaussian is left out
 TELLING_VIEWS = 8  # that tell the error before and after, where there are more
 # error of a pixel [sRGB] below which its square counts, and beyond which its size
 SQUARED_BELOW = 0.05
@@ -58,16 +55,7 @@ class RefineSettings(Settings):
         lt=1,
         description="share of pixels out of the loss, to know the best state",
     )
-    left_out: float = Field(
-        0.2,
-        ge=0,
-        le=0.9,
-        description="share of the Gaussians that a step leaves out where there are two views, half "
-        "of it where three; the others are more opaque meanwhile",
-    )
-    seed: int = Field(
-        0, ge=0, description="chooses the held-back pixels and the Gaussians left out"
-    )
+    seed: int = Field(0, ge=0, description="chooses the held-back pixels")
 
 
 @dataclass(frozen=True)
@@ -122,13 +110,13 @@ def refine(
     before = _errors(gaussians, cameras, images, rasterizer, groups)
     variables = _Variables(gaussians, settings)
     best, taken, errors, rounds = gaussians, 0, [], []
-    generator = torch.Generator().manual_seed(settings.seed)
     for step in range(steps if before[0] > 0 else 0):
         view = [step % cameras.count]
         image, out = images[:, view], kept_out[:, view]
         with torch.enable_grad():
-            some = _thinned(variables.gaussians(), settings.left_out, generator)
-            shown = rasterizer.render(some, cameras.select(view)).images
+            shown = rasterizer.render(
+                variables.gaussians(), cameras.select(view)
+            ).images
             loss = (
                 smooth_l1_loss(shown, image, reduction="none", beta=SQUARED_BELOW).mean(
                     2
@@ -174,26 +162,22 @@ class RefineRefiner(Refiner):
             14,
             ge=0,
             le=10000,
-            description="most steps for each view, each towards one; two views take as many "
-            f"together, more than {MOST_VIEWS} as many as {MOST_VIEWS}",
+            description="most steps for each view, each towards one; "
+            f"more than {MOST_VIEWS} views take as many as {MOST_VIEWS}",
         )
 
     def __call__(self, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
         """Follow the views alone: photos that were not edited would pull the edit back out."""
         views = inputs.views
         shown = inputs.cameras.select(range(views.count)).at(views.image_size)
-        # Two photos settle little between them: more steps only make each view show its own photo.
-        counted = min(views.count, MOST_VIEWS) if views.count > 2 else 1
-        steps = self.settings.steps * counted
-        left_out = self.settings.left_out * max(0, ENOUGH_VIEWS - views.count) / 2
-        settings = self.settings.model_copy(update={"left_out": min(0.9, left_out)})
+        steps = self.settings.steps * min(views.count, MOST_VIEWS)
         refined = refine(
             gaussians,
             shown,
             views.images,
             inputs.rasterizer,
             steps,
-            settings,
+            self.settings,
             None if inputs.ignored is None else inputs.ignored[:, : views.count],
         )
         note("refine", refined.facts)
@@ -269,18 +253,6 @@ class _Variables:
         self.optimizer.step(
             torch.autograd.grad(loss, list(self.values.values())), length
         )
-
-
-def _thinned(
-    gaussians: Gaussians, share: float, generator: torch.Generator
-) -> Gaussians:
-    """The Gaussians with a `share` of them made transparent, and the others more opaque."""
-    if not share:
-        return gaussians
-    drawn = torch.rand(gaussians.opacities.shape, generator=generator)
-    kept = (drawn >= share).to(gaussians.opacities) / (1 - share)
-    opacities = (gaussians.opacities * kept).clamp(max=OPACITY_RANGE[1])
-    return replace(gaussians, opacities=opacities)
 
 
 def _held_back(

@@ -6,7 +6,6 @@ One `vertex` element of little-endian float32: x y z, nx ny nz (zero), f_dc_0..2
 estimated has uncertainty (in [0, 1]). The header's comments say in which frame.
 """
 
-import math
 import os
 import re
 import warnings
@@ -47,7 +46,6 @@ _REQUIRED = (
 )
 _PLAIN = ("f_dc_0", "f_dc_1", "f_dc_2")
 _COLOURS = ("red", "green", "blue")  # of scenes without harmonics: bytes, or shares
-FLAT = 1e-3  # thickness of a disc with two scales, as 2DGS has them, in its smaller one
 
 MOST_HEADER_BYTES = 1 << 20
 # characters of one comment: a header beyond `MOST_HEADER_BYTES` is not read again
@@ -310,14 +308,13 @@ def _plain_colours(
 
 def _log_scales(
     table: np.ndarray, header: "PlyHeader"
-) -> Float64[np.ndarray, "gaussian 3"]:
-    """The logarithms of three scales, of two of a flat disc, or of one of a ball."""
+) -> Float64[np.ndarray, "gaussian axis"]:
+    """The logarithms of three scales: those of a file, or one of a ball; or of two, of a disc."""
     names = [name for name in ("scale_0", "scale_1", "scale_2") if name in header.names]
     scales = _columns(table, names)
     if len(names) == 2:
-        thin = scales.min(1, keepdims=True) + math.log(FLAT)
         say("scene.flat", "its Gaussians have two scales and are read as flat discs")
-        return np.concatenate((scales, thin), 1)
+        return scales
     return np.broadcast_to(scales, (len(table), 3))
 
 

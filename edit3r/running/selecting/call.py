@@ -9,7 +9,14 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import Matcher, Segmenter
+from edit3r.contract.interfaces import (
+    Matcher,
+    Reading,
+    Segmenter,
+    Selected,
+    Selection,
+    Selector,
+)
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Views
@@ -19,7 +26,6 @@ from edit3r.kit.photos.in_memory import Pictures
 from edit3r.loading.registry import default_registry
 from edit3r.running.config import DEFAULTS
 from edit3r.running.geometry import default_matcher, geometry_of
-from edit3r.running.selecting.select import Reading, Selected, Selection, select_masks
 
 _built: WeakKeyDictionary[Cache, tuple[str, Segmenter]] = WeakKeyDictionary()
 """The segmenter that answered last by a cache: loading its networks takes longer than a click."""
@@ -58,27 +64,26 @@ def select(
     cache = cache or Cache()
     matcher = default_matcher(default_registry())
     with using(cache), torch.no_grad():
-        return select_with(photos, selection, _ready(segmenter, cache), matcher)
+        selector = usual_selector(_ready(segmenter, cache))
+        return select_with(photos, selection, selector, matcher)
 
 
 def select_with(
     photos: Views | Pictures,
     selection: Selection,
-    segmenter: Segmenter,
+    selector: Selector,
     matcher: Matcher | None,
 ) -> Selecting:
     """The same with built parts, by the cache of the current run."""
     views = photos if isinstance(photos, Views) else _loaded(photos)
     geometry = None if matcher is None else geometry_of(matcher, views)
     scenes = [
-        select_masks(
-            images,
+        selector.select(
+            views.scene(index),
             selection,
-            segmenter,
             None if geometry is None else geometry.scene(index),
-            views.intrinsics[index : index + 1],
         )
-        for index, images in enumerate(views.images)
+        for index in range(len(views.images))
     ]
     first = scenes[0]
     return Selecting(
@@ -91,6 +96,13 @@ def select_with(
         first.how,
         first.warnings,
     )
+
+
+def usual_selector(segmenter: Segmenter | None = None) -> Selector:
+    """The selector that a run takes unasked, with a segmenter that is built, or its own."""
+    choice = PartChoice(name=DEFAULTS["selector"])
+    parts = None if segmenter is None else {"segmenter": segmenter}
+    return default_registry().build_choice("selector", choice, parts)
 
 
 def _why(views: Views, found: Selected) -> str:

@@ -46,51 +46,10 @@ def test_the_state_that_was_best_by_held_back_pixels_is_returned(rasterizer, sce
     assert result.held_back[1] <= result.held_back[0]
 
 
-class Watched:
-    """A rasterizer that keeps the opacities it was given."""
-
-    def __init__(self, rasterizer):
-        self.rasterizer, self.opacities = rasterizer, []
-
-    def render(self, gaussians, cameras):
-        if cameras.count == 1:  # a step
-            self.opacities.append(gaussians.opacities.detach().clone())
-        return self.rasterizer.render(gaussians, cameras)
-
-
-def test_each_step_leaves_out_other_gaussians_and_the_result_has_all(rasterizer, scene):
-    watched = Watched(rasterizer)
-    result = refine(*scene, watched, 6, RefineSettings(left_out=0.5))
-    out = [opacities == 0 for opacities in watched.opacities]
-    shares = [float(one.double().mean()) for one in out]
-    assert len(shares) == 6 and all(0.3 < share < 0.7 for share in shares)
-    assert not torch.equal(out[0], out[1])
-    first = watched.opacities[0][~out[0]]
-    double = 2 * scene[0].opacities[~out[0]]
-    torch.testing.assert_close(first, double.clamp(max=first.max()))
-    assert (result.gaussians.opacities > 0).all()
-    again = refine(*scene, rasterizer, 6, RefineSettings(left_out=0.5))
-    assert torch.equal(again.gaussians.means, result.gaussians.means)
-
-
-def test_from_four_photos_on_no_gaussian_is_left_out(rasterizer):
-    truth = gaussian_cloud(40)
-    spoilt = replace(truth, harmonics=truth.harmonics * 0.5 + 0.1)
-    refiner = RefineRefiner(RefineRefiner.Settings(steps=2, left_out=0.5))
-    for count, expected in ((2, 0.5), (3, 0.25), (4, 0), (6, 0)):
-        watched, cameras = Watched(rasterizer), cameras_around(count)
-        with torch.no_grad():
-            views = Views(rasterizer.render(truth, cameras).images, cameras.intrinsics)
-        refiner(spoilt, RefineInputs(cameras, views, watched))
-        out = torch.stack([one == 0 for one in watched.opacities]).double().mean()
-        assert float(out) == pytest.approx(expected, abs=0.2)
-        assert (float(out) == 0) == (expected == 0)
-
-
 def test_more_photos_get_more_steps(rasterizer):
     truth = gaussian_cloud(40)
     spoilt = replace(truth, harmonics=truth.harmonics * 0.5 + 0.1)
-    for asked, count, steps in ((8, 2, 8), (8, 6, 48), (20, 3, 60), (2, 22, 40)):
+    for asked, count, steps in ((8, 1, 8), (8, 2, 16), (20, 3, 60), (2, 22, 40)):
         refiner = RefineRefiner(RefineRefiner.Settings(steps=asked))
         cameras, taken = cameras_around(count), []
         with torch.no_grad():
