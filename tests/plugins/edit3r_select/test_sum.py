@@ -7,7 +7,6 @@ from edit3r_select.asking import gathered, selected
 from edit3r_select.cues import CUES, Asked, Photo, Pool
 from edit3r_select.sum import ALONE, FITTED, Weights, choose, fitted, lead
 
-
 SIDE = 100
 ROWS, COLUMNS = np.indices((SIDE, SIDE))
 
