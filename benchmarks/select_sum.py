@@ -35,9 +35,9 @@ from clicks import (
     tensor_of,
 )
 from edit3r_select.asking import gathered
-from edit3r_select.cues import CUES, Asked, Photo, table
+from edit3r_select.cues import CUES, Appearance, Asked, table
 from edit3r_select.grabcut import GrabCut
-from edit3r_select.sum import FITTED, Weights, choose, lead
+from edit3r_select.sum import FITTED, CueWeights, choose, lead
 from PIL import Image
 from scipy.optimize import minimize
 
@@ -52,7 +52,7 @@ STROKES = 3
 PARTS = 0.2  # how much a part's click counts beside a thing's in the fit
 
 FIRST = ("click", "stroke", "box")
-Fits = dict[tuple[str, str | None], Weights]
+Fits = dict[tuple[str, str | None], CueWeights]
 """By kind of marks and the scene that was left out; None: none was."""
 Answerer = Callable[..., tuple[np.ndarray, np.ndarray]]
 
@@ -159,19 +159,19 @@ class Bench:
     def __init__(self, by: str, cache: Path | None) -> None:
         self.by, self.cache = by, cache
         self.sam = build("segmenter", "sam-onnx") if by == "sam" else None
-        self._held: tuple[Path, Photo, Answerer] | None = None
+        self._held: tuple[Path, Appearance, Answerer] | None = None
 
-    def looked(self, thing: Thing) -> tuple[Photo, Answerer, np.ndarray]:
+    def looked(self, thing: Thing) -> tuple[Appearance, Answerer, np.ndarray]:
         """The photo, what answers on it, and the outline."""
         image = np.asarray(Image.open(thing.file).convert("RGB"))
         if self._held is None or self._held[0] != thing.file:
-            photo = Photo(reduced(image))
+            photo = Appearance(reduced(image))
             self._held = thing.file, photo, self.answerer(photo)
         _, photo, answers = self._held
         truth = at_size(filled(thing.polygons, image.shape[:2]), photo.size)
         return photo, answers, truth
 
-    def answerer(self, photo: Photo) -> Answerer:
+    def answerer(self, photo: Appearance) -> Answerer:
         if self.sam is None:
             return GrabCut(photo).ask
         return partial(self.sam.ask, tensor_of(photo.rgb))
@@ -193,7 +193,7 @@ class Bench:
         ious = np.array([iou(mask, truth) for mask in pool.masks])
         return Row(thing.name, asked.kind, way, table(pool, NAMES), ious)
 
-    def corrected(self, thing: Thing, click: Weights, more: Weights) -> list[Row]:
+    def corrected(self, thing: Thing, click: CueWeights, more: CueWeights) -> list[Row]:
         """The second and third innermost click, each in the middle of what is wrong."""
         photo, answers, truth = self.looked(thing)
         clicks: tuple = (innermost(truth),)
@@ -268,7 +268,7 @@ class Fit:
         )
         return cls(cues, there, ious, share / share.mean())
 
-    def weights(self) -> Weights:
+    def weights(self) -> CueWeights:
         """Softmax over the masks towards softmax(IoU / softness)."""
         spread = self.cues[self.there].std(0) + 1e-6
         scaled = self.cues / spread
@@ -286,17 +286,17 @@ class Fit:
             return total / len(goal), (slope + 2 * PENALTY * values) / len(goal)
 
         found = minimize(loss, np.zeros(len(NAMES)), jac=True, method="L-BFGS-B").x
-        return Weights(NAMES, found / spread)
+        return CueWeights(NAMES, found / spread)
 
 
-def started(click: Weights) -> Weights:
+def started(click: CueWeights) -> CueWeights:
     """Weights for more clicks before any were fitted: those of a click, and what is marked."""
     told = {"obeyed": 4.0, "kept": 2.0, "middle": 2.0}
     extra = np.array([told.get(name, 0.0) for name in NAMES])
     return replace(click, values=click.values + extra)
 
 
-def fitted_without(things: list[Thing], kind: str, scene: str | None) -> Weights:
+def fitted_without(things: list[Thing], kind: str, scene: str | None) -> CueWeights:
     """The weights that all other scenes give; scenes that are never fitted on give none."""
     rows = [
         (thing, row)
@@ -383,7 +383,7 @@ def report(things: list[Thing], fits: Fits) -> str:
     return "\n".join(told)
 
 
-def written(by: str, weights: dict[str, Weights]) -> None:
+def written(by: str, weights: dict[str, CueWeights]) -> None:
     """Put the weights into `fitted.yaml`, in place of those of the same name."""
     content = yaml.safe_load(FITTED.read_text()) if FITTED.exists() else {}
     content[by] = {

@@ -10,14 +10,14 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from edit3r_select.cues import Asked, Box, Click, Photo, Pool
-from edit3r_select.sum import Chosen, Weights, choose, fitted
+from edit3r_select.cues import Appearance, Asked, Box, Click, Pool
+from edit3r_select.sum import Chosen, CueWeights, choose, fitted
 
 SINGLE_AND_SEVERAL = 4  # masks of a SAM that gives its single one before its several
 ON_STROKE = 4  # places of a stroke that are asked together
 
 
-class Answers(Protocol):
+class AnswersMarks(Protocol):
     def __call__(
         self,
         clicks: Sequence[Click],
@@ -32,12 +32,12 @@ class Answers(Protocol):
 
 
 def selected(
-    photo: Photo,
+    photo: Appearance,
     asked: Asked,
-    answers: Answers,
+    answers: AnswersMarks,
     before: np.ndarray | None = None,
     by: str = "sam",
-    weights: Weights | None = None,
+    weights: CueWeights | None = None,
 ) -> Chosen:
     """What is meant by marks on one photo; `before` are the logits of the answer before the last
     click, `by` names the weights of what answers.
@@ -47,7 +47,10 @@ def selected(
 
 
 def gathered(
-    photo: Photo, asked: Asked, answers: Answers, before: np.ndarray | None = None
+    photo: Appearance,
+    asked: Asked,
+    answers: AnswersMarks,
+    before: np.ndarray | None = None,
 ) -> Pool:
     """All masks that answer the marks, at the photo's size."""
     found = _Found(photo)
@@ -74,7 +77,7 @@ def spread(stroke: Sequence, most: int) -> list:
 class _Found:
     """Masks as they come, made as large as the photo."""
 
-    def __init__(self, photo: Photo) -> None:
+    def __init__(self, photo: Appearance) -> None:
         self.photo = photo
         self.logits: list[np.ndarray] = []
         self.quality: list[float] = []

@@ -20,7 +20,7 @@ Click = tuple[Place, bool]  # and whether the thing is there
 Box = tuple[float, float, float, float]  # x, y, width, height in [0, 1]
 
 
-class Photo:
+class Appearance:
     """An RGB photo, uint8 `[h, w, 3]`, with what the cues need of it; made once for all marks."""
 
     def __init__(self, rgb: np.ndarray) -> None:
@@ -81,7 +81,7 @@ class Asked:
 class Pool:
     """Masks that may be meant, and what was asked."""
 
-    photo: Photo
+    photo: Appearance
     asked: Asked
     logits: np.ndarray  # [n, h, w] at the photo's size, > 0 inside
     quality: np.ndarray  # [n]: IoU that whoever made a mask expects, in [0, 1]

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from edit3r_select.cues import Box, Click, Photo
+from edit3r_select.cues import Appearance, Box, Click
 
 LONGER = 256  # longer side on which is computed [pixels]
 WINDOWS = (0.15, 0.3, 0.55, 1.0)  # around the clicks [longer sides]
@@ -23,11 +23,13 @@ MIN_SAMPLES = 16  # pixels that a colour model needs on either side
 class GrabCut:
     """Answers marks on one photo, as a SAM's `ask` does."""
 
-    def __init__(self, photo: Photo) -> None:
+    def __init__(self, photo: Appearance) -> None:
         height, width = photo.size
         scale = min(1.0, LONGER / max(height, width))
         size = (max(1, round(width * scale)), max(1, round(height * scale)))
-        self.small = Photo(cv2.resize(photo.rgb, size, interpolation=cv2.INTER_AREA))
+        self.small = Appearance(
+            cv2.resize(photo.rgb, size, interpolation=cv2.INTER_AREA)
+        )
         self._regions: dict[int, np.ndarray] = {}
 
     def ask(

@@ -24,7 +24,7 @@ SURE = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Weights:
+class CueWeights:
     """What multiplies each cue, for one way to answer and one kind of marks."""
 
     cues: tuple[str, ...]  # names in `cues.CUES`
@@ -33,7 +33,7 @@ class Weights:
     constant: float = 0.0
 
     @classmethod
-    def of(cls, entry: Mapping[str, Any]) -> "Weights":
+    def of(cls, entry: Mapping[str, Any]) -> "CueWeights":
         """The weights of an entry of `fitted.yaml`."""
         told = entry["weights"]
         values = np.array([told[name] for name in told], dtype=float)
@@ -41,7 +41,7 @@ class Weights:
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class MaskCandidate:
     """One mask that may be meant."""
 
     logits: np.ndarray  # [h, w], > 0 inside
@@ -57,16 +57,18 @@ class Candidate:
 class Chosen:
     """What marks may mean on one photo."""
 
-    candidates: tuple[Candidate, ...]  # the one that is taken first, then by their sums
+    candidates: tuple[
+        MaskCandidate, ...
+    ]  # the one that is taken first, then by their sums
     confidence: (
         float  # in [0, 1]: how likely the first has an IoU of 0.7 with what is meant
     )
 
     @property
-    def best(self) -> Candidate:
+    def best(self) -> MaskCandidate:
         return self.candidates[0]
 
-    def stepped(self, steps: int) -> Candidate:
+    def stepped(self, steps: int) -> MaskCandidate:
         """The candidate that is `steps` larger than the first; smaller, if negative."""
         ordered = sorted(self.candidates, key=lambda one: int(one.mask.sum()))
         place = ordered.index(self.best) + steps
@@ -74,17 +76,17 @@ class Chosen:
 
 
 @cache
-def fitted(answers: str, kind: str) -> Weights:
+def fitted(answers: str, kind: str) -> CueWeights:
     """The weights for what answers ("sam" or "grabcut") and a kind of marks (`Asked.kind`)."""
-    return Weights.of(yaml.safe_load(FITTED.read_text())[answers][kind])
+    return CueWeights.of(yaml.safe_load(FITTED.read_text())[answers][kind])
 
 
-def scores(pool: Pool, weights: Weights) -> np.ndarray:
+def scores(pool: Pool, weights: CueWeights) -> np.ndarray:
     """The sum `[n]` of each mask."""
     return table(pool, weights.cues) @ weights.values
 
 
-def choose(pool: Pool, weights: Weights) -> Chosen:
+def choose(pool: Pool, weights: CueWeights) -> Chosen:
     """The masks of a pool, the one that is meant first; of nearly equal ones the best."""
     values = scores(pool, weights)
     order: list[int] = []
@@ -94,7 +96,7 @@ def choose(pool: Pool, weights: Weights) -> Chosen:
             order.append(index)
     order = order or [int(values.argmax())]
     candidates = tuple(
-        Candidate(
+        MaskCandidate(
             obeying(pool, pool.logits[one]),
             float(values[one]),
             float(pool.quality[one]),
@@ -115,7 +117,7 @@ def obeying(pool: Pool, logits: np.ndarray) -> np.ndarray:
     return obeyed
 
 
-def confidence(ahead: float, weights: Weights) -> float:
+def confidence(ahead: float, weights: CueWeights) -> float:
     """How likely the first mask is meant, by how far it is ahead."""
     return float(1 / (1 + np.exp(-(weights.margin * ahead + weights.constant))))
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from edit3r_select.cues import CUES, Asked, Photo, Pool, table
+from edit3r_select.cues import CUES, Appearance, Asked, Pool, table
 
 SIDE = 120
 ROWS, COLUMNS = np.indices((SIDE, SIDE))
@@ -17,7 +17,7 @@ CENTRE = ((60.5 / SIDE, 60.5 / SIDE), True)
 def photo():
     rgb = np.full((SIDE, SIDE, 3), 40, np.uint8)
     rgb[DISC] = (200, 60, 60)
-    return Photo(rgb)
+    return Appearance(rgb)
 
 
 def pool(photo, asked=None, masks=(DISC, LEFT, ALL, TWO)):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from edit3r_select.asking import selected
-from edit3r_select.cues import Asked, Photo
+from edit3r_select.cues import Appearance, Asked
 from edit3r_select.grabcut import GrabCut
 
 SIDE = 200
@@ -18,7 +18,7 @@ def photo():
     rgb = np.full((SIDE, SIDE, 3), 120.0)
     rgb[DISC] = (200, 50, 50)
     rgb[OTHER] = (50, 80, 200)
-    return Photo((rgb + noise).clip(0, 255).astype(np.uint8))
+    return Appearance((rgb + noise).clip(0, 255).astype(np.uint8))
 
 
 def iou(one, other):

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import yaml
 from edit3r_select.asking import gathered, selected
-from edit3r_select.cues import CUES, Asked, Photo, Pool
-from edit3r_select.sum import ALONE, FITTED, Weights, choose, fitted, lead
+from edit3r_select.cues import CUES, Appearance, Asked, Pool
+from edit3r_select.sum import ALONE, FITTED, CueWeights, choose, fitted, lead
 
 SIDE = 100
 ROWS, COLUMNS = np.indices((SIDE, SIDE))
@@ -19,9 +19,9 @@ def as_logits(*masks):
     return np.where(np.stack(masks), 3.0, -3.0).astype(np.float32)
 
 
-PHOTO = Photo(np.full((SIDE, SIDE, 3), 90, np.uint8))
+PHOTO = Appearance(np.full((SIDE, SIDE, 3), 90, np.uint8))
 CLICK = ((0.5, 0.5), True)
-BY_QUALITY = Weights(("quality",), np.array([10.0]), margin=2.0, constant=-1.0)
+BY_QUALITY = CueWeights(("quality",), np.array([10.0]), margin=2.0, constant=-1.0)
 
 
 def pool(masks, quality, clicks=(CLICK,)):
