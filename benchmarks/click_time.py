@@ -22,12 +22,13 @@ from pathlib import Path
 import numpy as np
 import torch
 from clicks import filled, next_click
+from edit3r_select.select import select_masks
 from PIL import Image
 
 from edit3r import build, load_views
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Marks
-from edit3r.running import Selection, geometry_of, select_masks
+from edit3r.contract.interfaces import Marks, Selection
+from edit3r.running import geometry_of
 
 ELSEWHERE = (0, 0.1, 0.85)  # photo, x and y of the click that warms up
 ASIDE = 0.004  # the second click's distance from the first, whose answer is remembered

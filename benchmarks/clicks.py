@@ -10,10 +10,11 @@ wrong region, positive or negative: the usual protocol of interactive segmentati
 the last click is carried to the second photo twice, by the pictures and by the geometry that a
 matcher reads from the pair.
 
-People do not click on the innermost point. So six more first clicks lie anywhere on the object, and
-with --named the same six come with the object's name beside them. Three strokes lie on it too. The
-clicked photo has the depth that it gets beside one or two photos of its folder, where these can be
-placed. All clicks together are given to the pair as well: each must be obeyed on both photos.
+People do not click on the innermost point. So six more first clicks lie uniformly random on the
+object, at its rim too, and with --named the same six come with the object's name beside them. Three
+strokes lie on it too. The clicked photo has the depth that it gets beside one or two photos of its
+folder, where these can be placed. All clicks together are given to the pair as well: each must be
+obeyed on both photos.
 
 The whole takes long. With --kept each object's row goes to a file as soon as it is measured, and
 what stands there is not measured again: a command that was stopped goes on. With --cache depth and
@@ -24,7 +25,7 @@ alone, in a fifth of the time.
 import argparse
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -33,20 +34,21 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from edit3r_select.obeying import points_of, seen_elsewhere
+from edit3r_select.select import select_masks
 from PIL import Image, ImageDraw
 
 from edit3r import Views, build
 from edit3r.contract.errors import Edit3rError
+from edit3r.contract.interfaces import Selection
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
-from edit3r.running import Selection, select_masks, usual_reader
+from edit3r.running import usual_reader
 from edit3r.running.geometry import GeometryOfRun
-from edit3r.running.selecting.obeying import points_of, seen_elsewhere
 
 CLICKS = 3
 ANYWHERE = 6  # first clicks a photo
-INSIDE = 0.25  # how far from the outline these are, at least [the innermost point's distance]
 STROKES = 3
 PHOTOS = (".jpg", ".jpeg", ".png")
 PAIRED = ("-a", "-b")  # ends of the names of generated pairs
@@ -75,8 +77,10 @@ def main() -> None:
     matcher = build("matcher", args.matcher) if args.matcher else None
     bench = Bench(args.data, segmenter, matcher, args.named, args.strokes)
     rows = kept_rows(args.kept)
-    for name, entry in json.loads(args.objects.read_text()).items():
+    content = json.loads(args.objects.read_text())
+    for name, entry in content.get("objects", content).items():
         is_left_out = args.held_out and not entry.get("held_out")
+        is_left_out |= args.never_fitted != bool(entry.get("never_fitted"))
         if is_left_out or (args.only and name not in args.only):
             continue
         if name not in rows:
@@ -122,10 +126,14 @@ def parsed() -> argparse.Namespace:
         "--objects",
         type=Path,
         default=Path(__file__).with_suffix(".json"),
-        help="outlines by object and photo; as a value also {word, photos, held_out}",
+        help="outlines by object and photo; as a value also {word, photos, held_out}, or under "
+        "`objects`, as in elsewhere.json",
     )
     parser.add_argument(
         "--held-out", action="store_true", help="only what nothing was tuned on"
+    )
+    parser.add_argument(
+        "--never-fitted", action="store_true", help="the last look: only these scenes"
     )
     parser.add_argument("--named", action="store_true", help="with names, too")
     parser.add_argument("--strokes", action="store_true", help="strokes alone")
@@ -388,18 +396,25 @@ def anywhere(image, truth, segmenter, words, depth):
     """IoU after each of some first clicks anywhere on the object, always at the same places, and
     the share of all scores that the reading taken has.
     """
-    deep = cv2.distanceTransform(truth.astype(np.uint8), cv2.DIST_L2, 5)
-    inner = np.argwhere(deep > INSIDE * deep.max())
-    chosen = np.random.default_rng(7).choice(len(inner), ANYWHERE)
     tensor = tensor_of(image)[None]
     found, shares = [], []
-    for row, column in inner[chosen]:
-        place = (column + 0.5) / truth.shape[1], (row + 0.5) / truth.shape[0]
+    for place in places_on(truth, ANYWHERE):
         selection = Selection(positive=((0, *place),), words=words)
         selected = select_masks(tensor, selection, segmenter, *depth)
         found.append(iou(selected.masks[0, 0].numpy() > 0.5, truth))
         shares.append(selected.readings[0].score if selected.readings else 0.0)
     return found, shares
+
+
+def places_on(
+    truth: np.ndarray, count: int, seed: Sequence[int] = (7,)
+) -> list[tuple[float, float]]:
+    """Places (x, y in [0, 1]) uniformly random in a bool mask, at its rim too; always the same."""
+    rows = np.argwhere(truth)
+    random = np.random.default_rng(seed)
+    chosen = random.choice(len(rows), min(count, len(rows)), replace=False)
+    height, width = truth.shape
+    return [((x + 0.5) / width, (y + 0.5) / height) for y, x in rows[chosen]]
 
 
 def geometry_of(frames, matcher, known):

@@ -23,11 +23,12 @@ import time
 from pathlib import Path
 
 import torch
+from edit3r_select.select import select_masks
 
 import edit3r
+from edit3r.contract.interfaces import Selection
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.weights.find import at_hand
-from edit3r.running import Selection, select_masks
 
 RESULTS = Path(__file__).with_suffix(".json")
 MASK = Path(edit3r.__file__).parent / "kit/photos/motorcycle_mask.png"

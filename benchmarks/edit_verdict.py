@@ -20,22 +20,22 @@ import base64
 import json
 import tempfile
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import torch
 from clicks import contact_sheet, filled
+from edit3r_judge.edit_measures import measure_edit, measure_edit_in_3d
+from edit3r_judge.edit_verdict import judge_edit
 from PIL import Image
 
 import edit3r
 from edit3r.contract.errors import Edit3rError
-from edit3r.contract.interfaces import Editor
-from edit3r.running import EditVerdict
-from edit3r.running.judging.edit_measures import measure_edit, measure_edit_in_3d
-from edit3r.running.judging.edit_verdict import judge_edit
-from edit3r.running.selecting.select import Selected
+from edit3r.contract.interfaces import Editor, Selected
+from edit3r.contract.verdicts import EditVerdict
+from edit3r.running.editors import edit_to_judge
 
 SIZE = 256
 COLOURS = {"red": (0.8, 0.1, 0.1), "blue": (0.1, 0.2, 0.8), "green": (0.1, 0.6, 0.2)}
@@ -193,7 +193,7 @@ def looked_at(data: Path, only: list[str]) -> list[dict]:
                 **{key: edit[key] for key in ("set", "prompt", "good", "chose_limits")},
                 "label": verdict.label,
                 "reason": verdict.reason,
-                **asdict(verdict.measures),
+                **verdict.measures,
             }
         )
     for chose in (True, False):
@@ -219,11 +219,13 @@ def verdict_on(edit: dict, data: Path, cache: edit3r.Cache) -> EditVerdict:
             files, edit["prompt"], masks=masks, size=SIZE, outputs=[], cache=cache
         )
     how = "marked" if edit["clicked"] else "words"
-    selected = Selected(result.scene.masks[0][:, None], (how, "geometry"))
-    scene = replace(result.scene, selected=(selected,))
-    views = range(scene.start.count)
-    wishes = [wish for task in result.parts.tasks for wish in task.wishes]
-    measures = measure_edit_in_3d(measure_edit(scene, wishes, views), scene, views)
+    selected = Selected(result.masks[0][:, None], (how, "geometry"))
+    records = result.records
+    selection = replace(records.selection, selected=(selected,))
+    tasks, count = result.parts.tasks, records.inputs.start.count
+    asked = edit_to_judge(records.inputs, selection, records.edit, tasks, count)
+    asked = replace(asked, rendered=result.rendered, cameras=result.cameras)
+    measures = measure_edit_in_3d(measure_edit(asked), asked)
     measures = replace(measures, part=edit["part"])
     return judge_edit(measures, edit["surety"])
 
@@ -248,7 +250,7 @@ def measured(name, photos, data, seed, tiles):
         row |= {
             "label": verdict.label,
             "reason": verdict.reason,
-            **asdict(verdict.measures),
+            **verdict.measures,
         }
         row["scene"] = result.verdict.label
         rows.append(row)

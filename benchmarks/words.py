@@ -17,19 +17,14 @@ from pathlib import Path
 import numpy as np
 import torch
 from clicks import FOV, SAID, filled, iou
+from edit3r_select.select import select_masks
 from PIL import Image
 
 from edit3r import Views, build, default_registry
 from edit3r.contract.errors import InputError
+from edit3r.contract.interfaces import SURE, Selection
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
-from edit3r.running import (
-    SURE,
-    Selection,
-    default_matcher,
-    geometry_of,
-    select_masks,
-    usual_reader,
-)
+from edit3r.running import default_matcher, geometry_of, usual_reader
 
 MATCHER = default_matcher(default_registry())
 

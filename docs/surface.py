@@ -9,14 +9,21 @@ Read from the sources; nothing is imported.
 import ast
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs/plugins/surface.txt"
 
-WHOLE = ("edit3r/contract", "edit3r/kit")
-"""Rooms of which every public name is promised."""
+WHOLE = "edit3r/contract"
+"""The room of which every public name is promised."""
+
+USED = "edit3r/kit"
+"""The room of which those public names are promised that a plugin or an example uses."""
+
+USERS = ("plugins", "examples")
+TEMPLATES = "plugins/edit3r_develop/templates"
 
 FRONTS = ("edit3r", "edit3r/loading", "edit3r/running")
 """Packages that promise what their `__init__.pyi` imports."""
@@ -25,12 +32,43 @@ FRONTS = ("edit3r", "edit3r/loading", "edit3r/running")
 def promised() -> list[str]:
     """All promised names, in order."""
     fronts = [ROOT / folder / "__init__.pyi" for folder in FRONTS]
-    files = [file for folder in WHOLE for file in sorted((ROOT / folder).rglob("*.py"))]
-    return sorted(
+    whole = _names_in([*fronts, *sorted((ROOT / WHOLE).rglob("*.py"))])
+    kit = _names_in(sorted((ROOT / USED).rglob("*.py")))
+    return sorted([*whole, *(name for name in kit if name in used())])
+
+
+def _names_in(files: Iterable[Path]) -> list[str]:
+    return [
         f"{_module(file)}:{name}"
-        for file in (*fronts, *files)
+        for file in files
         for name in public_names(ast.parse(file.read_text(encoding="utf-8")))
-    )
+    ]
+
+
+@cache
+def used() -> set[str]:
+    """Names that plugins and examples import, or take from a module that they import."""
+    found: set[str] = set()
+    for folder in USERS:
+        for file in (ROOT / folder).rglob("*.py"):
+            found.update(_used_in(ast.parse(file.read_text(encoding="utf-8"))))
+    for template in (ROOT / TEMPLATES).rglob("*.py.txt"):
+        text = template.read_text(encoding="utf-8")
+        lines = re.findall(r"^from edit3r\.[\w.]+ import [\w, ]+$", text, re.M)
+        found.update(_used_in(ast.parse("\n".join(lines))))
+    return found
+
+
+def _used_in(tree: ast.Module) -> Iterator[str]:
+    modules = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and not node.level:
+            for alias in node.names:
+                yield f"{node.module}:{alias.name}"
+                modules[alias.asname or alias.name] = f"{node.module}.{alias.name}"
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
+            yield f"{modules.get(node.value.id)}:{node.attr}"
 
 
 def public_names(tree: ast.Module) -> list[str]:

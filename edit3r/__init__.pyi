@@ -5,6 +5,7 @@ from .contract.command import Command as Command
 from .contract.component import Component as Component
 from .contract.errors import Edit3rError as Edit3rError
 from .contract.hookspecs import hookimpl as hookimpl
+from .contract.interfaces import Selection as Selection
 from .contract.settings import (
     PartChoice as PartChoice,
     Settings as Settings,
@@ -33,5 +34,4 @@ from .loading.registry import (
 from .running.config import RunConfig as RunConfig
 from .running.loop import RunResult as RunResult
 from .running.selecting.call import select as select
-from .running.selecting.select import Selection as Selection
 from .version import __version__ as __version__

@@ -14,11 +14,13 @@ from torch import Tensor
 from typing_extensions import Unpack
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Editor, Reconstructor
+from edit3r.contract.interfaces import Editor, Reconstructor, Selection
 from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.cache import Cache
+from edit3r.kit.photos.in_memory import Pictures, as_files
 from edit3r.loading.registry import Registry
 from edit3r.running.config import PART_KEYS, make_run_config
 from edit3r.running.earlier import EarlierRun, read_earlier_run
@@ -26,14 +28,14 @@ from edit3r.running.given import check_cameras, check_views, checked_masks
 from edit3r.running.job import RunJob, inherited, with_cameras
 from edit3r.running.loop import RunResult, run as run_job
 from edit3r.running.selecting.marks import MarkTexts
-from edit3r.running.selecting.select import Selection
 from edit3r.running.settings import Choice, RunSettings
 
 Files = str | Path | Sequence[str | Path]
 
 
+@in_usual_torch
 def run(
-    photos: Views | Files = (),
+    photos: Views | Pictures = (),
     prompt: str | None = None,
     *,
     editor: Choice | Editor | None = None,
@@ -53,7 +55,9 @@ def run(
     Settings that are not given have the defaults of `edit3r run --help`, which tells them.
 
     Args:
-        photos: Loaded views, or photo files, folders and videos. May be left out with `earlier`.
+        photos: Loaded views; photo files, folders and videos; or pictures in memory, of any sizes:
+            arrays [height, width, 3], tensors [3, height, width], PIL images. May be left out with
+            `earlier`.
         prompt: What to change, such as "paint the bike red".
         editor, recon: Names, names with settings, or built objects; `recon` is the reconstructor.
         masks: Where pixels may change: masks in [0, 1] of all views, mask files, or a Selection
@@ -109,7 +113,7 @@ def run(
         result = run_job(job, registry, own_report)
     if report is None and not progress:
         for text in own_report.warnings:
-            warnings.warn(text, stacklevel=2)
+            warnings.warn(text, stacklevel=3)  # of the caller, past the decorator
     return result
 
 
@@ -127,10 +131,10 @@ def _plain(value: Any) -> Any:
 
 
 def _photos(
-    photos: Views | Files, cameras: str | Path | Cameras | None
+    photos: Views | Pictures, cameras: str | Path | Cameras | None
 ) -> Views | tuple[Path, ...]:
     if not isinstance(photos, Views):
-        return _paths("photos", photos, "Views")
+        return tuple(map(Path, as_files(photos)))
     check_views(photos)
     if not isinstance(cameras, Cameras):
         return photos

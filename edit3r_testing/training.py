@@ -3,6 +3,7 @@
 import pickle
 import tempfile
 from dataclasses import fields, replace
+from functools import cached_property, partial
 from pathlib import Path
 
 import torch
@@ -16,6 +17,7 @@ from edit3r.contract.interfaces import (
     Loss,
     LossInputs,
     Matcher,
+    Rasterizer,
     Reconstructor,
     SceneSample,
     Trainer,
@@ -27,7 +29,12 @@ from edit3r.kit.geometry.cameras import pixels_to_gaussians
 from edit3r_testing.contract import Contract
 from edit3r_testing.rasterizer import reference_rasterizer
 from edit3r_testing.reconstruction import FRAME
-from edit3r_testing.scenes import gaussian_cloud, photograph, true_geometry
+from edit3r_testing.scenes import (
+    cameras_around,
+    gaussian_cloud,
+    photograph,
+    true_geometry,
+)
 
 
 class DatasetContract(Contract):
@@ -163,7 +170,9 @@ class LossContract(Contract):
                 for name in PER_GAUSSIAN
             }
             gaussians = replace(inputs.gaussians, **own)
-            value = self._value(replace(inputs, rendered=rendered, gaussians=gaussians))
+            render = partial(self._rasterizer.render, gaussians)
+            given = {"rendered": rendered, "gaussians": gaussians, "render": render}
+            value = self._value(replace(inputs, **given))
             self.require(
                 value.requires_grad,
                 "it carries no gradient; compute it from inputs.rendered or .gaussians.",
@@ -192,8 +201,10 @@ class LossContract(Contract):
 
     def _inputs(self, distance: float) -> LossInputs:
         """Images and Gaussians that lie `distance` from their targets."""
-        target = self.scene(batch=2).views.images
         cloud = gaussian_cloud(48, batch=2)
+        cameras = cameras_around(2, batch=2).to(self.device)
+        truth = self._rasterizer.render(cloud.to(self.device), cameras)
+        target = truth.images.clamp(0, 1)
         of_views = torch.arange(2).repeat_interleave(24)
         reference = replace(cloud, view_index=of_views)
         generator = torch.Generator().manual_seed(5)
@@ -204,12 +215,26 @@ class LossContract(Contract):
             means=reference.means + distance * shift,
             scales=reference.scales * (1 + distance),
         )
+        moved = gaussians.to(self.device)
         return LossInputs(
             rendered=torch.lerp(target, noise, distance),
             target=target,
-            gaussians=gaussians.to(self.device),
+            gaussians=moved,
             reference=reference.to(self.device),
+            cameras=cameras,
+            depths=truth.depths[:, :, 0],
+            render=partial(self._rasterizer.render, moved),
+            geometry=Geometry(
+                cameras.c2w,
+                truth.depths[:, :, 0].clamp(min=0.1),
+                truth.alphas[:, :, 0],
+                torch.ones(2, 2, dtype=torch.bool, device=self.device),
+            ),
         )
+
+    @cached_property
+    def _rasterizer(self) -> Rasterizer:
+        return reference_rasterizer()
 
 
 class TrainerContract(Contract):

@@ -55,6 +55,7 @@ ORDINARY_WORDS = {
         "posed",
         "classical",
         "geometry",
+        "limits",
         "refine",
         "simplify",
         "train",

@@ -4,19 +4,22 @@ from pathlib import Path
 
 import pytest
 import torch
+from edit3r_rasterizers.torch_rasterizer import TorchRasterizer
 
 import edit3r
 from edit3r.contract.errors import PluginError, SettingsError
 from edit3r.contract.interfaces import TrainingJob
 from edit3r.contract.reporting import Report, collecting
-from edit3r.contract.types import Views
+from edit3r.contract.types import Cameras, Views
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
 from edit3r.kit.rendering import render_each
+from edit3r.kit.scenes.ply import load_ply, save_ply
 from edit3r.loading.load import load_plugins
 from edit3r.loading.registry import Registry
 from edit3r_testing import (
     BackboneContract,
     HeadContract,
+    LossContract,
     RasterizerContract,
     TinyBackbone,
     cameras_around,
@@ -65,6 +68,14 @@ class TestDepthsAlone(RasterizerContract):
     component, plugin_files = "depths", (FOLDER / "depths.py",)
 
 
+class TestTwoRenders(LossContract):
+    component, plugin_files = "two-renders", (FOLDER / "two_renders.py",)
+
+
+class TestSurfels(HeadContract):
+    component, plugin_files = "surfels", (FOLDER / "surfels.py",)
+
+
 class TestTheDptHeadOnPatchesOf14(HeadContract):
     """And on six levels, as DINOv2 has more than four."""
 
@@ -97,25 +108,79 @@ def test_without_pixels_padding_is_refused_before_any_work(registry, monkeypatch
     assert single_pass(registry)(views()).per_pixel == 0
 
 
-def test_three_gaussians_a_pixel_are_trained_on_padded_photos(registry, tmp_path):
-    build = edit3r.build
+class Counted(TorchRasterizer):
+    count = 0
+
+    def render(self, *given):
+        Counted.count += 1
+        return super().render(*given)
+
+
+def trained(registry, tmp_path, losses, **settings):
+    """How far the head's weights moved in three steps on padded photos."""
     torch.manual_seed(0)
     network = single_pass(registry, fit="pad")
-    data = build(
+    data = edit3r.build(
         "dataset", "procedural", image_size=36, scenes=2, targets=1, textures=8
     )
     job = TrainingJob(
         network,
-        build("rasterizer", "torch"),
+        edit3r.build("matcher", "classical"),
+        Counted(Counted.Settings()),
         train_data=data,
         validation_data=data,
-        losses={name: (1.0, build("loss", name)) for name in ("mse", "center")},
+        losses={name: (1.0, registry.build("loss", name)) for name in losses},
         out=tmp_path,
     )
-    before = network.network.head.out.weight.detach().clone()
-    settings = {"steps": 3, "batch": 1, "warmup": 1, "log_every": 1, "lr": 0.01}
-    assert build("trainer", "recolor", **settings).train(job).is_dir()
-    assert not torch.equal(before, network.network.head.out.weight)
+    weight = network.network.head.out.weight
+    before = weight.detach().clone()
+    settings = {"steps": 3, "batch": 1, "warmup": 1, "lr": 0.01, **settings}
+    assert edit3r.build("trainer", "recolor", **settings).train(job).is_dir()
+    return float((weight - before).detach().abs().max())
+
+
+def test_three_gaussians_a_pixel_are_trained_on_padded_photos(registry, tmp_path):
+    assert trained(registry, tmp_path, ("mse", "center")) > 0
+
+
+def test_a_loss_of_two_renders_trains_by_itself(registry, tmp_path):
+    alone, before = {"colour": 0, "depth": 0, "opacity": 0}, Counted.count
+    assert trained(registry, tmp_path, ("two-renders",), **alone) > 0
+    # What is drawn already is not drawn again.
+    assert Counted.count - before == 3 * (1 + 2)
+
+
+def test_surfels_are_drawn_and_saved_as_discs(registry, tmp_path):
+    made = single_pass(registry, head="surfels")(views((32, 48)))
+    scene = made.gaussians
+    smaller = scene.scales[..., :2].amin(-1)
+    assert torch.allclose(scene.scales[..., 2], 1e-3 * smaller)
+    save_ply(tmp_path / "scene.ply", scene)
+    again = load_ply(tmp_path / "scene.ply")
+    assert torch.allclose(again.scales, scene.scales, rtol=1e-5)
+    cameras = Cameras(made.cameras.c2w, views().intrinsics, (32, 48))
+    drawn = edit3r.build("rasterizer", "numba").render(scene, cameras)
+    assert float(drawn.alphas.mean()) > 0.5
+    read = edit3r.build("rasterizer", "torch").render(again, cameras)
+    assert torch.allclose(drawn.images, read.images, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["numba", "torch"])
+def test_a_disc_is_seen_face_on_and_hardly_edge_on(name):
+    def area(quat):
+        disc = edit3r.Gaussians(
+            means=torch.tensor([[[0.0, 0.0, 3.0]]]),
+            scales=torch.tensor([[[0.3, 0.3]]]),
+            quats=torch.tensor([[quat]]),
+            opacities=torch.ones(1, 1),
+            harmonics=torch.zeros(1, 1, 1, 3),
+        )
+        camera = cameras_around(1, (64, 64))
+        return float(edit3r.build("rasterizer", name).render(disc, camera).alphas.sum())
+
+    half = 0.5**0.5
+    # The normal is the third axis; a quarter turn about x lays it across the view.
+    assert area([half, half, 0.0, 0.0]) < 0.2 * area([1.0, 0.0, 0.0, 0.0])
 
 
 def test_a_backbone_s_poses_are_the_scene_s(registry):

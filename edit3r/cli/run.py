@@ -114,12 +114,12 @@ class RunCommand(Command):
             _check_preview(Path(args.preview), args.photos)
             job = _job(args)
             registry = default_registry(tuple(args.plugin))
-        scene = preview(job, registry, report)
-        sheet = np.asarray(preview_sheet(scene, job.config.prompt))
+        made = preview(job, registry, report)
+        sheet = np.asarray(preview_sheet(made, job.config.prompt))
         save_pixels(sheet, args.preview, is_photo=False)
         if not args.quiet:
-            if scene.edit_verdict is not None:
-                print(f"edit: {scene.edit_verdict}.")
+            if made.edit is not None and made.edit.verdict is not None:
+                print(f"edit: {made.edit.verdict}.")
             print(f"look at {args.preview}; nothing is reconstructed yet")
         return 0
 

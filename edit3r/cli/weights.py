@@ -117,6 +117,7 @@ def _accept(chosen: list["Weights"], args: argparse.Namespace) -> None:
 
 def _list(known, args: argparse.Namespace) -> None:
     from edit3r.cli.list_plugins import table
+    from edit3r.contract.errors import InputError
     from edit3r.kit.weights.find import at_hand, folder
 
     places = {weights.name: at_hand(weights, args.folder) for weights in known}
@@ -158,4 +159,8 @@ def _list(known, args: argparse.Namespace) -> None:
         for weights in known
     ]
     table(columns, lines)
-    print(f"Folder: {folder(args.folder)}. Fetch with: edit3r weights get NAME")
+    try:
+        place = f"Folder: {folder(args.folder)}."
+    except InputError as error:
+        place = str(error)
+    print(f"{place} Fetch with: edit3r weights get NAME")

@@ -11,6 +11,7 @@ KINDS = (
     "editor",
     "segmenter",
     "detector",
+    "selector",
     "reconstructor",
     "backbone",
     "head",
@@ -20,6 +21,7 @@ KINDS = (
     "dataset",
     "trainer",
     "refiner",
+    "critic",
     "writer",
     "command",
 )

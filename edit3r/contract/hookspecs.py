@@ -46,6 +46,11 @@ def register_detectors() -> Iterable[Component]:
 
 
 @hookspec
+def register_selectors() -> Iterable[Component]:
+    """What is marked or named, on all photos (Selector)."""
+
+
+@hookspec
 def register_reconstructors() -> Iterable[Component]:
     """Edited views to 3D Gaussians in one pass (Reconstructor)."""
 
@@ -62,7 +67,7 @@ def register_heads() -> Iterable[Component]:
 
 @hookspec
 def register_matchers() -> Iterable[Component]:
-    """Relative poses and depths of the unedited photos, a part of a reconstructor (Matcher)."""
+    """Relative poses and depths of the unedited photos, (Matcher)."""
 
 
 @hookspec
@@ -73,6 +78,11 @@ def register_rasterizers() -> Iterable[Component]:
 @hookspec
 def register_refiners() -> Iterable[Component]:
     """Steps after reconstruction: Gaussians to better or fewer Gaussians (Refiner)."""
+
+
+@hookspec
+def register_critics() -> Iterable[Component]:
+    """Verdicts on a finished run: was the edit carried out, does the scene hold (Critic)."""
 
 
 @hookspec

@@ -31,6 +31,8 @@ MAX_DEGREE = 4
 DC = 0.28209479177387814
 """The constant basis function Y_00; a Gaussian of plain colour c has the harmonic (c - 0.5) / DC.
 """
+DISC_THICKNESS = 1e-3
+"""Thickness of a disc with two scales, as 2DGS has them, in its smaller one."""
 Moved = TypeVar("Moved", bound="Tensors")
 
 
@@ -256,7 +258,8 @@ class Gaussians(Tensors):
     """3D Gaussians of B scenes in the frame of view 0 (OpenCV axes)."""
 
     means: Float[Tensor, "batch gaussian 3"]  # centres [scene units]
-    # standard deviations along the axes [scene units], > 0
+    # standard deviations along the axes [scene units], > 0; given as two, those of a disc (2DGS):
+    # the third, along its normal, becomes DISC_THICKNESS of the smaller
     scales: Float[Tensor, "batch gaussian 3"]
     # wxyz, axes to world; any norm, consumers normalise
     quats: Float[Tensor, "batch gaussian 4"]
@@ -273,6 +276,9 @@ class Gaussians(Tensors):
     def __post_init__(self) -> None:
         _check("Gaussians.means", self.means, (None, None, 3))
         batch, count = self.means.shape[:2]
+        if self.scales.shape[-1] == 2:
+            thin = DISC_THICKNESS * self.scales.amin(-1, keepdim=True)
+            object.__setattr__(self, "scales", torch.cat((self.scales, thin), -1))
         _check("Gaussians.scales", self.scales, (batch, count, 3))
         _check("Gaussians.quats", self.quats, (batch, count, 4))
         _check("Gaussians.opacities", self.opacities, (batch, count))

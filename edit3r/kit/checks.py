@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from math import isfinite
 from numbers import Real
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from jaxtyping import Bool, Float
@@ -25,6 +25,7 @@ from edit3r.contract.errors import (
 )
 from edit3r.contract.interfaces import (
     INTERFACES,
+    Critic,
     Editor,
     Geometry,
     Proposal,
@@ -45,6 +46,7 @@ from edit3r.contract.types import (
     Rendering,
     Views,
 )
+from edit3r.contract.verdicts import LABELS, EditLabel, EditVerdict, Verdict
 from edit3r.contract.wishes import Wish
 
 FARTHEST = 1e6  # depths that a camera may stand from the first
@@ -119,6 +121,21 @@ def check_written(writer: Writer, path: Path) -> None:
         is_there = path.is_file()
         promise = "write the file that it is given, since its suffix has a dot"
     _require(writer, is_there, f"{promise}: {path.name}")
+
+
+def check_edit_verdict(critic: Critic, answer: EditVerdict) -> None:
+    """A known label and a sentence."""
+    _require_type(critic, answer, EditVerdict)
+    known = get_args(EditLabel)
+    _require(critic, answer.label in known, f"label an edit {' or '.join(known)}")
+    _require(critic, bool(answer.reason), "say why, in one sentence")
+
+
+def check_verdict(critic: Critic, answer: Verdict) -> None:
+    """A known label and a sentence."""
+    _require_type(critic, answer, Verdict)
+    _require(critic, answer.label in LABELS, f"label a scene {', '.join(LABELS)}")
+    _require(critic, bool(answer.reason), "say why, in one sentence")
 
 
 def check_geometry(matcher: Any, views: Views, answer: Geometry) -> None:

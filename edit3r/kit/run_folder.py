@@ -112,10 +112,8 @@ class RunManifest:
     inputs: Sequence[Photo]
     masks: Mapping[str, str]  # file: sha256
     weights: Sequence[WeightsRecord]
-    verdict: Any  # `edit3r.running.judging.verdict.Verdict`
-    edit_verdict: (
-        Any  # `edit3r.running.judging.edit_verdict.EditVerdict`; None: no edit
-    )
+    verdict: Any  # `edit3r_judge.verdict.Verdict`
+    edit_verdict: Any  # `edit3r_judge.edit_verdict.EditVerdict`; None: no edit
     gaussians: int
     harmonics_degree: int
     stages: Sequence[StageRecord]

@@ -26,6 +26,7 @@ from edit3r.contract.errors import (
 )
 from edit3r.contract.reporting import warn
 from edit3r.contract.settings import PartChoice, Settings, make_settings
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.kit.weights.find import at_hand
 from edit3r.loading.load import LoadedPlugins, PluginFailure, load_plugins
 
@@ -203,6 +204,7 @@ class Registry:
         cls = self.settings_class(offer)
         return make_settings(cls, values, where)
 
+    @in_usual_torch
     def _build(
         self,
         kind: str,

@@ -29,8 +29,6 @@ from .job import (
     RunJob as RunJob,
     job_from as job_from,
 )
-from .judging.edit_verdict import EditVerdict as EditVerdict
-from .judging.verdict import LABELS as LABELS
 from .loop import (
     RunResult as RunResult,
     preview as preview,
@@ -48,19 +46,14 @@ from .reading import (
     usual_reader as usual_reader,
     wishes_for as wishes_for,
 )
+from .records import Preview as Preview
 from .saved import (
     SavedScene as SavedScene,
     write_saved as write_saved,
 )
-from .scene import Scene as Scene
-from .selecting.call import select_with as select_with
-from .selecting.marks import MarkTexts as MarkTexts
-from .selecting.select import (
-    MIN_AREA as MIN_AREA,
-    SURE as SURE,
-    Box as Box,
-    Reading as Reading,
-    Selection as Selection,
-    select_masks as select_masks,
+from .selecting.call import (
+    select_with as select_with,
+    usual_selector as usual_selector,
 )
+from .selecting.marks import MarkTexts as MarkTexts
 from .write import write_result as write_result

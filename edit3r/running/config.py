@@ -34,7 +34,9 @@ PART_KEYS = (
     "matcher",
     "reconstructor",
     "rasterizer",
+    "selector",
     "segmenter",
+    "critic",
 )
 
 
@@ -68,6 +70,14 @@ class RunConfig(Settings):
     rasterizer: PartChoice = Field(
         PartChoice(name=DEFAULTS["rasterizer"]),
         description="rasterizer and its settings",
+    )
+    selector: PartChoice = Field(
+        PartChoice(name=DEFAULTS["selector"]),
+        description="finds what is marked or named on all photos, and its settings",
+    )
+    critic: PartChoice = Field(
+        PartChoice(name=DEFAULTS["critic"]),
+        description="judges edit and scene, and its settings",
     )
     segmenter: PartChoice | None = Field(
         None,

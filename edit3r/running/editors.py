@@ -6,7 +6,7 @@ from itertools import groupby
 
 from edit3r.contract.component import Offer, component_name
 from edit3r.contract.errors import PromptError
-from edit3r.contract.interfaces import Editor, EditsRegions, Reader
+from edit3r.contract.interfaces import Editor, EditsRegions, EditToJudge, Reader
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import EditRequest
@@ -14,7 +14,7 @@ from edit3r.contract.wishes import Wish
 from edit3r.kit.weights.find import at_hand
 from edit3r.loading.registry import Registry
 from edit3r.running.reading import read, wishes_for
-from edit3r.running.scene import Scene
+from edit3r.running.records import EditedPhotos, Inputs, SelectedRegions
 
 
 @dataclass(frozen=True)
@@ -26,15 +26,40 @@ class EditorTask:
     wishes: tuple[Wish, ...] = ()  # () where the sentence could not be read
 
 
-def request_of(task: EditorTask, scene: Scene, seed: int, wishes: range) -> EditRequest:
+def request_of(
+    task: EditorTask, selection: SelectedRegions, seed: int, wishes: range
+) -> EditRequest:
     """What one editor is asked; its wishes are those at `wishes` of the whole sentence."""
     regions = None
-    if scene.regions is not None:
-        regions = scene.regions[wishes.start : wishes.stop]
-    asked = scene.wishes[wishes.start : wishes.stop] or task.wishes
+    if selection.regions is not None:
+        regions = selection.regions[wishes.start : wishes.stop]
+    asked = selection.wishes[wishes.start : wishes.stop] or task.wishes
     if asked:
         say("edit.understood", "; ".join(map(str, asked)))
-    return EditRequest(task.prompt, seed, scene.masks, asked, regions)
+    return EditRequest(task.prompt, seed, selection.masks, asked, regions)
+
+
+def edit_to_judge(
+    inputs: Inputs,
+    selection: SelectedRegions,
+    made: EditedPhotos,
+    tasks: tuple[EditorTask, ...],
+    count: int,
+) -> EditToJudge:
+    """What a critic is told of the edit of the first `count` views."""
+    return EditToJudge(
+        before=inputs.start,
+        after=made.views,
+        edited=range(count),
+        wishes=selection.wishes
+        or tuple(wish for task in tasks for wish in task.wishes),
+        selected=selection.selected,
+        masks=selection.masks,
+        regions=selection.regions,
+        faults=made.faults,
+        moved=made.moved,
+        in_2d=made.verdict,
+    )
 
 
 def tasks_for_editor(

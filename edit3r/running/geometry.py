@@ -43,7 +43,7 @@ Source = Matcher | FindsGeometry
 
 
 @dataclass(frozen=True, eq=False)
-class Located:
+class GeometryAnswer:
     """The geometry of photos, and why it is not to be selected by, if so."""
 
     geometry: Geometry | None  # None: nobody looked, or the photos could not be placed
@@ -68,13 +68,13 @@ class GeometryOfRun:
 
     def __init__(self, source: Source) -> None:
         self.source = source
-        self._located: dict[str, Located] = {}
+        self._located: dict[str, GeometryAnswer] = {}
 
     @property
     def was_asked(self) -> bool:
         return bool(self._located)
 
-    def of(self, views: Views, levelled: Views | None = None) -> Located:
+    def of(self, views: Views, levelled: Views | None = None) -> GeometryAnswer:
         """The geometry of `views`; `levelled`: the same photos in one exposure, on which depth is
         measured where the matcher can do that.
         """
@@ -86,14 +86,14 @@ class GeometryOfRun:
         return self._located[key]
 
 
-def _locate(source: Source, views: Views, levelled: Views | None) -> Located:
+def _locate(source: Source, views: Views, levelled: Views | None) -> GeometryAnswer:
     with errors_named_after(source, views.images):
         try:
             geometry = _read(source, views, levelled)
         except MatchingError as error:
-            return Located(None, str(error))
+            return GeometryAnswer(None, str(error))
     check_geometry(source, views, geometry)
-    return Located(geometry, "" if _has_depth(geometry, views) else STOOD_STILL)
+    return GeometryAnswer(geometry, "" if _has_depth(geometry, views) else STOOD_STILL)
 
 
 def _read(source: Source, views: Views, levelled: Views | None) -> Geometry:

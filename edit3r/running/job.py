@@ -12,6 +12,7 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.interfaces import Selection
 from edit3r.contract.reporting import note
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.cache import Cache
@@ -19,7 +20,6 @@ from edit3r.kit.photos.images import packaged_pair
 from edit3r.running.config import DEFAULTS, JobInputs, RunConfig, make_run_config
 from edit3r.running.earlier import CACHE, EarlierRun, read_earlier_run
 from edit3r.running.selecting.marks import MarkTexts
-from edit3r.running.selecting.select import Selection
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,16 @@
-"""One run from photos to Gaussians: the loop over the steps, and its result."""
+"""One run from photos to Gaussians: its steps, and its result."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from jaxtyping import Float
 from PIL import Image
+from torch import Tensor
 
 from edit3r.contract.devices import require_device
 from edit3r.contract.reporting import Report, collecting
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Reconstruction
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.atomic import atomic_folder
@@ -19,28 +21,23 @@ from edit3r.running.job import RunJob
 from edit3r.running.parts import Parts, undone, with_reader
 from edit3r.running.quality import note_quality
 from edit3r.running.record import RunRecord
-from edit3r.running.scene import Scene
+from edit3r.running.records import Inputs, Preview, Records
 from edit3r.running.steps.edit import edit
 from edit3r.running.steps.judge import judge
 from edit3r.running.steps.locate import locate
 from edit3r.running.steps.read import read
 from edit3r.running.steps.reconstruct import reconstruct
 from edit3r.running.steps.refine import refine
-from edit3r.running.steps.select import load, select
+from edit3r.running.steps.select import as_many_as_fit, load, select
 from edit3r.running.unit import to_given_unit, to_own_unit
 from edit3r.running.write import as_html, comparison, open_viewer, write_result
-
-Step = Callable[[Scene, Parts], Scene]
-STEPS: tuple[Step, ...] = (locate, select, edit, reconstruct, refine, judge)
-"""What follows `read`."""
-STEPS_OF_PREVIEW: tuple[Step, ...] = (select, edit)
-"""Here geometry is asked for only where something is selected by it."""
 
 
 @dataclass(frozen=True, repr=False)
 class RunResult(RunRecord):
     """What a run made, in memory. In a notebook it shows the sheet and the viewer."""
 
+    @in_usual_torch
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
         """Write what `edit3r run` leaves into `folder`, which appears whole or not at all."""
         with atomic_folder(folder, overwrite) as root:
@@ -54,18 +51,20 @@ class RunResult(RunRecord):
             photos=self.photos,
             edited=self.edited,
             scene=Reconstruction(self.gaussians, self.cameras),
-            prompts=self.scene.prompts,
-            records=self.scene.records,
+            prompts=self.records.inputs.prompts,
+            records=self.records.inputs.files,
             reconstructor={"name": choice.name, **choice.settings},
             matcher={"name": matcher.name, **matcher.settings},
             frames=self.config.frames,
-            things=self.scene.things,
+            things=self.records.selection.things,
         )
 
+    @in_usual_torch
     def view(self) -> Path:
         """Open the scene in the browser; returns the page, a temporary file."""
         return open_viewer(self)
 
+    @in_usual_torch
     def compare(self, other: "RunResult") -> Image.Image:
         """A sheet of the photos, this scene and an `other` of the same photos.
 
@@ -77,10 +76,12 @@ class RunResult(RunRecord):
         made = f"{self.gaussians.count:,} Gaussians from {self.photos.count} photos"
         return f"RunResult({self.verdict.label}: {made}, {self.config.prompt!r})"
 
+    @in_usual_torch
     def _repr_html_(self) -> str:
         return as_html(self)
 
 
+@in_usual_torch
 def run(
     job: RunJob, registry: Registry | None = None, report: Report | None = None
 ) -> RunResult:
@@ -93,38 +94,62 @@ def run(
     report = report or Report()
     cache = job.cache or Cache()
     with collecting(report), using(cache):
-        scene, parts = _take(job, registry or default_registry(), STEPS)
-    return RunResult(scene, parts, report, cache)
+        inputs, factor, parts = _begin(job, registry or default_registry())
+        parts.rasterizer.prepare(torch.device(job.config.device).type)
+        inputs = load(inputs, parts)
+        records = _made(inputs, parts)
+    records = to_given_unit(records, factor, job.refine_poses)
+    return RunResult(records, parts, report, cache)
 
 
+def _made(inputs: Inputs, parts: Parts) -> Records:
+    """All steps, one after the other."""
+    inputs, located = locate(inputs, parts)
+    selection = select(inputs, parts)
+    used = as_many_as_fit(inputs.start, parts.reconstructor)
+    inputs, located = inputs.select(used), located.select(used)
+    selection = selection.select(used)
+    edited = edit(inputs, selection, parts)
+    made = reconstruct(inputs, located, selection, edited, parts)
+    placed = made.used
+    inputs, located = inputs.select(placed), located.select(placed)
+    selection, edited = selection.select(placed), edited.select(placed)
+    gaussians = refine(located, edited, made, parts)
+    judged = judge(inputs, located, selection, edited, made, gaussians, parts)
+    return Records(inputs, located, selection, edited, made, gaussians, judged)
+
+
+@in_usual_torch
 def preview(
     job: RunJob,
     registry: Registry | None = None,
     report: Report | None = None,
     *,
     edits: bool = True,
-) -> Scene:
-    """What is selected and, with `edits`, how it is edited: the first steps of `run`."""
-    steps = STEPS_OF_PREVIEW if edits else STEPS_OF_PREVIEW[:1]
+) -> Preview:
+    """What is selected and, with `edits`, how it is edited: some steps of `run`.
+
+    Geometry is asked for only where something is selected by it.
+    """
     with collecting(report or Report()), using(job.cache or Cache()):
-        scene, _ = _take(job, registry or default_registry(), steps)
-    return scene
+        inputs, _, parts = _begin(job, registry or default_registry())
+        inputs = load(inputs, parts)
+        selection = select(inputs, parts)
+        used = as_many_as_fit(inputs.start, parts.reconstructor)
+        inputs, selection = inputs.select(used), selection.select(used)
+        edited = edit(inputs, selection, parts) if edits else None
+    return Preview(inputs, selection, edited)
 
 
-def _take(
-    job: RunJob, registry: Registry, steps: tuple[Step, ...]
-) -> tuple[Scene, Parts]:
-    """Read the job's photos and take the steps, in order."""
+def _begin(
+    job: RunJob, registry: Registry
+) -> tuple[Inputs, Float[Tensor, "batch"], Parts]:
+    """The job's photos in their own unit, its factor, and the components of the run."""
     require_device(job.config.device)
     check_components(job.config, registry, job.components)
     note_quality(job.config)
     job = undone(with_reader(job, registry))
     parts = Parts(job.config, registry, job)
-    scene, factor = to_own_unit(read(job, parts.lens))
-    parts.settle_matcher(scene.photos)
-    if reconstruct in steps:
-        parts.rasterizer.prepare(torch.device(job.config.device).type)
-    scene = load(scene, parts)
-    for step in steps:
-        scene = step(scene, parts)
-    return to_given_unit(scene, factor, job.refine_poses), parts
+    inputs, factor = to_own_unit(read(job, parts.lens))
+    parts.settle_matcher(inputs.photos)
+    return inputs, factor, parts

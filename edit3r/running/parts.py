@@ -9,6 +9,7 @@ from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError, PromptError, SettingsError
 from edit3r.contract.interfaces import (
     ChangesShape,
+    Critic,
     Editor,
     FindsGeometry,
     Matcher,
@@ -17,6 +18,7 @@ from edit3r.contract.interfaces import (
     Reconstructor,
     Refiner,
     Segmenter,
+    Selector,
     Writer,
 )
 from edit3r.contract.lens import Lens
@@ -24,7 +26,7 @@ from edit3r.contract.reporting import say
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
 from edit3r.kit.checks import errors_named_after
-from edit3r.loading.registry import Registry
+from edit3r.loading.registry import Registry, default_registry
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.editors import EditorTask, tasks_for_editor, tasks_without_editor
 from edit3r.running.geometry import GeometryOfRun, uses_geometry
@@ -42,6 +44,33 @@ class Parts:
         self.job = job
         self._registry = registry
         self._given = job.components
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy or a pickle takes along: components that the registry built are built again
+        where they are asked for, since networks and compiled code cannot travel.
+        """
+        kept = {
+            kind: component
+            for kind, component in self._given.items()
+            if not hasattr(component, "offer")
+        }
+        job = replace(self.job, components=kept, cache=None)
+        given = {
+            kind: component.offer.qualified_name
+            for kind, component in self._given.items()
+            if hasattr(component, "offer") and kind != "reader"
+        }
+        chosen = {
+            kind: PartChoice(
+                name=name, settings=self._given[kind].settings.model_dump()
+            )
+            for kind, name in given.items()
+        }
+        config = self.config.model_copy(update=chosen)
+        return {"config": config, "job": job}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["config"], default_registry(), state["job"])  # type: ignore[misc]
 
     @property
     def edits_again(self) -> bool:
@@ -82,6 +111,10 @@ class Parts:
                 f"editor, and this sentence needs {self.editor_names}; ask for one thing at a time."
             )
         return self.tasks[0]
+
+    def edited_count(self, views: Views) -> int:
+        """How many of the views, from the first, are edited."""
+        return views.count if self.config.edit_views == "all" else 1
 
     @property
     def changes_shape(self) -> bool:
@@ -184,6 +217,17 @@ class Parts:
         return self._registry.build_choice(
             "segmenter", PartChoice(name=DEFAULTS["segmenter"])
         )
+
+    @cached_property
+    def selector(self) -> Selector:
+        if "selector" in self._given:
+            return self._given["selector"]
+        parts = {"segmenter": self.segmenter}
+        return self._registry.build_choice("selector", self.config.selector, parts)
+
+    @cached_property
+    def critic(self) -> Critic:
+        return self._build("critic")
 
     def writer(self, name: str) -> Writer:
         """The writer of that name."""

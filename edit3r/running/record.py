@@ -1,23 +1,22 @@
-"""What a run made, as a plain record: what is written, and what `RunResult` shows."""
+"""A finished run in memory: what is written, and what `RunResult` shows."""
 
 from dataclasses import dataclass, field
 
 from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.contract.reporting import Report
 from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
+from edit3r.contract.verdicts import EditVerdict, Verdict
 from edit3r.kit.cache import Cache
 from edit3r.running.config import RunConfig
-from edit3r.running.judging.edit_verdict import EditVerdict
-from edit3r.running.judging.verdict import Verdict
 from edit3r.running.parts import Parts
-from edit3r.running.scene import Scene
+from edit3r.running.records import Masks, Records
 
 
 @dataclass(frozen=True, repr=False)
 class RunRecord:
-    """What a run made, in memory."""
+    """The records of a run's steps, and what made them."""
 
-    scene: Scene = field(repr=False)
+    records: Records = field(repr=False)
     parts: Parts
     report: Report
     cache: Cache  # answers that a further run on the same photos need not compute again
@@ -29,37 +28,42 @@ class RunRecord:
     @property
     def photos(self) -> Views:
         """The views that were used and placed, unedited."""
-        return self.scene.photos
+        return self.records.inputs.photos
 
     @property
     def edited(self) -> Views:
         """The views after the 2D editor and the composite with the masks."""
-        return self.scene.edited
+        return self.records.edit.views
+
+    @property
+    def masks(self) -> Masks | None:
+        """Where pixels might change; None: everywhere."""
+        return self.records.made.masks
 
     @property
     def gaussians(self) -> Gaussians:
         """The edited scene, in the frame of view 0."""
-        return self.scene.gaussians
+        return self.records.gaussians
 
     @property
     def cameras(self) -> Cameras:
-        """Poses of the input views in that frame."""
-        return self.scene.cameras
+        """Poses of the input views in that frame, at the views' size."""
+        return self.records.made.cameras.at(self.photos.image_size)
 
     @property
     def rendered(self) -> Rendering:
         """The scene from the input views."""
-        return self.scene.rendered
+        return self.records.judged.rendered
 
     @property
     def verdict(self) -> Verdict:
         """How well the scene shows the edited images."""
-        return self.scene.verdict
+        return self.records.judged.verdict
 
     @property
     def edit_verdict(self) -> EditVerdict | None:
         """How surely the edit is what was asked for; None where none was."""
-        return self.scene.edit_verdict
+        return self.records.judged.edit_verdict
 
     @property
     def editor(self) -> Editor:

@@ -6,7 +6,14 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, TypedDict
 
-from edit3r.contract.interfaces import Matcher, Rasterizer, Reader, Segmenter
+from edit3r.contract.interfaces import (
+    Critic,
+    Matcher,
+    Rasterizer,
+    Reader,
+    Segmenter,
+    Selector,
+)
 from edit3r.contract.settings import PartChoice
 
 Choice = str | Mapping[str, Any] | PartChoice
@@ -19,7 +26,9 @@ class RunSettings(TypedDict, total=False):
     reader: Choice | Reader
     matcher: Choice | Matcher
     rasterizer: Choice | Rasterizer
+    selector: Choice | Selector
     segmenter: Choice | Segmenter
+    critic: Choice | Critic
     refiners: Sequence[Choice]
     guess: bool
     sure: bool

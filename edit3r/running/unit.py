@@ -7,7 +7,6 @@ own. The factor is a power of two: it changes no other bit.
 """
 
 from dataclasses import replace
-from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -15,56 +14,66 @@ from torch import Tensor
 
 from edit3r.contract.types import Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.cameras import relative_to_first, scale_poses
-from edit3r.running.scene import Scene
+from edit3r.running.records import Inputs, Located, Records
 
 SAME_POSE = 1e-3
 """Most by which poses that were taken over differ from those that were given [mean distances]."""
-VIEWS = ("photos", "start", "edited", "left_out")
-"""Fields of a scene with poses; the first two are there from the beginning."""
 LARGEST = 2.0**100  # factor of a unit; positions have limits of their own
 
 
-def to_own_unit(scene: Scene) -> tuple[Scene, Float[Tensor, "batch"]]:
-    """The scene in its own unit, and by what its lengths were multiplied; 1 without poses."""
-    factor = own_unit(scene.photos)
-    before = scene.before
+def to_own_unit(inputs: Inputs) -> tuple[Inputs, Float[Tensor, "batch"]]:
+    """The inputs in their own unit, and by what lengths were multiplied; 1 without poses."""
+    factor = own_unit(inputs.photos)
+    before = inputs.before
     if before is not None:
-        stands = has_given_poses(before, scene.photos)
+        stands = has_given_poses(before, inputs.photos)
         before = in_unit(before, torch.where(stands, factor, 1.0))
-    moved: dict[str, Any] = {
-        name: _views_in_unit(getattr(scene, name), factor) for name in VIEWS[:2]
-    }
-    return replace(scene, **moved, before=before), factor
+    photos, start = (
+        _views_in_unit(views, factor) for views in (inputs.photos, inputs.start)
+    )
+    return replace(inputs, photos=photos, start=start, before=before), factor
 
 
 def to_given_unit(
-    scene: Scene, factor: Float[Tensor, "batch"], refined: bool = False
-) -> Scene:
+    records: Records, factor: Float[Tensor, "batch"], refined: bool = False
+) -> Records:
     """The scene in the unit of its given poses, if it was made on them (`refined`: or from them).
 
     A reconstructor that looks for poses by itself has a unit of its own, which stays.
     """
     if bool((factor == 1).all()):
-        return scene
+        return records
     back = 1 / factor
-    changes: dict[str, Any] = {}
-    made = scene.reconstruction
-    if made is not None:
-        stands = has_given_poses(made, scene.photos) | refined
-        of_made = torch.where(stands, back, 1.0)
-        changes = {
-            "reconstruction": in_unit(made, of_made),
-            "gaussians": _gaussians_in_unit(scene.gaussians, of_made),
-        }
-        if scene.before is not None:
-            changes["before"] = in_unit(scene.before, of_made)
-        if scene.rendered is not None:
-            depths = _times(scene.rendered.depths, of_made)
-            changes["rendered"] = replace(scene.rendered, depths=depths)
-    for name in VIEWS:
-        if getattr(scene, name) is not None:
-            changes[name] = _views_in_unit(getattr(scene, name), back)
-    return replace(scene, **changes)
+    inputs, made, judged = records.inputs, records.made, records.judged
+    stands = has_given_poses(made.reconstruction, inputs.photos) | refined
+    of_made = torch.where(stands, back, 1.0)
+    depths = judged.rendered.depths
+    if depths is not None:
+        depths = _times(depths, of_made)
+    photos, start, used, edited = (
+        _views_in_unit(views, back)
+        for views in (inputs.photos, inputs.start, made.photos, records.edit.views)
+    )
+    before = None if made.before is None else in_unit(made.before, of_made)
+    reconstruction = in_unit(made.reconstruction, of_made)
+    return replace(
+        records,
+        inputs=replace(inputs, photos=photos, start=start),
+        located=_located_in_unit(records.located, back),
+        edit=replace(records.edit, views=edited),
+        made=replace(made, photos=used, before=before, reconstruction=reconstruction),
+        gaussians=_gaussians_in_unit(records.gaussians, of_made),
+        judged=replace(judged, rendered=replace(judged.rendered, depths=depths)),
+    )
+
+
+def _located_in_unit(located: Located, factor: Float[Tensor, "batch"]) -> Located:
+    geometry = located.geometry
+    if geometry is None:
+        return located
+    c2w = _poses_in_unit(geometry.c2w, factor)
+    depths = _times(geometry.depths, factor)
+    return replace(located, geometry=replace(geometry, c2w=c2w, depths=depths))
 
 
 def own_unit(views: Views) -> Float[Tensor, "batch"]:

@@ -7,7 +7,7 @@ import html
 import io
 import os
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from functools import partial
@@ -22,11 +22,14 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
     DRAWING,
     OtherReadings,
+    Reading,
     SceneToWrite,
     SecondLook,
+    Selected,
     Writer,
 )
 from edit3r.contract.reporting import collecting, note, warn
+from edit3r.contract.types import Views
 from edit3r.kit.checks import check_needs, check_written, errors_named_after
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image, save_pixels, to_bytes
@@ -44,10 +47,11 @@ from edit3r.kit.sheet import draw_sheet, images_of, with_readings
 from edit3r.running.before import colours_before
 from edit3r.running.config import DEFAULTS
 from edit3r.running.earlier import CACHE, THINGS, note_views
-from edit3r.running.judging.verdict import WORST_PSNR
 from edit3r.running.record import RunRecord
-from edit3r.running.scene import Scene
-from edit3r.running.selecting.select import Reading, Selected
+from edit3r.running.records import Preview
+
+FITS = 15.0
+"""PSNR [dB] of a photo in the scene from which the camera path comes near it."""
 
 
 def write_result(root: Path, result: RunRecord) -> None:
@@ -69,7 +73,7 @@ def write_result(root: Path, result: RunRecord) -> None:
         with report.stage("write files"):
             rest.result()
             note_views(result.photos)
-            note("edits", list(result.scene.prompts))
+            note("edits", list(result.records.inputs.prompts))
     write_manifest(folder.manifest, _manifest(result))
 
 
@@ -125,8 +129,7 @@ def _write_by(writers: Iterable[Writer], root: Path, scene: SceneToWrite) -> Non
 
 def _scene(result: RunRecord, flight: Flight | None = None) -> SceneToWrite:
     """What is known of the scene; with `flight`, for writers that draw."""
-    scene = result.scene
-    render = None
+    masks, render = result.masks, None
     if flight is not None:
         render = partial(
             render_each, result.rasterizer, result.gaussians, text="look at the scene"
@@ -137,8 +140,10 @@ def _scene(result: RunRecord, flight: Flight | None = None) -> SceneToWrite:
         names=result.photos.names,
         photos=result.photos,
         edited=result.edited,
-        masks=None if scene.masks is None else scene.masks[0],
-        readings=_other_readings(scene),
+        masks=None if masks is None else masks[0],
+        readings=_other_readings(
+            result.records.selection.selected, result.photos, result.records.made.placed
+        ),
         rendered=result.rendered,
         title=result.config.prompt,
         about=_about(result),
@@ -149,7 +154,8 @@ def _scene(result: RunRecord, flight: Flight | None = None) -> SceneToWrite:
 
 
 def _look_before(result: RunRecord) -> SecondLook:
-    photos, edited = map(result.scene.in_one_light, (result.photos, result.edited))
+    in_one_light = result.records.located.in_one_light
+    photos, edited = map(in_one_light, (result.photos, result.edited))
     colours = colours_before(
         result.gaussians, result.cameras, photos, edited, result.rendered
     )
@@ -169,11 +175,7 @@ def _flight(folder: RunFolder, result: RunRecord) -> Flight:
 def _good_views(result: RunRecord) -> list[int]:
     """View 0 and the views whose photos fit the others; the camera path stays near these."""
     agreement = [psnr for psnr in result.verdict.agreement if psnr is not None]
-    good = [
-        view
-        for view, psnr in enumerate(agreement)
-        if view == 0 or psnr >= WORST_PSNR["fair"]
-    ]
+    good = [view for view, psnr in enumerate(agreement) if view == 0 or psnr >= FITS]
     return good if len(good) > 1 else list(range(result.cameras.count))
 
 
@@ -228,7 +230,7 @@ def _write_images(folder: RunFolder, result: RunRecord) -> None:
 
 def _write_masks(folder: RunFolder, result: RunRecord) -> None:
     """Masks of what was named, which a further edit knows by these names."""
-    things = result.scene.things
+    things = result.records.selection.things
     for place, masks in enumerate(things.values()):
         masks_folder = folder.masks / str(place)
         masks_folder.mkdir()
@@ -247,9 +249,10 @@ def _about(result: RunRecord) -> str:
     )
     if result.edit_verdict is not None:
         line += f", edit: {result.edit_verdict.label}"
-    if result.scene.left_out is not None:
-        line += f"; left out: {', '.join(result.scene.left_out.names)}"
-    return line + _how_sure(result.scene)
+    left_out = result.records.made.left_out
+    if left_out is not None:
+        line += f"; left out: {', '.join(left_out.names)}"
+    return line + _how_sure(result.records.selection.selected)
 
 
 def comparison(result: RunRecord, other: RunRecord) -> Image.Image:
@@ -268,36 +271,39 @@ def comparison(result: RunRecord, other: RunRecord) -> Image.Image:
     return draw_sheet(columns, names=names, subtitle="; ".join(lines))
 
 
-def preview_sheet(scene: Scene, prompt: str) -> Image.Image:
+def preview_sheet(made: Preview, prompt: str) -> Image.Image:
     """The sheet of what `edit3r.running.loop.preview` returns: photos with the outline of what is
     selected, and the 2D edit.
     """
-    masks = None if scene.masks is None else scene.masks[0]
-    columns = {
-        "photo": outlined_views(images_of(scene.photos), masks),
-        "2D edit": images_of(scene.edited),
-    }
+    photos, masks = made.inputs.photos, made.selection.masks
+    outlined = outlined_views(images_of(photos), None if masks is None else masks[0])
+    columns = {"photo": outlined}
+    if made.edit is not None:
+        columns["2D edit"] = images_of(made.edit.views)
     sheet = draw_sheet(
         columns,
-        names=scene.photos.names,
+        names=photos.names,
         title=prompt or "no prompt",
-        subtitle=_preview_line(scene),
+        subtitle=_preview_line(made),
     )
-    return with_readings(sheet, _other_readings(scene))
+    placed = (True,) * photos.count
+    readings = _other_readings(made.selection.selected, photos, placed)
+    return with_readings(sheet, readings)
 
 
-def _other_readings(scene: Scene) -> tuple[OtherReadings, ...]:
-    """What else words may mean, for those that were unsure and on a photo that was placed."""
-    placed = scene.placed or (True,) * scene.photos.count
+def _other_readings(
+    things: Sequence[Selected], photos: Views, placed: Sequence[bool]
+) -> tuple[OtherReadings, ...]:
+    """What else words may mean, for those that were unsure and on one of the placed `photos`."""
     found = []
-    for selected in scene.selected:
+    for selected in things:
         shown = [one for one in selected.readings if placed[one.view]]
         if selected.is_sure or len(shown) < 2:
             continue
         view = sum(placed[: shown[0].view])
         masks = {_chosen_by(one, selected): one.mask for one in shown}
-        photo = images_of(scene.photos)[view]
-        found.append(OtherReadings(photo, scene.photos.names[view], masks))
+        photo = images_of(photos)[view]
+        found.append(OtherReadings(photo, photos.names[view], masks))
     return tuple(found)
 
 
@@ -306,16 +312,17 @@ def _chosen_by(reading: Reading, selected: Selected) -> str:
     return f"--reading {reading.number}{taken}"
 
 
-def _preview_line(scene: Scene) -> str:
-    line = "preview: nothing is reconstructed yet" + _how_sure(scene)
-    if scene.edit_verdict is None:
+def _preview_line(made: Preview) -> str:
+    line = "preview: nothing is reconstructed yet"
+    line += _how_sure(made.selection.selected)
+    if made.edit is None or made.edit.verdict is None:
         return line
-    return f"{line}; edit: {scene.edit_verdict.label}"
+    return f"{line}; edit: {made.edit.verdict.label}"
 
 
-def _how_sure(scene: Scene) -> str:
+def _how_sure(things: Sequence[Selected]) -> str:
     """How surely the words found what they name, where that was by learned words."""
-    unsure = [one.surety for one in scene.selected if (one.surety or 1.0) < 1]
+    unsure = [one.surety for one in things if (one.surety or 1.0) < 1]
     return "".join(f"; selected by words, {surety:.0%} sure" for surety in unsure)
 
 
@@ -343,8 +350,8 @@ def _manifest(result: RunRecord) -> RunManifest:
         device=config.device,
         settings={"run": config.model_dump(), **settings},
         plugins=plugins,
-        inputs=result.scene.records,
-        masks=result.scene.mask_files,
+        inputs=result.records.inputs.files,
+        masks=result.records.inputs.mask_files,
         weights=[WeightsRecord(**facts) for facts in weights.values()],
         verdict=result.verdict,
         edit_verdict=result.edit_verdict,

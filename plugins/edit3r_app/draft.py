@@ -17,9 +17,10 @@ from pydantic import Field, TypeAdapter
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
+from edit3r.contract.interfaces import Box, Selection
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import atomic_write
-from edit3r.running import MAX_GROWTH, MAX_STEPS, Box, Selection, usual_reader
+from edit3r.running import MAX_GROWTH, MAX_STEPS, usual_reader
 from edit3r_app.jobs import JobsFolder
 
 MAX_MARKS = 200

@@ -80,6 +80,8 @@ EXPLAINED = {
 }
 """Settings of the run in words: their label, what they do and cost, and their unit."""
 EXPERT = (
+    "selector",
+    "critic",
     "matcher",
     "rasterizer",
     "reader",

@@ -27,6 +27,7 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.files.home import expanded
 from edit3r.kit.files.names import is_plain_name, unique_names
 from edit3r.kit.photos.images import find_photos, save_image
 
@@ -75,7 +76,7 @@ class JobsFolder:
     """Reads and writes the jobs folder; what is kept of it in memory is asked of the disk anew."""
 
     def __init__(self, root: str | Path) -> None:
-        self.root = Path(root).expanduser().resolve()
+        self.root = expanded(root).resolve()
         self.private = _no_link(self.root / PRIVATE)
         try:
             self.private.mkdir(parents=True, exist_ok=True)

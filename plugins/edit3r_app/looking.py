@@ -7,7 +7,7 @@ import io
 import json
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import (
     CancelledError,
     Future,
@@ -29,10 +29,11 @@ from torch import Tensor
 
 from edit3r import Registry
 from edit3r.contract.errors import Edit3rError, InputError
-from edit3r.contract.interfaces import Geometry, Marks
+from edit3r.contract.interfaces import Geometry, Marks, Reading, Selected, Selection
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
+from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.atomic import atomic_folder, atomic_write
 from edit3r.kit.photos.images import load_photos, save_image, to_bytes
@@ -40,18 +41,15 @@ from edit3r.kit.photos.outline import draw_outline, outlined
 from edit3r.running import (
     CACHE,
     DEFAULTS,
-    EditVerdict,
     Parts,
-    Reading,
+    Preview,
     RunJob,
-    Scene,
-    Selection,
     default_matcher,
     geometry_of,
     make_run_config,
     preview,
     read_views_of_run,
-    select_masks,
+    usual_selector,
 )
 from edit3r_app.draft import DRAFT, Draft
 from edit3r_app.forms import run_settings
@@ -275,15 +273,13 @@ class Looker:
             return None
         view = _place(opened.views, name)
         alone = opened.views.select([view])
-        choice = PartChoice(name=DEFAULTS["segmenter"])
         selection = replace(
             draft.selection(alone),
             grow=draft.outline["grow"],
             inverted=draft.outline["invert"],
         )
         with _working_with(opened.cache), suppress(Edit3rError):
-            segmenter = self.registry.build_choice("segmenter", choice)
-            return select_masks(alone.images[0], selection, segmenter).masks[0, 0]
+            return usual_selector().select(alone, selection).masks[0, 0]
         return None
 
     def reading(self, state: str, draft: Draft, number: int) -> bytes:
@@ -302,9 +298,9 @@ class Looker:
         if look.job is None or not look.is_quick:
             return None
         with self._working:
-            return self._edits(look).edit_verdict
+            return self._edits(look).edit.verdict
 
-    def _edit(self, look: DraftAnswer) -> Scene:
+    def _edit(self, look: DraftAnswer) -> Preview:
         return preview(look.job, self.registry)
 
     def begin_preview(self, look: DraftAnswer, job: str) -> None:
@@ -317,9 +313,9 @@ class Looker:
         folder.mkdir()
         if look.is_quick:  # of slower editors the edit is seen with the result
             with suppress(Edit3rError), self._working:
-                scene = self._edits(look)
-                views = scene.edited
-                _keep_verdict(scene.edit_verdict, folder)
+                made = self._edits(look)
+                views = made.edit.views
+                _keep_verdict(made.edit.verdict, folder)
         for view, name in enumerate(views.names):
             image = views.images[0, view]
             if look.masks is not None:
@@ -434,16 +430,17 @@ class Looker:
         if look.marked is not None:
             marked = Selection(masks=dict(enumerate(look.marked)))
         job = RunJob(parts.config, look.views, masks=marked, cache=cache)
-        scene = preview(job, self.registry, edits=False)
-        sureties = [one.surety for one in scene.selected if one.surety is not None]
+        selection = preview(job, self.registry, edits=False).selection
+        things = selection.selected
+        sureties = [one.surety for one in things if one.surety is not None]
         used = [task.editor.offer.component for task in parts.tasks]
         return replace(
             look,
-            masks=None if scene.masks is None else scene.masks[0],
+            masks=None if selection.masks is None else selection.masks[0],
             job=job,
             surety=min(sureties, default=look.surety),
-            is_sure=look.is_sure and all(one.is_sure for one in scene.selected),
-            readings=look.readings or _readings(scene),
+            is_sure=look.is_sure and all(one.is_sure for one in things),
+            readings=look.readings or _readings(things),
             is_quick=not any(one.weights or one.needs_network for one in used),
         )
 
@@ -461,21 +458,15 @@ def _with_marks(
 ) -> DraftAnswer:
     """What the marks select on every photo."""
     geometry = opened.geometry.result() if opened.geometry.done() else None
-    images = look.views.images[0]
-    found = select_masks(
-        images,
-        draft.selection(look.views),
-        parts.segmenter,
-        geometry=geometry,
-        intrinsics=look.views.intrinsics,
-    )
+    selector = parts.selector
+    found = selector.select(look.views, draft.selection(look.views), geometry)
     marked = found.masks[:, 0]
     outline = Selection(
         masks=dict(enumerate(marked)),
         grow=parts.config.grow,
         inverted=parts.config.invert,
     )
-    masks = select_masks(images, outline, parts.segmenter).masks[:, 0]
+    masks = selector.select(look.views, outline).masks[:, 0]
     return replace(
         look,
         marked=marked,
@@ -486,9 +477,9 @@ def _with_marks(
     )
 
 
-def _readings(scene: Scene) -> tuple[Reading, ...]:
+def _readings(things: Sequence[Selected]) -> tuple[Reading, ...]:
     """What else words may mean, where they were unsure."""
-    return next((one.readings for one in scene.selected if one.readings), ())
+    return next((one.readings for one in things if one.readings), ())
 
 
 def _said(done: Future) -> None:

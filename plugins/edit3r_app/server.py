@@ -365,7 +365,7 @@ def _jpeg(content: bytes) -> Response:
 
 @lru_cache(maxsize=512)
 def _small(photo: Path, changed: int) -> bytes:
-    image = read_image(photo)
+    image = read_image(photo, THUMBNAIL)
     image.thumbnail((THUMBNAIL, THUMBNAIL))
     content = io.BytesIO()
     image.save(content, "JPEG", quality=85)

@@ -94,7 +94,7 @@ def accept(folder: JobsFolder, scene: str, name: str, draft: Path) -> Path:
     label = Path(_label(name))
     try:
         if label.suffix.lower() not in VIDEO_SUFFIXES:
-            decode(draft)
+            decode(draft, 1)
             return _keep(folder, scene, label.name, draft)
         if not _is_video(draft):  # such as a list of other files
             raise InputError(f"{draft}: not a video that can be read.")

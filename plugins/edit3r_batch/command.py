@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError, RunError, SettingsError
 from edit3r.kit.command.flags import add_trust_flag
+from edit3r.kit.files.home import expanded
 
 if TYPE_CHECKING:
     from edit3r.kit.workers import Progress, Workers
@@ -110,9 +111,9 @@ class BatchCommand(Command):
         from edit3r import default_registry
         from edit3r.contract.reporting import Report, collecting
         from edit3r.contract.settings import merge
+        from edit3r.contract.verdicts import LABELS
         from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.configs import parse_assignments, read_config
-        from edit3r.running import LABELS
         from edit3r_batch.jobs import read_jobs
 
         workers = _workers(args)
@@ -126,7 +127,7 @@ class BatchCommand(Command):
         registry = default_registry(args.plugin)
         with StageConsole(args.quiet) as console, collecting(Report(on_event=console)):
             jobs = read_jobs(Path(args.jobs), defaults, registry, args.trust_config)
-        out = Path(args.out).expanduser().resolve()
+        out = expanded(args.out).resolve()
         done = _done(jobs, out, args)
         try:
             out.mkdir(parents=True, exist_ok=True)
@@ -268,7 +269,7 @@ def _run(
 
 def _known_row(row: dict[str, Any]) -> dict[str, Any]:
     """A row as it is shown; one of something else is an error here."""
-    from edit3r.running import LABELS
+    from edit3r.contract.verdicts import LABELS
 
     if "failure" not in row:
         LABELS.index(row["verdict"])

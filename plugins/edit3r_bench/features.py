@@ -16,6 +16,7 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.kit.compute.perceptual import efficientnet_input, frozen_efficientnet
+from edit3r.kit.files.home import expanded
 from edit3r.kit.weights.load import ChosenWeights, foreign, load_pretrained
 from edit3r_bench.metrics import Features
 
@@ -53,7 +54,7 @@ class InceptionFeatures:
     suffix = ""  # of the metrics' names: FID and KID themselves
 
     def __init__(self, file: str | Path) -> None:
-        path = Path(file).expanduser()
+        path = expanded(file)
         if not path.is_file():
             raise InputError(
                 f"{path}: no such file; expected the TorchScript inception-2015-12-05.pt."

@@ -17,6 +17,7 @@ from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
+from edit3r.kit.files.home import expanded
 from edit3r.kit.photos.framing import frame_for
 from edit3r.kit.photos.images import find_photos, read_image, to_bytes
 from edit3r.kit.photos.mask_files import photo_named
@@ -105,7 +106,7 @@ def _images_in(path: str) -> list[Path]:
             "editor.path: the editor 'folder' needs a folder, for example --set "
             "editor.path=edited/."
         )
-    folder = Path(path).expanduser()
+    folder = expanded(path)
     if not folder.is_dir():
         raise InputError(f"editor.path: {path!r} is not a folder.")
     return find_photos(folder)

@@ -4,7 +4,6 @@ views in one pass.
 
 import math
 import warnings
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -21,6 +20,7 @@ from edit3r.contract.types import Views
 from edit3r.contract.weights import Weights
 from edit3r.kit.cache import remembered
 from edit3r.kit.checks import require_matchable
+from edit3r.kit.files.home import expanded
 from edit3r.kit.geometry.cameras import from_pixels, invert_rigid, relative_to_first
 from edit3r.kit.geometry.maps import resize, upsample_depth
 from edit3r.kit.weights.find import find, record_of
@@ -113,7 +113,7 @@ def _load(model: str, weights: str) -> nn.Module:
     file = (
         None
         if weights == "untrained"
-        else Path(weights or find(_declared(model)) / "model.safetensors").expanduser()
+        else expanded(weights or find(_declared(model)) / "model.safetensors")
     )
     if file is not None and not file.is_file():
         raise InputError(

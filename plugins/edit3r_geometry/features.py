@@ -22,6 +22,7 @@ from edit3r_geometry import ALIKED
 from edit3r_geometry.cameras import CalibratedImage, rays_through
 from edit3r_geometry.keypoints import Keypoints
 from edit3r_geometry.relative_pose import Matches
+from edit3r_geometry.standing import without_standing
 
 __all__ = [
     "ENOUGH_MATCHES",
@@ -171,6 +172,7 @@ def find_features(
         (a, b): match(compared[a], compared[b], settings.ratio)
         for a, b in track(pairs, "match photos")
     }
+    matches = without_standing(keypoints, matches, images)
     found = FoundFeatures(keypoints, matches)
     asked = settings.matches == "learned"
     if settings.matches == "sift" or not (asked or len(images) <= MAX_LEARNED):

@@ -244,7 +244,7 @@ def _writers() -> dict[str, Component]:
 def _sent(path: Path) -> Image:
     """An image in the size and form in which assistants take it."""
     content = io.BytesIO()
-    image = read_image(path)
+    image = read_image(path, MAX_SIDE)
     image.thumbnail((MAX_SIDE, MAX_SIDE))
     image.save(content, "JPEG", quality=90)
     return Image(data=content.getvalue(), format="jpeg")

@@ -29,8 +29,8 @@ def measure(asked: Evaluation, registry: Registry, report: Report) -> list[Scene
     reconstructor, matcher, rasterizer = (
         registry.build_choice(kind, getattr(asked, kind)) for kind in PARTS
     )
-    tools = WithMatcher(reconstructor, matcher), rasterizer
     require_gives(rasterizer, asked.rasterizer.name, *RENDERED, who="evaluate")
+    tools = WithMatcher(reconstructor, matcher), rasterizer
     if asked.index:
         kind = "protocol"
         distance = "lpips" if asked.lpips else "perceptual"

@@ -3,13 +3,17 @@
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from edit3r.contract.errors import PromptError
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.types import EditRequest, Gaussians, Views
-from edit3r.kit.geometry.harmonics import basis, colour_to_dc, dc_to_colour
+from edit3r.kit.geometry.harmonics import (
+    colour_to_dc,
+    dc_to_colour,
+    turn_harmonics,
+)
 from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
 from edit3r.running import usual_reader
 
@@ -60,22 +64,6 @@ def turned(gaussians: Gaussians, chosen: Chosen, degrees: float) -> Gaussians:
     for name, values in changes.items():
         new[name][:, chosen] = values
     return replace(gaussians, **new)
-
-
-def turn_harmonics(
-    harmonics: Float[Tensor, "*batch coefficient 3"], rotation: Float[Tensor, "3 3"]
-) -> Float[Tensor, "*batch coefficient 3"]:
-    """Harmonics that show in direction R d what the given ones show in d.
-
-    Solved for on more directions than coefficients: B(d) h' = B(R^-1 d) h, where B is the basis.
-    """
-    degree = round(harmonics.shape[-2] ** 0.5) - 1
-    generator = torch.Generator().manual_seed(0)
-    directions = torch.randn(100, 3, generator=generator, dtype=torch.float64)
-    directions = torch.nn.functional.normalize(directions, dim=-1)
-    before = basis(directions @ rotation.double(), degree)
-    matrix = torch.linalg.pinv(basis(directions, degree)) @ before
-    return matrix.to(harmonics) @ harmonics
 
 
 def painted(

@@ -26,16 +26,17 @@ from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.scenes.read import load_scene
 from edit3r.kit.sheet import draw_sheet
 from edit3r.running import (
-    MIN_AREA,
     MarkTexts,
     default_matcher,
     read_earlier_run,
     select_with,
+    usual_selector,
 )
 from edit3r_objects.finding import find_things, usual_tools
 from edit3r_objects.lifting import lift, lift_all
 
 MAX_NAME = 80
+SMALLEST = 2e-4  # share of a view from which an object shows in it
 NEW = 0.5  # share of a found thing that no object has, for it to be one
 MAX_INDEX = 2**31 - 1  # of an object
 PHOTOS = ("inputs", "edited", "masks")  # true only while the scene looks as it did
@@ -133,7 +134,7 @@ def describe(run: Run, rasterizer: Rasterizer) -> list[str]:
         shown = [
             view
             for place, view in enumerate(run.views)
-            if _area(run, name, place, rasterizer) > MIN_AREA * height * width
+            if _area(run, name, place, rasterizer) > SMALLEST * height * width
         ]
         centre = " ".join(f"{value:.3g}" for value in (low + high) / 2)
         extent = " ".join(f"{value:.3g}" for value in high - low)
@@ -234,7 +235,7 @@ def _masks(run: Run, args: argparse.Namespace) -> Tensor:
     )
     segmenter = default_registry().build("segmenter", "auto")
     matcher = default_matcher(default_registry())
-    return select_with(views, marks, segmenter, matcher).masks[0]
+    return select_with(views, marks, usual_selector(segmenter), matcher).masks[0]
 
 
 def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None:

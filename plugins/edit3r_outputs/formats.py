@@ -1,16 +1,19 @@
 """The Gaussians in the formats of other programs, most of them by gaussforge."""
 
+import math
 import tempfile
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import SceneToWrite, Writer
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Gaussians
+from edit3r.kit.scenes.axes import LEAST_OPACITY, UP_AND_BACK, flipped
 from edit3r.kit.scenes.placement import (
     PLACED,
     FilePlacement,
@@ -26,6 +29,22 @@ STEPS = 1024  # of an axis of a box
 MANY_OFF = 0.02  # share of the Gaussians that may miss their place without a word
 STRAY = 0.005  # share on each side of an axis that may be strays
 CELL_BITS = 12  # of an axis, by which neighbours are found
+MANY_CLIPPED = 0.01  # share of the Gaussians whose colours may be cut without a word
+
+
+@dataclass(frozen=True)
+class Held:
+    """The most that a format can say."""
+
+    size: float  # of a Gaussian
+    plain: float  # harmonics of degree 0
+    further: float  # and of the degrees above
+
+
+_HELD = {
+    "spz": Held(math.exp(5.9375), 10 / 3, 1.0),
+    "compressed.ply": Held(math.exp(20), math.inf, 4.0),
+}
 
 
 class PlyWriter(Writer):
@@ -83,11 +102,15 @@ def _write(path: Path, gaussians: Gaussians, form: str, spz_version: int = 3) ->
                 f"{form}: {every - gaussians.count:,} Gaussians lie too far from the rest for "
                 "this format and are left out."
             )
+    in_file = placed(gaussians, placement)
+    _tell_of_clipping(in_file, form)
+    if form == "spz":  # whose axes gaussforge leaves to those who use it
+        in_file = flipped(in_file, UP_AND_BACK)
     if form == "compressed.ply":
-        gaussians = _by_colour(_in_chunks(gaussians))
+        in_file = _by_colour(_in_chunks(in_file))
     with tempfile.TemporaryDirectory() as scratch:
         plain, made = Path(scratch) / "scene.ply", Path(scratch) / "made"
-        save_ply(plain, placed(gaussians, placement), degree=VIEWER_DEGREE)
+        save_ply(plain, in_file, degree=VIEWER_DEGREE)
         convert(plain, made, "ply", form, spz_version=spz_version)
         content = made.read_bytes()
     if placement != FilePlacement():
@@ -101,7 +124,12 @@ def _write(path: Path, gaussians: Gaussians, form: str, spz_version: int = 3) ->
 
 
 def tell_of_losses(gaussians: Gaussians, form: str) -> None:
-    """A line for each thing that the scene has and the file will not."""
+    """A line for each thing that the scene has and the file will not.
+
+    Raises InputError for a scene without Gaussians.
+    """
+    if not gaussians.count:
+        raise InputError(f"{form}: the scene has no Gaussians to write.")
     most = 0 if form == "splat" else VIEWER_DEGREE
     kept = f"only degree {most} of it is kept" if most else "it is dropped"
     if gaussians.degree > most:
@@ -113,6 +141,29 @@ def tell_of_losses(gaussians: Gaussians, form: str) -> None:
     for name in (name for name, values in lost.items() if values is not None):
         if form != "ply":
             warn(f"{form}: has no place for {name}, which are dropped.")
+
+
+def _tell_of_clipping(gaussians: Gaussians, form: str) -> None:
+    """Warn of sizes and colours that the format cuts to what it holds."""
+    most = _HELD.get(form)
+    if most is None:
+        return
+    drawn = gaussians.opacities[0] >= LEAST_OPACITY
+    large = int((gaussians.scales[0].amax(1) > most.size)[drawn].sum())
+    if large:
+        warn(
+            f"{form}: {large:,} Gaussians are larger than it can say ({most.size:.3g} in the "
+            "file's unit) and become that large."
+        )
+    plain, further = gaussians.harmonics[0, drawn].abs().tensor_split((1,), 1)
+    beyond = (plain > most.plain).flatten(1).any(1) | (further > most.further).flatten(
+        1
+    ).any(1)
+    if beyond.float().sum() > MANY_CLIPPED * len(beyond):
+        warn(
+            f"{form}: the colours of {int(beyond.sum()):,} Gaussians go beyond what it can say "
+            "and are cut to that."
+        )
 
 
 def _by_colour(gaussians: Gaussians) -> Gaussians:

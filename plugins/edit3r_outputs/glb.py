@@ -12,7 +12,8 @@ from edit3r.contract.types import Gaussians
 from edit3r.kit.compute.colour import srgb_to_linear
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.geometry.rotations import normalise_quats
-from edit3r.kit.scenes.glb import FLOAT, OWN, TURN, turned_signs
+from edit3r.kit.scenes.axes import UP_AND_BACK, flipped
+from edit3r.kit.scenes.glb import FLOAT, OWN
 from edit3r.kit.scenes.ply import SMALLEST_SCALE, VIEWER_DEGREE
 from edit3r_outputs.formats import tell_of_losses
 
@@ -32,19 +33,17 @@ def _glb(gaussians: Gaussians) -> bytes:
     All is turned from the frame of view 0 (y down, z forward) to that of glTF (y up, z backward),
     and no node has a rotation, since programs need not apply one to harmonics.
     """
-    columns = gaussians.to("cpu")
+    columns = flipped(gaussians.to("cpu"), UP_AND_BACK)
     w, x, y, z = normalise_quats(columns.quats[0]).unbind(-1)
     harmonics = columns.harmonics[0, :, : (VIEWER_DEGREE + 1) ** 2]
     plain = dc_to_colour(harmonics[:, 0]).clamp(0, 1)
     opacities = columns.opacities[0].clamp(0, 1)
-    degree = round(harmonics.shape[1] ** 0.5) - 1
-    harmonics = harmonics * turned_signs(degree)[:, None]
     own = OWN
     attributes = {
-        "POSITION": columns.means[0] * TURN,
+        "POSITION": columns.means[0],
         # linear, as glTF wants it
         "COLOR_0": torch.column_stack((srgb_to_linear(plain), opacities)),
-        f"{own}:ROTATION": torch.stack((w, -z, y, -x), -1),  # half a turn first; xyzw
+        f"{own}:ROTATION": torch.stack((x, y, z, w), -1),
         f"{own}:SCALE": columns.scales[0].clamp(min=SMALLEST_SCALE),
         f"{own}:OPACITY": opacities,
     }

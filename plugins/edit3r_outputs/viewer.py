@@ -27,7 +27,7 @@ from edit3r.kit.geometry.cameras import to_pixels
 from edit3r.kit.geometry.gravity import up_direction
 from edit3r.kit.geometry.harmonics import C1, C2, C3, C4, dc_to_colour
 from edit3r.kit.geometry.rotations import normalise_quats
-from edit3r.kit.scenes.ply import LEAST_OPACITY
+from edit3r.kit.scenes.axes import LEAST_OPACITY
 
 EASY_GAUSSIANS = 1_500_000  # six photos of 512 pixels; more are slow to sort
 MIN_STEP = 0.01  # of a harmonic; it changes a colour by less than a step of 8 bits

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.files.home import expanded
 from edit3r_remote.service import Answer, Request
 
 
@@ -13,7 +14,7 @@ class AnswerCache:
     """Answers by a hash of their request; without a folder, nothing is kept."""
 
     def __init__(self, folder: str) -> None:
-        self.folder = Path(folder).expanduser() if folder else None
+        self.folder = expanded(folder) if folder else None
 
     def key(self, request: Request, asked: dict[str, Any]) -> str:
         """Hash all that decides an answer; `asked` is what else the service was told."""

@@ -80,7 +80,13 @@ class MaskCommand(Command):
         from edit3r.kit.files.atomic import atomic_folder, check_apart
         from edit3r.kit.files.configs import parse_assignments
         from edit3r.kit.photos.images import load_photos
-        from edit3r.running import CACHE, MarkTexts, default_matcher, select_with
+        from edit3r.running import (
+            CACHE,
+            MarkTexts,
+            default_matcher,
+            select_with,
+            usual_selector,
+        )
 
         check_apart(args.out, *map(Path, (*args.images, *args.mask)))
         given = parse_assignments(args.set)
@@ -122,7 +128,7 @@ class MaskCommand(Command):
                 )
             views = photos.views
             with report.stage("select"):
-                chosen = select_with(views, marks, segmenter, matcher)
+                chosen = select_with(views, marks, usual_selector(segmenter), matcher)
             with atomic_folder(args.out, args.overwrite) as folder:
                 for name, mask in zip(views.names, chosen.masks[0]):
                     _save(mask[None].expand(3, -1, -1), folder / f"{name}_mask.png")

@@ -8,11 +8,13 @@ mask generator is here.
 
 import importlib
 from abc import abstractmethod
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any, ClassVar
 
 import cv2
+import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
@@ -145,22 +147,8 @@ class SamSegmenter(Segmenter):
             x, y, w, h = as_proposal(marks.prior).box
             box = (x / width, y / height, w / width, h / height) if w else None
         model = self._model(self.image_class, image.device)
-        prompts: dict[str, Tensor] = {}
-        if points:
-            prompts["input_points"] = image.new_tensor(
-                [[[list(point) for point in points]]]
-            )
-        if box is not None:
-            x, y, w, h = box
-            prompts["input_boxes"] = image.new_tensor([[[x, y, x + w, y + h]]])
-        side = model.config.prompt_encoder_config.image_size
-        prompts = {
-            name: (side * prompt).to(model.device, model.dtype)
-            for name, prompt in prompts.items()
-        }
-        if points:
-            on = [[[1] * len(marks.inside) + [0] * len(marks.negative)]]
-            prompts["input_labels"] = torch.tensor(on, device=model.device)
+        on = [True] * len(marks.inside) + [False] * len(marks.negative)
+        prompts = self._prompts(model, points, on, box)
         # one point may mean a part or the whole: ask for all three
         ambiguous = (len(points) == 1 and box is None) or marks.larger != 0
         with torch.no_grad(), self._memory("segmenting"):
@@ -176,6 +164,54 @@ class SamSegmenter(Segmenter):
                 0
             ]
         return proposal(logits, float(output.iou_scores[0, 0, best]))
+
+    def ask(
+        self,
+        image: Float[Tensor, "3 height width"],
+        clicks: Sequence[tuple[tuple[float, float], bool]],
+        box: tuple[float, float, float, float] | None = None,
+        before: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Its three masks for clicks (and whether the object is there) and a box, and for the
+        logits `[h, w]` of an answer `before`, which cover the image.
+
+        Returns logits `[3, h, w]` at the network's own resolution, which cover the image, and
+        their predicted IoU `[3]`.
+        """
+        model = self._model(self.image_class, image.device)
+        places, on = [place for place, _ in clicks], [inside for _, inside in clicks]
+        prompts = self._prompts(model, places, on, box)
+        if before is not None:
+            mask = torch.from_numpy(np.float32(before))[None, None]
+            prompts["input_masks"] = mask.to(model.device, model.dtype)
+        with torch.no_grad(), self._memory("segmenting"):
+            output = model(image_embeddings=self._embed(model, image), **prompts)
+        logits, quality = output.pred_masks[0, 0], output.iou_scores[0, 0]
+        return logits.float().numpy(force=True), quality.float().numpy(force=True)
+
+    def _prompts(
+        self,
+        model: Any,
+        points: Sequence[tuple[float, float]],
+        on: Sequence[bool],
+        box: tuple[float, float, float, float] | None,
+    ) -> dict[str, Tensor]:
+        """Points, whether the object is there, and a box, as the network takes them."""
+        side = model.config.prompt_encoder_config.image_size
+        like = {"device": model.device, "dtype": model.dtype}
+        prompts: dict[str, Tensor] = {}
+        if points:
+            places = [[[list(point) for point in points]]]
+            prompts["input_points"] = side * torch.tensor(places, **like)
+            prompts["input_labels"] = torch.tensor(
+                [[[int(one) for one in on]]], device=model.device
+            )
+        if box is not None:
+            x, y, w, h = box
+            prompts["input_boxes"] = side * torch.tensor(
+                [[[x, y, x + w, y + h]]], **like
+            )
+        return prompts
 
     @remembered
     def track(

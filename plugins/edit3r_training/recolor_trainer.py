@@ -30,7 +30,7 @@ from edit3r.contract.interfaces import (
     TrainingJob,
 )
 from edit3r.contract.settings import Index, NonNegative, Share
-from edit3r.contract.types import Cameras, Gaussians, Reconstruction
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering
 from edit3r.kit.reconstructing import WithMatcher
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import TrainingBatch, Unit, make_batch
@@ -249,10 +249,24 @@ class RecolorRecipe(Recipe):
         dropped = draw < chosen.drop_first
         shown = gaussians.without_view(0) if dropped else gaussians
         first = int(dropped) if chosen.render_context else batch.source.count
-        cameras, wished = _supervised_views(batch, first)
-        rendered = self.job.rasterizer.render(shown, cameras).images
-        reference = self._reference(batch, made)
-        inputs = LossInputs(rendered, wished, gaussians, reference)
+        cameras, wished, depths = _supervised_views(batch, first)
+        drawn = self.job.rasterizer.render(shown, cameras)
+
+        def render(wanted: Cameras) -> Rendering:
+            if wanted is cameras:
+                return drawn
+            return self.job.rasterizer.render(shown, wanted)
+
+        inputs = LossInputs(
+            rendered=drawn.images,
+            target=wished,
+            gaussians=gaussians,
+            reference=self._reference(batch, made),
+            cameras=cameras,
+            depths=depths,
+            render=render,
+            geometry=batch.geometry,
+        )
         return {
             name: weight * loss(inputs)
             for name, (weight, loss) in self.job.losses.items()
@@ -261,8 +275,14 @@ class RecolorRecipe(Recipe):
 
 def _supervised_views(
     batch: TrainingBatch, first: int
-) -> tuple[Cameras, Float[Tensor, "batch view 3 height width"]]:
-    """Cameras and wished images of the context views from `first` on and of the target views."""
+) -> tuple[
+    Cameras,
+    Float[Tensor, "batch view 3 height width"],
+    Float[Tensor, "batch view height width"] | None,
+]:
+    """Cameras, wished images and true depths of the context views from `first` on and of the target
+    views, whose depths nobody knows.
+    """
     context, target = batch.context_cameras, batch.target_cameras
     kept = context.select(range(first, context.count))
     cameras = Cameras(
@@ -270,7 +290,15 @@ def _supervised_views(
         torch.cat((kept.intrinsics, target.intrinsics), 1),
         context.image_size,
     )
-    return cameras, torch.cat((batch.truth[:, first:], batch.target), 1)
+    wished = torch.cat((batch.truth[:, first:], batch.target), 1)
+    if batch.depths is None:
+        return cameras, wished, None
+    depths = wished.new_zeros(*wished.shape[:2], *wished.shape[3:])
+    known = batch.depths[:, first:]
+    if batch.reshaped is not None:
+        known = known * ~batch.reshaped[:, first:]
+    depths[:, : known.shape[1]] = known
+    return cameras, wished, depths
 
 
 class GeometricReference:

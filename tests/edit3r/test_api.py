@@ -53,15 +53,13 @@ def test_a_masked_edit_with_given_cameras_is_edited_again(posed, tmp_path):
         @ sample.context_cameras.c2w[0, 1]
     )
     assert torch.allclose(first.cameras.c2w[0, 1], true, atol=1e-5)
-    outside = first.scene.masks[0] == 0
+    outside = first.masks[0] == 0
     photos, edited = first.photos.images[0], first.edited.images[0]
     assert torch.equal(photos.movedim(1, -1)[outside], edited.movedim(1, -1)[outside])
 
-    marks = edit3r.Selection(
-        masks={0: 1 - first.scene.masks[0, 0], 1: 1 - first.scene.masks[0, 1]}
-    )
+    marks = edit3r.Selection(masks={0: 1 - first.masks[0, 0], 1: 1 - first.masks[0, 1]})
     second = edit3r.run(prompt="make it blue", earlier=first, masks=marks, **QUICK)
-    assert second.scene.prompts == ("make it red", "make it blue")
+    assert second.records.inputs.prompts == ("make it red", "make it blue")
     assert torch.equal(second.cameras.c2w, first.cameras.c2w)
     assert torch.equal(second.photos.images, first.photos.images)
     kept = second.edited.images[0].movedim(1, -1)[~outside]
@@ -71,7 +69,10 @@ def test_a_masked_edit_with_given_cameras_is_edited_again(posed, tmp_path):
     third = edit3r.run(
         prompt="make it darker", earlier=second.save(tmp_path / "second"), **QUICK
     )
-    assert third.scene.prompts[-1] == "make it darker" and len(third.scene.prompts) == 3
+    assert (
+        third.records.inputs.prompts[-1] == "make it darker"
+        and len(third.records.inputs.prompts) == 3
+    )
 
 
 def test_mask_files_and_a_preset_stand_in_the_manifest(posed, tmp_path):

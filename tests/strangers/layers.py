@@ -19,20 +19,18 @@ class LayersHead(GaussianHead):
         self.out = torch.nn.Linear(backbone.feature_widths[-1], 6 * 16**2)
 
     def forward(self, features, images, source, geometry):
-        batch, views, _, height, width = images.shape
+        views, _, height, width = images.shape[1:]
         raw = self.out(features.levels[-1]).mT.unflatten(-1, features.grid)
         raw = pixel_shuffle(raw, 16).movedim(2, -1)  # [B, V, H, W, 6]
-        depth = 1 + softplus(raw[..., :3]).cumsum(-1)
-        rays = pixel_rays(source.intrinsics, (height, width))[..., None, :]
-        means = rays * depth[..., None]
-        scales = (depth / width)[..., None].expand_as(means)
-        quats = torch.eye(1, 4).expand(*depth.shape, 4)
+        depth = (1 + softplus(raw[..., :3]).cumsum(-1))[..., None]
+        means = depth * pixel_rays(source.intrinsics, (height, width))[..., None, :]
+        scales = (depth / width).expand_as(means)
+        quats = torch.eye(1, 4).expand(*depth.shape[:-1], 4)
+        harmonics = colour_to_dc(images.movedim(2, -1)).flatten(1, 3)[:, :, None]
         return Gaussians(
-            *(x.reshape(batch, -1, x.shape[-1]) for x in (means, scales, quats)),
+            *(x.flatten(1, 4) for x in (means, scales, quats)),
             raw[..., 3:].sigmoid().flatten(1),
-            colour_to_dc(images.movedim(2, -1))
-            .reshape(batch, -1, 1, 3)
-            .repeat_interleave(3, 1),
+            harmonics.repeat_interleave(3, 1),
             torch.arange(views).repeat_interleave(height * width * 3),
         )
 

@@ -18,6 +18,7 @@ from edit3r.contract.interfaces.editing import (
     GivesAttention,
     StartsFromImages,
 )
+from edit3r.contract.interfaces.judging import Critic, EditToJudge, SceneToJudge
 from edit3r.contract.interfaces.reading import Reader
 from edit3r.contract.interfaces.reconstruction import (
     Backbone,
@@ -44,6 +45,16 @@ from edit3r.contract.interfaces.selecting import (
     Segmenter,
     Tracks,
     as_proposal,
+)
+from edit3r.contract.interfaces.selection import (
+    ASK,
+    BACKGROUND,
+    SURE,
+    Box,
+    Reading,
+    Selected,
+    Selection,
+    Selector,
 )
 from edit3r.contract.interfaces.training import (
     Dataset,
@@ -72,6 +83,7 @@ INTERFACES: dict[str, type] = {
     "editor": Editor,
     "segmenter": Segmenter,
     "detector": Detector,
+    "selector": Selector,
     "reconstructor": Reconstructor,
     "backbone": Backbone,
     "head": GaussianHead,
@@ -81,23 +93,30 @@ INTERFACES: dict[str, type] = {
     "dataset": Dataset,
     "trainer": Trainer,
     "refiner": Refiner,
+    "critic": Critic,
     "writer": Writer,
     "command": Command,
 }
 """The interface of each kind, for checks and documentation."""
 
 __all__ = [
+    "ASK",
+    "BACKGROUND",
     "DRAWING",
     "INTERFACES",
+    "SURE",
     "Backbone",
+    "Box",
     "ChangesShape",
     "Command",
     "ComparesWithBefore",
     "ConditionedOnDepth",
     "Configured",
+    "Critic",
     "Dataset",
     "Detection",
     "Detector",
+    "EditToJudge",
     "Editor",
     "EditsRegions",
     "EditsViews",
@@ -115,14 +134,19 @@ __all__ = [
     "Proposal",
     "Rasterizer",
     "Reader",
+    "Reading",
     "Reconstructor",
     "RefineInputs",
     "Refiner",
     "Relief",
     "SceneSample",
+    "SceneToJudge",
     "SceneToWrite",
     "SecondLook",
     "Segmenter",
+    "Selected",
+    "Selection",
+    "Selector",
     "StartsFromImages",
     "Tracks",
     "Trainer",

@@ -2,12 +2,14 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.interfaces.base import Configured
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import DC, Cameras, Gaussians, Rendering, Views
 
 
@@ -20,6 +22,11 @@ class Rasterizer(Configured, ABC):
     work.
     """
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name in {"render", "contributions"} & vars(cls).keys():
+            setattr(cls, name, in_usual_torch(getattr(cls, name)))
+
     @abstractmethod
     def render(self, gaussians: Gaussians, cameras: Cameras) -> Rendering:
         """What it `gives` of every camera of every scene."""
@@ -31,6 +38,7 @@ class Rasterizer(Configured, ABC):
         will be on, such as 'cpu'. This default does nothing.
         """
 
+    @in_usual_torch
     def contributions(
         self,
         gaussians: Gaussians,

@@ -1,7 +1,7 @@
 """Losses, datasets and trainers."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,9 +11,13 @@ from torch import Tensor
 from torch.utils import data
 
 from edit3r.contract.interfaces.base import Configured
-from edit3r.contract.interfaces.reconstruction import Matcher, Reconstructor
+from edit3r.contract.interfaces.reconstruction import (
+    Geometry,
+    Matcher,
+    Reconstructor,
+)
 from edit3r.contract.interfaces.rendering import Rasterizer
-from edit3r.contract.types import Cameras, Gaussians
+from edit3r.contract.types import Cameras, Gaussians, Rendering
 
 
 @dataclass(frozen=True)
@@ -27,6 +31,14 @@ class LossInputs:
     gaussians: Gaussians | None = None  # the prediction
     # the frozen reconstructor's answer for the unedited photos, Gaussian by Gaussian
     reference: Gaussians | None = None
+    cameras: Cameras | None = None  # of `rendered`, in the frame of `gaussians`
+    # true camera z that `cameras` see, 0 where nobody knows it
+    depths: Float[Tensor, "batch view height width"] | None = None
+    # what `rendered` shows from any cameras, all that the rasterizer gives, differentiable; from
+    # `cameras` themselves nothing is drawn again
+    render: Callable[[Cameras], Rendering] | None = None
+    # poses and depths of the input views, as a matcher reads them, in the unit of `cameras`
+    geometry: Geometry | None = None
 
 
 class Loss(Configured, ABC):

@@ -73,13 +73,12 @@ class _ForgivingCache(numba.core.caching.FunctionCache):
     Raises RuntimeError where there is no folder for it whose full path is known.
     """
 
-    def __init__(self, function: Callable) -> None:
-        super().__init__(function)
-        if not os.path.isabs(self.cache_path):
-            # Its files are pickles, and the current folder may be a stranger's.
-            raise RuntimeError(
-                "the folder for compiled code depends on the current one"
-            )
+    class _impl_class(numba.core.caching.CompileResultCacheImpl):
+        @property
+        def _locator_classes(self) -> list[type]:
+            return [
+                _whole(one) for one in numba.core.caching.CacheImpl._locator_classes
+            ]
 
     def holds_code(self) -> bool:
         """Whether there is code of the function's present source."""
@@ -102,6 +101,20 @@ class _ForgivingCache(numba.core.caching.FunctionCache):
     def save_overload(self, sig: Any, data: Any) -> None:
         with suppress(OSError):  # a full disk, or a folder that became read-only
             super().save_overload(sig, data)
+
+
+def _whole(locator: type) -> type:
+    """A way to find a folder for compiled code, which never finds one that depends on the current
+    folder: its files are pickles, and the current folder may be a stranger's.
+    """
+
+    class Whole(locator):
+        def ensure_cache_path(self) -> None:
+            if not os.path.isabs(self.get_cache_path()):
+                raise OSError("the folder for compiled code depends on the current one")
+            super().ensure_cache_path()
+
+    return Whole
 
 
 class _NoCache(numba.core.caching.NullCache):

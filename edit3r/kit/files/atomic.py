@@ -22,6 +22,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from edit3r.contract.errors import InputError, RunError
+from edit3r.kit.files.home import expanded
 from edit3r.kit.files.text import read_plain
 
 __all__ = [
@@ -229,7 +230,7 @@ def sha256_of(path: Path) -> str:
 
 def _resolved(out: str | Path) -> Path:
     try:
-        final = Path(out).expanduser().resolve()
+        final = expanded(out).resolve()
         final.exists()
     except (OSError, ValueError, RuntimeError) as error:
         # Too long, a null byte, links in a circle, no home.

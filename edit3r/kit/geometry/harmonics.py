@@ -95,3 +95,19 @@ def colour_to_dc(colours: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"
 def dc_to_colour(dc: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
     """Inverse of `colour_to_dc`, not clipped."""
     return dc * DC + 0.5
+
+
+def turn_harmonics(
+    harmonics: Float[Tensor, "*batch coefficient 3"], rotation: Float[Tensor, "3 3"]
+) -> Float[Tensor, "*batch coefficient 3"]:
+    """Harmonics that show in direction R d what the given ones show in d.
+
+    Solved for on more directions than coefficients: B(d) h' = B(R^-1 d) h, where B is the basis.
+    """
+    degree = round(harmonics.shape[-2] ** 0.5) - 1
+    generator = torch.Generator().manual_seed(0)
+    directions = torch.randn(100, 3, generator=generator, dtype=torch.float64)
+    directions = torch.nn.functional.normalize(directions, dim=-1)
+    before = basis(directions @ rotation.double(), degree)
+    matrix = torch.linalg.pinv(basis(directions, degree)) @ before
+    return matrix.to(harmonics) @ harmonics

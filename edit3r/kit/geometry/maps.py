@@ -15,6 +15,7 @@ __all__ = [
     "dilate_softly",
     "guided_upsample",
     "resize",
+    "shown",
     "upsample_depth",
 ]
 
@@ -189,3 +190,8 @@ def _joint_upsample(inverse, measured, guide, photo):  # pragma: no cover - comp
             result[y, x] = depth / total
             trust[y, x] = certain / total
     return result, trust
+
+
+def shown(masks: Float[Tensor, "view *_ height width"]) -> Tensor:
+    """1 for a view where anything is selected, else 0: all but nothing is nothing."""
+    return (masks > 0.5).any(-1, keepdim=True).any(-2, keepdim=True).to(masks)

@@ -24,6 +24,7 @@ __all__ = [
     "seen_by_others",
     "shared_surface",
     "stands_before_others",
+    "surfaces_apart",
     "warp",
 ]
 

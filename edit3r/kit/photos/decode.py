@@ -7,11 +7,13 @@ that names it.
 import contextlib
 import io
 import math
+import re
+import threading
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import cv2
 import numpy as np
@@ -19,11 +21,17 @@ from PIL import ExifTags, Image, ImageCms, ImageOps, UnidentifiedImageError
 
 from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.reporting import warn
+from edit3r.kit.photos.damage import damage_of
+from edit3r.kit.photos.hdr import as_srgb, coding_of
 
 MAX_PIXELS = 1 << 27
-"""Largest image that is read, 134 megapixels: beyond every phone and camera, well below what fills
-the memory.
-"""
+"""Largest image that is read whole, 134 megapixels: it takes half a gigabyte."""
+
+MAX_JPEG_PIXELS = 1 << 28
+"""Largest JPEG, 268 megapixels: phones make 200, and what is not needed of them is not decoded."""
+
+WHOLE_PIXELS = 1 << 25
+"""Up to here, 33 megapixels, JPEGs are decoded whole."""
 
 MAX_LAYERS = 8
 """How often the pieces of a file may cover its image: once, or once per channel and mask."""
@@ -51,7 +59,7 @@ DEVELOP = "develop raw photos first, and export JPEG or TIFF."
 # [mm]; CIPA DCG-001 defines the 35 mm equivalent by the diagonal.
 _FULL_FRAME_DIAGONAL = math.hypot(36, 24)
 
-WIDEST = 2.4  # long by short side of what a lens took at once
+WIDEST = 2.25  # long by short side of what a lens took at once
 
 # FocalPlaneResolutionUnit: inch, cm, mm, um.
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
@@ -61,6 +69,13 @@ _DNG_VERSION, _NEW_SUBFILE_TYPE, _IMAGE_WIDTH, _IMAGE_LENGTH = 50706, 254, 256, 
 _BITS, _PHOTOMETRIC, _PLANAR, _ROWS_PER_STRIP = 258, 262, 284, 278
 _STRIP_SIZES, _TILE_WIDTH, _TILE_LENGTH, _TILE_SIZES = 279, 322, 323, 325
 
+_PROJECTION = re.compile(
+    rb"GPano:ProjectionType\W{1,9}(equirectangular|cylindrical|cube\w{0,9}|fisheye)",
+    re.I,
+)
+_JPEG = ("JPEG", "MPO")
+_OPENING = threading.Lock()  # while Pillow's own limit is set aside
+
 _HEIC_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
 
 
@@ -68,16 +83,18 @@ _HEIC_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b
 class DecodedImage:
     """A decoded file: pixels as a viewer would show them, and the focal length its EXIF states."""
 
-    pixels: Image.Image  # mode RGB, upright, sRGB
-    focal: float | None  # [pixels of `pixels`], same in x and y; None: EXIF has none
+    pixels: Image.Image  # mode RGB, upright, sRGB; smaller where less was enough
+    size: tuple[int, int]  # (height, width) of the upright image in the file
+    focal: float | None  # [pixels of that], same in x and y; None: EXIF has none
     focal_source: (
         str  # such as "EXIF 35 mm equivalent (26 mm)"; "" without a focal length
     )
     alpha: Image.Image | None = None  # mode L, where some of it is see-through
 
 
-def decode(path: str | Path) -> DecodedImage:
-    """Read an image file.
+def decode(path: str | Path, enough: int | None = None) -> DecodedImage:
+    """Read an image file, of a very large JPEG only a copy whose longer side has at least `enough`
+    pixels (None: all of it).
 
     EXIF orientation is applied, a colour profile converted to sRGB, alpha laid over white, 16 bits
     cut to 8, and of several images the first is taken. Raises InputError, or MissingDependencyError
@@ -87,7 +104,11 @@ def decode(path: str | Path) -> DecodedImage:
     with _opened(path) as image:
         _check_size(image, path)
         _check_whole(image, path)
+        _check_flat(image, path)
+        _tell_damage(image, path)
+        stored_size = image.size
         try:
+            _draft(image, enough)
             stored = _loaded(image, path)
             turn = _orientation(image, path)
             pixels, alpha = _to_srgb(stored, path)
@@ -99,13 +120,18 @@ def decode(path: str | Path) -> DecodedImage:
             raise InputError(
                 f"{path}: the image is damaged or cut off ({_reason(error)}); copy it again."
             ) from None
-        focal, source = _exif_focal(image, path)
-    return DecodedImage(upright, focal, source, alpha)
+        if (
+            image.format not in _JPEG
+        ):  # only these are decoded in part, and Pillow turns TIFFs
+            stored_size = stored.size
+        focal, source = _exif_focal(image, stored_size, path)
+    width, height = stored_size[::-1] if turn in (5, 6, 7, 8) else stored_size
+    return DecodedImage(upright, (height, width), focal, source, alpha)
 
 
-def read_image(path: str | Path) -> Image.Image:
+def read_image(path: str | Path, enough: int | None = None) -> Image.Image:
     """The upright sRGB pixels of an image file (mode RGB); see `decode`."""
-    return decode(path).pixels
+    return decode(path, enough).pixels
 
 
 def image_size(path: str | Path) -> tuple[int, int]:
@@ -127,13 +153,13 @@ def image_size(path: str | Path) -> tuple[int, int]:
 def _opened(path: Path) -> Iterator[Image.Image]:
     """The image with its header read. Raises InputError."""
     _check_is_file(path)
-    with warnings.catch_warnings():
+    with warnings.catch_warnings(), contextlib.ExitStack() as stack:
         # Pillow's own remarks; what matters is raised or said by the callers.
         warnings.simplefilter("ignore")
         try:
-            image = Image.open(path, formats=_formats(path))
-        except Image.DecompressionBombError:
-            raise _too_large(path, "far too many pixels") from None
+            # By its name, Pillow maps grey TIFFs into memory and turns them wrongly.
+            file = stack.enter_context(path.open("rb"))
+            image = _without_bomb_check(file, _formats(path))
         except UnidentifiedImageError:
             if path.suffix.lower() in RAW_SUFFIXES:
                 raise InputError(f"{path}: a raw file; {DEVELOP}") from None
@@ -240,8 +266,9 @@ def _parts_of(tags: Mapping[int, Any]) -> int:
 def _check_size(image: Image.Image, path: Path) -> None:
     """Raise InputError for an image, or pieces of it, that would take too long to decode."""
     width, height = image.size
-    if width * height > MAX_PIXELS:
-        raise _too_large(path, f"{width}x{height}")
+    most = MAX_JPEG_PIXELS if image.format in _JPEG else MAX_PIXELS
+    if width * height > most:
+        raise _too_large(path, f"{width}x{height}", most)
     boxes = [piece[1] or (0, 0, 0, 0) for piece in getattr(image, "tile", ())]
     pieces = sum((right - left) * (low - top) for left, top, right, low in boxes)
     if pieces > MAX_LAYERS * width * height:
@@ -251,11 +278,52 @@ def _check_size(image: Image.Image, path: Path) -> None:
         )
 
 
-def _too_large(path: Path, found: str) -> InputError:
+def _too_large(path: Path, found: str, most: int) -> InputError:
+    kind = "images" if most == MAX_PIXELS else "JPEGs"
     return InputError(
-        f"{path}: {found}; images of at most {MAX_PIXELS // 10**6} megapixels are read. Scale it "
-        "down first."
+        f"{path}: {found}; {kind} of at most {most // 10**6} megapixels are read. Scale it down "
+        "first."
     )
+
+
+def _without_bomb_check(file: BinaryIO, formats: tuple[str, ...]) -> Image.Image:
+    """The image with its header read; how large it may be is `_check_size`'s to say."""
+    with _OPENING:
+        before, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+        try:
+            return Image.open(file, formats=formats)
+        finally:
+            Image.MAX_IMAGE_PIXELS = before
+
+
+def _check_flat(image: Image.Image, path: Path) -> None:
+    """Raise InputError for a picture of all that is around, which no lens takes."""
+    xmp = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
+    text = xmp if isinstance(xmp, bytes) else str(xmp).encode("utf-8", "replace")
+    projection = _PROJECTION.search(text)
+    if projection:
+        kind = projection[1].decode("ascii").lower()
+        raise InputError(
+            f"{path}: a picture of all around (GPano, {kind}), which no lens takes; cut ordinary "
+            "views out of it first, and give these."
+        )
+
+
+def _tell_damage(image: Image.Image, path: Path) -> None:
+    if image.format in _JPEG and (damage := damage_of(path)):
+        warn(
+            f"{path}: damaged inside ({damage}), so parts of it may be grey or shifted; copy it "
+            "again from where it comes."
+        )
+
+
+def _draft(image: Image.Image, enough: int | None) -> None:
+    """Let a large JPEG be decoded at a half, a quarter or an eighth, where that is enough."""
+    if enough is None or math.prod(image.size) <= WHOLE_PIXELS:
+        return
+    width, height = image.size
+    share = enough / max(width, height)
+    image.draft(None, (math.ceil(width * share), math.ceil(height * share)))
 
 
 def _reason(error: Exception) -> str:
@@ -326,6 +394,14 @@ def _bits_used(highest: int, path: Path) -> int:
 def _to_srgb(image: Image.Image, path: Path) -> tuple[Image.Image, Image.Image | None]:
     """Any Pillow mode of 8 bits to RGB in sRGB, and its alpha where some of it is see-through."""
     profile = image.info.get("icc_profile")
+    coding = coding_of(path)
+    if coding is not None and coding.name:
+        warn(
+            f"{path}: coded for bright screens ({coding.name}); it is shown as others show it, "
+            "with what is brighter than white pressed together."
+        )
+        opaque = as_srgb(image, coding)
+        return opaque, None
     if not profile and "srgb" not in image.info:
         image = _through_gamma(image)
     if not image.has_transparency_data:
@@ -365,7 +441,7 @@ def _through_profile(
     if image.mode not in ("RGB", "CMYK", "L"):
         image = image.convert("RGB")
     if not profile:
-        return image.convert("RGB")
+        return image if image.mode == "RGB" else image.convert("RGB")
     try:
         source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         if image.mode == "RGB" and "sRGB" in ImageCms.getProfileDescription(source):
@@ -393,6 +469,8 @@ def _orientation(image: Image.Image, path: Path) -> int:
 
 
 def _upright(pixels: Image.Image, orientation: int) -> Image.Image:
+    if orientation == 1:
+        return pixels
     tagged = pixels.copy()
     exif = Image.Exif()
     exif[ExifTags.Base.Orientation] = orientation
@@ -400,7 +478,9 @@ def _upright(pixels: Image.Image, orientation: int) -> Image.Image:
     return ImageOps.exif_transpose(tagged)
 
 
-def _exif_focal(image: Image.Image, path: Path) -> tuple[float | None, str]:
+def _exif_focal(
+    image: Image.Image, size: tuple[int, int], path: Path
+) -> tuple[float | None, str]:
     """Focal length [pixels of the stored image] and who says so; (None, "") when nobody does.
 
     From the 35 mm equivalent, else from focal length and sensor resolution (whose unit may be
@@ -412,31 +492,31 @@ def _exif_focal(image: Image.Image, path: Path) -> tuple[float | None, str]:
         millimetres = _positive(tags.get(ExifTags.Base.FocalLength))
         density = _positive(tags.get(ExifTags.Base.FocalPlaneXResolution))
         unit = _UNIT_MM.get(int(tags.get(ExifTags.Base.FocalPlaneResolutionUnit, 2)))
-        recorded = _positive(tags.get(ExifTags.Base.ExifImageWidth)) or image.width
+        recorded = _positive(tags.get(ExifTags.Base.ExifImageWidth)) or size[0]
         height = _positive(tags.get(ExifTags.Base.ExifImageHeight))
     except Exception:  # see _orientation
         return None, ""
     if equivalent:
-        focal = equivalent * math.hypot(*image.size) / _FULL_FRAME_DIAGONAL
+        focal = equivalent * math.hypot(*size) / _FULL_FRAME_DIAGONAL
         source = f"EXIF 35 mm equivalent ({equivalent:g} mm)"
     elif millimetres and density and unit:
-        focal = millimetres * density / unit * image.width / recorded
+        focal = millimetres * density / unit * size[0] / recorded
         source = f"EXIF focal length and sensor resolution ({millimetres:g} mm)"
     else:
         return None, ""
-    if height and not _same_shape((recorded, height), image.size):
+    if height and not _same_shape((recorded, height), size):
         warn(
             f"{path}: EXIF tells of {recorded:g}x{height:g} pixels, so the photo was cropped, and "
             "what EXIF says of the lens is not believed; --fov tells it."
         )
         return None, ""
-    if max(image.size) > WIDEST * min(image.size):
+    if max(size) > WIDEST * min(size):
         warn(
             f"{path}: as wide as panoramas are, whose EXIF tells of the lens that swept, which "
             "is not believed; --fov tells it."
         )
         return None, ""
-    if not 0.1 < focal / max(image.size) < 50:
+    if not 0.1 < focal / max(size) < 50:
         warn(f"{path}: EXIF states an impossible focal length; it is ignored.")
         return None, ""
     return focal, source

@@ -23,9 +23,10 @@ from torch import Tensor
 from edit3r.contract.errors import InputError
 from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say, track, warn
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import atomic_write, sha256_of
-from edit3r.kit.files.names import natural, unique_names
+from edit3r.kit.files.names import natural, refuse_elsewhere, unique_names
 from edit3r.kit.photos.coverage import (
     USUAL_FRAMES,
     VIDEO_SUFFIXES,
@@ -37,11 +38,13 @@ from edit3r.kit.photos.decode import (
     DEVELOP,
     RAW_SUFFIXES,
     SUFFIXES,
+    DecodedImage,
     decode,
     image_size,
     read_image,
 )
 from edit3r.kit.photos.framing import Frame, common_size, frame_for
+from edit3r.kit.photos.in_memory import Pictures, as_files
 from edit3r.kit.photos.intrinsics import (
     Intrinsics,
     IntrinsicsFinder,
@@ -72,6 +75,8 @@ __all__ = [
 Pixels = UInt8[np.ndarray, "height width 3"]
 Item = TypeVar("Item")
 
+ENOUGH = 2  # pixels of a photo for each of its view, of which averages are exact enough
+NARROWEST = 20  # long by short side of what can be a photo
 MOST_LOOKED_AT = 1000  # places for photos in the folders of an empty one
 
 
@@ -99,7 +104,7 @@ class LoadedPhotos:
 
 
 def load_views(
-    paths: str | Path | Sequence[str | Path],
+    paths: Pictures,
     *,
     fov: float | None = None,
     cameras: str | Path | None = None,
@@ -113,8 +118,9 @@ def load_views(
     ).views
 
 
+@in_usual_torch
 def load_photos(
-    paths: str | Path | Sequence[str | Path],
+    paths: Pictures,
     *,
     fov: float | None = None,
     cameras: str | Path | None = None,
@@ -123,7 +129,8 @@ def load_photos(
     most: int | None = None,
     read_lens: Callable[[Views], Lens | None] | None = None,
 ) -> LoadedPhotos:
-    """Read photos, given as files and folders (a folder's images come in natural order).
+    """Read photos, given as files and folders (a folder's images come in natural order), or as
+    arrays, tensors and PIL images.
 
     Intrinsics of each photo: from `cameras` (or a camera file that lies beside it), else `fov`
     (horizontal [degrees]), else EXIF, else a stated default. Poses come along where one camera file
@@ -139,19 +146,20 @@ def load_photos(
     names = _names(files, names)
     # Headers first, so that no more than one photo is ever in memory at full size.
     sizes = [image_size(file) for file in files]
+    _check_shapes(files, sizes)
     target = common_size(sizes, size)
     images, photos, found = [], [], []
     for name, file in track(list(zip(names, files)), "read photos"):
-        decoded = decode(file)
+        decoded = decode(file, ENOUGH * max(target))
         intrinsics = finder.find(file, decoded)
-        image, photo = _as_view(name, file, decoded.pixels, intrinsics, target)
+        image, photo = _as_view(name, file, decoded, intrinsics, target)
         images.append(image)
         photos.append(photo)
         found.append(intrinsics)
     for view, (name, file) in enumerate(zip(names, files)):
         if told := as_others_of_its_size(found, sizes, view):
-            pixels = read_image(file)
-            images[view], photos[view] = _as_view(name, file, pixels, told, target)
+            decoded = decode(file, ENOUGH * max(target))
+            images[view], photos[view] = _as_view(name, file, decoded, told, target)
             found[view] = told
     assumed = tuple(intrinsics.assumed for intrinsics in found)
     _warn_of_losses(photos)
@@ -185,7 +193,8 @@ def _straightened(
     views = loaded.views
     # Photos of one size: the frame of each is all of it.
     frame = loaded.photos[0].frame.through(lens)
-    images = [_to_tensor(frame.cut(decode(file).pixels)) for file in files]
+    enough = ENOUGH * max(frame.target)
+    images = [_to_tensor(frame.cut(read_image(file, enough))) for file in files]
     intrinsics = frame.follow(views.intrinsics[0, 0].double()).to(views.intrinsics)
     views = replace(
         views,
@@ -196,17 +205,17 @@ def _straightened(
     return LoadedPhotos(views, photos)
 
 
-def find_photos(
-    paths: str | Path | Sequence[str | Path], frames: int = USUAL_FRAMES
-) -> list[Path]:
+def find_photos(paths: Pictures, frames: int = USUAL_FRAMES) -> list[Path]:
     """The image files named by `paths`.
 
     A folder stands for its images in natural order (img2 before img10), or for those of its
     `images` folder when it has none itself; a video for at most `frames` of its frames. Raises
     InputError when a path is not there.
     """
-    paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    paths = as_files(paths)
     files: list[Path] = []
+    for path in paths:
+        refuse_elsewhere(path)
     for path in (one for given in paths for one in expand(given)):
         if path.is_dir():
             files += _images_in(path)
@@ -368,6 +377,14 @@ def _what_else(folder: Path) -> str:
     return "no images in this folder."
 
 
+def _check_shapes(files: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> None:
+    for file, (height, width) in zip(files, sizes):
+        if max(height, width) > NARROWEST * min(height, width):
+            raise InputError(
+                f"{file}: {width}x{height} pixels are a strip and no photo; leave it out."
+            )
+
+
 def _names(files: Sequence[Path], names: Sequence[str] | None) -> tuple[str, ...]:
     """The given names, or the files' own without suffix, each usable as a file name."""
     if names is None:
@@ -382,15 +399,15 @@ def _names(files: Sequence[Path], names: Sequence[str] | None) -> tuple[str, ...
 def _as_view(
     name: str,
     file: Path,
-    pixels: Image.Image,
+    image: DecodedImage,
     intrinsics: Intrinsics,
     target: tuple[int, int],
 ) -> tuple[Float[Tensor, "3 height width"], Photo]:
     """The part of a photo that is used, at the views' size, and the record of it."""
-    width, height = pixels.size
-    frame = frame_for((height, width), target).through(intrinsics.lens)
+    height, width = image.size
+    frame = frame_for(image.size, target).through(intrinsics.lens)
     fx, fy = intrinsics.normalised.diagonal()[:2].tolist()
-    return _to_tensor(frame.cut(pixels)), Photo(
+    return _to_tensor(frame.cut(image.pixels)), Photo(
         name=name,
         file=origin(file),
         sha256=sha256_of(file),

@@ -98,8 +98,7 @@ class IntrinsicsFinder:
 
     def find(self, file: Path, image: DecodedImage) -> Intrinsics:
         """Intrinsics of the upright image `file`."""
-        width, height = image.pixels.size
-        size = (height, width)
+        size = height, width = image.size
         for camera_file in self._camera_files(file):
             camera = self._camera(camera_file, file, (width, height))
             if (

@@ -1,6 +1,7 @@
 """What among image files is not a photo of the scene: masks, our own sheets, and photos twice."""
 
 import re
+import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -63,7 +64,10 @@ def _is_none(file: Path, stems: Mapping[str, int]) -> bool:
 def _made_here(file: Path) -> bool:
     """Whether the file says of itself that it was made here."""
     try:
-        with Image.open(file, formats=FORMATS) as image:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of many pixels, which nobody decodes here
+            image = Image.open(file, formats=FORMATS)
+        with image:
             # Of a PNG, Exif is asked for after all pixels; ours say it before.
             if image.format == "PNG":
                 return image.info.get("Software") == MADE_HERE
@@ -126,7 +130,7 @@ def _show_the_same(first: Path, second: Path, like: float) -> bool:
 
 
 def _small_copy(file: Path) -> np.ndarray:
-    small = decode(file).pixels.convert("L").resize(_SMALL)
+    small = decode(file, 8 * _SMALL[0]).pixels.convert("L").resize(_SMALL)
     return np.asarray(small, np.float64).ravel()
 
 

@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+from edit3r.kit.scenes.sog import is_loose_sog
+
 TRAINED = re.compile(r"iteration_(\d+)")
 """Folders that 3D Gaussian Splatting makes."""
 
@@ -21,6 +23,7 @@ def scene_file(text: str) -> Path:
         *sorted(path.glob("scene.*")),
         path / "point_cloud.ply",
     ]
+    loose = path / "meta.json"
     endings = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb")
     usual = [one for one in usual if one.suffix.lower() in endings]
     trained = [
@@ -29,6 +32,8 @@ def scene_file(text: str) -> Path:
         for folder in sorted(place.glob("iteration_*"), key=_iteration, reverse=True)
     ]
     found = (one for one in [*usual, *trained] if one.is_file())
+    if is_loose_sog(loose):
+        return next(found, loose)
     return next(found, path / "scene.ply")
 
 

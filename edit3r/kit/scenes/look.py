@@ -16,8 +16,8 @@ from edit3r.kit.photos.cameras import (
     posed_cameras,
     read_scene_cameras,
 )
+from edit3r.kit.scenes.axes import LEAST_OPACITY
 from edit3r.kit.scenes.files import TRAINED
-from edit3r.kit.scenes.ply import LEAST_OPACITY
 
 SIZE = (480, 640)  # of a look from outside: height, width [pixels]
 VIEW = 60.0  # its horizontal field of view [degrees]

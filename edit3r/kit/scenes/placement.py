@@ -19,7 +19,8 @@ from jaxtyping import Float64
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.types import Gaussians
-from edit3r.kit.scenes.ply import LEAST_OPACITY, MOST_HEADER_BYTES
+from edit3r.kit.scenes.axes import LEAST_OPACITY
+from edit3r.kit.scenes.ply import MOST_HEADER_BYTES
 
 SPZ_RANGE = 2047.0
 SPZ_STEP = 1 / 4096

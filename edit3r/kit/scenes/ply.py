@@ -6,7 +6,6 @@ One `vertex` element of little-endian float32: x y z, nx ny nz (zero), f_dc_0..2
 estimated has uncertainty (in [0, 1]). The header's comments say in which frame.
 """
 
-import math
 import os
 import re
 import warnings
@@ -21,18 +20,21 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import say, warn
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import MAX_DEGREE, Gaussians
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.geometry.harmonics import DC
+from edit3r.kit.scenes.axes import SHORTEST_QUAT, sound
 
-__all__ = ["LEAST_OPACITY", "SMALLEST_SCALE", "VIEWER_DEGREE", "load_ply", "save_ply"]
+__all__ = ["SMALLEST_SCALE", "VIEWER_DEGREE", "load_ply", "save_ply"]
 
 OPACITY_MARGIN = 1e-7  # keeps the logits of 0 and 1 finite, within +-16.2
 SMALLEST_SCALE = float(np.finfo(np.float32).tiny)  # keeps the logarithm of 0 finite
 VIEWER_DEGREE = 3  # common viewers read harmonics up to here
 OBJECT = "object_index"  # property of scenes with objects
 UNCERTAINTY = "uncertainty"  # property of scenes in which it was estimated
-MAX_OBJECT = 1 << 24  # whole numbers up to here are exact in float32
+# Whole numbers up to here are exact in float32, and no other one comes out as one of them.
+MAX_OBJECT = (1 << 24) - 1
 MOST_RUNS = 256  # of equal view_index that the header keeps
 
 _FRAME = "frame: camera of view 0, OpenCV axes (x right, y down, z forward), camera at the origin"
@@ -44,13 +46,11 @@ _REQUIRED = (
 )
 _PLAIN = ("f_dc_0", "f_dc_1", "f_dc_2")
 _COLOURS = ("red", "green", "blue")  # of scenes without harmonics: bytes, or shares
-FLAT = 1e-3  # thickness of a disc with two scales, as 2DGS has them, in its smaller one
 
 MOST_HEADER_BYTES = 1 << 20
 # characters of one comment: a header beyond `MOST_HEADER_BYTES` is not read again
 MOST_COMMENT = 1000
 COARSE = 0.5  # of a Gaussian's size: steps between places that spoil a scene
-LEAST_OPACITY = 1 / 255  # below it a Gaussian is never drawn
 _TYPES = {
     **{
         "char": "i1",
@@ -76,6 +76,7 @@ _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _ASCII = "ascii"
 
 
+@in_usual_torch
 def save_ply(
     path: str | Path,
     gaussians: Gaussians,
@@ -83,7 +84,8 @@ def save_ply(
     degree: int | None = None,
     comment_lines: Sequence[str] = (),
 ) -> None:
-    """Write one scene (batch 1); the same Gaussians give the same bytes.
+    """Write one scene (batch 1); the same Gaussians give the same bytes. Raises InputError for
+    Gaussians that a PLY cannot hold.
 
     All harmonics are written. Common viewers stop at degree 3 (some refuse more): `degree` cuts to
     that many, which loses the finest change of colour with direction. `view_index` goes into the
@@ -91,15 +93,23 @@ def save_ply(
     kept. Opacities 0 and 1 come back as 1e-7 and 1 - 1e-7.
     """
     if gaussians.means.shape[0] != 1:
-        raise ValueError(
-            f"save_ply writes one scene, got a batch of {gaussians.means.shape[0]}"
+        raise InputError(
+            f"{path}: a PLY holds one scene, got a batch of {gaussians.means.shape[0]}; save "
+            "them one by one."
         )
     degree = gaussians.degree if degree is None else min(degree, gaussians.degree)
     if degree > VIEWER_DEGREE:
         warn(
             f"{path}: harmonics of degree {degree}; many viewers read {VIEWER_DEGREE} at most."
         )
+    if gaussians.object_index is not None and gaussians.objects.max() > MAX_OBJECT:
+        raise InputError(
+            f"{path}: object_index goes up to {int(gaussians.objects.max())}; a PLY holds "
+            f"{MAX_OBJECT} at most."
+        )
     table = _to_table(gaussians, degree)
+    if not all(np.isfinite(table[name]).all() for name in table.dtype.names or ()):
+        raise InputError(f"{path}: the Gaussians hold values that are not finite.")
     comments = [
         "3D Gaussians by edit3r",
         _FRAME,
@@ -111,6 +121,7 @@ def save_ply(
         file.write(table.data)
 
 
+@in_usual_torch
 def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
     """Read a 3DGS PLY (binary or text, any number type, extra properties ignored) as one scene on
     the CPU.
@@ -129,10 +140,7 @@ def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
             f"{path}: this PLY does not hold 3D Gaussians, it lacks {', '.join(missing)}."
         )
     gaussians = _from_table(header.read_vertices(), header)
-    if visible and not (gaussians.opacities >= LEAST_OPACITY).any():
-        raise InputError(
-            f"{path}: shows nothing; it has no Gaussian with an opacity of at least 1/255."
-        )
+    gaussians = sound(path, gaussians, visible=visible)
     if gaussians.count:
         _tell_coarse(path, gaussians)
     return gaussians
@@ -158,6 +166,8 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
     """
     coefficients = (degree + 1) ** 2
     quats = gaussians.quats[0].detach().double()
+    without = quats.norm(dim=-1, keepdim=True) <= SHORTEST_QUAT
+    quats = torch.where(without, quats.new_tensor((1.0, 0, 0, 0)), quats)
     opacities = (
         gaussians.opacities[0]
         .detach()
@@ -187,8 +197,6 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
         table.split([column.shape[1] for column in columns], 1), columns
     ):
         part.copy_(column)
-    if not torch.isfinite(table).all():
-        raise ValueError("save_ply: the Gaussians hold values that are not finite")
     names = [
         *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"),
         *(f"f_rest_{i}" for i in range(3 * (coefficients - 1))),
@@ -280,20 +288,11 @@ def _from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
             name: torch.from_numpy(values.astype(np.float32))
             for name, values in columns.items()
         }
-    finite = torch.ones(header.count, dtype=torch.bool)
-    for values in tensors.values():
-        finite &= torch.isfinite(values[:, None].flatten(1)).all(1)
-    if not finite.all():
-        warn(
-            f"{header.path}: {int((~finite).sum())} of {header.count} Gaussians are not finite "
-            "and left out."
-        )
-    view_index = torch.from_numpy(_read_view_runs(header))[finite]
     return Gaussians(
-        **{name: values[finite][None] for name, values in tensors.items()},
-        view_index=view_index,
-        object_index=_read_objects(table, header, finite),
-        uncertainty=_read_uncertainty(table, header, finite),
+        **{name: values[None] for name, values in tensors.items()},
+        view_index=torch.from_numpy(_read_view_runs(header)),
+        object_index=_read_objects(table, header),
+        uncertainty=_read_uncertainty(table, header),
     )
 
 
@@ -309,36 +308,41 @@ def _plain_colours(
 
 def _log_scales(
     table: np.ndarray, header: "PlyHeader"
-) -> Float64[np.ndarray, "gaussian 3"]:
-    """The logarithms of three scales, of two of a flat disc, or of one of a ball."""
+) -> Float64[np.ndarray, "gaussian axis"]:
+    """The logarithms of three scales: those of a file, or one of a ball; or of two, of a disc."""
     names = [name for name in ("scale_0", "scale_1", "scale_2") if name in header.names]
     scales = _columns(table, names)
     if len(names) == 2:
-        thin = scales.min(1, keepdims=True) + math.log(FLAT)
         say("scene.flat", "its Gaussians have two scales and are read as flat discs")
-        return np.concatenate((scales, thin), 1)
+        return scales
     return np.broadcast_to(scales, (len(table), 3))
 
 
 def _read_objects(
-    table: np.ndarray, header: "PlyHeader", finite: Tensor
+    table: np.ndarray, header: "PlyHeader"
 ) -> Int64[Tensor, "gaussian"] | None:
-    """`object_index` of the Gaussians kept; what is no index of an object is -1."""
+    """`object_index` of the Gaussians; what is no index of an object is -1."""
     if OBJECT not in header.names:
         return None
     values = table[OBJECT].astype(np.float64)
-    index = np.where((values >= 0) & (values <= MAX_OBJECT), values, -1)
-    return torch.from_numpy(index.astype(np.int64))[finite]
+    known = (values >= 0) & (values <= MAX_OBJECT)
+    lost = int((~known & (values != -1)).sum())
+    if lost:
+        warn(
+            f"{header.path}: {lost} Gaussians have an {OBJECT} that is none, and get none."
+        )
+    index = np.where(known, values, -1)
+    return torch.from_numpy(index.astype(np.int64))
 
 
 def _read_uncertainty(
-    table: np.ndarray, header: "PlyHeader", finite: Tensor
+    table: np.ndarray, header: "PlyHeader"
 ) -> Float[Tensor, "1 gaussian"] | None:
-    """`uncertainty` of the Gaussians kept; what is no number is 1."""
+    """`uncertainty` of the Gaussians; what is no number is 1."""
     if UNCERTAINTY not in header.names:
         return None
     values = np.nan_to_num(table[UNCERTAINTY].astype(np.float32), nan=1.0).clip(0, 1)
-    return torch.from_numpy(values)[finite][None]
+    return torch.from_numpy(values)[None]
 
 
 def _unit(quats: np.ndarray) -> np.ndarray:

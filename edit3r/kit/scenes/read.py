@@ -12,17 +12,21 @@ from pathlib import Path
 import numpy as np
 
 from edit3r.contract.errors import InputError, MissingDependencyError, RunError
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Gaussians
 from edit3r.kit.children import PYTHON
+from edit3r.kit.files.names import refuse_elsewhere
+from edit3r.kit.scenes.axes import UP_AND_BACK, flipped, sound
 from edit3r.kit.scenes.glb import load_glb
 from edit3r.kit.scenes.placement import placed_back, placement_of
 from edit3r.kit.scenes.ply import load_ply
+from edit3r.kit.scenes.sog import gathered, is_loose_sog
+from edit3r.kit.scenes.spz import GZIP, read_spz_header
 
 # seconds of one conversion: SOG takes half a minute for 380,000 Gaussians
 LONGEST = 600
 SPLAT_BYTES = 32  # of one Gaussian in a .splat, which has no header
 MANY = 1_000_000  # Gaussians; fewer are no danger, whatever a file promises
-_GZIP = b"\x1f\x8b"
 _MAGIC = {b"ply": "ply", b"NGSP": "spz", b"glTF": "glb", b"PK": "sog"}
 _CONVERT = """
 import sys, gaussforge
@@ -35,6 +39,7 @@ open(sys.argv[2], "wb").write(answer["data"])
 """
 
 
+@in_usual_torch
 def load_scene(path: str | Path, *, visible: bool = True) -> Gaussians:
     """Read a scene of any format that `edit3r export` writes, told by its content.
 
@@ -47,21 +52,49 @@ def load_scene(path: str | Path, *, visible: bool = True) -> Gaussians:
     if form == "ply":
         return load_ply(path, visible=visible)
     if form == "glb":
-        return load_glb(path)
+        gaussians = load_glb(path, _spz_inside)
+    else:
+        gaussians = _converted(path, form)
+    return sound(path, gaussians, visible=visible)
+
+
+def _converted(path: Path, form: str) -> Gaussians:
+    """A scene by gaussforge, which leaves positions and axes as they stand in the file."""
+    header = read_spz_header(path) if form == "spz" else None
     with tempfile.TemporaryDirectory() as scratch:
-        plain = Path(scratch) / "scene.ply"
+        plain, source = Path(scratch, "scene.ply"), path
+        if is_loose_sog(path):
+            source = gathered(path, Path(scratch, "scene.sog"))
         try:
-            convert(path, plain, form, "ply")
-            gaussians = load_ply(plain, visible=visible)
+            convert(source, plain, form, "ply")
+            gaussians = load_ply(plain)
         except (RunError, InputError) as error:
             raise InputError(
-                f"{path}: cannot be read as {form}; {error}".replace(str(plain), "it")
+                f"{path}: cannot be read as {form}, it is damaged or cut off; "
+                f"{str(error).replace(str(plain), 'it')}"
             ) from None
-    return placed_back(gaussians, placement_of(path, form))
+        placement = placement_of(source, form)
+    if header is not None:
+        gaussians = header.upright(gaussians)
+    return placed_back(gaussians, placement)
+
+
+def _spz_inside(content: bytes) -> Gaussians:
+    """An SPZ from inside a GLB, which has the axes of the GLB and not those that SPZ says."""
+    with tempfile.TemporaryDirectory() as scratch:
+        file = Path(scratch, "inside.spz")
+        file.write_bytes(content)
+        try:
+            if form_of(file) != "spz":
+                raise ValueError("what it calls an SPZ is none")
+            return flipped(_converted(file, "spz"), UP_AND_BACK)
+        except InputError as error:
+            raise ValueError(str(error).replace(str(file), "its SPZ")) from None
 
 
 def form_of(path: Path) -> str:
     """The format of a scene's file: ply, glb, or gaussforge's name of one. Raises InputError."""
+    refuse_elsewhere(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file.")
     try:
@@ -69,15 +102,19 @@ def form_of(path: Path) -> str:
             start = file.read(1 << 16)
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}).") from None
-    if start.startswith(_GZIP):
+    if start.startswith(GZIP):
         start = _unpacked(start)
         if not start.startswith(b"NGSP"):
-            raise InputError(f"{path}: packed with gzip, and no SPZ; unpack it first.")
+            raise InputError(
+                f"{path}: packed with gzip, and no SPZ (or a damaged one); unpack it first."
+            )
     form = next((form for magic, form in _MAGIC.items() if start.startswith(magic)), "")
     if form == "ply" and b" packed_position" in start.partition(b"end_header")[0]:
         return "compressed.ply"
     if form == "spz":
         _check_count(path, int.from_bytes(start[8:12], "little"))
+    if not form and is_loose_sog(path):
+        return "sog"
     return form or _form_without_magic(path, start)
 
 

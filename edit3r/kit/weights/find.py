@@ -13,8 +13,9 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from edit3r.contract.errors import MissingDependencyError
+from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.weights import Weights
+from edit3r.kit.files.home import expanded, user_cache
 
 VARIABLE = "EDIT3R_WEIGHTS"
 """Environment variable that names the folder of all weights."""
@@ -27,10 +28,18 @@ SHA-256.
 
 def folder(chosen: str | Path | None = None) -> Path:
     """The folder of all weights: `chosen`, else $EDIT3R_WEIGHTS, else edit3r/weights in the user's
-    cache.
+    cache. Raises InputError for a user who has none.
     """
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "edit3r", "weights")
-    return Path(chosen or os.environ.get(VARIABLE) or cache).expanduser().absolute()
+    named = chosen or os.environ.get(VARIABLE)
+    cache = user_cache()
+    if named:
+        return expanded(named).absolute()
+    if cache is None:
+        raise InputError(
+            "no place for weights: this user has no home folder; name a folder in the environment "
+            f"variable {VARIABLE}."
+        )
+    return cache / "edit3r" / "weights"
 
 
 def find(weights: Weights, chosen: str | Path | None = None) -> Path:
@@ -55,7 +64,10 @@ def at_hand(weights: Weights, chosen: str | Path | None = None) -> Path | None:
     They are looked for in `folder` and, for those of the hub, in the cache that its own client
     keeps.
     """
-    for place in (folder(chosen) / weights.name, _in_hub_cache(weights)):
+    home = None
+    with suppress(InputError):  # without a home there is no such folder
+        home = folder(chosen) / weights.name
+    for place in (home, _in_hub_cache(weights)):
         stored = [weights.stored(path) for path, _ in weights.files]
         if place is None:
             continue
@@ -89,11 +101,12 @@ def _in_hub_cache(weights: Weights) -> Path | None:
     """
     if not weights.source.startswith("hub:"):
         return None
-    home = Path(
-        os.environ.get("HF_HOME")
-        or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "huggingface")
+    home = os.environ.get("HF_HOME") or (user_cache() or Path()) / "huggingface"
+    cache = Path(
+        os.path.expanduser(os.environ.get("HF_HUB_CACHE") or Path(home, "hub"))
     )
-    cache = Path(os.environ.get("HF_HUB_CACHE") or home / "hub").expanduser()
+    if not cache.is_absolute() and user_cache() is None:
+        return None
     model = cache / f"models--{weights.source.removeprefix('hub:').replace('/', '--')}"
     revision = weights.revision
     with suppress(OSError):

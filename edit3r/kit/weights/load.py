@@ -26,6 +26,7 @@ from edit3r.contract.errors import (
     is_out_of_memory,
 )
 from edit3r.contract.weights import Weights
+from edit3r.kit.files.home import expanded
 from edit3r.kit.weights.find import at_hand, find, record_of
 
 LIBRARIES = ("diffusers", "transformers")
@@ -89,9 +90,7 @@ def load_pretrained(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
         else {}
     )
     given.update({name: value for name, value in chosen.items() if value})
-    model = str(
-        Path(weights.model).expanduser() if declared is None else find(declared)
-    )
+    model = str(expanded(weights.model) if declared is None else find(declared))
     with quiet():
         try:
             return cls.from_pretrained(
@@ -146,7 +145,7 @@ def identity(weights: ChosenWeights) -> dict[str, str]:
     if declared := _declared(weights):
         fetched = record_of(find(declared)).get("revision", declared.revision)
         return {**told, "revision": fetched or "newest", "name": declared.name}
-    if not Path(weights.model).expanduser().is_dir() and importlib.util.find_spec(
+    if not expanded(weights.model).is_dir() and importlib.util.find_spec(
         "huggingface_hub"
     ):
         from huggingface_hub import try_to_load_from_cache
@@ -164,7 +163,7 @@ def _declared(weights: ChosenWeights) -> Weights | None:
     """The declared weights that are meant; None for a folder, and for another revision or variant
     of them.
     """
-    if weights.variant or Path(weights.model).expanduser().is_dir():
+    if weights.variant or expanded(weights.model).is_dir():
         return None
     source = f"hub:{weights.model}"
     meant = (known for known in weights.known if known.source == source)
@@ -179,7 +178,7 @@ def _check_folder(weights: ChosenWeights) -> None:
     looks_local = (
         model.startswith(("/", "~", ".")) or model.count("/") > 1 or "\\" in model
     )
-    if looks_local and not Path(model).expanduser().is_dir():
+    if looks_local and not expanded(model).is_dir():
         raise InputError(
             f"{weights.key}: no folder {model!r}; give one written by save_pretrained, or a "
             "model id."
@@ -195,7 +194,7 @@ def loading_error(error: Exception, cls: type, weights: ChosenWeights) -> Edit3r
             f"{key}: {model!r} is gated; accept its licence on its model page and log in with: "
             "hf auth login"
         )
-    if Path(model).expanduser().is_dir():
+    if expanded(model).is_dir():
         return InputError(
             f"{key}: {model!r} does not hold a {cls.__name__} ({reason})."
         )

@@ -1,8 +1,7 @@
 """The call from Python that selects a thing on all photos: `edit3r.select`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -10,17 +9,23 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import Matcher, Segmenter
+from edit3r.contract.interfaces import (
+    Matcher,
+    Reading,
+    Segmenter,
+    Selected,
+    Selection,
+    Selector,
+)
 from edit3r.contract.settings import PartChoice
+from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Views
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.photos.images import load_photos
+from edit3r.kit.photos.in_memory import Pictures
 from edit3r.loading.registry import default_registry
 from edit3r.running.config import DEFAULTS
 from edit3r.running.geometry import default_matcher, geometry_of
-from edit3r.running.selecting.select import Reading, Selected, Selection, select_masks
-
-Files = str | Path | Sequence[str | Path]
 
 _built: WeakKeyDictionary[Cache, tuple[str, Segmenter]] = WeakKeyDictionary()
 """The segmenter that answered last by a cache: loading its networks takes longer than a click."""
@@ -40,8 +45,9 @@ class Selecting:
     warnings: tuple[str, ...] = ()
 
 
+@in_usual_torch
 def select(
-    photos: Views | Files,
+    photos: Views | Pictures,
     selection: Selection,
     *,
     segmenter: str | Mapping[str, Any] | PartChoice | Segmenter | None = None,
@@ -58,27 +64,26 @@ def select(
     cache = cache or Cache()
     matcher = default_matcher(default_registry())
     with using(cache), torch.no_grad():
-        return select_with(photos, selection, _ready(segmenter, cache), matcher)
+        selector = usual_selector(_ready(segmenter, cache))
+        return select_with(photos, selection, selector, matcher)
 
 
 def select_with(
-    photos: Views | Files,
+    photos: Views | Pictures,
     selection: Selection,
-    segmenter: Segmenter,
+    selector: Selector,
     matcher: Matcher | None,
 ) -> Selecting:
     """The same with built parts, by the cache of the current run."""
     views = photos if isinstance(photos, Views) else _loaded(photos)
     geometry = None if matcher is None else geometry_of(matcher, views)
     scenes = [
-        select_masks(
-            images,
+        selector.select(
+            views.scene(index),
             selection,
-            segmenter,
             None if geometry is None else geometry.scene(index),
-            views.intrinsics[index : index + 1],
         )
-        for index, images in enumerate(views.images)
+        for index in range(len(views.images))
     ]
     first = scenes[0]
     return Selecting(
@@ -91,6 +96,13 @@ def select_with(
         first.how,
         first.warnings,
     )
+
+
+def usual_selector(segmenter: Segmenter | None = None) -> Selector:
+    """The selector that a run takes unasked, with a segmenter that is built, or its own."""
+    choice = PartChoice(name=DEFAULTS["selector"])
+    parts = None if segmenter is None else {"segmenter": segmenter}
+    return default_registry().build_choice("selector", choice, parts)
 
 
 def _why(views: Views, found: Selected) -> str:
@@ -118,6 +130,5 @@ def _ready(choice: Any, cache: Cache) -> Segmenter:
     return _built[cache][1]
 
 
-def _loaded(files: Files) -> Views:
-    files = [files] if isinstance(files, str | Path) else list(files)
+def _loaded(files: Pictures) -> Views:
     return load_photos(files).views

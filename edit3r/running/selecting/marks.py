@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Reader
+from edit3r.contract.interfaces import Box, Reader, Selection
 from edit3r.contract.lens import Lens
 from edit3r.contract.wishes import Thing
 from edit3r.kit.photos.framing import Frame
@@ -18,7 +18,6 @@ from edit3r.kit.photos.mask_files import masks_by_photo
 from edit3r.kit.photos.masks import load_masks, read_mask
 from edit3r.running.config import MAX_PROMPT
 from edit3r.running.reading import usual_reader
-from edit3r.running.selecting.select import Box, Selection
 
 
 @dataclass(frozen=True)

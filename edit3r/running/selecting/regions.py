@@ -13,20 +13,19 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.errors import InputError, PromptError
-from edit3r.contract.interfaces import Geometry, Segmenter
+from edit3r.contract.interfaces import (
+    ASK,
+    BACKGROUND,
+    Geometry,
+    Selected,
+    Selection,
+    Selector,
+)
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Views
 from edit3r.contract.wishes import BENEATH, FLOOD, Change, Colour, Thing, Wish
-from edit3r.kit.geometry.maps import dilate
+from edit3r.kit.geometry.maps import dilate, shown
 from edit3r.running.selecting.near_colour import near_colour
-from edit3r.running.selecting.select import (
-    ASK,
-    BACKGROUND,
-    Selected,
-    Selection,
-    select_masks,
-    shown,
-)
 
 PLAIN = Selection()
 LEFT = 0.5  # share of a thing that must be left beside what is kept of it
@@ -52,19 +51,19 @@ class RegionFinder:
     def __init__(
         self,
         views: Views,
-        segmenter: Callable[[], Segmenter],
+        selector: Callable[[], Selector],
         geometry: Callable[[], Geometry | None],
         marked: Selection | None = None,
         defaults: Selection = PLAIN,
         known: Mapping[str, Masks] | None = None,
     ) -> None:
-        """`views` hold one scene; segmenter and geometry are asked for only where needed.
+        """`views` hold one scene; selector and geometry are asked for only where needed.
 
         `defaults` say whether to guess and what to do with outlines; `known` are masks of things
         that were named before.
         """
         self._views = views
-        self._segmenter = segmenter
+        self._selector = selector
         self._geometry = geometry
         self._marked = marked
         self._defaults = defaults
@@ -264,13 +263,8 @@ class RegionFinder:
         if key not in self._found:
             selection = _with_defaults(selection, self._defaults)
             carried = len(selection.masks) < self._views.count
-            self._found[key] = select_masks(
-                self._views.images[0],
-                selection,
-                self._segmenter(),
-                self._geometry() if carried else None,
-                self._views.intrinsics,
-            )
+            geometry = self._geometry() if carried else None
+            self._found[key] = self._selector().select(self._views, selection, geometry)
         return self._found[key]
 
 

@@ -1,6 +1,5 @@
 """Step 4: the 2D edit of the views, held to the masks, and what can be said of it."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import torch
@@ -10,57 +9,58 @@ from torch import Tensor
 from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.reporting import note, say, stage, warn
 from edit3r.contract.types import EditRequest, Views
-from edit3r.kit.checks import check_edit, errors_named_after
+from edit3r.contract.verdicts import EditVerdict
+from edit3r.kit.checks import check_edit, check_edit_verdict, errors_named_after
 from edit3r.kit.geometry.maps import composite
-from edit3r.running.editors import request_of
+from edit3r.running.editors import edit_to_judge, request_of
 from edit3r.running.in_place import InPlace, put_in_place
-from edit3r.running.judging.edit_measures import measure_edit
-from edit3r.running.judging.edit_verdict import judge_edit
 from edit3r.running.parts import Parts
-from edit3r.running.scene import Scene
+from edit3r.running.records import EditedPhotos, Inputs, SelectedRegions
 
 
 @torch.no_grad()
-def edit(scene: Scene, parts: Parts) -> Scene:
+def edit(inputs: Inputs, selection: SelectedRegions, parts: Parts) -> EditedPhotos:
     """Edit all views, or the first alone, one editor after the other."""
-    config, views = parts.config, scene.start
+    config, views = parts.config, inputs.start
     with stage(f"edit ({parts.editor_names})"):
-        count = views.count if config.edit_views == "all" else 1
+        count = parts.edited_count(views)
         chosen = views.select(range(count))
-        edited, done, found = chosen, 0, []
+        edited, done = chosen, 0
+        faults: list[str] = []
+        moved: list[str] = []
         for task in parts.tasks:
-            request = request_of(
-                task, scene, config.seed, range(done, done + len(task.wishes))
-            ).of_views(range(count))
+            wishes = range(done, done + len(task.wishes))
+            request = request_of(task, selection, config.seed, wishes)
+            request = request.of_views(range(count))
             answer = _answer(task.editor, edited, request)
             if config.moved_edits == "undo":
-                found.append(_in_place(edited, answer, request.masks))
-                answer = replace(answer, images=found[-1].images)
+                aligned = _in_place(edited, answer, request.masks)
+                faults += aligned.faults
+                moved += aligned.moved
+                answer = replace(answer, images=aligned.images)
             edited = _held_to_masks(task.editor, edited, answer, request.masks)
             done += len(task.wishes)
         _note_change(edited, chosen)
         images = edited.images
         if count < views.count:
             images = torch.cat((images, views.images[:, count:]), dim=1)
-        scene = replace(scene, edited=replace(views, images=images))
-        return _with_edit_verdict(scene, parts, range(count), found)
+        made = EditedPhotos(replace(views, images=images), tuple(faults), tuple(moved))
+        return replace(made, verdict=_verdict(inputs, selection, made, parts))
 
 
-def _with_edit_verdict(
-    scene: Scene, parts: Parts, views: Sequence[int], found: Sequence[InPlace]
-) -> Scene:
-    """The scene with what can be said of the edit of these views before anything is in 3D."""
-    if not parts.config.prompt and torch.equal(scene.edited.images, scene.start.images):
-        return scene
-    wishes = scene.wishes or [wish for task in parts.tasks for wish in task.wishes]
-    measures = measure_edit(scene, wishes, views)
-    faults = [fault for one in found for fault in one.faults]
-    moved = tuple(clause for one in found for clause in one.moved)
-    measures = replace(measures, faults=(*faults, *measures.faults), moved=moved)
-    verdict = judge_edit(measures, _surety(scene))
+def _verdict(
+    inputs: Inputs, selection: SelectedRegions, made: EditedPhotos, parts: Parts
+) -> EditVerdict | None:
+    """What can be said of the edit before anything is in 3D; None where none was asked for."""
+    if not parts.config.prompt and torch.equal(made.views.images, inputs.start.images):
+        return None
+    count = parts.edited_count(inputs.start)
+    asked = edit_to_judge(inputs, selection, made, parts.tasks, count)
+    verdict = parts.critic.judge_edit(asked)
+    check_edit_verdict(parts.critic, verdict)
     if verdict.label == "doubtful":
         warn(f"the edit is doubtful: {verdict.reason}.")
-    return replace(scene, edit_verdict=verdict)
+    return verdict
 
 
 def _answer(editor: Editor, views: Views, request: EditRequest) -> Views:
@@ -106,11 +106,3 @@ def _note_change(edited: Views, views: Views) -> None:
     pairs = zip(edited.images.unbind(1), views.images.unbind(1))
     per_view = [float((after - before).abs().mean()) for after, before in pairs]
     note("edit.mean_change_per_view", [round(value, 5) for value in per_view])
-
-
-def _surety(scene: Scene) -> float | None:
-    """How surely the least sure thing was found, None where everything was marked; 0: a guess."""
-    sureties = [one.surety for one in scene.selected if one.surety is not None]
-    if any("guess" in one.how for one in scene.selected):
-        sureties.append(0.0)
-    return min(sureties, default=None)

@@ -4,83 +4,91 @@ from dataclasses import replace
 
 import torch
 
+from edit3r.contract.interfaces import SceneToJudge
 from edit3r.contract.reporting import stage
-from edit3r.contract.types import Rendering
+from edit3r.contract.types import Gaussians, Rendering
+from edit3r.contract.verdicts import EditVerdict
+from edit3r.kit.checks import check_edit_verdict, check_verdict
 from edit3r.kit.rendering import render_each
-from edit3r.running.judging.edit_measures import measure_edit_in_3d
-from edit3r.running.judging.edit_verdict import judge_edit
-from edit3r.running.judging.verdict import Doubt, judge as judged
+from edit3r.running.editors import edit_to_judge
 from edit3r.running.parts import Parts
-from edit3r.running.scene import Scene, known_cameras
-
-FLAT = (
-    "all that the photos share lies on one plane: a flat thing, or photos from one place. Take a "
-    "step to the side between photos, or tell the lens (--fov)"
-)
-UNSURE_LENS = (
-    "the lens is not sure: fields of view from {:.0f} to {:.0f} degrees explain the photos alike. "
-    "Give --fov if you know it, or more photos from other sides"
-)
-MOVED = (
-    "the 2D edits had moved against their photos and were moved back, which cannot bring back what "
-    "left the picture. Let the editor leave everything where it is"
+from edit3r.running.records import (
+    EditedPhotos,
+    Inputs,
+    Judged,
+    Located,
+    Reconstructed,
+    SelectedRegions,
 )
 
 
 @torch.no_grad()
-def judge(scene: Scene, parts: Parts) -> Scene:
-    """The refined scene from its input views, and the verdict."""
-    text, reconstruction = "render input views", scene.reconstruction
+def judge(
+    inputs: Inputs,
+    located: Located,
+    selection: SelectedRegions,
+    edit: EditedPhotos,
+    made: Reconstructed,
+    gaussians: Gaussians,
+    parts: Parts,
+) -> Judged:
+    """The refined scene from its input views, and the verdicts."""
+    text, size = "render input views", inputs.start.image_size
     with stage("check"):
         first, rendered = (
-            _in_own_light(
-                render_each(parts.rasterizer, gaussians, cameras, text), scene
-            )
-            for gaussians, cameras in (
-                (reconstruction.gaussians, known_cameras(reconstruction)),
-                (scene.gaussians, scene.cameras),
+            _in_own_light(render_each(parts.rasterizer, scene, cameras, text), located)
+            for scene, cameras in (
+                (made.reconstruction.gaussians, made.cameras),
+                (gaussians, made.cameras.at(size)),
             )
         )
-        verdict = judged(
-            scene.edited,
-            first,
-            rendered,
-            scene.placed,
-            reconstruction.measured,
-            doubt_of(scene),
-            scene.passing,
-            scene.guessed,
+        uses_geometry = parts.uses_geometry
+        verdict = parts.critic.judge_scene(
+            SceneToJudge(
+                photos=made.photos,
+                placed=made.placed,
+                geometry=parts.geometry.of(made.photos).geometry
+                if uses_geometry
+                else None,
+                edited=edit.views,
+                first=first,
+                rendered=rendered,
+                measured=made.reconstruction.measured,
+                transient=made.passing,
+                flat=located.flat,
+                lenses=located.lenses,
+                edit=edit.verdict,
+            )
         )
-        scene = replace(scene, rendered=rendered, verdict=verdict)
-        return _with_edit_judged_in_3d(scene, parts)
+        check_verdict(parts.critic, verdict)
+        selection = replace(selection, masks=made.masks)
+        edit_verdict = _edit_verdict(inputs, selection, edit, made, rendered, parts)
+    return Judged(rendered, verdict, edit_verdict)
 
 
-def doubt_of(scene: Scene) -> Doubt | None:
-    """What else speaks against the scene: its edits, or photos that tell no depth or no lens."""
-    edit = scene.edit_verdict
-    if edit is not None and edit.measures.faults:
-        return Doubt("the 2D edits do not show what their photos show (see the edit)")
-    if scene.flat:
-        return Doubt(FLAT)
-    if scene.lenses is not None:
-        return Doubt(UNSURE_LENS.format(*scene.lenses))
-    if edit is not None and edit.measures.moved:
-        return Doubt(MOVED, best="good")
-    return None
-
-
-def _in_own_light(rendering: Rendering, scene: Scene) -> Rendering:
+def _in_own_light(rendering: Rendering, located: Located) -> Rendering:
     """The scene from the photos' places, in the light in which each photo was taken."""
-    if scene.light is None:
+    if located.light is None:
         return rendering
-    return replace(rendering, images=scene.light.to_own(rendering.images))
+    return replace(rendering, images=located.light.to_own(rendering.images))
 
 
-def _with_edit_judged_in_3d(scene: Scene, parts: Parts) -> Scene:
+def _edit_verdict(
+    inputs: Inputs,
+    selection: SelectedRegions,
+    edit: EditedPhotos,
+    made: Reconstructed,
+    rendered: Rendering,
+    parts: Parts,
+) -> EditVerdict | None:
     """The verdict on the edit, with what the scene tells of it."""
-    verdict = scene.edit_verdict
-    if verdict is None:
-        return scene
-    views = range(scene.start.count if parts.config.edit_views == "all" else 1)
-    measures = measure_edit_in_3d(verdict.measures, scene, views)
-    return replace(scene, edit_verdict=judge_edit(measures, verdict.surety))
+    if edit.verdict is None:
+        return None
+    count = parts.edited_count(inputs.start)
+    asked = edit_to_judge(inputs, selection, edit, parts.tasks, count)
+    cameras = made.cameras.at(inputs.start.image_size)
+    verdict = parts.critic.judge_edit(
+        replace(asked, rendered=rendered, cameras=cameras)
+    )
+    check_edit_verdict(parts.critic, verdict)
+    return verdict

@@ -1,69 +1,109 @@
-"""Step 2: poses and depths of the unedited photos, where the scene shall stand on them."""
+"""Step 2: what the unedited photos tell, where the scene shall stand on it."""
 
 from dataclasses import replace
 
 import torch
+from jaxtyping import Bool
+from torch import Tensor
 
 from edit3r.contract.interfaces import Geometry
 from edit3r.contract.reporting import note, say, stage
+from edit3r.contract.types import Views
 from edit3r.kit.geometry.cameras import field_of_view
+from edit3r.kit.geometry.light import Light, estimate_light
 from edit3r.running.geometry import lies_flat
 from edit3r.running.parts import Parts
-from edit3r.running.scene import Scene
+from edit3r.running.records import Inputs, Located
 
 
 @torch.no_grad()
-def locate(scene: Scene, parts: Parts) -> Scene:
-    """Read the photos' geometry before anything is edited; later steps share it.
+def locate(inputs: Inputs, parts: Parts) -> tuple[Inputs, Located]:
+    """Read geometry, exposure and what passed from the photos before anything is edited.
 
-    Where the reconstructor uses none, nothing is read here: selecting may ask for it.
+    Where the reconstructor uses no geometry, nothing is read here: selecting may ask for it. EXIF
+    that does not fit the photos is not believed. Raises MatchingError for photos that cannot be
+    placed relative to each other.
     """
-    geometry = None
-    if parts.uses_geometry:
-        with stage("geometry"):
-            geometry = parts.geometry.of(scene.photos).geometry
-            if _by_exif(scene) and (geometry is None or geometry.contradicts):
-                scene, geometry = _without_exif(scene, geometry, parts)
-            if any(scene.photos.assumed):
-                scene = replace(scene, flat=lies_flat(geometry, scene.photos))
-    return _with_lens(scene, geometry)
+    if not parts.uses_geometry:
+        _note_lens(inputs, None)
+        return inputs, Located()
+    with stage("geometry"):
+        inputs, geometry = _fitting(inputs, parts)
+        photos = inputs.photos
+        flat = any(photos.assumed) and lies_flat(geometry, photos)
+        lenses = _note_lens(inputs, geometry)
+        light = _light(photos, geometry, parts)
+        return inputs, Located(
+            geometry, flat, lenses, light, _passing(photos, geometry, parts)
+        )
 
 
-def _by_exif(scene: Scene) -> bool:
-    """Whether EXIF alone tells the lens of all photos: photo apps keep it when they crop."""
-    told = [record.intrinsics_source for record in scene.records]
-    return bool(told) and all(source.startswith("EXIF") for source in told)
-
-
-def _without_exif(
-    scene: Scene, geometry: Geometry | None, parts: Parts
-) -> tuple[Scene, Geometry | None]:
-    """The photos as if nobody knew their lens, where that is how they fit together."""
-    unknown = (True,) * scene.photos.count
+def _fitting(inputs: Inputs, parts: Parts) -> tuple[Inputs, Geometry]:
+    """The geometry, and the inputs without what EXIF says of a lens that does not fit."""
+    located = parts.geometry.of(inputs.photos)
+    if not _by_exif(inputs) or (
+        located.geometry is not None and not located.geometry.contradicts
+    ):
+        return inputs, located.required()
+    unknown = (True,) * inputs.photos.count
     photos, start = (
-        replace(views, assumed=unknown) for views in (scene.photos, scene.start)
+        replace(views, assumed=unknown) for views in (inputs.photos, inputs.start)
     )
-    found = parts.geometry.of(photos).geometry
-    if found is None or found.intrinsics is None:
-        return scene, geometry
+    geometry = parts.geometry.of(photos).geometry
+    if geometry is None or geometry.intrinsics is None:
+        return inputs, located.required()
     say(
         "lens.exif",
         "what EXIF says of the lens does not fit the photos, as where they were cropped; it is "
         "read from the photos instead, unless --fov tells it",
     )
-    return replace(scene, photos=photos, start=start), found
+    return replace(inputs, photos=photos, start=start), geometry
 
 
-def _with_lens(scene: Scene, geometry: Geometry | None) -> Scene:
-    """The scene with what is not sure about its lens; `run.json` says who told the lens."""
-    told = [record.intrinsics_source for record in scene.records]
-    unknown = bool(scene.photos.assumed) and all(scene.photos.assumed)
-    found = geometry if unknown else None
-    if found is not None and found.intrinsics is not None:
-        fov = field_of_view(found.calibrated(scene.photos))
+def _by_exif(inputs: Inputs) -> bool:
+    """Whether EXIF alone tells the lens of all photos: photo apps keep it when they crop."""
+    told = [file.intrinsics_source for file in inputs.files]
+    return bool(told) and all(source.startswith("EXIF") for source in told)
+
+
+def _note_lens(inputs: Inputs, geometry: Geometry | None) -> tuple[float, float] | None:
+    """Say in `run.json` who told the lens that is used; what is not sure about it."""
+    told = [file.intrinsics_source for file in inputs.files]
+    photos = inputs.photos
+    if not photos.assumed or not all(photos.assumed):
+        geometry = None
+    if geometry is not None and geometry.intrinsics is not None:
+        fov = field_of_view(geometry.calibrated(photos))
         told = [f"read from the photos: {fov:.1f} degrees across the longer side"]
     note("lens.source", list(dict.fromkeys(told)))
-    if found is None or found.lenses is None:
-        return scene
-    note("lens.alike", [round(fov, 1) for fov in found.lenses])
-    return replace(scene, lenses=found.lenses)
+    if geometry is None or geometry.lenses is None:
+        return None
+    note("lens.alike", [round(fov, 1) for fov in geometry.lenses])
+    return geometry.lenses
+
+
+def _light(photos: Views, geometry: Geometry, parts: Parts) -> Light | None:
+    """How the photos' colours become the first one's."""
+    if parts.config.light == "own":
+        return None
+    light = estimate_light(photos, geometry)
+    if light is not None:
+        for name, value in (("gain", light.gain), ("offset", light.offset)):
+            note(f"light.{name}", value[0, ..., 0, 0].tolist())
+        say(
+            "light",
+            f"the photos differ by up to {255 * light.change:.0f} of 255; the scene has the light "
+            "of the first (--light own: each its own)",
+        )
+    return light
+
+
+def _passing(
+    photos: Views, geometry: Geometry, parts: Parts
+) -> Bool[Tensor, "batch view height width"] | None:
+    """What passed while the photos were taken."""
+    if parts.config.passing == "keep" or photos.count < 3:
+        return None
+    from edit3r.running.passing import passing
+
+    return passing(geometry, photos)

@@ -7,7 +7,7 @@ from pathlib import Path
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Reader
+from edit3r.contract.interfaces import Reader, Selection
 from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say, stage, warn
 from edit3r.contract.types import Views
@@ -18,15 +18,14 @@ from edit3r.kit.photos.images import LoadedPhotos, find_photos, load_photos
 from edit3r.kit.photos.masks import read_mask
 from edit3r.running.earlier import EarlierRun
 from edit3r.running.job import RunJob
-from edit3r.running.scene import Scene
+from edit3r.running.records import Inputs
 from edit3r.running.selecting.marks import MarkTexts
-from edit3r.running.selecting.select import Selection
 
 _MOST_OF_A_THING = 0.5
 """Share of the photos [mean of the masks] above which masks are of no thing."""
 
 
-def read(job: RunJob, read_lens: Callable[[Views], Lens | None]) -> Scene:
+def read(job: RunJob, read_lens: Callable[[Views], Lens | None]) -> Inputs:
     """The photos of the job, or of the earlier run that it goes on from, and their marks.
 
     `read_lens` says of photos whose lens nobody knows what bends straight lines in them.
@@ -34,27 +33,27 @@ def read(job: RunJob, read_lens: Callable[[Views], Lens | None]) -> Scene:
     with stage("read photos"):
         masks = job.masks
         if job.earlier is not None:
-            scene = _read_earlier(job.earlier)
+            inputs = _read_earlier(job.earlier)
         elif isinstance(job.photos, Views):
             names = tuple(unique_names(job.photos.called))
             photos = replace(job.photos, names=names)
-            scene = Scene(photos=photos, start=photos)
+            inputs = Inputs(photos=photos, start=photos)
         else:
-            found, scene = _read_files(job.photos, job, read_lens)
+            found, inputs = _read_files(job.photos, job, read_lens)
             if isinstance(masks, MarkTexts):
-                used = [record.file for record in scene.records]
+                used = [record.file for record in inputs.files]
                 masks = masks.for_photos([origin(path) for path in found], used)
             if masks is None and job.config.prompt:
-                scene = _with_masks_of_cameras(scene)
-        scene = replace(scene, prompts=(*scene.prompts, job.config.prompt))
-        return _with_marks(scene, masks, job.components["reader"])
+                inputs = _with_masks_of_cameras(inputs)
+        inputs = replace(inputs, prompts=(*inputs.prompts, job.config.prompt))
+        return _with_marks(inputs, masks, job.components["reader"])
 
 
-def _read_earlier(earlier: EarlierRun) -> Scene:
-    return Scene(
+def _read_earlier(earlier: EarlierRun) -> Inputs:
+    return Inputs(
         photos=earlier.photos,
         start=earlier.edited,
-        records=earlier.records,
+        files=earlier.records,
         prompts=earlier.prompts,
         things=earlier.things,
         before=earlier.scene,
@@ -63,8 +62,8 @@ def _read_earlier(earlier: EarlierRun) -> Scene:
 
 def _read_files(
     photos: tuple[Path, ...], job: RunJob, read_lens: Callable[[Views], Lens | None]
-) -> tuple[list[Path], Scene]:
-    """All photos that were found, and the scene of those that are used."""
+) -> tuple[list[Path], Inputs]:
+    """All photos that were found, and the inputs of those that are used."""
     config = job.config
     found = find_photos(photos, max(USUAL_FRAMES, config.views or 0))
     loaded = load_photos(
@@ -74,23 +73,23 @@ def _read_files(
         cameras=job.cameras if isinstance(job.cameras, Path) else None,
         read_lens=read_lens,
     )
-    return found, Scene(photos=loaded.views, start=loaded.views, records=loaded.photos)
+    return found, Inputs(photos=loaded.views, start=loaded.views, files=loaded.photos)
 
 
-def _with_masks_of_cameras(scene: Scene) -> Scene:
-    """The scene with the masks that its camera file names, where they are of a thing.
+def _with_masks_of_cameras(inputs: Inputs) -> Inputs:
+    """The inputs with the masks that their camera file names, where they are of a thing.
 
     Such masks also leave out of training what moves: then they are white nearly everywhere.
     """
-    named = {view: one for view, one in enumerate(scene.records) if one.mask}
+    named = {view: one for view, one in enumerate(inputs.files) if one.mask}
     files = {view: str(record.mask) for view, record in named.items()}
     try:
         masks = {v: read_mask(Path(files[v]), one.frame) for v, one in named.items()}
     except InputError as error:
         warn(f"{error} The masks of the camera file (mask_path) are not used.")
-        return scene
+        return inputs
     if not masks:
-        return scene
+        return inputs
     share = sum(float(mask.mean()) for mask in masks.values()) / len(masks)
     used = share < _MOST_OF_A_THING
     says = (
@@ -103,21 +102,21 @@ def _with_masks_of_cameras(scene: Scene) -> Scene:
     say("selection.masks", says)
     hashes = {file: sha256_of(Path(file)) for file in files.values()}
     marked = Selection(masks=masks)
-    return replace(scene, marked=marked, mask_files=hashes) if used else scene
+    return replace(inputs, marked=marked, mask_files=hashes) if used else inputs
 
 
 def _with_marks(
-    scene: Scene, masks: Tensor | Selection | MarkTexts | None, reader: Reader
-) -> Scene:
-    """The scene with given masks, or with what is marked on its photos."""
+    inputs: Inputs, masks: Tensor | Selection | MarkTexts | None, reader: Reader
+) -> Inputs:
+    """The inputs with given masks, or with what is marked on their photos."""
     if masks is None:
-        return scene
+        return inputs
     if isinstance(masks, Tensor):
-        return replace(scene, masks=masks)
+        return replace(inputs, masks=masks)
     if isinstance(masks, Selection):
-        return replace(scene, marked=masks)
-    if not scene.records:
+        return replace(inputs, marked=masks)
+    if not inputs.files:
         raise InputError("marks in words need photos that were read from files.")
-    marked = masks.read(LoadedPhotos(scene.start, scene.records), reader)
+    marked = masks.read(LoadedPhotos(inputs.start, inputs.files), reader)
     hashes = {file: sha256_of(Path(file)) for file in masks.mask_files}
-    return replace(scene, marked=marked, mask_files=hashes)
+    return replace(inputs, marked=marked, mask_files=hashes)

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 from torch import Tensor
 
 from edit3r.contract.component import component_name
@@ -14,17 +14,23 @@ from edit3r.contract.interfaces import (
     Geometry,
     Reconstructor,
 )
-from edit3r.contract.reporting import note, say, stage, warn
+from edit3r.contract.reporting import note, stage, warn
 from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.cache import recall
 from edit3r.kit.checks import check_reconstruction, errors_named_after
 from edit3r.kit.geometry.gravity import quarter_turns
-from edit3r.kit.geometry.light import estimate_light
 from edit3r.kit.geometry.pose import estimate_cameras
 from edit3r.running.editors import request_of
-from edit3r.running.judging.between import guessed_between
 from edit3r.running.parts import Parts
-from edit3r.running.scene import Scene, known_cameras
+from edit3r.running.records import (
+    EditedPhotos,
+    Inputs,
+    Located,
+    Masks,
+    Reconstructed,
+    SelectedRegions,
+    known_cameras,
+)
 
 FINE_VIEWS = 20
 """Views whose grids are as fine as asked for: more have as many pixels together, since they show
@@ -33,34 +39,33 @@ the same surfaces again, and memory must hold them.
 
 
 @torch.no_grad()
-def reconstruct(scene: Scene, parts: Parts) -> Scene:
+def reconstruct(
+    inputs: Inputs,
+    located: Located,
+    selection: SelectedRegions,
+    edit: EditedPhotos,
+    parts: Parts,
+) -> Reconstructed:
     """Gaussians and cameras of the edited views, and the scene as it was before the edit."""
     with stage(f"reconstruct ({component_name(parts.reconstructor)})"):
-        scene = _with_light(scene, parts)
-        reconstruction = _reconstructed(scene, parts)
-        scene = replace(scene, masks=_masks_of_change(scene, parts))
-        scene = replace(scene, passing=_passing(scene, parts))
-        scene = replace(scene, guessed=_guessed(scene, parts))
-        before = _before(scene, parts)
+        made = _reconstructed(inputs, located, selection, edit, parts)
+        masks = _masks_of_change(inputs, selection, edit, parts)
+        before = _before(inputs, located, masks, parts)
     if before is not None:
-        size = known_cameras(reconstruction).image_size
-        cameras = known_cameras(before).at(size)
-        reconstruction = replace(reconstruction, cameras=cameras)
-    placed = _placed(reconstruction, scene.start.count)
-    _tell_of_passing(scene)
+        cameras = known_cameras(before).at(known_cameras(made).image_size)
+        made = replace(made, cameras=cameras)
+    placed = _placed(made, inputs.photos.count)
+    passing = _beside(located.passing, masks)
+    _tell_of_passing(inputs.photos, passing)
     used = [view for view, there in enumerate(placed) if there]
-    lost = [view for view, there in enumerate(placed) if not there]
-    _tell_of_turned(scene.photos.select(used), known_cameras(reconstruction))
-    left_out = scene.photos.select(lost) if lost else None
-    scene = scene.select(used)
-    reconstruction = _without_passing(reconstruction, scene)
-    return replace(
-        scene,
-        before=before,
-        reconstruction=reconstruction,
-        gaussians=reconstruction.gaussians,
+    _tell_of_turned(inputs.photos.select(used), known_cameras(made))
+    return Reconstructed(
+        reconstruction=_without_passing(made, passing, used),
+        photos=inputs.photos,
         placed=placed,
-        left_out=left_out,
+        masks=None if masks is None else masks[:, used],
+        before=before,
+        passing=None if passing is None else passing[:, used],
     )
 
 
@@ -76,54 +81,42 @@ def _tell_of_turned(photos: Views, cameras: Cameras) -> None:
             )
 
 
-def _passing(
-    scene: Scene, parts: Parts
+def _beside(
+    passing: Bool[Tensor, "batch view height width"] | None, masks: Masks | None
 ) -> Bool[Tensor, "batch view height width"] | None:
     """What passed while the photos were taken, but for what the user selected."""
-    if not parts.uses_geometry or scene.photos.count < 3:
-        return None
-    if parts.config.passing == "keep":
-        return None
-    from edit3r.running.passing import passing
-
-    found = passing(parts.geometry.of(scene.photos).required(), scene.photos)
-    if found is not None and scene.confined:
-        assert scene.masks is not None
-        found &= scene.masks <= 0
-    return found if found is not None and bool(found.any()) else None
+    if passing is not None and masks is not None and not bool((masks > 0).all()):
+        passing = passing & (masks <= 0)
+    return passing if passing is not None and bool(passing.any()) else None
 
 
-def _guessed(scene: Scene, parts: Parts) -> Float[Tensor, "batch view"] | None:
-    """How much of the picture half-way from each photo to its nearest one is guessed."""
-    if not parts.uses_geometry:
-        return None
-    geometry = parts.geometry.of(scene.photos).required()
-    return guessed_between(geometry, scene.photos)
-
-
-def _without_passing(reconstruction: Reconstruction, scene: Scene) -> Reconstruction:
+def _without_passing(
+    made: Reconstruction,
+    passing: Bool[Tensor, "batch view height width"] | None,
+    used: list[int],
+) -> Reconstruction:
     """The reconstruction without what passed while the placed photos were taken."""
-    if scene.passing is None:
-        return reconstruction
+    if passing is None:
+        return made
     from edit3r.running.passing import without_passing
 
-    cameras = known_cameras(reconstruction)
+    cameras = known_cameras(made)
     gaussians = without_passing(
-        reconstruction.gaussians, scene.passing, cameras.c2w, cameras.intrinsics
+        made.gaussians, passing[:, used], cameras.c2w, cameras.intrinsics
     )
-    return replace(reconstruction, gaussians=gaussians)
+    return replace(made, gaussians=gaussians)
 
 
-def _tell_of_passing(scene: Scene) -> None:
+def _tell_of_passing(
+    photos: Views, passing: Bool[Tensor, "batch view height width"] | None
+) -> None:
     """Warn of what is left out since one photo alone shows it."""
-    if scene.passing is None:
+    if passing is None:
         return
-    shares = scene.passing.float().mean((0, 2, 3)).tolist()
+    shares = passing.float().mean((0, 2, 3)).tolist()
     note("passing", [round(share, 4) for share in shares])
     names = [
-        f"{share:.1%} of {name}"
-        for name, share in zip(scene.photos.called, shares)
-        if share
+        f"{share:.1%} of {name}" for name, share in zip(photos.called, shares) if share
     ]
     warn(
         f"{', '.join(names)}: shown by this photo alone where others see through its place, as a "
@@ -131,33 +124,24 @@ def _tell_of_passing(scene: Scene) -> None:
     )
 
 
-def _with_light(scene: Scene, parts: Parts) -> Scene:
-    """The scene with the photos' light, where it stands on what they share."""
-    if parts.config.light == "own" or not parts.uses_geometry:
-        return scene
-    geometry = parts.geometry.of(scene.photos).required()
-    light = estimate_light(scene.photos, geometry)
-    if light is not None:
-        for name, value in (("gain", light.gain), ("offset", light.offset)):
-            note(f"light.{name}", value[0, ..., 0, 0].tolist())
-        say(
-            "light",
-            f"the photos differ by up to {255 * light.change:.0f} of 255; the scene has the light "
-            "of the first (--light own: each its own)",
-        )
-    return replace(scene, light=light)
-
-
-def _reconstructed(scene: Scene, parts: Parts) -> Reconstruction:
+def _reconstructed(
+    inputs: Inputs,
+    located: Located,
+    selection: SelectedRegions,
+    edit: EditedPhotos,
+    parts: Parts,
+) -> Reconstruction:
     """The edited views in 3D; their geometry is that of the photos, unless things come or go."""
-    recon, edited = parts.reconstructor, scene.in_one_light(scene.edited)
-    source = edited if parts.changes_shape else scene.in_one_light(scene.photos)
-    geometry = _geometry(scene, parts, edited if parts.changes_shape else None)
+    recon, edited = parts.reconstructor, located.in_one_light(edit.views)
+    source = edited if parts.changes_shape else located.in_one_light(inputs.photos)
+    reshaped = edited if parts.changes_shape else None
+    geometry = _geometry(inputs, located, parts, reshaped)
     if not isinstance(recon, EditsViews):
         grid = _grid(parts, edited)
         return _checked(recon, edited, lambda: recon(edited, source, geometry, grid))
     task = parts.only_task
-    request = request_of(task, scene, parts.config.seed, range(len(task.wishes)))
+    wishes = range(len(task.wishes))
+    request = request_of(task, selection, parts.config.seed, wishes)
     return _checked(
         recon,
         edited,
@@ -166,7 +150,7 @@ def _reconstructed(scene: Scene, parts: Parts) -> Reconstruction:
 
 
 def _geometry(
-    scene: Scene, parts: Parts, reshaped: Views | None = None
+    inputs: Inputs, located: Located, parts: Parts, reshaped: Views | None = None
 ) -> Geometry | None:
     """What the reconstructor is given of the photos' geometry; of the `reshaped` ones where the
     edit adds or removes things.
@@ -175,8 +159,9 @@ def _geometry(
         return None
     if reshaped is not None:
         return parts.geometry.of(reshaped).required()
-    levelled = None if scene.light is None else scene.in_one_light(scene.photos)
-    return parts.geometry.of(scene.photos, levelled).required()
+    photos = inputs.photos
+    levelled = None if located.light is None else located.in_one_light(photos)
+    return parts.geometry.of(photos, levelled).required()
 
 
 def _grid(parts: Parts, views: Views) -> tuple[int, int]:
@@ -237,33 +222,35 @@ def _only_placed(reconstruction: Reconstruction) -> Reconstruction:
 
 
 def _masks_of_change(
-    scene: Scene, parts: Parts
-) -> Float[Tensor, "batch view height width"] | None:
+    inputs: Inputs, selection: SelectedRegions, edit: EditedPhotos, parts: Parts
+) -> Masks | None:
     """Where the scene may change: the masks, else, after an earlier run, where the images did.
 
     Views that were not edited hold nothing back.
     """
-    if scene.masks is not None or scene.before is None:
-        return scene.masks
-    changed = (scene.edited.images != scene.start.images).any(2).to(scene.start.images)
-    if parts.config.edit_views == "first":
-        changed[:, 1:] = 1
+    if selection.masks is not None or inputs.before is None:
+        return selection.masks
+    start = inputs.start.images
+    changed = (edit.views.images != start).any(2).to(start)
+    changed[:, parts.edited_count(inputs.start) :] = 1
     return changed
 
 
-def _before(scene: Scene, parts: Parts) -> Reconstruction | None:
+def _before(
+    inputs: Inputs, located: Located, masks: Masks | None, parts: Parts
+) -> Reconstruction | None:
     """The scene as it was before the edit, where a refiner needs it and some of it must stay."""
     needed = any(isinstance(refiner, ComparesWithBefore) for refiner in parts.refiners)
-    if not needed or parts.changes_shape or not scene.confined:
+    confined = masks is not None and not bool((masks > 0).all())
+    if not needed or parts.changes_shape or not confined:
         return None
-    if scene.before is not None:  # an earlier run's
-        return scene.before
-    recon, photos = parts.reconstructor, scene.in_one_light(scene.photos)
-    if isinstance(
-        recon, EditsViews
-    ):  # it has no answer for photos that are not to be edited
+    if inputs.before is not None:  # an earlier run's
+        return inputs.before
+    recon, photos = parts.reconstructor, located.in_one_light(inputs.photos)
+    if isinstance(recon, EditsViews):
+        # It has no answer for photos that are not to be edited.
         return None
-    geometry, grid = _geometry(scene, parts), _grid(parts, photos)
+    geometry, grid = _geometry(inputs, located, parts), _grid(parts, photos)
 
     def compute() -> Reconstruction:
         return _checked(recon, photos, lambda: recon(photos, photos, geometry, grid))

@@ -10,10 +10,19 @@ from edit3r.kit.checks import check_refinement, errors_named_after
 from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.maps import composite
 from edit3r.running.parts import Parts
-from edit3r.running.scene import Scene, known_cameras
+from edit3r.running.records import (
+    EditedPhotos,
+    Located,
+    Reconstructed,
+)
 
 
-def refine(scene: Scene, parts: Parts) -> Scene:
+def refine(
+    located: Located,
+    edit: EditedPhotos,
+    made: Reconstructed,
+    parts: Parts,
+) -> Gaussians:
     """Apply the refiners.
 
     Editing again, `before` is an earlier run's scene and has been refined: the refiners follow in
@@ -32,47 +41,47 @@ def refine(scene: Scene, parts: Parts) -> Scene:
         first = [one for one in refiners if isinstance(one, ComparesWithBefore)]
         others = [one for one in refiners if not isinstance(one, ComparesWithBefore)]
         refiners = (*first, *others)
-    gaussians = scene.gaussians
-    for refiner in refiners:
-        compares = isinstance(refiner, ComparesWithBefore)
-        if compares and scene.before is None:
-            continue
-        gaussians = _refined(refiner, gaussians, scene, parts)
-        if compares and not again:
-            scene = replace(scene, before=None)
-    return replace(scene, gaussians=gaussians)
-
-
-def _refined(
-    refiner: Refiner, gaussians: Gaussians, scene: Scene, parts: Parts
-) -> Gaussians:
     first_alone = parts.config.edit_views == "first"
     inputs = RefineInputs(
-        cameras=known_cameras(scene.reconstruction),
-        views=scene.edited.select([0]) if first_alone else _as_fused(scene),
+        cameras=made.cameras,
+        views=edit.views.select([0])
+        if first_alone
+        else _as_fused(located, edit.views, made),
         rasterizer=parts.rasterizer,
-        masks=scene.masks,
-        before=None if scene.before is None else scene.before.gaussians,
+        masks=made.masks,
+        before=None if made.before is None else made.before.gaussians,
         seed=parts.config.seed,
-        ignored=scene.passing,
+        ignored=made.passing,
     )
+    gaussians = made.reconstruction.gaussians
+    for refiner in refiners:
+        compares = isinstance(refiner, ComparesWithBefore)
+        if compares and inputs.before is None:
+            continue
+        gaussians = _refined(refiner, gaussians, inputs)
+        if compares and not again:
+            inputs = replace(inputs, before=None)
+    return gaussians
+
+
+def _refined(refiner: Refiner, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
     with stage(component_name(refiner)), errors_named_after(refiner):
         answer = refiner(gaussians, inputs)
-    check_refinement(refiner, scene.gaussians, answer)
+    check_refinement(refiner, gaussians, answer)
     return answer
 
 
-def _as_fused(scene: Scene) -> Views:
+def _as_fused(located: Located, views: Views, made: Reconstructed) -> Views:
     """The edited views as the scene shows them: own edits would make them disagree again.
 
     Outside the masks nothing may change, so there the fused edit does not count either.
     """
-    edited = scene.in_one_light(scene.edited)
-    fusion = scene.reconstruction.fusion
+    edited = located.in_one_light(views)
+    fusion = made.reconstruction.fusion
     if fusion is None:
         return edited
     change = bilinear(fusion.flatten(0, 1), edited.image_size).view_as(edited.images)
     fused = (edited.images + change).clamp(0, 1)
-    if scene.masks is not None:
-        fused = composite(edited.images, fused, scene.masks)
+    if made.masks is not None:
+        fused = composite(edited.images, fused, made.masks)
     return replace(edited, images=fused)

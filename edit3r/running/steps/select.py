@@ -8,31 +8,40 @@ from torch import Tensor
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import EditsRegions, Geometry, Reconstructor
+from edit3r.contract.interfaces import EditsRegions, Geometry, Reconstructor, Selection
 from edit3r.contract.reporting import stage, warn
 from edit3r.contract.types import Views
 from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.parts import Parts
-from edit3r.running.scene import Scene
+from edit3r.running.records import Inputs, SelectedRegions
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.regions import RegionFinder
-from edit3r.running.selecting.select import Selection
 
 
 @torch.no_grad()
-def select(scene: Scene, parts: Parts) -> Scene:
-    """Which views are used, and which of their pixels may change."""
+def select(inputs: Inputs, parts: Parts) -> SelectedRegions:
+    """Which pixels of the views may change."""
     with stage("select"):
-        scene = _widened(_with_regions(scene, parts), parts)
-        return _as_many_as_fit(scene, parts.reconstructor)
+        return _widened(_regions(inputs, parts), inputs, parts)
 
 
-def load(scene: Scene, parts: Parts) -> Scene:
-    """The scene on the run's device, once its reconstructor takes so few photos."""
+def load(inputs: Inputs, parts: Parts) -> Inputs:
+    """The inputs on the run's device, once its reconstructor takes so few photos."""
     with stage("load components"):
-        _require_enough(scene.start, parts.reconstructor)
-        return scene.to(parts.config.device)
+        _require_enough(inputs.start, parts.reconstructor)
+        return inputs.to(parts.config.device)
+
+
+def as_many_as_fit(views: Views, reconstructor: Reconstructor) -> list[int]:
+    """The views that the reconstructor takes: above its maximum they are evenly spaced."""
+    count, most = views.count, reconstructor.max_views
+    if most is None or count <= most:
+        return list(range(count))
+    chosen = torch.linspace(0, count - 1, most).round().long().tolist()
+    name = component_name(reconstructor)
+    warn(f"{name} takes at most {most} views; of {count} these are used: {chosen}.")
+    return chosen
 
 
 def _require_enough(views: Views, reconstructor: Reconstructor) -> None:
@@ -43,42 +52,33 @@ def _require_enough(views: Views, reconstructor: Reconstructor) -> None:
         )
 
 
-def _as_many_as_fit(scene: Scene, reconstructor: Reconstructor) -> Scene:
-    """As many views as the reconstructor takes: above its maximum they are evenly spaced."""
-    count, most = scene.start.count, reconstructor.max_views
-    if most is None or count <= most:
-        return scene
-    chosen = torch.linspace(0, count - 1, most).round().long().tolist()
-    name = component_name(reconstructor)
-    warn(f"{name} takes at most {most} views; of {count} these are used: {chosen}.")
-    return scene.select(chosen)
-
-
-def _with_regions(scene: Scene, parts: Parts) -> Scene:
-    """The scene with a region for each wish, and their union as masks.
+def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
+    """A region for each wish, and their union as masks.
 
     An editor that takes any sentence is confined only by marks, or where a segmenter was asked for.
     """
-    views = scene.start
+    views = inputs.start
     wishes = tuple(wish for task in parts.tasks for wish in task.wishes)
-    if scene.masks is not None:
+    if inputs.masks is not None:
         expected = [*views.images.shape[:2], *views.image_size]
-        if list(scene.masks.shape) != expected:
+        if list(inputs.masks.shape) != expected:
             raise InputError(
                 f"masks: expected one per view at the views' size {expected}, got "
-                f"{list(scene.masks.shape)}."
+                f"{list(inputs.masks.shape)}."
             )
-        own = [_narrowed(scene.masks, views, wish.thing) for wish in wishes]
-        return replace(scene, regions=torch.stack(own) if own else None)
+        own = [_narrowed(inputs.masks, views, wish.thing) for wish in wishes]
+        return SelectedRegions(
+            inputs.masks, torch.stack(own) if own else None, things=inputs.things
+        )
     regional = any(isinstance(task.editor, EditsRegions) for task in parts.tasks)
     named = parts.chose_segmenter and any(
         wish.thing.scope == "named" for wish in wishes
     )
-    if scene.marked is None and not regional and not named:
-        return scene
+    if inputs.marked is None and not regional and not named:
+        return SelectedRegions(things=inputs.things)
     try:
         found = [
-            _finder(index, scene, parts).find(wishes or (MARKED,))
+            _finder(index, inputs, parts).find(wishes or (MARKED,))
             for index in range(len(views.images))
         ]
     except InputError as error:
@@ -88,31 +88,32 @@ def _with_regions(scene: Scene, parts: Parts) -> Scene:
         raise InputError(f"{error}{hints}") from None
     regions = torch.stack([one.masks for one in found], dim=1)
     masks = regions.amax(0)
-    if not regional and scene.marked is None:  # words are less exact than marks
+    if not regional and inputs.marked is None:  # words are less exact than marks
         masks = dilate_softly((masks > 0.5).to(masks).flatten(0, 1)).view_as(masks)
-    return replace(
-        scene,
-        regions=regions if wishes else None,
+    return SelectedRegions(
         masks=None if bool((masks >= 1).all()) else masks,
+        regions=regions if wishes else None,
         wishes=found[0].wishes if wishes else (),
         selected=found[0].selected,
         things=found[0].things,
     )
 
 
-def _widened(scene: Scene, parts: Parts) -> Scene:
-    """The scene with what editors have to change around the things, such as shadows."""
-    if scene.regions is None or scene.masks is None:
-        return scene
-    of_tasks = scene.regions.split([len(task.wishes) for task in parts.tasks])
+def _widened(
+    selection: SelectedRegions, inputs: Inputs, parts: Parts
+) -> SelectedRegions:
+    """The selection with what editors have to change around the things, such as shadows."""
+    if selection.regions is None or selection.masks is None:
+        return selection
+    of_tasks = selection.regions.split([len(task.wishes) for task in parts.tasks])
     regions = torch.cat(
         [
-            task.editor.widened(own, scene.start.images)
+            task.editor.widened(own, inputs.start.images)
             for task, own in zip(parts.tasks, of_tasks)
         ]
     )
-    wide = torch.maximum(scene.masks, regions.amax(0))
-    return replace(scene, regions=regions, masks=wide)
+    wide = torch.maximum(selection.masks, regions.amax(0))
+    return replace(selection, regions=regions, masks=wide)
 
 
 def _narrowed(
@@ -131,14 +132,14 @@ MARKED = Wish("other", Thing("marked"))
 """The wish of a sentence that could not be read, or of none."""
 
 
-def _finder(index: int, scene: Scene, parts: Parts) -> RegionFinder:
+def _finder(index: int, inputs: Inputs, parts: Parts) -> RegionFinder:
     """Finds things in one scene of the batch."""
     config = parts.config
     return RegionFinder(
-        scene.start.scene(index),
-        segmenter=lambda: parts.segmenter,
-        geometry=lambda: _geometry(index, scene, parts),
-        marked=scene.marked,
+        inputs.start.scene(index),
+        selector=lambda: parts.selector,
+        geometry=lambda: _geometry(index, inputs.photos, parts),
+        marked=inputs.marked,
         defaults=Selection(
             guess=config.guess,
             sure=config.sure,
@@ -147,13 +148,13 @@ def _finder(index: int, scene: Scene, parts: Parts) -> RegionFinder:
             grow=config.grow,
             inverted=config.invert,
         ),
-        known=scene.things,
+        known=inputs.things,
     )
 
 
-def _geometry(index: int, scene: Scene, parts: Parts) -> Geometry | None:
+def _geometry(index: int, photos: Views, parts: Parts) -> Geometry | None:
     """What is known of one scene's unedited photos, where it can be trusted."""
-    if scene.photos.count < 2:
+    if photos.count < 2:
         return None
-    geometry = parts.geometry.of(scene.photos).trusted()
+    geometry = parts.geometry.of(photos).trusted()
     return None if geometry is None else geometry.scene(index)

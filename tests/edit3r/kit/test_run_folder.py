@@ -2,6 +2,7 @@ import json
 
 import numpy as np
 import pytest
+from edit3r_judge.verdict import Verdict
 from PIL import Image
 from pydantic import Field, SecretStr
 
@@ -17,7 +18,6 @@ from edit3r.kit.run_folder import (
     installed_versions,
     write_manifest,
 )
-from edit3r.running.judging.verdict import Verdict
 
 
 class RemoteSettings(Settings):

@@ -8,13 +8,13 @@ import torch
 import edit3r
 from edit3r import Views
 from edit3r.contract.errors import PluginError, PromptError, UnknownComponentError
-from edit3r.contract.interfaces import Editor, EditsRegions, Reader
+from edit3r.contract.interfaces import Editor, EditsRegions, Reader, Selection
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.wishes import Change, Colour, Thing, Wish
 from edit3r.kit.photos.images import LoadedPhotos
 from edit3r.loading.load import LoadedPlugins, PluginFailure
 from edit3r.loading.registry import Registry
-from edit3r.running import MarkTexts, Selection, preview
+from edit3r.running import MarkTexts, preview
 from edit3r.running.config import JobInputs
 from edit3r.running.job import RunJob, job_from
 from edit3r.running.reading import read, wishes_for

@@ -26,7 +26,6 @@ from edit3r.running.config import DEFAULTS, make_run_config
 from edit3r.running.job import JobInputs, job_from
 from edit3r.running.loop import preview
 from edit3r.running.steps.reconstruct import _grid
-from edit3r.running.steps.refine import _as_fused
 from edit3r_testing import photograph
 
 PLAIN = {"gaussians": "all", "refine": 0}  # the reconstructor's own Gaussians
@@ -171,12 +170,12 @@ def test_the_edit_is_judged_before_and_after_the_3d_part(views):
     job = replace(job, photos=views, components={"editor": Answer(lambda v: v)})
     report = Report()
     seen = preview(job, report=report)
-    assert seen.edit_verdict.label == "doubtful"
-    assert seen.edit_verdict.measures.shown is None
+    assert seen.edit.verdict.label == "doubtful"
+    assert seen.edit.verdict.measures["shown"] is None
     assert any("the edit is doubtful: only 0%" in text for text in report.warnings)
     result = run(views, "invert it", editor=Invert(), recon=Flat())
-    assert result.edit_verdict.measures.changed > 0.9
-    assert result.edit_verdict.measures.shown is not None
+    assert result.edit_verdict.measures["changed"] > 0.9
+    assert result.edit_verdict.measures["shown"] is not None
 
 
 def test_without_a_prompt_there_is_no_edit_to_judge(views):
@@ -306,8 +305,8 @@ def test_a_view_that_was_not_placed_leaves_the_scene_and_is_told(views):
     assert result.photos.names == result.edited.names == (
         "a",
         "c",
-    ) and result.scene.left_out.names == ("b",)
-    assert result.cameras.count == 2 and result.scene.masks.shape[1] == 2
+    ) and result.records.made.left_out.names == ("b",)
+    assert result.cameras.count == 2 and result.masks.shape[1] == 2
     assert (
         result.gaussians.view_index.unique().tolist() == [0, 1]
         and result.gaussians.count == 2 * 6 * 8
@@ -359,9 +358,7 @@ def test_refiners_follow_the_fused_edits_and_the_verdict_the_2d_edits(
     followed = []
     monkeypatch.setattr(
         "edit3r.running.steps.refine._refined",
-        lambda refiner, gaussians, scene, parts: (
-            followed.append(_as_fused(scene)) or gaussians
-        ),
+        lambda refiner, gaussians, inputs: followed.append(inputs.views) or gaussians,
     )
     steps = {"gaussians": "all", "refine": 1}
     result = run(views, editor=Invert(), recon=Fused(), **steps)
@@ -376,9 +373,7 @@ def test_the_fused_edit_does_not_count_outside_the_masks(views, monkeypatch):
     followed = []
     monkeypatch.setattr(
         "edit3r.running.steps.refine._refined",
-        lambda refiner, gaussians, scene, parts: (
-            followed.append(_as_fused(scene)) or gaussians
-        ),
+        lambda refiner, gaussians, inputs: followed.append(inputs.views) or gaussians,
     )
     masks = torch.zeros(1, views.count, *views.image_size)
     masks[..., :4] = 1
@@ -468,11 +463,9 @@ def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_one
     assert torch.equal(one.edited.images, images) and torch.equal(
         one.photos.images, images
     )
-    drawn = render_each(
-        one.rasterizer, one.gaussians, one.scene.cameras, "again"
-    ).images
-    assert torch.equal(one.rendered.images, one.scene.light.to_own(drawn))
-    assert own.scene.light is None
+    drawn = render_each(one.rasterizer, one.gaussians, one.cameras, "again").images
+    assert torch.equal(one.rendered.images, one.records.located.light.to_own(drawn))
+    assert own.records.located.light is None
 
 
 def test_geometry_of_the_unedited_photos_is_found_once_and_before_the_edit():
@@ -527,7 +520,7 @@ def test_editing_again_the_first_view_alone_holds_back_nothing_in_the_others(vie
             edit_views=asked,
             **PLAIN,
         )
-        masks = again.scene.masks[0]
+        masks = again.masks[0]
         assert float(masks[0].mean()) == 0.5
         assert float(masks[1].mean()) == others
 

@@ -8,11 +8,19 @@ import pytest
 import torch
 
 import edit3r
-from edit3r.contract.types import Cameras, Reconstruction, Views
+from edit3r.contract.types import Cameras, Reconstruction, Rendering, Views
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.kit.scenes.ply import load_ply
-from edit3r.running.scene import Scene
+from edit3r.running.records import (
+    EditedPhotos,
+    Inputs,
+    Judged,
+    Located,
+    Reconstructed,
+    Records,
+    SelectedRegions,
+)
 from edit3r.running.unit import (
     has_given_poses,
     own_unit,
@@ -30,6 +38,22 @@ def views(distance):
     poses[0, 1, 0, 3], poses[0, 2, 1, 3] = distance, 2 * distance
     lens = torch.eye(3).repeat(1, 3, 1, 1)
     return Views(torch.rand(1, 3, 3, 4, 5), lens, c2w=poses)
+
+
+def records_of(inputs, made):
+    """Of a run whose reconstruction is `made`."""
+    count = inputs.photos.count
+    maps = torch.ones(len(inputs.photos.images), count, 1, 4, 5)
+    shown = Rendering(inputs.photos.images, maps, maps)
+    return Records(
+        inputs,
+        Located(),
+        SelectedRegions(),
+        EditedPhotos(inputs.start),
+        Reconstructed(made, inputs.photos, (True,) * count),
+        made.gaussians,
+        Judged(shown, verdict=None, edit_verdict=None),
+    )
 
 
 @pytest.mark.parametrize("distance", [1e-6, 0.003, 1.0, 40.0, 1e6])
@@ -56,19 +80,23 @@ def test_each_scene_of_a_batch_has_the_unit_that_it_has_alone(gaussians_at):
     )
     factors = torch.cat([own_unit(one) for one in alone])
     assert torch.equal(own_unit(batch), factors)
-    scene, factor = to_own_unit(Scene(photos=batch, start=batch))
-    assert 0.7 < scene.photos.c2w[:, 1:, :3, 3].norm(dim=-1).mean(1).min() < 1.42
+    inputs, factor = to_own_unit(Inputs(photos=batch, start=batch))
+    assert 0.7 < inputs.photos.c2w[:, 1:, :3, 3].norm(dim=-1).mean(1).min() < 1.42
     # The second scene's poses are its own, so its answer is in no unit of the photos.
-    cameras = Cameras(scene.photos.c2w.clone(), batch.intrinsics, (4, 5))
+    cameras = Cameras(inputs.photos.c2w.clone(), batch.intrinsics, (4, 5))
     cameras.c2w[1, 1, 1, 3] += 0.1
     points = edit3r.Gaussians.stack([gaussians_at(3.0)] * 3)
     made = Reconstruction(points, cameras)
-    back = to_given_unit(replace(scene, reconstruction=made, gaussians=points), factor)
+    back = to_given_unit(records_of(inputs, made), factor)
     expected = 3 / factors
     expected[1] = 3
     assert torch.allclose(back.gaussians.means[:, 0, 2].double(), expected)
-    assert torch.equal(back.photos.c2w, batch.c2w)
-    assert has_given_poses(back.reconstruction, batch).tolist() == [True, False, True]
+    assert torch.equal(back.inputs.photos.c2w, batch.c2w)
+    assert has_given_poses(back.made.reconstruction, batch).tolist() == [
+        True,
+        False,
+        True,
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -146,21 +174,21 @@ def test_editing_again_goes_on_in_the_given_unit(both):
 def test_a_reconstructor_that_finds_poses_itself_keeps_its_unit(gaussians_at):
     """Whose answer does not stand on the given poses is not in their unit."""
     given = views(0.01)
-    scene, factor = to_own_unit(Scene(photos=given, start=given))
-    assert torch.equal(scene.photos.c2w[..., :3, 3], factor * given.c2w[..., :3, 3])
-    cameras = Cameras(scene.photos.c2w, given.intrinsics, (4, 5))
+    inputs, factor = to_own_unit(Inputs(photos=given, start=given))
+    assert torch.equal(inputs.photos.c2w[..., :3, 3], factor * given.c2w[..., :3, 3])
+    cameras = Cameras(inputs.photos.c2w, given.intrinsics, (4, 5))
     on_poses = Reconstruction(gaussians_at(3.0), cameras)
-    other = replace(cameras, c2w=scene.photos.c2w.clone())
+    other = replace(cameras, c2w=inputs.photos.c2w.clone())
     other.c2w[0, 1, 1, 3] += 0.1
     for made, expected in (
         (on_poses, 3.0 / factor),
         (replace(on_poses, cameras=other), 3.0),
     ):
-        full = replace(scene, reconstruction=made, gaussians=made.gaussians)
+        full = records_of(inputs, made)
         back = to_given_unit(full, factor)
-        assert torch.equal(back.photos.c2w, given.c2w)
+        assert torch.equal(back.inputs.photos.c2w, given.c2w)
         assert float(back.gaussians.means.max()) == pytest.approx(expected)
-        assert has_given_poses(back.reconstruction, given) == (made is on_poses)
+        assert has_given_poses(back.made.reconstruction, given) == (made is on_poses)
     assert float(to_given_unit(full, factor, refined=True).gaussians.means.max()) < 3
     assert (
         to_given_unit(replace(full, reconstruction=None), factor).gaussians

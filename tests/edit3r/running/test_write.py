@@ -13,14 +13,19 @@ from PIL import Image
 import edit3r
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Reconstructor, Segmenter, Tracks, as_proposal
+from edit3r.contract.interfaces import (
+    Reconstructor,
+    Segmenter,
+    Selection,
+    Tracks,
+    as_proposal,
+)
 from edit3r.contract.reporting import Report, warn
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.images import save_image
 from edit3r.running.config import USUAL_OUTPUTS, make_run_config
 from edit3r.running.earlier import read_earlier_run
-from edit3r.running.selecting.select import Selection
 from edit3r.running.summary import summary
 from edit3r_testing.scenes import photograph
 
@@ -291,9 +296,9 @@ def test_what_was_found_unsurely_is_edited_called_doubtful_and_shown_with_its_re
     second = edit3r.run(
         views, "paint the bear red", reading=2, report=Report(), **asked
     )
-    left, right = (one.scene.masks[0, 0].argmax(1).max() for one in (doubtful, second))
+    left, right = (one.masks[0, 0].argmax(1).max() for one in (doubtful, second))
     assert left < right  # the other bear
-    marked = Selection(masks=dict(enumerate(doubtful.scene.masks[0])))
+    marked = Selection(masks=dict(enumerate(doubtful.masks[0])))
     plain = edit3r.run(views, "paint it red", masks=marked, report=Report(), **asked)
     heights = [
         Image.open(one.save(tmp_path / name) / "before_after.png").height

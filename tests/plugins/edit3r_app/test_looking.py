@@ -17,6 +17,7 @@ from edit3r_app.looking import Looker
 from PIL import Image
 
 from edit3r.contract.errors import InputError
+from edit3r.contract.interfaces import Selected, Selector
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
 from edit3r.kit.photos.images import packaged_pair
@@ -133,14 +134,15 @@ def test_the_same_question_twice_at_once_is_answered_once(folder, scene, monkeyp
     """A press asks, and its end asks again."""
     asked = []
 
-    def found(images, *_):
-        asked.append(1)
-        time.sleep(0.2)
-        return SimpleNamespace(masks=torch.ones(1, 1, *images.shape[-2:]))
+    class Slow(Selector):
+        def select(self, views, selection, geometry=None):
+            asked.append(1)
+            time.sleep(0.2)
+            return Selected(torch.ones(1, 1, *views.image_size), ("marked",))
 
     monkeypatch.setattr(Looker, "_click", lambda *_: None)
     monkeypatch.setattr(Looker, "_geometry", lambda *_: None)
-    monkeypatch.setattr(looking, "select_masks", found)
+    monkeypatch.setattr(looking, "usual_selector", Slow)
     looker = Looker(folder, default_registry(), SIZE)
     name = looker._open_once(scene).views.names[0]
     draft = Draft([Mark("add", name, [(0.5, 0.5)])])

@@ -17,7 +17,7 @@ from edit3r_model.small_head import (
 )
 from edit3r_recolor.paint import paint
 
-from edit3r.contract.interfaces import Geometry, Matcher
+from edit3r.contract.interfaces import GaussianHead, Geometry, Matcher
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.reconstructing import WithMatcher
@@ -52,6 +52,53 @@ def reconstructor(matcher: Matcher | None = None, **settings) -> WithMatcher:
 @pytest.fixture(scope="module")
 def shipped():
     return reconstructor()
+
+
+class Repeats(GaussianHead):
+    """The small head's Gaussians, each so many times; 0: once, and none knows its pixel."""
+
+    uses_geometry = True
+
+    def __init__(self, inner, per_pixel):
+        super().__init__()
+        self.inner, self.per_pixel = inner, per_pixel
+
+    def forward(self, *given):
+        made = self.inner(*given)
+        if self.per_pixel == 0:
+            return replace(made, view_index=None)
+        return made.select(torch.arange(made.count).repeat_interleave(self.per_pixel))
+
+
+@pytest.mark.parametrize("per_pixel", [0, 3])
+def test_surroundings_follow_a_head_of_other_than_one_gaussian_a_pixel(per_pixel):
+    # Where no Gaussian knows its pixel, none is faint enough for a second layer.
+    layers = {} if per_pixel else {"second_layer": 0}
+    plain, other = reconstructor(**layers), reconstructor()
+    network = other.reconstructor.network
+    network.head = Repeats(network.head, per_pixel)
+    expected, made = plain(views_of()), other(views_of())
+    assert made.per_pixel == per_pixel
+    assert float(made.gaussians.opacities[:, 0]) > 0.3
+    pixels = 2 * SIZE[0] * SIZE[1]
+    around, found = (
+        gaussians.select(torch.arange(first, gaussians.count))
+        for gaussians, first in (
+            (expected.gaussians, pixels),
+            (made.gaussians, pixels * max(per_pixel, 1)),
+        )
+    )
+    for name in ("means", "opacities", "harmonics"):
+        assert torch.allclose(getattr(found, name), getattr(around, name), atol=1e-5)
+
+
+def test_gaussians_of_no_view_stay_where_a_view_could_not_be_placed():
+    lost = reconstructor(TrueGeometry(registered=torch.tensor([[True, True, False]])))
+    network = lost.reconstructor.network
+    pixels = 3 * SIZE[0] * SIZE[1]
+    assert float(lost(views_of(3)).gaussians.opacities[:, pixels - 1]) == 0
+    network.head = Repeats(network.head, 0)
+    assert float(lost(views_of(3)).gaussians.opacities[:, :pixels].min()) > 0
 
 
 def views_of(count: int = 2) -> Views:

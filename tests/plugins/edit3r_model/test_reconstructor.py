@@ -203,7 +203,7 @@ def distance_to_the_reference_s_edit(result, gaussians) -> float:
 def test_a_default_run_keeps_what_the_single_pass_fused(run_after_a_single_pass):
     result = run_after_a_single_pass()
     raw = distance_to_the_reference_s_edit(
-        result, result.scene.reconstruction.gaussians
+        result, result.records.made.reconstruction.gaussians
     )
     shown = distance_to_the_reference_s_edit(result, result.gaussians)
     assert raw == shown <= 0.01
@@ -215,7 +215,7 @@ def test_refining_that_is_asked_for_follows_the_single_pass(run_after_a_single_p
     names = [stage.name for stage in result.report.stages]
     assert "refine" in names and "simplify" not in names
     raw = distance_to_the_reference_s_edit(
-        result, result.scene.reconstruction.gaussians
+        result, result.records.made.reconstruction.gaussians
     )
     assert distance_to_the_reference_s_edit(result, result.gaussians) > raw + 0.01
 

@@ -15,7 +15,7 @@ import torch
 
 import edit3r
 from edit3r.cli.main import main
-from edit3r.contract.errors import MissingDependencyError
+from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc
@@ -138,8 +138,6 @@ def test_splat_transform_reads_every_gaussian_where_it_is(tmp_path, form):
     splat_transform(path, tmp_path / "s.csv")
     columns = np.genfromtxt(tmp_path / "s.csv", delimiter=",", names=True)
     theirs = np.stack([columns[axis] for axis in "xyz"], 1)
-    if form.startswith("spz"):  # has y up and z backward, and their table keeps that
-        theirs *= (1, -1, -1)
     gaps = torch.cdist(made.means[0].double(), torch.from_numpy(theirs))
     assert len(theirs) == 400 and gaps.amin(1).max() < 0.004
     opacities = 1 / (1 + np.exp(-columns["opacity"][gaps.argmin(1)]))
@@ -156,6 +154,56 @@ def test_gsply_reads_it(tmp_path, form):
         made.means[0].double(), torch.as_tensor(np.asarray(theirs.means)).double()
     ).amin(1)
     assert len(theirs.means) == 400 and gaps.max() < 0.004
+
+
+@pytest.mark.parametrize("form", ["spz", "spz4"])
+@pytest.mark.parametrize("degree", [0, 1, 3])
+def test_spz_has_y_up_and_z_backward(tmp_path, form, degree):
+    """As its format says; gaussforge hands over the numbers of the file as they stand there."""
+    made = scene(60, degree)
+    export_scene(tmp_path / "s.spz", made, form)
+    raw = gaussforge.GaussForge().convert(
+        (tmp_path / "s.spz").read_bytes(), "spz", "ply"
+    )
+    (tmp_path / "raw.ply").write_bytes(raw["data"])
+    theirs = load_ply(tmp_path / "raw.ply")
+    upright = made.means * torch.tensor(UP_AND_BACK)
+    torch.testing.assert_close(theirs.means, upright, atol=3e-4, rtol=0)
+    difference = (seen(theirs, UP_AND_BACK) - seen(made)).abs()
+    assert difference.max() < 0.07 and difference.mean() < 0.005
+
+
+def held(name, value, form):
+    made = scene(400)
+    values = getattr(made, name).clone()
+    values[:, :9] = value
+    return replace(made, **{name: values}), form
+
+
+@pytest.mark.parametrize(
+    ("made", "form"),
+    [
+        held("scales", 1e4, "spz"),
+        held("scales", 400, "spz"),
+        held("scales", 1e4, "spz4"),
+        held("scales", 1e9, "compressed-ply"),
+        held("harmonics", 1.5, "spz"),
+        held("harmonics", -4.0, "spz4"),
+        held("harmonics", 5.0, "compressed-ply"),
+    ],
+)
+def test_what_a_format_clips_is_said(tmp_path, made, form):
+    with pytest.warns(UserWarning, match="larger than it can say|go beyond what it"):
+        export_scene(tmp_path / "s", made, form)
+
+
+@pytest.mark.parametrize(
+    "form", ["ply", "spz", "spz4", "sog", "splat", "compressed-ply", "glb"]
+)
+def test_a_scene_of_nothing_is_one_sentence(tmp_path, form):
+    nothing = scene(5).select(torch.zeros(5).bool())
+    with pytest.raises(InputError, match="the scene has no Gaussians to write"):
+        export_scene(tmp_path / "s", nothing, form)
 
 
 def glb_columns(path):

@@ -10,10 +10,9 @@ from edit3r_segmenters.candidates import Evidence, Salience, choose
 from edit3r_segmenters.classical import _analyse
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Marks
+from edit3r.contract.interfaces import SURE, Marks
 from edit3r.kit.photos.images import load_views, packaged_pair
 from edit3r.loading.registry import build
-from edit3r.running import SURE
 
 sys.path.insert(
     0, str(Path(__file__).parent)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from edit3r_segmenters.salience import clearness
 
-from edit3r.running import SURE
+from edit3r.contract.interfaces import SURE
 
 ROWS, COLUMNS = np.mgrid[:48, :64]
 DISC = 16 - np.hypot(ROWS - 24, COLUMNS - 32)  # pixels within its rim

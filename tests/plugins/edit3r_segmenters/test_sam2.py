@@ -100,6 +100,22 @@ def test_points_and_boxes_change_the_mask(build_sam2, photo):
         )
 
 
+def test_it_answers_marks_with_all_its_masks_as_a_small_sam_does(build_sam2, photo):
+    segmenter = build_sam2()
+    click = [((0.3, 0.5), True)]
+    logits, quality = segmenter.ask(photo, click)
+    assert logits.shape[0] == quality.shape[0] == 3
+    best = int(quality.argmax())
+    single = segmenter.segment(photo, points=[(0.3, 0.5)])
+    assert single.predicted_iou == pytest.approx(min(max(quality[best], 0), 1))
+    others = [
+        segmenter.ask(photo, [((0.3, 0.5), False)]),
+        segmenter.ask(photo, click, box=(0.1, 0.2, 0.4, 0.6)),
+        segmenter.ask(photo, click, before=logits[best]),
+    ]
+    assert all((other != logits).any() for other, _ in others)
+
+
 def test_a_segment_of_nothing_is_refused(build_sam2, photo):
     with pytest.raises(InputError, match="at least one point, or a box"):
         build_sam2().segment(photo)

@@ -7,7 +7,7 @@ import pytest
 from edit3r_segmenters.stuff import GROUND_SURETY, sky_surety, stuff
 from edit3r_segmenters.superpixels import superpixels
 
-from edit3r.running import SURE
+from edit3r.contract.interfaces import SURE
 
 BLUE_SKY, GREY_SKY, BLOWN_OUT = (100, 150, 230), (200, 205, 215), (255, 255, 255)
 GREY_WALL, CREAM_WALL = (190, 188, 182), (245, 235, 215)

@@ -254,7 +254,9 @@ def test_of_places_that_a_word_lights_up_that_counts_which_looks_like_it(
 
 
 def test_an_unknown_word_names_the_weights_that_are_missing(tmp_path, monkeypatch):
-    from edit3r.running.selecting.select import Selection, select_masks
+    from edit3r_select.select import select_masks
+
+    from edit3r.contract.interfaces import Selection
 
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
     segmenter = edit3r.build("segmenter", "auto")

@@ -203,7 +203,7 @@ def test_empty_scene_comes_back(tmp_path):
 
 def test_a_batch_and_values_that_are_not_finite_are_not_saved(tmp_path):
     pair = scene(3)
-    with pytest.raises(ValueError, match="one scene"):
+    with pytest.raises(InputError, match="one scene"):
         save_ply(
             tmp_path / "a.ply",
             Gaussians(
@@ -211,7 +211,7 @@ def test_a_batch_and_values_that_are_not_finite_are_not_saved(tmp_path):
             ),
         )
     pair.means[0, 0, 0] = float("nan")
-    with pytest.raises(ValueError, match="not finite"):
+    with pytest.raises(InputError, match="not finite"):
         save_ply(tmp_path / "a.ply", pair)
     assert not list(tmp_path.iterdir())
 

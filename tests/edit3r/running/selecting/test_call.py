@@ -4,8 +4,8 @@ import pytest
 import torch
 
 import edit3r
+from edit3r.contract.interfaces import Selection
 from edit3r.running.selecting import call
-from edit3r.running.selecting.select import Selection
 from edit3r_testing.scenes import photograph
 
 

@@ -6,12 +6,12 @@ import pytest
 import torch
 
 from edit3r.contract.errors import InputError, PromptError
-from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
+from edit3r.contract.interfaces import Proposal, Segmenter, Selection, Tracks
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
+from edit3r.running import usual_selector
 from edit3r.running.reading import read
 from edit3r.running.selecting.regions import RegionFinder, _without_rims
-from edit3r.running.selecting.select import Selection
 
 HEIGHT, WIDTH = 12, 16
 LEFT = slice(0, WIDTH // 2)
@@ -72,7 +72,7 @@ def regions(prompt, marked=None, segmenter=None, known=None, **defaults):
 
 
 def finder(marked=None, segmenter=None, known=None, **defaults):
-    chosen = segmenter or Halves()
+    chosen = usual_selector(segmenter or Halves())
     defaults = Selection(**defaults)
     return RegionFinder(photos(), lambda: chosen, lambda: None, marked, defaults, known)
 
@@ -335,9 +335,9 @@ def test_what_a_thing_stands_on_lends_it_its_colour():
     views = photos()
     views.images[..., 11:, :] = torch.tensor([0.2, 0.6, 0.3])[:, None, None]
     segmenter = Halves()
-    found = RegionFinder(views, lambda: segmenter, lambda: None, marked).find(
-        read("give the bear the colour of the stone it stands on")
-    )
+    found = RegionFinder(
+        views, lambda: usual_selector(segmenter), lambda: None, marked
+    ).find(read("give the bear the colour of the stone it stands on"))
     (change,) = found.wishes[0].changes
     assert change.colour.rgb == pytest.approx((0.2, 0.6, 0.3))
     assert "stone" not in segmenter.looked_up

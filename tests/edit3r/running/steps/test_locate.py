@@ -6,10 +6,12 @@ from types import SimpleNamespace
 import pytest
 import torch
 
+from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import Geometry
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
-from edit3r.running.scene import Scene
+from edit3r.running.geometry import GeometryAnswer
+from edit3r.running.records import Inputs, Located
 from edit3r.running.steps.locate import locate
 
 K = torch.eye(3).expand(1, 2, 3, 3)
@@ -27,15 +29,16 @@ def located(source, known, unknown):
     records = tuple(SimpleNamespace(intrinsics_source=source) for _ in range(2))
     parts = SimpleNamespace(
         uses_geometry=True,
+        config=SimpleNamespace(light="own", passing="keep"),
         geometry=SimpleNamespace(
-            of=lambda photos: SimpleNamespace(
-                geometry=unknown if photos.assumed else known
+            of=lambda photos: GeometryAnswer(
+                unknown if photos.assumed else known, "too few points"
             )
         ),
     )
-    scene = Scene(photos=PHOTOS, start=replace(PHOTOS), records=records)
+    inputs = Inputs(photos=PHOTOS, start=replace(PHOTOS), files=records)
     with collecting(Report()) as report:
-        return locate(scene, parts), report.notes
+        return *locate(inputs, parts), report.notes
 
 
 EXIF = "EXIF 35 mm equivalent (26 mm)"
@@ -44,8 +47,8 @@ READ = geometry(intrinsics=K)
 
 @pytest.mark.parametrize("known", [None, geometry(contradicts=30.0)])
 def test_exif_that_does_not_fit_the_photos_is_not_believed(known):
-    scene, notes = located(EXIF, known, READ)
-    assert scene.photos.assumed == scene.start.assumed == (True, True)
+    inputs, _, notes = located(EXIF, known, READ)
+    assert inputs.photos.assumed == inputs.start.assumed == (True, True)
     assert "lens.exif" in notes and "read from the photos" in notes["lens.source"][0]
 
 
@@ -53,16 +56,29 @@ def test_exif_that_does_not_fit_the_photos_is_not_believed(known):
     "source, known, unknown",
     [
         (EXIF, geometry(), READ),  # it fits
-        (EXIF, None, None),  # nor do they fit together without it
         ("--fov 60", geometry(contradicts=30.0), READ),  # the user knows
     ],
 )
 def test_else_it_is(source, known, unknown):
-    scene, notes = located(source, known, unknown)
-    assert scene.photos.assumed == () and notes["lens.source"] == [source]
+    inputs, _, notes = located(source, known, unknown)
+    assert inputs.photos.assumed == () and notes["lens.source"] == [source]
+
+
+def test_photos_that_fit_with_no_lens_end_the_run_before_anything_is_edited():
+    with pytest.raises(MatchingError, match="too few points"):
+        located(EXIF, None, None)
+
+
+def test_a_single_pass_asks_nobody_for_geometry_and_says_the_lens_that_it_is_given():
+    records = tuple(SimpleNamespace(intrinsics_source="60 degrees") for _ in range(2))
+    photos = replace(PHOTOS, assumed=(True, True))
+    parts = SimpleNamespace(uses_geometry=False)
+    with collecting(Report()) as report:
+        _, found = locate(Inputs(photos, photos, records), parts)
+    assert found == Located() and report.notes["lens.source"] == ["60 degrees"]
 
 
 def test_fields_that_explain_the_photos_alike_go_on_to_the_verdict():
     unsure = replace(READ, lenses=(30.0, 55.0))
-    scene, notes = located(EXIF, geometry(contradicts=30.0), unsure)
-    assert scene.lenses == (30.0, 55.0) and notes["lens.alike"] == [30.0, 55.0]
+    _, found, notes = located(EXIF, geometry(contradicts=30.0), unsure)
+    assert found.lenses == (30.0, 55.0) and notes["lens.alike"] == [30.0, 55.0]

@@ -1,38 +1,48 @@
-"""What a user chose on the photos, by clicks, boxes, brushes, masks or words, and the masks that
-come of it.
+"""The selector `by-segmenter`: a segmenter's answers on each photo, carried to the others.
 
 Marks on one view are enough: the mask found there is carried to the other views by the scene's own
-geometry where it is at hand, else by what the pictures show. The command line, the app and
-`edit3r.run` share this.
+geometry where it is at hand, else by what the pictures show.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any
 
 import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+from pydantic import Field
 from torch import Tensor
 
+from edit3r.contract import settings as config
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
+    ASK,
+    BACKGROUND,
+    SURE,
+    Box,
     Geometry,
     Marks,
     Proposal,
+    Reading,
     Relief,
     Segmenter,
+    Selected,
+    Selection,
+    Selector,
     Tracks,
 )
 from edit3r.contract.reporting import note, say, warn
+from edit3r.contract.settings import PartChoice
+from edit3r.contract.types import Views
 from edit3r.contract.wishes import EVERY
 from edit3r.kit.cache import fingerprint
+from edit3r.kit.geometry.maps import shown
 from edit3r.kit.geometry.warping import nearest_views, surfaces_apart, warp
 from edit3r.kit.segmenting import HeldSegmenter
-from edit3r.running.selecting.agreeing import (
+from edit3r_select.agreeing import (
     CARRIED,
     EXACT,
     FOUND,
@@ -42,22 +52,20 @@ from edit3r.running.selecting.agreeing import (
     of_itself,
     told_by,
 )
-from edit3r.running.selecting.confirming import ASKED, surest
-from edit3r.running.selecting.obeying import (
+from edit3r_select.confirming import ASKED, surest
+from edit3r_select.obeying import (
     SAME_SURFACE,
     Point,
     obeyed,
     points_of,
     seen_elsewhere,
 )
-from edit3r.running.selecting.which import pick
+from edit3r_select.which import pick
 
-Box = tuple[float, float, float, float]
 # of an object's pixels that must lie in another view for geometry to say where it is there
 MIN_SHARE = 0.2
 FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
 MIN_AREA = 2e-4  # share of a view under which a carried mask shows nothing
-SURE = 0.63  # surety under which what words found is not taken unasked
 ALSO = 0.5  # the same for one of several beside one that is sure
 FOUND_AT_ALL = 0.05  # surety under which words found as good as nothing
 CLICKED_SURE = 0.25  # the same where a click lies on what they found
@@ -65,138 +73,27 @@ SAME_THING = 0.4  # overlap from which a click and words mean one thing
 SAME_READING = 0.85  # overlap from which two readings are one
 INSIDE = 0.95  # share of a part that lies inside of its whole, at least
 MAX_READINGS = 3  # that are shown
-BACKGROUND = "background"  # all but what stands out
 SPANS = 0.7  # share of a side of a photo along which a thing goes on beyond it
 VOTES = 6  # photos near a view that say what of it belongs to the thing
-SHARES = "expected shares of its sides, 0 to 1 (x / width, y / height)"
-ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
 
 
-@dataclass(frozen=True)
-class Selection:
-    """Everything a user marked; places are x and y in [0, 1] of a view, x to the right and y
-    down.
-    """
+class SegmenterSelector(Selector):
+    """What a segmenter answers for the marks on a photo, carried to all photos."""
 
-    positive: tuple[
-        tuple[int, float, float], ...
-    ] = ()  # clicks on the object: view, x, y
-    negative: tuple[
-        tuple[int, float, float], ...
-    ] = ()  # clicks on what is not the object
-    boxes: Mapping[int, Box] = field(default_factory=dict)  # view: x, y, width, height
-    added: Mapping[int, Float[Tensor, "height width"]] = field(
-        default_factory=dict
-    )  # brush in [0, 1], by view
-    removed: Mapping[int, Float[Tensor, "height width"]] = field(
-        default_factory=dict
-    )  # eraser, likewise
-    masks: Mapping[int, Float[Tensor, "height width"]] = field(
-        default_factory=dict
-    )  # finished masks, by view
-    words: str = (
-        ""  # what is meant, such as "bike"; looked up where no mark says it all
-    )
-    which: tuple[str, ...] = ()  # picks among several: "left", "big", "red", "all"
-    several: bool = False  # the words are a plural: all that are sure are taken
-    # True: what stands out most is taken where the words are not known
-    guess: bool = False
-    sure: bool = False  # True: what words found unsurely is refused
-    # 1: the most likely reading of clicks, strokes, boxes and words; 2: the next
-    reading: int = 1
-    # steps to a larger reading of clicks, boxes and words (> 0), or to a smaller one (< 0)
-    larger: int = 0
-    grow: float = 0.0  # moves the outline outwards [pixels], inwards where negative
-    inverted: bool = False  # True: all but the object is meant
-    # lines drawn over the object: view, and places x, y along the line
-    strokes: tuple[tuple[int, tuple[tuple[float, float], ...]], ...] = ()
-    # boxes that are taken exactly, whatever lies in them: view, box
-    regions: tuple[tuple[int, Box], ...] = ()
-
-    def __post_init__(self) -> None:
-        """Raise InputError for marks that lie on no photo."""
-        for place in (*self.positive, *self.negative, *self._drawn()):
-            view, x, y = _numbers_of(place, "a point is (view, x, y)", 3)
-            if not (0 <= x <= 1 and 0 <= y <= 1):
-                raise InputError(
-                    f"a point lies outside photo {view + 1}: ({x:.3g}, {y:.3g}); {SHARES}."
-                )
-        for view, box in (*self.boxes.items(), *self.regions):
-            x, y, width, height = _numbers_of(box, "a box is (x, y, width, height)", 4)
-            # a comparison with what is no number is False
-            if not (0 <= x < x + width <= 1.001 and 0 <= y < y + height <= 1.001):
-                raise InputError(
-                    f"the box on photo {view + 1} must lie within the photo and have a size above "
-                    f"0; {SHARES}."
-                )
-
-    def _drawn(self) -> Iterator[tuple[Any, ...]]:
-        """View, x and y of every place along a stroke."""
-        for stroke in self.strokes:
-            view, places = _numbers_of(stroke, "a stroke is (view, ((x, y), ...))", 2)
-            if not len(places):
-                raise InputError(f"a stroke on photo {view + 1} has no place.")
-            yield from ((view, *place) for place in places)
-
-    @property
-    def says_where(self) -> bool:
-        """Whether any mark says where the object is; one that says where not is none."""
-        looked_for = (self.positive, self.strokes, self.boxes)
-        return any((*looked_for, self.masks, self.added, self.regions))
-
-    def marks_on(self, view: int) -> Marks:
-        """Clicks, strokes and box of one view."""
-        drawn = [places for on, places in self.strokes if on == view]
-        return Marks(
-            positive=_places(self.positive, view),
-            negative=_places(self.negative, view),
-            box=self.boxes.get(view),
-            stroke=tuple((x, y) for places in drawn for x, y in places),
+    class Settings(config.Settings):
+        segmenter: PartChoice = Field(
+            PartChoice(name="auto"), description="answers marks and words on one photo"
         )
 
-    @property
-    def views(self) -> tuple[int, ...]:
-        """Views that carry any mark, in the order in which they say where the object is."""
-        drawn = [stroke[0] for stroke in self.strokes]
-        clicked = [place[0] for place in (*self.positive, *self.negative)]
-        exact = (*self.added, *(view for view, _ in self.regions))
-        said = (*self.masks, *self.boxes, *exact, *drawn, *clicked, *self.removed)
-        return tuple(dict.fromkeys(said))
+    def __init__(self, settings: Settings, segmenter: Segmenter) -> None:
+        self.settings, self.segmenter = settings, segmenter
 
-
-@dataclass(frozen=True)
-class Reading:
-    """One thing that clicks, strokes, a box or words may mean."""
-
-    view: int
-    mask: Float[Tensor, "height width"]  # soft, in [0, 1], on that view
-    score: float  # in [0, 1]: how likely it is what is meant
-    number: int  # of `Selection.reading` and of the flag --reading
-
-
-@dataclass(frozen=True)
-class Selected:
-    """The answer of `select_masks`."""
-
-    masks: Float[
-        Tensor, "view 1 height width"
-    ]  # soft, in [0, 1]; 0 everywhere in a view where nothing was found
-    how: tuple[
-        str, ...
-    ]  # by view: "given", "region", "marked", "words", "guess", "geometry", "pictures", "not found"
-    warnings: tuple[
-        str, ...
-    ] = ()  # sentences for the user, also sent to `edit3r.contract.reporting`
-    surety: float | None = None  # of what words named, in [0, 1]
-    # what else may be meant: the most likely first, the one that was taken among them
-    readings: tuple[Reading, ...] = ()
-    taken: int = 1  # the number of that one
-
-    @property
-    def is_sure(self) -> bool:
-        """Whether it was marked, or found by its name surely enough."""
-        guessed = "guess" in self.how
-        return not guessed and (self.surety is None or self.surety >= SURE)
+    def select(
+        self, views: Views, selection: Selection, geometry: Geometry | None = None
+    ) -> Selected:
+        return select_masks(
+            views.images[0], selection, self.segmenter, geometry, views.intrinsics
+        )
 
 
 def select_masks(
@@ -257,11 +154,6 @@ def select_masks(
     )
 
 
-def shown(masks: Float[Tensor, "view *_ height width"]) -> Tensor:
-    """1 for a view where anything is selected, else 0: all but nothing is nothing."""
-    return (masks > 0.5).any(-1, keepdim=True).any(-2, keepdim=True).to(masks)
-
-
 def grown(
     masks: Float[Tensor, "view 1 height width"], pixels: float
 ) -> Float[Tensor, "view 1 height width"]:
@@ -287,12 +179,6 @@ def filled(box: Box, size: Sequence[int]) -> Float[Tensor, "height width"]:
     columns = slice(round(left * width), round((left + across) * width))
     mask[rows, columns] = 1
     return mask
-
-
-def _numbers_of(value: Any, meaning: str, count: int) -> tuple[Any, ...]:
-    if not hasattr(value, "__len__") or len(value) != count:
-        raise InputError(f"{meaning}, got {value!r}.")
-    return tuple(value)
 
 
 def _check(selection: Selection, count: int) -> None:
@@ -829,10 +715,3 @@ def _within(
     """Whether nearly all of a soft mask lies inside another one."""
     part, whole = part > 0.5, whole > 0.5
     return float((part & whole).sum()) >= INSIDE * float(part.sum())
-
-
-def _places(
-    points: tuple[tuple[int, float, float], ...], view: int
-) -> tuple[tuple[float, float], ...]:
-    """x and y of the points on one view."""
-    return tuple((x, y) for on, x, y in points if on == view)

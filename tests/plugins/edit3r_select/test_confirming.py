@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_select.confirming import SURER, UNCONFIRMED, surest
 
 from edit3r.contract.interfaces import as_proposal
 from edit3r.kit.geometry.cameras import pixel_grid
-from edit3r.running.selecting.confirming import SURER, UNCONFIRMED, surest
 
 
 def thing(surety, row):

@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_select.select import select_masks
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Geometry, Proposal, Segmenter, Tracks
-from edit3r.running.selecting.select import Selection, select_masks
+from edit3r.contract.interfaces import Geometry, Proposal, Segmenter, Selection, Tracks
 from edit3r_testing.scenes import photograph
 
 IMAGES = torch.rand(3, 3, 24, 32)

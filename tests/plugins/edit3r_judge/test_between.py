@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_judge.between import guessed_between
 
 from edit3r.contract.interfaces import Geometry
-from edit3r.running.judging.between import guessed_between
 from edit3r_testing import photograph
 
 SCENE = photograph(3, (48, 64))

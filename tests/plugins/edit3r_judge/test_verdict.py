@@ -4,9 +4,9 @@ was left out.
 
 import pytest
 import torch
+from edit3r_judge.verdict import MEAN_PSNR, WORST_PSNR, Doubt, judge
 
 from edit3r.contract.types import Rendering, Views
-from edit3r.running.judging.verdict import MEAN_PSNR, WORST_PSNR, Doubt, judge
 
 EDITED = Views(
     torch.full((1, 3, 3, 8, 8), 0.5), torch.eye(3).expand(1, 3, 3, 3), ("a", "b", "c")

@@ -11,18 +11,17 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.contract.interfaces import EditToJudge, Selected
 from edit3r.contract.types import Cameras
 from edit3r.contract.wishes import Change, Wish
 from edit3r.kit.compute.changes import change_uptake
 from edit3r.kit.compute.colour import rgb_to_lab
 from edit3r.kit.geometry.warping import shared_surface, warp
-from edit3r.running.judging.edit_verdict import (
+from edit3r_judge.edit_verdict import (
     MIN_CHANGED,
     MIN_SHARE,
     EditMeasures,
 )
-from edit3r.running.scene import Scene
-from edit3r.running.selecting.select import Selected
 
 SIDE = 256  # pixels of the longer side at which signs are read, for which limits hold
 VISIBLE = 8 / 255  # change of a channel that one sees
@@ -53,18 +52,17 @@ GREY = 8.0  # chroma below which a colour is grey [CIE Lab]
 Masks = Float[Tensor, "view height width"]
 
 
-def measure_edit(
-    scene: Scene, wishes: Sequence[Wish], views: Sequence[int]
-) -> EditMeasures:
-    """Return the figures of the 2D edit of these views; of several scenes the first counts."""
-    before = _small(scene.start.images[0, views])
-    after = _small(scene.edited.images[0, views])
+def measure_edit(scene: EditToJudge) -> EditMeasures:
+    """Return the figures of the 2D edit; of several scenes the first counts."""
+    wishes, views = scene.wishes, list(scene.edited)
+    before = _small(scene.before.images[0, views])
+    after = _small(scene.after.images[0, views])
     visibly = (after - before).abs().amax(1) > VISIBLE
     regions = None
     if scene.regions is not None:
         regions = _small(scene.regions[:, 0, views])
     reached = _reached(before, after, visibly, wishes, regions)
-    names = [scene.start.called[view] for view in views]
+    names = [scene.before.called[view] for view in views]
     if scene.masks is None:
         shares = (1.0,) * len(before)
         faults = _unchanged(visibly, torch.ones_like(visibly), names)
@@ -78,7 +76,7 @@ def measure_edit(
     measures = EditMeasures(shares, changed, faults, reached=reached)
     if _means_one_clicked_thing(scene, wishes):
         measures = replace(measures, clicked=max(shares), pieces=pieces(masks))
-    part, reading = likely_part(scene.start.images[0], scene.selected)
+    part, reading = likely_part(scene.before.images[0], scene.selected)
     measures = replace(measures, part=part, part_reading=reading)
     if any(wish.action == "remove" for wish in wishes):  # its shadow and rim go with it
         return replace(
@@ -116,7 +114,7 @@ def _unchanged(
     )
 
 
-def _means_one_clicked_thing(scene: Scene, wishes: Sequence[Wish]) -> bool:
+def _means_one_clicked_thing(scene: EditToJudge, wishes: Sequence[Wish]) -> bool:
     """Whether a mark alone says what is meant: no name, no mask of the user's own, not all else."""
     how = {way for one in scene.selected for way in one.how}
     return "marked" in how and all(
@@ -255,12 +253,11 @@ def _small(images: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batc
     return F.adaptive_avg_pool2d(flat, size).view(*images.shape[:-2], *size)
 
 
-def measure_edit_in_3d(
-    measures: EditMeasures, scene: Scene, views: Sequence[int]
-) -> EditMeasures:
+def measure_edit_in_3d(measures: EditMeasures, scene: EditToJudge) -> EditMeasures:
     """Add what the reconstructed scene tells of the edit."""
+    views = list(scene.edited)
     measures = replace(measures, shown=change_shown(scene, views))
-    if scene.masks is None or not scene.confined:
+    if scene.masks is None or bool((scene.masks > 0).all()):
         return measures
     masks, depths = scene.masks[0], scene.rendered.depths[0, :, 0]
     # Of what is removed nothing shall be left, in no place: only paint can be missed.
@@ -400,12 +397,12 @@ def _overlap(
     return float(torch.minimum(own, other).sum()) / either if either > 50 else None
 
 
-def change_shown(scene: Scene, views: Sequence[int]) -> float | None:
+def change_shown(scene: EditToJudge, views: Sequence[int]) -> float | None:
     """Share of the 2D change that the scene shows; None where nothing was changed."""
     height, width = scene.rendered.images.shape[-2:]
     size = (height, width)
-    before = scene.start.at(size).images[:, views]
-    wanted = scene.edited.at(size).images[:, views] - before
+    before = scene.before.at(size).images[:, views]
+    wanted = scene.after.at(size).images[:, views] - before
     if float(wanted.abs().amax()) < VISIBLE:
         return None
     weight = torch.ones_like(wanted)
@@ -416,7 +413,7 @@ def change_shown(scene: Scene, views: Sequence[int]) -> float | None:
     )
 
 
-def missed_patch(scene: Scene, views: Sequence[int]) -> float:
+def missed_patch(scene: EditToJudge, views: Sequence[int]) -> float:
     """Largest connected patch that changed clearly in 2D and is as it was in 3D, as a share.
 
     Of all that changed in its view; the largest over the views. Photos that disagree about what
@@ -424,7 +421,7 @@ def missed_patch(scene: Scene, views: Sequence[int]) -> float:
     """
     height, width = scene.rendered.images.shape[-2:]
     size = height, width
-    photos = (scene.start.at(size).images, scene.edited.at(size).images)
+    photos = (scene.before.at(size).images, scene.after.at(size).images)
     triples = zip(*(_small(one[0, views]) for one in (*photos, scene.rendered.images)))
     return max((_missed_in(*triple) for triple in triples), default=0.0)
 

@@ -6,12 +6,10 @@ The limits were chosen on edits of which it is known whether they are good; see 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import asdict, dataclass
 
-from edit3r.running.selecting.select import SURE
-
-EditLabel = Literal["good", "doubtful"]
+from edit3r.contract.interfaces import SURE
+from edit3r.contract.verdicts import EditLabel, EditVerdict
 
 MIN_SHARE = 0.0008  # of the photo that shows most of what was selected
 MIN_OF_LARGEST = 0.1  # share of a photo over the largest such share
@@ -69,26 +67,12 @@ class EditMeasures:
     missed: float | None = None
 
 
-@dataclass(frozen=True)
-class EditVerdict:
-    """The label of an edit, why, and the figures behind it."""
-
-    label: EditLabel
-    reason: str  # what is doubtful, in one sentence; what was measured where nothing is
-    # how surely words or a guess found the thing, in [0, 1]; 0: a guess; None: it was marked
-    surety: float | None
-    measures: EditMeasures
-
-    def __str__(self) -> str:
-        return f"{self.label}, {self.reason}"
-
-
 def judge_edit(measures: EditMeasures, surety: float | None = None) -> EditVerdict:
     """Judge an edit by its figures."""
     doubts = list(_doubts(measures, surety))
     label: EditLabel = "doubtful" if doubts else "good"
     reason = "; ".join(doubts) or _praise(measures)
-    return EditVerdict(label, reason, surety, measures)
+    return EditVerdict(label, reason, surety, asdict(measures))
 
 
 def _doubts(found: EditMeasures, surety: float | None) -> Iterator[str]:

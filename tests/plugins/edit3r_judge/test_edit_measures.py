@@ -5,10 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-
-from edit3r.contract.types import Cameras, Rendering, Views
-from edit3r.contract.wishes import Change, Colour, Thing, Wish
-from edit3r.running.judging.edit_measures import (
+from edit3r_judge.edit_measures import (
     likely_part,
     made_up,
     measure_edit,
@@ -16,8 +13,10 @@ from edit3r.running.judging.edit_measures import (
     pieces,
     taken,
 )
-from edit3r.running.scene import Scene
-from edit3r.running.selecting.select import Reading, Selected
+
+from edit3r.contract.interfaces import EditToJudge, Reading, Selected
+from edit3r.contract.types import Cameras, Rendering, Views
+from edit3r.contract.wishes import Change, Colour, Thing, Wish
 
 SIZE = 48
 RED = (0.8, 0.1, 0.1)
@@ -38,22 +37,25 @@ def views(images: torch.Tensor) -> Views:
 
 
 @pytest.fixture
-def scene() -> Scene:
+def scene() -> EditToJudge:
     """A light square on grey in two photos, painted red."""
     masks = torch.stack([square(20), square(20 - SHIFT)])
     photos = 0.3 + 0.4 * masks[:, None].expand(-1, 3, -1, -1)
     red = torch.tensor(RED)[:, None, None].expand(2, 3, SIZE, SIZE)
     edited = torch.where(masks[:, None] > 0, red, photos)
-    return Scene(
-        photos=views(photos),
-        start=views(photos),
-        edited=views(edited),
+    return EditToJudge(
+        before=views(photos),
+        after=views(edited),
+        edited=range(2),
+        wishes=(PAINT_RED,),
+        selected=(),
         masks=masks[None],
+        regions=masks[None, None],
     )
 
 
-def figures(scene: Scene, wish: Wish = PAINT_RED):
-    return measure_edit(replace(scene, regions=scene.masks[None]), [wish], range(2))
+def figures(scene: EditToJudge, wish: Wish = PAINT_RED):
+    return measure_edit(replace(scene, regions=scene.masks[None], wishes=(wish,)))
 
 
 def test_a_clean_edit_has_full_marks(scene):
@@ -65,11 +67,9 @@ def test_a_clean_edit_has_full_marks(scene):
 
 
 def test_what_did_not_change_counts_against_the_edit(scene):
-    images = scene.edited.images.clone()
-    images[:, 1] = scene.start.images[:, 1]
-    assert figures(replace(scene, edited=views(images[0]))).changed == pytest.approx(
-        0.5
-    )
+    images = scene.after.images.clone()
+    images[:, 1] = scene.before.images[:, 1]
+    assert figures(replace(scene, after=views(images[0]))).changed == pytest.approx(0.5)
 
 
 def test_an_outline_through_an_even_area_follows_no_edges(scene):
@@ -81,7 +81,7 @@ def test_an_outline_through_an_even_area_follows_no_edges(scene):
 
 def test_where_edges_are_everywhere_an_outline_tells_nothing(scene):
     noise = torch.rand(2, 3, SIZE, SIZE, generator=torch.Generator().manual_seed(0))
-    assert figures(replace(scene, start=views(noise))).outline is None
+    assert figures(replace(scene, before=views(noise))).outline is None
 
 
 def test_another_colour_than_was_asked_for_is_not_reached(scene):
@@ -96,38 +96,38 @@ def test_a_shade_of_the_asked_hue_is_the_colour_and_another_hue_is_not(
     scene, colour, reached
 ):
     orange = torch.tensor(colour)[:, None, None]
-    painted = torch.where(scene.masks[0, :, None] > 0, orange, scene.start.images[0])
-    assert figures(replace(scene, edited=views(painted))).reached == reached
+    painted = torch.where(scene.masks[0, :, None] > 0, orange, scene.before.images[0])
+    assert figures(replace(scene, after=views(painted))).reached == reached
 
 
 def test_reflections_that_hardly_changed_and_stay_grey_do_not_count_as_another_colour(
     scene,
 ):
-    images = scene.edited.images.clone()
-    before = scene.start.images
+    images = scene.after.images.clone()
+    before = scene.before.images
     images[..., 14:20, :] = torch.where(  # a third of the painted square
         images[..., 14:20, :] == before[..., 14:20, :],
         before[..., 14:20, :],
         before[..., 14:20, :] - 10 / 255,
     )
-    found = figures(replace(scene, edited=views(images[0])))
+    found = figures(replace(scene, after=views(images[0])))
     assert found.changed == 1 and 0.9 < found.reached < 1
 
 
 @pytest.mark.parametrize(("amount", "reached"), [(1.0, 0.0), (-1.0, 1.0)])
 def test_darker_is_not_brighter(scene, amount, reached):
-    darker = torch.where(scene.masks[0, :, None] > 0, 0.2, scene.start.images[0])
+    darker = torch.where(scene.masks[0, :, None] > 0, 0.2, scene.before.images[0])
     wish = replace(PAINT_RED, changes=(Change("brightness", amount=amount),))
-    assert figures(replace(scene, edited=views(darker)), wish).reached == reached
+    assert figures(replace(scene, after=views(darker)), wish).reached == reached
 
 
 def test_a_removed_things_outline_that_stays_is_a_ghost(scene):
-    gone = torch.full_like(scene.start.images[0], 0.3)
-    assert figures(replace(scene, edited=views(gone)), REMOVE).ghost == 0
+    gone = torch.full_like(scene.before.images[0], 0.3)
+    assert figures(replace(scene, after=views(gone)), REMOVE).ghost == 0
     ring = gone.clone()
     for view, left in enumerate((20, 20 - SHIFT)):
         ring[view, :, 14:34, left] = ring[view, :, 14, left : left + 20] = 0.7
-    ghost = figures(replace(scene, edited=views(ring)), REMOVE).ghost
+    ghost = figures(replace(scene, after=views(ring)), REMOVE).ghost
     assert ghost == pytest.approx(0.5, abs=0.15)
 
 
@@ -135,7 +135,7 @@ def test_a_removed_things_outline_that_stays_is_a_ghost(scene):
 
 
 @pytest.fixture
-def in_3d(scene) -> Scene:
+def in_3d(scene) -> EditToJudge:
     """The scene with a wall's depth, seen by two cameras beside each other that see it `SHIFT`
     pixels apart.
     """
@@ -144,59 +144,51 @@ def in_3d(scene) -> Scene:
     k = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
     cameras = Cameras(c2w, k, (SIZE, SIZE))
     depths = torch.full((1, 2, 1, SIZE, SIZE), DEPTH)
-    rendered = Rendering(scene.edited.images, torch.ones_like(depths), depths)
-
-    class Known:
-        """As a reconstruction, with its cameras alone."""
-
-    known = Known()
-    known.cameras = cameras
-    return replace(scene, rendered=rendered, reconstruction=known)
+    rendered = Rendering(scene.after.images, torch.ones_like(depths), depths)
+    return replace(scene, rendered=rendered, cameras=cameras)
 
 
 def test_masks_of_one_thing_agree_and_others_do_not(in_3d):
     first = figures(in_3d)
-    assert measure_edit_in_3d(first, in_3d, range(2)).agreement == pytest.approx(
-        1, abs=0.02
-    )
+    assert measure_edit_in_3d(first, in_3d).agreement == pytest.approx(1, abs=0.02)
     elsewhere = torch.stack([square(20), square(28)])[None]
     moved = replace(in_3d, masks=elsewhere)
-    assert measure_edit_in_3d(first, moved, range(2)).agreement < 0.3
+    assert measure_edit_in_3d(first, moved).agreement < 0.3
 
 
 def test_a_patch_of_the_old_colour_in_3d_is_measured_and_one_of_a_removal_is_not(in_3d):
-    whole = measure_edit_in_3d(figures(in_3d), in_3d, range(2))
+    whole = measure_edit_in_3d(figures(in_3d), in_3d)
     assert whole.missed == 0
-    images = in_3d.edited.images.clone()
-    images[:, 1, :, :24] = in_3d.start.images[:, 1, :, :24]  # its upper half
+    images = in_3d.after.images.clone()
+    images[:, 1, :, :24] = in_3d.before.images[:, 1, :, :24]  # its upper half
     patchy = replace(in_3d, rendered=replace(in_3d.rendered, images=images))
-    found = measure_edit_in_3d(figures(in_3d), patchy, range(2))
+    found = measure_edit_in_3d(figures(in_3d), patchy)
     assert found.missed == pytest.approx(0.5, abs=0.1)
-    removed = measure_edit_in_3d(figures(in_3d, REMOVE), patchy, range(2))
+    removed = measure_edit_in_3d(figures(in_3d, REMOVE), patchy)
     assert removed.missed is None
 
 
 def test_the_share_of_the_change_that_the_scene_shows(in_3d):
     first = figures(in_3d)
-    assert measure_edit_in_3d(first, in_3d, range(2)).shown == pytest.approx(1)
-    half = (in_3d.start.images + in_3d.edited.images) / 2
+    assert measure_edit_in_3d(first, in_3d).shown == pytest.approx(1)
+    half = (in_3d.before.images + in_3d.after.images) / 2
     faint = replace(in_3d, rendered=replace(in_3d.rendered, images=half))
-    assert measure_edit_in_3d(first, faint, range(2)).shown == pytest.approx(0.5)
-    beside = torch.where(in_3d.masks[:, :, None] > 0, in_3d.edited.images, 0.9)
+    assert measure_edit_in_3d(first, faint).shown == pytest.approx(0.5)
+    beside = torch.where(in_3d.masks[:, :, None] > 0, in_3d.after.images, 0.9)
     elsewhere = replace(in_3d, rendered=replace(in_3d.rendered, images=beside))
-    assert measure_edit_in_3d(first, elsewhere, range(2)).shown == pytest.approx(1)
-    unchanged = replace(in_3d, edited=in_3d.start)
-    assert measure_edit_in_3d(first, unchanged, range(2)).shown is None
+    assert measure_edit_in_3d(first, elsewhere).shown == pytest.approx(1)
+    unchanged = replace(in_3d, after=in_3d.before)
+    assert measure_edit_in_3d(first, unchanged).shown is None
 
 
 def test_masks_that_show_no_common_surface_tell_nothing(in_3d):
     far = replace(in_3d.rendered, depths=in_3d.rendered.depths * math.nan)
     blind = replace(in_3d, rendered=replace(far, depths=torch.nan_to_num(far.depths)))
-    assert measure_edit_in_3d(figures(in_3d), blind, range(2)).agreement is None
+    assert measure_edit_in_3d(figures(in_3d), blind).agreement is None
 
 
 def test_a_thing_that_takes_its_colour_in_part_is_told_from_one_of_two_colours(scene):
-    masks, before = scene.masks[0], scene.start.images[0]
+    masks, before = scene.masks[0], scene.before.images[0]
     after = before.clone()
     upper = slice(14, 24)
     after[:, :, upper] = torch.where(

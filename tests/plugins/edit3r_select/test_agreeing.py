@@ -2,9 +2,7 @@
 
 import pytest
 import torch
-
-from edit3r.kit.geometry.warping import shared_surface
-from edit3r.running.selecting.agreeing import (
+from edit3r_select.agreeing import (
     CARRIED,
     EXACT,
     FOUND,
@@ -13,6 +11,8 @@ from edit3r.running.selecting.agreeing import (
     of_itself,
     told_by,
 )
+
+from edit3r.kit.geometry.warping import shared_surface
 
 SIDE = 64
 SNOUT, GROUND = (slice(22, 43), slice(9, 15)), (slice(46, 54), slice(22, 38))

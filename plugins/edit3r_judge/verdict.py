@@ -6,7 +6,6 @@ better. The thresholds were calibrated on views that no scene had seen; see docs
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
@@ -14,8 +13,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from edit3r.contract.types import Rendering, Views
-
-Label = Literal["good", "fair", "poor", "failed"]
+from edit3r.contract.verdicts import LABELS, Label, Verdict
 
 MEAN_PSNR = {"good": 24.0, "fair": 17.0, "poor": 14.0}
 """Least mean PSNR [dB] of the placed input views for each label; below the last one a run failed.
@@ -28,7 +26,6 @@ each label.
 """
 MOST_LEFT_OUT = {"good": 0.0, "fair": 0.5, "poor": 0.5}
 """Largest share of the photos that may be left out, for each label."""
-LABELS: tuple[Label, ...] = ("good", "fair", "poor", "failed")
 
 
 @dataclass(frozen=True)
@@ -37,32 +34,6 @@ class Doubt:
 
     clause: str  # what was found and what to do, instead of advice about the photos
     best: Label = "fair"  # that the scene can get
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """The label of a run, why, and the figures behind it; the lists have one entry for each photo
-    used, in order.
-    """
-
-    label: Label
-    reason: str  # one sentence that says what was found and what to do
-    input_psnr: tuple[
-        float | None, ...
-    ]  # [dB] of each view's rendering against its edited image; None: left out
-    agreement: tuple[
-        float | None, ...
-    ]  # [dB] the same before any refiner: how well the photos' geometry fits together
-    placed: tuple[bool, ...]  # False: the photo could not be placed and is left out
-    coverage: tuple[
-        float | None, ...
-    ]  # share of the view's pixels that show Gaussians, in [0, 1]
-    filled: tuple[
-        float | None, ...
-    ]  # share of the view's pixels whose depth was guessed; None: not known
-    guessed_between: tuple[
-        float | None, ...
-    ]  # share of the picture half-way to the nearest view whose depth was guessed; None: not known
 
 
 def judge(

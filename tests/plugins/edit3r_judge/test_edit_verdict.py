@@ -3,8 +3,7 @@
 from dataclasses import replace
 
 import pytest
-
-from edit3r.running.judging.edit_verdict import EditMeasures, judge_edit
+from edit3r_judge.edit_verdict import EditMeasures, judge_edit
 
 GOOD = EditMeasures(
     shares=(0.1, 0.12),

@@ -2,15 +2,15 @@
 
 import pytest
 import torch
-
-from edit3r.contract.interfaces import Geometry, Proposal, Segmenter, Tracks
-from edit3r.running.selecting.obeying import (
+from edit3r_select.obeying import (
     Point,
     joined_change,
     obeyed,
     seen_elsewhere,
 )
-from edit3r.running.selecting.select import Selection, select_masks
+from edit3r_select.select import select_masks
+
+from edit3r.contract.interfaces import Geometry, Proposal, Segmenter, Selection, Tracks
 from edit3r_testing.scenes import photograph
 
 SCENE = photograph(3, (48, 64))

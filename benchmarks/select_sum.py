@@ -1,0 +1,412 @@
+"""Fits the weights of `edit3r_select` and measures them on scenes left out.
+
+    python benchmarks/elsewhere.py ELSEWHERE
+    python benchmarks/select_sum.py DATA ELSEWHERE --kept ROWS.pkl [--by grabcut] [--write]
+        [--never-fitted] [--cache FOLDER]
+
+Objects are those of `clicks.json`, `outlines.json` and `elsewhere.json`. Clicks lie uniformly in
+the object, at its rim too; innermost clicks, strokes and boxes are those of `clicks.py`. Weights
+are fitted to what the other scenes show, an object's figures are those of weights that never saw
+its scene. Scenes that are never fitted on are left out of all but the last look, --never-fitted.
+--write puts weights fitted to all other scenes into `fitted.yaml`.
+"""
+
+import argparse
+import json
+import pickle
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import yaml
+from clicks import (
+    ANYWHERE,
+    at_size,
+    filled,
+    iou,
+    line_on,
+    next_click,
+    places_on,
+    reduced,
+    remembering,
+    tensor_of,
+)
+from edit3r_select.asking import gathered
+from edit3r_select.cues import CUES, Appearance, Asked, table
+from edit3r_select.grabcut import GrabCut
+from edit3r_select.sum import FITTED, CueWeights, choose, lead
+from PIL import Image
+from scipy.optimize import minimize
+
+from edit3r import build
+
+HERE = Path(__file__).parent
+NAMES = tuple(CUES)
+SOFTNESS = 0.15  # of the goal: softmax of IoU over the masks
+PENALTY = 10.0  # of standardised weights
+RIGHT = 0.7  # IoU from which the confidence calls a mask right
+STROKES = 3
+PARTS = 0.2  # how much a part's click counts beside a thing's in the fit
+
+FIRST = ("click", "stroke", "box")
+Fits = dict[tuple[str, str | None], CueWeights]
+"""By kind of marks and the scene that was left out; None: none was."""
+Answerer = Callable[..., tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass
+class Row:
+    """One question: what was seen of each mask, and how well it fits."""
+
+    name: str
+    kind: str  # of `Asked.kind`
+    way: str  # anywhere, innermost 1 to 3, stroke, box
+    cues: np.ndarray  # [n, cue]
+    ious: np.ndarray  # [n]
+    # IoU of the mask that was taken, and before the click, where one answer led to the next
+    got: tuple[float, float] | None = None
+
+
+@dataclass
+class Thing:
+    """An outlined object on one photo."""
+
+    name: str
+    scene: str
+    source: str  # file without its ending
+    part: bool
+    file: Path
+    polygons: list
+    never_fitted: bool
+    rows: list[Row] = field(default_factory=list)
+
+
+def main() -> None:
+    args = parsed()
+    things = [
+        one
+        for one in listed(args.data, args.elsewhere)
+        if one.file.is_file() and (args.never_fitted or not one.never_fitted)
+    ]
+    bench = Bench(args.by, args.cache)
+    kept = pickle.loads(args.kept.read_bytes()) if args.kept.exists() else {}
+    for thing in things:
+        if thing.name not in kept:
+            kept[thing.name] = bench.first_rows(thing)
+            print(thing.name, flush=True)
+            args.kept.write_bytes(pickle.dumps(kept))
+        thing.rows = list(kept[thing.name])
+    fits = folds(things, FIRST)
+    fits |= corrections(things, bench, fits, args.rounds)
+    print(report([one for one in things if not one.never_fitted], fits))
+    if args.never_fitted:
+        print("never fitted on")
+        print(report([one for one in things if one.never_fitted], fits))
+    if args.write:
+        written(args.by, {kind: fits[kind, None] for kind in (*FIRST, "more")})
+
+
+def parsed() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path, help="folder of photo sets")
+    parser.add_argument("elsewhere", type=Path, help="folder of elsewhere.py")
+    parser.add_argument("--by", choices=("sam", "grabcut"), default="sam")
+    parser.add_argument("--kept", type=Path, required=True, help="rows so far")
+    parser.add_argument("--cache", type=Path, help="folder for what the encoder read")
+    parser.add_argument("--rounds", type=int, default=2, help="of corrected clicks")
+    parser.add_argument("--never-fitted", action="store_true", help="the last look")
+    parser.add_argument("--write", action="store_true", help="write fitted.yaml")
+    return parser.parse_args()
+
+
+def listed(data: Path, elsewhere: Path) -> Iterator[Thing]:
+    """All outlined objects, each on its first photo."""
+    for source, folder in (
+        ("clicks", data),
+        ("outlines", data),
+        ("elsewhere", elsewhere),
+    ):
+        content = json.loads((HERE / f"{source}.json").read_text())
+        for name, entry in content.get("objects", content).items():
+            photos = entry.get("photos", entry)
+            file, polygons = next(iter(photos.items()))
+            own = file.startswith("benchmarks/")
+            yield Thing(
+                name,
+                scene_of(file),
+                source,
+                bool(entry.get("part")),
+                HERE.parent / file if own else folder / file,
+                polygons,
+                bool(entry.get("never_fitted")),
+            )
+
+
+def scene_of(file: str) -> str:
+    """Generated scenes are one place, and photos of one place in other sizes are that place."""
+    first = file.split("/")[0]
+    if first == "large":
+        return "berlin" if file.split("/")[1][0].isdigit() else "monstree"
+    return {"benchmarks": "generated"}.get(first, first)
+
+
+class Bench:
+    """Asks about objects."""
+
+    def __init__(self, by: str, cache: Path | None) -> None:
+        self.by, self.cache = by, cache
+        self.sam = build("segmenter", "sam-onnx") if by == "sam" else None
+        self._held: tuple[Path, Appearance, Answerer] | None = None
+
+    def looked(self, thing: Thing) -> tuple[Appearance, Answerer, np.ndarray]:
+        """The photo, what answers on it, and the outline."""
+        image = np.asarray(Image.open(thing.file).convert("RGB"))
+        if self._held is None or self._held[0] != thing.file:
+            photo = Appearance(reduced(image))
+            self._held = thing.file, photo, self.answerer(photo)
+        _, photo, answers = self._held
+        truth = at_size(filled(thing.polygons, image.shape[:2]), photo.size)
+        return photo, answers, truth
+
+    def answerer(self, photo: Appearance) -> Answerer:
+        if self.sam is None:
+            return GrabCut(photo).ask
+        return partial(self.sam.ask, tensor_of(photo.rgb))
+
+    def first_rows(self, thing: Thing) -> list[Row]:
+        """Questions that need no earlier answer."""
+        photo, answers, truth = self.looked(thing)
+        asked = [("anywhere", one) for one in anywhere(truth, thing)]
+        asked += [("innermost 1", Asked(clicks=(innermost(truth),)))]
+        asked += [("stroke", one) for one in strokes(truth)]
+        asked += [("box", one) for one in boxes(truth)]
+        with remembering(self.cache):
+            return [
+                self.row(thing, way, one, photo, answers, truth) for way, one in asked
+            ]
+
+    def row(self, thing, way, asked, photo, answers, truth, before=None) -> Row:
+        pool = gathered(photo, asked, answers, before)
+        ious = np.array([iou(mask, truth) for mask in pool.masks])
+        return Row(thing.name, asked.kind, way, table(pool, NAMES), ious)
+
+    def corrected(self, thing: Thing, click: CueWeights, more: CueWeights) -> list[Row]:
+        """The second and third innermost click, each in the middle of what is wrong."""
+        photo, answers, truth = self.looked(thing)
+        clicks: tuple = (innermost(truth),)
+        best = choose(gathered(photo, Asked(clicks=clicks), answers), click).best
+        rows = []
+        with remembering(self.cache):
+            for number in (2, 3):
+                kind, place = next_click(best.mask, truth)
+                clicks = (*clicks, (place, kind == "positive"))
+                asked = Asked(clicks=clicks, before=best.mask)
+                pool = gathered(photo, asked, answers, best.logits)
+                was, best = best, choose(pool, more).best
+                ious = np.array([iou(mask, truth) for mask in pool.masks])
+                got = iou(best.mask, truth), iou(was.mask, truth)
+                way = f"innermost {number}"
+                rows.append(Row(thing.name, "more", way, table(pool, NAMES), ious, got))
+        return rows
+
+
+def innermost(truth: np.ndarray) -> tuple:
+    return next_click(np.zeros_like(truth), truth)[1], True
+
+
+def anywhere(truth: np.ndarray, thing: Thing) -> list[Asked]:
+    """One click each, uniformly random in the object, always the same."""
+    seed = [7, *thing.name.encode(), *thing.file.name.encode()]
+    places = places_on(truth, ANYWHERE, seed)
+    return [Asked(clicks=((place, True),)) for place in places]
+
+
+def strokes(truth: np.ndarray) -> list[Asked]:
+    lines = [line_on(truth, np.random.default_rng([11, n])) for n in range(STROKES)]
+    return [Asked(stroke=one) for one in lines]
+
+
+def boxes(truth: np.ndarray) -> list[Asked]:
+    """The box around the object, each side off by up to a twentieth of its length."""
+    height, width = truth.shape
+    rows, columns = np.nonzero(truth.any(1))[0], np.nonzero(truth.any(0))[0]
+    low = np.array([columns[0] / width, rows[0] / height])
+    high = np.array([(columns[-1] + 1) / width, (rows[-1] + 1) / height])
+    off = np.random.default_rng(13).uniform(-0.05, 0.05, (2, 2)) * (high - low)
+    low, high = np.clip(low + off[0], 0, 1), np.clip(high + off[1], 0, 1)
+    return [Asked(box=(*map(float, low), *map(float, high - low)))]
+
+
+@dataclass
+class Fit:
+    """Rows of one kind as arrays; pools are filled up to the largest."""
+
+    cues: np.ndarray  # [row, n, cue]
+    there: np.ndarray  # [row, n]
+    ious: np.ndarray  # [row, n]
+    share: np.ndarray  # [row]: scenes alike, parts less
+
+    @classmethod
+    def of(cls, rows: list[tuple[Thing, Row]]) -> "Fit":
+        most = max(len(row.ious) for _, row in rows)
+        cues = np.zeros((len(rows), most, len(NAMES)))
+        there, ious = np.zeros((len(rows), most), bool), np.zeros((len(rows), most))
+        count: dict[str, int] = defaultdict(int)
+        for index, (thing, row) in enumerate(rows):
+            n = len(row.ious)
+            cues[index, :n], there[index, :n], ious[index, :n] = (
+                row.cues,
+                True,
+                row.ious,
+            )
+            count[thing.scene] += 1
+        share = np.array(
+            [(PARTS if t.part else 1) / count[t.scene] ** 0.5 for t, _ in rows]
+        )
+        return cls(cues, there, ious, share / share.mean())
+
+    def weights(self) -> CueWeights:
+        """Softmax over the masks towards softmax(IoU / softness)."""
+        spread = self.cues[self.there].std(0) + 1e-6
+        scaled = self.cues / spread
+        goal = np.where(self.there, np.exp(self.ious / SOFTNESS), 0)
+        goal /= goal.sum(1, keepdims=True)
+
+        def loss(values: np.ndarray) -> tuple[float, np.ndarray]:
+            sums = np.where(self.there, scaled @ values, -np.inf)
+            chance = np.exp(sums - sums.max(1, keepdims=True))
+            chance /= chance.sum(1, keepdims=True)
+            each = self.share[:, None] * goal * np.log(chance + 1e-12)
+            off = self.share[:, None] * (goal - chance)
+            slope = -(scaled * off[..., None]).sum((0, 1))
+            total = -each.sum() + PENALTY * (values**2).sum()
+            return total / len(goal), (slope + 2 * PENALTY * values) / len(goal)
+
+        found = minimize(loss, np.zeros(len(NAMES)), jac=True, method="L-BFGS-B").x
+        return CueWeights(NAMES, found / spread)
+
+
+def started(click: CueWeights) -> CueWeights:
+    """Weights for more clicks before any were fitted: those of a click, and what is marked."""
+    told = {"obeyed": 4.0, "kept": 2.0, "middle": 2.0}
+    extra = np.array([told.get(name, 0.0) for name in NAMES])
+    return replace(click, values=click.values + extra)
+
+
+def fitted_without(things: list[Thing], kind: str, scene: str | None) -> CueWeights:
+    """The weights that all other scenes give; scenes that are never fitted on give none."""
+    rows = [
+        (thing, row)
+        for thing in things
+        if thing.scene != scene and not thing.never_fitted
+        for row in thing.rows
+        if row.kind == kind
+    ]
+    fit = Fit.of(rows)
+    weights = fit.weights()
+    sums = np.where(fit.there, fit.cues @ weights.values, -np.inf)
+    best = sums.argmax(1)
+    right = fit.ious[np.arange(len(best)), best] >= RIGHT
+    area = np.exp(fit.cues[:, :, NAMES.index("log_area")])
+    leads = np.array([lead(*pair) for pair in zip(sums, area)])
+    return replace(weights, **logistic(leads, right, fit.share))
+
+
+def logistic(
+    leads: np.ndarray, right: np.ndarray, share: np.ndarray
+) -> dict[str, float]:
+    """How the lead of the first mask tells whether it is right."""
+
+    def loss(values: np.ndarray) -> float:
+        margin = (values[0] * leads + values[1]) * np.where(right, 1, -1)
+        return float((share * np.logaddexp(0, -margin)).sum() + 0.1 * values[0] ** 2)
+
+    margin, constant = minimize(loss, np.zeros(2), method="L-BFGS-B").x
+    return {"margin": float(margin), "constant": float(constant)}
+
+
+def folds(things: list[Thing], kinds: Sequence[str]) -> Fits:
+    """The weights of each kind for each scene left out, and for none."""
+    scenes = [*sorted({one.scene for one in things}), None]
+    return {
+        (kind, scene): fitted_without(things, kind, scene)
+        for kind in kinds
+        for scene in scenes
+    }
+
+
+def corrections(things: list[Thing], bench: Bench, fits: Fits, rounds: int) -> Fits:
+    """Weights for more clicks. What is shown to be corrected depends on them, so that they are
+    fitted in rounds; things keep the rows of the last.
+    """
+    more = {
+        ("more", scene): started(weights)
+        for (kind, scene), weights in fits.items()
+        if kind == "click"
+    }
+    for number in range(rounds):
+        for thing in things:
+            click, then = (fits["click", thing.scene], more["more", thing.scene])
+            rows = bench.corrected(thing, click, then)
+            thing.rows = [one for one in thing.rows if one.kind != "more"] + rows
+        if number + 1 < rounds:
+            more = folds(things, ("more",))
+    return more
+
+
+def report(things: list[Thing], fits: Fits) -> str:
+    """Mean IoU, share below 0.5 and mean of each object's worst, by way and source."""
+    found: dict[tuple, list] = defaultdict(list)
+    for thing in things:
+        each: dict[str, list] = defaultdict(list)
+        for row in thing.rows:
+            sums = row.cues @ fits[row.kind, thing.scene].values
+            each[row.way].append(
+                float(row.ious[sums.argmax()]) if row.got is None else row.got[0]
+            )
+            each[f"{row.way}, best mask"].append(float(row.ious.max()))
+        groups = ("all", "parts" if thing.part else "things", thing.source)
+        for group in groups:
+            for way, values in each.items():
+                found[way, group].append(values)
+    told = []
+    for (way, group), values in sorted(found.items()):
+        flat = np.concatenate(values)
+        worst = np.mean([min(one) for one in values])
+        told.append(
+            f"{way:24s} {group:10s} {len(values):4d} objects  mean {flat.mean():.3f}  "
+            f"below 0.5 {np.mean(flat < 0.5):4.0%}  worst {worst:.3f}"
+        )
+    return "\n".join(told)
+
+
+def written(by: str, weights: dict[str, CueWeights]) -> None:
+    """Put the weights into `fitted.yaml`, in place of those of the same name."""
+    content = yaml.safe_load(FITTED.read_text()) if FITTED.exists() else {}
+    content[by] = {
+        kind: {
+            "weights": {
+                n: round(float(v), 3)
+                for n, v in zip(one.cues, one.values)
+                if abs(v) > 1e-6
+            },
+            "margin": round(one.margin, 3),
+            "constant": round(one.constant, 3),
+        }
+        for kind, one in weights.items()
+    }
+    FITTED.write_text(HEAD + yaml.safe_dump(content, sort_keys=False))
+
+
+HEAD = """\
+# What multiplies each cue of `cues.py`, by what answers and by the kind of marks; and how much the
+# lead of the first mask tells of whether it is right. Fitted by
+#     python benchmarks/select_sum.py DATA ELSEWHERE --kept ROWS.pkl --write [--by grabcut]
+"""
+
+
+if __name__ == "__main__":
+    main()

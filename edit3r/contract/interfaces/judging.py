@@ -1,0 +1,72 @@
+"""Critics: how well an edit was carried out, and whether a scene holds."""
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from edit3r.contract.interfaces.base import Configured
+from edit3r.contract.interfaces.reconstruction import Geometry
+from edit3r.contract.interfaces.selection import Selected
+from edit3r.contract.types import Cameras, Rendering, Views
+from edit3r.contract.verdicts import EditVerdict, Verdict
+from edit3r.contract.wishes import Wish
+
+
+@dataclass(frozen=True, repr=False)
+class EditToJudge:
+    """An edit in 2D and, once there is a scene, in 3D; of a batch the first scene counts."""
+
+    before: Views
+    after: Views  # the same photos, edited and held to the masks
+    edited: range  # the views that were edited
+    wishes: tuple[Wish, ...]  # what was asked for
+    selected: tuple[Selected, ...]  # the things that were looked for
+    # in [0, 1]; 1: might change; None: everywhere
+    masks: Float[Tensor, "batch view height width"] | None
+    # where each wish applies, in [0, 1]
+    regions: Float[Tensor, "wish batch view height width"] | None
+    # what shows that pictures of the editor are not edits of their photos, a clause each
+    faults: tuple[str, ...] = ()
+    # what was undone of pictures that had moved against their photos, a clause each
+    moved: tuple[str, ...] = ()
+    in_2d: EditVerdict | None = None  # the verdict before there was a scene
+    rendered: Rendering | None = None  # the scene from the photos' places
+    cameras: Cameras | None = None  # the photos', in the scene's frame
+
+
+@dataclass(frozen=True, repr=False)
+class SceneToJudge:
+    """A finished scene beside the photos that it was made of.
+
+    `photos`, `placed` and `geometry` have one entry for each photo used, all else for each that was
+    placed.
+    """
+
+    photos: Views  # unedited
+    placed: tuple[bool, ...]
+    geometry: Geometry | None  # of the photos; None: the scene stands on none
+    edited: Views
+    first: Rendering  # the scene before any refiner, from the photos' places
+    rendered: Rendering  # the final one
+    measured: Float[Tensor, "batch view"] | None  # share of pixels with measured depth
+    # what one photo alone shows, which the scene leaves out
+    transient: Bool[Tensor, "batch view height width"] | None = None
+    # nobody knows the lens, and all that the photos share lies on one plane
+    flat: bool = False
+    # fields of view [degrees] that explain the photos alike, where they do not tell their lens
+    lenses: tuple[float, float] | None = None
+    edit: EditVerdict | None = None  # what is said of the edit in 2D
+
+
+class Critic(Configured, ABC):
+    """Says what can be measured of a run: never what a person meant."""
+
+    @abstractmethod
+    def judge_edit(self, edit: EditToJudge) -> EditVerdict:
+        """How the edit was carried out; asked for the 2D edit, and again with the scene."""
+
+    @abstractmethod
+    def judge_scene(self, scene: SceneToJudge) -> Verdict:
+        """Whether the scene shows its photos, and other views too."""

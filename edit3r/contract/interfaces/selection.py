@@ -1,0 +1,180 @@
+"""What a user chose on the photos, and selectors, which find it on all of them."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.errors import InputError
+from edit3r.contract.interfaces.base import Configured
+from edit3r.contract.interfaces.reconstruction import Geometry
+from edit3r.contract.interfaces.selecting import Marks
+from edit3r.contract.types import Views
+
+Box = tuple[float, float, float, float]
+"""x, y, width, height [shares of a view's sides]."""
+SURE = 0.63  # surety under which what words found is a question
+BACKGROUND = "background"  # words for all but what stands out
+SHARES = "expected shares of its sides, 0 to 1 (x / width, y / height)"
+ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
+"""What to do where nobody knows which thing is meant."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Everything a user marked; places are x and y in [0, 1] of a view, x to the right and y
+    down.
+    """
+
+    positive: tuple[
+        tuple[int, float, float], ...
+    ] = ()  # clicks on the object: view, x, y
+    negative: tuple[
+        tuple[int, float, float], ...
+    ] = ()  # clicks on what is not the object
+    boxes: Mapping[int, Box] = field(default_factory=dict)  # view: x, y, width, height
+    added: Mapping[int, Float[Tensor, "height width"]] = field(
+        default_factory=dict
+    )  # brush in [0, 1], by view
+    removed: Mapping[int, Float[Tensor, "height width"]] = field(
+        default_factory=dict
+    )  # eraser, likewise
+    masks: Mapping[int, Float[Tensor, "height width"]] = field(
+        default_factory=dict
+    )  # finished masks, by view
+    words: str = (
+        ""  # what is meant, such as "bike"; looked up where no mark says it all
+    )
+    which: tuple[str, ...] = ()  # picks among several: "left", "big", "red", "all"
+    several: bool = False  # the words are a plural: all that are sure are taken
+    # True: what stands out most is taken where the words are not known
+    guess: bool = False
+    sure: bool = False  # True: what words found unsurely is refused
+    # 1: the most likely reading of clicks, strokes, boxes and words; 2: the next
+    reading: int = 1
+    # steps to a larger reading of clicks, boxes and words (> 0), or to a smaller one (< 0)
+    larger: int = 0
+    grow: float = 0.0  # moves the outline outwards [pixels], inwards where negative
+    inverted: bool = False  # True: all but the object is meant
+    # lines drawn over the object: view, and places x, y along the line
+    strokes: tuple[tuple[int, tuple[tuple[float, float], ...]], ...] = ()
+    # boxes that are taken exactly, whatever lies in them: view, box
+    regions: tuple[tuple[int, Box], ...] = ()
+
+    def __post_init__(self) -> None:
+        """Raise InputError for marks that lie on no photo."""
+        for place in (*self.positive, *self.negative, *self._drawn()):
+            view, x, y = _numbers_of(place, "a point is (view, x, y)", 3)
+            if not (0 <= x <= 1 and 0 <= y <= 1):
+                raise InputError(
+                    f"a point lies outside photo {view + 1}: ({x:.3g}, {y:.3g}); {SHARES}."
+                )
+        for view, box in (*self.boxes.items(), *self.regions):
+            x, y, width, height = _numbers_of(box, "a box is (x, y, width, height)", 4)
+            # a comparison with what is no number is False
+            if not (0 <= x < x + width <= 1.001 and 0 <= y < y + height <= 1.001):
+                raise InputError(
+                    f"the box on photo {view + 1} must lie within the photo and have a size above "
+                    f"0; {SHARES}."
+                )
+
+    def _drawn(self) -> Iterator[tuple[Any, ...]]:
+        """View, x and y of every place along a stroke."""
+        for stroke in self.strokes:
+            view, places = _numbers_of(stroke, "a stroke is (view, ((x, y), ...))", 2)
+            if not len(places):
+                raise InputError(f"a stroke on photo {view + 1} has no place.")
+            yield from ((view, *place) for place in places)
+
+    @property
+    def says_where(self) -> bool:
+        """Whether any mark says where the object is; one that says where not is none."""
+        looked_for = (self.positive, self.strokes, self.boxes)
+        return any((*looked_for, self.masks, self.added, self.regions))
+
+    def marks_on(self, view: int) -> Marks:
+        """Clicks, strokes and box of one view."""
+        drawn = [places for on, places in self.strokes if on == view]
+        return Marks(
+            positive=_places(self.positive, view),
+            negative=_places(self.negative, view),
+            box=self.boxes.get(view),
+            stroke=tuple((x, y) for places in drawn for x, y in places),
+        )
+
+    @property
+    def views(self) -> tuple[int, ...]:
+        """Views that carry any mark, in the order in which they say where the object is."""
+        drawn = [stroke[0] for stroke in self.strokes]
+        clicked = [place[0] for place in (*self.positive, *self.negative)]
+        exact = (*self.added, *(view for view, _ in self.regions))
+        said = (*self.masks, *self.boxes, *exact, *drawn, *clicked, *self.removed)
+        return tuple(dict.fromkeys(said))
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One thing that clicks, strokes, a box or words may mean."""
+
+    view: int
+    mask: Float[Tensor, "height width"]  # soft, in [0, 1], on that view
+    score: float  # in [0, 1]: how likely it is what is meant
+    number: int  # of `Selection.reading` and of the flag --reading
+
+
+@dataclass(frozen=True)
+class Selected:
+    """What was selected on the views of one scene."""
+
+    masks: Float[
+        Tensor, "view 1 height width"
+    ]  # soft, in [0, 1]; 0 everywhere in a view where nothing was found
+    how: tuple[
+        str, ...
+    ]  # by view: "given", "region", "marked", "words", "guess", "geometry", "pictures", "not found"
+    warnings: tuple[
+        str, ...
+    ] = ()  # sentences for the user, also sent to `edit3r.contract.reporting`
+    surety: float | None = None  # of what words named, in [0, 1]
+    # what else may be meant: the most likely first, the one that was taken among them
+    readings: tuple[Reading, ...] = ()
+    taken: int = 1  # the number of that one
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether it was marked, or found by its name surely enough."""
+        guessed = "guess" in self.how
+        return not guessed and (self.surety is None or self.surety >= SURE)
+
+
+class Selector(Configured, ABC):
+    """Finds what is selected, by marks or by words, on all photos of a scene."""
+
+    @abstractmethod
+    def select(
+        self, views: Views, selection: Selection, geometry: Geometry | None = None
+    ) -> Selected:
+        """Select in one scene (batch 1).
+
+        `geometry` is that of the views where somebody could read it and it can be trusted; without
+        it masks are carried by what the pictures show. The masks obey the marks, and are those of
+        `selection.grow` and `selection.inverted`.
+
+        Raises InputError for marks on no photo, and for words that nobody knows or finds.
+        """
+
+
+def _numbers_of(value: Any, meaning: str, count: int) -> tuple[Any, ...]:
+    if not hasattr(value, "__len__") or len(value) != count:
+        raise InputError(f"{meaning}, got {value!r}.")
+    return tuple(value)
+
+
+def _places(
+    points: tuple[tuple[int, float, float], ...], view: int
+) -> tuple[tuple[float, float], ...]:
+    """x and y of the points on one view."""
+    return tuple((x, y) for on, x, y in points if on == view)

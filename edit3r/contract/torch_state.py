@@ -1,0 +1,71 @@
+"""torch as edit3r expects it, whatever the caller has set: float32, the CPU as default device, no
+autocast, no inference mode.
+"""
+
+import functools
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, TypeVar
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+_AUTOCAST = ("cpu", "cuda")  # devices of which it is switched off
+
+
+def in_usual_torch(function: Function) -> Function:
+    """The function, called in `usual_torch`, with arguments that were made in inference mode
+    copied: those cannot take part in gradients.
+
+    Every call that programs of others make goes through here. Whether gradients are kept is left
+    as it is.
+    """
+
+    @functools.wraps(function)
+    def called(*args: Any, **kwargs: Any) -> Any:
+        with usual_torch():
+            own = {name: _normal(value) for name, value in kwargs.items()}
+            return function(*map(_normal, args), **own)
+
+    return called  # type: ignore[return-value]
+
+
+@contextmanager
+def usual_torch() -> Iterator[None]:
+    """torch's state as it is without settings; the caller's comes back after the block."""
+    import torch  # half a second, which those who only look plugins up do not pay
+
+    dtype = torch.get_default_dtype()
+    with ExitStack() as stack:
+        if torch.is_inference_mode_enabled():
+            stack.enter_context(torch.inference_mode(False))
+            stack.enter_context(torch.no_grad())
+        for device in _AUTOCAST:
+            if torch.is_autocast_enabled(device):
+                stack.enter_context(torch.autocast(device, enabled=False))
+        if torch.get_default_device().type != "cpu":
+            stack.enter_context(torch.device("cpu"))
+        if dtype != torch.float32:
+            torch.set_default_dtype(torch.float32)
+            stack.callback(torch.set_default_dtype, dtype)
+        yield
+
+
+def _normal(value: Any) -> Any:
+    from torch import Tensor
+
+    if isinstance(value, Tensor):
+        return value.clone() if value.is_inference() else value
+    if isinstance(value, list | tuple) and any(
+        isinstance(one, Tensor) for one in value
+    ):
+        return type(value)(map(_normal, value))
+    if is_dataclass(value) and not isinstance(value, type):
+        own = {
+            field.name: getattr(value, field.name)
+            for field in fields(value)
+            if field.init
+        }
+        changed = {name: _normal(one) for name, one in own.items()}
+        changed = {name: one for name, one in changed.items() if one is not own[name]}
+        return replace(value, **changed) if changed else value
+    return value

@@ -1,0 +1,209 @@
+"""What each step of a run knows when it is done: one frozen record a step.
+
+    read      locate     select      edit          reconstruct     refine      judge
+    Inputs -> Located -> Selected -> EditedPhotos -> Reconstructed -> Gaussians -> Judged
+                         Regions
+Views that a reconstructor does not take, or cannot place, leave the records by `select`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from edit3r.contract.interfaces import Geometry, Selected, Selection
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
+from edit3r.contract.verdicts import EditVerdict, Verdict
+from edit3r.contract.wishes import Wish
+from edit3r.kit.geometry.light import Light
+from edit3r.kit.photos.images import Photo
+
+Masks = Float[Tensor, "batch view height width"]
+"""In [0, 1]; 1: may change."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """The photos, what is marked on them, and what an earlier run left."""
+
+    photos: Views  # unedited; geometry is read from them
+    start: Views  # what the edit is applied to: the photos, or an earlier run's edited views
+    files: tuple[Photo, ...] = ()  # how files became the photos; () where none did
+    mask_files: Mapping[str, str] = field(default_factory=dict)  # file: sha256
+    prompts: tuple[str, ...] = ()  # the edits so far, this run's last
+    marked: Selection | None = None  # what the user marked on the photos
+    masks: Masks | None = None  # given ones
+    # masks of what earlier runs named, in [0, 1]; of the first scene
+    things: Mapping[str, Float[Tensor, "view height width"]] = field(
+        default_factory=dict
+    )
+    before: Reconstruction | None = None  # an earlier run's scene
+
+    def select(self, indices: list[int]) -> "Inputs":
+        """The same with the views at `indices` only."""
+        return replace(
+            self,
+            photos=self.photos.select(indices),
+            start=self.start.select(indices),
+            files=tuple(self.files[i] for i in indices) if self.files else (),
+            masks=_of_views(self.masks, indices),
+            things={name: masks[indices] for name, masks in self.things.items()},
+        )
+
+    def to(self, device: torch.device | str) -> "Inputs":
+        """The same with its tensors on `device`."""
+        return replace(
+            self,
+            photos=self.photos.to(device),
+            start=self.start.to(device),
+            masks=None if self.masks is None else self.masks.to(device),
+            before=None if self.before is None else self.before.to(device),
+        )
+
+
+@dataclass(frozen=True)
+class Located:
+    """What the photos tell before anything is edited; nothing where no part uses geometry."""
+
+    geometry: Geometry | None = None
+    # nobody knows the lens, and all that the photos share lies on one plane
+    flat: bool = False
+    # fields of view [degrees] that explain the photos alike, where they do not tell their lens
+    lenses: tuple[float, float] | None = None
+    # how the photos' colours become the first one's; None: they are taken as they are
+    light: Light | None = None
+    # what one photo alone shows where others see through its place; None: nothing
+    passing: Bool[Tensor, "batch view height width"] | None = None
+
+    def select(self, indices: list[int]) -> "Located":
+        """The same with the views at `indices` only; the geometry stays that of all photos."""
+        light = None if self.light is None else self.light.select(indices)
+        return replace(self, light=light, passing=_of_views(self.passing, indices))
+
+    def in_one_light(self, views: Views) -> Views:
+        """Photos of this scene, edited or not, as they would look in the first one's light."""
+        if self.light is None:
+            return views
+        return replace(views, images=self.light.to_reference(views.images))
+
+
+@dataclass(frozen=True)
+class SelectedRegions:
+    """Which pixels may change."""
+
+    masks: Masks | None = None  # None: everywhere
+    # where each wish of the prompt applies, in [0, 1]
+    regions: Float[Tensor, "wish batch view height width"] | None = None
+    # the sentence as it was read, with colours that were read off the photos
+    wishes: tuple[Wish, ...] = ()
+    # the things that were looked for, of the first scene
+    selected: tuple[Selected, ...] = ()
+    # masks of what was named, in this run and before; of the first scene
+    things: Mapping[str, Float[Tensor, "view height width"]] = field(
+        default_factory=dict
+    )
+
+    @property
+    def confined(self) -> bool:
+        """Whether some pixels must stay as they are."""
+        return self.masks is not None and not bool((self.masks > 0).all())
+
+    def select(self, indices: list[int]) -> "SelectedRegions":
+        """The same with the views at `indices` only."""
+        regions = self.regions
+        return replace(
+            self,
+            masks=_of_views(self.masks, indices),
+            regions=None if regions is None else regions[:, :, indices],
+            things={name: masks[indices] for name, masks in self.things.items()},
+        )
+
+
+@dataclass(frozen=True)
+class EditedPhotos:
+    """The 2D edit, held to the masks."""
+
+    views: Views
+    faults: tuple[
+        str, ...
+    ] = ()  # what shows that pictures are no edits of their photos
+    moved: tuple[str, ...] = ()  # what was undone of pictures that had moved
+    verdict: EditVerdict | None = None  # in 2D; None: no edit was asked for
+
+    def select(self, indices: list[int]) -> "EditedPhotos":
+        """The same with the views at `indices` only."""
+        return replace(self, views=self.views.select(indices))
+
+
+@dataclass(frozen=True)
+class Reconstructed:
+    """The edited views in 3D; all but `placed` and `photos` are of the placed views alone."""
+
+    reconstruction: Reconstruction
+    photos: Views  # all that were used
+    placed: tuple[bool, ...]  # for each of them; False: left out of the scene
+    # where the scene may change; None: everywhere
+    masks: Masks | None = None
+    # the scene as it was before this edit, where a refiner needs it
+    before: Reconstruction | None = None
+    # what one photo alone shows, which the scene leaves out; None: nothing
+    passing: Bool[Tensor, "batch view height width"] | None = None
+
+    @property
+    def cameras(self) -> Cameras:
+        """Of the placed views, at the size of the reconstruction."""
+        return known_cameras(self.reconstruction)
+
+    @property
+    def used(self) -> list[int]:
+        """Indices of the placed views."""
+        return [view for view, there in enumerate(self.placed) if there]
+
+    @property
+    def left_out(self) -> Views | None:
+        """Photos that could not be placed."""
+        lost = [view for view, there in enumerate(self.placed) if not there]
+        return self.photos.select(lost) if lost else None
+
+
+@dataclass(frozen=True)
+class Judged:
+    """The finished scene from the photos' places, and what critics say."""
+
+    rendered: Rendering
+    verdict: Verdict
+    edit_verdict: EditVerdict | None  # None: no edit was asked for
+
+
+@dataclass(frozen=True)
+class Preview:
+    """What is selected and, if that was asked for, how it is edited, without any scene."""
+
+    inputs: Inputs
+    selection: SelectedRegions
+    edit: EditedPhotos | None
+
+
+@dataclass(frozen=True)
+class Records:
+    """All records of a finished run."""
+
+    inputs: Inputs
+    located: Located
+    selection: SelectedRegions
+    edit: EditedPhotos
+    made: Reconstructed
+    gaussians: Gaussians  # after the refiners, in the frame of view 0
+    judged: Judged
+
+
+def known_cameras(reconstruction: Reconstruction) -> Cameras:
+    """The cameras of a checked reconstruction, which has them whether predicted or by PnP."""
+    assert reconstruction.cameras is not None
+    return reconstruction.cameras
+
+
+def _of_views(maps: Tensor | None, indices: list[int]) -> Tensor | None:
+    return None if maps is None else maps[:, indices]
