@@ -5,6 +5,7 @@ import subprocess
 import sys
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -221,6 +222,31 @@ def test_the_last_lines_name_the_settings_that_were_asked_for(
     job = replace(result.parts.job, config=make_run_config(asked))
     result.parts.job = job
     assert named in summary(tmp_path, result)
+
+
+def test_the_last_line_says_how_to_get_a_default_run_sharper(result, tmp_path):
+    def last(label="good", longest=None, **asked):
+        judged = replace(result.records.judged.verdict, label=label)
+        records = replace(
+            result.records,
+            judged=replace(result.records.judged, verdict=judged),
+            inputs=replace(
+                result.records.inputs,
+                files=(SimpleNamespace(size=(24, longest)),) if longest else (),
+            ),
+        )
+        job = replace(result.parts.job, config=make_run_config(asked))
+        parts = SimpleNamespace(job=job)
+        made = replace(result, records=records, parts=parts)
+        return summary(tmp_path, made).splitlines()[-1]
+
+    assert last().endswith("--quality best takes half as long again")
+    assert last(longest=4032).endswith(
+        "with --size 1024, of the photos' 4032 pixels, about four times as long"
+    )
+    assert "--size 800" in last(longest=800) and "--size" not in last(longest=512)
+    for kept in ({"quality": "best"}, {"size": 1024}, {"label": "poor"}):
+        assert "sharper" not in last(longest=4032, **kept)
 
 
 def test_a_notebook_shows_the_sheet_and_the_viewer(result):
