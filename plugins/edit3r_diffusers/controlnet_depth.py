@@ -83,6 +83,8 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
             description="how many views, from the first, the others look at",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
         self._pipeline: Any = None

@@ -51,6 +51,8 @@ class InstructPix2PixEditor(Editor, StartsFromImages, GivesAttention):
             1.5, ge=1, le=50, description="how closely the photo is kept"
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._pipeline: Any = None

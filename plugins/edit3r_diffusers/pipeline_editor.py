@@ -94,6 +94,8 @@ class PipelineEditor(Editor):
                 )
             return self
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._plain: Any = None

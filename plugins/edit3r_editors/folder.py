@@ -40,6 +40,8 @@ class FolderEditor(Editor):
             description="folder with one edited picture per view, named as the photos are",
         )
 
+    settings: Settings
+
     def edit(self, views: Views, request: EditRequest) -> Views:
         if len(views.images) != 1:
             raise InputError(

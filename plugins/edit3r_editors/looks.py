@@ -279,6 +279,8 @@ class LooksEditor(Editor, EditsRegions):
             1.0, ge=0, le=1, description="share of the look; 0 returns the photo"
         )
 
+    settings: Settings
+
     def understands(self, wish: Wish) -> bool:
         return bool(self.settings.look) or look_of(wish) != ""
 

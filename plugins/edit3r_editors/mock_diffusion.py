@@ -59,6 +59,8 @@ class MockDiffusionEditor(Editor):
             description="how much the views differ in colour, texture and structure; 0: not at all",
         )
 
+    settings: Settings
+
     def edit(self, views: Views, request: EditRequest) -> Views:
         reporting.warn(
             "editor 'mock-diffusion' is a stand-in: it changes colours and textures from a hash "

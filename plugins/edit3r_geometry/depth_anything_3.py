@@ -63,6 +63,8 @@ class DepthAnything3Matcher(Matcher):
             description="longer side of the images it looks at [pixels]",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._network = _load(settings.model, settings.weights)

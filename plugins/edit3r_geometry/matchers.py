@@ -85,8 +85,7 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
         )
         seed: int = Field(0, ge=0, description="seed of the robust estimates")
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
+    settings: Settings
 
     @remembered
     def match(self, views: Views) -> Geometry:
@@ -326,6 +325,8 @@ class PosedMatcher(Matcher, MatchesLevelled):
             description="let the known poses move to where the photos' matches want them",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
 
@@ -440,6 +441,8 @@ class AutoMatcher(Matcher, MatchesLevelled):
         def _decide(cls, values: Any) -> Any:
             best = isinstance(values, Mapping) and values.get("pick", "best") == "best"
             return {**values, "pick": best_at_hand()} if best else values
+
+    settings: Settings
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings = settings

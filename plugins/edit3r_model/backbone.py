@@ -86,6 +86,8 @@ class AsymmetricViT(Backbone):
             "filled from a checkpoint",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         super().__init__()
         self.settings = settings

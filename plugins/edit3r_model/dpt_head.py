@@ -91,6 +91,8 @@ class DptGaussianHead(GaussianHead):
             "filled from a checkpoint",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings, backbone: Backbone) -> None:
         super().__init__()
         self.settings = settings

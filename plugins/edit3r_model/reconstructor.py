@@ -69,6 +69,8 @@ class Edit3rReconstructor(Reconstructor):
             "best of `edit3r train`, or a hub id; a file that names its parts brings them along",
         )
 
+    settings: Settings
+
     def __init__(
         self,
         settings: NetworkSettings,
@@ -139,6 +141,8 @@ class NoPoSplatReconstructor(Edit3rReconstructor):
             "(initialisation), .safetensors, our folder, hub id owner/name@revision, or 'random' "
             "for an untrained network (tests and speed only)",
         )
+
+    settings: Settings
 
 
 def _plan(settings: SinglePassSettings) -> EnginePlan:

@@ -52,6 +52,8 @@ class MatchedUNet(Backbone):
         )
         seed: Index = Field(0, description="of the initial weights")
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         super().__init__()
         self.settings = settings

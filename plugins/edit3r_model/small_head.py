@@ -121,6 +121,8 @@ class EditFusionHead(GaussianHead):
         )
         seed: Index = Field(0, description="of the initial weights")
 
+    settings: Settings
+
     def __init__(self, settings: Settings, backbone: Backbone) -> None:
         super().__init__()
         self.settings, self.patch_size = settings, backbone.patch_size

@@ -70,6 +70,8 @@ class GaussCtrlReconstructor(FittingMethod):
             "need more memory",
         )
 
+    settings: Settings
+
     # of the editor, to be given other depths; shares the weights
     _copy: Editor | None = None
 

@@ -64,6 +64,8 @@ class SimplifyRefiner(Refiner):
         def _parse_gaussians(cls, value: Any) -> Budget:
             return parse_budget(value)
 
+    settings: Settings
+
     def __call__(self, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
         """Simplify to the wanted number, and once more where `max_gaussians` asks for fewer.
 

@@ -49,6 +49,8 @@ class GeminiImageEditor(Editor):
             30.0, ge=0, description="price of a million output tokens [USD]"
         )
 
+    settings: Settings
+
     def edit(self, views: Views, request: EditRequest) -> Views:
         service = GeminiImages(self.settings)
         note(

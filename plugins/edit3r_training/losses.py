@@ -43,6 +43,8 @@ class MseLoss(Loss):
             description="pixels averaged along each side before comparing; 1: plain MSE",
         )
 
+    settings: Settings
+
     def __call__(self, inputs: LossInputs) -> Scalar:
         require_fields(inputs, "mse", "rendered", "target")
         difference = (inputs.rendered - inputs.target).flatten(0, 1)
@@ -59,6 +61,8 @@ class CenterLoss(Loss):
             gt=0,
             description="distance at which the square turns linear [scene units]",
         )
+
+    settings: Settings
 
     def __call__(self, inputs: LossInputs) -> Scalar:
         require_fields(inputs, "center", "gaussians", "reference")
@@ -82,6 +86,8 @@ class PointsLoss(Loss):
             lt=0.5,
             description="share of the reference's points left out at each end",
         )
+
+    settings: Settings
 
     def __call__(self, inputs: LossInputs) -> Scalar:
         require_fields(inputs, "point-distillation", "gaussians", "reference")
@@ -111,6 +117,8 @@ class GeometryLoss(Loss):
         samples: int = Field(
             512, ge=1, le=8192, description="centres drawn from each view"
         )
+
+    settings: Settings
 
     def __call__(self, inputs: LossInputs) -> Scalar:
         require_fields(inputs, "geometry", "gaussians")
@@ -164,6 +172,8 @@ class PerceptualLoss(Loss):
             description="images are resized to this before comparing [pixels]",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._network = frozen_efficientnet()
@@ -216,6 +226,8 @@ class ClipLoss(Loss):
             "openai/clip-vit-base-patch32",
             description="folder or hub name of a CLIP model",
         )
+
+    settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings

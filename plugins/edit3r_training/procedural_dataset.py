@@ -80,6 +80,8 @@ class ProceduralDataset(Dataset):
             description="keep samples in memory once made (about 0.3 MB each at 64 pixels)",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._kept: dict[int, SceneSample] = {}

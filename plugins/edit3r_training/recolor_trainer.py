@@ -108,6 +108,8 @@ class RecolorTrainer(Trainer):
             "novel views",
         )
 
+    settings: Settings
+
     def train(self, job: TrainingJob) -> Path:
         """Train to the last step or until asked to stop; returns the folder of the best weights."""
         return train(RecolorRecipe(self.settings, job), self.settings, job)

@@ -60,6 +60,8 @@ class TransformsDataset(PhotoDataset):
             "for the regimes viewwise and generated; empty: none",
         )
 
+    settings: Settings
+
     @cached_property
     def scenes(self) -> list[Path]:
         """Every folder under the root that has a camera file, sorted."""
