@@ -15,6 +15,7 @@ from edit3r.contract.reporting import note
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.compute.layers import one_thread
 from edit3r.kit.geometry.harmonics import dc_to_colour
+from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.photos.images import evenly
 from edit3r_refiners.importance import (
     drop_unneeded_harmonics,
@@ -72,8 +73,9 @@ class SimplifyRefiner(Refiner):
         A part of the scene that is to be exchanged afterwards stays fine, so that it fits up to its
         border.
         """
-        exchanged = inputs.before is not None and inputs.confined
-        fine = inputs.masks[0] > 0 if exchanged else None
+        fine = None
+        if inputs.before is not None and inputs.masks is not None and inputs.confined:
+            fine = inputs.masks[0] > 0
         for most in passes(self.settings.gaussians, self.settings.max_gaussians):
             gaussians = simplify(
                 gaussians, inputs.cameras, inputs.rasterizer, most, self.settings, fine
@@ -182,7 +184,7 @@ def _merge(
     )
     groups = partition(cells, price)
     if fine is not None and most is None:
-        groups[own_pixel_inside(gaussians, fine, cameras.at(fine.shape[-2:]))] = -1
+        groups[own_pixel_inside(gaussians, fine, cameras.at(size_of(fine)))] = -1
         groups[groups >= 0] = torch.unique(groups[groups >= 0], return_inverse=True)[1]
     return merge_groups(gaussians, groups, cameras, settings)
 

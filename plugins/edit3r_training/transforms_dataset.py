@@ -115,7 +115,7 @@ class TransformsDataset(PhotoDataset):
             return choose_by_gap(
                 rng, len(folder.cameras), chosen.context, chosen.targets, gap
             )
-        c2w = np.stack([camera.c2w for camera in folder.cameras])
+        c2w = np.stack(folder.poses)
         return choose_by_angle(rng, c2w, chosen.context, chosen.targets, chosen.angles)
 
 
