@@ -4,8 +4,8 @@
 
 Each scene is a folder with photos and a cameras.json and the numbers of two photos; poses are not
 used. `plain` stands for `--gaussians all --refine 0`. A row a run: processor seconds from images
-to Gaussians, of 36 frames of the camera path (from six of them), Gaussians, PSNR of the input
-views, and PSNR of the photo half-way at 512 pixels, whatever the size of the run.
+to Gaussians, of 36 frames of the camera path (from six of them), Gaussians; PSNR, SSIM, LPIPS and
+share of detail of the photos and of the one half-way at 512 pixels, whatever the size of the run.
 """
 
 import time
@@ -14,10 +14,12 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
+from dial import as_numpy, at_the_photos, drawn as image_of
 from harness import Row, run_benchmark
+from likeness import TITLE, likeness
+from verdict import unseen_camera
 
 import edit3r
-from edit3r.kit.geometry.cameras import median_scale, relative_to_first, scale_poses
 from edit3r.kit.photos.posed_folder import read_posed_folder
 from edit3r.kit.rendering import path_around, render_one
 
@@ -38,22 +40,14 @@ def measure(files: list[Path], between: Path, size: int, plain: bool) -> Row:
             render_one(result.rasterizer, result.gaussians, path.select([frame]))
     drawn = (time.process_time() - start) * FRAMES / DRAWN
     full = edit3r.load_views([*files, between], size=FULL)
-    true = relative_to_first(full.c2w.double())
-    scale = median_scale(
-        true[0, 1:2, :3, 3], result.cameras.c2w[0, 1:2, :3, 3].double()
-    )
-    pose = scale_poses(true[:, 2:], scale).float()
-    camera = edit3r.Cameras(pose, full.intrinsics[:, 2:], full.image_size)
-    with torch.no_grad():
-        image = result.rasterizer.render(result.gaussians, camera).images.clamp(0, 1)
-    held_out = float(-10 * torch.log10((image - full.images[:, 2:]).square().mean()))
-    shown = sum(result.verdict.input_psnr) / 2
+    camera = unseen_camera(result, full, [0, 1], 2)
+    half_way = likeness(image_of(result, camera), as_numpy(full, 2))
     return {
         "made in, CPU s": (made, ".2f"),
         "36 frames, CPU s": (drawn, ".2f"),
         "Gaussians": (result.gaussians.count, ",d"),
-        "input views, dB": (shown, ".2f"),
-        "half-way, dB": (held_out, ".2f"),
+        f"photos: {TITLE}": str(at_the_photos(result, full)),
+        "half-way": str(half_way),
         "verdict": result.verdict.label,
     }
 

@@ -4,25 +4,28 @@
 
 The folder holds the photo sets of the benchmarks. Every two photos of a held-out scene are
 reconstructed by the default run without their poses. A row each: the verdict, the agreement (PSNR
-of each photo against the other's Gaussians, before refining), the PSNR of the input views, and, for
-scenes with known cameras, of the photo that stands between the two. The other benchmarks refuse
-these scenes.
+of each photo against the other's Gaussians, before refining), and PSNR, SSIM, LPIPS and share of
+detail of the photos, and, for scenes with known cameras, of the one that stands between the two.
+The other benchmarks refuse these scenes.
 """
 
-import json
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
+from dial import as_numpy, at_the_photos, drawn
 from harness import Row, run_benchmark
+from likeness import TITLE, likeness
 from scenes import HELD_OUT
-from verdict import measure
+from verdict import unseen_camera
 
 import edit3r
 from edit3r.contract.errors import Edit3rError
 from edit3r.kit.photos.images import find_photos
+from edit3r.kit.photos.posed_folder import read_posed_folder
 
-SIZE = 256
+SIZE = 512
 
 
 def main(data: Path) -> Iterator[Row]:
@@ -35,42 +38,35 @@ def main(data: Path) -> Iterator[Row]:
 
 def figures(folder: Path, pair: tuple[int, int]) -> Row:
     """The cells of one row after its first."""
-    row = posed(folder, pair) if is_posed(folder) else unposed(folder, pair)
-    titles = {
-        "agreement": "agreement, dB",
-        "input_psnr": "input views, dB",
-        "held_out": "photo between, dB",
+    photos = find_photos(folder / "images")
+    between = range(pair[0] + 1, pair[1]) if is_posed(folder) else ()
+    given = [photos[index] for index in (*pair, *between)]
+    whole = edit3r.load_views(given, size=SIZE)
+    try:
+        result = edit3r.run(
+            replace(whole.select(range(2)), c2w=None), editor="none", outputs=[]
+        )
+    except Edit3rError:
+        return {"verdict": "refused"}
+    agreement = ", ".join(f"{value:.1f}" for value in result.verdict.agreement or ())
+    shown = [
+        likeness(
+            drawn(result, unseen_camera(result, whole, [0, 1], view)),
+            as_numpy(whole, view),
+        )
+        for view in range(2, whole.count)
+    ]
+    return {
+        "verdict": result.verdict.label,
+        "agreement, dB": agreement,
+        f"photos: {TITLE}": str(at_the_photos(result, whole)),
+        "between": "; ".join(map(str, shown)) or "–",
     }
-    cells = {
-        title: ", ".join(f"{value:.1f}" for value in row.get(name, ())) or "–"
-        for name, title in titles.items()
-    }
-    return {"verdict": row["label"], **cells}
 
 
 def is_posed(folder: Path) -> bool:
-    cameras = json.loads((folder / "cameras.json").read_text(encoding="utf-8"))
-    return all(camera["c2w"] is not None for camera in cameras)
-
-
-def posed(folder: Path, pair: tuple[int, int]) -> dict:
-    """As `benchmarks/verdict.py` measures a set."""
-    return measure(folder, list(pair), SIZE, pairs=False, unseen=[])
-
-
-def unposed(folder: Path, pair: tuple[int, int]) -> dict:
-    """The same without a photo between."""
-    photos = [find_photos(folder)[index] for index in pair]
-    try:
-        verdict = edit3r.run(photos, editor="none", size=SIZE, outputs=[]).verdict
-    except Edit3rError:
-        return {"label": "refused"}
-    return {
-        "label": verdict.label,
-        "agreement": verdict.agreement,
-        "input_psnr": verdict.input_psnr,
-        "held_out": [],
-    }
+    cameras = read_posed_folder(folder).cameras
+    return all(camera.c2w is not None for camera in cameras)
 
 
 if __name__ == "__main__":

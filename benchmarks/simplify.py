@@ -6,15 +6,15 @@ opacity.
 Each FOLDER holds photos of one scene with their cameras; a data set's name stands for generated
 scenes. Two photos are reconstructed; the scene with all its Gaussians, with those that the refiner
 `simplify` leaves, and with as many left by each rival (polished by as many photometric steps) is
-rendered and compared with the photo between the two. Prints CPU seconds, sizes and PSNR by kind of
-scene; stopped, it goes on where it was.
+rendered and compared with the photo between the two. Prints CPU seconds, sizes, PSNR, SSIM, LPIPS
+and share of detail by kind of scene; stopped, it goes on where it was.
 """
 
 import argparse
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from edit3r_measure.scene_sources import (
     SceneSource,
     find_scenes,
 )
+from likeness import likeness
 from scenes import for_tuning
 
 import edit3r
@@ -35,7 +36,6 @@ from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import RefineInputs
 from edit3r.contract.types import Gaussians, Reconstruction, Views
 from edit3r.kit.command.results import markdown_table
-from edit3r.kit.compute.likeness import psnr, ssim
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.workers import run_resumable
 
@@ -206,8 +206,7 @@ def score(
         size = (Path(folder) / "scene.ply").stat().st_size
     return {
         "share": gaussians.count / reconstruction.gaussians.count,
-        "psnr": psnr(image, scene.target.image),
-        "ssim": ssim(image, scene.target.image),
+        **asdict(likeness(image, scene.target.image)),
         "seconds": seconds,
         "render_seconds": min(times),
         "ply_mb": size / 1e6,
@@ -226,7 +225,8 @@ def table(scenes: Sequence[dict[str, dict[str, float]]], names: Sequence[str]) -
         }
         gain = [scene[name]["psnr"] - scene["all"]["psnr"] for scene in scenes]
         times = [f"{mean['seconds']:.2f}", f"{1000 * mean['render_seconds']:.0f}"]
-        quality = [f"{np.mean(gain):+.2f} ({min(gain):+.2f})", f"{mean['ssim']:.3f}"]
+        quality = [f"{np.mean(gain):+.2f} ({min(gain):+.2f})"]
+        quality += [f"{mean[key]:.3f}" for key in ("ssim", "lpips", "detail")]
         rows.append(
             [name, f"{mean['share']:.3f}", *times, f"{mean['ply_mb']:.1f}", *quality]
         )
@@ -238,6 +238,8 @@ def table(scenes: Sequence[dict[str, dict[str, float]]], names: Sequence[str]) -
         "PLY MB",
         "dB against all (worst)",
         "SSIM",
+        "LPIPS",
+        "detail",
     ]
     return markdown_table([dict(zip(titles, row)) for row in rows])
 

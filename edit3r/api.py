@@ -20,6 +20,7 @@ from edit3r.contract.settings import PartChoice
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.cache import Cache
+from edit3r.kit.photos.in_memory import Pictures, as_files
 from edit3r.loading.registry import Registry
 from edit3r.running.config import PART_KEYS, make_run_config
 from edit3r.running.earlier import EarlierRun, read_earlier_run
@@ -34,7 +35,7 @@ Files = str | Path | Sequence[str | Path]
 
 @in_usual_torch
 def run(
-    photos: Views | Files = (),
+    photos: Views | Pictures = (),
     prompt: str | None = None,
     *,
     editor: Choice | Editor | None = None,
@@ -54,7 +55,9 @@ def run(
     Settings that are not given have the defaults of `edit3r run --help`, which tells them.
 
     Args:
-        photos: Loaded views, or photo files, folders and videos. May be left out with `earlier`.
+        photos: Loaded views; photo files, folders and videos; or pictures in memory, of any sizes:
+            arrays [height, width, 3], tensors [3, height, width], PIL images. May be left out with
+            `earlier`.
         prompt: What to change, such as "paint the bike red".
         editor, recon: Names, names with settings, or built objects; `recon` is the reconstructor.
         masks: Where pixels may change: masks in [0, 1] of all views, mask files, or a Selection
@@ -128,10 +131,10 @@ def _plain(value: Any) -> Any:
 
 
 def _photos(
-    photos: Views | Files, cameras: str | Path | Cameras | None
+    photos: Views | Pictures, cameras: str | Path | Cameras | None
 ) -> Views | tuple[Path, ...]:
     if not isinstance(photos, Views):
-        return _paths("photos", photos, "Views")
+        return tuple(map(Path, as_files(photos)))
     check_views(photos)
     if not isinstance(cameras, Cameras):
         return photos

@@ -42,6 +42,10 @@ class Report:
     warnings: list[str] = field(default_factory=list)
     on_event: Callable[[str, str, int, int], None] | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy or a pickle takes along: whoever listens here listens to no copy."""
+        return {**vars(self), "on_event": None}
+
     def emit(self, event: str, text: str, done: int = 0, total: int = 0) -> None:
         if self.on_event is not None:
             self.on_event(event, text, done, total)

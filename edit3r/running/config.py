@@ -177,7 +177,7 @@ class RunConfig(Settings):
         description="never leave more Gaussians than this",
     )
     refine: int = Field(
-        14,
+        12,
         ge=0,
         le=10000,
         description="most photometric steps, each towards one edited view",

@@ -26,7 +26,7 @@ from edit3r.contract.reporting import say
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
 from edit3r.kit.checks import errors_named_after
-from edit3r.loading.registry import Registry
+from edit3r.loading.registry import Registry, default_registry
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.editors import EditorTask, tasks_for_editor, tasks_without_editor
 from edit3r.running.geometry import GeometryOfRun, uses_geometry
@@ -44,6 +44,33 @@ class Parts:
         self.job = job
         self._registry = registry
         self._given = job.components
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy or a pickle takes along: components that the registry built are built again
+        where they are asked for, since networks and compiled code cannot travel.
+        """
+        kept = {
+            kind: component
+            for kind, component in self._given.items()
+            if not hasattr(component, "offer")
+        }
+        job = replace(self.job, components=kept, cache=None)
+        given = {
+            kind: component.offer.qualified_name
+            for kind, component in self._given.items()
+            if hasattr(component, "offer") and kind != "reader"
+        }
+        chosen = {
+            kind: PartChoice(
+                name=name, settings=self._given[kind].settings.model_dump()
+            )
+            for kind, name in given.items()
+        }
+        config = self.config.model_copy(update=chosen)
+        return {"config": config, "job": job}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["config"], default_registry(), state["job"])  # type: ignore[misc]
 
     @property
     def edits_again(self) -> bool:

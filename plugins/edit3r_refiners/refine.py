@@ -38,7 +38,7 @@ SQUARED_BELOW = 0.05
 class RefineSettings(Settings):
     """Step sizes of Adam, in units that do not depend on the scene, and what is held back."""
 
-    colour: float = Field(0.02, ge=0, le=1, description="step of the harmonics")
+    colour: float = Field(0.04, ge=0, le=1, description="step of the harmonics")
     opacity: float = Field(
         0.55, ge=0, le=1, description="step of the opacities' logits"
     )
@@ -159,7 +159,7 @@ class RefineRefiner(Refiner):
 
     class Settings(RefineSettings):
         steps: int = Field(
-            14,
+            12,
             ge=0,
             le=10000,
             description="most steps for each view, each towards one; "

@@ -7,6 +7,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
+from edit3r.contract.errors import InputError
+
 _MAX_CHARACTERS = 100  # of a name from `unique_names`
 _MAX_BYTES = 200  # file systems allow 255 with the suffix
 
@@ -14,6 +16,13 @@ _MAX_BYTES = 200  # file systems allow 255 with the suffix
 _UNSAFE = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|\ud800-\udfff]|\.\.+')
 # Names that Windows reserves, and those of the video's frames.
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?|path_\d+", re.IGNORECASE)
+
+
+# Path() makes one slash of two; a single letter is a drive.
+_ADDRESS = re.compile(r"([a-z][a-z0-9+.-]+):/{1,3}[^/]|(data):|(www)\.", re.IGNORECASE)
+_ARCHIVE = re.compile(
+    r"\.(zip|7z|rar|tgz|tar(\.\w{1,4})?|gz|bz2|xz|zst)$", re.IGNORECASE
+)
 
 
 def unique_names(names: Sequence[str]) -> list[str]:
@@ -38,6 +47,19 @@ def unique_names(names: Sequence[str]) -> list[str]:
             taken.add(_same_file(name))
         result.append(name)
     return result
+
+
+def refuse_elsewhere(path: str | Path) -> None:
+    """Raise InputError, with what to do, for a web address and for an archive of files."""
+    text = str(path)
+    address = _ADDRESS.match(text)
+    if address and not Path(text[:200]).exists():
+        raise InputError(
+            f"{text[:200]}: a web address; download what lies there, and give the "
+            "files."
+        )
+    if _ARCHIVE.search(text) and Path(text).is_file():
+        raise InputError(f"{path}: an archive; unpack it, and give the folder.")
 
 
 def is_plain_name(name: object) -> bool:

@@ -219,11 +219,17 @@ def _frame_count(video: Path) -> int:
     return count
 
 
-def _write(frames: Sequence[VideoFrame], video: Path) -> list[Path]:
-    """Write frames as PNG into a new folder that is removed when the process ends."""
+def folder_for_frames(name: str) -> Path:
+    """A new folder that is removed when the process or the block of `frames_kept_for` ends."""
     held = ExitStack()
-    folder = held.enter_context(scratch_folder("edit3r-video"))
+    folder = held.enter_context(scratch_folder(name))
     _frame_folders.append(held)
+    return folder
+
+
+def _write(frames: Sequence[VideoFrame], video: Path) -> list[Path]:
+    """Write frames as PNG into a new folder."""
+    folder = folder_for_frames("edit3r-video")
     files = []
     for frame in frames:
         name = f"{video.stem}_{frame.number:05d}.png"

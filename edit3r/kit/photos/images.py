@@ -26,7 +26,7 @@ from edit3r.contract.reporting import say, track, warn
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import atomic_write, sha256_of
-from edit3r.kit.files.names import natural, unique_names
+from edit3r.kit.files.names import natural, refuse_elsewhere, unique_names
 from edit3r.kit.photos.coverage import (
     USUAL_FRAMES,
     VIDEO_SUFFIXES,
@@ -44,6 +44,7 @@ from edit3r.kit.photos.decode import (
     read_image,
 )
 from edit3r.kit.photos.framing import Frame, common_size, frame_for
+from edit3r.kit.photos.in_memory import Pictures, as_files
 from edit3r.kit.photos.intrinsics import (
     Intrinsics,
     IntrinsicsFinder,
@@ -103,7 +104,7 @@ class LoadedPhotos:
 
 
 def load_views(
-    paths: str | Path | Sequence[str | Path],
+    paths: Pictures,
     *,
     fov: float | None = None,
     cameras: str | Path | None = None,
@@ -119,7 +120,7 @@ def load_views(
 
 @in_usual_torch
 def load_photos(
-    paths: str | Path | Sequence[str | Path],
+    paths: Pictures,
     *,
     fov: float | None = None,
     cameras: str | Path | None = None,
@@ -128,7 +129,8 @@ def load_photos(
     most: int | None = None,
     read_lens: Callable[[Views], Lens | None] | None = None,
 ) -> LoadedPhotos:
-    """Read photos, given as files and folders (a folder's images come in natural order).
+    """Read photos, given as files and folders (a folder's images come in natural order), or as
+    arrays, tensors and PIL images.
 
     Intrinsics of each photo: from `cameras` (or a camera file that lies beside it), else `fov`
     (horizontal [degrees]), else EXIF, else a stated default. Poses come along where one camera file
@@ -203,17 +205,17 @@ def _straightened(
     return LoadedPhotos(views, photos)
 
 
-def find_photos(
-    paths: str | Path | Sequence[str | Path], frames: int = USUAL_FRAMES
-) -> list[Path]:
+def find_photos(paths: Pictures, frames: int = USUAL_FRAMES) -> list[Path]:
     """The image files named by `paths`.
 
     A folder stands for its images in natural order (img2 before img10), or for those of its
     `images` folder when it has none itself; a video for at most `frames` of its frames. Raises
     InputError when a path is not there.
     """
-    paths = [paths] if isinstance(paths, (str, Path)) else list(paths)
+    paths = as_files(paths)
     files: list[Path] = []
+    for path in paths:
+        refuse_elsewhere(path)
     for path in (one for given in paths for one in expand(given)):
         if path.is_dir():
             files += _images_in(path)

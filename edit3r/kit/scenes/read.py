@@ -15,6 +15,7 @@ from edit3r.contract.errors import InputError, MissingDependencyError, RunError
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Gaussians
 from edit3r.kit.children import PYTHON
+from edit3r.kit.files.names import refuse_elsewhere
 from edit3r.kit.scenes.axes import UP_AND_BACK, flipped, sound
 from edit3r.kit.scenes.glb import load_glb
 from edit3r.kit.scenes.placement import placed_back, placement_of
@@ -93,6 +94,7 @@ def _spz_inside(content: bytes) -> Gaussians:
 
 def form_of(path: Path) -> str:
     """The format of a scene's file: ply, glb, or gaussforge's name of one. Raises InputError."""
+    refuse_elsewhere(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file.")
     try:

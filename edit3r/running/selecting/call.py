@@ -1,8 +1,7 @@
 """The call from Python that selects a thing on all photos: `edit3r.select`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -23,11 +22,10 @@ from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Views
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.photos.images import load_photos
+from edit3r.kit.photos.in_memory import Pictures
 from edit3r.loading.registry import default_registry
 from edit3r.running.config import DEFAULTS
 from edit3r.running.geometry import default_matcher, geometry_of
-
-Files = str | Path | Sequence[str | Path]
 
 _built: WeakKeyDictionary[Cache, tuple[str, Segmenter]] = WeakKeyDictionary()
 """The segmenter that answered last by a cache: loading its networks takes longer than a click."""
@@ -49,7 +47,7 @@ class Selecting:
 
 @in_usual_torch
 def select(
-    photos: Views | Files,
+    photos: Views | Pictures,
     selection: Selection,
     *,
     segmenter: str | Mapping[str, Any] | PartChoice | Segmenter | None = None,
@@ -71,7 +69,7 @@ def select(
 
 
 def select_with(
-    photos: Views | Files,
+    photos: Views | Pictures,
     selection: Selection,
     selector: Selector,
     matcher: Matcher | None,
@@ -132,6 +130,5 @@ def _ready(choice: Any, cache: Cache) -> Segmenter:
     return _built[cache][1]
 
 
-def _loaded(files: Files) -> Views:
-    files = [files] if isinstance(files, str | Path) else list(files)
+def _loaded(files: Pictures) -> Views:
     return load_photos(files).views

@@ -1,0 +1,129 @@
+"""Photos that a program holds in memory (arrays, tensors, PIL images, bytes of files), as files: so
+they go through the one door that files go through.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+from torch import Tensor
+
+from edit3r.contract.errors import InputError
+from edit3r.kit.photos.coverage import folder_for_frames, frame_origins
+
+EXPECTED = (
+    "files, arrays [height, width, 3] of bytes or of floats in [0, 1], tensors [3, height, width], "
+    "PIL images, or edit3r.Views"
+)
+_CHANNELS = (1, 3, 4)
+Picture = str | Path | bytes | np.ndarray | Tensor | Image.Image
+Pictures = Picture | Sequence[Picture]
+
+
+def as_files(photos: Any, name: str = "photos") -> list[str | Path]:
+    """The photos as paths; what is in memory is written as PNG into a folder that goes with the
+    process. Raises InputError for what is no photo.
+
+    Pictures are RGB; a fourth channel is alpha. A stack of several is taken apart.
+    """
+    items = _items(photos)
+    if all(isinstance(item, str | Path) for item in items):
+        return items
+    folder = None
+    files: list[str | Path] = []
+    for number, item in enumerate(items, start=1):
+        if isinstance(item, str | Path):
+            files.append(item)
+            continue
+        told = f"{name}: number {number}"
+        folder = folder or folder_for_frames("edit3r-photos")
+        file = folder / f"photo-{number}.png"
+        _write(item, file, told)
+        frame_origins[file] = file.name
+        files.append(file)
+    return files
+
+
+def _items(photos: Any) -> list[Any]:
+    if isinstance(photos, str | Path | bytes | Image.Image) or hasattr(photos, "read"):
+        return [photos]
+    if isinstance(photos, np.ndarray | Tensor):
+        return list(photos) if photos.ndim == 4 else [photos]
+    try:
+        items = list(photos)
+    except TypeError:
+        raise InputError(f"photos: got {_kind(photos)}, expected {EXPECTED}.") from None
+    return [one for item in items for one in (item if _is_stack(item) else [item])]
+
+
+def _is_stack(item: Any) -> bool:
+    return isinstance(item, np.ndarray | Tensor) and item.ndim == 4
+
+
+def _write(item: Any, file: Path, told: str) -> None:
+    """Write what is no path to a file. Raises InputError."""
+    if hasattr(item, "read"):
+        item = item.read()
+    if isinstance(item, bytes | bytearray | memoryview):
+        file.write_bytes(item)
+    elif isinstance(item, Image.Image):
+        kept = {key: item.info[key] for key in ("icc_profile",) if item.info.get(key)}
+        mode = item.mode if item.mode in ("RGB", "RGBA", "L", "LA", "I;16") else "RGB"
+        item.convert(mode).save(file, exif=item.getexif(), compress_level=1, **kept)
+    else:
+        Image.fromarray(_pixels(item, told)).save(file, compress_level=1)
+
+
+def _pixels(item: Any, told: str) -> np.ndarray:
+    """Bytes [height, width] or [height, width, 3 or 4] of an array or a tensor."""
+    values: np.ndarray
+    if isinstance(item, Tensor):
+        values = (item.float() if item.dtype == torch.bfloat16 else item).numpy(
+            force=True
+        )
+    elif isinstance(item, np.ndarray) or hasattr(item, "__array__"):
+        values = np.asarray(item)
+    else:
+        raise InputError(f"{told} is {_kind(item)}; expected {EXPECTED}.")
+    first = isinstance(item, Tensor) or (
+        values.ndim == 3 and values.shape[2] not in _CHANNELS
+    )
+    if values.ndim == 3 and first and values.shape[0] in _CHANNELS:
+        values = values.transpose(1, 2, 0)
+    if values.ndim == 3 and values.shape[2] == 1:
+        values = values[..., 0]
+    is_image = values.ndim == 2 or (values.ndim == 3 and values.shape[2] in (3, 4))
+    if not is_image or values.size == 0:
+        raise InputError(
+            f"{told} is of shape {list(values.shape)}; expected {EXPECTED}."
+        )
+    return _bytes(values, told)
+
+
+def _bytes(values: np.ndarray, told: str) -> np.ndarray:
+    kind = values.dtype
+    if kind == np.uint8:
+        return np.ascontiguousarray(values)
+    if kind == np.uint16:
+        return (values >> 8).astype(np.uint8)
+    if kind.kind != "f":
+        low, high = values.min(), values.max()
+        if kind.kind in "iu" and low >= 0 and 1 < high <= 255:
+            return np.ascontiguousarray(values.astype(np.uint8))
+        raise InputError(
+            f"{told} has values of {kind} from {low} to {high}; expected {EXPECTED}."
+        )
+    if not np.isfinite(values).all():
+        raise InputError(f"{told} has values that are not finite (NaN or infinite).")
+    low, high = float(values.min()), float(values.max())
+    if low < -1e-3 or high > 1 + 1e-3:
+        way_out = "divide by 255" if high > 2 and low >= 0 else "bring them to [0, 1]"
+        raise InputError(f"{told} has floats from {low:.4g} to {high:.4g}; {way_out}.")
+    return np.rint(255 * values.clip(0, 1)).astype(np.uint8)
+
+
+def _kind(value: Any) -> str:
+    return "nothing (None)" if value is None else type(value).__name__
