@@ -36,6 +36,8 @@ from edit3r.contract.interfaces import (
     Refiner,
     SceneToWrite,
     Segmenter,
+    Selected,
+    Selector,
     Tracks,
     Writer,
 )
@@ -122,6 +124,19 @@ def check_written(writer: Writer, path: Path) -> None:
         is_there = path.is_file()
         promise = "write the file that it is given, since its suffix has a dot"
     _require(writer, is_there, f"{promise}: {path.name}")
+
+
+def check_selected(selector: Selector, views: Views, answer: Selected) -> None:
+    """A soft mask for each view, and how each was found."""
+    _require_type(selector, answer, Selected)
+    size = [views.count, 1, *views.image_size]
+    _require_tensor(selector, "masks", answer.masks, size, views.images.dtype)
+    _require_range(selector, "masks", answer.masks)
+    _require(
+        selector,
+        len(answer.how) == views.count,
+        f"say how it was found on each view, {views.count} words",
+    )
 
 
 def check_edit_verdict(critic: Critic, answer: EditVerdict) -> None:

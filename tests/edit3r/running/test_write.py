@@ -208,7 +208,10 @@ def test_the_camera_path_begins_at_the_first_photo_however_ill_it_fits(
         ({"seed": 3, "prompt": "warmer"}, "default settings, 32x24:"),
         ({"quality": "fast"}, "fast settings, 32x24:"),
         ({"quality": "fast", "refine": 5}, "fast (but refine) settings, 32x24:"),
-        ({"quality": "best", "light": "own"}, "best (but light) settings, 32x24:"),
+        (
+            {"quality": "best", "exposure": "own"},
+            "best (but exposure) settings, 32x24:",
+        ),
         ({"size": 192, "refine": 0}, "own (refine, size) settings, 32x24:"),
         (
             {"reconstructor": {"name": "edit3r", "weights": "x"}},
