@@ -27,7 +27,7 @@ class RunSettings(TypedDict, total=False):
     matcher: Choice | Matcher
     rasterizer: Choice | Rasterizer
     selector: Choice | Selector
-    segmenter: Choice | Segmenter
+    segmenter: Choice | Segmenter | None
     critic: Choice | Critic
     refiners: Sequence[Choice]
     guess: bool

@@ -54,6 +54,8 @@ class ClassicalReconstructor(Reconstructor):
             description="opacity of the blurred layer behind depth edges and guesses; 0: none",
         )
 
+    settings: Settings
+
     uses_geometry = True
 
     def __call__(

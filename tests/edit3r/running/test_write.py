@@ -25,6 +25,7 @@ from edit3r.contract.reporting import Report, warn
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.images import save_image
+from edit3r.running import write
 from edit3r.running.config import USUAL_OUTPUTS, make_run_config
 from edit3r.running.earlier import read_earlier_run
 from edit3r.running.summary import summary
@@ -179,6 +180,26 @@ def test_frames_are_drawn_once_for_the_video_and_the_pictures(result, tmp_path):
     with_settings(result, outputs=("video",)).save(tmp_path / "video")
     with_settings(result, outputs=("sheet", "viewer")).save(tmp_path / "none")
     assert len(drawn) == 3
+
+
+def test_the_camera_path_begins_at_the_first_photo_however_ill_it_fits(
+    photos, tmp_path, monkeypatch
+):
+    save_image(torch.rand(3, 24, 32), photos / "c.png")
+    made = edit3r.run(
+        photos, recon=Wall(), editor="none", fov=53, frames=3, report=Report()
+    )
+    judged = made.records.judged
+    along = []
+    plainly = write.path_around
+    monkeypatch.setattr(
+        write, "path_around", lambda *args: along.append(args[0]) or plainly(*args)
+    )
+    for agreement, count in (((9, 9, 30), 2), ((9, 30, 30), 3), ((30, 9, 9), 3)):
+        verdict = replace(judged.verdict, agreement=tuple(map(float, agreement)))
+        records = replace(made.records, judged=replace(judged, verdict=verdict))
+        replace(made, records=records).save(tmp_path / f"{agreement}")
+        assert along.pop().c2w.shape[1] == count
 
 
 @pytest.mark.parametrize(
