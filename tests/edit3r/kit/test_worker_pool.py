@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 import pytest
 
 from edit3r.contract.errors import InputError, RunError
-from edit3r.kit import pools
+from edit3r.kit import worker_pool
 from edit3r.kit.workers import Workers, read_rows, run_resumable
 
 pytestmark = pytest.mark.slow
