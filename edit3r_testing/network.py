@@ -28,6 +28,8 @@ class TinyBackbone(Backbone):
     class Settings(Settings):
         """Nothing to set."""
 
+    settings: Settings
+
     def __init__(
         self, patch_size: int = 16, feature_widths: tuple[int, ...] = (12, 16, 20, 24)
     ) -> None:

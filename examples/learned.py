@@ -40,6 +40,8 @@ class CurtainHead(GaussianHead):
         )
         seed: int = Field(0, ge=0, description="of the initial weights")
 
+    settings: Settings
+
     def __init__(self, settings, backbone):
         super().__init__()
         self.settings, self.patch_size = settings, backbone.patch_size
@@ -88,6 +90,8 @@ class LearnedReconstructor(Reconstructor):
         weights: str | None = Field(
             None, description="folder best of `edit3r train`; default: untrained"
         )
+
+    settings: Settings
 
     def __init__(self, settings, backbone, head):
         self.settings = settings

@@ -164,8 +164,9 @@ class JobsFolder:
 
     def _reserved(self, stem: str) -> str:
         """A free name STEM-N, taken by making its folder."""
-        for number in itertools.count(1):
-            name = f"{stem}-{number}"
+        numbers = itertools.count(1)
+        while True:
+            name = f"{stem}-{next(numbers)}"
             with _NAMING, suppress(FileExistsError):
                 if not (self.root / name).exists():
                     (self.private / name).mkdir()

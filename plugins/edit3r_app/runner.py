@@ -9,6 +9,7 @@ import contextlib
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -26,12 +27,9 @@ from edit3r_app.progress import read_progress
 from edit3r_app.ready import CAN_WAIT, ReadyProcess
 from edit3r_app.uploads import DRAFT
 
-try:
+# On Windows a restarted server cannot tell whether a child still runs.
+if sys.platform != "win32":
     import fcntl
-except (
-    ImportError
-):  # Windows: a restarted server cannot tell whether a child still runs
-    fcntl = None
 
 EDIT3R = (*PYTHON, "-m", "edit3r")
 """The command `edit3r`; no file of the current folder is imported."""
@@ -71,7 +69,7 @@ def command_of(folder: JobsFolder, job: AppJob) -> list[str]:
 def _locked(file: IO) -> bool:
     """Lock a file as long as it is open; False where another process holds the lock."""
     with contextlib.suppress(OSError):
-        if fcntl is not None:
+        if sys.platform != "win32":
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return True
     return False

@@ -249,7 +249,8 @@ class Answers:
 
     def photo(self, request: Request) -> Response:
         shown = "shown" in request.query_params
-        return _jpeg(self.looker.photo(*_named(request, "state", "name"), shown))
+        state, name = _named(request, "state", "name")
+        return _jpeg(self.looker.photo(state, name, shown))
 
     def overlay(self, request: Request) -> Response:
         state, name = _named(request, "state", "name")

@@ -50,6 +50,8 @@ class CommandEditor(Editor):
             600, gt=0, description="time limit of one call [seconds]"
         )
 
+    settings: Settings
+
     def edit(self, views: Views, request: EditRequest) -> Views:
         masks = (
             torch.ones_like(views.images[:, :, 0])

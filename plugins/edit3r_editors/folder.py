@@ -40,6 +40,8 @@ class FolderEditor(Editor):
             description="folder with one edited picture per view, named as the photos are",
         )
 
+    settings: Settings
+
     def edit(self, views: Views, request: EditRequest) -> Views:
         if len(views.images) != 1:
             raise InputError(
@@ -183,7 +185,7 @@ def _likeness(one: Image.Image, other: Image.Image) -> float:
     edges = [_edges(picture) for picture in (one, other)]
     if min(float(each.std()) for each in edges) == 0:
         return 0.0
-    return float(np.corrcoef(*edges)[0, 1])
+    return float(np.corrcoef(edges[0], edges[1])[0, 1])
 
 
 def _edges(picture: Image.Image) -> Float[np.ndarray, " pixel"]:

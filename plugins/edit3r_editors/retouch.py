@@ -74,6 +74,8 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
             description="how far from the thing its shadow is removed too [longer sides]",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
 

@@ -22,7 +22,7 @@ from edit3r.kit.cache import remembered
 from edit3r.kit.checks import require_matchable
 from edit3r.kit.files.home import expanded
 from edit3r.kit.geometry.cameras import from_pixels, invert_rigid, relative_to_first
-from edit3r.kit.geometry.maps import resize, upsample_depth
+from edit3r.kit.geometry.maps import resize, size_of, upsample_depth
 from edit3r.kit.weights.find import find, record_of
 from edit3r.kit.weights.load import out_of_memory_told
 from edit3r_geometry import DEPTH_ANYTHING_3
@@ -63,6 +63,8 @@ class DepthAnything3Matcher(Matcher):
             description="longer side of the images it looks at [pixels]",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._network = _load(settings.model, settings.weights)
@@ -97,10 +99,11 @@ class DepthAnything3Matcher(Matcher):
         c2w = relative_to_first(invert_rigid(torch.cat((w2c[:, :, :3], last_row), 2)))
         depths, confidence = _at_full_size(depths, 1 - 1 / trust, small, images)
         placed = torch.ones(c2w.shape[:2], dtype=torch.bool, device=c2w.device)
-        intrinsics = _lens(from_pixels(intrinsics, small.shape[-2:]), views)
-        return Geometry(
-            *(x.to(views.images) for x in (c2w, depths, confidence)), placed, intrinsics
+        intrinsics = _lens(from_pixels(intrinsics, size_of(small)), views)
+        c2w, depths, confidence = (
+            x.to(views.images) for x in (c2w, depths, confidence)
         )
+        return Geometry(c2w, depths, confidence, placed, intrinsics)
 
 
 def _load(model: str, weights: str) -> nn.Module:
@@ -171,7 +174,8 @@ def _network_size(image_size: tuple[int, int], longest: int) -> tuple[int, int]:
     multiples of PATCH.
     """
     scale = longest / max(image_size)
-    return tuple(PATCH * max(2, round(side * scale / PATCH)) for side in image_size)
+    height, width = (PATCH * max(2, round(side * scale / PATCH)) for side in image_size)
+    return height, width
 
 
 def _at_full_size(

@@ -169,18 +169,18 @@ def quick_pose(matches: Matches, threshold: float, seed: int) -> Pose | None:
     if len(matches) < MIN_INLIERS:
         return None
     focal = matches.focal
-    points = [
+    points_a, points_b = (
         np.ascontiguousarray(focal * rays[:, :2])
         for rays in (matches.rays_a, matches.rays_b)
-    ]
+    )
     cv2.setRNGSeed(seed)
     essential, kept = cv2.findEssentialMat(
-        *points, focal, (0.0, 0.0), cv2.USAC_MAGSAC, 0.999, threshold
+        points_a, points_b, focal, (0.0, 0.0), cv2.USAC_MAGSAC, 0.999, threshold
     )
     if essential is None or essential.shape != (3, 3):
         return None
     _, rotation, shift, _ = cv2.recoverPose(
-        essential, *points, focal=focal, pp=(0.0, 0.0), mask=kept
+        essential, points_a, points_b, focal=focal, pp=(0.0, 0.0), mask=kept
     )
     return refine(matches, Pose(rotation, shift[:, 0]), threshold, rounds=1)
 

@@ -137,7 +137,7 @@ def score_scene(scene: EvaluationScene, kind: str, measure: Measure) -> SceneSco
     count = len(scene.inputs)
     first, last = scene.inputs[0], scene.inputs[-1]
     failure = ""
-    figures = {}
+    figures: Mapping[str, float] = {}
     try:
         figures = measure(scene)
     except MatchingError as error:
@@ -157,7 +157,9 @@ def score_scene(scene: EvaluationScene, kind: str, measure: Measure) -> SceneSco
 
 @torch.no_grad()
 def novel_view(
-    reconstructor: WithMatcher, rasterizer: Rasterizer, scene: EvaluationScene
+    reconstructor: Callable[[Views], Reconstruction],
+    rasterizer: Rasterizer,
+    scene: EvaluationScene,
 ) -> dict[str, float]:
     """Reconstruct from the scene's outer two inputs and compare the predicted target with the real
     one.
@@ -310,6 +312,7 @@ def _opacity_in(
     visible = ((places > 0) & (places < 1)).all(-1)
     height, width = region.shape
     columns, rows = (places[visible] * (width, height)).astype(int).T
+    assert other.depth is not None  # it was rendered
     surface = other.depth[rows, columns]
     near = np.abs(depths[visible] - surface) < SAME_SURFACE * surface
     opacities = gaussians.opacities[0].cpu().numpy()[visible]

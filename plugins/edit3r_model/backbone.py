@@ -86,6 +86,8 @@ class AsymmetricViT(Backbone):
             "filled from a checkpoint",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         super().__init__()
         self.settings = settings
@@ -191,6 +193,7 @@ class AsymmetricViT(Backbone):
             # are computed.
             sides = []
             for stack, role in zip(self.decoders, roles):
+                assert isinstance(stack, nn.ModuleList)  # see _decoder
                 own, read = tokens[:, role.own], tokens[:, role.sources]
                 sides.append(stack[level - 1](own, read, role.reads, rotation))
             tokens = torch.cat(sides, 1)

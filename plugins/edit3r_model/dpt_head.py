@@ -91,6 +91,8 @@ class DptGaussianHead(GaussianHead):
             "filled from a checkpoint",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings, backbone: Backbone) -> None:
         super().__init__()
         self.settings = settings
@@ -158,6 +160,7 @@ class DptGaussianHead(GaussianHead):
             if maps is None:
                 maps = result.new_empty(batch, views, *result.shape)
             maps[scene, view] = result
+        assert maps is not None  # there are views
         return maps.movedim(-1, 2)
 
 
@@ -257,7 +260,8 @@ class DptTrunk(nn.Module):
     def forward(self, maps: list[Maps]) -> Maps:
         """`maps` are the token levels on the patch grid, finest use first."""
         rows, columns = maps[0].shape[-2:]
-        dtype = self.reassemble[0][1].weight.dtype  # may differ from the backbone's
+        # May differ from the backbone's; of int8 the deconvolutions alone have parameters.
+        dtype = next(self.reassemble.parameters()).dtype
         layers = [
             project(reassemble(level.to(dtype)))
             for project, reassemble, level in zip(self.project, self.reassemble, maps)

@@ -52,6 +52,8 @@ class MatchedUNet(Backbone):
         )
         seed: Index = Field(0, description="of the initial weights")
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         super().__init__()
         self.settings = settings
@@ -171,6 +173,7 @@ def zero_conv(inputs: int, outputs: int, side: int = 1) -> Conv2d:
     """Return a convolution that starts at 0: it adds nothing until it is trained."""
     conv = Conv2d(inputs, outputs, side, padding=side // 2)
     nn.init.zeros_(conv.weight)
+    assert conv.bias is not None  # as it is made
     nn.init.zeros_(conv.bias)
     return conv
 
@@ -191,5 +194,6 @@ def convex_upsample(
 
 def convex_upsample_start(conv: Conv2d) -> None:
     """Bias the first 36 outputs towards the coarse pixel each fine pixel lies in."""
+    assert conv.bias is not None  # see zero_conv
     with torch.no_grad():
         conv.bias[16:20] = 3.0  # neighbour 4 (the centre) of all four fine pixels

@@ -56,6 +56,7 @@ class TorchRasterizer(Rasterizer):
     """Renders on the Gaussians' device and in their dtype; differentiable, in the cameras too."""
 
     Settings = RasterizerSettings
+    settings: RasterizerSettings
 
     def render(
         self,

@@ -58,6 +58,8 @@ class RecolorEditor(Editor, EditsRegions):
             description="how strongly a recolouring without a named colour is sampled",
         )
 
+    settings: Settings
+
     def understands(self, wish: Wish) -> bool:
         grained = any(change.material in GRAINED for change in wish.changes)
         return wish.action == "paint" and not grained

@@ -22,6 +22,7 @@ from edit3r.contract.reporting import progress, track
 from edit3r.contract.settings import Settings
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.files.json_text import parse_json
+from edit3r.kit.geometry.maps import size_of
 from edit3r_recolor import recoloring
 from edit3r_recolor.recoloring import Outline, RecolorParameters, RecolorRanges
 from edit3r_recolor.regions import (
@@ -185,9 +186,7 @@ def find_regions(
     none passes.
     """
     progress("find objects", 0, 2)
-    chosen, rejected = _choose(
-        segmenter.propose(images[0]), images.shape[-2:], settings
-    )
+    chosen, rejected = _choose(segmenter.propose(images[0]), size_of(images), settings)
     progress("find objects", 1, 2)
     tracks = segmenter.track(
         images, torch.stack([proposal.soft_mask for proposal in chosen]).to(images)
@@ -199,7 +198,7 @@ def find_regions(
 def given_regions(masks: Masks, settings: RecoloringSettings) -> FoundRegions:
     """Take the data's own masks under the same criteria. Raises InputError when none passes."""
     proposals = proposals_of_masks(masks[:, 0])
-    chosen, rejected = _choose(proposals, masks.shape[-2:], settings)
+    chosen, rejected = _choose(proposals, size_of(masks), settings)
     index = [
         number
         for number, proposal in enumerate(proposals)
@@ -213,7 +212,7 @@ def _choose(
     image_size: tuple[int, int],
     settings: RecoloringSettings,
 ) -> tuple[list[Proposal], dict[str, int]]:
-    kept, rejected = kept_proposals(proposals, tuple(image_size), settings.filter)
+    kept, rejected = kept_proposals(proposals, image_size, settings.filter)
     if not kept:
         why = (
             ", ".join(f"{name} {count}" for name, count in rejected.items())

@@ -241,15 +241,13 @@ def _merged(
     direction = torch.nn.functional.normalize(centre - camera_centre, dim=-1)
     centre = centre + settings.behind * scales[:, 2:] * direction
     opacity = mean(gaussians.opacities[0].double())
-    values = (
-        centre,
-        scales,
-        matrices_to_quats(axes),
-        1 - (1 - opacity).square(),
-        mean(gaussians.harmonics[0].double()),
-    )
+    dtype = gaussians.means.dtype
     return Gaussians(
-        *(value[None].to(gaussians.means.dtype) for value in values),
+        centre[None].to(dtype),
+        scales[None].to(dtype),
+        matrices_to_quats(axes)[None].to(dtype),
+        (1 - (1 - opacity).square())[None].to(dtype),
+        mean(gaussians.harmonics[0].double())[None].to(dtype),
         view_index=view,
         object_index=objects,
         uncertainty=unsure,

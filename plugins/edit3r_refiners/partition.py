@@ -9,7 +9,6 @@ linear in the number of pixels.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import product
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -197,7 +196,8 @@ def _best_choices(
     cost: dict[tuple[int, int], Tensor] = {}
     left: dict[tuple[int, int], Tensor] = {}
     choices: dict[tuple[int, int], Tensor] = {}
-    for level in sorted(product(range(cells.levels + 1), repeat=2), key=sum):
+    sides = range(cells.levels + 1)
+    for level in sorted(((by_y, by_x) for by_y in sides for by_x in sides), key=sum):
         count = cells.count[level]
         least = torch.where(count > 1, cells.error[level] + price, torch.inf)
         number, choice = (

@@ -166,6 +166,8 @@ class RefineRefiner(Refiner):
             f"more than {MOST_VIEWS} views take as many as {MOST_VIEWS}",
         )
 
+    settings: Settings
+
     def __call__(self, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
         """Follow the views alone: photos that were not edited would pull the edit back out."""
         views = inputs.views

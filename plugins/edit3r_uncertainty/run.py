@@ -115,8 +115,10 @@ def write_run(root: Path, run: JudgedRun, rasterizer: Rasterizer, maps: bool) ->
     columns = {"scene": images.clamp(0, 1), "uncertainty": coloured(found)}
     sheet = draw_sheet(columns, names=names, title=run.sentence)
     sheet.save(root / "uncertainty.png")
+    unsure = run.gaussians.uncertainty
+    assert unsure is not None  # it was estimated
     look = SecondLook(
-        coloured(run.gaussians.uncertainty[:, :, None])[0, :, :, 0].T,
+        coloured(unsure[:, :, None])[0, :, :, 0].T,
         ("scene", "uncertainty"),
     )
     scene = SceneToWrite(

@@ -6,6 +6,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeGuard
 
 from edit3r.contract.errors import InputError
 
@@ -62,7 +63,7 @@ def refuse_elsewhere(path: str | Path) -> None:
         raise InputError(f"{path}: an archive; unpack it, and give the folder.")
 
 
-def is_plain_name(name: object) -> bool:
+def is_plain_name(name: object) -> TypeGuard[str]:
     """Whether a name from a stranger's file names a file or folder, and is no path elsewhere."""
     return (
         isinstance(name, str)

@@ -26,6 +26,8 @@ class FfgsReconstructor(Reconstructor):
             description="folder that GSPipeline.save_pretrained wrote; empty: AnySplat's weights",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self.pipeline = (

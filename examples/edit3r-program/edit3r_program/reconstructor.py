@@ -32,8 +32,7 @@ class ProgramReconstructor(Reconstructor):
             3600, gt=0, description="time limit of one scene [seconds]"
         )
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
+    settings: Settings
 
     def __call__(
         self,

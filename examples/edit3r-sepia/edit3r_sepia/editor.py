@@ -19,8 +19,7 @@ class SepiaEditor(Editor):
             1.0, ge=0, le=1, description="share of the sepia tone; 0 returns the photo"
         )
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
+    settings: Settings
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         images = views.images.flatten(
