@@ -17,7 +17,7 @@ from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
-from edit3r.kit.files.home import expanded
+from edit3r.kit.files.names import expanded
 from edit3r.kit.photos.framing import frame_for
 from edit3r.kit.photos.images import find_photos, read_image, to_bytes
 from edit3r.kit.photos.mask_files import photo_named

@@ -20,7 +20,7 @@ from edit3r.contract.types import Views
 from edit3r.contract.weights import Weights
 from edit3r.kit.cache import remembered
 from edit3r.kit.checks import require_matchable
-from edit3r.kit.files.home import expanded
+from edit3r.kit.files.names import expanded
 from edit3r.kit.geometry.cameras import from_pixels, invert_rigid, relative_to_first
 from edit3r.kit.geometry.maps import resize, size_of, upsample_depth
 from edit3r.kit.weights.find import find, record_of

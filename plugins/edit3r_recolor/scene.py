@@ -21,7 +21,7 @@ from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import progress, track
 from edit3r.contract.settings import Settings
 from edit3r.kit.files.atomic import atomic_write
-from edit3r.kit.files.json_text import parse_json
+from edit3r.kit.files.text import parse_json
 from edit3r.kit.geometry.maps import size_of
 from edit3r_recolor import recoloring
 from edit3r_recolor.recoloring import Outline, RecolorParameters, RecolorRanges

@@ -7,9 +7,9 @@ import pytest
 import torch
 
 from edit3r.contract.component import Component, Offer, component_name
-from edit3r.contract.devices import require_device
 from edit3r.contract.errors import InputError, PluginError, SettingsError
 from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor
+from edit3r.contract.torch_state import require_device
 from edit3r.contract.types import Reconstruction, Rendering
 from edit3r.kit.checks import (
     check_edit,
