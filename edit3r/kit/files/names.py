@@ -66,6 +66,13 @@ def refuse_elsewhere(path: str | Path) -> None:
         raise InputError(f"{path}: an archive; unpack it, and give the folder.")
 
 
+def require_there(path: str | Path) -> None:
+    """Raise InputError for what is neither file nor folder, nor a pattern with * or ?, here."""
+    refuse_elsewhere(path)
+    if not any(sign in str(path) for sign in "*?[") and not Path(path).exists():
+        raise InputError(f"{path}: no such file or folder.")
+
+
 def is_plain_name(name: object) -> TypeGuard[str]:
     """Whether a name from a stranger's file names a file or folder, and is no path elsewhere."""
     return (
