@@ -58,9 +58,8 @@ docs/model-card.md.
 class Decisions:
     """Corrections and choices of colour for every view, on the backbone's grid."""
 
-    corrections: (
-        Images  # of log depth (-0.7, 0.7), opacity logit, log scale (-0.5, 0.5)
-    )
+    # of log depth (-0.7, 0.7), opacity logit, log scale (-0.5, 0.5)
+    corrections: Images
     choices: "Choices | None"  # of colours; None: every view keeps its own
 
 
