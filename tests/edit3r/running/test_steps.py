@@ -129,7 +129,7 @@ def test_too_many_views_are_subsampled_evenly_with_a_warning(views):
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
-        (lambda v: v.images, "must return edit3r.Views, got Tensor"),
+        (lambda v: v.images, "must return edit3r.contract.types.Views, got Tensor"),
         (lambda v: Views(v.images[..., :4], v.intrinsics), "return images of shape"),
         (
             lambda v: Views(v.images.double(), v.intrinsics),
