@@ -1,14 +1,15 @@
 """Fits the weights of `edit3r_select` and measures them on scenes left out.
 
     python benchmarks/elsewhere.py ELSEWHERE
-    python benchmarks/select_sum.py DATA ELSEWHERE --kept ROWS.pkl [--by grabcut] [--write]
-        [--never-fitted] [--cache FOLDER]
+    python benchmarks/select_sum.py DATA ELSEWHERE --kept ROWS.pkl [--write] [--never-fitted]
+        [--left-out FITS.json] [--cache FOLDER]
 
 Objects are those of `clicks.json`, `outlines.json` and `elsewhere.json`. Clicks lie uniformly in
 the object, at its rim too; innermost clicks, strokes and boxes are those of `clicks.py`. Weights
 are fitted to what the other scenes show, an object's figures are those of weights that never saw
 its scene. Scenes that are never fitted on are left out of all but the last look, --never-fitted.
---write puts weights fitted to all other scenes into `fitted.yaml`.
+--write puts weights fitted to all other scenes into `fitted.yaml`; --left-out keeps those
+of each scene left out, with which `clicks.py` measures the whole product.
 """
 
 import argparse
@@ -32,11 +33,11 @@ from clicks import (
     places_on,
     reduced,
     remembering,
+    scene_of,
     tensor_of,
 )
 from edit3r_select.asking import gathered
 from edit3r_select.cues import CUES, Appearance, Asked, table
-from edit3r_select.grabcut import GrabCut
 from edit3r_select.sum import FITTED, CueWeights, choose, lead
 from PIL import Image
 from scipy.optimize import minimize
@@ -91,7 +92,7 @@ def main() -> None:
         for one in listed(args.data, args.elsewhere)
         if one.file.is_file() and (args.never_fitted or not one.never_fitted)
     ]
-    bench = Bench(args.by, args.cache)
+    bench = Bench(args.cache)
     kept = pickle.loads(args.kept.read_bytes()) if args.kept.exists() else {}
     for thing in things:
         if thing.name not in kept:
@@ -106,18 +107,24 @@ def main() -> None:
         print("never fitted on")
         print(report([one for one in things if one.never_fitted], fits))
     if args.write:
-        written(args.by, {kind: fits[kind, None] for kind in (*FIRST, "more")})
+        content = entries(fits, None)
+        FITTED.write_text(HEAD + yaml.safe_dump(content, sort_keys=False))
+    if args.left_out:
+        scenes = sorted({one.scene for one in things})
+        args.left_out.write_text(
+            json.dumps({one: entries(fits, one) for one in scenes})
+        )
 
 
 def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path, help="folder of photo sets")
     parser.add_argument("elsewhere", type=Path, help="folder of elsewhere.py")
-    parser.add_argument("--by", choices=("sam", "grabcut"), default="sam")
     parser.add_argument("--kept", type=Path, required=True, help="rows so far")
     parser.add_argument("--cache", type=Path, help="folder for what the encoder read")
     parser.add_argument("--rounds", type=int, default=2, help="of corrected clicks")
     parser.add_argument("--never-fitted", action="store_true", help="the last look")
+    parser.add_argument("--left-out", type=Path, help="file for weights by scene")
     parser.add_argument("--write", action="store_true", help="write fitted.yaml")
     return parser.parse_args()
 
@@ -145,20 +152,11 @@ def listed(data: Path, elsewhere: Path) -> Iterator[Thing]:
             )
 
 
-def scene_of(file: str) -> str:
-    """Generated scenes are one place, and photos of one place in other sizes are that place."""
-    first = file.split("/")[0]
-    if first == "large":
-        return "berlin" if file.split("/")[1][0].isdigit() else "monstree"
-    return {"benchmarks": "generated"}.get(first, first)
-
-
 class Bench:
     """Asks about objects."""
 
-    def __init__(self, by: str, cache: Path | None) -> None:
-        self.by, self.cache = by, cache
-        self.sam = build("segmenter", "sam-onnx") if by == "sam" else None
+    def __init__(self, cache: Path | None) -> None:
+        self.cache, self.sam = cache, build("segmenter", "sam-onnx")
         self._held: tuple[Path, Appearance, Answerer] | None = None
 
     def looked(self, thing: Thing) -> tuple[Appearance, Answerer, np.ndarray]:
@@ -166,15 +164,11 @@ class Bench:
         image = np.asarray(Image.open(thing.file).convert("RGB"))
         if self._held is None or self._held[0] != thing.file:
             photo = Appearance(reduced(image))
-            self._held = thing.file, photo, self.answerer(photo)
+            answers = partial(self.sam.ask, tensor_of(photo.rgb))
+            self._held = thing.file, photo, answers
         _, photo, answers = self._held
         truth = at_size(filled(thing.polygons, image.shape[:2]), photo.size)
         return photo, answers, truth
-
-    def answerer(self, photo: Appearance) -> Answerer:
-        if self.sam is None:
-            return GrabCut(photo).ask
-        return partial(self.sam.ask, tensor_of(photo.rgb))
 
     def first_rows(self, thing: Thing) -> list[Row]:
         """Questions that need no earlier answer."""
@@ -383,10 +377,10 @@ def report(things: list[Thing], fits: Fits) -> str:
     return "\n".join(told)
 
 
-def written(by: str, weights: dict[str, CueWeights]) -> None:
-    """Put the weights into `fitted.yaml`, in place of those of the same name."""
-    content = yaml.safe_load(FITTED.read_text()) if FITTED.exists() else {}
-    content[by] = {
+def entries(fits: Fits, scene: str | None) -> dict[str, dict]:
+    """The weights that were fitted without a scene, as `fitted.yaml` has them."""
+    found = {kind: fits[kind, scene] for kind in (*FIRST, "more")}
+    return {
         kind: {
             "weights": {
                 n: round(float(v), 3)
@@ -396,15 +390,14 @@ def written(by: str, weights: dict[str, CueWeights]) -> None:
             "margin": round(one.margin, 3),
             "constant": round(one.constant, 3),
         }
-        for kind, one in weights.items()
+        for kind, one in found.items()
     }
-    FITTED.write_text(HEAD + yaml.safe_dump(content, sort_keys=False))
 
 
 HEAD = """\
-# What multiplies each cue of `cues.py`, by what answers and by the kind of marks; and how much the
+# What multiplies each cue of `cues.py`, by the kind of marks; and how much the
 # lead of the first mask tells of whether it is right. Fitted by
-#     python benchmarks/select_sum.py DATA ELSEWHERE --kept ROWS.pkl --write [--by grabcut]
+#     python benchmarks/select_sum.py DATA ELSEWHERE --kept ROWS.pkl --write
 """
 
 

@@ -17,6 +17,7 @@ from typing import Any
 from edit3r_testing.command import CommandContract
 from edit3r_testing.contract import Contract, ContractViolation, claims
 from edit3r_testing.editing import DetectorContract, EditorContract, SegmenterContract
+from edit3r_testing.judging import CriticContract
 from edit3r_testing.network import BackboneContract, HeadContract, TinyBackbone
 from edit3r_testing.rasterizer import RasterizerContract
 from edit3r_testing.reading import ReaderContract
@@ -32,6 +33,7 @@ from edit3r_testing.scenes import (
     photograph,
 )
 from edit3r_testing.second_device import second_device
+from edit3r_testing.selecting import SelectorContract
 from edit3r_testing.training import DatasetContract, LossContract, TrainerContract
 from edit3r_testing.writing import WriterContract
 

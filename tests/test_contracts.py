@@ -162,6 +162,8 @@ SLOW = {
     ("refiner", "refine"),
     ("refiner", "simplify"),
     ("segmenter", "auto"),
+    ("selector", "by-segmenter"),
+    ("critic", "limits"),
 }
 """Components whose contract takes half a CPU second or more."""
 

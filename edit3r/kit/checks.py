@@ -11,6 +11,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Any, get_args
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
@@ -35,6 +36,8 @@ from edit3r.contract.interfaces import (
     Refiner,
     SceneToWrite,
     Segmenter,
+    Selected,
+    Selector,
     Tracks,
     Writer,
 )
@@ -123,6 +126,19 @@ def check_written(writer: Writer, path: Path) -> None:
     _require(writer, is_there, f"{promise}: {path.name}")
 
 
+def check_selected(selector: Selector, views: Views, answer: Selected) -> None:
+    """A soft mask for each view, and how each was found."""
+    _require_type(selector, answer, Selected)
+    size = [views.count, 1, *views.image_size]
+    _require_tensor(selector, "masks", answer.masks, size, views.images.dtype)
+    _require_range(selector, "masks", answer.masks)
+    _require(
+        selector,
+        len(answer.how) == views.count,
+        f"say how it was found on each view, {views.count} words",
+    )
+
+
 def check_edit_verdict(critic: Critic, answer: EditVerdict) -> None:
     """A known label and a sentence."""
     _require_type(critic, answer, EditVerdict)
@@ -208,6 +224,21 @@ def check_proposal(
         real = all(isinstance(one, Real) and isfinite(one) for one in flat)
         held = real and len(flat) == (4 if name == "box" else 1)
         _require(segmenter, held, f"return {name} made of numbers, got {value!r}")
+
+
+def check_answers(segmenter: Segmenter, answer: tuple[Any, Any]) -> None:
+    """Logits `[n, h, w]` of at least one mask, and what each expects of itself `[n]`."""
+    pair = isinstance(answer, tuple) and len(answer) == 2
+    shapes = [list(np.shape(one)) for one in answer] if pair else []
+    held = (
+        pair and len(shapes[0]) == 3 and shapes[1] == shapes[0][:1] and all(shapes[0])
+    )
+    promise = "answer `ask` with logits [n, h, w] and their quality [n]"
+    _require(
+        segmenter, held, f"{promise}, got shapes {shapes or type(answer).__name__}"
+    )
+    finite = all(bool(np.isfinite(one).all()) for one in answer)
+    _require(segmenter, finite, f"{promise}, all of them finite")
 
 
 def check_tracks(

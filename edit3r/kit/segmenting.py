@@ -3,12 +3,14 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.errors import PluginError
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks
 from edit3r.kit.checks import (
+    check_answers,
     check_proposal,
     check_tracks,
     errors_named_after,
@@ -41,6 +43,19 @@ class HeldSegmenter(Segmenter):
                 f"{named_after(self.asked)} must read marks as something."
             )
         return found
+
+    def ask(
+        self,
+        image: Image,
+        clicks: Sequence[tuple[tuple[float, float], bool]],
+        box: tuple[float, float, float, float] | None = None,
+        before: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray] | None:
+        with errors_named_after(self.asked, image):
+            answer = self.asked.ask(image, clicks, box, before)
+        if answer is not None:
+            check_answers(self.asked, answer)
+        return answer
 
     def segment_text(self, image: Image, text: str) -> tuple[Proposal, ...] | None:
         with errors_named_after(self.asked, image):

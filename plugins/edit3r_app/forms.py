@@ -20,7 +20,7 @@ RUNS_PROGRAMS = "command"
 MAX_TYPED = 2000  # characters of one setting
 
 EXPLAINED = {
-    "light": (
+    "exposure": (
         "Light of the photos",
         "Photos of other brightness or tint are brought to the light of the first.",
         "",
@@ -66,7 +66,7 @@ EXPLAINED = {
         "Move a picture back that the editor shifted, zoomed or turned, or keep it as it is.",
         "",
     ),
-    "passing": (
+    "transients": (
         "What passed by",
         "Leave out what one photo alone shows and others see through, such as a walker, or draw "
         "it.",
@@ -100,8 +100,8 @@ COSTS = {
 }
 """Of the presets; the others differ in the photos' size, which is the app's own."""
 CHOICES = {
-    ("light", "one"): "alike, as in the first",
-    ("light", "own"): "each as it is",
+    ("exposure", "one"): "alike, as in the first",
+    ("exposure", "own"): "each as it is",
 }
 """What a setting may be, in words, where its own name is none."""
 LARGEST_SLIDER = 1000  # steps: what has more is typed

@@ -28,6 +28,7 @@ from torch import Tensor
 from edit3r.contract.errors import InputError
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.files.home import expanded
+from edit3r.kit.files.json_text import read_json
 from edit3r.kit.files.names import is_plain_name, unique_names
 from edit3r.kit.photos.images import find_photos, save_image
 
@@ -269,7 +270,7 @@ def _record_in(file: Path, changed: int, size: int) -> AppJob | None:
 @lru_cache(maxsize=1024)
 def _json_in(file: Path, changed: int, size: int) -> Any:
     with suppress(ValueError, RecursionError):
-        return json.loads(file.read_text(encoding="utf-8"))
+        return read_json(file)
     return None
 
 

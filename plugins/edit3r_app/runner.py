@@ -22,6 +22,7 @@ from edit3r.kit.children import PYTHON
 from edit3r.kit.files.atomic import atomic_write, remove_abandoned
 from edit3r.running import DEFAULTS
 from edit3r_app.jobs import AppJob, JobsFolder
+from edit3r_app.objects import checked_words
 from edit3r_app.progress import read_progress
 from edit3r_app.ready import CAN_WAIT, ReadyProcess
 from edit3r_app.uploads import DRAFT
@@ -47,7 +48,8 @@ def command_of(folder: JobsFolder, job: AppJob) -> list[str]:
     if job.object:
         marked = ["--mask", *masks] if masks else []
         run = str(folder.path(job.parent))
-        return ["objects", "--quiet", *out, *marked, "--", run, *job.object]
+        words = checked_words(job.object)
+        return ["objects", "--quiet", *out, *marked, "--", run, *words]
     settings = beside / "settings.yaml"
     asked = {"size": job.size, "outputs": OUTPUTS, **job.settings}
     content = yaml.safe_dump(asked, allow_unicode=True)
@@ -172,7 +174,9 @@ class Runner:
             output.truncate(0)
             try:
                 self._child = self._started(command_of(self.folder, job), output)
-            except (InputError, OSError) as error:
+            except (
+                Exception
+            ) as error:  # else it would come up again, before all later jobs
                 self.folder.write(replace(job, state="failed", sentence=str(error)))
                 return
         self.folder.write(replace(job, state="running", pid=self._child.pid))

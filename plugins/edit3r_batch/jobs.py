@@ -1,6 +1,5 @@
 """The jobs file: a job a line, all of them read and checked before the first one runs."""
 
-import json
 import unicodedata
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ from edit3r import Registry
 from edit3r.contract.errors import Edit3rError, InputError, SettingsError, suggest
 from edit3r.contract.reporting import progress
 from edit3r.contract.settings import make_settings, merge, of_file
+from edit3r.kit.files.json_text import parse_json
 from edit3r.kit.files.names import unique_names
 from edit3r.kit.photos.coverage import VIDEO_SUFFIXES
 from edit3r.kit.photos.images import find_photos
@@ -139,7 +139,7 @@ def _job(
 def _content(line: bytes) -> dict[str, Any]:
     """The object that a line holds, with keys that are known."""
     try:
-        content = json.loads(line.decode("utf-8-sig"))
+        content = parse_json(line)
     except (ValueError, RecursionError) as error:
         raise InputError(f"not JSON ({error}).") from None
     if not isinstance(content, dict):

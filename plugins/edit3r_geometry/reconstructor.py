@@ -7,8 +7,8 @@ import edit3r
 from edit3r.contract.interfaces import Geometry, Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.checks import require_geometry
+from edit3r.kit.geometry.background_fill import background_layer, rim
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.kit.geometry.surroundings import background_layer, rim
 from edit3r.kit.geometry.warping import contradicted, seen_by_others
 
 __all__ = ["ClassicalReconstructor"]

@@ -21,6 +21,7 @@ from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import progress, track
 from edit3r.contract.settings import Settings
 from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.files.json_text import parse_json
 from edit3r.kit.geometry.maps import size_of
 from edit3r_recolor import recoloring
 from edit3r_recolor.recoloring import Outline, RecolorParameters, RecolorRanges
@@ -146,7 +147,7 @@ class SceneRecipe:
     def load(path: Path) -> "SceneRecipe":
         """Read what `save` wrote. Raises InputError for any other file."""
         try:
-            data = json.loads(path.read_text(encoding="utf-8"))
+            data = parse_json(path.read_bytes())
             if data.pop("format") != FORMAT:
                 raise ValueError(f"its format is not {FORMAT!r}")
             return TypeAdapter(SceneRecipe).validate_python(data)

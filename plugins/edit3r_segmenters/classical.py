@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
@@ -20,17 +20,11 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import (
-    Marks,
-    Proposal,
-    Relief,
-    Segmenter,
-    Tracks,
-    as_proposal,
-)
+from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
 from edit3r.contract.reporting import warn
 from edit3r.contract.settings import Settings
-from edit3r.kit.cache import fingerprint, remembered
+from edit3r.kit.cache import remembered
+from edit3r.kit.compute.outlines import softened
 from edit3r.kit.weights.find import at_hand
 from edit3r_segmenters import U2NETP, tracking
 from edit3r_segmenters.candidates import (
@@ -38,18 +32,15 @@ from edit3r_segmenters.candidates import (
     Candidate,
     Click,
     Evidence,
-    Prompt,
     Salience,
     by_size,
     choose,
-    completed,
 )
 from edit3r_segmenters.masks import (
     Latest,
     overlap,
     reduced,
     snapped,
-    softened,
     stepped,
     tidied,
     to_bytes,
@@ -70,7 +61,6 @@ from edit3r_segmenters.superpixels import (
     merge_tree,
     superpixels,
 )
-from edit3r_segmenters.surfaces import Surfaces
 from edit3r_segmenters.words import plain
 
 SAME_OBJECT = 0.6  # intersection over union above which two candidates are one object
@@ -96,21 +86,6 @@ MAX_READINGS = 3  # of marks, that are shown
 MAX_KEPT = 64  # images, saliences and answers that stay in memory between clicks
 ESSENTIALS = "edit3r weights get essentials"
 Known = TypeVar("Known")
-
-
-class Network(Protocol):
-    """A SAM of any kind, as `SamOnnxSegmenter`."""
-
-    def ask(
-        self,
-        image: Float[Tensor, "3 height width"],
-        clicks: Sequence[tuple[tuple[float, float], bool]],
-        box: tuple[float, float, float, float] | None = None,
-        before: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Logits `[n, h, w]` of masks that cover the image, and their quality `[n]`; `before` are
-        those of the answer that the last click corrects.
-        """
 
 
 @dataclass(frozen=True)
@@ -172,7 +147,6 @@ class ClassicalSegmenter(Segmenter):
         self.settings = settings
         self._memory: dict[Hashable, Any] = {}
         self._remembering = threading.Lock()
-        self._prints: Latest[str] = Latest()
         self._pixels: Latest[Hashable] = Latest()
 
     @remembered
@@ -227,55 +201,31 @@ class ClassicalSegmenter(Segmenter):
     def segment_marks(
         self, image: Float[Tensor, "3 height width"], marks: Marks
     ) -> Proposal:
-        return self.answer(image, marks)
+        rgb = _to_numpy(image)
+        if marks.prior is not None and not (marks.inside or marks.negative):
+            return self._expected(rgb, image, marks.prior)
+        ordered, best = by_size(self._found(rgb, marks))
+        areas = [one.mask.sum() for one in ordered]
+        chosen = ordered[stepped(areas, best, marks.larger)]
+        return self._drawn(rgb, image, marks, chosen)
 
     def readings(
         self, image: Float[Tensor, "3 height width"], marks: Marks
     ) -> tuple[Proposal, ...]:
-        return self.likely(image, marks)
-
-    def answer(
-        self,
-        image: Float[Tensor, "3 height width"],
-        marks: Marks,
-        network: Network | None = None,
-    ) -> Proposal:
-        """The object that marks describe, chosen with a network's candidates where there is one."""
-        rgb = _to_numpy(image)
-        if marks.prior is not None and not (marks.inside or marks.negative):
-            return self._expected(rgb, marks, image, network)
-        found = self._found(rgb, image, marks, network)
-        ordered, best = by_size(found)
-        areas = [one.mask.sum() for one in ordered]
-        chosen = ordered[stepped(areas, best, marks.larger)]
-        return self._drawn(rgb, image, marks, chosen, network)
-
-    def likely(
-        self,
-        image: Float[Tensor, "3 height width"],
-        marks: Marks,
-        network: Network | None = None,
-    ) -> tuple[Proposal, ...]:
         """The most likely readings of the marks; each has its share of all their scores."""
         rgb = _to_numpy(image)
-        all_found = self._found(rgb, image, marks, network)
+        all_found = self._found(rgb, marks)
         found = sorted(by_size(all_found)[0], key=all_found.index)
         total = sum(one.score for one in found)
         return tuple(
             replace(
-                self._drawn(rgb, image, marks, one, network),
+                self._drawn(rgb, image, marks, one),
                 surety=float(one.score / total) if total else 0.0,
             )
             for one in found[:MAX_READINGS]
         )
 
-    def _found(
-        self,
-        rgb: np.ndarray,
-        image: Float[Tensor, "3 height width"],
-        marks: Marks,
-        network: Network | None,
-    ) -> list[Candidate]:
+    def _found(self, rgb: np.ndarray, marks: Marks) -> list[Candidate]:
         """All readings of marks, the best first."""
         analysis = self._analysis(rgb)
         shape = analysis.pixels.shape[:2]
@@ -285,9 +235,7 @@ class ClassicalSegmenter(Segmenter):
             analysis.superpixels,
             analysis.members,
             analysis.measure,
-            () if prior is not None else self._evident(rgb, shape, marks, network),
-            None if network is None else self._prompt(image, shape, network),
-            self._surfaces(marks.relief, shape),
+            () if prior is not None else self._evident(rgb, shape, marks),
         )
         box = None if marks.box is None else _in_pixels(marks.box, shape)
         stroke = [_in_image(place, shape) for place in marks.drawn]
@@ -299,12 +247,11 @@ class ClassicalSegmenter(Segmenter):
         image: Float[Tensor, "3 height width"],
         marks: Marks,
         chosen: Candidate,
-        network: Network | None,
     ) -> Proposal:
         """A candidate as a proposal; its outline leaves no click on the wrong side."""
         cues = self._analysis(rgb).measure(chosen.mask)
         quality = 0.0 if cues is None else cues.quality
-        fine = self._outlined(rgb, chosen.logits, network)
+        fine = self._fine(rgb, chosen.mask)
         small = _clicks(marks, chosen.mask.shape)
         obeyed = all(chosen.mask[place] == inside for place, inside in small)
         said = _clicks(marks, fine.shape)
@@ -315,74 +262,21 @@ class ClassicalSegmenter(Segmenter):
     def _expected(
         self,
         rgb: np.ndarray,
-        marks: Marks,
         image: Float[Tensor, "3 height width"],
-        network: Network | None,
+        prior: Float[Tensor, "height width"],
     ) -> Proposal:
-        """A mask from elsewhere with its outline moved; it says of itself how little it moved.
-
-        What nothing is known of is a network's to say.
-        """
+        """A mask from elsewhere with its outline moved; it says of itself how little it moved."""
         shape = reduced(rgb, self.settings.size).shape[:2]
-        expected = _at_size(marks.prior, shape)
-        if network is not None and marks.known is not None:
-            known = _at_size(marks.known.float(), shape)
-            prompt = self._prompt(image, shape, network)
-            expected = completed(expected, known, prompt)
+        expected = _at_size(prior, shape)
         # A second round of the cut takes half as long again and changes 0.2 % of a mask.
         fine = self._fine(rgb, expected, rounds=1)
         moved = cv2.resize(fine.astype(np.uint8), shape[::-1]) > 0
         return _proposal(rgb, fine, overlap(moved, expected), image)
 
-    def _outlined(
-        self, rgb: np.ndarray, logits: np.ndarray, network: Network | None
-    ) -> np.ndarray:
-        """A bool mask at tracking size; a network's outline is exact already."""
-        if network is None:
-            return self._fine(rgb, logits > 0)
-        shape = reduced(rgb, self.settings.track_size).shape[:2]
-        return cv2.resize(logits, shape[::-1]) > 0
-
-    def _prompt(
-        self,
-        image: Float[Tensor, "3 height width"],
-        shape: tuple[int, int],
-        network: Network,
-    ) -> Prompt:
-        """Asks the network at working size; an answer is kept, since each click asks all again."""
-        key, (height, width) = self._print_of(image), shape
-
-        def prompt(
-            clicks: Sequence[Click], box: Box | None, before: np.ndarray | None = None
-        ) -> np.ndarray:
-            places = [
-                (((column + 0.5) / width, (row + 0.5) / height), inside)
-                for (row, column), inside in clicks
-            ]
-            frame = None
-            if box is not None:
-                (top, left), (bottom, right) = box
-                sides = (right - left) / width, (bottom - top) / height
-                frame = (left / width, top / height, *sides)
-            told = None if before is None else before.tobytes()
-            asked = (key, tuple(clicks), box, told)
-            logits = self._kept(
-                asked, lambda: network.ask(image, places, frame, before)[0]
-            )
-            return np.stack([cv2.resize(one, (width, height)) for one in logits])
-
-        return prompt
-
     def _evident(
-        self,
-        rgb: np.ndarray,
-        shape: tuple[int, int],
-        marks: Marks,
-        network: Network | None,
+        self, rgb: np.ndarray, shape: tuple[int, int], marks: Marks
     ) -> tuple[Salience, ...]:
-        """Learned salience; without a network that answers clicks also that of crops."""
-        if network is not None:
-            return self._saliences(rgb, shape, place=None)
+        """Learned salience of the image and of crops around what is marked."""
         if marks.box is None:
             sides = [share * max(rgb.shape[:2]) for share in CROPS]
             first = marks.inside[0]
@@ -430,16 +324,6 @@ class ClassicalSegmenter(Segmenter):
             raise InputError(
                 f"{weights}: is no whole U²-Net as ONNX; fetch it anew with: {U2NETP.get}"
             ) from None
-
-    def _surfaces(
-        self, relief: Relief | None, shape: tuple[int, int]
-    ) -> Surfaces | None:
-        if relief is None:
-            return None
-        depth = relief.depth.numpy(force=True).astype(np.float32)
-        measured = relief.measured.numpy(force=True)
-        key = ("surfaces", depth.shape, hash(depth.tobytes()), hash(measured.tobytes()))
-        return self._kept(key, lambda: Surfaces.of(depth, measured, shape))
 
     def _kept(self, key: Hashable, compute: Callable[[], Known]) -> Known:
         """What was computed for the same picture before: clicks follow each other on one
@@ -498,9 +382,6 @@ class ClassicalSegmenter(Segmenter):
 
     def _key_of(self, rgb: np.ndarray) -> Hashable:
         return self._pixels.of(rgb, lambda: (rgb.shape, hash(rgb.tobytes())))
-
-    def _print_of(self, image: Float[Tensor, "3 height width"]) -> str:
-        return self._prints.of(image, lambda: fingerprint(image))
 
     def _fine(self, rgb: np.ndarray, mask: np.ndarray, rounds: int = 2) -> np.ndarray:
         """Snap the outline of a bool mask `[h, w]` found at working size once more, at tracking

@@ -1,4 +1,4 @@
-"""Masks whose outlines follow the image: graph cut, small parts and holes, soft edges."""
+"""Masks whose outlines follow the image: graph cut, small parts and holes."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, Generic, TypeVar
@@ -6,10 +6,10 @@ from typing import Any, Generic, TypeVar
 import cv2
 import numpy as np
 
+from edit3r.kit.compute.outlines import distance_to, window_around
+
 SMALLEST_PART = 0.03  # share of an object under which a separate piece of it is dropped
 SMALLEST_HOLE = 0.01  # share under which a hole is filled
-EDGE_REACH = 0.008  # how far a soft edge may reach [longer sides of the image]
-EDGE_EPSILON = 1e-4  # colour variance under which the guided filter smooths
 MIN_SAMPLES = 16  # pixels either side needs for a colour model
 
 Known = TypeVar("Known")
@@ -34,7 +34,7 @@ def snapped(
         return mask
     size = np.sqrt(mask.sum())
     shrink, grow = max(1.0, shrink * size), max(1.0, grow * size)
-    window = _window(
+    window = window_around(
         mask, 2 * grow + 8
     )  # enough of what surrounds it for a colour model, and no more to compute
     part = mask[window]
@@ -94,32 +94,6 @@ def tidied(
     return result | holes[labels]
 
 
-def softened(image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Make a soft mask `[H, W]` in [0, 1] for a float RGB image `[H, W, 3]` from a bool mask of any
-    size.
-
-    Guided filter (He et al. 2013): the soft edge follows the image's own. It overshoots, so it is
-    clipped.
-    """
-    height, width = image.shape[:2]
-    enlarged = cv2.resize(
-        mask.astype(np.float32), (width, height), interpolation=cv2.INTER_LINEAR
-    )
-    soft = np.zeros((height, width), np.float32)
-    if not (enlarged > 0).any():
-        return soft
-    radius = max(1, round(EDGE_REACH * max(height, width)))
-    window = _window(enlarged > 0, 2 * radius)
-    part = np.ascontiguousarray(image[window], dtype=np.float32)
-    filtered = cv2.ximgproc.guidedFilter(
-        part, np.ascontiguousarray(enlarged[window]), radius, EDGE_EPSILON
-    )
-    near = distance_to(enlarged[window] > 0) <= radius
-    # The filter leaves a veil inside and outside; a steeper ramp clears it and keeps the edge soft.
-    soft[window] = np.where(near, np.clip((filtered - 0.5) * 1.5 + 0.5, 0, 1), 0)
-    return soft
-
-
 def reduced(image: np.ndarray, size: int) -> np.ndarray:
     """Shrink a float image `[H, W, 3]` in [0, 1] so that its longer side is at most `size`
     [pixels].
@@ -135,13 +109,6 @@ def reduced(image: np.ndarray, size: int) -> np.ndarray:
 def to_bytes(image: np.ndarray) -> np.ndarray:
     """Round a float image `[H, W, 3]` in [0, 1] to uint8."""
     return np.round(np.clip(image, 0, 1) * 255).astype(np.uint8)
-
-
-def distance_to(mask: np.ndarray) -> np.ndarray:
-    """Distance [pixels] of every pixel to the nearest one of a bool mask, both `[H, W]`; huge where
-    it is empty.
-    """
-    return cv2.distanceTransform((~mask).astype(np.uint8), cv2.DIST_L2, 3)
 
 
 class Latest(Generic[Known]):
@@ -165,19 +132,6 @@ def stepped(areas: Sequence[float], best: int, larger: int) -> int:
     """
     order = sorted(range(len(areas)), key=lambda index: areas[index])
     return order[min(max(order.index(best) + larger, 0), len(order) - 1)]
-
-
-def _window(mask: np.ndarray, margin: float) -> tuple[slice, slice]:
-    """Slice the box of a non-empty mask `[H, W]`, `margin` pixels wider on each side as far as the
-    image goes.
-    """
-    x, y, width, height = cv2.boundingRect(mask.astype(np.uint8))
-    margin = int(np.ceil(margin))
-    rows, columns = (
-        slice(max(0, y - margin), y + height + margin),
-        slice(max(0, x - margin), x + width + margin),
-    )
-    return rows, columns
 
 
 def overlap(one: np.ndarray, other: np.ndarray) -> float:

@@ -10,7 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edit3r_segmenters.masks import distance_to, overlap
+from edit3r.kit.compute.outlines import distance_to
+from edit3r_segmenters.masks import overlap
 from edit3r_segmenters.superpixels import PALETTE, Superpixels
 
 MIN_AREA, MAX_AREA = (

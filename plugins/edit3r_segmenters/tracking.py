@@ -19,14 +19,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import Tracks
-from edit3r_segmenters.masks import (
-    distance_to,
-    overlap,
-    reduced,
-    snapped,
-    softened,
-    to_bytes,
-)
+from edit3r.kit.compute.outlines import distance_to, softened
+from edit3r_segmenters.masks import overlap, reduced, snapped, to_bytes
 
 GOOD_SCORE = 0.8  # consistent share times likeness above which nothing else is tried
 MIN_CONSISTENT = 0.35  # share under which flow says nothing

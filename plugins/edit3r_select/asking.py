@@ -1,7 +1,6 @@
-"""Gathers masks that marks may mean from anything that answers them: any SAM, or GrabCut.
+"""Gathers masks that marks may mean from anything that answers them: any SAM.
 
-An answerer is bound to its photo: `partial(sam.ask, image)` of the segmenters `sam-onnx`, `sam2`
-and `sam3`, or `GrabCut(photo).ask`.
+An answerer is bound to its photo: `partial(segmenter.ask, image)`.
 """
 
 from collections.abc import Sequence
@@ -23,11 +22,11 @@ class AnswersMarks(Protocol):
         clicks: Sequence[Click],
         box: Box | None = None,
         before: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         """Masks for clicks, a box and the logits `[h, w]` of the answer `before` the last click.
 
         Returns logits `[n, h, w]` of any size, which cover the photo, and the IoU that each is
-        expected to have `[n]`, in [0, 1].
+        expected to have `[n]`, in [0, 1]; None where there are no such answers.
         """
 
 
@@ -36,14 +35,13 @@ def selected(
     asked: Asked,
     answers: AnswersMarks,
     before: np.ndarray | None = None,
-    by: str = "sam",
     weights: CueWeights | None = None,
-) -> Chosen:
+) -> Chosen | None:
     """What is meant by marks on one photo; `before` are the logits of the answer before the last
-    click, `by` names the weights of what answers.
+    click. None where `answers` has none.
     """
     pool = gathered(photo, asked, answers, before)
-    return choose(pool, weights or fitted(by, asked.kind))
+    return None if pool is None else choose(pool, weights or fitted(asked.kind))
 
 
 def gathered(
@@ -51,18 +49,21 @@ def gathered(
     asked: Asked,
     answers: AnswersMarks,
     before: np.ndarray | None = None,
-) -> Pool:
-    """All masks that answer the marks, at the photo's size."""
+) -> Pool | None:
+    """All masks that answer the marks, at the photo's size; None where `answers` has none."""
     found = _Found(photo)
     drawn = [(place, True) for place in spread(asked.stroke, ON_STROKE)]
     clicks = [*drawn, *asked.clicks]
-    found.add(*answers(clicks, asked.box))
+    told = answers(clicks, asked.box)
+    if told is None:
+        return None
+    found.add(told)
     if asked.kind == "stroke":
-        found.add(*answers([drawn[len(drawn) // 2]]))
-        found.add(*answers(drawn, _around(asked.stroke)))
+        found.add(answers([drawn[len(drawn) // 2]]))
+        found.add(answers(drawn, _around(asked.stroke)))
     if asked.kind == "more" and before is not None:
-        found.add(*answers(clicks, asked.box, before))
-        found.joined(*answers([(asked.clicks[-1][0], True)]), before, asked.clicks[-1])
+        found.add(answers(clicks, asked.box, before))
+        found.join(answers([(asked.clicks[-1][0], True)]), before, asked.clicks[-1])
     return found.pool(asked)
 
 
@@ -83,19 +84,23 @@ class _Found:
         self.quality: list[float] = []
         self.first: list[bool] = []
 
-    def add(self, logits: np.ndarray, quality: np.ndarray) -> None:
+    def add(self, answer: tuple[np.ndarray, np.ndarray] | None) -> None:
+        logits, quality = answer or ((), ())
         single = len(logits) == SINGLE_AND_SEVERAL
         for number, (one, good) in enumerate(zip(logits, quality)):
             self.logits.append(self._large(one))
             self.quality.append(float(good))
             self.first.append(single and number == 0)
 
-    def joined(
-        self, logits: np.ndarray, quality: np.ndarray, before: np.ndarray, click: Click
+    def join(
+        self,
+        answer: tuple[np.ndarray, np.ndarray] | None,
+        before: np.ndarray,
+        click: Click,
     ) -> None:
         """The answer `before` with the part at the last click, or without it."""
         whole = self._large(before)
-        for one, good in zip(logits, quality):
+        for one, good in zip(*(answer or ((), ()))):
             part = self._large(one)
             if click[1]:
                 joined = np.maximum(whole, part)

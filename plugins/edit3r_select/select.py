@@ -27,7 +27,6 @@ from edit3r.contract.interfaces import (
     Marks,
     Proposal,
     Reading,
-    Relief,
     Segmenter,
     Selected,
     Selection,
@@ -41,7 +40,6 @@ from edit3r.contract.wishes import EVERY
 from edit3r.kit.cache import fingerprint
 from edit3r.kit.geometry.maps import shown
 from edit3r.kit.geometry.warping import nearest_views, surfaces_apart, warp
-from edit3r.kit.segmenting import HeldSegmenter
 from edit3r_select.agreeing import (
     CARRIED,
     EXACT,
@@ -52,6 +50,7 @@ from edit3r_select.agreeing import (
     of_itself,
     told_by,
 )
+from edit3r_select.answering import SummingSegmenter
 from edit3r_select.confirming import ASKED, surest
 from edit3r_select.obeying import (
     SAME_SURFACE,
@@ -207,7 +206,7 @@ class _Work:
         intrinsics: Float[Tensor, "1 view 3 3"] | None,
     ) -> None:
         self.images, self.selection = images, selection
-        self.segmenter = HeldSegmenter(segmenter)
+        self.segmenter = SummingSegmenter(segmenter)
         self.geometry = geometry
         self.intrinsics = (
             intrinsics
@@ -353,8 +352,7 @@ class _Work:
         others = list(found)
         if across and down:
             box = (x / width, y / height, across / width, down / height)
-            asked = Marks(box=box, relief=self._relief(view))
-            boxed = self.segmenter.readings(self.images[view], asked)
+            boxed = self.segmenter.readings(self.images[view], Marks(box=box))
             others += [replace(one, surety=one.surety * scores[0]) for one in boxed]
         for one in others:
             if all(_overlap(one.soft_mask, mask) < SAME_READING for mask in masks):
@@ -423,7 +421,6 @@ class _Work:
                 chosen.marks_on(view),
                 prior=prior if expected else None,
                 larger=chosen.larger,
-                relief=self._relief(view),
             )
             if marks.inside or marks.box is not None or (marks.negative and expected):
                 self._keep(view, self._described(view, marks), "marked")
@@ -498,13 +495,6 @@ class _Work:
                 self.images[view], self.masks[view], points, self.segmenter
             )
             self._paint(view)
-
-    def _relief(self, view: int) -> Relief | None:
-        """What is known of a view's depth."""
-        geometry = self.geometry
-        if geometry is None or not geometry.registered[0, view]:
-            return None
-        return Relief(geometry.depths[0, view], geometry.confidence[0, view] >= 0.5)
 
     def _described(self, view: int, marks: Marks) -> Float[Tensor, "height width"]:
         """The object that marks describe.

@@ -25,7 +25,7 @@ SURE = 4.0
 
 @dataclass(frozen=True, eq=False)
 class CueWeights:
-    """What multiplies each cue, for one way to answer and one kind of marks."""
+    """What multiplies each cue, for one kind of marks."""
 
     cues: tuple[str, ...]  # names in `cues.CUES`
     values: np.ndarray  # [cue], of cues as they are
@@ -76,9 +76,9 @@ class Chosen:
 
 
 @cache
-def fitted(answers: str, kind: str) -> CueWeights:
-    """The weights for what answers ("sam" or "grabcut") and a kind of marks (`Asked.kind`)."""
-    return CueWeights.of(yaml.safe_load(FITTED.read_text())[answers][kind])
+def fitted(kind: str) -> CueWeights:
+    """The weights for a kind of marks (`Asked.kind`)."""
+    return CueWeights.of(yaml.safe_load(FITTED.read_text())[kind])
 
 
 def scores(pool: Pool, weights: CueWeights) -> np.ndarray:

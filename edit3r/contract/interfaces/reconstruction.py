@@ -154,7 +154,7 @@ class FindsGeometry(ABC):
     """A reconstructor that finds poses and depths by itself, as VGGT does.
 
     The run asks it, in place of a matcher, for whoever needs geometry: selecting, exposure, the
-    check of what was measured.
+    check of what was measured; it is handed back as `geometry` when the scene is made.
     """
 
     @abstractmethod

@@ -41,14 +41,6 @@ class Tracks:
 
 
 @dataclass(frozen=True)
-class Relief:
-    """How far away lies what an image shows, read from several photos."""
-
-    depth: Float[Tensor, "height width"]  # camera z > 0, filled in where not measured
-    measured: Bool[Tensor, "height width"]
-
-
-@dataclass(frozen=True)
 class Marks:
     """What a user pointed at on one image; places are x and y in [0, 1]."""
 
@@ -64,7 +56,6 @@ class Marks:
     larger: int = 0
     # places along what was drawn over the object
     stroke: tuple[tuple[float, float], ...] = ()
-    relief: Relief | None = None  # tells things from what is behind them
 
     def __post_init__(self) -> None:
         places = np.array([*self.positive, *self.negative, *self.stroke]).ravel()
@@ -143,6 +134,22 @@ class Segmenter(Configured, ABC):
         The first is what `segment_marks` answers.
         """
         return (self.segment_marks(image, marks),)
+
+    def ask(
+        self,
+        image: Float[Tensor, "3 height width"],
+        clicks: Sequence[tuple[tuple[float, float], bool]],
+        box: tuple[float, float, float, float] | None = None,
+        before: Float[np.ndarray, "height width"] | None = None,
+    ) -> tuple[Float[np.ndarray, "n h w"], Float[np.ndarray, "n"]] | None:
+        """All masks that a network has for clicks (x, y in [0, 1], and whether the object is
+        there), a box, and the logits of its answer `before` the last click; None where it has no
+        such answers, so that `readings` are all there is.
+
+        Returns logits of any size, which cover the image, and the IoU that each mask is expected
+        to have, in [0, 1].
+        """
+        return None
 
     def segment_text(
         self, image: Float[Tensor, "3 height width"], text: str

@@ -18,6 +18,8 @@ Box = tuple[float, float, float, float]
 """x, y, width, height [shares of a view's sides]."""
 SURE = 0.63  # surety under which what words found is a question
 BACKGROUND = "background"  # words for all but what stands out
+WAYS = ("given", "region", "marked", "words", "guess", "geometry", "pictures")
+"""How a thing is found on a photo; "not found" where it is not."""
 SHARES = "expected shares of its sides, 0 to 1 (x / width, y / height)"
 ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
 """What to do where nobody knows which thing is meant."""
@@ -125,8 +127,7 @@ class Selected:
 
     # soft, in [0, 1]; 0 everywhere in a view where nothing was found
     masks: Float[Tensor, "view 1 height width"]
-    # by view: "given", "region", "marked", "words", "guess", "geometry", "pictures", "not found"
-    how: tuple[str, ...]
+    how: tuple[str, ...]  # by view, one of `WAYS`, or "not found"
     # sentences for the user, also sent to `edit3r.contract.reporting`
     warnings: tuple[str, ...] = ()
     surety: float | None = None  # of what words named, in [0, 1]
@@ -154,7 +155,8 @@ class Selector(Configured, ABC):
         it masks are carried by what the pictures show. The masks obey the marks, and are those of
         `selection.grow` and `selection.inverted`.
 
-        Raises InputError for marks on no photo, and for words that nobody knows or finds.
+        Raises InputError for marks on no photo or of a sort that it does not read, and for words
+        that nobody knows or finds.
         """
 
 

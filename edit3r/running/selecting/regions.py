@@ -24,6 +24,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Views
 from edit3r.contract.wishes import BENEATH, FLOOD, Change, Colour, Thing, Wish
+from edit3r.kit.checks import check_selected, errors_named_after
 from edit3r.kit.geometry.maps import dilate, shown
 from edit3r.running.selecting.near_colour import near_colour
 
@@ -263,7 +264,11 @@ class RegionFinder:
             selection = _with_defaults(selection, self._defaults)
             carried = len(selection.masks) < self._views.count
             geometry = self._geometry() if carried else None
-            self._found[key] = self._selector().select(self._views, selection, geometry)
+            selector = self._selector()
+            with errors_named_after(selector, self._views.images):
+                found = selector.select(self._views, selection, geometry)
+            check_selected(selector, self._views, found)
+            self._found[key] = found
         return self._found[key]
 
 

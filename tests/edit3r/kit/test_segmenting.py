@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -33,6 +34,9 @@ class Answers(Segmenter):
     def readings(self, image, marks):
         return self.propose(image)
 
+    def ask(self, image, clicks, box=None, before=None):
+        return self.propose(image)
+
     def segment_text(self, image, text):
         return self.propose(image)
 
@@ -51,6 +55,7 @@ ASKED = {
     "marks": lambda held: held.segment_marks(IMAGES[0], Marks(((0.5, 0.5),))),
     "readings": lambda held: held.readings(IMAGES[0], Marks(((0.5, 0.5),))),
     "text": lambda held: held.segment_text(IMAGES[0], "box"),
+    "ask": lambda held: held.ask(IMAGES[0], [((0.5, 0.5), True)]),
     "track": lambda held: held.track(IMAGES, MASK[None]),
 }
 
@@ -97,6 +102,13 @@ def mask(value):
             replace(FOLLOWED, logits=FOLLOWED.logits[:1]),
             r"logits of shape \[2, 1, 8, 12\]",
         ),
+        ("ask", np.ones((3, 8, 12)), r"logits \[n, h, w\] and their quality"),
+        (
+            "ask",
+            (np.ones((3, 8, 12)), np.ones(2)),
+            r"got shapes \[\[3, 8, 12\], \[2\]\]",
+        ),
+        ("ask", (np.full((1, 8, 12), np.nan), np.ones(1)), "all of them finite"),
         ("track", replace(FOLLOWED, present=torch.ones(2, 1)), "present in torch.bool"),
     ],
 )
@@ -116,5 +128,8 @@ def test_good_answers_and_the_name_pass():
     assert component_name(held.asked) == "Answers"
     assert held.segment_marks(IMAGES[0], Marks()) is GOOD
     assert HeldSegmenter(Answers([GOOD])).propose(IMAGES[0]) == (GOOD,)
+    several = np.ones((3, 4, 6)), np.ones(3)
+    assert HeldSegmenter(Answers(several)).ask(IMAGES[0], []) is several
+    assert HeldSegmenter(Answers(None)).ask(IMAGES[0], []) is None
     assert HeldSegmenter(Answers(None)).segment_text(IMAGES[0], "box") is None
     assert HeldSegmenter(Answers(FOLLOWED)).track(IMAGES, MASK[None]) is FOLLOWED

@@ -46,6 +46,24 @@ def test_a_camera_that_stood_still_tells_no_depth_however_much_was_measured():
     assert still is None
 
 
+def test_one_scene_of_a_batch_whose_camera_stood_still_is_told():
+    true = true_geometry()
+    c2w = true.c2w.clone()
+    c2w[1] = torch.eye(4)
+    located = GeometryOfRun(Knows(replace(true, c2w=c2w))).of(SCENE.views)
+    assert located.geometry is not None and "nearly the same place" in located.problem
+
+
+def test_two_photos_from_one_place_beside_a_third_are_not_flat():
+    true = true_geometry()
+    c2w, depths = true.c2w.clone(), true.depths.clone()
+    c2w[:, 1, :3, 3] = 0  # turned alone: one homography explains these two
+    pair = replace(true, c2w=c2w, depths=depths)
+    alone = true.registered & torch.tensor([True, True, False])
+    assert lies_flat(replace(pair, registered=alone), SCENE.views)
+    assert not lies_flat(pair, SCENE.views)
+
+
 def test_one_plane_is_told_from_things_in_depth():
     true = true_geometry()
     facing = torch.eye(4).expand_as(true.c2w).clone()

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -24,6 +25,7 @@ from edit3r.contract.reporting import Report, warn
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.images import save_image
+from edit3r.running import write
 from edit3r.running.config import USUAL_OUTPUTS, make_run_config
 from edit3r.running.earlier import read_earlier_run
 from edit3r.running.summary import summary
@@ -180,13 +182,36 @@ def test_frames_are_drawn_once_for_the_video_and_the_pictures(result, tmp_path):
     assert len(drawn) == 3
 
 
+def test_the_camera_path_begins_at_the_first_photo_however_ill_it_fits(
+    photos, tmp_path, monkeypatch
+):
+    save_image(torch.rand(3, 24, 32), photos / "c.png")
+    made = edit3r.run(
+        photos, recon=Wall(), editor="none", fov=53, frames=3, report=Report()
+    )
+    judged = made.records.judged
+    along = []
+    plainly = write.path_around
+    monkeypatch.setattr(
+        write, "path_around", lambda *args: along.append(args[0]) or plainly(*args)
+    )
+    for agreement, count in (((9, 9, 30), 2), ((9, 30, 30), 3), ((30, 9, 9), 3)):
+        verdict = replace(judged.verdict, agreement=tuple(map(float, agreement)))
+        records = replace(made.records, judged=replace(judged, verdict=verdict))
+        replace(made, records=records).save(tmp_path / f"{agreement}")
+        assert along.pop().c2w.shape[1] == count
+
+
 @pytest.mark.parametrize(
     ("asked", "named"),
     [
         ({"seed": 3, "prompt": "warmer"}, "default settings, 32x24:"),
         ({"quality": "fast"}, "fast settings, 32x24:"),
         ({"quality": "fast", "refine": 5}, "fast (but refine) settings, 32x24:"),
-        ({"quality": "best", "light": "own"}, "best (but light) settings, 32x24:"),
+        (
+            {"quality": "best", "exposure": "own"},
+            "best (but exposure) settings, 32x24:",
+        ),
         ({"size": 192, "refine": 0}, "own (refine, size) settings, 32x24:"),
         (
             {"reconstructor": {"name": "edit3r", "weights": "x"}},
@@ -200,6 +225,31 @@ def test_the_last_lines_name_the_settings_that_were_asked_for(
     job = replace(result.parts.job, config=make_run_config(asked))
     result.parts.job = job
     assert named in summary(tmp_path, result)
+
+
+def test_the_last_line_says_how_to_get_a_default_run_sharper(result, tmp_path):
+    def last(label="good", longest=None, **asked):
+        judged = replace(result.records.judged.verdict, label=label)
+        records = replace(
+            result.records,
+            judged=replace(result.records.judged, verdict=judged),
+            inputs=replace(
+                result.records.inputs,
+                files=(SimpleNamespace(size=(24, longest)),) if longest else (),
+            ),
+        )
+        job = replace(result.parts.job, config=make_run_config(asked))
+        parts = SimpleNamespace(job=job)
+        made = replace(result, records=records, parts=parts)
+        return summary(tmp_path, made).splitlines()[-1]
+
+    assert last().endswith("--quality best takes half as long again")
+    assert last(longest=4032).endswith(
+        "with --size 1024, of the photos' 4032 pixels, about four times as long"
+    )
+    assert "--size 800" in last(longest=800) and "--size" not in last(longest=512)
+    for kept in ({"quality": "best"}, {"size": 1024}, {"label": "poor"}):
+        assert "sharper" not in last(longest=4032, **kept)
 
 
 def test_a_notebook_shows_the_sheet_and_the_viewer(result):

@@ -1,5 +1,6 @@
 """What no photo measured counts where it is seen half-way: patterned, and from no neighbour."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -33,6 +34,23 @@ def test_what_no_photo_measured_counts_by_its_share_of_the_picture():
 )
 def test_nothing_counts_that_a_neighbour_measured_or_that_is_blank(guessing, images):
     assert max(shares(guessing, images)) < 0.1
+
+
+def test_what_no_photo_shows_half_way_counts_though_all_was_measured():
+    """Cameras that look aside, each its own way: between them lies a hole."""
+    c2w = torch.eye(4).repeat(1, 2, 1, 1)
+    for view, angle in enumerate((-0.7, 0.7)):
+        c2w[0, view, :3, :3] = rotation_about_y(angle)
+        c2w[0, view, 0, 3] = 0.2 * view
+    ones = torch.ones(1, 2, 48, 64)
+    geometry = Geometry(c2w, 3 * ones, ones, torch.ones(1, 2, dtype=torch.bool))
+    photos = replace(SCENE.views.select([0, 1]), images=BLANK[:, :2])
+    assert all(share > 0.3 for share in guessed_between(geometry, photos)[0].tolist())
+
+
+def rotation_about_y(angle):
+    cos, sin = math.cos(angle), math.sin(angle)
+    return torch.tensor([[cos, 0, sin], [0, 1, 0], [-sin, 0, cos]])
 
 
 def test_a_photo_that_was_not_placed_is_unknown_and_helps_no_other():

@@ -86,3 +86,20 @@ def test_of_near_ones_that_inside_of_the_photo_comes_first():
     found = {0: tuple(replace(as_proposal(m), surety=0.5) for m in (edge, inside))}
     _, kept = surest(found, 0, unknown)
     assert torch.equal(kept[0].soft_mask, inside)
+
+
+def test_what_another_photo_confirms_comes_before_a_surer_one_that_none_sees():
+    beside, seen = torch.zeros(16, 16), torch.zeros(16, 16)
+    beside[2:6, 2:6] = 1
+    seen[9:13, 9:13] = 1
+
+    def without_beside(view, other):
+        grid, same = still(view, other)
+        return grid, same & (beside == 0)
+
+    surer, confirmed = (replace(as_proposal(one), surety=0.5) for one in (beside, seen))
+    found = {0: (surer, replace(confirmed, surety=0.45)), 1: (confirmed,)}
+    _, kept = surest(found, 0, without_beside)
+    assert [one.surety for one in kept] == [0.45, 0.5]
+    alone = {0: found[0], 1: (confirmed,)}  # nobody knows of either: the surer one
+    assert [one.surety for one in surest(alone, 0, unknown)[1]] == [0.5, 0.45]

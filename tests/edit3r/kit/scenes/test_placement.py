@@ -93,6 +93,15 @@ def test_a_few_far_away_are_left_out_and_all_else_keeps_its_steps():
     assert placement == FilePlacement()
 
 
+def test_what_nobody_sees_stays_where_nothing_is_left_out():
+    made = scene(count=100)
+    opacities = made.opacities.clone()
+    opacities[0, :30] = 0
+    made = replace(made, opacities=opacities)
+    kept, _ = fitting(made, "spz")
+    assert kept is made
+
+
 def test_what_fits_in_no_unit_is_refused():
     made = scene(1e-6, count=60)
     spread = replace(made, means=made.means * 1e11)

@@ -1,0 +1,120 @@
+"""Marks on one photo are answered by the sum where a segmenter has several masks for them."""
+
+import numpy as np
+import pytest
+import torch
+from edit3r_select.answering import SummingSegmenter
+
+from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
+
+HEIGHT, WIDTH = 48, 64
+ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH] + 0.5
+DISC = np.hypot(COLUMNS - 32, ROWS - 24) < 12
+CENTRE = (0.5, 0.5)
+
+
+@pytest.fixture(scope="module")
+def image():
+    """A disc that is told by its colour."""
+    inside = torch.from_numpy(DISC).float()
+    return torch.stack((0.2 + 0.6 * inside, 0.7 - 0.5 * inside, 0.3 + 0 * inside))
+
+
+class Plain(Segmenter):
+    """Has one mask for marks, all of the photo."""
+
+    def segment_marks(self, image, marks) -> Proposal:
+        return as_proposal(torch.ones_like(image[0]))
+
+    def propose(self, image):
+        return ()
+
+    def track(self, images, masks) -> Tracks:
+        raise NotImplementedError
+
+
+class Discs(Plain):
+    """Has discs around the last click too; remembers what it was asked."""
+
+    def __init__(self):
+        self.asked = []
+
+    def ask(self, image, clicks, box=None, before=None):
+        self.asked.append((len(clicks), box is not None, before is not None))
+        x, y = clicks[-1][0] if clicks else CENTRE
+        away = np.hypot(COLUMNS - x * WIDTH, ROWS - y * HEIGHT)
+        logits = np.stack([radius - away for radius in (12.0, 5.0, 12.0, 20.0)])
+        return logits.astype(np.float32), np.array([0.9, 0.8, 0.9, 0.7])
+
+
+def inside(found):
+    return found.soft_mask.numpy() > 0.5
+
+
+def overlap(one, other):
+    return (one & other).sum() / (one | other).sum()
+
+
+def test_a_click_takes_the_mask_that_the_sum_prefers_and_shows_the_others(image):
+    segmenter = SummingSegmenter(Discs())
+    readings = segmenter.readings(image, Marks(positive=(CENTRE,)))
+    assert overlap(inside(readings[0]), DISC) > 0.9
+    assert len(readings) == 3  # of the two that are alike only one
+    assert sum(one.surety for one in readings) == pytest.approx(1)
+    answer = segmenter.segment_marks(image, Marks(positive=(CENTRE,)))
+    assert torch.equal(answer.soft_mask, readings[0].soft_mask)
+    assert answer.surety == readings[0].surety
+
+
+def test_steps_go_through_the_candidates_by_size(image):
+    segmenter = SummingSegmenter(Discs())
+    areas = [
+        inside(segmenter.segment_marks(image, Marks((CENTRE,), larger=steps))).sum()
+        for steps in (-1, 0, 1)
+    ]
+    assert areas == sorted(areas) and areas[0] < 0.5 * areas[1] < 0.4 * areas[2]
+
+
+def test_each_click_is_asked_with_the_answer_before_it_and_all_are_obeyed(image):
+    network = Discs()
+    marks = Marks(positive=(CENTRE, (0.9, 0.5)), negative=((0.5, 0.3),))
+    mask = inside(SummingSegmenter(network).segment_marks(image, marks))
+    assert network.asked[0] == (1, False, False) and (2, False, True) in network.asked
+    held = [mask[int(y * HEIGHT), int(x * WIDTH)] for x, y in marks.positive]
+    assert all(held) and not mask[int(0.3 * HEIGHT), WIDTH // 2]
+
+
+def test_a_click_that_says_what_is_known_changes_nothing(image):
+    network = Discs()
+    prior = torch.from_numpy(DISC).float()
+    marks = Marks(positive=(CENTRE,), negative=((0.9, 0.9),), prior=prior)
+    mask = inside(SummingSegmenter(network).segment_marks(image, marks))
+    assert not network.asked and overlap(mask, DISC) > 0.97
+
+
+@pytest.mark.parametrize(
+    ("marks", "asked"),
+    [
+        (Marks(box=(0.3, 0.25, 0.4, 0.5)), [(0, True, False)]),
+        (Marks(stroke=((0.45, 0.5), (0.55, 0.5))), [(2, False, False)]),
+    ],
+)
+def test_a_box_and_a_stroke_are_asked_first(image, marks, asked):
+    network = Discs()
+    assert SummingSegmenter(network).segment_marks(image, marks).area > 0
+    assert network.asked[:1] == asked
+
+
+def test_without_masks_to_choose_from_the_segmenter_reads_marks_itself(image):
+    for marks in (Marks(positive=(CENTRE,)), Marks(box=(0.2, 0.2, 0.5, 0.5))):
+        assert SummingSegmenter(Plain()).segment_marks(image, marks).area == 1
+        assert SummingSegmenter(Plain()).readings(image, marks)[0].area == 1
+    prior = Marks(prior=torch.zeros(HEIGHT, WIDTH))  # no mark: not the sum's
+    assert SummingSegmenter(Discs()).segment_marks(image, prior).area == 1
+
+
+def test_a_large_photo_is_answered_at_its_own_size(image):
+    large = torch.nn.functional.interpolate(image[None], (960, 1280))[0]
+    found = SummingSegmenter(Discs()).segment_marks(large, Marks(positive=(CENTRE,)))
+    assert found.soft_mask.shape == (960, 1280)
+    assert found.area == pytest.approx(DISC.mean(), rel=0.05)
