@@ -18,9 +18,9 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
-from edit3r.contract.settings import Settings
 from edit3r.contract.weights import Weights
 from edit3r.kit.cache import fingerprint, recall
 from edit3r.kit.geometry.cameras import pixel_grid
@@ -51,7 +51,7 @@ Embedding = dict[str, Tensor]
 class SamOnnxSegmenter(Segmenter):
     """One answer of the network to clicks and boxes; objects are followed by what images show."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         encoder: str = Field(
             "",
             description="ONNX file of the encoder; empty: that of the weights",
@@ -97,6 +97,8 @@ class SamOnnxSegmenter(Segmenter):
             le=4096,
             description="longer side of the image while following [pixels]",
         )
+
+    settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings

@@ -17,7 +17,9 @@ from edit3r_bench.manifest import (
 )
 
 from edit3r.contract.errors import Edit3rError, InputError
+from edit3r.contract.interfaces import SceneSample
 from edit3r.loading.registry import default_registry
+from edit3r_testing import cameras_around
 
 
 def test_a_generated_scene_has_five_visible_edits_of_the_four_types(manifest, small):
