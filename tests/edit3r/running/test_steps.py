@@ -27,6 +27,7 @@ from edit3r.running.config import DEFAULTS, make_run_config
 from edit3r.running.job import JobInputs, job_from
 from edit3r.running.loop import preview
 from edit3r.running.steps.reconstruct import _grid
+from edit3r.running.write import _scene
 from edit3r_testing import photograph
 
 PLAIN = {"gaussians": "all", "refine": 0}  # the reconstructor's own Gaussians
@@ -92,6 +93,21 @@ def test_pixels_outside_the_masks_are_bit_equal_whatever_the_editor_does(views):
     assert torch.equal(result.edited.images[~inside], views.images[~inside])
     assert torch.equal(result.edited.images[inside], (1 - views.images)[inside])
     assert result.report.notes["edit.change_outside_mask_before_composite"] > 0.1
+
+
+def test_what_an_editor_has_to_change_around_the_things_may_change_too(views):
+    class Shadows(Invert):
+        def widened(self, regions, images):
+            wide = regions.clone()
+            wide[..., :5] = 1
+            return wide
+
+    masks = torch.zeros(1, 2, 6, 8)
+    masks[..., :3] = 1
+    result = run(views, "paint it red", editor=Shadows(), recon=Flat(), masks=masks)
+    assert result.masks[0, 0, 0].tolist() == [1, 1, 1, 1, 1, 0, 0, 0]
+    changed = (result.edited.images != views.images).any(2)
+    assert bool(changed[..., :5].all()) and not changed[..., 5:].any()
 
 
 def test_composite_blends_between_and_is_exact_at_zero_and_one():
@@ -476,7 +492,9 @@ class FindsTruth(Flat, FindsGeometry):
         return super().__call__(views)
 
 
-def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_ones_own():
+def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_ones_own(
+    monkeypatch,
+):
     scene = photograph(2, (48, 64))
     images = scene.views.images.clone()
     images[:, 1] = 0.6 * images[:, 1] + 0.03
@@ -497,6 +515,10 @@ def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_one
     drawn = render_each(one.rasterizer, one.gaussians, one.cameras, "again").images
     assert torch.equal(one.rendered.images, one.records.located.exposure.to_own(drawn))
     assert own.records.located.exposure is None
+    # The look before the edit is the scene's, which is in one light.
+    monkeypatch.setattr("edit3r.running.write.colours_before", lambda *given: given)
+    for given in _scene(one).second_look().colours[2:4]:
+        assert (given.images - scene.views.images).abs().mean() < 0.01
 
 
 def test_a_photo_keeps_its_light_where_one_before_it_could_not_be_placed():
