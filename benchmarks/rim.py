@@ -141,7 +141,7 @@ def wider(result: edit3r.RunResult, view: int) -> tuple[torch.Tensor, ...]:
     alphas = own.alphas[0, 0, 0]
     colours = own.images[0, 0] / alphas.clamp(min=SEEN)
     edges = (pad, pad, pad, pad)
-    edited = result.records.located.in_one_light(result.edited)
+    edited = result.records.located.in_one_exposure(result.edited)
     photo = F.pad(edited.images[0, view], edges)
     mask = F.pad(result.masks[0, view], edges)
     return whole.images[0, 0], colours, alphas > SEEN, photo, mask

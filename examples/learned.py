@@ -10,7 +10,8 @@ import torch.nn.functional as F
 from pydantic import Field
 from torch import nn
 
-from edit3r import Component, PartChoice, Settings, hookimpl
+import edit3r
+from edit3r import Component, PartChoice, hookimpl
 from edit3r.contract.interfaces import GaussianHead, Reconstructor
 from edit3r.contract.types import Gaussians, Reconstruction
 from edit3r.kit.geometry.cameras import pixel_grid
@@ -34,11 +35,13 @@ class CurtainHead(GaussianHead):
     The centre lies on the pixel's ray through a lens of focal length 1.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         depth: float = Field(
             2.0, gt=0, description="depth it starts from [scene units]"
         )
         seed: int = Field(0, ge=0, description="of the initial weights")
+
+    settings: Settings
 
     def __init__(self, settings, backbone):
         super().__init__()
@@ -74,7 +77,7 @@ class CurtainHead(GaussianHead):
 class LearnedReconstructor(Reconstructor):
     """Predicts no poses, so the pipeline finds them by PnP on the Gaussians."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         backbone: PartChoice = Field(
             PartChoice(name="asymmetric-vit", settings=SMALL),
             description="views to features",
@@ -88,6 +91,8 @@ class LearnedReconstructor(Reconstructor):
         weights: str | None = Field(
             None, description="folder best of `edit3r train`; default: untrained"
         )
+
+    settings: Settings
 
     def __init__(self, settings, backbone, head):
         self.settings = settings

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic.config import JsonDict
 from pydantic.fields import FieldInfo
 
 from edit3r.contract.errors import SettingsError, suggest
@@ -47,7 +48,7 @@ class Settings(BaseModel):
         return filled
 
 
-USER_ONLY = {"user_only": True}
+USER_ONLY: JsonDict = {"user_only": True}
 """`json_schema_extra` of a setting that names a program, or an address that gets photos and keys.
 
 Only the user may give it (`--set`, a flag, Python), no file that may be a stranger's.

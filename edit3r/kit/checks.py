@@ -36,6 +36,8 @@ from edit3r.contract.interfaces import (
     Refiner,
     SceneToWrite,
     Segmenter,
+    Selected,
+    Selector,
     Tracks,
     Writer,
 )
@@ -122,6 +124,19 @@ def check_written(writer: Writer, path: Path) -> None:
         is_there = path.is_file()
         promise = "write the file that it is given, since its suffix has a dot"
     _require(writer, is_there, f"{promise}: {path.name}")
+
+
+def check_selected(selector: Selector, views: Views, answer: Selected) -> None:
+    """A soft mask for each view, and how each was found."""
+    _require_type(selector, answer, Selected)
+    size = [views.count, 1, *views.image_size]
+    _require_tensor(selector, "masks", answer.masks, size, views.images.dtype)
+    _require_range(selector, "masks", answer.masks)
+    _require(
+        selector,
+        len(answer.how) == views.count,
+        f"say how it was found on each view, {views.count} words",
+    )
 
 
 def check_edit_verdict(critic: Critic, answer: EditVerdict) -> None:
@@ -351,12 +366,22 @@ def _require(component: Any, held: bool, promise: str) -> None:
         raise PluginError(f"{named_after(component)} must {promise}.")
 
 
+def where(cls: type) -> str:
+    """A class as a plugin imports it: edit3r.contract.types.Views, edit3r.contract.wishes.Wish."""
+    if cls.__module__ == "builtins":
+        return cls.__name__
+    contract = cls.__module__.split(".")[
+        :3
+    ]  # interfaces are a package that names them all
+    return ".".join((*contract, cls.__name__))
+
+
 def _require_type(component: Any, answer: Any, expected: type) -> None:
     given = type(answer).__name__
     _require(
         component,
         isinstance(answer, expected),
-        f"return edit3r.{expected.__name__}, got {given}",
+        f"return {where(expected)}, got {given}",
     )
 
 

@@ -26,10 +26,10 @@ class WithMatcher:
 
         Raises MatchingError when the photos cannot be placed relative to each other.
         """
-        if not self.reconstructor.uses_geometry:
-            return None
         if isinstance(self.reconstructor, FindsGeometry):
             return self.reconstructor.find_geometry(source)
+        if not self.reconstructor.uses_geometry:
+            return None
         return self.matcher.match(source)
 
     def __call__(

@@ -19,18 +19,18 @@ from typing import Any
 from pydantic_core import to_json
 
 from edit3r.contract.errors import InputError, RunError
-from edit3r.kit.crews import (
+from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.worker_pool import (
     ONE_HERE,
-    Crew,
     Function,
     KeyedJob,
     KeyedRow,
     Task,
     WorkerDied,
+    WorkerPool,
     Workers,
-    crew_of,
+    pool_of,
 )
-from edit3r.kit.files.atomic import atomic_write
 
 __all__ = [
     "Progress",
@@ -190,14 +190,14 @@ def _spread(
     group: Callable[[Any], Hashable],
 ) -> Generator[KeyedRow, None, None]:
     """Yield keys and rows in any order, each worker with one job at a time."""
-    crew = crew_of(task, workers)
-    shift = _Shift(crew, jobs, workers, group)
+    pool = pool_of(task, workers)
+    shift = _Shift(pool, jobs, workers, group)
     try:
         while shift.hand_out():
             if row := shift.next_row():
                 yield row
     finally:
-        crew.end()
+        pool.end()
 
 
 @dataclass(eq=False)
@@ -213,12 +213,12 @@ class _Shift:
 
     def __init__(
         self,
-        crew: Crew,
+        pool: WorkerPool,
         jobs: Iterable[KeyedJob],
         workers: Workers,
         group: Callable[[Any], Hashable],
     ) -> None:
-        self._crew, self._workers, self._group = crew, workers, group
+        self._crew, self._workers, self._group = pool, workers, group
         self._todo = deque(jobs)
         self._deaths: dict[str, int] = {}  # by key of a job
         self._idle: list[_Hand] = []

@@ -125,7 +125,7 @@ class RunConfig(Settings):
         description="undo: an edited picture that is shifted, zoomed, turned or mirrored against "
         "its photo is moved back; keep: it is taken as it is",
     )
-    passing: Literal["leave-out", "keep"] = Field(
+    transients: Literal["leave-out", "keep"] = Field(
         "leave-out",
         description="leave-out: what one photo alone shows where two others see through its place, "
         "such as a walker, is left out of the scene; keep: it is drawn",
@@ -190,9 +190,9 @@ class RunConfig(Settings):
         "--refine follows, "
         "which brings the detail of the photos themselves; 1: at the photos' own",
     )
-    light: Literal["one", "own"] = Field(
+    exposure: Literal["one", "own"] = Field(
         "one",
-        description="one: photos of other exposure or white balance are brought to the light of "
+        description="one: photos of other exposure or white balance are brought to the exposure of "
         "the first; own: each is taken as it is",
     )
     quality: Literal["fast", "balanced", "best"] | None = Field(
@@ -382,8 +382,13 @@ def check_components(
     """Raise for unknown names and settings and for missing packages; `given` ones are built."""
     for kind in PART_KEYS:
         choice = getattr(config, kind)
-        if choice is not None and kind not in (given or {}):
-            registry.check(kind, choice)
+        if choice is None or kind in (given or {}):
+            continue
+        if choice == RunConfig.model_fields[kind].default and not registry.missing(
+            registry.find(kind, choice.name)
+        ):
+            continue  # its module loads when it is built, which some runs never do
+        registry.check(kind, choice)
     for choice in config.all_refiners():
         registry.check("refiner", choice)
     _check_rasterizer(config, registry, given or {})

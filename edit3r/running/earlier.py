@@ -6,7 +6,6 @@ and `run.json`. Undo is `--from` of the run before. The folder may come from a s
 checked, nothing in it is executed, and nothing is written there.
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -23,6 +22,7 @@ from edit3r.contract.reporting import note
 from edit3r.contract.settings import of_file
 from edit3r.contract.types import Reconstruction, Views
 from edit3r.kit.files.names import unique_names
+from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.cameras import (
     intrinsics_from_outside,
     pose_from_outside,
@@ -119,7 +119,7 @@ def _read(root: str | Path, reader: Callable[[Path, dict[str, Any]], Read]) -> R
                 f"--from takes what edit3r run wrote with --out."
             )
     try:
-        manifest = json.loads(folder.manifest.read_text(encoding="utf-8"))
+        manifest = read_json(folder.manifest)
         return reader(root, manifest)
     except (
         KeyError,

@@ -222,8 +222,10 @@ class Parts:
     def selector(self) -> Selector:
         if "selector" in self._given:
             return self._given["selector"]
-        parts = {"segmenter": self.segmenter}
-        return self._registry.build_choice("selector", self.config.selector, parts)
+        choice = self.config.selector
+        takes = self._registry.find("selector", choice.name).component.parts
+        parts = {"segmenter": self.segmenter} if "segmenter" in takes else None
+        return self._registry.build_choice("selector", choice, parts)
 
     @cached_property
     def critic(self) -> Critic:

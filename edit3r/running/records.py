@@ -17,7 +17,7 @@ from edit3r.contract.interfaces import Geometry, Selected, Selection
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict, Verdict
 from edit3r.contract.wishes import Wish
-from edit3r.kit.geometry.light import Light
+from edit3r.kit.geometry.exposure import Exposure
 from edit3r.kit.photos.images import Photo
 
 Masks = Float[Tensor, "batch view height width"]
@@ -73,20 +73,22 @@ class Located:
     # fields of view [degrees] that explain the photos alike, where they do not tell their lens
     lenses: tuple[float, float] | None = None
     # how the photos' colours become the first one's; None: they are taken as they are
-    light: Light | None = None
+    exposure: Exposure | None = None
     # what one photo alone shows where others see through its place; None: nothing
-    passing: Bool[Tensor, "batch view height width"] | None = None
+    transient: Bool[Tensor, "batch view height width"] | None = None
 
     def select(self, indices: list[int]) -> "Located":
         """The same with the views at `indices` only; the geometry stays that of all photos."""
-        light = None if self.light is None else self.light.select(indices)
-        return replace(self, light=light, passing=_of_views(self.passing, indices))
+        exposure = None if self.exposure is None else self.exposure.select(indices)
+        return replace(
+            self, exposure=exposure, transient=_of_views(self.transient, indices)
+        )
 
-    def in_one_light(self, views: Views) -> Views:
-        """Photos of this scene, edited or not, as they would look in the first one's light."""
-        if self.light is None:
+    def in_one_exposure(self, views: Views) -> Views:
+        """Photos of this scene, edited or not, as they would look in the first one's exposure."""
+        if self.exposure is None:
             return views
-        return replace(views, images=self.light.to_reference(views.images))
+        return replace(views, images=self.exposure.to_reference(views.images))
 
 
 @dataclass(frozen=True)
@@ -126,9 +128,8 @@ class EditedPhotos:
     """The 2D edit, held to the masks."""
 
     views: Views
-    faults: tuple[
-        str, ...
-    ] = ()  # what shows that pictures are no edits of their photos
+    # what shows that pictures are no edits of their photos
+    faults: tuple[str, ...] = ()
     moved: tuple[str, ...] = ()  # what was undone of pictures that had moved
     verdict: EditVerdict | None = None  # in 2D; None: no edit was asked for
 
@@ -149,7 +150,7 @@ class Reconstructed:
     # the scene as it was before this edit, where a refiner needs it
     before: Reconstruction | None = None
     # what one photo alone shows, which the scene leaves out; None: nothing
-    passing: Bool[Tensor, "batch view height width"] | None = None
+    transient: Bool[Tensor, "batch view height width"] | None = None
 
     @property
     def cameras(self) -> Cameras:

@@ -27,7 +27,7 @@ class RunSettings(TypedDict, total=False):
     matcher: Choice | Matcher
     rasterizer: Choice | Rasterizer
     selector: Choice | Selector
-    segmenter: Choice | Segmenter
+    segmenter: Choice | Segmenter | None
     critic: Choice | Critic
     refiners: Sequence[Choice]
     guess: bool
@@ -38,7 +38,7 @@ class RunSettings(TypedDict, total=False):
     invert: bool
     edit_views: Literal["all", "first"]
     moved_edits: Literal["undo", "keep"]
-    passing: Literal["leave-out", "keep"]
+    transients: Literal["leave-out", "keep"]
     seed: int
     size: int
     fov: float
@@ -51,5 +51,5 @@ class RunSettings(TypedDict, total=False):
     max_gaussians: int
     refine: int
     grid: float
-    light: Literal["one", "own"]
+    exposure: Literal["one", "own"]
     quality: Literal["fast", "balanced", "best"]

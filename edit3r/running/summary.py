@@ -18,6 +18,9 @@ MAKES_NO_OTHER_SCENE = {
 }
 """Settings that may differ from the defaults without the run being another kind of run."""
 
+LARGE = 1024  # longer side that shows what photos have beyond the default size [pixels]
+BEST_COSTS, LARGE_COSTS = "half as long again", "about four times as long"  # dial.py
+
 
 def summary(out: Path, result: RunResult) -> str:
     """The verdict, what was made with which settings, and where to look first."""
@@ -39,7 +42,24 @@ def summary(out: Path, result: RunResult) -> str:
         (folder.manifest, "how it was   {}"),
     )
     lines += [f"  {text.format(place)}" for place, text in places if place.exists()]
-    return "\n".join(lines)
+    return "\n".join([*lines, *_sharper(result)])
+
+
+def _sharper(result: RunResult) -> list[str]:
+    """What a scene of default sharpness, that holds, can be told to show more, and its cost."""
+    asked, usual = result.parts.job.config, make_run_config({})
+    if asked.quality is not None or result.verdict.label in ("poor", "failed"):
+        return []
+    if (asked.size, asked.refine) != (usual.size, usual.refine):
+        return []
+    longest = max((max(file.size) for file in result.records.inputs.files), default=0)
+    line = f"  sharper      --quality best takes {BEST_COSTS}"
+    if longest > usual.size:
+        line += (
+            f"; with --size {min(LARGE, longest)}, of the photos' {longest} pixels, "
+        )
+        line += LARGE_COSTS
+    return [line]
 
 
 def _named_settings(result: RunResult) -> str:

@@ -154,8 +154,8 @@ def _scene(result: RunRecord, flight: Flight | None = None) -> SceneToWrite:
 
 
 def _look_before(result: RunRecord) -> SecondLook:
-    in_one_light = result.records.located.in_one_light
-    photos, edited = map(in_one_light, (result.photos, result.edited))
+    in_one_exposure = result.records.located.in_one_exposure
+    photos, edited = map(in_one_exposure, (result.photos, result.edited))
     colours = colours_before(
         result.gaussians, result.cameras, photos, edited, result.rendered
     )

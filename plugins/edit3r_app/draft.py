@@ -42,9 +42,8 @@ class Mark:
     # one; or two corners of a box, which is sought in or taken exactly; or those along a stroke, or
     # around what a lasso takes or carves away
     places: Annotated[list[tuple[Share, Share]], Field(min_length=1)]
-    radius: Annotated[float, Field(ge=0, le=0.5)] = (
-        0.0  # of the brush, of the longer side
-    )
+    # of the brush, of the longer side
+    radius: Annotated[float, Field(ge=0, le=0.5)] = 0.0
 
 
 @dataclass(frozen=True)
@@ -88,7 +87,8 @@ class Draft:
         }
 
     def _steps(self, kind: str) -> list[float]:
-        return [step.value for step in self.marks if step.kind == kind]
+        steps = (mark for mark in self.marks if isinstance(mark, Step))
+        return [step.value for step in steps if step.kind == kind]
 
     def take(self, mark: Mark | Step) -> None:
         """Add a mark or a step; a further number of pixels replaces the one just given."""
@@ -119,7 +119,9 @@ class Draft:
 
         def of(kind: str) -> Iterator[tuple[int, Mark]]:
             for mark in self.marks:
-                if mark.kind == kind and mark.photo in views.names:
+                if not isinstance(mark, Mark) or mark.kind != kind:
+                    continue
+                if mark.photo in views.names:
                     yield views.names.index(mark.photo), mark
 
         thing = usual_reader().read_thing(self.words)

@@ -1,5 +1,6 @@
 """Settings in words, and what was typed for them as settings of a run."""
 
+import math
 import re
 from typing import Any
 
@@ -19,7 +20,7 @@ RUNS_PROGRAMS = "command"
 MAX_TYPED = 2000  # characters of one setting
 
 EXPLAINED = {
-    "light": (
+    "exposure": (
         "Light of the photos",
         "Photos of other brightness or tint are brought to the light of the first.",
         "",
@@ -65,7 +66,7 @@ EXPLAINED = {
         "Move a picture back that the editor shifted, zoomed or turned, or keep it as it is.",
         "",
     ),
-    "passing": (
+    "transients": (
         "What passed by",
         "Leave out what one photo alone shows and others see through, such as a walker, or draw "
         "it.",
@@ -99,8 +100,8 @@ COSTS = {
 }
 """Of the presets; the others differ in the photos' size, which is the app's own."""
 CHOICES = {
-    ("light", "one"): "alike, as in the first",
-    ("light", "own"): "each as it is",
+    ("exposure", "one"): "alike, as in the first",
+    ("exposure", "own"): "each as it is",
 }
 """What a setting may be, in words, where its own name is none."""
 LARGEST_SLIDER = 1000  # steps: what has more is typed
@@ -112,7 +113,8 @@ def settings_form(draft: Draft, registry: Registry) -> list[dict[str, Any]]:
     groups = [_group("How good and how long", "", [_quality(form)])]
     for kind, title in zip(CHOSEN, ("Who edits the photos", "Who builds the scene")):
         names = offered(registry, kind)
-        chosen = form.get(kind) if form.get(kind) in names else ""
+        asked = form.get(kind, "")
+        chosen = asked if asked in names else ""
         options = [_option("", "automatic", "the one that can do what you ask for")]
         options += [_option(name, name, told) for name, told in names.items()]
         fields = [_select(kind, kind.capitalize(), options, chosen)]
@@ -123,10 +125,10 @@ def settings_form(draft: Draft, registry: Registry) -> list[dict[str, Any]]:
             fields = [_field(line, typed) for line in lines]
             groups.append(_group(f"Settings of {chosen}", f"{kind} {chosen}", fields))
     typed = _texts(form, "run")
-    lines = {line.name: line for line in form_lines(registry, "run", "")}
-    usual = [_field(lines[name], typed) for name in EXPLAINED if name in lines]
+    by_name = {line.name: line for line in form_lines(registry, "run", "")}
+    usual = [_field(by_name[name], typed) for name in EXPLAINED if name in by_name]
     groups.append(_group("This edit", "run", usual))
-    rest = [_field(lines[name], typed) for name in EXPERT if name in lines]
+    rest = [_field(by_name[name], typed) for name in EXPERT if name in by_name]
     return [*groups, _group("For experts", "run", rest)]
 
 
@@ -190,8 +192,11 @@ def _field(line: SettingLine, typed: dict[str, Any]) -> dict[str, Any]:
         return {**made, "kind": "text"}
     step = 1.0 if kind == "int" else 0.01
     limits = {"min": low, "max": high, "step": step}
-    narrow = low is not None and high is not None
-    if narrow and default and (high - low) / step <= LARGEST_SLIDER:
+    if default and low is not None and high is not None:
+        steps = (high - low) / step
+    else:
+        steps = math.inf
+    if steps <= LARGEST_SLIDER:
         return {**made, "kind": "slider", **limits}
     if (
         high is not None and high > MOST_SAID

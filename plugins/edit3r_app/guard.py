@@ -96,7 +96,7 @@ def _entry(asked: HTTPConnection) -> Response:
     query = urllib.parse.urlencode(kept)
     answer = RedirectResponse(f"{path}?{query}" if query else path, 303)
     token = asked.query_params["token"]
-    answer.set_cookie(COOKIE, token, httponly=True, samesite="Strict")
+    answer.set_cookie(COOKIE, token, httponly=True, samesite="strict")
     return answer
 
 

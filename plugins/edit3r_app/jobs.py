@@ -27,8 +27,8 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.kit.files.atomic import atomic_write
-from edit3r.kit.files.home import expanded
-from edit3r.kit.files.names import is_plain_name, unique_names
+from edit3r.kit.files.names import expanded, is_plain_name, unique_names
+from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import find_photos, save_image
 
 PRIVATE = ".edit3r-app"
@@ -163,8 +163,9 @@ class JobsFolder:
 
     def _reserved(self, stem: str) -> str:
         """A free name STEM-N, taken by making its folder."""
-        for number in itertools.count(1):
-            name = f"{stem}-{number}"
+        numbers = itertools.count(1)
+        while True:
+            name = f"{stem}-{next(numbers)}"
             with _NAMING, suppress(FileExistsError):
                 if not (self.root / name).exists():
                     (self.private / name).mkdir()
@@ -268,7 +269,7 @@ def _record_in(file: Path, changed: int, size: int) -> AppJob | None:
 @lru_cache(maxsize=1024)
 def _json_in(file: Path, changed: int, size: int) -> Any:
     with suppress(ValueError, RecursionError):
-        return json.loads(file.read_text(encoding="utf-8"))
+        return read_json(file)
     return None
 
 

@@ -7,7 +7,7 @@ import io
 import json
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import (
     CancelledError,
     Future,
@@ -103,7 +103,7 @@ class KeepingRegistry(Registry):
         self._building = threading.RLock()
 
     def build_choice(
-        self, kind: str, choice: PartChoice, parts: dict[str, Any] | None = None
+        self, kind: str, choice: PartChoice, parts: Mapping[str, Any] | None = None
     ) -> Any:
         key = (kind, choice.model_dump_json(), *(parts or {}).items())
         with self._building:
@@ -298,9 +298,11 @@ class Looker:
         if look.job is None or not look.is_quick:
             return None
         with self._working:
-            return self._edits(look).edit.verdict
+            edit = self._edits(look).edit
+        return None if edit is None else edit.verdict
 
     def _edit(self, look: DraftAnswer) -> Preview:
+        assert look.job is not None  # what is quick has one
         return preview(look.job, self.registry)
 
     def begin_preview(self, look: DraftAnswer, job: str) -> None:
@@ -313,9 +315,9 @@ class Looker:
         folder.mkdir()
         if look.is_quick:  # of slower editors the edit is seen with the result
             with suppress(Edit3rError), self._working:
-                made = self._edits(look)
-                views = made.edit.views
-                _keep_verdict(made.edit.verdict, folder)
+                if edit := self._edits(look).edit:
+                    views = edit.views
+                    _keep_verdict(edit.verdict, folder)
         for view, name in enumerate(views.names):
             image = views.images[0, view]
             if look.masks is not None:
@@ -510,11 +512,11 @@ def _over(mask: Float[Tensor, "height width"] | None, line: bool = False) -> byt
     if mask is None:
         Image.new("LA", (1, 1)).save(content, "PNG")
         return content.getvalue()
-    mask = _enlarged(mask)
-    pixels = np.zeros((*mask.shape, 2), np.uint8)  # grey and opacity
+    drawn = _enlarged(mask)
+    pixels = np.zeros((*drawn.shape, 2), np.uint8)  # grey and opacity
     if not line:
-        pixels[..., 1] = np.rint(255 * (1 - DIMMED) * (1 - mask))
-    draw_outline(pixels, mask > 0.5)
+        pixels[..., 1] = np.rint(255 * (1 - DIMMED) * (1 - drawn))
+    draw_outline(pixels, drawn > 0.5)
     Image.fromarray(pixels).save(content, "PNG", compress_level=1)
     return content.getvalue()
 

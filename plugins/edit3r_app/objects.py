@@ -36,7 +36,7 @@ class ObjectAction(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    action: Literal[tuple(IN_WORDS)]  # type: ignore[valid-type]
+    action: Literal[tuple(IN_WORDS)]  # type: ignore[valid-type]  # of IN_WORDS
     name: Text = ""
     numbers: tuple[Number, ...] = ()
     text: Text = ""
@@ -61,11 +61,34 @@ def read_action(asked: dict[str, Any]) -> ObjectAction:
         raise InputError("not something that can be done with a thing.") from None
     if found.action != "find" and not found.name.strip():
         raise InputError("give the thing a name first.")
+    if any(
+        one.startswith("-") or not one.isprintable() for one in (found.name, found.text)
+    ):
+        raise InputError(
+            "a name begins with no dash, and holds what can be printed alone."
+        )
     if found.action in TEXTS and not found.text.strip():
         raise InputError(f"say {TEXTS[found.action]}.")
     if len(found.numbers) != NUMBERS.get(found.action, 0):
         raise InputError("not something that can be done with a thing.")
     return found
+
+
+def checked_words(words: tuple[str, ...]) -> tuple[str, ...]:
+    """The words of a call, from a record that may be a stranger's; raises InputError for those that
+    `ObjectAction.call` never makes.
+    """
+    action, *rest = words
+    takes = len(rest) - NUMBERS.get(action, 0)
+    try:
+        texts, numbers = rest[:takes], [float(one) for one in rest[takes:]]
+        asked = {"name": (texts or [""])[0], "text": (texts[1:] or [""])[0]}
+        found = read_action({"action": action, "numbers": numbers, **asked})
+        if len(found.call) == len(words):
+            return found.call
+    except ValueError:
+        pass
+    raise InputError("not something that can be done with a thing.")
 
 
 def objects_of(folder: JobsFolder, run: str) -> list[str]:

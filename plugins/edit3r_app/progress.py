@@ -59,9 +59,9 @@ def time_left(folder: JobsFolder, job: AppJob, progress: RunProgress) -> float |
     usual = {}
     for other in folder.jobs():
         same = other.settings.get("reconstructor") == job.settings.get("reconstructor")
-        stages = manifest_of(folder.root / other.name).get("stages")
         if same and other.state == "done":
             with contextlib.suppress(KeyError, TypeError, ValueError):
+                stages = manifest_of(folder.root / other.name)["stages"]
                 usual = {one["name"]: float(one["seconds"]) for one in stages}
     if not usual:
         return None

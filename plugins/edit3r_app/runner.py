@@ -9,6 +9,7 @@ import contextlib
 import os
 import signal
 import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -21,16 +22,14 @@ from edit3r.kit.children import PYTHON
 from edit3r.kit.files.atomic import atomic_write, remove_abandoned
 from edit3r.running import DEFAULTS
 from edit3r_app.jobs import AppJob, JobsFolder
+from edit3r_app.objects import checked_words
 from edit3r_app.progress import read_progress
 from edit3r_app.ready import CAN_WAIT, ReadyProcess
 from edit3r_app.uploads import DRAFT
 
-try:
+# On Windows a restarted server cannot tell whether a child still runs.
+if sys.platform != "win32":
     import fcntl
-except (
-    ImportError
-):  # Windows: a restarted server cannot tell whether a child still runs
-    fcntl = None
 
 EDIT3R = (*PYTHON, "-m", "edit3r")
 """The command `edit3r`; no file of the current folder is imported."""
@@ -49,7 +48,8 @@ def command_of(folder: JobsFolder, job: AppJob) -> list[str]:
     if job.object:
         marked = ["--mask", *masks] if masks else []
         run = str(folder.path(job.parent))
-        return ["objects", "--quiet", *out, *marked, "--", run, *job.object]
+        words = checked_words(job.object)
+        return ["objects", "--quiet", *out, *marked, "--", run, *words]
     settings = beside / "settings.yaml"
     asked = {"size": job.size, "outputs": OUTPUTS, **job.settings}
     content = yaml.safe_dump(asked, allow_unicode=True)
@@ -69,7 +69,7 @@ def command_of(folder: JobsFolder, job: AppJob) -> list[str]:
 def _locked(file: IO) -> bool:
     """Lock a file as long as it is open; False where another process holds the lock."""
     with contextlib.suppress(OSError):
-        if fcntl is not None:
+        if sys.platform != "win32":
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         return True
     return False
@@ -174,7 +174,9 @@ class Runner:
             output.truncate(0)
             try:
                 self._child = self._started(command_of(self.folder, job), output)
-            except (InputError, OSError) as error:
+            except (
+                Exception
+            ) as error:  # else it would come up again, before all later jobs
                 self.folder.write(replace(job, state="failed", sentence=str(error)))
                 return
         self.folder.write(replace(job, state="running", pid=self._child.pid))

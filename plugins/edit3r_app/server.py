@@ -1,7 +1,6 @@
 """The app in one process: its one page, and the addresses of its data, images and files."""
 
 import io
-import json
 import urllib.parse
 import webbrowser
 from collections.abc import AsyncIterator, Callable
@@ -27,6 +26,7 @@ from starlette.staticfiles import StaticFiles
 
 from edit3r import default_registry
 from edit3r.contract.errors import Edit3rError, InputError
+from edit3r.kit.files.text import parse_json
 from edit3r.kit.photos.decode import read_image
 from edit3r_app import downloads, uploads
 from edit3r_app.draft import MARK, read_draft
@@ -249,7 +249,8 @@ class Answers:
 
     def photo(self, request: Request) -> Response:
         shown = "shown" in request.query_params
-        return _jpeg(self.looker.photo(*_named(request, "state", "name"), shown))
+        state, name = _named(request, "state", "name")
+        return _jpeg(self.looker.photo(state, name, shown))
 
     def overlay(self, request: Request) -> Response:
         state, name = _named(request, "state", "name")
@@ -327,11 +328,15 @@ def _told(path: str, call: Callable[..., Any], *names: str) -> Route:
     """An address that is told something in JSON, as `call`'s last argument."""
 
     async def answer(request: Request) -> Response:
-        content = await request.body()
+        content = b""
+        async for chunk in request.stream():  # which may say nothing of its length
+            content += chunk
+            if len(content) > MAX_ASKED:
+                raise InputError(f"more than {MAX_ASKED >> 20} MB of JSON.")
         try:
-            asked = json.loads(content[:MAX_ASKED] or b"{}")
-        except ValueError:
-            raise InputError("expected JSON.") from None
+            asked = parse_json(content or b"{}")
+        except ValueError as error:
+            raise InputError(f"expected JSON ({error}).") from None
         if not isinstance(asked, dict):
             raise InputError("expected an object of JSON.")
         done = await run_in_threadpool(call, *_named(request, *names), asked)

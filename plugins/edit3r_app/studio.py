@@ -211,7 +211,9 @@ class Studio:
         self._is_state(state)
         draft = read_draft(self.folder, state)
         judged = self.looker.edit_verdict(self.looker.look(state, draft))
-        return judged and {"label": judged.label, "reason": judged.reason}
+        if judged is None:
+            return None
+        return {"label": judged.label, "reason": judged.reason}
 
     def settings(self, state: str) -> list[dict[str, Any]]:
         """The settings of a state's draft as groups of fields."""

@@ -1,6 +1,5 @@
 """The jobs file: a job a line, all of them read and checked before the first one runs."""
 
-import json
 import unicodedata
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from edit3r.contract.errors import Edit3rError, InputError, SettingsError, sugge
 from edit3r.contract.reporting import progress
 from edit3r.contract.settings import make_settings, merge, of_file
 from edit3r.kit.files.names import unique_names
+from edit3r.kit.files.text import parse_json
 from edit3r.kit.photos.coverage import VIDEO_SUFFIXES
 from edit3r.kit.photos.images import find_photos
 from edit3r.kit.photos.intrinsics import NO_CAMERAS
@@ -58,9 +58,8 @@ class BatchJob:
     line: int
     inputs: JobInputs
     settings: Mapping[str, Any]  # of the run, as a configuration file holds them
-    record: Mapping[
-        str, Any
-    ]  # all that the results depend on, as JSON data without secrets
+    # all that the results depend on, as JSON data without secrets
+    record: Mapping[str, Any]
 
     @property
     def editor(self) -> str:
@@ -140,7 +139,7 @@ def _job(
 def _content(line: bytes) -> dict[str, Any]:
     """The object that a line holds, with keys that are known."""
     try:
-        content = json.loads(line.decode("utf-8-sig"))
+        content = parse_json(line)
     except (ValueError, RecursionError) as error:
         raise InputError(f"not JSON ({error}).") from None
     if not isinstance(content, dict):

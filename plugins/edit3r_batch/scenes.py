@@ -12,7 +12,7 @@ from edit3r import Registry
 from edit3r.contract.errors import RunError, as_known
 from edit3r.contract.settings import PartChoice
 from edit3r.kit.files.atomic import MARKER, atomic_folder
-from edit3r.kit.files.text import read_plain
+from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.coverage import frames_kept_for
 from edit3r.loading import load_plugins
 from edit3r_batch.jobs import BatchJob
@@ -90,7 +90,7 @@ def record_of(folder: Path) -> dict[str, Any]:
     try:
         if not (folder / MARKER).is_file():
             return {}
-        record = json.loads(read_plain(folder / RECORD))
+        record = read_json(folder / RECORD)
     except (OSError, ValueError, RecursionError):
         return {}
     return record if isinstance(record, dict) else {}
@@ -99,7 +99,7 @@ def record_of(folder: Path) -> dict[str, Any]:
 def row_of(folder: Path) -> dict[str, Any]:
     """What a finished folder says about its run. It is the same whoever did the job."""
     try:
-        manifest = json.loads(read_plain(folder / "run.json"))
+        manifest = read_json(folder / "run.json")
         verdict = manifest["verdict"]
         shown = [psnr for psnr in verdict["input_psnr"] if psnr is not None]
         edit = manifest["edit_verdict"] or {"label": NO_EDIT, "reason": ""}

@@ -1,5 +1,7 @@
 """Build a benchmark of generated scenes, whose edited truth is known."""
 
+from typing import Any
+
 from pydantic import Field
 
 from edit3r import Registry
@@ -17,9 +19,10 @@ from edit3r_bench.manifest import (
     SceneRecord,
     hash_of_sample,
     load_sample,
+    true_edits,
 )
 
-GENERATED_EDITS = (
+GENERATED_EDITS: tuple[tuple[str, str, dict[str, Any], str], ...] = (
     ("add", "Add", {"edit": "add"}, "add an object"),
     ("remove", "Remove", {"edit": "remove"}, "remove the object"),
     ("modify", "Modify", {"edit": "recolor"}, "recolor the object"),
@@ -57,8 +60,8 @@ def build_generated(
     """Return a benchmark of the generator's first `scenes` scenes whose five edits can all be seen
     in all images.
     """
-    records = []
-    items = []
+    records: list[SceneRecord] = []
+    items: list[ItemRecord] = []
     tried = 0
     while len(records) < scenes:
         if tried - len(records) > MAX_TRIES * scenes:
@@ -132,7 +135,7 @@ def is_visible(
     """Return whether the edit covers a fair part of every image and changes it by more than
     noise.
     """
-    change = (sample.edited_context - sample.context).abs()
+    change = (true_edits(sample)[0] - sample.context).abs()
     changed = change.amax(1) > VISIBLE
     inside = change.mean(1)[changed]
     if inside.numel() == 0 or float(inside.mean()) < settings.change:

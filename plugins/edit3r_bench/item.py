@@ -133,6 +133,7 @@ class ItemRunner:
         masks = None if item.masks is None else item.masks[None].nan_to_num(1.0)
         views = replace(item.photos, images=images[None])
         editor = self._editor(item, truth)
+        assert isinstance(editor, Editor)  # what is built later edits photos alone
         wishes = wishes_for(editor, item.record.prompt)
         request = EditRequest(item.record.prompt, item.record.seed, masks, wishes)
         edited = editor.edit(views, request).images
@@ -200,7 +201,7 @@ def save_sheet(file: Path, item: LoadedItem, output: MethodOutput) -> None:
         "2D edit": torch.cat((output.edited, blank)),
         "shown": output.images,
     }
-    if output.has_truth:
+    if output.has_truth and item.truth is not None:
         columns["truth"] = item.truth
     file.parent.mkdir(parents=True, exist_ok=True)
     sheet = draw_sheet(columns, names=item.photos.names, title=item.record.prompt)

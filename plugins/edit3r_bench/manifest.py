@@ -148,9 +148,11 @@ def read_bench_manifest(path: str | Path) -> Manifest:
 
 
 def _check_consistent(manifest: Manifest, path: Path) -> None:
-    records = {"scene": manifest.scenes, "item": manifest.items}
-    for what, own in records.items():
-        names = [record.id for record in own]
+    names_of = {
+        "scene": [scene.id for scene in manifest.scenes],
+        "item": [item.id for item in manifest.items],
+    }
+    for what, names in names_of.items():
         for name in names:
             if names.count(name) > 1:
                 raise InputError(f"{path}: two {what}s are called {name!r}.")
@@ -166,7 +168,7 @@ def _problems(item: ItemRecord, frames: Mapping[str, int]) -> dict[str, bool]:
     has.
     """
     used = (*item.inputs, *item.held_back)
-    count = frames.get(item.scene, 0)
+    count: float = frames.get(item.scene, 0)
     if item.sample is not None:
         count = math.inf  # told when the scene is made
     outside = [index for index in used if not 0 <= index < count]
@@ -232,15 +234,20 @@ def _sample(dataset: str, settings: str, index: int, registry: Registry) -> Scen
     return registry.build("dataset", dataset, **json.loads(settings))[index]
 
 
+def true_edits(sample: SceneSample) -> tuple[Images, Images]:
+    """Return the edited truth of the context and of the target views. Raises InputError without."""
+    if sample.edited_context is None or sample.edited_target is None:
+        raise InputError(
+            f"{sample.name or 'a generated scene'}: its dataset knows no true edit; a benchmark is "
+            "made of one that does, such as 'procedural'."
+        )
+    return sample.edited_context, sample.edited_target
+
+
 def hash_of_sample(sample: SceneSample) -> str:
     """Return the SHA-256 of the photos and the edited truth, rounded to 8 bits."""
     digest = hashlib.sha256()
-    for images in (
-        sample.context,
-        sample.target,
-        sample.edited_context,
-        sample.edited_target,
-    ):
+    for images in (sample.context, sample.target, *true_edits(sample)):
         digest.update((images * 255).round().to(torch.uint8).numpy().tobytes())
     return digest.hexdigest()
 
@@ -285,7 +292,7 @@ def _generated(
         inputs=len(item.inputs),
         cameras=_relative(cameras),
         depths=None if depths is None else depths[order],
-        truth=sample.edited_context[order],
+        truth=true_edits(sample)[0][order],
     )
 
 

@@ -3,7 +3,7 @@ made of them.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import combinations, permutations, product
 from pathlib import Path
 from statistics import fmean
@@ -18,7 +18,7 @@ from edit3r import Registry
 from edit3r.contract.interfaces import LossInputs
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras
-from edit3r.kit.compute.likeness import psnr, ssim
+from edit3r.kit.compute.metrics import psnr, ssim
 from edit3r.kit.files.yaml import read_yaml
 from edit3r_bench import metrics
 from edit3r_bench.features import (
@@ -135,7 +135,7 @@ def measure_failure(
     """
     if not has_truth:
         return {"edit-uptake-2d": 0.0}
-    black = torch.zeros_like(item.truth)
+    black = torch.zeros_like(item.photos.images[0])
     return {**_against_truth(item, black, networks.distances), "edit-uptake": 0.0}
 
 
@@ -293,6 +293,7 @@ def _against_truth(
     """Return means over the held-back frames, of which the method was given no image, and by region
     over the inputs.
     """
+    assert item.truth is not None  # asked before
     images, truth = _array(shown), _array(item.truth)
     photos = _array(item.photos.images[0])
     inside = np.ones(truth.shape[:3]) if item.masks is None else _array(item.masks)
@@ -322,16 +323,17 @@ def _distances(
     Networks see the truth with only the covered pixels replaced; their distance is divided by the
     share of these.
     """
-    areas = [None] * len(truth)
+    areas: Sequence[np.ndarray | None] = [None] * len(truth)
     shown = images
     share = 1.0
     if covered is not None:
         used = covered.any((1, 2))
         if not used.any():
             return dict.fromkeys(("psnr", "ssim", *distances), math.nan)
-        images, truth, areas = images[used], truth[used], covered[used]
-        shown = np.where(areas[..., None], images, truth)
-        share = float(areas.mean())
+        images, truth, covered = images[used], truth[used], covered[used]
+        areas = list(covered)
+        shown = np.where(covered[..., None], images, truth)
+        share = float(covered.mean())
     found = {
         "psnr": fmean(map(psnr, images, truth, areas)),
         "ssim": fmean(map(ssim, images, truth, areas)),

@@ -194,12 +194,14 @@ def matched_points(first: Image, second: Image) -> tuple[Points, Points]:
     descriptors = []
     for image in (first, second):
         pixels = (image.clip(0, 1) * 255).round().astype(np.uint8)
-        keypoints, own = cv2.SIFT_create().detectAndCompute(pixels, None)
-        places.append(cv2.KeyPoint_convert(keypoints))
+        keypoints, own = cv2.SIFT.create().detectAndCompute(pixels, None)
+        places.append(np.array(cv2.KeyPoint.convert(keypoints)))
         descriptors.append(own)
     if min(map(len, places)) < 2:
         return np.zeros((0, 2)), np.zeros((0, 2))
-    pairs = match_descriptors(*descriptors, cross_check=True, max_ratio=RATIO)
+    pairs = match_descriptors(
+        descriptors[0], descriptors[1], cross_check=True, max_ratio=RATIO
+    )
     return places[0][pairs[:, 0]] + 0.5, places[1][pairs[:, 1]] + 0.5
 
 
@@ -212,9 +214,9 @@ def epipolar_distances(
     k = to_pixels(cameras.intrinsics[0].double(), cameras.image_size)
     projections = k @ invert_rigid(cameras.c2w[0].double())[:, :3]
     fundamental = epipolar.fundamental_from_projections(*projections[:, None])
-    points = [torch.from_numpy(own)[None].double() for own in (first, second)]
-    forward = epipolar.left_to_right_epipolar_distance(*points, fundamental)
-    back = epipolar.right_to_left_epipolar_distance(*points, fundamental)
+    a, b = (torch.from_numpy(own)[None].double() for own in (first, second))
+    forward = epipolar.left_to_right_epipolar_distance(a, b, fundamental)
+    back = epipolar.right_to_left_epipolar_distance(a, b, fundamental)
     return ((forward + back) / 2)[0].numpy()
 
 

@@ -23,6 +23,7 @@ from edit3r.contract.interfaces import Editor
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.geometry.cameras import pixel_grid
+from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.geometry.warping import warp
 
 Image = Float[Tensor, "3 height width"]
@@ -47,6 +48,8 @@ class OracleSettings(Settings):
 
 class OracleEditor(Editor):
     """Returns the truth of its item's input views, spoiled; ignores prompt and masks."""
+
+    settings: OracleSettings
 
     def __init__(
         self, truth: Float[Tensor, "view 3 height width"], settings: OracleSettings
@@ -114,7 +117,7 @@ def spoil(image: Image, key: tuple, amount: float) -> Image:
 
 def _moved(image: Image, shift: Float[Tensor, "*pixels 2"]) -> Image:
     """Return what lies at each pixel's place and `shift` [image sides]."""
-    grid = pixel_grid(image.shape[-2:], like=image)
+    grid = pixel_grid(size_of(image), like=image)
     return warp(image, grid + shift, padding="reflection")
 
 

@@ -16,7 +16,6 @@ from torch import Tensor
 
 from edit3r import Registry
 from edit3r.contract.errors import InputError, SettingsError
-from edit3r.contract.interfaces import Detection
 from edit3r.contract.reporting import track, warn
 from edit3r.kit.command.results import make_folder
 from edit3r.kit.photos.cameras import CAMERA_FILES, read_cameras
@@ -75,9 +74,11 @@ def find_photo_folders(folder: Path, views: int) -> list[PhotoFolder]:
         raise InputError(f"{folder}: no such folder of scenes.")
     inner = [path for path in sorted(folder.iterdir()) if path.is_dir()]
     visible = [path for path in inner if not path.name.startswith(".")]
-    scenes = [_photo_folder(path, views) for path in visible]
-    scenes = [scene for scene in scenes if scene] or [_photo_folder(folder, views)]
-    if scenes == [None]:
+    found = [_photo_folder(path, views) for path in visible]
+    scenes = [scene for scene in found if scene]
+    if not scenes and (alone := _photo_folder(folder, views)):
+        scenes = [alone]
+    if not scenes:
         raise InputError(f"{folder}: expected folders with at least two photos each.")
     return scenes
 
@@ -94,12 +95,16 @@ def _photo_folder(path: Path, views: int) -> PhotoFolder | None:
         return None
     cameras = next((name for name in CAMERA_FILES if (path / name).is_file()), "")
     known = read_cameras(path / cameras) if cameras else []
-    posed = [own for own in known if own.c2w is not None and own.file in files]
+    posed = [
+        (own.file, own.c2w)
+        for own in known
+        if own.c2w is not None and own.file in files
+    ]
     inputs = evenly(range(len(files)), views)
-    held_back = ()
-    if triples := choose_triples([own.c2w for own in posed], 3):
+    held_back: tuple[int, ...] = ()
+    if triples := choose_triples([c2w for _, c2w in posed], 3):
         middle = triples[len(triples) // 2]
-        *inputs, target = (files.index(posed[i].file) for i in middle)
+        *inputs, target = (files.index(posed[i][0]) for i in middle)
         held_back = (target,)
     name = os.path.basename(os.path.abspath(path))
     return PhotoFolder(name, path, cameras, files, tuple(inputs), held_back)
@@ -312,8 +317,9 @@ class PhotoBuild:
                     f"masks for {len(scene.inputs)} inputs."
                 )
             return self._records([self.vetting.parent / mask for mask in edit.masks])
-        own: list[Detection | None] = [boxes[i] for i in scene.inputs] if boxes else []
-        if edit.type not in LOCAL or not own or None in own:
+        found = [boxes[i] for i in scene.inputs] if boxes else []
+        own = [box for box in found if box is not None]
+        if edit.type not in LOCAL or not own or len(own) < len(found):
             return ()
         photos = scene.load(self.image_size, scene.inputs)
         masks = proposals.masks_from_boxes(photos, own, self.parts.get("segmenter"))
@@ -333,7 +339,9 @@ class PhotoBuild:
             {"prompt": edit.prompt, "seed": self.options.seed, "guess": True}
         )
         job = RunJob(config, views, components={"editor": self.parts["truth"]})
-        edited = preview(job, self.registry).edited.images[0]
+        made = preview(job, self.registry).edit
+        assert made is not None  # it was asked for
+        edited = made.views.images[0]
         changes = (edited - views.images[0]).abs().amax((1, 2, 3))
         for file, change in zip(files, changes):
             if change <= VISIBLE:

@@ -16,7 +16,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import torch
@@ -34,6 +34,12 @@ from edit3r.kit.files.yaml import read_yaml
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.kit.photos.images import to_bytes
 from edit3r_bench.manifest import EDIT_TYPES, EDITS_PER_SCENE, EditType
+
+if TYPE_CHECKING:
+    from openai.types.chat import (
+        ChatCompletionContentPartParam,
+        ChatCompletionMessageParam,
+    )
 
 Photo = Float[Tensor, "3 height width"]
 Images = Float[Tensor, "view 3 height width"]
@@ -142,14 +148,16 @@ class LanguageModel:
             timeout=120,
             max_retries=2,
         )
-        content: list[dict[str, Any]] = [{"type": "text", "text": request}]
+        content: list[ChatCompletionContentPartParam] = [
+            {"type": "text", "text": request}
+        ]
         for image in images:
             jpeg = io.BytesIO()
             Image.fromarray(to_bytes(image)).save(jpeg, "JPEG", quality=90)
             code = base64.b64encode(jpeg.getvalue()).decode("ascii")
-            address = {"url": f"data:image/jpeg;base64,{code}"}
-            content.append({"type": "image_url", "image_url": address})
-        messages = [
+            url = f"data:image/jpeg;base64,{code}"
+            content.append({"type": "image_url", "image_url": {"url": url}})
+        messages: list[ChatCompletionMessageParam] = [
             {"role": "system", "content": system},
             {"role": "user", "content": content if len(images) else request},
         ]

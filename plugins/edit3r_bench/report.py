@@ -2,7 +2,7 @@
 
 import math
 import statistics
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Sized
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -163,12 +163,14 @@ def verdicts(
     """Return "better" or "worse" by method and measure, of differences to the methods, where
     Holm's correction for all of them leaves one; "" else.
     """
-    tested = {}
+    tested: dict[tuple[str, str], Interval] = {}
+    p_values: list[float] = []
     for label, own in found.items():
         for name, interval in own.items():
             if interval and interval.p_value is not None and MEASURES[name].better:
                 tested[label, name] = interval
-    corrected = holm([interval.p_value for interval in tested.values()])
+                p_values.append(interval.p_value)
+    corrected = holm(p_values)
     said = {}
     for (key, interval), p_value in zip(tested.items(), corrected):
         if p_value < 1 - CONFIDENCE:
@@ -288,7 +290,7 @@ def _listed(results: Mapping[str, Sequence[ItemResult]]) -> str:
 
 def main_table(columns: Sequence[Column]) -> str:
     """Return the table of all measures (rows) of all methods (columns)."""
-    counts = {
+    counts: dict[str, list[Sized]] = {
         "edits": [column.results for column in columns],
         "failed": [column.failures for column in columns],
         "nothing edited, or nothing of it shown": [own.remarked for own in columns],

@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import torch
 from pydantic import TypeAdapter
@@ -169,7 +169,7 @@ def run_bench(
             f"{run.manifest_file}: no edit is left to do with these limits."
         )
     options = run.options
-    spread = "ray" if options.ray else "processes"
+    spread: Literal["ray", "processes"] = "ray" if options.ray else "processes"
     with alone_in(run.out):
         _claim_folder(run)
         read_results(run.out)  # a line that is none is told before anything is done

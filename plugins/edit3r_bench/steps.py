@@ -33,7 +33,7 @@ def build(args: argparse.Namespace) -> None:
         )
     registry = default_registry(tuple(args.plugin))
     with shown_stages(args.quiet):
-        if args.folder:
+        if options.procedural is None:
             manifest = _from_photos(PhotoBuild(Path(args.folder), options, registry))
         else:
             drawn = {"seed": options.seed, "image_size": options.size or 128}

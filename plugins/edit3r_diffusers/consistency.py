@@ -125,7 +125,7 @@ def disagreement(
     change = (edited - photos).detach().float().cpu().permute(0, 2, 3, 1).numpy()
     grey = [cv2.cvtColor(to_bytes(photo), cv2.COLOR_RGB2GRAY) for photo in photos]
     smooth = [cv2.blur(np.ascontiguousarray(image), (PATCH, PATCH)) for image in change]
-    sift = cv2.SIFT_create()
+    sift = cv2.SIFT.create()
     points, described = zip(*(sift.detectAndCompute(image, None) for image in grey))
     differences = []
     for other in range(1, len(photos)):

@@ -20,6 +20,7 @@ from edit3r.contract.reporting import warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.cache import remembered
+from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.weights.load import ChosenWeights, foreign, load_pretrained, pick_device
 from edit3r_diffusers import WEIGHTS, images, latents, loading
 from edit3r_diffusers.attention import look_across_views
@@ -83,6 +84,8 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
             description="how many views, from the first, the others look at",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
         self._pipeline: Any = None
@@ -143,7 +146,7 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
     ) -> Float[Tensor, "view 3 height width"]:
         photos = views.images[scene]
         size = images.working_size(
-            *photos.shape[-2:], self.settings.resolution, 8 * pipeline.vae_scale_factor
+            *size_of(photos), self.settings.resolution, 8 * pipeline.vae_scale_factor
         )
         control = control_images(
             matched_disparity(self.matcher, views.scene(scene)), size

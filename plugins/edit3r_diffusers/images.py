@@ -13,6 +13,7 @@ from torch import Tensor
 
 from edit3r.contract.errors import RunError
 from edit3r.contract.types import EditRequest, Views
+from edit3r.kit.geometry.maps import size_of
 from edit3r_diffusers import loading
 
 
@@ -60,7 +61,7 @@ def edit_one_by_one(
         if mask is not None and not mask.any():
             return photo
         name = views.called[view]
-        size = working_size(*photo.shape[-2:], longer_side, multiple)
+        size = working_size(*size_of(photo), longer_side, multiple)
         with (
             torch.no_grad(),
             loading.out_of_memory_told(f"editing {name} at {size[1]}x{size[0]}"),
@@ -144,4 +145,4 @@ def checked(
             f"overflows; use --set editor.dtype=float32."
         )
     image = image.to(like.device, torch.float32).clamp(0, 1)
-    return resize(image, like.shape[-2:]).to(like.dtype)
+    return resize(image, size_of(like)).to(like.dtype)

@@ -1,6 +1,6 @@
 """InstructPix2Pix (Brooks et al. 2023): the paper's default 2D editor."""
 
-from contextlib import nullcontext
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import Any, Literal
@@ -50,6 +50,8 @@ class InstructPix2PixEditor(Editor, StartsFromImages, GivesAttention):
         image_guidance: float = Field(
             1.5, ge=1, le=50, description="how closely the photo is kept"
         )
+
+    settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -142,7 +144,8 @@ class InstructPix2PixEditor(Editor, StartsFromImages, GivesAttention):
             if job.mask is not None
             else None
         )
-        first, skipped = noise, nullcontext()
+        first = noise
+        skipped: AbstractContextManager[None] = nullcontext()
         if job.start is not None:
             clean = latents.encode(pipeline.vae, job.start)
             first = latents.noisy_start(

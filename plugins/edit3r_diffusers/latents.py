@@ -11,6 +11,8 @@ from jaxtyping import Float, Num
 from torch import Tensor
 
 from edit3r.contract.reporting import progress
+from edit3r.kit.geometry.maps import size_of
+from edit3r.kit.weights.load import foreign
 from edit3r_diffusers.images import resize_mask
 from edit3r_diffusers.loading import NO_SAFETY_CHECKER
 
@@ -55,7 +57,7 @@ class StepEnd:
         if self.mask is None or self.photo_at is None:
             return tensors
         latents = tensors["latents"]
-        inside = resize_mask(self.mask.to(latents), latents.shape[-2:]) > 0
+        inside = resize_mask(self.mask.to(latents), size_of(latents)) > 0
         photo = self.photo_at(
             pipeline.scheduler, next_timestep(pipeline.scheduler, timestep)
         ).to(latents)
@@ -178,11 +180,10 @@ def invert(
     This is DDIM inversion by diffusers' own inverse scheduler: it finds the noise from which the
     model would redraw the photos, whose images of depth are `control`.
     """
-    from diffusers import DDIMInverseScheduler, StableDiffusionControlNetPipeline
-
-    scheduler = DDIMInverseScheduler.from_config(pipeline.scheduler.config)
+    inverse_scheduler = foreign("diffusers", "DDIMInverseScheduler")
+    scheduler = inverse_scheduler.from_config(pipeline.scheduler.config)
     parts = {**pipeline.components, **NO_SAFETY_CHECKER, "scheduler": scheduler}
-    inverse = StableDiffusionControlNetPipeline(**parts)
+    inverse = foreign("diffusers", "StableDiffusionControlNetPipeline")(**parts)
     inverse.set_progress_bar_config(disable=True)
     trajectory: Trajectory = {}
 

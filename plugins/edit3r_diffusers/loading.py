@@ -107,16 +107,17 @@ def picture_processors(pipeline: type, settings: DiffusionSettings) -> dict[str,
 
     Empty for pipelines without such a part, and where torchvision is installed.
     """
-    annotations = inspect.get_annotations(pipeline.__init__)
     names = [
         name
-        for name, cls in annotations.items()
-        if getattr(cls, "__name__", "") == "Qwen2VLProcessor"
+        for name, taken in inspect.signature(pipeline).parameters.items()
+        if getattr(taken.annotation, "__name__", "") == "Qwen2VLProcessor"
     ]
     if not names or importlib.util.find_spec("torchvision"):
         return {}
 
-    class PictureProcessor(pretrained.foreign("transformers", "Qwen2VLProcessor")):
+    processor = pretrained.foreign("transformers", "Qwen2VLProcessor")
+
+    class PictureProcessor(processor):  # type: ignore[valid-type, misc]  # a variable
         def check_argument_for_proper_class(self, name: str, given: Any) -> Any:
             return (
                 None
@@ -145,14 +146,9 @@ def same_parts(pipeline: type, of: Any) -> Any:
     """Make another class of diffusers of the parts and flags of a loaded pipeline, without a second
     copy.
     """
-    names = [
-        name
-        for name in inspect.signature(pipeline.__init__).parameters
-        if name != "self"
-    ]
     parts = {
         name: vars(of).get(name, of.config.get(name))
-        for name in names
+        for name in inspect.signature(pipeline).parameters
         if name in (*vars(of), *of.config)
     }
     made = pipeline(**parts)

@@ -18,6 +18,7 @@ from edit3r.contract.interfaces import Editor
 from edit3r.contract.reporting import note
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.cache import remembered
+from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.photos.images import to_bytes
 from edit3r.kit.weights.load import foreign
 from edit3r_diffusers import loading
@@ -93,6 +94,8 @@ class PipelineEditor(Editor):
                     "negative_prompt has an effect only with true_guidance above 1"
                 )
             return self
+
+    settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -196,7 +199,7 @@ class PipelineEditor(Editor):
     ) -> Float[Tensor, "1 3 height width"]:
         """Draw one view; what the class has no argument for is left out, see `_check`."""
         chosen = self.settings
-        size = job.image.shape[-2:]
+        size = size_of(job.image)
         taken = _arguments(type(pipeline))
         whole = torch.ones(1, 1, *size)
         mask = (
@@ -241,7 +244,7 @@ def preset(model: str, pipeline: str, **defaults: Any) -> type[PipelineEditor]:
     """A pipeline editor whose settings have other defaults."""
     defaults |= {"model": model, "pipeline": pipeline, "resolution": 1024}
     fields = PipelineEditor.Settings.model_fields
-    changed = {
+    changed: dict[str, Any] = {
         name: (
             fields[name].annotation,
             FieldInfo.merge_field_infos(fields[name], default=value),

@@ -12,12 +12,12 @@ from PIL import Image
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract import reporting
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Editor
-from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
-from edit3r.kit.files.home import expanded
+from edit3r.kit.files.names import expanded
 from edit3r.kit.photos.framing import frame_for
 from edit3r.kit.photos.images import find_photos, read_image, to_bytes
 from edit3r.kit.photos.mask_files import photo_named
@@ -34,11 +34,13 @@ class FolderEditor(Editor):
     fits.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         path: str = Field(
             "",
             description="folder with one edited picture per view, named as the photos are",
         )
+
+    settings: Settings
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         if len(views.images) != 1:
@@ -183,7 +185,7 @@ def _likeness(one: Image.Image, other: Image.Image) -> float:
     edges = [_edges(picture) for picture in (one, other)]
     if min(float(each.std()) for each in edges) == 0:
         return 0.0
-    return float(np.corrcoef(*edges)[0, 1])
+    return float(np.corrcoef(edges[0], edges[1])[0, 1])
 
 
 def _edges(picture: Image.Image) -> Float[np.ndarray, " pixel"]:

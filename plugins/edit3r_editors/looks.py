@@ -21,10 +21,10 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract.errors import PromptError, suggest
 from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.reporting import say
-from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.compute.layers import one_thread
@@ -262,6 +262,7 @@ LOOKS = {
 }  # fmt: skip
 """Every look by its name."""
 
+_NAMES = ("", *LOOKS)
 BY_WORD = {word: name for name, look in LOOKS.items() for word in look.words.split()}
 
 
@@ -271,13 +272,15 @@ class LooksEditor(Editor, EditsRegions):
     Colour grading and classical filters, not a generative editor.
     """
 
-    class Settings(Settings):
-        look: Literal[("", *LOOKS)] = Field(
+    class Settings(edit3r.Settings):
+        look: Literal[_NAMES] = Field(  # type: ignore[valid-type]  # of LOOKS
             "", description="the look; empty: the one that the prompt names"
         )
         strength: float = Field(
             1.0, ge=0, le=1, description="share of the look; 0 returns the photo"
         )
+
+    settings: Settings
 
     def understands(self, wish: Wish) -> bool:
         return bool(self.settings.look) or look_of(wish) != ""
@@ -291,9 +294,8 @@ class LooksEditor(Editor, EditsRegions):
 
     @one_thread()  # powers differ in their last bits by where threads divide an image
     def edit(self, views: Views, request: EditRequest) -> Views:
-        wishes = (self.wish_of_nothing(),)
-        if not self.settings.look:
-            wishes = request.asked()
+        given = self.wish_of_nothing()
+        wishes = request.asked() if given is None else (given,)
         photos = views.images.flatten(0, 1)
         for number, wish in enumerate(wishes):
             name = self.settings.look or look_of(wish)
@@ -306,7 +308,7 @@ class LooksEditor(Editor, EditsRegions):
                 )
             say("look", f"{name}: {LOOKS[name].does}")
             drawn = LOOKS[name].draw(photos).expand_as(photos).clamp(0, 1)
-            weight = self.settings.strength
+            weight: float | Tensor = self.settings.strength
             if request.regions is not None:
                 weight = weight * request.regions[number].flatten(0, 1)[:, None].to(
                     photos

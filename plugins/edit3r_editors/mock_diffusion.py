@@ -18,11 +18,12 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract import reporting
 from edit3r.contract.interfaces import Editor
-from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.geometry.cameras import pixel_grid
+from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.geometry.warping import warp
 
 # share of a look that is seen at full strength: the photo holds the rest back
@@ -39,7 +40,7 @@ TEXTURE, WARP = (
 class MockDiffusionEditor(Editor):
     """Deterministic stand-in for a diffusion editor; says so on every run."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         steps: int = Field(
             20,
             ge=1,
@@ -58,6 +59,8 @@ class MockDiffusionEditor(Editor):
             le=1,
             description="how much the views differ in colour, texture and structure; 0: not at all",
         )
+
+    settings: Settings
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         reporting.warn(
@@ -142,7 +145,7 @@ def disturbed(
     )[0]
     # interpolation between cells lowers the deviation of white noise
     fields = fields / 0.8
-    places = pixel_grid(images.shape[-2:], images) + amount * WARP * fields[:2].clamp(
+    places = pixel_grid(size_of(images), images) + amount * WARP * fields[:2].clamp(
         -1, 1
     ).permute(1, 2, 0)
     moved = warp(images, places.expand(len(images), -1, -1, -1), padding="reflection")

@@ -281,11 +281,11 @@ def _poses_of(
         found[view] = Pose(matrix[:, :3], matrix[:, 3])
     origin = found[placed[0]].inverse()
     found = {view: pose.after(origin) for view, pose in found.items()}
-    lengths = [
+    lengths, wanted = (
         [np.linalg.norm(poses[view].translation) for view in placed[1:]]
         for poses in (before, found)
-    ]
-    scale = float(np.median(np.divide(*lengths)))
+    )
+    scale = float(np.median(np.divide(lengths, wanted)))
     return {
         view: Pose(pose.rotation, pose.translation * scale)
         for view, pose in found.items()

@@ -66,7 +66,7 @@ def confirmed(
         np.float32
     ) - np.float32(0.5)
     # -1 is read outside the neighbour's image.
-    seen = cv2.remap(
+    seen = cv2.remap(  # type: ignore[call-overload]  # pairs need no second map
         other.inverse,
         pixels,
         None,
@@ -235,7 +235,8 @@ def pull_forward(
     hides_sky = np.zeros(len(row), bool)
     for neighbour, shown in others:
         hides_sky |= _shown_behind(rays * depth[:, None], neighbour, shown) == 0
-    row, column, rays, depth = (part[hides_sky] for part in (row, column, rays, depth))
+    row, column = row[hides_sky], column[hides_sky]
+    rays, depth = rays[hides_sky], depth[hides_sky]
     result = inverse.copy()
     for _ in range(MAX_STEPS):
         depth = depth / NEARER
@@ -243,7 +244,8 @@ def pull_forward(
         for neighbour, shown in others:
             hides |= _shown_behind(rays * depth[:, None], neighbour, shown) >= 0
         result[row[~hides], column[~hides]] = WELL_NEARER / depth[~hides]
-        row, column, rays, depth = (part[hides] for part in (row, column, rays, depth))
+        row, column = row[hides], column[hides]
+        rays, depth = rays[hides], depth[hides]
     return result
 
 

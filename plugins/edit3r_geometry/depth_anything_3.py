@@ -13,16 +13,17 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
-from edit3r.contract import reporting, settings as config
+import edit3r
+from edit3r.contract import reporting
 from edit3r.contract.errors import InputError, MatchingError
 from edit3r.contract.interfaces import Geometry, Matcher
 from edit3r.contract.types import Views
 from edit3r.contract.weights import Weights
 from edit3r.kit.cache import remembered
 from edit3r.kit.checks import require_matchable
-from edit3r.kit.files.home import expanded
+from edit3r.kit.files.names import expanded
 from edit3r.kit.geometry.cameras import from_pixels, invert_rigid, relative_to_first
-from edit3r.kit.geometry.maps import resize, upsample_depth
+from edit3r.kit.geometry.maps import resize, size_of, upsample_depth
 from edit3r.kit.weights.find import find, record_of
 from edit3r.kit.weights.load import out_of_memory_told
 from edit3r_geometry import DEPTH_ANYTHING_3
@@ -48,7 +49,7 @@ class DepthAnything3Matcher(Matcher):
     = 2.
     """
 
-    class Settings(config.Settings):
+    class Settings(edit3r.Settings):
         model: Literal["da3-small", "da3-base"] = Field(
             "da3-small", description="34 or 135 million parameters"
         )
@@ -62,6 +63,8 @@ class DepthAnything3Matcher(Matcher):
             le=2016,
             description="longer side of the images it looks at [pixels]",
         )
+
+    settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -97,10 +100,11 @@ class DepthAnything3Matcher(Matcher):
         c2w = relative_to_first(invert_rigid(torch.cat((w2c[:, :, :3], last_row), 2)))
         depths, confidence = _at_full_size(depths, 1 - 1 / trust, small, images)
         placed = torch.ones(c2w.shape[:2], dtype=torch.bool, device=c2w.device)
-        intrinsics = _lens(from_pixels(intrinsics, small.shape[-2:]), views)
-        return Geometry(
-            *(x.to(views.images) for x in (c2w, depths, confidence)), placed, intrinsics
+        intrinsics = _lens(from_pixels(intrinsics, size_of(small)), views)
+        c2w, depths, confidence = (
+            x.to(views.images) for x in (c2w, depths, confidence)
         )
+        return Geometry(c2w, depths, confidence, placed, intrinsics)
 
 
 def _load(model: str, weights: str) -> nn.Module:
@@ -171,7 +175,8 @@ def _network_size(image_size: tuple[int, int], longest: int) -> tuple[int, int]:
     multiples of PATCH.
     """
     scale = longest / max(image_size)
-    return tuple(PATCH * max(2, round(side * scale / PATCH)) for side in image_size)
+    height, width = (PATCH * max(2, round(side * scale / PATCH)) for side in image_size)
+    return height, width
 
 
 def _at_full_size(

@@ -111,12 +111,10 @@ class FoundFeatures:
     """Features of every image, and which of them look alike."""
 
     keypoints: tuple[Keypoints, ...]
-    indices: dict[
-        tuple[int, int], Int[np.ndarray, "match 2"]
-    ]  # (a, b) with a < b: keypoints of images a and b
-    sift: tuple[
-        int, ...
-    ] = ()  # per image: how many of its first keypoints are SIFT's, the others are learned; (): all
+    # (a, b) with a < b: keypoints of images a and b
+    indices: dict[tuple[int, int], Int[np.ndarray, "match 2"]]
+    # per image: how many of its first keypoints are SIFT's, the others are learned; (): all
+    sift: tuple[int, ...] = ()
     helper: str = ""  # what to call the source of the learned ones
     tilted: bool = False  # some are of tilted images: for photos taken from wide apart
 
@@ -140,14 +138,16 @@ class FoundFeatures:
             self.keypoints[view].points[indices[:, side]]
             for side, view in enumerate((a, b))
         )
-        rays = (rays_through(own, image.intrinsics) for own, image in zip(points, pair))
+        rays_a, rays_b = (
+            rays_through(own, image.intrinsics) for own, image in zip(points, pair)
+        )
         focals = [image.intrinsics[axis, axis] for image in pair for axis in (0, 1)]
         height, width = images[b].size
         # A band of two pixels along the longest possible line, over the image's area.
         chance = 2 * np.hypot(height, width) / (height * width)
         learned = self.learned(a, b)
         noise = np.where(learned, LEARNED_NOISE, 1.0) if learned.any() else None
-        return Matches(*rays, float(np.mean(focals)), chance, noise)
+        return Matches(rays_a, rays_b, float(np.mean(focals)), chance, noise)
 
 
 def find_features(
@@ -331,7 +331,7 @@ def detect_tilted(
 
 
 def _sift(limit: int) -> cv2.SIFT:
-    return cv2.SIFT_create(limit, contrastThreshold=_CONTRAST, edgeThreshold=_EDGE)
+    return cv2.SIFT.create(limit, contrastThreshold=_CONTRAST, edgeThreshold=_EDGE)
 
 
 def _detect(

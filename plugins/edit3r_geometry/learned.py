@@ -38,7 +38,7 @@ class LearnedFeatures:
 
         detector = ALIKED("aliked-n16", max_num_keypoints=limit)
         # No name of features: with one, kornia would download weights.
-        matcher = LightGlue(None, input_dim=128, weights=None)
+        matcher = LightGlue(None, input_dim=128, weights=None)  # type: ignore[arg-type]  # may be None
         _load(detector, folder / "aliked-n16.pth", {})
         layers = range(len(matcher.transformers))
         pairs = [(layer, kind) for layer in layers for kind in ("self", "cross")]

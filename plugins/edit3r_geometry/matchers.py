@@ -12,8 +12,9 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 from torch import Tensor
 
+import edit3r
 from edit3r import build, default_registry
-from edit3r.contract import reporting, settings as config
+from edit3r.contract import reporting
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import Geometry, Matcher, MatchesLevelled
@@ -85,8 +86,7 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
         )
         seed: int = Field(0, ge=0, description="seed of the robust estimates")
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
+    settings: Settings
 
     @remembered
     def match(self, views: Views) -> Geometry:
@@ -102,14 +102,16 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
             self._match_scene(views, levelled, scene)
             for scene in range(views.images.shape[0])
         ]
-        *measured, intrinsics, lenses, told = zip(*scenes)
+        *measured, lenses, told = zip(*scenes)
         known = not self._reads_fov(views)
-        *measured, intrinsics = (
-            torch.stack(field).to(views.images.device)
-            for field in (*measured, intrinsics)
+        c2w, depths, confidence, registered, intrinsics = (
+            torch.stack(field).to(views.images.device) for field in measured
         )
         return Geometry(
-            *measured,
+            c2w,
+            depths,
+            confidence,
+            registered,
             None if known else intrinsics,
             next(filter(None, lenses), None),
             next(filter(None, told), None) if known else None,
@@ -168,12 +170,12 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
                 f"lens. A field of view of {found.images[0].fov:.0f} degrees across the longer "
                 "side was read. Give --fov if you know it: with a wrong one the scene is bent."
             )
-        c2w = np.stack([pose.inverse().matrix for pose in registration.poses])
+        poses = np.stack([pose.inverse().matrix for pose in registration.poses])
         images = [
             replace(image, pixels=shown.pixels)
             for image, shown in zip(found.images, calibrated_images(levelled, scene))
         ]
-        maps = (c2w, *measure_depths(images, registration, self.settings))
+        maps = (poses, *measure_depths(images, registration, self.settings))
         c2w, inverse, confidence = (
             torch.from_numpy(part).to(views.images.dtype) for part in maps
         )
@@ -326,6 +328,8 @@ class PosedMatcher(Matcher, MatchesLevelled):
             description="let the known poses move to where the photos' matches want them",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
 
@@ -426,7 +430,7 @@ class AutoMatcher(Matcher, MatchesLevelled):
     not reused.
     """
 
-    class Settings(config.Settings):
+    class Settings(edit3r.Settings):
         pick: Literal["best", "da3-base", "da3-small", "part"] = Field(
             "best", description="'part': its matcher"
         )
@@ -440,6 +444,8 @@ class AutoMatcher(Matcher, MatchesLevelled):
         def _decide(cls, values: Any) -> Any:
             best = isinstance(values, Mapping) and values.get("pick", "best") == "best"
             return {**values, "pick": best_at_hand()} if best else values
+
+    settings: Settings
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings = settings

@@ -229,7 +229,7 @@ def _moved(
         second = estimate_pose(alone, threshold, seed)
         if _evident(second, alone, learned[learned], threshold):
             evident, found, matches, indices = True, second, alone, indices[learned]
-    if not evident:
+    if not evident or found is None:
         agreeing = 0 if found is None else int(found.inliers.sum())
         return _TOO_FEW.format(agreeing, len(matches))
     pair = PairView.of(matches, indices, found.inliers, found.pose)
@@ -255,7 +255,10 @@ def _in_a_corner(agreeing: Matches, matches: Matches) -> bool:
         for m in both
     ]
     places = [[len(cells(rays)) for rays in (m.rays_a, m.rays_b)] for m in both]
-    return bool(np.prod(np.divide(*inside)) < CORNER and min(np.divide(*places)) < 0.5)
+    in_corner = np.divide(inside[0], inside[1])
+    return bool(
+        np.prod(in_corner) < CORNER and min(np.divide(places[0], places[1])) < 0.5
+    )
 
 
 def _filled(agreeing: Matches, sizes: Sequence[tuple[int, int]]) -> float:
@@ -272,11 +275,10 @@ def _filled(agreeing: Matches, sizes: Sequence[tuple[int, int]]) -> float:
 
 def on_a_plane(agreeing: Matches, threshold: float, share: float = PLANE) -> bool:
     """Whether one homography explains nearly all that agrees."""
-    points = [
-        agreeing.focal * rays[:, :2] for rays in (agreeing.rays_a, agreeing.rays_b)
-    ]
+    points_a = agreeing.focal * agreeing.rays_a[:, :2]
+    points_b = agreeing.focal * agreeing.rays_b[:, :2]
     cv2.setRNGSeed(0)
-    _, kept = cv2.findHomography(*points, cv2.RANSAC, threshold)
+    _, kept = cv2.findHomography(points_a, points_b, cv2.RANSAC, threshold)
     return kept is None or kept.mean() > share
 
 

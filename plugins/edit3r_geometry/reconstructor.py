@@ -3,12 +3,12 @@
 import torch
 from pydantic import Field
 
-from edit3r.contract import settings as config
+import edit3r
 from edit3r.contract.interfaces import Geometry, Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.checks import require_geometry
+from edit3r.kit.geometry.background_fill import background_layer, rim
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.kit.geometry.surroundings import background_layer, rim
 from edit3r.kit.geometry.warping import contradicted, seen_by_others
 
 __all__ = ["ClassicalReconstructor"]
@@ -21,7 +21,7 @@ class ClassicalReconstructor(Reconstructor):
     same surface or sees through them.
     """
 
-    class Settings(config.Settings):
+    class Settings(edit3r.Settings):
         footprint: float = Field(
             0.35,
             gt=0,
@@ -53,6 +53,8 @@ class ClassicalReconstructor(Reconstructor):
             le=1,
             description="opacity of the blurred layer behind depth edges and guesses; 0: none",
         )
+
+    settings: Settings
 
     uses_geometry = True
 

@@ -54,9 +54,8 @@ class Matches:
     rays_b: Float[np.ndarray, "match 3"]
     focal: float  # mean focal length of the two cameras [pixels]: turns ray distances into pixels
     chance: float  # probability that a random match lies within one pixel of a given epipolar line
-    noise: Float[np.ndarray, "match"] | None = (
-        None  # how inexact each is, 1 being SIFT's points; None: all are
-    )
+    # how inexact each is, 1 being SIFT's points; None: all are
+    noise: Float[np.ndarray, "match"] | None = None
 
     def __len__(self) -> int:
         return len(self.rays_a)
@@ -85,9 +84,8 @@ class TwoViewPose:
 
     pose: Pose  # A's frame to B's, translation of length 1
     inliers: Bool[np.ndarray, "match"]
-    log_false_alarms: (
-        float  # log10 of how many equally good agreements random matches would give
-    )
+    # log10 of how many equally good agreements random matches would give
+    log_false_alarms: float
 
 
 def estimate_pose(
@@ -169,18 +167,18 @@ def quick_pose(matches: Matches, threshold: float, seed: int) -> Pose | None:
     if len(matches) < MIN_INLIERS:
         return None
     focal = matches.focal
-    points = [
+    points_a, points_b = (
         np.ascontiguousarray(focal * rays[:, :2])
         for rays in (matches.rays_a, matches.rays_b)
-    ]
+    )
     cv2.setRNGSeed(seed)
     essential, kept = cv2.findEssentialMat(
-        *points, focal, (0.0, 0.0), cv2.USAC_MAGSAC, 0.999, threshold
+        points_a, points_b, focal, (0.0, 0.0), cv2.USAC_MAGSAC, 0.999, threshold
     )
     if essential is None or essential.shape != (3, 3):
         return None
     _, rotation, shift, _ = cv2.recoverPose(
-        essential, *points, focal=focal, pp=(0.0, 0.0), mask=kept
+        essential, points_a, points_b, focal=focal, pp=(0.0, 0.0), mask=kept
     )
     return refine(matches, Pose(rotation, shift[:, 0]), threshold, rounds=1)
 

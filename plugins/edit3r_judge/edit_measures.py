@@ -16,6 +16,7 @@ from edit3r.contract.types import Cameras
 from edit3r.contract.wishes import Change, Wish
 from edit3r.kit.compute.changes import change_uptake
 from edit3r.kit.compute.colour import rgb_to_lab
+from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.geometry.warping import shared_surface, warp
 from edit3r_judge.edit_verdict import (
     MIN_CHANGED,
@@ -259,6 +260,7 @@ def measure_edit_in_3d(measures: EditMeasures, scene: EditToJudge) -> EditMeasur
     measures = replace(measures, shown=change_shown(scene, views))
     if scene.masks is None or bool((scene.masks > 0).all()):
         return measures
+    assert scene.rendered is not None and scene.cameras is not None  # it is a scene
     masks, depths = scene.masks[0], scene.rendered.depths[0, :, 0]
     # Of what is removed nothing shall be left, in no place: only paint can be missed.
     if measures.made_up is None:
@@ -399,8 +401,8 @@ def _overlap(
 
 def change_shown(scene: EditToJudge, views: Sequence[int]) -> float | None:
     """Share of the 2D change that the scene shows; None where nothing was changed."""
-    height, width = scene.rendered.images.shape[-2:]
-    size = (height, width)
+    assert scene.rendered is not None  # it is a scene
+    size = size_of(scene.rendered.images)
     before = scene.before.at(size).images[:, views]
     wanted = scene.after.at(size).images[:, views] - before
     if float(wanted.abs().amax()) < VISIBLE:
@@ -419,8 +421,8 @@ def missed_patch(scene: EditToJudge, views: Sequence[int]) -> float:
     Of all that changed in its view; the largest over the views. Photos that disagree about what
     belongs to the thing leave such patches, and so do surfaces of another photo in front of it.
     """
-    height, width = scene.rendered.images.shape[-2:]
-    size = height, width
+    assert scene.rendered is not None  # it is a scene
+    size = size_of(scene.rendered.images)
     photos = (scene.before.at(size).images, scene.after.at(size).images)
     triples = zip(*(_small(one[0, views]) for one in (*photos, scene.rendered.images)))
     return max((_missed_in(*triple) for triple in triples), default=0.0)

@@ -23,7 +23,7 @@ from pydantic import BaseModel, Field
 from edit3r import default_registry
 from edit3r.contract.component import Component
 from edit3r.kit.children import PYTHON
-from edit3r.kit.files.text import read_plain
+from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.decode import read_image
 
 TOLD_EVERY = 3.0  # assistants give up after a minute without a sign [s]
@@ -109,7 +109,7 @@ class Tools:
         folder = self._found(run)
         lines = [f"run: {run} (walk through it in {folder / 'viewer.html'})"]
         try:
-            about = json.loads(read_plain(folder / "run.json"))
+            about = read_json(folder / "run.json")
             for what, key in (("scene", "verdict"), ("edit", "edit_verdict")):
                 verdict = about.get(key)
                 if verdict:

@@ -12,6 +12,7 @@ from edit3r.kit.command.results import grouped
 from edit3r.kit.reconstructing import WithMatcher
 from edit3r_measure.evaluate_options import PARTS, Evaluation
 from edit3r_measure.novel_view import (
+    Measure,
     SceneScore,
     carried_edit,
     novel_view,
@@ -35,7 +36,7 @@ def measure(asked: Evaluation, registry: Registry, report: Report) -> list[Scene
         kind = "protocol"
         distance = "lpips" if asked.lpips else "perceptual"
         loss = registry.build("loss", distance)
-        figures = PairProtocol(*tools, distance, loss, asked.align)
+        figures: Measure = PairProtocol(*tools, distance, loss, asked.align)
         sources = _indexed_scenes(asked, registry)
     elif asked.edits:
         kind = "edit"

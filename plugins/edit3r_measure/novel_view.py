@@ -18,7 +18,7 @@ from edit3r.contract.errors import MatchingError, PluginError
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.compute.changes import change_error, change_uptake
-from edit3r.kit.compute.likeness import Image, Region, psnr, ssim
+from edit3r.kit.compute.metrics import Image, Region, psnr, ssim
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.photos.posed_folder import PosedPhoto
 from edit3r.kit.photos.triples import Pose, rotation_degrees
@@ -79,9 +79,8 @@ class PredictedScene:
 
     reconstruction: Reconstruction
     rasterizer: Rasterizer
-    inputs: Sequence[
-        PosedPhoto
-    ]  # the first is the reference, the last the farthest from it
+    # the first is the reference, the last the farthest from it
+    inputs: Sequence[PosedPhoto]
 
     @property
     def cameras(self) -> Cameras:
@@ -137,7 +136,7 @@ def score_scene(scene: EvaluationScene, kind: str, measure: Measure) -> SceneSco
     count = len(scene.inputs)
     first, last = scene.inputs[0], scene.inputs[-1]
     failure = ""
-    figures = {}
+    figures: Mapping[str, float] = {}
     try:
         figures = measure(scene)
     except MatchingError as error:
@@ -157,7 +156,9 @@ def score_scene(scene: EvaluationScene, kind: str, measure: Measure) -> SceneSco
 
 @torch.no_grad()
 def novel_view(
-    reconstructor: WithMatcher, rasterizer: Rasterizer, scene: EvaluationScene
+    reconstructor: Callable[[Views], Reconstruction],
+    rasterizer: Rasterizer,
+    scene: EvaluationScene,
 ) -> dict[str, float]:
     """Reconstruct from the scene's outer two inputs and compare the predicted target with the real
     one.
@@ -310,6 +311,7 @@ def _opacity_in(
     visible = ((places > 0) & (places < 1)).all(-1)
     height, width = region.shape
     columns, rows = (places[visible] * (width, height)).astype(int).T
+    assert other.depth is not None  # it was rendered
     surface = other.depth[rows, columns]
     near = np.abs(depths[visible] - surface) < SAME_SURFACE * surface
     opacities = gaussians.opacities[0].cpu().numpy()[visible]

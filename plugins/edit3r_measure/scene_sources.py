@@ -88,9 +88,8 @@ def find_scenes(
 
 
 def _photographed(folder: PosedFolder, options: SceneOptions) -> list[SceneSource]:
-    poses = [camera.c2w for camera in folder.cameras]
     scenes = []
-    for triple in choose_triples(poses, options.count):
+    for triple in choose_triples(folder.poses, options.count):
         first, second, _ = triple
         name = f"{folder.name}-{options.size}-{first}-{second}"
         load = partial(photo_scene, folder, triple, options.size)

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +92,7 @@ def in_fresh_process(job: PointJob) -> dict[str, Any]:
         "settings": job.settings,
         "scene": job.name,
         "kind": job.scene.kind,
-        "day": datetime.now(UTC).date().isoformat(),
+        "day": datetime.now(timezone.utc).date().isoformat(),
     }
     spawn = multiprocessing.get_context("spawn")
     begin = (restore_path, (os.environ.get(SAFE_PATH),))

@@ -44,7 +44,7 @@ def summarize(rows: Rows, effort: Mapping[str, Any]) -> Quality:
         "day": max(row["day"] for row in rows),
         "versions": {name: versions[name] for name in ("edit3r", "python", "torch")},
     }
-    return Quality(measured=machine | effort, points=points)
+    return Quality(measured={**machine, **effort}, points=points)
 
 
 def measured_points(rows: Rows) -> list[MeasuredPoint]:

@@ -278,6 +278,6 @@ def _fill_leaf(
                 f"{source}: {name}.{key} holds {bad} values that are not finite."
             )
         setattr(leaf, key, nn.Parameter(value, requires_grad=old.requires_grad))
-    for key, old in leaf.named_buffers(recurse=False):
-        if stored := pieces.get(f"{name}.{key}"):
-            old.copy_(stored[0])
+    for key, buffer in leaf.named_buffers(recurse=False):
+        if saved := pieces.get(f"{name}.{key}"):
+            buffer.copy_(saved[0])

@@ -15,9 +15,10 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
+import edit3r
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import Backbone, GaussianHead, Geometry
-from edit3r.contract.settings import Count, Settings
+from edit3r.contract.settings import Count
 from edit3r.contract.types import Features, Gaussians, Views
 from edit3r_model.backbone import ROLES
 from edit3r_model.gaussian_adapter import adapt, attribute_channels
@@ -43,7 +44,7 @@ class DptGaussianHead(GaussianHead):
     a convolution that skips the transformer, which is what keeps colours sharp.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         feature_width: Count = Field(256, description="channels of the fused maps")
         point_width: Count = Field(
             128, description="channels of the centre predictor's last layers"
@@ -90,6 +91,8 @@ class DptGaussianHead(GaussianHead):
             description="of the initial weights; none leaves them empty (no memory), to be "
             "filled from a checkpoint",
         )
+
+    settings: Settings
 
     def __init__(self, settings: Settings, backbone: Backbone) -> None:
         super().__init__()
@@ -158,6 +161,7 @@ class DptGaussianHead(GaussianHead):
             if maps is None:
                 maps = result.new_empty(batch, views, *result.shape)
             maps[scene, view] = result
+        assert maps is not None  # there are views
         return maps.movedim(-1, 2)
 
 
@@ -257,7 +261,8 @@ class DptTrunk(nn.Module):
     def forward(self, maps: list[Maps]) -> Maps:
         """`maps` are the token levels on the patch grid, finest use first."""
         rows, columns = maps[0].shape[-2:]
-        dtype = self.reassemble[0][1].weight.dtype  # may differ from the backbone's
+        # May differ from the backbone's; of int8 the deconvolutions alone have parameters.
+        dtype = next(self.reassemble.parameters()).dtype
         layers = [
             project(reassemble(level.to(dtype)))
             for project, reassemble, level in zip(self.project, self.reassemble, maps)

@@ -69,6 +69,7 @@ class EditTransport(nn.Module):
         self.null = nn.Parameter(torch.zeros(HEADS))
         self.temperature = nn.Parameter(torch.full((HEADS,), 1.5))
         nn.init.zeros_(self.reach.weight)
+        assert self.reach.bias is not None  # as it is made
         with torch.no_grad():
             self.reach.bias.copy_(torch.tensor([0.5, -3.0]))
 
@@ -169,6 +170,7 @@ class EditFusion(nn.Module):
         self.out = nn.Sequential(ResidualBlock(width), ResidualBlock(width))
         self.heads = zero_conv(width, UPSAMPLING + STRIDE**2 * CANDIDATES)
         convex_upsample_start(self.heads)
+        assert self.heads.bias is not None  # as it is made
         with torch.no_grad():
             # Own colour first.
             self.heads.bias[UPSAMPLING : UPSAMPLING + STRIDE**2] = 2.0

@@ -64,15 +64,18 @@ def make_plan(
         note("reconstructor.precision", f"{precision}, after measuring")
     if head_precision == "auto" and precision == "int8":
         head_precision = "bfloat16" if bfloat16_gain(device) >= WORTHWHILE else "int8"
-    parts = (precision, precision if head_precision == "auto" else head_precision)
-    if "bfloat16" in parts and bfloat16_gain(device) < 1:
+    if head_precision == "auto":
+        head_precision = precision
+    if "bfloat16" in (precision, head_precision) and bfloat16_gain(device) < 1:
         gain = bfloat16_gain(device)
         warn(
             f"products take {1 / gain:.1f} times as long in bfloat16 as in float32 here, so "
             "float32 takes its place."
         )
-        parts = tuple("float32" if part == "bfloat16" else part for part in parts)
-    return EnginePlan(*parts, device)
+        precision = "float32" if precision == "bfloat16" else precision
+        if head_precision == "bfloat16":
+            head_precision = "float32"
+    return EnginePlan(precision, head_precision, device)
 
 
 @cache
@@ -83,13 +86,14 @@ def bfloat16_gain(device: torch.device) -> float:
     A processor may know bfloat16, only emulate it, or be slow in float32: nothing but the time
     tells.
     """
-    layers, seconds = [], []
+    layers: list[tuple[nn.Linear, torch.Tensor]] = []
+    seconds: list[list[float]] = []
     for dtype in (torch.float32, torch.bfloat16):
         x = torch.ones(512, 1024, device=device, dtype=dtype)
         layers.append((nn.Linear(1024, 1024, device=device, dtype=dtype), x))
         seconds.append([])
     with torch.inference_mode():
-        while sum(map(sum, seconds)) < 2 * MEASURED_SECONDS:
+        while sum(sum(taken) for taken in seconds) < 2 * MEASURED_SECONDS:
             for (layer, x), taken in zip(layers, seconds):
                 start = _clock(device)
                 layer(x)
@@ -107,6 +111,13 @@ def _clock(device: torch.device) -> float:
     return time.perf_counter()
 
 
+def _is_wide(leaf: nn.Module) -> bool:
+    """Whether a layer has enough channels for int8."""
+    if not isinstance(leaf, nn.Linear | nn.Conv2d):
+        return False
+    return min(leaf.weight.shape[:2]) >= MIN_INT8_CHANNELS
+
+
 def prepare_leaf(
     network: nn.Module,
     name: str,
@@ -115,12 +126,13 @@ def prepare_leaf(
 ) -> None:
     """Convert the leaf called `name` in place: dtype, memory layout, device, or its int8 form."""
     form = plan.backbone if name.startswith("backbone.") else plan.head
-    for kind, quantised in ((nn.Linear, Int8Linear), (nn.Conv2d, Int8Conv)):
-        if form != "int8" or not isinstance(leaf, kind):
-            continue
-        if min(leaf.weight.shape[:2]) >= MIN_INT8_CHANNELS:
-            network.set_submodule(name, quantised(leaf))
+    if form == "int8" and _is_wide(leaf):
+        if isinstance(leaf, nn.Linear):
+            network.set_submodule(name, Int8Linear(leaf))
+            return
+        if isinstance(leaf, nn.Conv2d):
+            network.set_submodule(name, Int8Conv(leaf))
             return
     leaf.to(device=plan.device, dtype=DTYPES.get(form, torch.float32))
     if isinstance(leaf, nn.Conv2d | nn.ConvTranspose2d):
-        leaf.to(memory_format=torch.channels_last)
+        leaf.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's stubs lack it

@@ -25,6 +25,8 @@ def is_hub_id(source: str) -> bool:
 def download(source: str) -> Path:
     """Fetch the weights of a hub id, or find them in the local cache; a file or a folder."""
     found = _HUB_ID.fullmatch(source)
+    if found is None:
+        raise InputError(f"{source}: no such file, and no hub id owner/name@revision.")
     repo, revision, file = found["repo"], found["revision"], found["file"]
     if revision is None:
         raise InputError(

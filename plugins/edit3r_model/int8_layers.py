@@ -23,7 +23,13 @@ overflows.
 
 _int8_ops = torch.ops.onednn
 # Scale and zero point of a float are 1 and 0; nothing follows.
-_FLOAT_OUTPUT = (1.0, 0, torch.float32, "none", [])
+_FLOAT_OUTPUT: tuple[float, int, torch.dtype, str, list[float]] = (
+    1.0,
+    0,
+    torch.float32,
+    "none",
+    [],
+)
 
 
 class _Int8Layer(nn.Module):
@@ -129,5 +135,5 @@ def quantise_input(x: Float[Tensor, "*shape"]) -> tuple[Tensor, float, int]:
     # uint8. The absolute value it takes as well changes nothing: the zero point leaves at most a
     # rounding error below zero.
     rows = x.reshape(-1, x.shape[-1]).numpy()
-    values = cv2.convertScaleAbs(rows, alpha=1 / scale, beta=zero)
-    return torch.from_numpy(values).view(x.shape), scale, zero
+    levels = cv2.convertScaleAbs(rows, alpha=1 / scale, beta=zero)
+    return torch.from_numpy(levels).view(x.shape), scale, zero

@@ -20,10 +20,10 @@ from edit3r.contract.interfaces import Geometry
 from edit3r.contract.settings import Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.compute.layers import one_thread
+from edit3r.kit.geometry.background_fill import background_layer, rim, second_layer
 from edit3r.kit.geometry.cameras import scale_poses
 from edit3r.kit.geometry.harmonics import dc_to_colour
-from edit3r.kit.geometry.maps import resize
-from edit3r.kit.geometry.surroundings import background_layer, rim, second_layer
+from edit3r.kit.geometry.maps import resize, size_of
 from edit3r_model.network import GaussianNetwork
 from edit3r_model.small_backbone import averaged
 
@@ -84,7 +84,7 @@ class MatchedForm:
             with one_thread(), torch.no_grad():
                 made = self._of_pixels(views, source, geometry)
                 coarse = views.at(grid), source.at(grid)
-                made = self._with_surroundings(made, *coarse, geometry)
+                made = self._with_background_fill(made, *coarse, geometry)
         return replace(made, placed=geometry.registered, measured=matched.measured)
 
     def _of_pixels(
@@ -105,7 +105,7 @@ class MatchedForm:
             opacities=gaussians.opacities * placed,
         )
         c2w = scale_poses(prior.c2w, unit[:, None])
-        size = tuple(prior.depths.shape[-2:])
+        size = size_of(prior.depths)
         cameras = Cameras(c2w, source.intrinsics, size)
         per_pixel = self.network.head.per_pixel
         return Reconstruction(gaussians, cameras, per_pixel=per_pixel)
@@ -113,7 +113,7 @@ class MatchedForm:
     def _gaussians(self, views: Views, source: Views, prior: Geometry) -> Gaussians:
         """Backbone, then head."""
         backbone, head = self.network.backbone, self.network.head
-        coarse = source.at(tuple(prior.depths.shape[-2:]))
+        coarse = source.at(size_of(prior.depths))
         size = network_grid(
             coarse.image_size, self.settings.network_size, backbone.patch_size
         )
@@ -121,7 +121,7 @@ class MatchedForm:
         features = backbone(images, coarse.intrinsics, averaged(prior, size))
         return head(features, views.images, source, prior)
 
-    def _with_surroundings(
+    def _with_background_fill(
         self,
         made: Reconstruction,
         views: Views,

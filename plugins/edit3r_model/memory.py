@@ -62,6 +62,7 @@ def draw_leaf(name: str, leaf: nn.Module, seed: int) -> None:
         same = name.replace("decoders.1.", "decoders.0.")
         # The CPU's alone: `torch.manual_seed` keeps a call, with its stack, for each absent GPU.
         torch.default_generator.manual_seed(seed ^ zlib.crc32(same.encode()))
+        assert callable(leaf.reset_parameters)  # as of every layer with weights
         leaf.reset_parameters()
 
 

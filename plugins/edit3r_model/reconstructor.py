@@ -69,6 +69,8 @@ class Edit3rReconstructor(Reconstructor):
             "best of `edit3r train`, or a hub id; a file that names its parts brings them along",
         )
 
+    settings: NetworkSettings  # those of the single pass below are others
+
     def __init__(
         self,
         settings: NetworkSettings,
@@ -79,13 +81,15 @@ class Edit3rReconstructor(Reconstructor):
         self.uses_geometry = head.uses_geometry
         self.fuses_by_itself = not self.uses_geometry
         _check_parts(settings, backbone, head)
+        assert settings.weights is not None  # checked
         network = GaussianNetwork(backbone, head)
         plan = _plan(settings) if self.fuses_by_itself else EnginePlan()
         self._network = load_network(network, settings.weights, plan, settings.seed)
-        if self.fuses_by_itself:
-            self.form = SinglePass(settings, network)
-        else:
+        self.form: SinglePass | MatchedForm
+        if isinstance(settings, MatchedSettings) and self.uses_geometry:
             self.form = MatchedForm(settings, network)
+        else:
+            self.form = SinglePass(settings, network)
 
     @property
     def network(self) -> GaussianNetwork:
@@ -100,7 +104,7 @@ class Edit3rReconstructor(Reconstructor):
         grid: tuple[int, int] | None = None,
     ) -> Reconstruction:
         """Reconstruct; a single pass uses the views alone."""
-        if not self.uses_geometry:
+        if isinstance(self.form, SinglePass):
             return self.form(views)
         geometry = require_geometry(self, geometry)
         return self.form(views, views if source is None else source, geometry, grid)
@@ -116,7 +120,7 @@ class Edit3rReconstructor(Reconstructor):
             kept = part.settings.model_dump(exclude={"depth_repair"})
             choice = PartChoice(name=part.offer.component.name, settings=kept)
             about[kind] = choice.model_dump_json()
-        if self.fuses_by_itself:
+        if isinstance(self.form, SinglePass):
             about["resolution"] = str(self.form.resolution)
         return about
 
@@ -139,6 +143,8 @@ class NoPoSplatReconstructor(Edit3rReconstructor):
             "(initialisation), .safetensors, our folder, hub id owner/name@revision, or 'random' "
             "for an untrained network (tests and speed only)",
         )
+
+    settings: Settings
 
 
 def _plan(settings: SinglePassSettings) -> EnginePlan:

@@ -12,9 +12,10 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
+import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Backbone, Geometry
-from edit3r.contract.settings import Index, Settings
+from edit3r.contract.settings import Index
 from edit3r.contract.types import Features
 from edit3r.kit.compute.layers import Conv2d, GroupNorm, bilinear
 from edit3r.kit.geometry.maps import resize
@@ -46,11 +47,13 @@ class MatchedUNet(Backbone):
     patch_size = STRIDE
     uses_geometry = True
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         width: int = Field(
             32, ge=8, le=512, multiple_of=8, description="channels of its features"
         )
         seed: Index = Field(0, description="of the initial weights")
+
+    settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         super().__init__()
@@ -171,6 +174,7 @@ def zero_conv(inputs: int, outputs: int, side: int = 1) -> Conv2d:
     """Return a convolution that starts at 0: it adds nothing until it is trained."""
     conv = Conv2d(inputs, outputs, side, padding=side // 2)
     nn.init.zeros_(conv.weight)
+    assert conv.bias is not None  # as it is made
     nn.init.zeros_(conv.bias)
     return conv
 
@@ -191,5 +195,6 @@ def convex_upsample(
 
 def convex_upsample_start(conv: Conv2d) -> None:
     """Bias the first 36 outputs towards the coarse pixel each fine pixel lies in."""
+    assert conv.bias is not None  # see zero_conv
     with torch.no_grad():
         conv.bias[16:20] = 3.0  # neighbour 4 (the centre) of all four fine pixels

@@ -17,13 +17,14 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
+import edit3r
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Backbone, GaussianHead, Geometry
-from edit3r.contract.settings import Index, Settings, Share
+from edit3r.contract.settings import Index, Share
 from edit3r.contract.types import Cameras, Features, Gaussians, Views
 from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.kit.geometry.maps import guided_upsample, resize
+from edit3r.kit.geometry.maps import guided_upsample, resize, size_of
 from edit3r.kit.geometry.warping import contradicted, find_correspondences, warp
 from edit3r_model.colour_maps import CHANNELS, blur_maps, change_of, fit_colour_maps
 from edit3r_model.disagreement import (
@@ -57,9 +58,8 @@ docs/model-card.md.
 class Decisions:
     """Corrections and choices of colour for every view, on the backbone's grid."""
 
-    corrections: (
-        Images  # of log depth (-0.7, 0.7), opacity logit, log scale (-0.5, 0.5)
-    )
+    # of log depth (-0.7, 0.7), opacity logit, log scale (-0.5, 0.5)
+    corrections: Images
     choices: "Choices | None"  # of colours; None: every view keeps its own
 
 
@@ -82,7 +82,7 @@ class EditFusionHead(GaussianHead):
 
     uses_geometry = True
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         width: int = Field(
             32,
             ge=8,
@@ -121,6 +121,8 @@ class EditFusionHead(GaussianHead):
         )
         seed: Index = Field(0, description="of the initial weights")
 
+    settings: Settings
+
     def __init__(self, settings: Settings, backbone: Backbone) -> None:
         super().__init__()
         self.settings, self.patch_size = settings, backbone.patch_size
@@ -149,11 +151,11 @@ class EditFusionHead(GaussianHead):
             raise InputError(
                 "edit-fusion needs geometry: hand over what a matcher read from `source`."
             )
-        grid = tuple(geometry.depths.shape[-2:])
-        edited = replace(source, images=images)
+        grid = size_of(geometry.depths)
+        changed = replace(source, images=images)
         # An edit is a function of colour pixel by pixel; means of several pixels are not.
-        single = _nearest(edited.images, grid), _nearest(source.images, grid)
-        edited, source = edited.at(grid).images, source.at(grid)
+        single = _nearest(images, grid), _nearest(source.images, grid)
+        edited, source = changed.at(grid).images, source.at(grid)
         fuses = self.settings.fuse_edits and not torch.equal(edited, source.images)
         decisions = self._decide(features, edited, source, geometry, fuses)
         return assemble(edited, source, geometry, decisions, self.settings, single)
@@ -167,7 +169,8 @@ class EditFusionHead(GaussianHead):
         fuses: bool,
     ) -> Decisions:
         """Everything learned, on the grid of the backbone's images."""
-        size = tuple(self.patch_size * side for side in features.grid)
+        rows, columns = features.grid
+        size = (self.patch_size * rows, self.patch_size * columns)
         before, after = resize(source.images, size), resize(images, size)
         tokens = self._tokens(features, size)
         raw = F.pixel_shuffle(self.corrections(tokens.flatten(0, 1)), STRIDE)
@@ -276,7 +279,8 @@ def assemble(
     scales = pixel_scales(depths, source.intrinsics, settings.footprint)
     scales = scales * (settings.opacity_repair * scale).exp()
 
-    colours, kept = edited, 1.0
+    colours = edited
+    kept: float | Tensor = 1.0
     choices = fine.choices
     if choices is not None:
         matches = find_correspondences(depths, source.intrinsics, geometry.c2w)
@@ -293,7 +297,7 @@ def assemble(
 
     cameras = Cameras(geometry.c2w, source.intrinsics, source.image_size)
     gaussians = pixels_to_gaussians(colours, depths, cameras, scales, opacity)
-    return discs(gaussians, tuple(depths.shape[1:]), settings.thickness)
+    return discs(gaussians, (depths.shape[1], *size_of(depths)), settings.thickness)
 
 
 def fuse_colours(

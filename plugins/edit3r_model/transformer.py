@@ -59,21 +59,27 @@ def make_rotation(
     return Rotation(*(table.flatten(2).float().to(device) for table in (cos, sin)))
 
 
-class _XavierStart:
-    """Mixin of a layer: initial weights are Xavier-uniform, its bias is 0."""
+def _xavier_start(layer: nn.Linear | nn.Conv2d) -> None:
+    """Make initial weights Xavier-uniform and the bias 0."""
+    assert layer.bias is not None  # as it is made
+    nn.init.xavier_uniform_(layer.weight.data.flatten(1))
+    nn.init.zeros_(layer.bias)
+
+
+class XavierLinear(nn.Linear):
+    """Linear layer with a Xavier-uniform start."""
 
     def reset_parameters(self) -> None:
         super().reset_parameters()  # draws as many random numbers as torch's own start
-        nn.init.xavier_uniform_(self.weight.data.flatten(1))
-        nn.init.zeros_(self.bias)
+        _xavier_start(self)
 
 
-class XavierLinear(_XavierStart, nn.Linear):
-    """Linear layer with a Xavier-uniform start."""
-
-
-class XavierConv2d(_XavierStart, nn.Conv2d):
+class XavierConv2d(nn.Conv2d):
     """Convolution with a Xavier-uniform start."""
+
+    def reset_parameters(self) -> None:
+        super().reset_parameters()  # draws as many random numbers as torch's own start
+        _xavier_start(self)
 
 
 def layer_norm(width: int) -> nn.LayerNorm:

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.types import Cameras, Reconstruction, Views
+from edit3r.kit.geometry.maps import size_of
 
 Images = Float[Tensor, "batch view 3 height width"]
 Size = tuple[int, int]  # (height, width) [pixels]
@@ -60,7 +61,7 @@ def fit_views(
     if any(margins):
         padded = F.pad(images.flatten(0, 1), margins, mode="replicate")
         images = padded.unflatten(0, images.shape[:2])
-    shares = views.intrinsics.new_tensor(_shares(inner, tuple(images.shape[-2:])))
+    shares = views.intrinsics.new_tensor(_shares(inner, size_of(images)))
     intrinsics = views.intrinsics * shares
     return FittedViews(Views(images, intrinsics, views.names), inner)
 

@@ -1,7 +1,6 @@
 """A run's folder as a scene with named objects: read, listed, written anew."""
 
 import argparse
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,7 +15,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import NamedObjects, Rasterizer, SceneToWrite
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.files.names import unique_names
-from edit3r.kit.files.text import read_plain
+from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import LoadedPhotos, save_image
 from edit3r.kit.rendering import render_each
 from edit3r.kit.run_folder import RunFolder, continue_run
@@ -111,7 +110,7 @@ def _manifest_of(folder: RunFolder) -> dict[str, Any]:
     """What run.json says; nothing of a scene that was made elsewhere."""
     if not folder.manifest.exists():
         return {}
-    content: dict[str, Any] = json.loads(read_plain(folder.manifest))
+    content: dict[str, Any] = read_json(folder.manifest)
     return content
 
 

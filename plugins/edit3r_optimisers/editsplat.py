@@ -67,6 +67,8 @@ class EditSplatReconstructor(FittingMethod):
             description="attention from which a Gaussian counts as attended; the most is 1",
         )
 
+    settings: Settings
+
     def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
         first = (

@@ -70,6 +70,8 @@ class GaussCtrlReconstructor(FittingMethod):
             "need more memory",
         )
 
+    settings: Settings
+
     # of the editor, to be given other depths; shares the weights
     _copy: Editor | None = None
 
@@ -110,7 +112,9 @@ class GaussCtrlReconstructor(FittingMethod):
         """
         if not isinstance(self.editor, ConditionedOnDepth):
             return self.editor
-        self._copy = self._copy or copy(self.editor)
+        if self._copy is None:
+            self._copy = copy(self.editor)
+        assert isinstance(self._copy, ConditionedOnDepth)  # as the editor is
         self._copy.matcher = geometry
         return self._copy
 

@@ -45,6 +45,8 @@ class InstructNerf2NerfReconstructor(FittingMethod):
                 )
             return self
 
+    settings: Settings
+
     def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
         targets = DatasetUpdate(

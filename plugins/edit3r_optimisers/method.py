@@ -87,6 +87,8 @@ class FittingMethod(Reconstructor, EditsViews):
     `_reconstruct`.
     """
 
+    settings: MethodSettings
+
     def __init__(
         self,
         settings: MethodSettings,

@@ -28,6 +28,8 @@ class RefitReconstructor(FittingMethod):
             description="fit the edited photos it is given, or edit renders of the fitted scene",
         )
 
+    settings: Settings
+
     def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
         if self.settings.edit == "renders":

@@ -4,8 +4,6 @@ from edit3r import Component, hookimpl
 
 EDIT3R_API = 1
 
-_GAUSSFORGE = {"requires": ("gaussforge",), "extra": "export"}
-
 
 @hookimpl
 def register_writers() -> list[Component]:
@@ -52,7 +50,8 @@ def register_writers() -> list[Component]:
             suffix=".spz",
             keeps="every Gaussian, with harmonics",
             loses="exact numbers; harmonics above degree 3, objects, uncertainty",
-            **_GAUSSFORGE,
+            requires=("gaussforge",),
+            extra="export",
         ),
         Component(
             "spz4",
@@ -61,7 +60,8 @@ def register_writers() -> list[Component]:
             suffix=".v4.spz",
             keeps="every Gaussian, with harmonics",
             loses="exact numbers; harmonics above degree 3, objects, uncertainty",
-            **_GAUSSFORGE,
+            requires=("gaussforge",),
+            extra="export",
         ),
         Component(
             "sog",
@@ -70,7 +70,8 @@ def register_writers() -> list[Component]:
             suffix=".sog",
             keeps="every Gaussian, with harmonics",
             loses="exact numbers; harmonics above degree 3, objects, uncertainty",
-            **_GAUSSFORGE,
+            requires=("gaussforge",),
+            extra="export",
         ),
         Component(
             "splat",
@@ -79,7 +80,8 @@ def register_writers() -> list[Component]:
             suffix=".splat",
             keeps="every Gaussian, in one colour from all sides",
             loses="harmonics, objects, uncertainty; turns and opacities to 8 bits",
-            **_GAUSSFORGE,
+            requires=("gaussforge",),
+            extra="export",
         ),
         Component(
             "compressed-ply",
@@ -88,7 +90,8 @@ def register_writers() -> list[Component]:
             suffix=".compressed.ply",
             keeps="every Gaussian, with harmonics",
             loses="exact numbers; harmonics above degree 3, objects, uncertainty",
-            **_GAUSSFORGE,
+            requires=("gaussforge",),
+            extra="export",
         ),
         Component(
             "glb",

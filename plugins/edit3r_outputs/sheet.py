@@ -16,10 +16,13 @@ class SheetWriter(Writer):
     needs = ("photos", "edited", "rendered")
 
     def write(self, path: Path, scene: SceneToWrite) -> None:
+        photos, edited, rendered = scene.photos, scene.edited, scene.rendered
+        assert photos is not None and edited is not None  # they are needed
+        assert rendered is not None
         columns = {
-            "photo": outlined_views(images_of(scene.photos), scene.masks),
-            "2D edit": images_of(scene.edited),
-            "3D result": images_of(scene.rendered),
+            "photo": outlined_views(images_of(photos), scene.masks),
+            "2D edit": images_of(edited),
+            "3D result": images_of(rendered),
         }
         sheet = draw_sheet(
             columns,

@@ -32,13 +32,15 @@ def choose(registry: Registry, device: str) -> tuple[Offer, str]:
 
 
 def _gives_all(registry: Registry, offer: Offer) -> bool:
-    return set(RENDERED) <= set(registry.load_class(offer).gives)
+    cls = registry.load_class(offer)
+    return issubclass(cls, Rasterizer) and set(RENDERED) <= set(cls.gives)
 
 
 class AutoRasterizer(Rasterizer):
     """Hands each scene to the rasterizer that `choose` names, and notes which and why."""
 
     Settings = RasterizerSettings
+    settings: RasterizerSettings
 
     def __init__(self, settings: RasterizerSettings) -> None:
         self.settings = settings

@@ -29,6 +29,7 @@ class GsplatRasterizer(Rasterizer):
     """
 
     Settings = RasterizerSettings
+    settings: RasterizerSettings
 
     def __init__(self, settings: RasterizerSettings) -> None:
         _require_cuda()

@@ -106,6 +106,6 @@ def aligned_empty(shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarra
     two.
     """
     count, size = int(np.prod(shape)), np.dtype(dtype).itemsize
-    memory = np.empty(count + 64 // size, dtype)
+    memory: np.ndarray = np.empty(count + 64 // size, dtype)
     start = (-memory.ctypes.data % 64) // size
     return memory[start : start + count].reshape(shape)

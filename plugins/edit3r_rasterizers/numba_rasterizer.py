@@ -71,6 +71,7 @@ class NumbaRasterizer(Rasterizer):
     """
 
     Settings = NumbaSettings
+    settings: NumbaSettings
 
     def prepare(self, device: str) -> None:
         """Compile the kernels in another process, once after an install."""

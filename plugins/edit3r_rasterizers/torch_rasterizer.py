@@ -47,15 +47,15 @@ class Splats:
     inv_std_y: Float[Tensor, "splat"]  # 1 / sqrt(c) [1 / pixels]
     opacities: Float[Tensor, "splat"]
     features: Float[Tensor, "splat 4"]  # colour >= 0, then camera z [scene units]
-    extents: Float[
-        Tensor, "splat 2"
-    ]  # half size of the box outside of which alpha < min_alpha [pixels]; no gradient
+    # half size of the box outside of which alpha < min_alpha [pixels]; no gradient
+    extents: Float[Tensor, "splat 2"]
 
 
 class TorchRasterizer(Rasterizer):
     """Renders on the Gaussians' device and in their dtype; differentiable, in the cameras too."""
 
     Settings = RasterizerSettings
+    settings: RasterizerSettings
 
     def render(
         self,

@@ -233,7 +233,8 @@ def _commonest_hue(lab: Pixels, weights: Weights, tolerance: float) -> float:
     counts = torch.bincount(
         bins.flatten(), weights.flatten().double(), minlength=HUE_BINS
     )
-    smooth = sum(counts.roll(shift) for shift in (-2, -1, 0, 1, 2))
+    shifts = (-1, 0, 1, 2)
+    smooth = sum((counts.roll(shift) for shift in shifts), start=counts.roll(-2))
     peak = (int(smooth.argmax()) + 0.5) * 2 * math.pi / HUE_BINS - math.pi
     near = weights * _near_hue(lab, Paint(peak, 0, 0, tolerance / 2))
     return math.atan2(

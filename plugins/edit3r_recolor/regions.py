@@ -128,10 +128,9 @@ def proposals_of_masks(masks: Float[Tensor, "object height width"]) -> list[Prop
     given.
     """
     inside = [mask > 0.5 for mask in masks]
-    boxes = [
-        tuple(map(float, cv2.boundingRect(one.byte().cpu().numpy()))) for one in inside
-    ]
-    return [
-        Proposal(mask, float(i.float().mean()), 1.0, 1.0, box)
-        for mask, i, box in zip(masks, inside, boxes)
-    ]
+    proposals = []
+    for mask, one in zip(masks, inside):
+        x, y, width, height = map(float, cv2.boundingRect(one.byte().cpu().numpy()))
+        share = float(one.float().mean())
+        proposals.append(Proposal(mask, share, 1.0, 1.0, (x, y, width, height)))
+    return proposals

@@ -21,6 +21,8 @@ from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import progress, track
 from edit3r.contract.settings import Settings
 from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.files.text import parse_json
+from edit3r.kit.geometry.maps import size_of
 from edit3r_recolor import recoloring
 from edit3r_recolor.recoloring import Outline, RecolorParameters, RecolorRanges
 from edit3r_recolor.regions import (
@@ -84,9 +86,8 @@ class Fault:
     """What an augmented image gets wrong with one region in one view."""
 
     outline: Outline = "exact"
-    parameters: RecolorParameters | None = (
-        None  # the region's colours in this view; None: as they should be
-    )
+    # the region's colours in this view; None: as they should be
+    parameters: RecolorParameters | None = None
     __pydantic_config__ = _NO_UNKNOWN_KEYS
 
 
@@ -99,9 +100,8 @@ class RegionRecipe:
     area: float  # share of the first view
     stability: float
     predicted_iou: float
-    box: tuple[
-        float, float, float, float
-    ]  # x, y, width, height on the first view [pixels]
+    # x, y, width, height on the first view [pixels]
+    box: tuple[float, float, float, float]
     __pydantic_config__ = _NO_UNKNOWN_KEYS
 
 
@@ -113,9 +113,8 @@ class ViewRecipe:
     objects: tuple[int, ...]  # ids
     overlap: float  # of its objects with those of the most recently processed view
     processed: bool  # False: too different, left out
-    faults: dict[int, Fault] = field(
-        default_factory=dict
-    )  # by id; what its augmented image gets wrong
+    # by id; what its augmented image gets wrong
+    faults: dict[int, Fault] = field(default_factory=dict)
     __pydantic_config__ = _NO_UNKNOWN_KEYS
 
 
@@ -127,9 +126,8 @@ class SceneRecipe:
     masks: str  # where they came from, such as "segmenter classical"
     regions: tuple[RegionRecipe, ...]
     views: tuple[ViewRecipe, ...]
-    rejected: dict[str, int] = field(
-        default_factory=dict
-    )  # proposals that failed each criterion
+    # proposals that failed each criterion
+    rejected: dict[str, int] = field(default_factory=dict)
     __pydantic_config__ = _NO_UNKNOWN_KEYS
 
     @property
@@ -149,7 +147,7 @@ class SceneRecipe:
     def load(path: Path) -> "SceneRecipe":
         """Read what `save` wrote. Raises InputError for any other file."""
         try:
-            data = json.loads(path.read_text(encoding="utf-8"))
+            data = parse_json(path.read_bytes())
             if data.pop("format") != FORMAT:
                 raise ValueError(f"its format is not {FORMAT!r}")
             return TypeAdapter(SceneRecipe).validate_python(data)
@@ -184,9 +182,7 @@ def find_regions(
     none passes.
     """
     progress("find objects", 0, 2)
-    chosen, rejected = _choose(
-        segmenter.propose(images[0]), images.shape[-2:], settings
-    )
+    chosen, rejected = _choose(segmenter.propose(images[0]), size_of(images), settings)
     progress("find objects", 1, 2)
     tracks = segmenter.track(
         images, torch.stack([proposal.soft_mask for proposal in chosen]).to(images)
@@ -198,7 +194,7 @@ def find_regions(
 def given_regions(masks: Masks, settings: RecoloringSettings) -> FoundRegions:
     """Take the data's own masks under the same criteria. Raises InputError when none passes."""
     proposals = proposals_of_masks(masks[:, 0])
-    chosen, rejected = _choose(proposals, masks.shape[-2:], settings)
+    chosen, rejected = _choose(proposals, size_of(masks), settings)
     index = [
         number
         for number, proposal in enumerate(proposals)
@@ -212,7 +208,7 @@ def _choose(
     image_size: tuple[int, int],
     settings: RecoloringSettings,
 ) -> tuple[list[Proposal], dict[str, int]]:
-    kept, rejected = kept_proposals(proposals, tuple(image_size), settings.filter)
+    kept, rejected = kept_proposals(proposals, image_size, settings.filter)
     if not kept:
         why = (
             ", ".join(f"{name} {count}" for name, count in rejected.items())

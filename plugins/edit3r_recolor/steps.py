@@ -26,6 +26,7 @@ def apply_change(
 ) -> Images:
     """Change whole images by anything but paint, which needs to know the thing."""
     if change.kind == "tint":
+        assert change.colour is not None  # every tint has one
         return tint(images, change.colour.rgb, change.amount)
     if change.kind == "random":
         return recolor(images, parameters)

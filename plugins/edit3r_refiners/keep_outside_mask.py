@@ -23,6 +23,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import note, warn
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.cameras import median_scale
+from edit3r.kit.geometry.maps import size_of
 from edit3r_refiners.merging import Region, own_pixel_inside
 
 SHAPE = ("means", "scales", "quats", "opacities")
@@ -38,7 +39,7 @@ class KeepOutsideMask(Refiner, ComparesWithBefore):
 
         Without masks, or where they cover every pixel, `gaussians` come back unchanged.
         """
-        if not inputs.confined:
+        if inputs.masks is None or not inputs.confined:
             return gaussians
         if inputs.before is None:
             warn(
@@ -53,7 +54,7 @@ class KeepOutsideMask(Refiner, ComparesWithBefore):
             return gaussians
         region = inputs.masks[0] > 0
         note("keep_outside_mask.region_share", round(float(region.float().mean()), 4))
-        cameras = inputs.cameras.at(region.shape[-2:])
+        cameras = inputs.cameras.at(size_of(region))
         with torch.no_grad():
             return insert_edit(
                 inputs.before, gaussians, region, cameras, inputs.rasterizer

@@ -28,9 +28,8 @@ class Placement:
     """Pixel, depth and pixel size of each Gaussian of one scene in the view it belongs to."""
 
     view: Int[Tensor, "gaussian"]
-    x: Float[
-        Tensor, "gaussian"
-    ]  # [pixels], pixel centres at +0.5; may lie outside the image
+    # [pixels], pixel centres at +0.5; may lie outside the image
+    x: Float[Tensor, "gaussian"]
     y: Float[Tensor, "gaussian"]
     depth: Float[Tensor, "gaussian"]  # camera z; behind the camera where <= 0
     pixel_size: Float[Tensor, "gaussian"]  # of a pixel at that depth [scene units]
@@ -241,15 +240,13 @@ def _merged(
     direction = torch.nn.functional.normalize(centre - camera_centre, dim=-1)
     centre = centre + settings.behind * scales[:, 2:] * direction
     opacity = mean(gaussians.opacities[0].double())
-    values = (
-        centre,
-        scales,
-        matrices_to_quats(axes),
-        1 - (1 - opacity).square(),
-        mean(gaussians.harmonics[0].double()),
-    )
+    dtype = gaussians.means.dtype
     return Gaussians(
-        *(value[None].to(gaussians.means.dtype) for value in values),
+        centre[None].to(dtype),
+        scales[None].to(dtype),
+        matrices_to_quats(axes)[None].to(dtype),
+        (1 - (1 - opacity).square())[None].to(dtype),
+        mean(gaussians.harmonics[0].double())[None].to(dtype),
         view_index=view,
         object_index=objects,
         uncertainty=unsure,

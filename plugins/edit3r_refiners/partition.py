@@ -9,7 +9,6 @@ linear in the number of pixels.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import product
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -40,12 +39,10 @@ class Cells:
     """Errors of all dyadic rectangles of one scene, and which pixel each Gaussian falls on."""
 
     inside: Int[Tensor, "member"]  # Gaussians that take part
-    pixel: tuple[
-        Tensor, Tensor, Tensor
-    ]  # view, row and column of each of them on the padded grid
-    count: dict[
-        tuple[int, int], Float[Tensor, "view row column"]
-    ]  # Gaussians per cell, by (level of y, of x)
+    # view, row and column of each of them on the padded grid
+    pixel: tuple[Tensor, Tensor, Tensor]
+    # Gaussians per cell, by (level of y, of x)
+    count: dict[tuple[int, int], Float[Tensor, "view row column"]]
     error: dict[tuple[int, int], Float[Tensor, "view row column"]]
     total: int  # Gaussians of the scene
 
@@ -197,7 +194,8 @@ def _best_choices(
     cost: dict[tuple[int, int], Tensor] = {}
     left: dict[tuple[int, int], Tensor] = {}
     choices: dict[tuple[int, int], Tensor] = {}
-    for level in sorted(product(range(cells.levels + 1), repeat=2), key=sum):
+    sides = range(cells.levels + 1)
+    for level in sorted(((by_y, by_x) for by_y in sides for by_x in sides), key=sum):
         count = cells.count[level]
         least = torch.where(count > 1, cells.error[level] + price, torch.inf)
         number, choice = (

@@ -66,9 +66,8 @@ class Refined:
 
     gaussians: Gaussians
     steps: int  # taken until the state that is returned
-    held_back: tuple[
-        float, float
-    ]  # squared error of the held-back pixels before and after
+    # squared error of the held-back pixels before and after
+    held_back: tuple[float, float]
     fitted: tuple[float, float]  # the same of the others
 
     @property
@@ -165,6 +164,8 @@ class RefineRefiner(Refiner):
             description="most steps for each view, each towards one; "
             f"more than {MOST_VIEWS} views take as many as {MOST_VIEWS}",
         )
+
+    settings: Settings
 
     def __call__(self, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
         """Follow the views alone: photos that were not edited would pull the edit back out."""

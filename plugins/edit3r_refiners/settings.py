@@ -31,7 +31,9 @@ def passes(budget: Budget, most: int | None = None) -> list[int | None]:
 
     `most` is a limit that holds on top of the budget.
     """
-    asked = {"all": [], "auto": [None]}.get(budget, [budget])
+    asked: list[int | None] = []
+    if budget != "all":
+        asked = [budget if isinstance(budget, int) else None]
     return asked if most is None else [*asked, most]
 
 

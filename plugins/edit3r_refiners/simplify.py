@@ -15,6 +15,7 @@ from edit3r.contract.reporting import note
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.compute.layers import one_thread
 from edit3r.kit.geometry.harmonics import dc_to_colour
+from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.photos.images import evenly
 from edit3r_refiners.importance import (
     drop_unneeded_harmonics,
@@ -64,14 +65,17 @@ class SimplifyRefiner(Refiner):
         def _parse_gaussians(cls, value: Any) -> Budget:
             return parse_budget(value)
 
+    settings: Settings
+
     def __call__(self, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
         """Simplify to the wanted number, and once more where `max_gaussians` asks for fewer.
 
         A part of the scene that is to be exchanged afterwards stays fine, so that it fits up to its
         border.
         """
-        exchanged = inputs.before is not None and inputs.confined
-        fine = inputs.masks[0] > 0 if exchanged else None
+        fine = None
+        if inputs.before is not None and inputs.masks is not None and inputs.confined:
+            fine = inputs.masks[0] > 0
         for most in passes(self.settings.gaussians, self.settings.max_gaussians):
             gaussians = simplify(
                 gaussians, inputs.cameras, inputs.rasterizer, most, self.settings, fine
@@ -180,7 +184,7 @@ def _merge(
     )
     groups = partition(cells, price)
     if fine is not None and most is None:
-        groups[own_pixel_inside(gaussians, fine, cameras.at(fine.shape[-2:]))] = -1
+        groups[own_pixel_inside(gaussians, fine, cameras.at(size_of(fine)))] = -1
         groups[groups >= 0] = torch.unique(groups[groups >= 0], return_inverse=True)[1]
     return merge_groups(gaussians, groups, cameras, settings)
 

@@ -56,22 +56,21 @@ class Dispatcher:
             )
         frame = ServiceFrame.around(views.image_size, offered)
         images = views.images.flatten(0, 1).clone()
-        masks = [None] * len(images)
+        masks: Sequence[Tensor | None] = [None] * len(images)
         if request.masks is not None:
-            masks = request.masks.flatten(0, 1)
+            masks = list(request.masks.flatten(0, 1))
         jobs: dict[int, Request] = {}
         for index, (photo, mask) in enumerate(zip(images, masks)):
             if mask is not None and not mask.any():
                 continue
             view = index % views.count
-            sent = mask is not None and send_masks
             jobs[index] = Request(
                 name=views.called[view],
                 prompt=request.prompt,
                 seed=request.seed,
                 image=encode_png(frame.enclose(photo.cpu().float())),
                 mask=encode_mask(frame.enclose(mask[None].cpu().float()))
-                if sent
+                if mask is not None and send_masks
                 else None,
                 size=frame.size,
             )
@@ -163,7 +162,7 @@ class Dispatcher:
         self, jobs: dict[int, Request], results: dict[int, ViewResult]
     ) -> None:
         """Note for `run.json` time, tokens and cost of each view; a cached one cost nothing."""
-        bills = []
+        bills: list[dict[str, Any]] = []
         for index, result in results.items():
             if result.remark:
                 warn(f"{self.service.label}: {result.remark}")

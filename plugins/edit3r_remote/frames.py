@@ -19,6 +19,7 @@ from PIL import Image
 from torch import Tensor
 
 from edit3r.contract.errors import RunError
+from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.photos.decode import FORMATS, MAX_PIXELS
 
 # relative difference in width / height up to which an answer of another size is scaled back
@@ -94,7 +95,7 @@ def decode(
     """
     pixels = _pixels(content, view)
     image = torch.from_numpy(pixels).permute(2, 0, 1).float() / 255
-    given = tuple(image.shape[1:])
+    given = size_of(image)
     if given == size:
         return image, ""
     text = f"the answer for {view} is {given[1]}x{given[0]} pixels instead of {size[1]}x{size[0]}"
@@ -108,7 +109,8 @@ def decode(
 def _pixels(content: bytes, view: str) -> np.ndarray:
     """RGB bytes `[height, width, 3]` of a coded image."""
     try:
-        with warnings.catch_warnings(action="ignore"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
             image = Image.open(io.BytesIO(content), formats=FORMATS)
         if image.width * image.height <= MAX_PIXELS:
             return np.array(image.convert("RGB"))

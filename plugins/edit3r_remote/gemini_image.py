@@ -49,6 +49,8 @@ class GeminiImageEditor(Editor):
             30.0, ge=0, description="price of a million output tokens [USD]"
         )
 
+    settings: Settings
+
     def edit(self, views: Views, request: EditRequest) -> Views:
         service = GeminiImages(self.settings)
         note(
@@ -69,18 +71,19 @@ class GeminiImages(ImageService):
 
     def __init__(self, settings: GeminiImageEditor.Settings) -> None:
         from google import genai
+        from google.genai import types
 
         super().__init__(settings)
-        options = {
-            "base_url": settings.base_url or None,
-            "timeout": int(settings.timeout_s * 1000),
-            "httpx_client": bounded_client(settings.timeout_s),
-            "retry_options": {
-                "attempts": settings.attempts,
-                "initial_delay": settings.retry_delay_s,
-                "jitter": settings.retry_delay_s,
-            },
-        }
+        options = types.HttpOptions(
+            base_url=settings.base_url or None,
+            timeout=int(settings.timeout_s * 1000),
+            httpx_client=bounded_client(settings.timeout_s),
+            retry_options=types.HttpRetryOptions(
+                attempts=settings.attempts,
+                initial_delay=settings.retry_delay_s,
+                jitter=settings.retry_delay_s,
+            ),
+        )
         self.client = genai.Client(
             api_key=self.key, vertexai=False, http_options=options
         )
@@ -94,10 +97,12 @@ class GeminiImages(ImageService):
             image_config=types.ImageConfig(aspect_ratio=SHAPES[request.size]),
         )
         photo = types.Part.from_bytes(data=request.image, mime_type="image/png")
+        prompt = types.Part.from_text(text=request.prompt)
+        content = types.UserContent(parts=[prompt, photo])
         try:
             response = self.client.models.generate_content(
                 model=self.settings.model,
-                contents=[request.prompt, photo],
+                contents=content,
                 config=config,
             )
         except errors.APIError as error:
@@ -108,8 +113,8 @@ class GeminiImages(ImageService):
             if part.inline_data and part.inline_data.data:
                 return Answer(
                     image=part.inline_data.data,
-                    input_tokens=usage.prompt_token_count if usage else 0,
-                    output_tokens=usage.candidates_token_count if usage else 0,
+                    input_tokens=usage.prompt_token_count or 0 if usage else 0,
+                    output_tokens=usage.candidates_token_count or 0 if usage else 0,
                 )
         raise PromptError(
             f"gemini-image sent no image for {request.name}: {self._reason(response)}"

@@ -41,6 +41,8 @@ class GptImageEditor(Editor):
             40.0, ge=0, description="price of a million output tokens [USD]"
         )
 
+    settings: Settings
+
     def edit(self, views: Views, request: EditRequest) -> Views:
         service = OpenAiImages(self.settings)
         note(

@@ -4,7 +4,6 @@ Only the operations of convolutional detectors are known. Nothing of the file is
 """
 
 import base64
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from edit3r.contract.errors import InputError
+from edit3r.kit.files.text import read_json
 
 DAMAGE = (
     KeyError,
@@ -35,7 +35,7 @@ class TfjsGraph:
         """Raises InputError for files that cannot be read."""
         self.path = path
         try:
-            content = json.loads(path.read_text(encoding="utf-8"))
+            content = read_json(path)
             nodes = content["modelTopology"]["node"]
             self._nodes = {node["name"]: node for node in nodes}
             self._consts = _numbers(

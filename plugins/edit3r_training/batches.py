@@ -132,7 +132,7 @@ def _with_tensors(function: Callable[..., Tensor], *values: Any) -> Any:
     first = values[0]
     if isinstance(first, Tensor):
         return function(*values)
-    if not is_dataclass(first):
+    if not is_dataclass(first) or isinstance(first, type):
         return first
     made = {}
     for name in (field.name for field in fields(first)):

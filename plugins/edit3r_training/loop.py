@@ -339,11 +339,12 @@ def parameter_groups(
                 f"trainer.pretrained: no weight's name begins with {beginning!r}; there are "
                 f"{', '.join(sorted(groups)[:12])}."
             )
-    full, slow = [], []
+    full: list[nn.Parameter] = []
+    slow: list[nn.Parameter] = []
     for name, value in named.items():
         (slow if name.startswith(settings.pretrained) else full).append(value)
-    groups = [(1.0, full), (settings.pretrained_rate, slow)]
-    return [(rate, values) for rate, values in groups if values]
+    shares = [(1.0, full), (settings.pretrained_rate, slow)]
+    return [(rate, values) for rate, values in shares if values]
 
 
 @contextmanager

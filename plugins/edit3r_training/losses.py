@@ -5,6 +5,7 @@ The paper does not publish its weights: those in `configs/training` are this pro
 """
 
 from itertools import combinations
+from typing import TYPE_CHECKING
 
 import torch
 import torch.nn.functional as F
@@ -12,12 +13,16 @@ from jaxtyping import Float, Int
 from pydantic import Field
 from torch import Tensor, nn
 
+import edit3r
 from edit3r.contract.errors import MissingDependencyError, SettingsError
 from edit3r.contract.interfaces import Loss, LossInputs
 from edit3r.contract.settings import Settings
 from edit3r.kit.compute.perceptual import efficientnet_input, frozen_efficientnet
 from edit3r.kit.weights.load import ChosenWeights, foreign, load_pretrained
 from edit3r_training import CLIP
+
+if TYPE_CHECKING:
+    from transformers import CLIPVisionModelWithProjection
 
 COMPARED_BLOCKS = (0, 2, 4, 10)
 """Blocks of EfficientNet-lite0 whose outputs `PerceptualLoss` compares: strides 2, 4, 8 and 16."""
@@ -27,6 +32,7 @@ CLIP_STD = (0.26862954, 0.26130258, 0.27577711)
 
 Scalar = Float[Tensor, ""]
 Means = Float[Tensor, "batch gaussian 3"]
+Images = Float[Tensor, "batch view 3 height width"]
 
 
 class MseLoss(Loss):
@@ -35,7 +41,7 @@ class MseLoss(Loss):
     It sees colour, exposure and illumination and tolerates small errors of reprojection.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         cell: int = Field(
             4,
             ge=1,
@@ -43,9 +49,11 @@ class MseLoss(Loss):
             description="pixels averaged along each side before comparing; 1: plain MSE",
         )
 
+    settings: Settings
+
     def __call__(self, inputs: LossInputs) -> Scalar:
-        require_fields(inputs, "mse", "rendered", "target")
-        difference = (inputs.rendered - inputs.target).flatten(0, 1)
+        rendered, target = images_to_compare(inputs, "mse")
+        difference = (rendered - target).flatten(0, 1)
         cell = min(self.settings.cell, *difference.shape[-2:])
         return F.avg_pool2d(difference, cell, ceil_mode=True).square().mean()
 
@@ -53,18 +61,18 @@ class MseLoss(Loss):
 class CenterLoss(Loss):
     """Smooth L1 distance of every Gaussian's centre to its reference (L_center)."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         beta: float = Field(
             1.0,
             gt=0,
             description="distance at which the square turns linear [scene units]",
         )
 
+    settings: Settings
+
     def __call__(self, inputs: LossInputs) -> Scalar:
-        require_fields(inputs, "center", "gaussians", "reference")
-        return F.smooth_l1_loss(
-            inputs.gaussians.means, inputs.reference.means, beta=self.settings.beta
-        )
+        ours, theirs = means_to_compare(inputs, "center")
+        return F.smooth_l1_loss(ours, theirs, beta=self.settings.beta)
 
 
 class PointsLoss(Loss):
@@ -75,7 +83,7 @@ class PointsLoss(Loss):
     farthest are left out.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         outliers: float = Field(
             0.002,
             ge=0,
@@ -83,10 +91,10 @@ class PointsLoss(Loss):
             description="share of the reference's points left out at each end",
         )
 
+    settings: Settings
+
     def __call__(self, inputs: LossInputs) -> Scalar:
-        require_fields(inputs, "point-distillation", "gaussians", "reference")
-        ours = _in_own_unit(inputs.gaussians.means)
-        theirs = _in_own_unit(inputs.reference.means)
+        ours, theirs = map(_in_own_unit, means_to_compare(inputs, "point-distillation"))
         rank = theirs.norm(dim=-1).argsort(1).argsort(1)
         count = theirs.shape[1]
         dropped = int(self.settings.outliers * count)
@@ -107,13 +115,16 @@ class GeometryLoss(Loss):
     own is subtracted, which leaves the gradient as it is and makes the reference worth 0.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         samples: int = Field(
             512, ge=1, le=8192, description="centres drawn from each view"
         )
 
+    settings: Settings
+
     def __call__(self, inputs: LossInputs) -> Scalar:
         require_fields(inputs, "geometry", "gaussians")
+        assert inputs.gaussians is not None  # required
         chosen = self._sample(inputs.gaussians.view_index.cpu())
         value = pairwise_chamfer(inputs.gaussians.means, chosen)
         if inputs.reference is None:
@@ -156,7 +167,7 @@ class PerceptualLoss(Loss):
     package index.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         size: int = Field(
             128,
             ge=32,
@@ -164,17 +175,19 @@ class PerceptualLoss(Loss):
             description="images are resized to this before comparing [pixels]",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._network = frozen_efficientnet()
 
     def __call__(self, inputs: LossInputs) -> Scalar:
-        require_fields(inputs, "perceptual", "rendered", "target")
-        predicted = self._features(inputs.rendered)
+        rendered, target = images_to_compare(inputs, "perceptual")
+        predicted = self._features(rendered)
         with torch.no_grad():
-            wished = self._features(inputs.target)
+            wished = self._features(target)
         gaps = [F.mse_loss(p, w) * p.shape[1] for p, w in zip(predicted, wished)]
-        return sum(gaps) / len(gaps)
+        return sum(gaps[1:], start=gaps[0]) / len(gaps)
 
     def _features(
         self, images: Float[Tensor, "batch view 3 height width"]
@@ -201,40 +214,44 @@ class LpipsLoss(Loss):
         self._metric = _lpips_vgg()
 
     def __call__(self, inputs: LossInputs) -> Scalar:
-        require_fields(inputs, "lpips", "rendered", "target")
-        metric = self._metric.to(inputs.rendered.device)
+        rendered, target = images_to_compare(inputs, "lpips")
+        metric = self._metric.to(rendered.device)
         return metric(
-            inputs.rendered.flatten(0, 1), inputs.target.flatten(0, 1), normalize=True
+            rendered.flatten(0, 1), target.flatten(0, 1), normalize=True
         ).mean()
 
 
 class ClipLoss(Loss):
     """Mean over images of 1 - cosine similarity of CLIP's image embeddings (L_CLIP)."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         model: str = Field(
             "openai/clip-vit-base-patch32",
             description="folder or hub name of a CLIP model",
         )
+
+    settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         self._model = _frozen_clip(settings.model)
 
     def __call__(self, inputs: LossInputs) -> Scalar:
-        require_fields(inputs, "clip", "rendered", "target")
-        predicted = self._embed(inputs.rendered.flatten(0, 1))
+        rendered, target = images_to_compare(inputs, "clip")
+        predicted = self._embed(rendered.flatten(0, 1))
         with torch.no_grad():
-            wished = self._embed(inputs.target.flatten(0, 1))
+            wished = self._embed(target.flatten(0, 1))
         return 1 - F.cosine_similarity(predicted, wished, dim=-1).mean()
 
     def _embed(
         self, images: Float[Tensor, "image 3 height width"]
     ) -> Float[Tensor, "image feature"]:
         side = self._model.config.image_size
+        assert isinstance(side, int)  # CLIP's images are squares
         x = F.interpolate(images, (side, side), mode="bicubic", antialias=True)
         mean, std = (x.new_tensor(v)[:, None, None] for v in (CLIP_MEAN, CLIP_STD))
-        return self._model.to(x.device)(pixel_values=(x - mean) / std).image_embeds
+        self._model.to(x.device)  # type: ignore[arg-type]  # a decorator hides its type
+        return self._model(pixel_values=(x - mean) / std).image_embeds
 
 
 def _lpips_vgg() -> nn.Module:
@@ -250,12 +267,26 @@ def _lpips_vgg() -> nn.Module:
         ) from error
 
 
-def _frozen_clip(name: str) -> nn.Module:
+def _frozen_clip(name: str) -> "CLIPVisionModelWithProjection":
     vision = foreign("transformers", "CLIPVisionModelWithProjection")
     network = load_pretrained(
         vision, ChosenWeights(name, "losses.clip.model", known=(CLIP,))
     )
     return network.eval().requires_grad_(False)
+
+
+def images_to_compare(inputs: LossInputs, loss: str) -> tuple[Images, Images]:
+    """What was rendered, and what it should show. Raises as `require_fields` does."""
+    require_fields(inputs, loss, "rendered", "target")
+    assert inputs.rendered is not None and inputs.target is not None  # required
+    return inputs.rendered, inputs.target
+
+
+def means_to_compare(inputs: LossInputs, loss: str) -> tuple[Means, Means]:
+    """Centres of the prediction and of its reference. Raises as `require_fields` does."""
+    require_fields(inputs, loss, "gaussians", "reference")
+    assert inputs.gaussians is not None and inputs.reference is not None  # required
+    return inputs.gaussians.means, inputs.reference.means
 
 
 def require_fields(inputs: LossInputs, loss: str, *names: str) -> None:

@@ -19,6 +19,7 @@ from edit3r.contract.interfaces import Dataset, SceneSample
 from edit3r.contract.settings import Count, Index, Share
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import relative_to_first
+from edit3r.kit.geometry.maps import size_of
 
 Images = Float[Tensor, "view 3 height width"]
 
@@ -176,7 +177,7 @@ class DrawnPhotos:
             images = images.flip(-1)
             masks = None if masks is None else masks.flip(-1)
             edited = None if edited is None else edited.flip(-1)
-        cameras = Cameras(poses[None], intrinsics[None], tuple(images.shape[-2:]))
+        cameras = Cameras(poses[None], intrinsics[None], size_of(images))
         return SceneSample(
             context=images[:context],
             target=images[context:],

@@ -122,13 +122,18 @@ def opacity_error(
 def _as_before(batch: TrainingBatch) -> Depths:
     """1 where the true depths hold after the edit too, 0 where it may have moved the surface."""
     if batch.reshaped is None:
-        return torch.ones_like(batch.depths)
-    return 1 - batch.reshaped.to(batch.depths)
+        return torch.ones_like(_true_depths(batch))
+    return 1 - batch.reshaped.to(_true_depths(batch))
 
 
 def _log_gap(depths: Depths, batch: TrainingBatch) -> Depths:
     """Log of predicted over true depth."""
-    return torch.log(depths.clamp(min=1e-4)) - torch.log(batch.depths)
+    return torch.log(depths.clamp(min=1e-4)) - torch.log(_true_depths(batch))
+
+
+def _true_depths(batch: TrainingBatch) -> Depths:
+    assert batch.depths is not None  # whoever compares depths has asked
+    return batch.depths
 
 
 def edit_measures(maps: PixelMaps, batch: TrainingBatch) -> dict[str, float]:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.contract import settings as config
+import edit3r
 from edit3r.contract.interfaces import Dataset, SceneSample
 from edit3r.contract.settings import Count, Index, Share
 from edit3r.contract.types import Cameras
@@ -46,7 +46,7 @@ class ProceduralDataset(Dataset):
     truth.
     """
 
-    class Settings(config.Settings):
+    class Settings(edit3r.Settings):
         scenes: Count = Field(100_000, description="number of samples")
         seed: Index = Field(0, description="two seeds share no scene")
         image_size: int = Field(
@@ -79,6 +79,8 @@ class ProceduralDataset(Dataset):
             False,
             description="keep samples in memory once made (about 0.3 MB each at 64 pixels)",
         )
+
+    settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -201,12 +203,14 @@ class _CastViews:
 
 def _packed(sample: SceneSample) -> SceneSample:
     """Images and masks in 8 bits; objects that no view shows are left out."""
-    seen = sample.context_masks.amax((1, 2, 3)) > 0
-    seen |= sample.target_masks.flatten(1).sum(1) > 0
+    context, target = sample.context_masks, sample.target_masks
+    assert context is not None and target is not None  # every scene here has them
+    seen = context.amax((1, 2, 3)) > 0
+    seen |= target.flatten(1).sum(1) > 0
     kept = replace(
         sample,
-        context_masks=sample.context_masks[seen],
-        target_masks=sample.target_masks[seen],
+        context_masks=context[seen],
+        target_masks=target[seen],
     )
     return _with_images(kept, lambda x: (x * 255).round().to(torch.uint8))
 
@@ -216,7 +220,9 @@ def _with_images(
 ) -> SceneSample:
     """The sample with `function` of all its images and masks."""
     images = {name: getattr(sample, name) for name in EIGHT_BITS}
-    changed = {name: function(x) for name, x in images.items() if x is not None}
+    changed: dict[str, Any] = {
+        name: function(x) for name, x in images.items() if x is not None
+    }
     return replace(sample, **changed)
 
 

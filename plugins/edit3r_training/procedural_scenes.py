@@ -109,11 +109,15 @@ def random_scene(
         if _is_clear(candidate, avoid):
             placed.append(candidate)
     light = rng.normal(size=3) * [1, 0.3, 1] + [0, -1.5, 0]
-    kinds, centres, sizes, rotations, *looks = map(np.array, zip(*placed))
+    kinds, centres, sizes, rotations, textures, repeats, tints = map(
+        np.array, zip(*placed)
+    )
     world_to_local = (rotations / sizes[:, None]).swapaxes(1, 2)
     light = light / np.linalg.norm(light)
     ambient = float(rng.uniform(0.5, 0.85))
-    return ProceduralScene(kinds, centres, world_to_local, *looks, light, ambient)
+    return ProceduralScene(
+        kinds, centres, world_to_local, textures, repeats, tints, light, ambient
+    )
 
 
 def _room(
@@ -241,7 +245,7 @@ def _photo_crop(rng: np.random.Generator, photos: list[Image]) -> Image:
     crop = _shrunk(np.ascontiguousarray(photo[y : y + side, x : x + side]), TILE)
     if rng.random() < 0.5:
         crop = crop[:, ::-1]
-    return np.rot90(crop, rng.integers(4)).copy()
+    return np.rot90(crop, int(rng.integers(4))).copy()
 
 
 def _pattern(rng: np.random.Generator) -> Image:
@@ -249,6 +253,7 @@ def _pattern(rng: np.random.Generator) -> Image:
     ys, xs = np.mgrid[:TILE, :TILE] / TILE
     waves = int(rng.integers(1, 9))
     kind = rng.integers(5)
+    weight: np.ndarray
     if kind == 0:
         weight = np.zeros((TILE, TILE))
     elif kind == 1:

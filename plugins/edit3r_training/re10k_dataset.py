@@ -38,6 +38,8 @@ class Re10kDataset(PhotoDataset):
     class Settings(PhotoSettings):
         root: str = Field(description="folder with .torch chunks")
 
+    settings: Settings
+
     @cached_property
     def scenes(self) -> list[tuple[Path, int]]:
         """(chunk, index in it) of every scene; reading all chunks once is the price of knowing."""

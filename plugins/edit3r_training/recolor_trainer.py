@@ -10,9 +10,11 @@ NoPoSplat's training.
 """
 
 import copy
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextvars import copy_context
+from contextvars import Context, copy_context
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -108,6 +110,8 @@ class RecolorTrainer(Trainer):
             "novel views",
         )
 
+    settings: Settings
+
     def train(self, job: TrainingJob) -> Path:
         """Train to the last step or until asked to stop; returns the folder of the best weights."""
         return train(RecolorRecipe(self.settings, job), self.settings, job)
@@ -145,6 +149,7 @@ class RecolorRecipe(Recipe):
         """Measures of the held-out scenes, and a sheet of images of the first ones."""
         sheet = self.job.out / "sheets" / f"{step:07d}.png"
         chosen, data = self.settings, self.job.validation_data
+        assert data is not None  # the loop has asked
         batches = held_out_batches(
             data, chosen.regimes, chosen.batch, chosen.unit, self._match
         )
@@ -190,7 +195,9 @@ class RecolorRecipe(Recipe):
             if near not in self._ahead:
                 # What a worker warns of is collected as if it were loaded here.
                 self._ahead[near] = [
-                    self._loader.submit(copy_context().run, self._sample, *one)
+                    self._loader.submit(
+                        partial(_run, copy_context(), self._sample, one)
+                    )
                     for one in self._wanted(near, processes)
                 ]
         return [future.result() for future in self._ahead.pop(step)]
@@ -301,6 +308,12 @@ def _supervised_views(
     return cameras, wished, depths
 
 
+def _run(
+    context: Context, load: Callable[[int, int], SceneSample], one: tuple[int, int]
+) -> SceneSample:
+    return context.run(load, *one)
+
+
 class GeometricReference:
     """What the 3D losses hold the edited Gaussians to (section 3.3): G_ref, the geometry of the
     unedited photos.
@@ -322,9 +335,13 @@ class GeometricReference:
         if frozen is None and job.losses and job.train_data[0].context_depths is None:
             frozen = copy.deepcopy(job.reconstructor)
         if frozen is not None and frozen.network is not None:
-            device = next(job.reconstructor.network.parameters()).device
+            network = job.reconstructor.network
+            assert network is not None  # the recipe has asked
+            device = next(network.parameters()).device
             frozen.network.eval().requires_grad_(False).to(device)
-        return GeometricReference(frozen and WithMatcher(frozen, job.matcher))
+        if frozen is None:
+            return GeometricReference()
+        return GeometricReference(WithMatcher(frozen, job.matcher))
 
     @torch.no_grad()
     def __call__(self, batch: TrainingBatch, made: Reconstruction) -> Gaussians | None:

@@ -40,6 +40,7 @@ class SimulatedMatch:
 def simulate_match(sample: SceneSample, rng: np.random.Generator) -> SimulatedMatch:
     """A plausible matcher's answer for the sample's context views (which must come with depths)."""
     cameras, true_depths = sample.context_cameras, sample.context_depths
+    assert true_depths is not None  # see above
     unit = float(np.exp(rng.uniform(-1, 1)))
     severity = rng.uniform(0.3, 1.5)
     visible = seen_by_partner(

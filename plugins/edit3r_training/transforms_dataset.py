@@ -60,6 +60,8 @@ class TransformsDataset(PhotoDataset):
             "for the regimes viewwise and generated; empty: none",
         )
 
+    settings: Settings
+
     @cached_property
     def scenes(self) -> list[Path]:
         """Every folder under the root that has a camera file, sorted."""
@@ -113,7 +115,7 @@ class TransformsDataset(PhotoDataset):
             return choose_by_gap(
                 rng, len(folder.cameras), chosen.context, chosen.targets, gap
             )
-        c2w = np.stack([camera.c2w for camera in folder.cameras])
+        c2w = np.stack(folder.poses)
         return choose_by_angle(rng, c2w, chosen.context, chosen.targets, chosen.angles)
 
 

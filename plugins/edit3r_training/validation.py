@@ -53,7 +53,9 @@ def held_out_measures(
     `rendered` makes the error of rendered novel views the score, instead of errors pixel by pixel.
     `sheet` is where to write images of the first scenes; None on processes that do not write.
     """
-    device = next(job.reconstructor.network.parameters()).device
+    network = job.reconstructor.network
+    assert network is not None  # the recipe has asked
+    device = next(network.parameters()).device
     rows, shown = [], None
     for held_out in batches[processes.rank :: processes.count]:
         batch = held_out.to(device)
@@ -126,7 +128,7 @@ def _save_sheet(
     source, edited, truth = batch.source.images, batch.edited.images, batch.truth
     columns = [source[:, 0], edited[:, 0], source[:, -1], edited[:, -1], truth[:, -1]]
     columns.append(maps.colours[:, -1])
-    if batch.geometry is not None:
+    if batch.geometry is not None and batch.depths is not None:
         near = batch.depths[:, -1].amin((1, 2), keepdim=True)
         for depths in (batch.depths, batch.geometry.depths, maps.depths):
             # Inverse depth, white where the true depth is smallest.

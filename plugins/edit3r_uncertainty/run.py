@@ -1,6 +1,5 @@
 """A run's folder with the uncertainty of its scene: read, judged, written anew."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,7 +16,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Rasterizer, SceneToWrite, SecondLook
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.files.names import unique_names
-from edit3r.kit.files.text import read_plain
+from edit3r.kit.files.text import read_json
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import save_image
@@ -78,7 +77,7 @@ def read_run(root: Path) -> JudgedRun:
             f"{folder.cameras}: has {cameras.count} cameras of {cameras.image_size} pixels, "
             f"expected one of {photos.image_size} for each of {photos.count} photos."
         )
-    manifest = json.loads(read_plain(folder.manifest))
+    manifest = read_json(folder.manifest)
     images = photos.images[0], edited.images[0]
     return JudgedRun(root, gaussians, cameras, photos.names, *images, manifest)
 
@@ -116,8 +115,10 @@ def write_run(root: Path, run: JudgedRun, rasterizer: Rasterizer, maps: bool) ->
     columns = {"scene": images.clamp(0, 1), "uncertainty": coloured(found)}
     sheet = draw_sheet(columns, names=names, title=run.sentence)
     sheet.save(root / "uncertainty.png")
+    unsure = run.gaussians.uncertainty
+    assert unsure is not None  # it was estimated
     look = SecondLook(
-        coloured(run.gaussians.uncertainty[:, :, None])[0, :, :, 0].T,
+        coloured(unsure[:, :, None])[0, :, :, 0].T,
         ("scene", "uncertainty"),
     )
     scene = SceneToWrite(

@@ -5,6 +5,7 @@ ability asks with `isinstance`.
 """
 
 from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
 
 from jaxtyping import Float
 from torch import Tensor
@@ -12,6 +13,9 @@ from torch import Tensor
 from edit3r.contract.interfaces.base import Configured
 from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.wishes import Wish
+
+if TYPE_CHECKING:
+    from edit3r.contract.interfaces.reconstruction import Matcher
 
 
 class Editor(Configured, ABC):
@@ -96,6 +100,6 @@ class GivesAttention(ABC):
 class ConditionedOnDepth(ABC):
     """An editor that reads depth from its part `matcher`; a caller may replace it (GaussCtrl)."""
 
-    references: (
-        int  # how many views, from the first, all others look at; 0: each by itself
-    )
+    # how many views, from the first, all others look at; 0: each by itself
+    references: int
+    matcher: "Matcher"

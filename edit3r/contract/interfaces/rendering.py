@@ -1,5 +1,6 @@
 """Rasterizers, and the refiners that use them."""
 
+import functools
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any
@@ -8,9 +9,51 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces.base import Configured
-from edit3r.contract.torch_state import in_usual_torch
+from edit3r.contract.torch_state import Function, in_usual_torch
 from edit3r.contract.types import DC, Cameras, Gaussians, Rendering, Views
+
+OFF = 0.01
+"""How far what must be 0 or 1 in a camera may be off."""
+
+
+def _with_cameras(render: Function) -> Function:
+    """The method, which raises InputError for cameras that are none: it would draw them wrongly."""
+
+    @functools.wraps(render)
+    def checked(
+        self: Any, gaussians: Gaussians, cameras: Cameras, *more: Any, **named: Any
+    ) -> Any:
+        _check_cameras(cameras)
+        return render(self, gaussians, cameras, *more, **named)
+
+    return checked  # type: ignore[return-value]
+
+
+def _beside(lens: Tensor) -> Tensor:
+    """What must be 0 in intrinsics."""
+    last = lens[..., 2, :] - lens.new_tensor((0, 0, 1))
+    return torch.cat((lens[..., 0, 1:2], lens[..., 1, :1], last), -1)
+
+
+def _check_cameras(cameras: Cameras) -> None:
+    lens, pose = cameras.intrinsics.detach(), cameras.c2w.detach()
+    focal = lens[..., :2, :2].diagonal(dim1=-2, dim2=-1)
+    if lens.is_meta or not (focal > 0).all():  # which a rasterizer tells of itself
+        return
+    axes = pose[..., :3, :3]
+    off = {
+        "intrinsics have skew, or no last row 0, 0, 1": _beside(lens),
+        "c2w has no last row 0, 0, 0, 1": pose[..., 3, :]
+        - pose.new_tensor((0, 0, 0, 1)),
+        "the axes of c2w are no rotation": axes.mT @ axes - torch.eye(3).to(axes),
+    }
+    for told, values in off.items():
+        if not (values.abs() <= OFF).all():
+            raise InputError(
+                f"Cameras: {told}; expected a pinhole camera, and where it stands."
+            )
 
 
 class Rasterizer(Configured, ABC):
@@ -25,7 +68,7 @@ class Rasterizer(Configured, ABC):
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)
         for name in {"render", "contributions"} & vars(cls).keys():
-            setattr(cls, name, in_usual_torch(getattr(cls, name)))
+            setattr(cls, name, in_usual_torch(_with_cameras(getattr(cls, name))))
 
     @abstractmethod
     def render(self, gaussians: Gaussians, cameras: Cameras) -> Rendering:
@@ -76,9 +119,8 @@ class RefineInputs:
     """All that a refiner may look at beside the Gaussians."""
 
     cameras: Cameras  # poses of all input views
-    views: (
-        Views  # images that show the edit; the first `views.count` cameras are theirs
-    )
+    # images that show the edit; the first `views.count` cameras are theirs
+    views: Views
     rasterizer: Rasterizer
     # in [0, 1], one for each camera; 1: may change; None: everything may
     masks: Float[Tensor, "batch camera height width"] | None = None

@@ -14,6 +14,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.command.flags import REPEATED, add_plugin_option
 from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.files.text import parse_json
 
 Item = TypeVar("Item")
 
@@ -99,8 +100,8 @@ def alone_in(folder: Path) -> Iterator[None]:
 def read_json(path: Path) -> Any:
     """Return the content of a JSON file. Raises InputError naming a file that is none."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
+        return parse_json(path.read_bytes())
+    except ValueError as error:
         raise InputError(f"{path}: not valid JSON ({error}).") from None
 
 

@@ -30,6 +30,8 @@ def _import_numba() -> ModuleType:
     finally:
         sys.modules["yaml"] = yaml
     numba.core.config._config_fname = os.devnull  # it looks again when it compiles
+    # NUMBA_DISABLE_JIT is for debugging plain loops; ours hold intrinsics, which only compile.
+    numba.core.config.DISABLE_JIT = 0
     return numba
 
 

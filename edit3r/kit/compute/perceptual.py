@@ -7,17 +7,21 @@ are not FID, KID or LPIPS: they have another scale and are never called by those
 
 import contextlib
 import io
+from typing import TYPE_CHECKING
 
 import torch.nn.functional as F
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from edit3r.contract.errors import MissingDependencyError
+
+if TYPE_CHECKING:
+    from efficientnet_lite_pytorch import EfficientNet
 
 __all__ = ["efficientnet_input", "frozen_efficientnet"]
 
 
-def frozen_efficientnet() -> nn.Module:
+def frozen_efficientnet() -> "EfficientNet":
     """Return EfficientNet-lite0 in evaluation mode, without gradients for its weights.
 
     Raises MissingDependencyError where its package is not installed.

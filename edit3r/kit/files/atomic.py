@@ -22,8 +22,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from edit3r.contract.errors import InputError, RunError
-from edit3r.kit.files.home import expanded
-from edit3r.kit.files.text import read_plain
+from edit3r.kit.files.names import expanded
+from edit3r.kit.files.text import read_json
 
 __all__ = [
     "MARKER",
@@ -82,8 +82,8 @@ def atomic_folder(out: str | Path, overwrite: bool = False) -> Iterator[Path]:
     """Yield a temporary folder that becomes `out` when the block ends well.
 
     It vanishes when the block raises. `out` may be new, empty, or an earlier run, which is then
-    replaced. An earlier run in which something was added, or is of another size, is replaced only
-    with `overwrite`. Anything else is refused at once (InputError), so that nobody's files are
+    replaced. An earlier run in which something was added or changed is replaced only with
+    `overwrite`. Anything else is refused at once (InputError), so that nobody's files are
     lost and no minutes are spent before saying so.
     """
     final = _resolved(out)
@@ -322,37 +322,43 @@ def _keep(new: Path, final: Path) -> str:
 
 def _write_marker(folder: Path) -> None:
     """List what the finished folder holds."""
-    content = json.dumps({"files": _sizes(folder)}, indent=1) + "\n"
+    content = json.dumps({"files": _contents(folder)}, indent=1) + "\n"
     (folder / MARKER).write_text(content, encoding="utf-8")
 
 
 def _changed(folder: Path) -> list[str]:
-    """Names in the folder that its marker does not list, or lists with another size."""
+    """Names in the folder that its marker does not list, or lists with another content."""
     listed = _listed(folder)
-    return [
-        name for name, size in _sizes(folder).items() if listed.get(name, "") != size
-    ]
+    held = _contents(folder)
+    return [name for name, hashed in held.items() if listed.get(name, "") != hashed]
 
 
-def _listed(folder: Path) -> dict[str, int | None]:
+def _listed(folder: Path) -> dict[str, str | None]:
     """What the marker lists; nothing without a readable marker."""
     try:
-        listed = json.loads(read_plain(folder / MARKER))["files"]
+        listed = read_json(folder / MARKER)["files"]
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return {}
     return listed if isinstance(listed, dict) else {}
 
 
-def _sizes(folder: Path) -> dict[str, int | None]:
-    """All inside but the marker by their path in the folder: sizes of files [bytes], None of
-    folders.
+def _contents(folder: Path) -> dict[str, str | None]:
+    """All inside but the marker by their path in the folder: the SHA-256 of files, None of folders,
+    of links where they lead.
     """
-    sizes: dict[str, int | None] = {}
+    found: dict[str, str | None] = {}
     for place, folders, files in os.walk(folder):
         for name in folders + files:
             path = Path(place, name)
             with suppress(FileNotFoundError):
-                size = path.lstat().st_size if name in files else None
-                sizes[path.relative_to(folder).as_posix()] = size
-    sizes.pop(MARKER, None)
-    return dict(sorted(sizes.items()))
+                found[path.relative_to(folder).as_posix()] = _content(path)
+    found.pop(MARKER, None)
+    return dict(sorted(found.items()))
+
+
+def _content(path: Path) -> str | None:
+    if path.is_symlink():
+        return f"link to {os.readlink(path)}"
+    if path.is_dir():
+        return None
+    return sha256_of(path) if path.is_file() else "no file"

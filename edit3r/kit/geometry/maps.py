@@ -16,6 +16,7 @@ __all__ = [
     "guided_upsample",
     "resize",
     "shown",
+    "size_of",
     "upsample_depth",
 ]
 
@@ -23,6 +24,12 @@ MARGIN = 0.01  # of `dilate_softly` [longer sides]: an edit needs room at the ed
 SAME_COLOUR = 0.1  # colour distance [sRGB] at which a small pixel's weight falls to 1/e
 # relative difference in inverse depth within which two pixels lie on one surface
 SAME_SURFACE = 0.04
+
+
+def size_of(maps: Float[Tensor, "*batch height width"]) -> tuple[int, int]:
+    """(height, width) of images or maps [pixels]."""
+    height, width = maps.shape[-2:]
+    return height, width
 
 
 def dilate(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from edit3r.contract.lens import Lens
-from edit3r.kit.photos.decode import MAX_PIXELS
+from edit3r.kit.photos.decode import MAX_JPEG_PIXELS
 
 TOLERANCE = 0.01
 """How far a rotation's products, or a number that must be 0 or 1, may be off: files are rounded."""
@@ -154,8 +154,8 @@ def size_from_outside(width: Any, height: Any) -> tuple[int, int]:
             "width and height must be whole numbers",
         )
     require(
-        min(width, height) >= 1 and width * height <= MAX_PIXELS,
-        f"size {width:g}x{height:g}, expected at least 1x1 and at most {MAX_PIXELS // 10**6} "
+        min(width, height) >= 1 and width * height <= MAX_JPEG_PIXELS,
+        f"size {width:g}x{height:g}, expected at least 1x1 and at most {MAX_JPEG_PIXELS // 10**6} "
         "megapixels",
     )
     return int(width), int(height)

@@ -129,6 +129,10 @@ def _camera(
     width, height = size_from_outside(camera.width, camera.height)
     numbers = [float(value) for value in camera.params]
     distortion = numbers[len(numbers) - _LENSES[model] :] if _LENSES[model] else []
+    turn = image.cam_from_world().rotation.quat
+    require(
+        np.linalg.norm(turn) > 0.5, "its quaternion is of zeros, which is no rotation"
+    )
     pose = np.linalg.inv(np.vstack((image.cam_from_world().matrix(), (0, 0, 0, 1))))
     return PosedCamera(
         file_name(name),

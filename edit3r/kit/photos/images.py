@@ -212,11 +212,11 @@ def find_photos(paths: Pictures, frames: int = USUAL_FRAMES) -> list[Path]:
     `images` folder when it has none itself; a video for at most `frames` of its frames. Raises
     InputError when a path is not there.
     """
-    paths = as_files(paths)
+    given = as_files(paths)
     files: list[Path] = []
-    for path in paths:
+    for path in given:
         refuse_elsewhere(path)
-    for path in (one for given in paths for one in expand(given)):
+    for path in (one for each in given for one in expand(each)):
         if path.is_dir():
             files += _images_in(path)
         elif path.suffix.lower() in VIDEO_SUFFIXES and path.is_file():

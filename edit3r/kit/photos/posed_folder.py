@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from jaxtyping import Float64
 
 from edit3r.contract.errors import InputError
 from edit3r.kit.photos.cameras import (
@@ -39,6 +40,11 @@ class PosedFolder:
     name: str
     path: Path
     cameras: tuple[PosedCamera, ...]
+
+    @property
+    def poses(self) -> list[Float64[np.ndarray, "4 4"]]:
+        """Camera-to-world matrices of all photos."""
+        return [camera.c2w for camera in self.cameras if camera.c2w is not None]
 
     def load(self, index: int, size: int) -> PosedPhoto:
         """The largest centred square of a photo, undistorted and resized to `size`."""

@@ -1,6 +1,5 @@
 """Gaussians of binary glTF 2.0 with the extension KHR_gaussian_splatting, by whatever program."""
 
-import json
 import math
 import struct
 from collections.abc import Callable, Iterator
@@ -17,6 +16,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import warn
 from edit3r.contract.types import MAX_DEGREE, Gaussians
 from edit3r.kit.compute.colour import linear_to_srgb
+from edit3r.kit.files.text import parse_json
 from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
 from edit3r.kit.scenes.axes import UP_AND_BACK, flipped, turned
 
@@ -63,7 +63,7 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
     version, _, length = struct.unpack_from("<III", content, 4)
     if version != 2:
         raise ValueError(f"glTF of version {version}")
-    return json.loads(content[20 : 20 + length]), content[28 + length :]
+    return parse_json(content[20 : 20 + length]), content[28 + length :]
 
 
 def _check_extensions(tree: dict[str, Any]) -> None:

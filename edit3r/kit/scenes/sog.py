@@ -1,13 +1,12 @@
 """SOG that lies in loose files: a `meta.json` and the images that it names."""
 
-import json
 import zipfile
 from pathlib import Path
 from typing import Any
 
 from edit3r.contract.errors import InputError
 from edit3r.kit.files.names import is_plain_name
-from edit3r.kit.files.text import read_plain
+from edit3r.kit.files.text import read_json
 
 LOOSE = "meta.json"
 MOST_FILES = 40  # that one names; it has about seven
@@ -37,7 +36,7 @@ def gathered(path: Path, archive: Path) -> Path:
 def _files_of(path: Path) -> list[str]:
     """The images that a `meta.json` names; none where it is no SOG."""
     try:
-        content = json.loads(read_plain(path))
+        content = read_json(path)
     except (OSError, ValueError, RecursionError):
         return []
     if not isinstance(content, dict) or "means" not in content:

@@ -6,7 +6,6 @@ A component names its weights in `Component.weights`. `edit3r weights get NAME` 
 library.
 """
 
-import json
 import os
 from contextlib import suppress
 from fnmatch import fnmatchcase
@@ -15,7 +14,8 @@ from typing import Any
 
 from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.weights import Weights
-from edit3r.kit.files.home import expanded, user_cache
+from edit3r.kit.files.names import expanded, user_cache
+from edit3r.kit.files.text import read_json
 
 VARIABLE = "EDIT3R_WEIGHTS"
 """Environment variable that names the folder of all weights."""
@@ -90,7 +90,7 @@ def record_of(place: Path) -> dict[str, Any]:
     other means.
     """
     with suppress(OSError, ValueError):
-        record = json.loads((place / RECORD).read_text(encoding="utf-8"))
+        record = read_json(place / RECORD)
         return record if isinstance(record, dict) else {}
     return {}
 

@@ -152,6 +152,12 @@ def _box(flag: str, text: str, frames: list[Frame]) -> tuple[int, Box]:
     left, top = max(0.0, left), max(0.0, top)
     if left >= min(1.0, right) or top >= min(1.0, bottom):
         raise _outside(flag, text, view, frame)
+    height, width = frame.target
+    if (right - left) * width < 1 or (bottom - top) * height < 1:
+        raise InputError(
+            f"{flag} {text}: holds no pixel of photo {view + 1} as it is used ({width} x {height} "
+            "pixels); give a larger one."
+        )
     return view, (left, top, min(1.0, right) - left, min(1.0, bottom) - top)
 
 

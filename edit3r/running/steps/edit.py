@@ -12,8 +12,8 @@ from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.checks import check_edit, check_edit_verdict, errors_named_after
 from edit3r.kit.geometry.maps import composite
+from edit3r.running.edit_alignment import AlignedEdit, align_edit
 from edit3r.running.editors import edit_to_judge, request_of
-from edit3r.running.in_place import InPlace, put_in_place
 from edit3r.running.parts import Parts
 from edit3r.running.records import EditedPhotos, Inputs, SelectedRegions
 
@@ -71,9 +71,9 @@ def _answer(editor: Editor, views: Views, request: EditRequest) -> Views:
     return answer
 
 
-def _in_place(views: Views, answer: Views, masks: Tensor | None) -> InPlace:
+def _in_place(views: Views, answer: Views, masks: Tensor | None) -> AlignedEdit:
     """The answer with what moved moved back, and what is wrong with the rest."""
-    found = put_in_place(views.images, answer.images, views.called, masks is not None)
+    found = align_edit(views.images, answer.images, views.called, masks is not None)
     if found.moved:
         clauses = "; ".join(found.moved)
         say("edit.moved_back", f"{clauses} (--moved-edits keep: as it is)")

@@ -36,7 +36,9 @@ def judge(
     text, size = "render input views", inputs.start.image_size
     with stage("check"):
         first, rendered = (
-            _in_own_light(render_each(parts.rasterizer, scene, cameras, text), located)
+            _in_own_exposure(
+                render_each(parts.rasterizer, scene, cameras, text), located
+            )
             for scene, cameras in (
                 (made.reconstruction.gaussians, made.cameras),
                 (gaussians, made.cameras.at(size)),
@@ -54,7 +56,7 @@ def judge(
                 first=first,
                 rendered=rendered,
                 measured=made.reconstruction.measured,
-                transient=made.passing,
+                transient=made.transient,
                 flat=located.flat,
                 lenses=located.lenses,
                 edit=edit.verdict,
@@ -66,11 +68,11 @@ def judge(
     return Judged(rendered, verdict, edit_verdict)
 
 
-def _in_own_light(rendering: Rendering, located: Located) -> Rendering:
+def _in_own_exposure(rendering: Rendering, located: Located) -> Rendering:
     """The scene from the photos' places, in the light in which each photo was taken."""
-    if located.light is None:
+    if located.exposure is None:
         return rendering
-    return replace(rendering, images=located.light.to_own(rendering.images))
+    return replace(rendering, images=located.exposure.to_own(rendering.images))
 
 
 def _edit_verdict(

@@ -10,7 +10,7 @@ from edit3r.contract.interfaces import Geometry
 from edit3r.contract.reporting import note, say, stage
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.cameras import field_of_view
-from edit3r.kit.geometry.light import Light, estimate_light
+from edit3r.kit.geometry.exposure import Exposure, estimate_exposure
 from edit3r.running.geometry import lies_flat
 from edit3r.running.parts import Parts
 from edit3r.running.records import Inputs, Located
@@ -32,9 +32,9 @@ def locate(inputs: Inputs, parts: Parts) -> tuple[Inputs, Located]:
         photos = inputs.photos
         flat = any(photos.assumed) and lies_flat(geometry, photos)
         lenses = _note_lens(inputs, geometry)
-        light = _light(photos, geometry, parts)
+        exposure = _exposure(photos, geometry, parts)
         return inputs, Located(
-            geometry, flat, lenses, light, _passing(photos, geometry, parts)
+            geometry, flat, lenses, exposure, _transient(photos, geometry, parts)
         )
 
 
@@ -82,28 +82,28 @@ def _note_lens(inputs: Inputs, geometry: Geometry | None) -> tuple[float, float]
     return geometry.lenses
 
 
-def _light(photos: Views, geometry: Geometry, parts: Parts) -> Light | None:
+def _exposure(photos: Views, geometry: Geometry, parts: Parts) -> Exposure | None:
     """How the photos' colours become the first one's."""
-    if parts.config.light == "own":
+    if parts.config.exposure == "own":
         return None
-    light = estimate_light(photos, geometry)
-    if light is not None:
-        for name, value in (("gain", light.gain), ("offset", light.offset)):
-            note(f"light.{name}", value[0, ..., 0, 0].tolist())
+    exposure = estimate_exposure(photos, geometry)
+    if exposure is not None:
+        for name, value in (("gain", exposure.gain), ("offset", exposure.offset)):
+            note(f"exposure.{name}", value[0, ..., 0, 0].tolist())
         say(
-            "light",
-            f"the photos differ by up to {255 * light.change:.0f} of 255; the scene has the light "
-            "of the first (--light own: each its own)",
+            "exposure",
+            f"the photos differ by up to {255 * exposure.change:.0f} of 255; the scene has "
+            "that of the first (--exposure own: each its own)",
         )
-    return light
+    return exposure
 
 
-def _passing(
+def _transient(
     photos: Views, geometry: Geometry, parts: Parts
 ) -> Bool[Tensor, "batch view height width"] | None:
     """What passed while the photos were taken."""
-    if parts.config.passing == "keep" or photos.count < 3:
+    if parts.config.transients == "keep" or photos.count < 3:
         return None
-    from edit3r.running.passing import passing
+    from edit3r.running.transients import find_transients
 
-    return passing(geometry, photos)
+    return find_transients(geometry, photos)

@@ -55,17 +55,17 @@ def reconstruct(
         cameras = known_cameras(before).at(known_cameras(made).image_size)
         made = replace(made, cameras=cameras)
     placed = _placed(made, inputs.photos.count)
-    passing = _beside(located.passing, masks)
-    _tell_of_passing(inputs.photos, passing)
+    transient = _beside(located.transient, masks)
+    _tell_of_transient(inputs.photos, transient)
     used = [view for view, there in enumerate(placed) if there]
     _tell_of_turned(inputs.photos.select(used), known_cameras(made))
     return Reconstructed(
-        reconstruction=_without_passing(made, passing, used),
+        reconstruction=_without_transients(made, transient, used),
         photos=inputs.photos,
         placed=placed,
         masks=None if masks is None else masks[:, used],
         before=before,
-        passing=None if passing is None else passing[:, used],
+        transient=None if transient is None else transient[:, used],
     )
 
 
@@ -82,45 +82,45 @@ def _tell_of_turned(photos: Views, cameras: Cameras) -> None:
 
 
 def _beside(
-    passing: Bool[Tensor, "batch view height width"] | None, masks: Masks | None
+    transient: Bool[Tensor, "batch view height width"] | None, masks: Masks | None
 ) -> Bool[Tensor, "batch view height width"] | None:
     """What passed while the photos were taken, but for what the user selected."""
-    if passing is not None and masks is not None and not bool((masks > 0).all()):
-        passing = passing & (masks <= 0)
-    return passing if passing is not None and bool(passing.any()) else None
+    if transient is not None and masks is not None and not bool((masks > 0).all()):
+        transient = transient & (masks <= 0)
+    return transient if transient is not None and bool(transient.any()) else None
 
 
-def _without_passing(
+def _without_transients(
     made: Reconstruction,
-    passing: Bool[Tensor, "batch view height width"] | None,
+    transient: Bool[Tensor, "batch view height width"] | None,
     used: list[int],
 ) -> Reconstruction:
     """The reconstruction without what passed while the placed photos were taken."""
-    if passing is None:
+    if transient is None:
         return made
-    from edit3r.running.passing import without_passing
+    from edit3r.running.transients import without_transients
 
     cameras = known_cameras(made)
-    gaussians = without_passing(
-        made.gaussians, passing[:, used], cameras.c2w, cameras.intrinsics
+    gaussians = without_transients(
+        made.gaussians, transient[:, used], cameras.c2w, cameras.intrinsics
     )
     return replace(made, gaussians=gaussians)
 
 
-def _tell_of_passing(
-    photos: Views, passing: Bool[Tensor, "batch view height width"] | None
+def _tell_of_transient(
+    photos: Views, transient: Bool[Tensor, "batch view height width"] | None
 ) -> None:
     """Warn of what is left out since one photo alone shows it."""
-    if passing is None:
+    if transient is None:
         return
-    shares = passing.float().mean((0, 2, 3)).tolist()
-    note("passing", [round(share, 4) for share in shares])
+    shares = transient.float().mean((0, 2, 3)).tolist()
+    note("transient", [round(share, 4) for share in shares])
     names = [
         f"{share:.1%} of {name}" for name, share in zip(photos.called, shares) if share
     ]
     warn(
         f"{', '.join(names)}: shown by this photo alone where others see through its place, as a "
-        "walker is; left out of the scene (--passing keep: not)."
+        "walker is; left out of the scene (--transients keep: not)."
     )
 
 
@@ -132,8 +132,8 @@ def _reconstructed(
     parts: Parts,
 ) -> Reconstruction:
     """The edited views in 3D; their geometry is that of the photos, unless things come or go."""
-    recon, edited = parts.reconstructor, located.in_one_light(edit.views)
-    source = edited if parts.changes_shape else located.in_one_light(inputs.photos)
+    recon, edited = parts.reconstructor, located.in_one_exposure(edit.views)
+    source = edited if parts.changes_shape else located.in_one_exposure(inputs.photos)
     reshaped = edited if parts.changes_shape else None
     geometry = _geometry(inputs, located, parts, reshaped)
     if not isinstance(recon, EditsViews):
@@ -155,12 +155,12 @@ def _geometry(
     """What the reconstructor is given of the photos' geometry; of the `reshaped` ones where the
     edit adds or removes things.
     """
-    if not parts.reconstructor.uses_geometry:
+    if not parts.uses_geometry:
         return None
     if reshaped is not None:
         return parts.geometry.of(reshaped).required()
     photos = inputs.photos
-    levelled = None if located.light is None else located.in_one_light(photos)
+    levelled = None if located.exposure is None else located.in_one_exposure(photos)
     return parts.geometry.of(photos, levelled).required()
 
 
@@ -246,7 +246,7 @@ def _before(
         return None
     if inputs.before is not None:  # an earlier run's
         return inputs.before
-    recon, photos = parts.reconstructor, located.in_one_light(inputs.photos)
+    recon, photos = parts.reconstructor, located.in_one_exposure(inputs.photos)
     if isinstance(recon, EditsViews):
         # It has no answer for photos that are not to be edited.
         return None

@@ -51,7 +51,7 @@ def refine(
         masks=made.masks,
         before=None if made.before is None else made.before.gaussians,
         seed=parts.config.seed,
-        ignored=made.passing,
+        ignored=made.transient,
     )
     gaussians = made.reconstruction.gaussians
     for refiner in refiners:
@@ -76,7 +76,7 @@ def _as_fused(located: Located, views: Views, made: Reconstructed) -> Views:
 
     Outside the masks nothing may change, so there the fused edit does not count either.
     """
-    edited = located.in_one_light(views)
+    edited = located.in_one_exposure(views)
     fusion = made.reconstruction.fusion
     if fusion is None:
         return edited

@@ -6,21 +6,20 @@ import kornia
 import torch
 from pydantic import Field
 
+import edit3r
 from edit3r.contract.interfaces import Editor
-from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 
 
 class SepiaEditor(Editor):
     """The same matrix on every pixel, so all views agree. Masks are the pipeline's business."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         strength: float = Field(
             1.0, ge=0, le=1, description="share of the sepia tone; 0 returns the photo"
         )
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
+    settings: Settings
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         images = views.images.flatten(

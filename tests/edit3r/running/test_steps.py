@@ -129,7 +129,7 @@ def test_too_many_views_are_subsampled_evenly_with_a_warning(views):
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
-        (lambda v: v.images, "must return edit3r.Views, got Tensor"),
+        (lambda v: v.images, "must return edit3r.contract.types.Views, got Tensor"),
         (lambda v: Views(v.images[..., :4], v.intrinsics), "return images of shape"),
         (
             lambda v: Views(v.images.double(), v.intrinsics),
@@ -453,7 +453,7 @@ def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_one
     results = {}
     for light in ("one", "own"):
         recon = FindsTruth(scene)
-        result = run(views, editor="none", recon=recon, light=light, **PLAIN)
+        result = run(views, editor="none", recon=recon, exposure=light, **PLAIN)
         results[light] = (recon.given[0], result)
     (edited, source), one = results["one"]
     for given in (edited, source):
@@ -464,8 +464,8 @@ def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_one
         one.photos.images, images
     )
     drawn = render_each(one.rasterizer, one.gaussians, one.cameras, "again").images
-    assert torch.equal(one.rendered.images, one.records.located.light.to_own(drawn))
-    assert own.records.located.light is None
+    assert torch.equal(one.rendered.images, one.records.located.exposure.to_own(drawn))
+    assert own.records.located.exposure is None
 
 
 def test_geometry_of_the_unedited_photos_is_found_once_and_before_the_edit():

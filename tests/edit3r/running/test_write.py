@@ -5,6 +5,7 @@ import subprocess
 import sys
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -207,7 +208,10 @@ def test_the_camera_path_begins_at_the_first_photo_however_ill_it_fits(
         ({"seed": 3, "prompt": "warmer"}, "default settings, 32x24:"),
         ({"quality": "fast"}, "fast settings, 32x24:"),
         ({"quality": "fast", "refine": 5}, "fast (but refine) settings, 32x24:"),
-        ({"quality": "best", "light": "own"}, "best (but light) settings, 32x24:"),
+        (
+            {"quality": "best", "exposure": "own"},
+            "best (but exposure) settings, 32x24:",
+        ),
         ({"size": 192, "refine": 0}, "own (refine, size) settings, 32x24:"),
         (
             {"reconstructor": {"name": "edit3r", "weights": "x"}},
@@ -221,6 +225,31 @@ def test_the_last_lines_name_the_settings_that_were_asked_for(
     job = replace(result.parts.job, config=make_run_config(asked))
     result.parts.job = job
     assert named in summary(tmp_path, result)
+
+
+def test_the_last_line_says_how_to_get_a_default_run_sharper(result, tmp_path):
+    def last(label="good", longest=None, **asked):
+        judged = replace(result.records.judged.verdict, label=label)
+        records = replace(
+            result.records,
+            judged=replace(result.records.judged, verdict=judged),
+            inputs=replace(
+                result.records.inputs,
+                files=(SimpleNamespace(size=(24, longest)),) if longest else (),
+            ),
+        )
+        job = replace(result.parts.job, config=make_run_config(asked))
+        parts = SimpleNamespace(job=job)
+        made = replace(result, records=records, parts=parts)
+        return summary(tmp_path, made).splitlines()[-1]
+
+    assert last().endswith("--quality best takes half as long again")
+    assert last(longest=4032).endswith(
+        "with --size 1024, of the photos' 4032 pixels, about four times as long"
+    )
+    assert "--size 800" in last(longest=800) and "--size" not in last(longest=512)
+    for kept in ({"quality": "best"}, {"size": 1024}, {"label": "poor"}):
+        assert "sharper" not in last(longest=4032, **kept)
 
 
 def test_a_notebook_shows_the_sheet_and_the_viewer(result):

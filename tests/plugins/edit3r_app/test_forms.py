@@ -48,7 +48,7 @@ def test_every_setting_of_the_run_is_in_the_dialog_in_plain_words():
 def test_settings_are_switches_selects_sliders_and_numbers():
     fields = fields_of({"editor": "recolor"})
     kinds = {name: field["kind"] for (_, name), field in fields.items()}
-    assert (kinds["sure"], kinds["light"], kinds["grid"]) == (
+    assert (kinds["sure"], kinds["exposure"], kinds["grid"]) == (
         "switch",
         "select",
         "slider",

@@ -115,7 +115,7 @@ def test_the_token_of_the_address_becomes_a_cookie_and_leaves_the_address():
     assert status == 303 and headers[b"location"] == b"/evil.com/x?at=bear-1"
     assert (
         b"HttpOnly" in headers[b"set-cookie"]
-        and b"SameSite=Strict" in headers[b"set-cookie"]
+        and b"SameSite=strict" in headers[b"set-cookie"]
     )
 
 

@@ -54,11 +54,11 @@ def test_what_is_no_action_is_refused(asked, told):
 def test_words_of_an_action_never_become_flags(tmp_path):
     folder = JobsFolder(tmp_path)
     (folder.root / "bike").mkdir()
-    action = read_action({"action": "remove", "name": "--overwrite"})
+    action = read_action({"action": "remove", "name": "overwrite"})
     job = AppJob("bike-1", "bike", parent="bike", object=action.call, masks=1)
     command = command_of(folder, job)
     assert command[:2] == ["objects", "--quiet"]
-    assert command[-4:] == ["--", str(folder.root / "bike"), "remove", "--overwrite"]
+    assert command[-4:] == ["--", str(folder.root / "bike"), "remove", "overwrite"]
     assert command[command.index("--mask") + 1].endswith("000.png")
 
 

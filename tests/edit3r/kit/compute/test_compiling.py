@@ -97,3 +97,13 @@ def test_numba_is_imported_in_one_place():
     root = Path(edit3r.__file__).parents[1]
     for file in [*root.glob("edit3r/**/*.py"), *root.glob("plugins/**/*.py")]:
         assert not re.search(r"^ *(from|import) numba", file.read_text(), re.M), file
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("value", ["1", "0"])
+def test_numbas_switch_for_debugging_changes_nothing(value, monkeypatch, tmp_path):
+    """Kernels hold intrinsics, which only compile."""
+    module = tmp_path / "module.py"
+    module.write_text(MODULE)
+    monkeypatch.setenv("NUMBA_DISABLE_JIT", value)
+    assert run(module).stdout.startswith("42 ")

@@ -202,3 +202,36 @@ def test_what_a_kill_left_in_a_temporary_folder_goes_with_the_next_start(
         with scratch_folder("frames") as other:
             assert folder.is_dir() and folder != other
     assert sorted(tmp_path.iterdir()) == [link, mine] and len(left_in(mine)) == 2
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda out: (out / "scene.ply").write_text("PLY"),  # of the same size
+        lambda out: (out / "more" / "a.bin").write_bytes(b"\0\1"),
+        lambda out: (out / "scene.ply").write_text("plyy"),
+        lambda out: (out / "scene.ply").chmod(0o600) or (out / "new").touch(),
+        lambda out: (out / "empty").mkdir(),
+        lambda out: (
+            (out / "scene.ply").unlink() or (out / "scene.ply").symlink_to("more/a.bin")
+        ),
+        lambda out: (out / "scene.ply").rename(out / "other.ply"),
+        lambda out: (out / MARKER).write_text("{"),
+    ],
+    ids=["same size", "inside", "longer", "new", "folder", "link", "renamed", "marker"],
+)
+def test_what_was_changed_by_hand_is_not_replaced_unasked(tmp_path, change):
+    def make(overwrite=False):
+        with atomic_folder(tmp_path / "out", overwrite) as folder:
+            (folder / "scene.ply").write_text("ply")
+            (folder / "more").mkdir()
+            (folder / "more" / "a.bin").write_bytes(b"\0\0")
+
+    make()
+    make()  # as it was left: replaced
+    change(tmp_path / "out")
+    before = sorted(path.name for path in (tmp_path / "out").rglob("*"))
+    with pytest.raises(InputError, match=r"changed by hand|not from an earlier"):
+        make()
+    assert sorted(path.name for path in (tmp_path / "out").rglob("*")) == before
+    make(overwrite=True)

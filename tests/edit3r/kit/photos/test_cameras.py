@@ -216,3 +216,13 @@ def test_poses_of_two_files_or_of_some_photos_only_are_none():
     assert known_poses([one, one]).shape == (2, 4, 4)
     assert known_poses([one, two]) is None
     assert known_poses([one, replace(one, c2w=None)]) is None
+
+
+@pytest.mark.parametrize("quaternion", ["0 0 0 0", "0.0 -0.0 0 0", "1e-9 0 0 0"])
+def test_a_colmap_pose_without_a_rotation_is_refused(tmp_path, quaternion):
+    pytest.importorskip("pycolmap")
+    (tmp_path / "cameras.txt").write_text("1 PINHOLE 100 80 90 90 50 40\n")
+    (tmp_path / "images.txt").write_text(f"1 {quaternion} 0 0 0 1 a.jpg\n\n")
+    (tmp_path / "points3D.txt").write_text("")
+    with pytest.raises(InputError, match="no rotation"):
+        read_cameras(tmp_path)

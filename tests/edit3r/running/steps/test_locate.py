@@ -29,7 +29,7 @@ def located(source, known, unknown):
     records = tuple(SimpleNamespace(intrinsics_source=source) for _ in range(2))
     parts = SimpleNamespace(
         uses_geometry=True,
-        config=SimpleNamespace(light="own", passing="keep"),
+        config=SimpleNamespace(exposure="own", transients="keep"),
         geometry=SimpleNamespace(
             of=lambda photos: GeometryAnswer(
                 unknown if photos.assumed else known, "too few points"

@@ -1,11 +1,11 @@
 """Photos of one scene taken with other exposure and white balance: does the scene hold together?
 
-    python benchmarks/light.py ../shared/data/fox ../shared/data/fern
+    python benchmarks/exposure.py ../shared/data/fox ../shared/data/fern
 
 Four photos of each folder's images/ are exposed anew: their linear light is multiplied (1, 0.55,
 1.5 and 0.75 times, each with its white balance) and passes a camera's curve. Then whole default
 runs: PSNR [dB] of the finished scene at its photos, and before refining, where the photos agree or
-do not; with `--light own`, with `--light one`, and of the same photos as they were taken.
+do not; with `--exposure own`, with `--exposure one`, and of the same photos as they were taken.
 `--step` takes every so many photos of a folder.
 """
 
@@ -59,12 +59,12 @@ def main(folders: Sequence[Path], *, step: int = 2, size: int = 384) -> Iterator
             relit, plain = (
                 take(files, Path(place), change) for change in (True, False)
             )
-            for name, photos, light in (
+            for name, photos, exposure in (
                 ("other light, own", relit, "own"),
                 ("other light, one", relit, "one"),
                 ("as taken", plain, "one"),
             ):
-                result = edit3r.run(photos, editor="none", size=size, light=light)
+                result = edit3r.run(photos, editor="none", size=size, exposure=exposure)
                 verdict = result.verdict
                 shown, before = (
                     np.mean([one for one in values if one is not None])

@@ -7,7 +7,7 @@ import torch
 
 from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Views
-from edit3r.kit.geometry.light import estimate_light
+from edit3r.kit.geometry.exposure import estimate_exposure
 from edit3r_testing import photograph
 
 SCENE = photograph(3, (96, 128))
@@ -32,8 +32,8 @@ def _relit() -> Views:
 
 
 def test_photos_of_other_light_become_those_of_the_first():
-    light = estimate_light(_relit(), _geometry())
-    found = light.to_reference(_relit().images)
+    exposure = estimate_exposure(_relit(), _geometry())
+    found = exposure.to_reference(_relit().images)
     assert (found - SCENE.views.images).abs().mean() < 0.01
     assert (_relit().images - SCENE.views.images).abs().mean() > 0.05
     assert torch.equal(found[:, 0], _relit().images[:, 0])
@@ -41,8 +41,8 @@ def test_photos_of_other_light_become_those_of_the_first():
 
 def test_its_own_light_is_given_back_to_every_photo():
     relit = _relit().images
-    light = estimate_light(_relit(), _geometry())
-    again = light.to_own(light.gain * relit + light.offset)
+    exposure = estimate_exposure(_relit(), _geometry())
+    again = exposure.to_own(exposure.gain * relit + exposure.offset)
     assert torch.allclose(again, relit, atol=1e-6)
 
 
@@ -52,19 +52,21 @@ def test_photos_of_one_light_stay_as_they_are(noise):
     images = SCENE.views.images
     images = images + noise * torch.randn(images.shape, generator=generator)
     views = replace(SCENE.views, images=images.clamp(0, 1))
-    assert estimate_light(views, _geometry()) is None
+    assert estimate_exposure(views, _geometry()) is None
 
 
 def test_photos_of_other_things_keep_their_light():
     generator = torch.Generator().manual_seed(1)
     other = 0.3 * torch.rand(SCENE.views.images.shape, generator=generator)
     other[:, 0] = SCENE.views.images[:, 0]
-    assert estimate_light(replace(SCENE.views, images=other), _geometry()) is None
+    assert estimate_exposure(replace(SCENE.views, images=other), _geometry()) is None
 
 
 def test_a_photo_that_was_not_placed_keeps_its_light():
-    light = estimate_light(_relit(), _geometry((True, True, False)))
-    assert bool((light.gain[:, 2] == 1).all()) and bool((light.gain[:, 1] != 1).all())
+    exposure = estimate_exposure(_relit(), _geometry((True, True, False)))
+    assert bool((exposure.gain[:, 2] == 1).all()) and bool(
+        (exposure.gain[:, 1] != 1).all()
+    )
 
 
 def test_a_photo_that_shares_nothing_with_the_first_is_settled_through_another():
@@ -76,8 +78,8 @@ def test_a_photo_that_shares_nothing_with_the_first_is_settled_through_another()
     apart[:, 2, height // 2 :] = 0  # the third the upper half only
     confidence = (apart > 0).to(apart)
     known = replace(geometry, depths=apart.clamp(min=1e-3), confidence=confidence)
-    light = estimate_light(views, known)
-    found = light.to_reference(views.images)
+    exposure = estimate_exposure(views, known)
+    found = exposure.to_reference(views.images)
     assert (found[:, 2] - SCENE.views.images[:, 2]).abs().mean() < 0.03
     assert (views.images[:, 2] - SCENE.views.images[:, 2]).abs().mean() > 0.04
 
@@ -94,8 +96,10 @@ def test_each_scene_of_a_batch_has_its_own_light():
         for name in ("c2w", "depths", "confidence", "registered")
         if (value := getattr(geometry, name)) is not None
     }
-    light = estimate_light(both, Geometry(**twice))
-    assert bool((light.gain[0] == 1).all()) and bool((light.gain[1, 1:] != 1).all())
+    exposure = estimate_exposure(both, Geometry(**twice))
+    assert bool((exposure.gain[0] == 1).all()) and bool(
+        (exposure.gain[1, 1:] != 1).all()
+    )
 
 
 def test_clipped_pixels_tell_nothing_of_the_light():
@@ -104,5 +108,5 @@ def test_clipped_pixels_tell_nothing_of_the_light():
     images[:, 1] = (1.6 * images[:, 1]).clamp(0, 1)
     views = replace(SCENE.views, images=images)
     assert float((images[:, 1] > 0.97).float().mean()) > 0.1
-    light = estimate_light(views, _geometry())
-    assert torch.allclose(light.gain[0, 1], torch.tensor(1 / 1.6), atol=0.02)
+    exposure = estimate_exposure(views, _geometry())
+    assert torch.allclose(exposure.gain[0, 1], torch.tensor(1 / 1.6), atol=0.02)

@@ -24,7 +24,7 @@ EXPOSED = (0.03, 0.97)  # sRGB values outside are clipped and tell nothing
 NEAR_VIEWS = 6  # others with which each of many photos is compared
 MIN_PIXELS = 200  # that two photos must share to say anything about each other
 MIN_CORRELATION = 0.6  # of what they share; below, they show other things
-# of a mid grey [sRGB], below which a photo's light is the reference's
+# of a mid grey [sRGB], below which a photo's exposure is the reference's
 MIN_CHANGE = 0.02
 MAX_LEFT = 2 / 3  # share of the photos' differences that remains in one light, at most
 MAX_GAIN = 4.0
@@ -33,7 +33,7 @@ Images = Float[Tensor, "batch view 3 height width"]
 
 
 @dataclass(frozen=True)
-class Light:
+class Exposure:
     """How each photo's colours become the reference's: `gain * colour + offset` [sRGB]."""
 
     gain: Float[Tensor, "batch view 3 1 1"]
@@ -45,15 +45,15 @@ class Light:
         return float((0.5 * self.gain + self.offset - 0.5).abs().amax())
 
     def to_reference(self, images: Images) -> Images:
-        """Photos as they would look in the reference's light, in [0, 1]."""
+        """Photos as they would look in the reference's exposure, in [0, 1]."""
         return (self.gain * images + self.offset).clamp(0, 1)
 
     def to_own(self, images: Images) -> Images:
-        """Images in the reference's light as each photo would show them."""
+        """Images in the reference's exposure as each photo would show them."""
         return (images - self.offset) / self.gain
 
-    def select(self, indices: list[int]) -> "Light":
-        return Light(self.gain[:, indices], self.offset[:, indices])
+    def select(self, indices: list[int]) -> "Exposure":
+        return Exposure(self.gain[:, indices], self.offset[:, indices])
 
 
 @dataclass(frozen=True)
@@ -71,26 +71,26 @@ class _Pair:
 
     @property
     def tells(self) -> bool:
-        """Whether the two share enough, and show the same but for their light."""
+        """Whether the two share enough, and show the same but for their exposure."""
         if len(self.own) < MIN_PIXELS:
             return False
         greys = torch.stack((self.own.mean(1), self.other.mean(1)))
         return float(torch.corrcoef(greys)[0, 1]) >= MIN_CORRELATION
 
 
-def estimate_light(views: Views, geometry: Geometry) -> Light | None:
-    """Return the light of the photos; None where all have that of the reference.
+def estimate_exposure(views: Views, geometry: Geometry) -> Exposure | None:
+    """Return the exposure of the photos; None where all have that of the reference.
 
     Two photos tell the ratio of their gains by the spread of the colours that they share, which
     noise in both leaves true, and their offsets by the middles. All pairs are settled together by
-    least squares. A photo keeps its own light where it shares too little with the others; all do
+    least squares. A photo keeps its own exposure where it shares too little with the others; all do
     where one light explains less than a third of what they differ.
     """
     lights = [_of_scene(views, geometry, scene) for scene in range(len(views.images))]
     gain, offset = (torch.stack(values)[..., None, None] for values in zip(*lights))
     if bool((gain == 1).all()):
         return None
-    return Light(gain.to(views.images), offset.to(views.images))
+    return Exposure(gain.to(views.images), offset.to(views.images))
 
 
 def _of_scene(

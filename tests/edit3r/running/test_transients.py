@@ -8,7 +8,7 @@ import torch
 from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.running.passing import _grown, passing, without_passing
+from edit3r.running.transients import _grown, find_transients, without_transients
 from edit3r_testing import photograph
 
 SCENE = photograph(3, (64, 96))
@@ -39,7 +39,7 @@ def as_seen(views, unmeasured=True):
 
 
 def test_what_one_of_three_photos_shows_alone_is_found_there_and_nowhere_else():
-    found = passing(*as_seen([0, 1, 2]))
+    found = find_transients(*as_seen([0, 1, 2]))
     assert found is not None and found[THING].float().mean() > 0.9
     assert not found[0, [0, 2]].any()
     found[0, 1, 14:54, 34:62] = False
@@ -47,13 +47,13 @@ def test_what_one_of_three_photos_shows_alone_is_found_there_and_nowhere_else():
 
 
 def test_two_photos_cannot_tell_which_of_them_is_right():
-    assert passing(*as_seen([0, 1])) is None
+    assert find_transients(*as_seen([0, 1])) is None
 
 
 def test_a_scene_that_holds_still_and_what_others_measured_too_are_no_passing_things():
     geometry, _ = as_seen([0, 1, 2])
-    assert passing(geometry, SCENE.views) is None
-    assert passing(*as_seen([0, 1, 2], unmeasured=False)) is None
+    assert find_transients(geometry, SCENE.views) is None
+    assert find_transients(*as_seen([0, 1, 2], unmeasured=False)) is None
 
 
 @pytest.mark.parametrize(("count", "told"), [(3, True), (4, False)])
@@ -65,7 +65,7 @@ def test_guesses_that_agree_tell_of_a_place_only_among_three_photos(count, told)
     guessed = torch.zeros_like(scene.depths)
     guessed[..., 80:] = 1  # but for a stripe
     geometry = Geometry(scene.cameras.c2w, scene.depths, guessed, everywhere)
-    found = passing(geometry, replace(scene.views, images=images))
+    found = find_transients(geometry, replace(scene.views, images=images))
     assert (found is not None) == told
 
 
@@ -79,7 +79,7 @@ def test_of_many_photos_three_must_show_what_lies_behind(telling, found):
     confidence[THING] = 0
     everywhere = torch.ones(1, 5, dtype=torch.bool)
     geometry = Geometry(scene.cameras.c2w, scene.depths, confidence, everywhere)
-    seen = passing(geometry, replace(scene.views, images=images))
+    seen = find_transients(geometry, replace(scene.views, images=images))
     assert (seen is not None) == found
 
 
@@ -105,6 +105,6 @@ def test_gaussians_go_that_the_photo_saw_within_its_mask_and_no_other_photos():
     )
     masks = torch.zeros(SCENE.depths.shape, dtype=torch.bool)
     masks[THING] = True
-    left = without_passing(gaussians, masks, cameras.c2w, views.intrinsics)
+    left = without_transients(gaussians, masks, cameras.c2w, views.intrinsics)
     counts = [int((left.view_index == view).sum()) for view in range(3)]
     assert counts == [64 * 96, 64 * 96 - 28 * 16, 64 * 96]

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from edit3r.kit.photos.images import load_views, packaged_pair
-from edit3r.running.in_place import put_in_place
+from edit3r.running.edit_alignment import align_edit
 
 NAMES = ("left", "right")
 
@@ -62,7 +62,7 @@ def noise(pixels):
 def found(photos, left):
     """What is found of a left edit beside an honest right one."""
     right = as_image(painted(as_pixels(photos[0, 1])))
-    return put_in_place(photos, torch.stack([left, right])[None], NAMES, False)
+    return align_edit(photos, torch.stack([left, right])[None], NAMES, False)
 
 
 @pytest.mark.parametrize(
@@ -114,7 +114,7 @@ def test_swapped_edits_are_named(photos):
     edits = torch.stack(
         [as_image(painted(as_pixels(one))) for one in photos[0].flip(0)]
     )
-    result = put_in_place(photos, edits[None], NAMES, False)
+    result = align_edit(photos, edits[None], NAMES, False)
     assert result.faults == (
         "the edit of left shows the photo right",
         "the edit of right shows the photo left",
@@ -137,10 +137,10 @@ DISC = ((rows - 90) / 60) ** 2 + ((columns - 125) / 90) ** 2 < 1
 @pytest.mark.parametrize("name", HONEST)
 def test_strong_honest_edits_stay_as_they_are(photos, name):
     edits = torch.stack([HONEST[name](one) for one in photos[0]])[None]
-    result = put_in_place(photos, edits, NAMES, False)
+    result = align_edit(photos, edits, NAMES, False)
     assert not result.moved and not result.faults and result.images is edits
 
 
 def test_a_part_that_is_used_may_be_unlike_its_photo(photos):
     edits = torch.rand(photos.shape, generator=torch.Generator().manual_seed(0))
-    assert not put_in_place(photos, edits, NAMES, confined=True).faults
+    assert not align_edit(photos, edits, NAMES, confined=True).faults

@@ -19,7 +19,7 @@ from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.geometry.warping import nearest_views, warp
 
-__all__ = ["passing", "without_passing"]
+__all__ = ["find_transients", "without_transients"]
 
 LONGEST = 172  # size at which photos are compared [pixels]
 NEAR_VIEWS = 4  # others that tell of a photo what passed
@@ -47,7 +47,7 @@ Maps = Float[Tensor, "view height width"]
 Mask = Bool[Tensor, "height width"]
 
 
-def passing(
+def find_transients(
     geometry: Geometry, photos: Views
 ) -> Bool[Tensor, "batch view height width"] | None:
     """Pixels of what passed while `photos` were taken, at their size; None: nothing, or fewer than
@@ -66,7 +66,7 @@ def passing(
     geometry = replace(geometry.at(size).to("cpu"), intrinsics=views.intrinsics)
     masks = torch.stack(
         [
-            _Scene.of(views, geometry, scene).passing()
+            _Scene.of(views, geometry, scene).find_transients()
             for scene in range(len(views.images))
         ]
     )
@@ -76,7 +76,7 @@ def passing(
     return F.interpolate(masks.float(), photos.image_size, mode="nearest-exact") > 0
 
 
-def without_passing(
+def without_transients(
     gaussians: Gaussians,
     masks: Bool[Tensor, "batch view height width"],
     c2w: Float[Tensor, "batch view 4 4"],
@@ -128,7 +128,7 @@ class _Scene:
             ],
         )
 
-    def passing(self) -> Bool[Tensor, "view height width"]:
+    def find_transients(self) -> Bool[Tensor, "view height width"]:
         """What passed, in each view."""
         agreed = {
             (b, c): self._agree(b, c) for b, row in enumerate(self.near) for c in row

@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from edit3r.contract.interfaces import Geometry
+from edit3r.kit.geometry.background_fill import background_layer, rim, second_layer
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.harmonics import dc_to_colour
-from edit3r.kit.geometry.surroundings import background_layer, rim, second_layer
 from edit3r_testing import photograph
 
 

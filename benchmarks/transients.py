@@ -1,7 +1,7 @@
 """People pasted into one of three photos: do they leave ghosts at views that no run was given?
 
-    python benchmarks/passing.py DATA
-    python benchmarks/passing.py DATA fox,0,0 fern,0,1
+    python benchmarks/transients.py DATA
+    python benchmarks/transients.py DATA fox,0,0 fern,0,1
 
 DATA holds the sets of docs/notes/scenes.md. The photos n, n + 2 and n + 4 of a set (`fox,0,0`: its
 name, n, and which of the three somebody walks through) are reconstructed without their poses: as
@@ -78,7 +78,7 @@ class Run:
     def __init__(self, given: edit3r.Views, all_views: edit3r.Views, choice: str):
         self.views = all_views
         self.result = edit3r.run(
-            replace(given, c2w=None), editor="none", size=SIZE, passing=choice
+            replace(given, c2w=None), editor="none", size=SIZE, transients=choice
         )
 
     def camera(self, pair: int, target: int) -> edit3r.Cameras:

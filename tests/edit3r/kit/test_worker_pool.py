@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 import pytest
 
 from edit3r.contract.errors import InputError, RunError
-from edit3r.kit import crews
+from edit3r.kit import worker_pool
 from edit3r.kit.workers import Workers, read_rows, run_resumable
 
 pytestmark = pytest.mark.slow
@@ -96,7 +96,7 @@ def test_a_cluster_without_room_an_error_and_a_job_that_kills_twice_are_told(
         monkeypatch.context() as patch,
         pytest.raises(RunError, match=r"'num_gpus': 8.*--gpus-per-worker"),
     ):
-        patch.setattr(crews, "MOST_WAIT", 3)
+        patch.setattr(worker_pool, "MOST_WAIT", 3)
         run_resumable(jobs, logs_itself, tmp_path / "r", workers=too_large)
     with pytest.raises(InputError, match="no such photo"):
         run_resumable(jobs, fails, tmp_path / "one", workers=asked)

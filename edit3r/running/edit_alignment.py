@@ -46,7 +46,7 @@ Map = Float[np.ndarray, "2 3"]
 
 
 @dataclass(frozen=True)
-class InPlace:
+class AlignedEdit:
     """The pictures of an editor as they lie on their photos, and what was found."""
 
     images: Float[Tensor, "batch view 3 height width"]
@@ -54,12 +54,12 @@ class InPlace:
     faults: tuple[str, ...] = ()  # what could not be, a clause for each picture
 
 
-def put_in_place(
+def align_edit(
     photos: Float[Tensor, "batch view 3 height width"],
     edits: Float[Tensor, "batch view 3 height width"],
     names: Sequence[str],
     confined: bool,
-) -> InPlace:
+) -> AlignedEdit:
     """The edits moved to where their photos are.
 
     `confined`: only a part of them is used, so the rest may show anything.
@@ -79,7 +79,7 @@ def put_in_place(
                 moved.append(f"{name} was {found.said}")
             elif found and not (confined and found.of_all):
                 faults.append(found.text.format(name=name, other=names[found.other]))
-    return InPlace(images, tuple(moved), tuple(faults))
+    return AlignedEdit(images, tuple(moved), tuple(faults))
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,7 @@ class WorkerDied(Exception):
         )
 
 
-class Crew(Protocol):
+class WorkerPool(Protocol):
     """Starts workers and takes their answers. A ticket stands for something that will be there."""
 
     tries: int
@@ -95,8 +95,8 @@ class Crew(Protocol):
         """End all workers."""
 
 
-def crew_of(task: Task, workers: Workers) -> Crew:
-    """The crew that `workers.spread` names."""
+def pool_of(task: Task, workers: Workers) -> WorkerPool:
+    """The pool that `workers.spread` names."""
     return OnRay(task, workers) if workers.spread == "ray" else InProcesses(task)
 
 

@@ -1,0 +1,159 @@
+"""Strangers at the app's doors: bodies, sentences, and records in the jobs folder."""
+
+import json
+import sys
+
+import pytest
+from edit3r_app.jobs import AppJob, JobsFolder
+from edit3r_app.objects import checked_words, read_action
+from edit3r_app.runner import Runner, command_of
+from edit3r_app.server import MAX_ASKED, make_app
+
+from edit3r.cli.main import main
+from edit3r.contract.errors import InputError
+
+BODIES = {
+    "deep": b"[" * 100_000,
+    "deep objects": b'{"say":' * 50_000,
+    "half a character": b'{"say": "paint it \\ud800"}',
+    "NaN": b'{"value": NaN}',
+    "no UTF-8": b'{"say": "\xff\xfe"}',
+    "a list": b"[]",
+    "a number": b"3",
+    "cut off": b'{"say": "pai',
+    "too long": b'{"say": "' + b"a" * MAX_ASKED + b'"}',
+}
+
+
+def answer(app, body, path="/api/go/x", chunks=1, headers=()):
+    """(status, text, how much of the body was read) of a request in chunks, without a length."""
+    import asyncio
+
+    sent, size = [], -(-len(body) // chunks)
+    parts = [body[at : at + size] for at in range(0, len(body), size)]
+    read = 0
+
+    async def receive():
+        nonlocal read
+        if not parts:
+            return {"type": "http.request", "body": b"", "more_body": False}
+        part = parts.pop(0)
+        read += len(part)
+        return {"type": "http.request", "body": part, "more_body": bool(parts)}
+
+    async def send(message):
+        sent.append(message)
+
+    scope = {
+        "type": "http",
+        "method": "POST",
+        "path": path,
+        "raw_path": path.encode(),
+        "root_path": "",
+        "query_string": b"",
+        "headers": [(b"host", b"localhost"), *headers],
+        "app": app,
+    }
+    asyncio.run(app(scope, receive, send))
+    return sent[0]["status"], b"".join(one.get("body", b"") for one in sent[1:]), read
+
+
+@pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)
+@pytest.mark.parametrize("path", ["/api/go/x", "/api/object/x", "/api/phone"])
+def test_a_body_that_is_no_request_is_one_sentence(tmp_path, body, path):
+    app = make_app(JobsFolder(tmp_path), token=None, size=64)
+    status, text, _ = answer(app, body, path)
+    assert status == 400 and b"JSON" in text
+
+
+def test_an_endless_body_is_cut_off_before_it_is_kept(tmp_path):
+    app = make_app(JobsFolder(tmp_path), token=None, size=64)
+    status, _, read = answer(app, b"a" * (40 * MAX_ASKED), chunks=400)
+    assert status == 400 and read < 1.2 * MAX_ASKED
+
+
+WORDS = {
+    "an option": ("remove", "bike", "--out", "/elsewhere"),
+    "an option as the name": ("remove", "--out=/elsewhere"),
+    "as the text": ("rename", "bike", "--out=/elsewhere"),
+    "as a number": ("scale", "bike", "--overwrite"),
+    "too many": ("remove", "bike", "cup"),
+    "too few": ("rename", "bike"),
+    "another action": ("isolate", "bike"),
+    "no action": ("",),
+    "a null": ("remove", "bi\0ke"),
+    "a line": ("recolor", "bike", "red\nblue"),
+    "half a character": ("remove", "\ud800"),
+    "too large": ("turn", "bike", "1e9"),
+    "not a number": ("move", "bike", "nan", "0", "0"),
+}
+
+
+@pytest.mark.parametrize("words", WORDS.values(), ids=WORDS)
+def test_a_strangers_record_asks_for_nothing_but_actions(tmp_path, words):
+    folder = JobsFolder(tmp_path)
+    (tmp_path / "run").mkdir()
+    with pytest.raises(InputError, match=r"not something|dash|say|name"):
+        command_of(folder, AppJob("new", "run", parent="run", object=words))
+
+
+@pytest.mark.parametrize(
+    "words", [WORDS["an option"], WORDS["a null"], WORDS["another action"]]
+)
+def test_such_a_record_fails_and_later_ones_are_done(tmp_path, words):
+    folder = JobsFolder(tmp_path)
+    (tmp_path / "run").mkdir()
+    good = ("remove", "bike")
+    for number, asked in enumerate((words, good)):
+        folder.write(
+            AppJob(f"job{number}", "run", parent="run", object=asked, made=number)
+        )
+    runner = Runner(folder, (sys.executable, "-c", ""))
+    for _ in range(2):
+        runner.step()
+    assert folder.job("job0").state == "failed"
+    assert folder.job("job1").state == "running"
+    runner._child.wait()
+    runner.stop()
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        {"action": "find"},
+        {"action": "remove", "name": "bike"},
+        {"action": "recolor", "name": "the bike", "text": "dark green"},
+        {"action": "move", "name": "bike", "numbers": [-1, 0.5, 1e-7]},
+        {"action": "copy", "name": "bike", "text": "twin", "numbers": [1, 0, -2]},
+        {"action": "scale", "name": "caf\u00e9", "numbers": [0.5]},
+    ],
+)
+def test_what_the_page_asks_for_passes(asked):
+    words = read_action(asked).call
+    assert checked_words(words) == words
+
+
+@pytest.mark.parametrize("name", ["--out=/x", "-h", "a\0b", "a\tb", "\x1b[31m"])
+def test_a_name_is_no_option_and_can_be_printed(name):
+    with pytest.raises(InputError, match="dash"):
+        read_action({"action": "remove", "name": name})
+
+
+def test_behind_two_dashes_nothing_is_an_option(tmp_path, capsys):
+    out = tmp_path / "elsewhere"
+    run = str(tmp_path / "run")
+    main(
+        [
+            "objects",
+            "--quiet",
+            "--out",
+            str(tmp_path / "o"),
+            "--",
+            run,
+            "rename",
+            f"--out={out}",
+            "b",
+        ]
+    )
+    assert not out.exists() and "unrecognized" not in capsys.readouterr().err
+    assert json.dumps([path.name for path in tmp_path.iterdir()]) == "[]"
