@@ -10,6 +10,7 @@ from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError, RunError
 from edit3r.kit.command.flags import add_trust_flag
 from edit3r.kit.command.results import add_common
+from edit3r.kit.files.names import require_there
 from edit3r.running.config import DEFAULTS, PART_KEYS, JobInputs, RunConfig
 from edit3r.running.flags import INPUTS, add_flags, add_mark_flags, given_flags
 
@@ -76,6 +77,8 @@ class RunCommand(Command):
         )
 
     def main(self, args: argparse.Namespace) -> int:
+        for path in args.photos:
+            require_there(path)  # before torch is imported, which takes seconds
         from edit3r.contract.reporting import Report
         from edit3r.kit.command.console import StageConsole, print_json
 

@@ -1,12 +1,17 @@
 """torch as edit3r expects it, whatever the caller has set: float32, the CPU as default device, no
-autocast, no inference mode.
+autocast, no inference mode; and the devices that it can use.
 """
 
 import functools
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields, is_dataclass, replace
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from edit3r.contract.errors import SettingsError
+
+if TYPE_CHECKING:
+    import torch
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 _AUTOCAST = ("cpu", "cuda")  # devices of which it is switched off
@@ -69,3 +74,21 @@ def _normal(value: Any) -> Any:
         changed = {name: one for name, one in changed.items() if one is not own[name]}
         return replace(value, **changed) if changed else value
     return value
+
+
+def require_device(name: str, key: str = "--device") -> "torch.device":
+    """The device called `name`, such as cpu or cuda:0; SettingsError, naming `key`, where torch
+    cannot use it.
+    """
+    import torch
+
+    try:
+        empty = torch.empty(1, device=torch.device(name))
+        empty.cpu()  # raises on "meta", which holds no numbers
+        return empty.device
+    except (RuntimeError, AssertionError, NotImplementedError) as error:
+        reason = " ".join(str(error).split())[:200].rstrip(".")
+        way_out = f"{key} cpu" if key.startswith("--") else f"--set {key}=cpu"
+        raise SettingsError(
+            f"{key}: {name!r} cannot be used on this machine ({reason}); use {way_out}."
+        ) from None

@@ -382,8 +382,13 @@ def check_components(
     """Raise for unknown names and settings and for missing packages; `given` ones are built."""
     for kind in PART_KEYS:
         choice = getattr(config, kind)
-        if choice is not None and kind not in (given or {}):
-            registry.check(kind, choice)
+        if choice is None or kind in (given or {}):
+            continue
+        if choice == RunConfig.model_fields[kind].default and not registry.missing(
+            registry.find(kind, choice.name)
+        ):
+            continue  # its module loads when it is built, which some runs never do
+        registry.check(kind, choice)
     for choice in config.all_refiners():
         registry.check("refiner", choice)
     _check_rasterizer(config, registry, given or {})

@@ -21,8 +21,8 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import note
 from edit3r.contract.settings import of_file
 from edit3r.contract.types import Reconstruction, Views
-from edit3r.kit.files.json_text import read_json
 from edit3r.kit.files.names import unique_names
+from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.cameras import (
     intrinsics_from_outside,
     pose_from_outside,

@@ -8,9 +8,8 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from edit3r.contract.devices import require_device
 from edit3r.contract.reporting import Report, collecting
-from edit3r.contract.torch_state import in_usual_torch
+from edit3r.contract.torch_state import in_usual_torch, require_device
 from edit3r.contract.types import Reconstruction
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.atomic import atomic_folder

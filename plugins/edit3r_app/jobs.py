@@ -27,9 +27,8 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.kit.files.atomic import atomic_write
-from edit3r.kit.files.home import expanded
-from edit3r.kit.files.json_text import read_json
-from edit3r.kit.files.names import is_plain_name, unique_names
+from edit3r.kit.files.names import expanded, is_plain_name, unique_names
+from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import find_photos, save_image
 
 PRIVATE = ".edit3r-app"

@@ -26,7 +26,7 @@ from starlette.staticfiles import StaticFiles
 
 from edit3r import default_registry
 from edit3r.contract.errors import Edit3rError, InputError
-from edit3r.kit.files.json_text import parse_json
+from edit3r.kit.files.text import parse_json
 from edit3r.kit.photos.decode import read_image
 from edit3r_app import downloads, uploads
 from edit3r_app.draft import MARK, read_draft

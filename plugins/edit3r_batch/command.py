@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError, RunError, SettingsError
 from edit3r.kit.command.flags import add_trust_flag
-from edit3r.kit.files.home import expanded
+from edit3r.kit.files.names import expanded
 
 if TYPE_CHECKING:
     from edit3r.kit.workers import Progress, Workers

@@ -12,8 +12,8 @@ from edit3r import Registry
 from edit3r.contract.errors import Edit3rError, InputError, SettingsError, suggest
 from edit3r.contract.reporting import progress
 from edit3r.contract.settings import make_settings, merge, of_file
-from edit3r.kit.files.json_text import parse_json
 from edit3r.kit.files.names import unique_names
+from edit3r.kit.files.text import parse_json
 from edit3r.kit.photos.coverage import VIDEO_SUFFIXES
 from edit3r.kit.photos.images import find_photos
 from edit3r.kit.photos.intrinsics import NO_CAMERAS
@@ -58,9 +58,8 @@ class BatchJob:
     line: int
     inputs: JobInputs
     settings: Mapping[str, Any]  # of the run, as a configuration file holds them
-    record: Mapping[
-        str, Any
-    ]  # all that the results depend on, as JSON data without secrets
+    # all that the results depend on, as JSON data without secrets
+    record: Mapping[str, Any]
 
     @property
     def editor(self) -> str:

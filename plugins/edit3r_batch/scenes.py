@@ -12,7 +12,7 @@ from edit3r import Registry
 from edit3r.contract.errors import RunError, as_known
 from edit3r.contract.settings import PartChoice
 from edit3r.kit.files.atomic import MARKER, atomic_folder
-from edit3r.kit.files.json_text import read_json
+from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.coverage import frames_kept_for
 from edit3r.loading import load_plugins
 from edit3r_batch.jobs import BatchJob

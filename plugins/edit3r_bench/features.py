@@ -16,7 +16,7 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.kit.compute.perceptual import efficientnet_input, frozen_efficientnet
-from edit3r.kit.files.home import expanded
+from edit3r.kit.files.names import expanded
 from edit3r.kit.weights.load import ChosenWeights, foreign, load_pretrained
 from edit3r_bench.metrics import Features
 

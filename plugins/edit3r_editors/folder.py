@@ -12,12 +12,12 @@ from PIL import Image
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract import reporting
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Editor
-from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
-from edit3r.kit.files.home import expanded
+from edit3r.kit.files.names import expanded
 from edit3r.kit.photos.framing import frame_for
 from edit3r.kit.photos.images import find_photos, read_image, to_bytes
 from edit3r.kit.photos.mask_files import photo_named
@@ -34,7 +34,7 @@ class FolderEditor(Editor):
     fits.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         path: str = Field(
             "",
             description="folder with one edited picture per view, named as the photos are",

@@ -13,14 +13,15 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
-from edit3r.contract import reporting, settings as config
+import edit3r
+from edit3r.contract import reporting
 from edit3r.contract.errors import InputError, MatchingError
 from edit3r.contract.interfaces import Geometry, Matcher
 from edit3r.contract.types import Views
 from edit3r.contract.weights import Weights
 from edit3r.kit.cache import remembered
 from edit3r.kit.checks import require_matchable
-from edit3r.kit.files.home import expanded
+from edit3r.kit.files.names import expanded
 from edit3r.kit.geometry.cameras import from_pixels, invert_rigid, relative_to_first
 from edit3r.kit.geometry.maps import resize, size_of, upsample_depth
 from edit3r.kit.weights.find import find, record_of
@@ -48,7 +49,7 @@ class DepthAnything3Matcher(Matcher):
     = 2.
     """
 
-    class Settings(config.Settings):
+    class Settings(edit3r.Settings):
         model: Literal["da3-small", "da3-base"] = Field(
             "da3-small", description="34 or 135 million parameters"
         )

@@ -7,11 +7,11 @@ from typing import Any
 
 from pydantic import Field
 
-from edit3r.contract.devices import require_device
 from edit3r.contract.errors import Edit3rError, MissingDependencyError, RunError
 from edit3r.contract.interfaces import Reader
 from edit3r.contract.reporting import note
 from edit3r.contract.settings import USER_ONLY, Settings
+from edit3r.contract.torch_state import require_device
 from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.service import bounded_client, within
 from edit3r.kit.weights.load import (

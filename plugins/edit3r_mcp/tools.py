@@ -23,7 +23,7 @@ from pydantic import BaseModel, Field
 from edit3r import default_registry
 from edit3r.contract.component import Component
 from edit3r.kit.children import PYTHON
-from edit3r.kit.files.json_text import read_json
+from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.decode import read_image
 
 TOLD_EVERY = 3.0  # assistants give up after a minute without a sign [s]

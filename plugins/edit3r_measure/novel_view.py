@@ -79,9 +79,8 @@ class PredictedScene:
 
     reconstruction: Reconstruction
     rasterizer: Rasterizer
-    inputs: Sequence[
-        PosedPhoto
-    ]  # the first is the reference, the last the farthest from it
+    # the first is the reference, the last the farthest from it
+    inputs: Sequence[PosedPhoto]
 
     @property
     def cameras(self) -> Cameras:

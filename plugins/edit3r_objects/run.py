@@ -14,8 +14,8 @@ from edit3r import default_registry
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import NamedObjects, Rasterizer, SceneToWrite
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.kit.files.json_text import read_json
 from edit3r.kit.files.names import unique_names
+from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import LoadedPhotos, save_image
 from edit3r.kit.rendering import render_each
 from edit3r.kit.run_folder import RunFolder, continue_run

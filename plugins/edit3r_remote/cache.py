@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from edit3r.kit.files.atomic import atomic_write
-from edit3r.kit.files.home import expanded
+from edit3r.kit.files.names import expanded
 from edit3r_remote.service import Answer, Request
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from edit3r.contract.errors import InputError
-from edit3r.kit.files.json_text import read_json
+from edit3r.kit.files.text import read_json
 
 DAMAGE = (
     KeyError,

@@ -15,8 +15,8 @@ from edit3r import build
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Rasterizer, SceneToWrite, SecondLook
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.kit.files.json_text import read_json
 from edit3r.kit.files.names import unique_names
+from edit3r.kit.files.text import read_json
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import save_image

@@ -14,7 +14,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.command.flags import REPEATED, add_plugin_option
 from edit3r.kit.files.atomic import atomic_write
-from edit3r.kit.files.json_text import parse_json
+from edit3r.kit.files.text import parse_json
 
 Item = TypeVar("Item")
 

@@ -22,8 +22,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from edit3r.contract.errors import InputError, RunError
-from edit3r.kit.files.home import expanded
-from edit3r.kit.files.json_text import read_json
+from edit3r.kit.files.names import expanded
+from edit3r.kit.files.text import read_json
 
 __all__ = [
     "MARKER",

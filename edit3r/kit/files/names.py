@@ -1,6 +1,9 @@
-"""Names of files: made of any text, told from paths, and put in order."""
+"""Names of files: made of any text, told from paths, put in order; and the home folder, which not
+every user has: containers, services and job runners make users without one.
+"""
 
 import itertools
+import os
 import re
 import unicodedata
 from collections import Counter
@@ -63,6 +66,13 @@ def refuse_elsewhere(path: str | Path) -> None:
         raise InputError(f"{path}: an archive; unpack it, and give the folder.")
 
 
+def require_there(path: str | Path) -> None:
+    """Raise InputError for what is neither file nor folder, nor a pattern with * or ?, here."""
+    refuse_elsewhere(path)
+    if not any(sign in str(path) for sign in "*?[") and not Path(path).exists():
+        raise InputError(f"{path}: no such file or folder.")
+
+
 def is_plain_name(name: object) -> TypeGuard[str]:
     """Whether a name from a stranger's file names a file or folder, and is no path elsewhere."""
     return (
@@ -108,3 +118,27 @@ def natural(path: Path) -> tuple:
         is_number = part.isdecimal()
         key.append((is_number, int(part) if is_number else part))
     return key, path.name
+
+
+def expanded(path: str | Path) -> Path:
+    """The path with the home folder for ~. Raises InputError where there is none."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        raise InputError(
+            f"{path}: this user has no home folder for ~ to stand for; give the full path."
+        ) from None
+
+
+def user_cache() -> Path | None:
+    """Where programs keep what they can make or fetch again; None for a user without a home.
+
+    A folder that would depend on the current one, which may be a stranger's, is none.
+    """
+    for folder in (
+        os.environ.get("XDG_CACHE_HOME") or "",
+        os.path.expanduser("~/.cache"),
+    ):
+        if os.path.isabs(folder):
+            return Path(folder)
+    return None

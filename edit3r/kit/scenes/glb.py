@@ -16,7 +16,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import warn
 from edit3r.contract.types import MAX_DEGREE, Gaussians
 from edit3r.kit.compute.colour import linear_to_srgb
-from edit3r.kit.files.json_text import parse_json
+from edit3r.kit.files.text import parse_json
 from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
 from edit3r.kit.scenes.axes import UP_AND_BACK, flipped, turned
 

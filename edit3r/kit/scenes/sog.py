@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Any
 
 from edit3r.contract.errors import InputError
-from edit3r.kit.files.json_text import read_json
 from edit3r.kit.files.names import is_plain_name
+from edit3r.kit.files.text import read_json
 
 LOOSE = "meta.json"
 MOST_FILES = 40  # that one names; it has about seven

@@ -14,8 +14,8 @@ from typing import Any
 
 from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.weights import Weights
-from edit3r.kit.files.home import expanded, user_cache
-from edit3r.kit.files.json_text import read_json
+from edit3r.kit.files.names import expanded, user_cache
+from edit3r.kit.files.text import read_json
 
 VARIABLE = "EDIT3R_WEIGHTS"
 """Environment variable that names the folder of all weights."""

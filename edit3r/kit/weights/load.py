@@ -17,7 +17,6 @@ from typing import Any
 
 import torch
 
-from edit3r.contract.devices import require_device
 from edit3r.contract.errors import (
     Edit3rError,
     InputError,
@@ -25,8 +24,9 @@ from edit3r.contract.errors import (
     RunError,
     is_out_of_memory,
 )
+from edit3r.contract.torch_state import require_device
 from edit3r.contract.weights import Weights
-from edit3r.kit.files.home import expanded
+from edit3r.kit.files.names import expanded
 from edit3r.kit.weights.find import at_hand, find, record_of
 
 LIBRARIES = ("diffusers", "transformers")

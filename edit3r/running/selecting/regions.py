@@ -21,7 +21,7 @@ from edit3r.contract.interfaces import (
     Selection,
     Selector,
 )
-from edit3r.contract.reporting import say, warn
+from edit3r.contract.reporting import note, say, warn
 from edit3r.contract.types import Views
 from edit3r.contract.wishes import BENEATH, FLOOD, Change, Colour, Thing, Wish
 from edit3r.kit.checks import check_selected, errors_named_after
@@ -29,6 +29,7 @@ from edit3r.kit.geometry.maps import dilate, shown
 from edit3r.running.selecting.near_colour import near_colour
 
 PLAIN = Selection()
+FAINT = 0.01  # a probability below is none: such pixels keep their exact values
 LEFT = 0.5  # share of a thing that must be left beside what is kept of it
 RIM = 0.012  # half of how thick a rim between two outlines may be [longer sides]
 Masks = Float[Tensor, "view height width"]
@@ -40,9 +41,8 @@ class Regions:
 
     masks: Float[Tensor, "wish view height width"]  # in [0, 1]; 1: the wish applies
     selected: tuple[Selected, ...]  # every thing that was looked for, in order
-    things: Mapping[str, Masks] = field(
-        default_factory=dict
-    )  # masks of what has a name
+    # masks of what has a name
+    things: Mapping[str, Masks] = field(default_factory=dict)
     wishes: tuple[Wish, ...] = ()  # as asked, with colours that were read off things
 
 
@@ -265,12 +265,33 @@ class RegionFinder:
             selection = _with_defaults(selection, self._defaults)
             carried = len(selection.masks) < self._views.count
             geometry = self._geometry() if carried else None
+            given = _as_given(selection, self._views.images[0])
+            if given is not None:
+                self._found[key] = given
+                return given
             selector = self._selector()
             with errors_named_after(selector, self._views.images):
                 found = selector.select(self._views, selection, geometry)
             check_selected(selector, self._views, found)
             self._found[key] = found
         return self._found[key]
+
+
+def _as_given(
+    selection: Selection, images: Float[Tensor, "view 3 height width"]
+) -> Selected | None:
+    """Masks that somebody gave for all views, which nobody need look for; None of all else."""
+    masks = selection.masks
+    as_they_are = not selection.inverted and not selection.grow
+    only_masks = selection == replace(PLAIN, masks=masks) if as_they_are else False
+    if not only_masks or sorted(masks) != list(range(len(images))):
+        return None
+    given = torch.stack([masks[view].to(images) for view in sorted(masks)])[:, None]
+    if given.shape[-2:] != images.shape[-2:] or not bool(given.isfinite().all()):
+        return None  # the selector says what is wrong
+    how = ("given",) * len(images)
+    note("selection", {"how": how})
+    return Selected(torch.where(given < FAINT, 0, given.clamp(0, 1)), how)
 
 
 def _name(thing: Thing) -> str:

@@ -1,6 +1,8 @@
 """`edit3r run`: what its flags mean for the stages."""
 
 import json
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -100,6 +102,19 @@ def test_refine_poses_brings_the_given_ones_back_and_says_how_far(
     )
     assert manifest["notes"]["poses.refined"].startswith("turned by up to 1.")
     assert "as they are" not in manifest["notes"]["poses.source"]
+
+
+def test_a_wrong_file_name_is_said_before_torch_is_imported(tmp_path):
+    """Which takes seconds: within some tenths of one instead."""
+    code = (
+        "import sys; from edit3r.cli.main import main; "
+        "code = main(['run', 'nope.jpg', '--out', sys.argv[1]]); "
+        "print(code, 'torch' in sys.modules)"
+    )
+    asked = [sys.executable, "-c", code, str(tmp_path / "out")]
+    done = subprocess.run(asked, capture_output=True, text=True, check=False)
+    assert done.stdout.split() == ["2", "False"]
+    assert "nope.jpg: no such file or folder" in done.stderr
 
 
 def test_refine_poses_without_poses_is_an_error(posed_photos, tmp_path, capsys):

@@ -141,7 +141,7 @@ LENS = SCENE.views.intrinsics
         (seen(intrinsics=LENS[:, :1]), "must return intrinsics of shape"),
         (seen(lenses=5), "must return lenses as two angles"),
         (ValueError("no luck"), "raised ValueError: no luck"),
-        (None, "must return edit3r.Geometry, got NoneType"),
+        (None, "must return edit3r.contract.interfaces.Geometry, got NoneType"),
         (
             replace(true_geometry(), depths=true_geometry().depths.double()),
             "must return depths in torch.float32",

@@ -160,7 +160,7 @@ def test_a_preview_shows_the_views_that_a_run_would_take(views):
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
-        (lambda v: v.images, "must return edit3r.Views, got Tensor"),
+        (lambda v: v.images, "must return edit3r.contract.types.Views, got Tensor"),
         (lambda v: Views(v.images[..., :4], v.intrinsics), "return images of shape"),
         (
             lambda v: Views(v.images.double(), v.intrinsics),

@@ -11,7 +11,7 @@ from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.weights import Weights
 from edit3r.kit.compute.compiling import compiled
 from edit3r.kit.files.atomic import atomic_folder
-from edit3r.kit.files.home import expanded, user_cache
+from edit3r.kit.files.names import expanded, user_cache
 from edit3r.kit.weights.find import at_hand, folder
 
 SOME = Weights("some", "tests", 1, "MIT", "yes", "hub:a/b", files=(("x", ""),))

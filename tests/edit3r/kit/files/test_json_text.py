@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from edit3r.kit.files.json_text import parse_json, read_json
+from edit3r.kit.files.text import parse_json, read_json
 
 GOOD = {
     '{"a": [1, "b", null]}': {"a": [1, "b", None]},
