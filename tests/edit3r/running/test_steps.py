@@ -11,6 +11,7 @@ import torch
 from edit3r.api import run
 from edit3r.contract.errors import InputError, PluginError, SettingsError
 from edit3r.contract.interfaces import (
+    ChangesShape,
     ComparesWithBefore,
     Editor,
     EditsViews,
@@ -23,6 +24,7 @@ from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
 from edit3r.kit.geometry.maps import composite
 from edit3r.kit.rendering import render_each
+from edit3r.loading.registry import build
 from edit3r.running.config import DEFAULTS, make_run_config
 from edit3r.running.job import JobInputs, job_from
 from edit3r.running.loop import preview
@@ -255,6 +257,22 @@ def test_gaussians_are_made_on_a_grid_only_where_steps_bring_the_detail(
     ] == (6, 8)
 
 
+def test_the_edit_is_judged_at_the_size_of_the_photos_whatever_the_grid(views):
+    critic, asked = build("critic", "limits"), []
+    judge = critic.judge_edit
+    critic.judge_edit = lambda edit: asked.append(edit) or judge(edit)
+    steps = {"grid": 0.5, "refine": 1, "gaussians": "all"}
+
+    class OnGrid(Flat):
+        def __call__(self, views, source=None, geometry=None, grid=None):
+            return super().__call__(views.at(grid))
+
+    run(views, "x", editor=Invert(), recon=OnGrid(), critic=critic, **steps)
+    first, second = asked
+    assert first.cameras is first.rendered is None
+    assert second.cameras.image_size == second.rendered.images.shape[-2:] == (6, 8)
+
+
 @pytest.mark.parametrize(
     ("count", "refine", "grid"),
     [(20, 8, (48, 64)), (80, 8, (24, 32)), (80, 0, (96, 128))],
@@ -303,6 +321,19 @@ def test_the_scene_before_the_edit_is_made_only_where_a_mask_keeps_something(
     counting = recon()
     run(views, "x", editor=Invert(), recon=counting, masks=masks, rasterizer="torch")
     assert counting.calls == asked
+
+
+def test_where_things_come_or_go_nothing_is_held_to_the_scene_before(views):
+    class Reshapes(Invert, ChangesShape):
+        pass
+
+    masks = torch.zeros(1, 2, 6, 8)
+    masks[..., :4] = 1
+    for editor, asked in ((Invert(), 2), (Reshapes(), 1)):
+        counting = Counting()
+        result = run(views, "x", editor=editor, recon=counting, masks=masks)
+        assert counting.calls == asked
+        assert (result.records.made.before is None) == (asked == 1)
 
 
 class LeavingOut(Flat):
