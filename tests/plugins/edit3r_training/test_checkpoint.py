@@ -147,7 +147,7 @@ def test_a_checkpoint_at_no_step_is_refused(tmp_path, wrong):
     _state().save(tmp_path / "last.pt")
     content = torch.load(tmp_path / "last.pt", weights_only=True)
     torch.save(content | wrong, tmp_path / "last.pt")
-    with pytest.raises(InputError, match="it stands at step|best score"):
+    with pytest.raises(InputError, match=r"it stands at step|best score"):
         _state().load(tmp_path / "last.pt")
 
 
