@@ -6,6 +6,7 @@ import argparse
 
 from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS
+from edit3r.kit.command.console import printable
 from edit3r.kit.command.flags import add_plugin_option
 
 
@@ -30,7 +31,9 @@ class DescribeCommand(Command):
             use = _use(offer, registry.settings_class(offer))
         except MissingDependencyError as missing:
             use = f"Settings are not known: {missing}"
-        print(f"{_title(offer)}\n\n{_table(metadata_lines(offer.component))}\n\n{use}")
+        about = _table(metadata_lines(offer.component))
+        text = f"{_title(offer)}\n\n{about}\n\n{use}"
+        print("\n".join(map(printable, text.split("\n"))))
         return 0
 
 

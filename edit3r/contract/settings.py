@@ -33,7 +33,12 @@ Index = Annotated[int, Field(ge=0)]
 class Settings(BaseModel):
     """Base of every component's settings: frozen, unknown keys refused."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", arbitrary_types_allowed=True)
+    model_config = ConfigDict(
+        frozen=True,
+        extra="forbid",
+        arbitrary_types_allowed=True,
+        allow_inf_nan=False,
+    )
 
     @model_validator(mode="before")
     @classmethod

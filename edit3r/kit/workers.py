@@ -20,6 +20,7 @@ from pydantic_core import to_json
 
 from edit3r.contract.errors import InputError, RunError
 from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.files.text import parse_json
 from edit3r.kit.worker_pool import (
     ONE_HERE,
     Function,
@@ -145,7 +146,7 @@ def read_rows(
     lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
     for number, line in enumerate(lines[:-1], start=1):
         try:
-            row = json.loads(line)
+            row = parse_json(line)
             found[row[key_name]] = read(row)
         except (ValueError, TypeError, KeyError, AttributeError):
             raise InputError(

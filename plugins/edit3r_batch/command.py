@@ -269,10 +269,10 @@ def _run(
 
 def _known_row(row: dict[str, Any]) -> dict[str, Any]:
     """A row as it is shown; one of something else is an error here."""
-    from edit3r.contract.verdicts import LABELS
+    from edit3r_batch.scenes import check_row
 
     if "failure" not in row:
-        LABELS.index(row["verdict"])
+        check_row(row)
         _table([row])
     return row
 

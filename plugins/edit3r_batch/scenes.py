@@ -6,11 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import ConfigDict, TypeAdapter
+from typing_extensions import Required, TypedDict
 
 from edit3r import Registry
 from edit3r.contract.errors import RunError, as_known
 from edit3r.contract.settings import PartChoice
+from edit3r.contract.verdicts import Label
 from edit3r.kit.files.atomic import MARKER, atomic_folder
 from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.coverage import frames_kept_for
@@ -96,6 +100,25 @@ def record_of(folder: Path) -> dict[str, Any]:
     return record if isinstance(record, dict) else {}
 
 
+class _Row(TypedDict, total=False):
+    __pydantic_config__ = ConfigDict(strict=True, allow_inf_nan=False)  # type: ignore[misc]
+
+    verdict: Required[Label]
+    reason: Required[str]
+    edit: Literal["good", "doubtful", ""]
+    edit_reason: str
+    psnr: float
+    gaussians: int
+
+
+_ROWS = TypeAdapter(_Row)
+
+
+def check_row(row: dict[str, Any]) -> None:
+    """Raise ValueError unless this can be shown as the row of a finished job."""
+    _ROWS.validate_python(row)
+
+
 def row_of(folder: Path) -> dict[str, Any]:
     """What a finished folder says about its run. It is the same whoever did the job."""
     try:
@@ -103,7 +126,7 @@ def row_of(folder: Path) -> dict[str, Any]:
         verdict = manifest["verdict"]
         shown = [psnr for psnr in verdict["input_psnr"] if psnr is not None]
         edit = manifest["edit_verdict"] or {"label": NO_EDIT, "reason": ""}
-        return {
+        row = {
             "verdict": verdict["label"],
             "reason": verdict["reason"],
             "edit": edit["label"],
@@ -112,6 +135,8 @@ def row_of(folder: Path) -> dict[str, Any]:
             "gaussians": manifest["gaussians"],
             "warnings": len(manifest["warnings"]),
         }
+        check_row(row)
+        return row
     except (
         OSError,
         ValueError,

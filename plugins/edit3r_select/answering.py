@@ -58,7 +58,8 @@ class SummingSegmenter(HeldSegmenter):
             drawn = Asked(stroke=marks.stroke, box=marks.box)
             chosen = selected(photo, drawn, ask)
             before = None if chosen is None else chosen.best.logits
-        waiting, clicks = _clicks(marks), ()
+        waiting = _clicks(marks)
+        clicks: tuple[Click, ...] = ()
         while new := [one for one in waiting if not _obeyed(before, photo, one)]:
             waiting.remove(new[0])
             clicks = (*clicks, new[0])

@@ -5,6 +5,7 @@ can run.
 """
 
 import json
+import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -74,6 +75,10 @@ class TrainingState:
             self.step, self.skipped = int(content["step"]), int(content["skipped"])
             self.best = float(content["best"])
             self.validated = int(content.get("validated", content["step"]))
+            if min(self.step, self.skipped, self.validated) < 0:
+                raise ValueError(f"it stands at step {self.step}")
+            if math.isnan(self.best):
+                raise ValueError("its best score is no number")
         except (
             Exception
         ) as error:  # damaged numbers make whoever gets them raise what they like

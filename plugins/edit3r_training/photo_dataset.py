@@ -20,6 +20,7 @@ from edit3r.contract.settings import Count, Index, Share
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import relative_to_first
 from edit3r.kit.geometry.maps import size_of
+from edit3r_training.spans import CountSpan, Span
 
 Images = Float[Tensor, "view 3 height width"]
 
@@ -37,10 +38,10 @@ class PhotoSettings(config.Settings):
     )
     context: int = Field(2, ge=2, le=16, description="input views")
     targets: int = Field(4, ge=0, le=16, description="novel views")
-    gap: tuple[int, int] = Field(
+    gap: CountSpan = Field(
         (45, 90), description="from first to last context view [frames]"
     )
-    gap_start: tuple[int, int] | None = Field(
+    gap_start: CountSpan | None = Field(
         None, description="gap when training begins; default: as `gap`"
     )
     gap_growth: float = Field(
@@ -49,7 +50,7 @@ class PhotoSettings(config.Settings):
         le=1,
         description="share of the training in which `gap_start` grows evenly to `gap`",
     )
-    baseline: tuple[float, float] = Field(
+    baseline: Span = Field(
         (1e-3, 1e10),
         description="from first to last context camera [units of the data]; others are skipped",
     )

@@ -24,6 +24,7 @@ from edit3r_training.procedural_scenes import (
     texture_bank,
 )
 from edit3r_training.raycaster import CastImage, cast
+from edit3r_training.spans import CountSpan, Span
 
 EIGHT_BITS = (
     "context",
@@ -52,13 +53,13 @@ class ProceduralDataset(Dataset):
         image_size: int = Field(
             64, ge=8, le=1024, description="height and width of the images [pixels]"
         )
-        context: int = Field(2, ge=1, le=16, description="input views")
+        context: int = Field(2, ge=2, le=16, description="input views")
         targets: int = Field(2, ge=0, le=16, description="novel views")
-        angles: tuple[float, float] = Field(
+        angles: Span = Field(
             (4.0, 30.0),
             description="least and most angle between input views [degrees]",
         )
-        objects: tuple[int, int] = Field(
+        objects: CountSpan = Field(
             (5, 16), description="least and most objects besides the room"
         )
         outdoor: Share = Field(

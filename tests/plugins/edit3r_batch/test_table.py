@@ -7,7 +7,7 @@ import pytest
 from edit3r_batch.command import _known_row, _print_progress, _table
 from edit3r_batch.scenes import row_of
 
-from edit3r.contract.errors import InputError
+from edit3r.contract.errors import InputError, RunError
 from edit3r.kit.workers import Progress, read_rows
 
 
@@ -50,7 +50,14 @@ def test_a_terminal_shows_one_line_that_changes_and_ends_it_after_the_last_job(
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"verdict": "great"}, {"psnr": "high"}, {"reason": None}, {"gaussians": {}}],
+    [
+        {"verdict": "great"},
+        {"verdict": None},
+        {"edit": "great"},
+        {"psnr": "high"},
+        {"reason": None},
+        {"gaussians": {}},
+    ],
 )
 def test_a_row_of_something_else_is_named(tmp_path, wrong):
     row = manifest(tmp_path, None)
@@ -60,3 +67,22 @@ def test_a_row_of_something_else_is_named(tmp_path, wrong):
     file.write_text("".join(json.dumps(line) + "\n" for line in lines))
     with pytest.raises(InputError, match="line 3: not a result"):
         read_rows(file, "id", _known_row)
+
+
+@pytest.mark.parametrize(
+    "verdict",
+    [
+        {"label": None},
+        {"label": "great"},
+        {"reason": None},
+        {"input_psnr": [1e308, 1e308]},
+        {"input_psnr": [float("nan")]},
+    ],
+)
+def test_a_folder_whose_record_says_something_else_is_named(tmp_path, verdict):
+    manifest(tmp_path, None)
+    content = json.loads((tmp_path / "run.json").read_text())
+    content["verdict"] |= verdict
+    (tmp_path / "run.json").write_text(json.dumps(content))
+    with pytest.raises(RunError, match=r"run\.json cannot be read"):
+        row_of(tmp_path)

@@ -142,6 +142,15 @@ def test_a_checkpoint_with_a_part_of_another_kind_is_refused(tmp_path, part):
         _state().load(tmp_path / "last.pt")
 
 
+@pytest.mark.parametrize("wrong", [{"step": -3}, {"best": float("nan")}])
+def test_a_checkpoint_at_no_step_is_refused(tmp_path, wrong):
+    _state().save(tmp_path / "last.pt")
+    content = torch.load(tmp_path / "last.pt", weights_only=True)
+    torch.save(content | wrong, tmp_path / "last.pt")
+    with pytest.raises(InputError, match=r"it stands at step|best score"):
+        _state().load(tmp_path / "last.pt")
+
+
 def test_a_failed_write_leaves_the_last_checkpoint_whole(tmp_path, monkeypatch):
     state = _state()
     state.save(tmp_path / "last.pt")

@@ -274,7 +274,16 @@ def test_images_and_poses_fit_each_other_mirrored_or_not(mirrored):
 
 
 class TestSettings:
-    ranges: ClassVar = [{"context": 1}, {"targets": -1}, {"image_size": 2}]
+    ranges: ClassVar = [
+        {"context": 1},
+        {"targets": -1},
+        {"image_size": 2},
+        {"angles": (float("nan"), 5)},
+        {"angles": (30, 5)},
+        {"angles": (-5, 5)},
+        {"gap": (9, 2)},
+        {"max_fov": float("nan")},
+    ]
 
     @pytest.mark.parametrize("wrong", ranges)
     def test_out_of_range_is_refused(self, tmp_path, wrong):

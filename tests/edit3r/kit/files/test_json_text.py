@@ -13,7 +13,6 @@ GOOD = {
     '"\\\\ud800"': "\\ud800",  # a backslash and letters
     "[]": [],
     '"\u00e9"'.encode("utf-16"): "\u00e9",
-    "1e400": float("inf"),
 }
 
 
@@ -35,6 +34,7 @@ BAD = {
     "nothing": "",
     "words": "hello",
     "cut off": '{"a": [1, ',
+    "too large": "1e400",
     "very long number": "1" * 5000,
 }
 
