@@ -142,6 +142,16 @@ def test_a_further_edit_has_the_reconstructor_unless_another_or_a_quality_is_ask
     assert (job.components.get("reconstructor") is result.reconstructor) == same
 
 
+def test_photos_that_are_given_are_edited_from_the_start(posed, result, monkeypatch):
+    jobs = []
+    monkeypatch.setattr("edit3r.api.run_job", lambda job, *rest: jobs.append(job))
+    for photos in ((), [posed[0] / "0.png", posed[0] / "1.png"]):
+        edit3r.run(photos, "make it blue", earlier=result, report=Report())
+    again, anew = jobs
+    assert again.earlier is not None and anew.earlier is None
+    assert again.config.frames == anew.config.frames == QUICK["frames"]
+
+
 def test_results_of_different_photos_are_not_compared(result):
     photos = replace(result.photos, names=("x", "y"))
     with pytest.raises(InputError, match="different photos: 0, 1, and x, y"):
