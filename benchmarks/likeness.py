@@ -20,7 +20,7 @@ from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from edit3r.kit.compute.likeness import psnr, ssim
+from edit3r.kit.compute.metrics import psnr, ssim
 
 PACKAGE, FILE = "stlpips_pytorch", "weights/vST0.0/alex_shift_tolerant.pth"
 # Convolutions by their names in the file, with what is padded; features are compared after each.

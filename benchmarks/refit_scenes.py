@@ -19,7 +19,7 @@ import torch
 import edit3r
 from edit3r.contract.interfaces import SceneSample
 from edit3r.contract.types import EditRequest, Gaussians, Views
-from edit3r.kit.compute.likeness import psnr
+from edit3r.kit.compute.metrics import psnr
 from edit3r.kit.reconstructing import WithMatcher
 
 METHODS = ("refit", "instruct-nerf2nerf", "gaussctrl", "editsplat")

@@ -8,12 +8,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+import edit3r
 from edit3r.contract.interfaces import (
     Backbone,
     GaussianHead,
     Geometry,
 )
-from edit3r.contract.settings import Settings
 from edit3r.contract.types import PER_GAUSSIAN, Features, Gaussians, Views
 from edit3r.kit.checks import check_gaussians
 from edit3r_testing.contract import Contract, require_of_views
@@ -25,7 +25,7 @@ PATCHES = (2, 3)
 class TinyBackbone(Backbone):
     """The simplest backbone there is, to try heads on: linear maps of each patch's pixels."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         """Nothing to set."""
 
     settings: Settings

@@ -10,7 +10,8 @@ import torch.nn.functional as F
 from pydantic import Field
 from torch import nn
 
-from edit3r import Component, PartChoice, Settings, hookimpl
+import edit3r
+from edit3r import Component, PartChoice, hookimpl
 from edit3r.contract.interfaces import GaussianHead, Reconstructor
 from edit3r.contract.types import Gaussians, Reconstruction
 from edit3r.kit.geometry.cameras import pixel_grid
@@ -34,7 +35,7 @@ class CurtainHead(GaussianHead):
     The centre lies on the pixel's ray through a lens of focal length 1.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         depth: float = Field(
             2.0, gt=0, description="depth it starts from [scene units]"
         )
@@ -76,7 +77,7 @@ class CurtainHead(GaussianHead):
 class LearnedReconstructor(Reconstructor):
     """Predicts no poses, so the pipeline finds them by PnP on the Gaussians."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         backbone: PartChoice = Field(
             PartChoice(name="asymmetric-vit", settings=SMALL),
             description="views to features",

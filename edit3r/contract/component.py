@@ -49,9 +49,8 @@ class Component:
     extra: str = ""
     parts: tuple[str, ...] = ()  # kinds built first and passed to the class by keyword
     licence: str = "Apache-2.0"  # of the code, and of weights it brings along
-    devices: tuple[
-        str, ...
-    ] = ()  # types of torch device it runs on, as ("cuda",); (): any
+    # types of torch device it runs on, as ("cuda",); (): any
+    devices: tuple[str, ...] = ()
     needs_network: bool = False
     supports_seed: bool = True  # False: the same seed may give another result
     # of an editor: what a run without --editor may take it for (`edit3r.contract.wishes.Action`)
@@ -66,9 +65,8 @@ class Component:
     min_views: int = 1
     max_views: int | None = None  # None: any number
     citation: str = ""
-    weights: tuple[
-        Weights, ...
-    ] = ()  # what it can load; `edit3r weights get NAME` fetches them
+    # what it can load; `edit3r weights get NAME` fetches them
+    weights: tuple[Weights, ...] = ()
 
     def __post_init__(self) -> None:
         if not (isinstance(self.name, str) and NAME.fullmatch(self.name)):

@@ -3,6 +3,7 @@ autocast, no inference mode; and the devices that it can use.
 """
 
 import functools
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import fields, is_dataclass, replace
@@ -27,6 +28,8 @@ def in_usual_torch(function: Function) -> Function:
 
     @functools.wraps(function)
     def called(*args: Any, **kwargs: Any) -> Any:
+        if "torch" not in sys.modules:  # a state that nobody can have changed
+            return function(*args, **kwargs)
         with usual_torch():
             own = {name: _normal(value) for name, value in kwargs.items()}
             return function(*map(_normal, args), **own)
@@ -37,7 +40,7 @@ def in_usual_torch(function: Function) -> Function:
 @contextmanager
 def usual_torch() -> Iterator[None]:
     """torch's state as it is without settings; the caller's comes back after the block."""
-    import torch  # half a second, which those who only look plugins up do not pay
+    import torch
 
     dtype = torch.get_default_dtype()
     with ExitStack() as stack:

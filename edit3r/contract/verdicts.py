@@ -18,22 +18,17 @@ class Verdict:
 
     label: Label
     reason: str  # one sentence that says what was found and what to do
-    input_psnr: tuple[
-        float | None, ...
-    ]  # [dB] of each view's rendering against its edited image; None: left out
-    agreement: tuple[
-        float | None, ...
-    ]  # [dB] the same before any refiner: how well the photos' geometry fits together
+    # [dB] of each view's rendering against its edited image; None: left out
+    input_psnr: tuple[float | None, ...]
+    # [dB] the same before any refiner: how well the photos' geometry fits together
+    agreement: tuple[float | None, ...]
     placed: tuple[bool, ...]  # False: the photo could not be placed and is left out
-    coverage: tuple[
-        float | None, ...
-    ]  # share of the view's pixels that show Gaussians, in [0, 1]
-    filled: tuple[
-        float | None, ...
-    ]  # share of the view's pixels whose depth was guessed; None: not known
-    guessed_between: tuple[
-        float | None, ...
-    ]  # share of the picture half-way to the nearest view whose depth was guessed; None: not known
+    # share of the view's pixels that show Gaussians, in [0, 1]
+    coverage: tuple[float | None, ...]
+    # share of the view's pixels whose depth was guessed; None: not known
+    filled: tuple[float | None, ...]
+    # share of the picture half-way to the nearest view whose depth was guessed; None: not known
+    guessed_between: tuple[float | None, ...]
 
 
 @dataclass(frozen=True)

@@ -34,9 +34,8 @@ class Weights:
     source: str
     # commit on the hub, version of the package; "": not pinned, and said so
     revision: str = ""
-    files: tuple[
-        tuple[str, str], ...
-    ] = ()  # (path or pattern at the source, SHA-256 or "" where it is not known)
+    # (path or pattern at the source, SHA-256 or "" where it is not known)
+    files: tuple[tuple[str, str], ...] = ()
     gated: bool = False  # the hub asks for an account that accepted the licence
     essential: bool = False  # `edit3r weights get essentials` fetches them
     caution: str = ""  # a sentence that whoever fetches them must have read

@@ -42,9 +42,8 @@ class Thing:
     # background: all but the main thing; region: `box` of the picture, such as its left half
     scope: Scope = "marked"
     name: str = ""  # "motorcycle", "old door"
-    which: tuple[
-        str, ...
-    ] = ()  # what picks it among several: "left", "big", "red", "all"
+    # what picks it among several: "left", "big", "red", "all"
+    which: tuple[str, ...] = ()
     of: str = ""  # the whole that it is a part of: "tank of the motorcycle"
     part: Colour | None = None  # only its pixels near this colour
     # of a region, on the first photo: left, top, width, height [shares of its sides]

@@ -366,12 +366,22 @@ def _require(component: Any, held: bool, promise: str) -> None:
         raise PluginError(f"{named_after(component)} must {promise}.")
 
 
+def where(cls: type) -> str:
+    """A class as a plugin imports it: edit3r.contract.types.Views, edit3r.contract.wishes.Wish."""
+    if cls.__module__ == "builtins":
+        return cls.__name__
+    contract = cls.__module__.split(".")[
+        :3
+    ]  # interfaces are a package that names them all
+    return ".".join((*contract, cls.__name__))
+
+
 def _require_type(component: Any, answer: Any, expected: type) -> None:
     given = type(answer).__name__
     _require(
         component,
         isinstance(answer, expected),
-        f"return edit3r.{expected.__name__}, got {given}",
+        f"return {where(expected)}, got {given}",
     )
 
 

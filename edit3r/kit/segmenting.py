@@ -15,6 +15,7 @@ from edit3r.kit.checks import (
     check_tracks,
     errors_named_after,
     named_after,
+    where,
 )
 
 Image = Float[Tensor, "3 height width"]
@@ -81,7 +82,7 @@ class HeldSegmenter(Segmenter):
             answer = ask()
         if not isinstance(answer, Sequence) or isinstance(answer, str):
             raise PluginError(
-                f"{named_after(self.asked)} must return a tuple of edit3r.Proposal, got "
+                f"{named_after(self.asked)} must return a tuple of {where(Proposal)}, got "
                 f"{type(answer).__name__}."
             )
         for one in answer:

@@ -128,9 +128,8 @@ class EditedPhotos:
     """The 2D edit, held to the masks."""
 
     views: Views
-    faults: tuple[
-        str, ...
-    ] = ()  # what shows that pictures are no edits of their photos
+    # what shows that pictures are no edits of their photos
+    faults: tuple[str, ...] = ()
     moved: tuple[str, ...] = ()  # what was undone of pictures that had moved
     verdict: EditVerdict | None = None  # in 2D; None: no edit was asked for
 

@@ -42,9 +42,8 @@ class Mark:
     # one; or two corners of a box, which is sought in or taken exactly; or those along a stroke, or
     # around what a lasso takes or carves away
     places: Annotated[list[tuple[Share, Share]], Field(min_length=1)]
-    radius: Annotated[float, Field(ge=0, le=0.5)] = (
-        0.0  # of the brush, of the longer side
-    )
+    # of the brush, of the longer side
+    radius: Annotated[float, Field(ge=0, le=0.5)] = 0.0
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,7 @@ class ObjectAction(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
-    action: Literal[tuple(IN_WORDS)]  # type: ignore[valid-type]
+    action: Literal[tuple(IN_WORDS)]  # type: ignore[valid-type]  # of IN_WORDS
     name: Text = ""
     numbers: tuple[Number, ...] = ()
     text: Text = ""

@@ -58,9 +58,8 @@ class BatchJob:
     line: int
     inputs: JobInputs
     settings: Mapping[str, Any]  # of the run, as a configuration file holds them
-    record: Mapping[
-        str, Any
-    ]  # all that the results depend on, as JSON data without secrets
+    # all that the results depend on, as JSON data without secrets
+    record: Mapping[str, Any]
 
     @property
     def editor(self) -> str:

@@ -23,10 +23,11 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract import reporting
 from edit3r.contract.errors import RunError, SettingsError
 from edit3r.contract.interfaces import Editor
-from edit3r.contract.settings import USER_ONLY, Settings
+from edit3r.contract.settings import USER_ONLY
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.photos.images import save_image
 from edit3r_editors.folder import read_edit, view_names
@@ -40,7 +41,7 @@ EXAMPLE = '--set editor.command="mytool --in {input} --out {output} --prompt {pr
 class CommandEditor(Editor):
     """Runs `editor.command` per view, or once for all views when it names folders."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         command: str = Field(
             "",
             description="program with arguments; {input} {output} {mask} {prompt} {seed}, or *_dir",

@@ -12,10 +12,10 @@ from PIL import Image
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract import reporting
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Editor
-from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.files.names import expanded
 from edit3r.kit.photos.framing import frame_for
@@ -34,7 +34,7 @@ class FolderEditor(Editor):
     fits.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         path: str = Field(
             "",
             description="folder with one edited picture per view, named as the photos are",

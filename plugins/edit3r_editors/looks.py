@@ -21,10 +21,10 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract.errors import PromptError, suggest
 from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.reporting import say
-from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.compute.layers import one_thread
@@ -272,7 +272,7 @@ class LooksEditor(Editor, EditsRegions):
     Colour grading and classical filters, not a generative editor.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         look: Literal[_NAMES] = Field(  # type: ignore[valid-type]  # of LOOKS
             "", description="the look; empty: the one that the prompt names"
         )

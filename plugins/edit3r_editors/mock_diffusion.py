@@ -18,9 +18,9 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract import reporting
 from edit3r.contract.interfaces import Editor
-from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r.kit.geometry.maps import size_of
@@ -40,7 +40,7 @@ TEXTURE, WARP = (
 class MockDiffusionEditor(Editor):
     """Deterministic stand-in for a diffusion editor; says so on every run."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         steps: int = Field(
             20,
             ge=1,

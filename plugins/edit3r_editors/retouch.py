@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract.errors import MatchingError, PromptError
 from edit3r.contract.interfaces import (
     ChangesShape,
@@ -23,7 +24,7 @@ from edit3r.contract.interfaces import (
     Matcher,
 )
 from edit3r.contract.reporting import note, warn
-from edit3r.contract.settings import PartChoice, Settings
+from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.geometry.cameras import project, unproject
@@ -50,7 +51,7 @@ DARK = 0.1  # light below which no shadow is told from the ground
 class RetouchEditor(Editor, ChangesShape, EditsRegions):
     """Removes what `request.masks` cover; the prompt only says to the segmenter what that is."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         matcher: PartChoice = Field(
             PartChoice(name="classical"),
             description="measures poses and depth of the photos",

@@ -13,7 +13,8 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
-from edit3r.contract import reporting, settings as config
+import edit3r
+from edit3r.contract import reporting
 from edit3r.contract.errors import InputError, MatchingError
 from edit3r.contract.interfaces import Geometry, Matcher
 from edit3r.contract.types import Views
@@ -48,7 +49,7 @@ class DepthAnything3Matcher(Matcher):
     = 2.
     """
 
-    class Settings(config.Settings):
+    class Settings(edit3r.Settings):
         model: Literal["da3-small", "da3-base"] = Field(
             "da3-small", description="34 or 135 million parameters"
         )

@@ -111,12 +111,10 @@ class FoundFeatures:
     """Features of every image, and which of them look alike."""
 
     keypoints: tuple[Keypoints, ...]
-    indices: dict[
-        tuple[int, int], Int[np.ndarray, "match 2"]
-    ]  # (a, b) with a < b: keypoints of images a and b
-    sift: tuple[
-        int, ...
-    ] = ()  # per image: how many of its first keypoints are SIFT's, the others are learned; (): all
+    # (a, b) with a < b: keypoints of images a and b
+    indices: dict[tuple[int, int], Int[np.ndarray, "match 2"]]
+    # per image: how many of its first keypoints are SIFT's, the others are learned; (): all
+    sift: tuple[int, ...] = ()
     helper: str = ""  # what to call the source of the learned ones
     tilted: bool = False  # some are of tilted images: for photos taken from wide apart
 

@@ -10,9 +10,8 @@ from jaxtyping import Float
 class Keypoints:
     """Where the features are and what they look like."""
 
-    points: Float[
-        np.ndarray, "point 2"
-    ]  # x, y [pixels of the image, pixel centres at +0.5], float64
+    # x, y [pixels of the image, pixel centres at +0.5], float64
+    points: Float[np.ndarray, "point 2"]
     descriptors: Float[np.ndarray, "point 128"]  # unit length, float32
 
     def __len__(self) -> int:

@@ -12,8 +12,9 @@ from jaxtyping import Float
 from pydantic import Field, model_validator
 from torch import Tensor
 
+import edit3r
 from edit3r import build, default_registry
-from edit3r.contract import reporting, settings as config
+from edit3r.contract import reporting
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import Geometry, Matcher, MatchesLevelled
@@ -429,7 +430,7 @@ class AutoMatcher(Matcher, MatchesLevelled):
     not reused.
     """
 
-    class Settings(config.Settings):
+    class Settings(edit3r.Settings):
         pick: Literal["best", "da3-base", "da3-small", "part"] = Field(
             "best", description="'part': its matcher"
         )

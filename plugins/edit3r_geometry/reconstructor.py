@@ -3,7 +3,7 @@
 import torch
 from pydantic import Field
 
-from edit3r.contract import settings as config
+import edit3r
 from edit3r.contract.interfaces import Geometry, Reconstructor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.checks import require_geometry
@@ -21,7 +21,7 @@ class ClassicalReconstructor(Reconstructor):
     same surface or sees through them.
     """
 
-    class Settings(config.Settings):
+    class Settings(edit3r.Settings):
         footprint: float = Field(
             0.35,
             gt=0,

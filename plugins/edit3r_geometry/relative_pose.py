@@ -54,9 +54,8 @@ class Matches:
     rays_b: Float[np.ndarray, "match 3"]
     focal: float  # mean focal length of the two cameras [pixels]: turns ray distances into pixels
     chance: float  # probability that a random match lies within one pixel of a given epipolar line
-    noise: Float[np.ndarray, "match"] | None = (
-        None  # how inexact each is, 1 being SIFT's points; None: all are
-    )
+    # how inexact each is, 1 being SIFT's points; None: all are
+    noise: Float[np.ndarray, "match"] | None = None
 
     def __len__(self) -> int:
         return len(self.rays_a)
@@ -85,9 +84,8 @@ class TwoViewPose:
 
     pose: Pose  # A's frame to B's, translation of length 1
     inliers: Bool[np.ndarray, "match"]
-    log_false_alarms: (
-        float  # log10 of how many equally good agreements random matches would give
-    )
+    # log10 of how many equally good agreements random matches would give
+    log_false_alarms: float
 
 
 def estimate_pose(

@@ -18,7 +18,7 @@ from edit3r.contract.errors import MatchingError, PluginError
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.compute.changes import change_error, change_uptake
-from edit3r.kit.compute.likeness import Image, Region, psnr, ssim
+from edit3r.kit.compute.metrics import Image, Region, psnr, ssim
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.photos.posed_folder import PosedPhoto
 from edit3r.kit.photos.triples import Pose, rotation_degrees
@@ -79,9 +79,8 @@ class PredictedScene:
 
     reconstruction: Reconstruction
     rasterizer: Rasterizer
-    inputs: Sequence[
-        PosedPhoto
-    ]  # the first is the reference, the last the farthest from it
+    # the first is the reference, the last the farthest from it
+    inputs: Sequence[PosedPhoto]
 
     @property
     def cameras(self) -> Cameras:

@@ -33,7 +33,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.settings import Settings, make_settings
 from edit3r.contract.types import Cameras
 from edit3r.kit.command.results import read_json
-from edit3r.kit.compute.likeness import psnr, ssim
+from edit3r.kit.compute.metrics import psnr, ssim
 from edit3r.kit.geometry.rotations import cross_matrix
 from edit3r.kit.photos.posed_folder import PosedPhoto, read_posed_folder
 from edit3r.kit.photos.triples import Pose

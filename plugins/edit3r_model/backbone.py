@@ -12,9 +12,10 @@ from jaxtyping import Float, Int
 from pydantic import Field
 from torch import Tensor, nn
 
+import edit3r
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Backbone, Geometry
-from edit3r.contract.settings import Count, Settings
+from edit3r.contract.settings import Count
 from edit3r.contract.types import Features
 from edit3r_model.memory import construct
 from edit3r_model.transformer import (
@@ -49,7 +50,7 @@ class AsymmetricViT(Backbone):
     view and is dropped at the end. Input sides must be multiples of `patch_size`.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         width: int = Field(1024, ge=4, description="encoder channels")
         depth: Count = Field(24, description="encoder blocks")
         heads: int | None = Field(

@@ -15,9 +15,10 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
+import edit3r
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import Backbone, GaussianHead, Geometry
-from edit3r.contract.settings import Count, Settings
+from edit3r.contract.settings import Count
 from edit3r.contract.types import Features, Gaussians, Views
 from edit3r_model.backbone import ROLES
 from edit3r_model.gaussian_adapter import adapt, attribute_channels
@@ -43,7 +44,7 @@ class DptGaussianHead(GaussianHead):
     a convolution that skips the transformer, which is what keeps colours sharp.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         feature_width: Count = Field(256, description="channels of the fused maps")
         point_width: Count = Field(
             128, description="channels of the centre predictor's last layers"

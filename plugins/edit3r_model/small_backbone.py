@@ -12,9 +12,10 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
+import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Backbone, Geometry
-from edit3r.contract.settings import Index, Settings
+from edit3r.contract.settings import Index
 from edit3r.contract.types import Features
 from edit3r.kit.compute.layers import Conv2d, GroupNorm, bilinear
 from edit3r.kit.geometry.maps import resize
@@ -46,7 +47,7 @@ class MatchedUNet(Backbone):
     patch_size = STRIDE
     uses_geometry = True
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         width: int = Field(
             32, ge=8, le=512, multiple_of=8, description="channels of its features"
         )

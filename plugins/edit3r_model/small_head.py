@@ -17,9 +17,10 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor, nn
 
+import edit3r
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Backbone, GaussianHead, Geometry
-from edit3r.contract.settings import Index, Settings, Share
+from edit3r.contract.settings import Index, Share
 from edit3r.contract.types import Cameras, Features, Gaussians, Views
 from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
@@ -57,9 +58,8 @@ docs/model-card.md.
 class Decisions:
     """Corrections and choices of colour for every view, on the backbone's grid."""
 
-    corrections: (
-        Images  # of log depth (-0.7, 0.7), opacity logit, log scale (-0.5, 0.5)
-    )
+    # of log depth (-0.7, 0.7), opacity logit, log scale (-0.5, 0.5)
+    corrections: Images
     choices: "Choices | None"  # of colours; None: every view keeps its own
 
 
@@ -82,7 +82,7 @@ class EditFusionHead(GaussianHead):
 
     uses_geometry = True
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         width: int = Field(
             32,
             ge=8,

@@ -9,9 +9,9 @@ from jaxtyping import Float, Int
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import SceneToWrite, Writer
-from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras, Rendering
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.warping import warp
@@ -56,7 +56,7 @@ class MeshWriter(Writer):
 
     needs = ("cameras", "render")
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         detail: float = Field(
             1.0,
             gt=0.05,

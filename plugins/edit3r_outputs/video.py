@@ -19,9 +19,9 @@ from PIL import Image
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import SceneToWrite, Writer
-from edit3r.contract.settings import Settings
 from edit3r.kit.photos.images import to_bytes
 
 QUALITY = 85  # of WebP; about 37 dB on photos
@@ -45,7 +45,7 @@ class VideoWriter(Writer):
 
     needs = ("frames",)
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         fps: float = Field(18, gt=0, le=1000, description="frames per second")
 
     settings: Settings

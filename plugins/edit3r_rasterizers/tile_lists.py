@@ -49,9 +49,8 @@ class TileLists:
     entries: np.ndarray  # [E + layout.LOOKAHEAD], splat of each entry
     # [E + layout.LOOKAHEAD], entries grouped by splat; empty where no gradients are wanted
     positions: np.ndarray
-    splat_offsets: (
-        np.ndarray
-    )  # [G + 1], where each splat's positions begin; empty like these
+    # [G + 1], where each splat's positions begin; empty like these
+    splat_offsets: np.ndarray
 
 
 def list_tiles(

@@ -47,9 +47,8 @@ class Splats:
     inv_std_y: Float[Tensor, "splat"]  # 1 / sqrt(c) [1 / pixels]
     opacities: Float[Tensor, "splat"]
     features: Float[Tensor, "splat 4"]  # colour >= 0, then camera z [scene units]
-    extents: Float[
-        Tensor, "splat 2"
-    ]  # half size of the box outside of which alpha < min_alpha [pixels]; no gradient
+    # half size of the box outside of which alpha < min_alpha [pixels]; no gradient
+    extents: Float[Tensor, "splat 2"]
 
 
 class TorchRasterizer(Rasterizer):

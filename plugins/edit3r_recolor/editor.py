@@ -7,10 +7,10 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract import reporting
 from edit3r.contract.errors import PromptError
 from edit3r.contract.interfaces import Editor, EditsRegions
-from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.wishes import Change, Colour, Wish
 from edit3r.kit.compute.layers import one_thread
@@ -43,7 +43,7 @@ GRAINED = ("marble", "wood", "snow")
 class RecolorEditor(Editor, EditsRegions):
     """Colour edits without a model, blended softly by the region of each wish (section 3.2)."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         strength: float = Field(
             1.0, ge=0, le=1, description="share of the new colour; 0 returns the photo"
         )

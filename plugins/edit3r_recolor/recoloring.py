@@ -94,16 +94,10 @@ class RecolorParameters:
     hue: float = 0.0  # rotation [turns]
     order: tuple[str, ...] = JITTERS  # of the four jitters above
     gamma: float = 1.0  # exponent
-    lighting: tuple[float, float, float] = (
-        0.0,
-        0.0,
-        0.0,
-    )  # PCA offset, as added to RGB
-    permutation: tuple[int, int, int] = (
-        0,
-        1,
-        2,
-    )  # output channel c is input channel permutation[c]
+    # PCA offset, as added to RGB
+    lighting: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # output channel c is input channel permutation[c]
+    permutation: tuple[int, int, int] = (0, 1, 2)
     greyscale: bool = False
     __pydantic_config__ = ConfigDict(
         extra="forbid"

@@ -86,9 +86,8 @@ class Fault:
     """What an augmented image gets wrong with one region in one view."""
 
     outline: Outline = "exact"
-    parameters: RecolorParameters | None = (
-        None  # the region's colours in this view; None: as they should be
-    )
+    # the region's colours in this view; None: as they should be
+    parameters: RecolorParameters | None = None
     __pydantic_config__ = _NO_UNKNOWN_KEYS
 
 
@@ -101,9 +100,8 @@ class RegionRecipe:
     area: float  # share of the first view
     stability: float
     predicted_iou: float
-    box: tuple[
-        float, float, float, float
-    ]  # x, y, width, height on the first view [pixels]
+    # x, y, width, height on the first view [pixels]
+    box: tuple[float, float, float, float]
     __pydantic_config__ = _NO_UNKNOWN_KEYS
 
 
@@ -115,9 +113,8 @@ class ViewRecipe:
     objects: tuple[int, ...]  # ids
     overlap: float  # of its objects with those of the most recently processed view
     processed: bool  # False: too different, left out
-    faults: dict[int, Fault] = field(
-        default_factory=dict
-    )  # by id; what its augmented image gets wrong
+    # by id; what its augmented image gets wrong
+    faults: dict[int, Fault] = field(default_factory=dict)
     __pydantic_config__ = _NO_UNKNOWN_KEYS
 
 
@@ -129,9 +126,8 @@ class SceneRecipe:
     masks: str  # where they came from, such as "segmenter classical"
     regions: tuple[RegionRecipe, ...]
     views: tuple[ViewRecipe, ...]
-    rejected: dict[str, int] = field(
-        default_factory=dict
-    )  # proposals that failed each criterion
+    # proposals that failed each criterion
+    rejected: dict[str, int] = field(default_factory=dict)
     __pydantic_config__ = _NO_UNKNOWN_KEYS
 
     @property

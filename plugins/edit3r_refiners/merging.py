@@ -28,9 +28,8 @@ class Placement:
     """Pixel, depth and pixel size of each Gaussian of one scene in the view it belongs to."""
 
     view: Int[Tensor, "gaussian"]
-    x: Float[
-        Tensor, "gaussian"
-    ]  # [pixels], pixel centres at +0.5; may lie outside the image
+    # [pixels], pixel centres at +0.5; may lie outside the image
+    x: Float[Tensor, "gaussian"]
     y: Float[Tensor, "gaussian"]
     depth: Float[Tensor, "gaussian"]  # camera z; behind the camera where <= 0
     pixel_size: Float[Tensor, "gaussian"]  # of a pixel at that depth [scene units]

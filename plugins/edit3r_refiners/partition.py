@@ -39,12 +39,10 @@ class Cells:
     """Errors of all dyadic rectangles of one scene, and which pixel each Gaussian falls on."""
 
     inside: Int[Tensor, "member"]  # Gaussians that take part
-    pixel: tuple[
-        Tensor, Tensor, Tensor
-    ]  # view, row and column of each of them on the padded grid
-    count: dict[
-        tuple[int, int], Float[Tensor, "view row column"]
-    ]  # Gaussians per cell, by (level of y, of x)
+    # view, row and column of each of them on the padded grid
+    pixel: tuple[Tensor, Tensor, Tensor]
+    # Gaussians per cell, by (level of y, of x)
+    count: dict[tuple[int, int], Float[Tensor, "view row column"]]
     error: dict[tuple[int, int], Float[Tensor, "view row column"]]
     total: int  # Gaussians of the scene
 

@@ -66,9 +66,8 @@ class Refined:
 
     gaussians: Gaussians
     steps: int  # taken until the state that is returned
-    held_back: tuple[
-        float, float
-    ]  # squared error of the held-back pixels before and after
+    # squared error of the held-back pixels before and after
+    held_back: tuple[float, float]
     fitted: tuple[float, float]  # the same of the others
 
     @property

@@ -85,9 +85,8 @@ class ImageService(ABC):
     """A client of one image service; safe to use from several threads."""
 
     label: str  # name in messages
-    variables: tuple[
-        str, ...
-    ]  # of the environment, the first that is set holds the key
+    # of the environment, the first that is set holds the key
+    variables: tuple[str, ...]
 
     def __init__(self, settings: RemoteSettings) -> None:
         """Raises MissingDependencyError where no variable holds a key."""

@@ -50,6 +50,8 @@ class AutoSegmenter(Segmenter):
                 return values
             return {**values, "pick": _best()}
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         # As a component: what is remembered of its answers depends on the weights that it declares.

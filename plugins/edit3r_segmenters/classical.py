@@ -19,10 +19,10 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
 from edit3r.contract.reporting import warn
-from edit3r.contract.settings import Settings
 from edit3r.kit.cache import remembered
 from edit3r.kit.compute.outlines import softened
 from edit3r.kit.weights.find import at_hand
@@ -113,7 +113,7 @@ class ClassicalSegmenter(Segmenter):
     opinion.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         size: int = Field(
             256,
             ge=32,
@@ -142,6 +142,8 @@ class ClassicalSegmenter(Segmenter):
             le=4096,
             description="longer side of the picture while following [pixels]",
         )
+
+    settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings

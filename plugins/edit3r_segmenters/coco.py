@@ -7,8 +7,8 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract.interfaces import Detection, Detector
-from edit3r.contract.settings import Settings
 from edit3r.kit.weights.find import find
 from edit3r_segmenters import NANODET
 from edit3r_segmenters.sam import best_boxes
@@ -32,11 +32,13 @@ class CocoDetector(Detector):
     all that it knows.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         min_score: float = Field(0.1, ge=0, le=1, description="least score of a box")
         overlap: float = Field(
             0.5, ge=0, le=1, description="overlap above which two boxes are one thing"
         )
+
+    settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings

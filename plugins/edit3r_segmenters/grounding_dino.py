@@ -9,10 +9,10 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract.errors import PromptError
 from edit3r.contract.interfaces import Detection, Detector
 from edit3r.contract.reporting import note
-from edit3r.contract.settings import Settings
 from edit3r.kit.weights.load import (
     ChosenWeights,
     foreign,
@@ -28,7 +28,7 @@ from edit3r_segmenters import GROUNDING_DINO, GROUNDING_DINO_TINY, OF_HUB
 class GroundingDinoDetector(Detector):
     """Open-vocabulary detection; several things are named as "a door. a chair."."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         model: str = Field(
             default_factory=partial(
                 sized,
@@ -51,6 +51,8 @@ class GroundingDinoDetector(Detector):
         text_threshold: float = Field(
             0.25, ge=0, le=1, description="least score of a word that labels a box"
         )
+
+    settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings

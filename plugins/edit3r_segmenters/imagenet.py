@@ -12,9 +12,9 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Detection, Detector
-from edit3r.contract.settings import Settings
 from edit3r.kit.compute.perceptual import efficientnet_input
 from edit3r.kit.weights.find import find
 from edit3r.kit.weights.load import foreign
@@ -28,10 +28,12 @@ CORE = 0.5  # share of the map's peak above which a place belongs to the thing
 class ImagenetDetector(Detector):
     """One thing an image; for words that ImageNet does not have it finds nothing."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         size: int = Field(
             448, ge=64, le=2048, description="side of the network's input [pixels]"
         )
+
+    settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings

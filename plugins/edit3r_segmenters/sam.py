@@ -394,6 +394,8 @@ class Sam2Segmenter(SamSegmenter):
             PartChoice(name="grounding-dino"), description="finds what the words name"
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings, detector: Detector) -> None:
         super().__init__(settings)
         self.detector = detector
@@ -431,6 +433,8 @@ class Sam3Segmenter(SamSegmenter):
         min_score: float = Field(
             0.5, ge=0, le=1, description="least score of what the words name"
         )
+
+    settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)

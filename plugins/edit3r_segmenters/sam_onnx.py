@@ -7,7 +7,7 @@ graph; they are made outputs when the file is loaded.
 """
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,9 +18,9 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
+import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
-from edit3r.contract.settings import Settings
 from edit3r.contract.weights import Weights
 from edit3r.kit.cache import fingerprint, recall
 from edit3r.kit.geometry.cameras import pixel_grid
@@ -34,6 +34,8 @@ MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 STD = np.array([58.395, 57.12, 57.375], np.float32)
 MASK_SIDE = 256  # of a mask that is told with clicks [pixels]
 SURELY_OUT = 10.0  # logit of what lies beside the image, below zero
+# answers that stay in memory: a click is asked for its photo, then for all, then with steps
+MAX_ANSWERS = 32
 MAX_KEPT = 8  # images whose embeddings stay in memory: clicks follow each other on one
 OUT, IN, CORNERS, PADDING = 0.0, 1.0, (2.0, 3.0), -1.0  # labels of points
 FLOAT_TENSOR = b"\x0a\x02\x08\x01"  # ONNX TypeProto: a tensor of float32
@@ -51,7 +53,7 @@ Embedding = dict[str, Tensor]
 class SamOnnxSegmenter(Segmenter):
     """One answer of the network to clicks and boxes; objects are followed by what images show."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         encoder: str = Field(
             "",
             description="ONNX file of the encoder; empty: that of the weights",
@@ -98,6 +100,8 @@ class SamOnnxSegmenter(Segmenter):
             description="longer side of the image while following [pixels]",
         )
 
+    settings: Settings
+
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         if bool(settings.encoder) != bool(settings.decoder):
@@ -117,7 +121,8 @@ class SamOnnxSegmenter(Segmenter):
         self._decoder: Any = None
         self._embeddings: dict[str, Embedding] = {}
         self._reading = threading.Lock()  # threads may ask at once
-        self._latest: Latest[Embedding] = Latest()
+        self._latest: Latest[tuple[str, Embedding]] = Latest()
+        self._answers: dict[Hashable, tuple[np.ndarray, np.ndarray]] = {}
 
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
         """What a grid of clicks finds, best first; of masks with nearly the same box the best."""
@@ -181,14 +186,32 @@ class SamOnnxSegmenter(Segmenter):
         Returns logits `[n, h, w]` at the network's own resolution, which cover the image, and
         their predicted IoU `[n]`.
         """
+        read, embedding = self._embedding(image)
+        told = None if before is None else before.tobytes()
+        asked = (read, tuple(clicks), box, told)
+        if asked not in self._answers:
+            answer = self._answer(embedding, image.shape[-2:], clicks, box, before)
+            if len(self._answers) >= MAX_ANSWERS:  # the first goes
+                self._answers.pop(next(iter(self._answers)), None)
+            self._answers[asked] = answer
+            return answer
+        return self._answers[asked]
+
+    def _answer(
+        self,
+        read: Embedding,
+        size: Sequence[int],
+        clicks: Sequence[tuple[Place, bool]],
+        box: Box | None,
+        before: np.ndarray | None,
+    ) -> tuple[np.ndarray, np.ndarray]:
         places = [place for place, _ in clicks]
         labels = [IN if inside else OUT for _, inside in clicks]
         if box is not None:
             x, y, width, height = box
             places += [(x, y), (x + width, y + height)]
             labels += CORNERS
-        height, width = image.shape[-2:]
-        read = self._embedding(image)
+        height, width = size
         if box is None and not _is_sam2(read):  # as the exporter wants it
             places += [(0.0, 0.0)]
             labels += [PADDING]
@@ -202,10 +225,13 @@ class SamOnnxSegmenter(Segmenter):
             before,
         )
 
-    def _embedding(self, image: Float[Tensor, "3 height width"]) -> Embedding:
+    def _embedding(
+        self, image: Float[Tensor, "3 height width"]
+    ) -> tuple[str, Embedding]:
         return self._latest.of(image, lambda: self._read(image))
 
-    def _read(self, image: Float[Tensor, "3 height width"]) -> Embedding:
+    def _read(self, image: Float[Tensor, "3 height width"]) -> tuple[str, Embedding]:
+        """What the image is known by, and what the encoder reads of it."""
         # Files given by hand are part of the question.
         _expect(self._encoder_file)
         files = [str(self._encoder_file), self._encoder_file.stat().st_mtime_ns]
@@ -225,7 +251,7 @@ class SamOnnxSegmenter(Segmenter):
                 return self._embeddings[key]
 
         read = recall("embed", self, key, lambda: tuple(kept().items()))
-        return {name: one.float() for name, one in read}
+        return key, {name: one.float() for name, one in read}
 
     def _encode(self, image: Float[Tensor, "3 height width"]) -> Embedding:
         """What the encoder reads: a SAM's the longer side to its size, the rest zero; a SAM 2's

@@ -45,6 +45,9 @@ class SummingSegmenter(HeldSegmenter):
     def _chosen(self, image: Image, marks: Marks) -> Chosen | None:
         """What the marks may mean by the sum, one click after the other; None where the segmenter
         has one answer only, and without marks.
+
+        A click that says what is known waits until an answer to another one disobeys it: nobody
+        told in which order clicks on the thing and beside it were made.
         """
         photo, ask = Appearance(_rgb(image)), partial(self.ask, image)
         chosen, before = None, None
@@ -55,25 +58,29 @@ class SummingSegmenter(HeldSegmenter):
             drawn = Asked(stroke=marks.stroke, box=marks.box)
             chosen = selected(photo, drawn, ask)
             before = None if chosen is None else chosen.best.logits
+        waiting = _clicks(marks)
         clicks: tuple[Click, ...] = ()
-        for click in _clicks(marks):
-            clicks = (*clicks, click)
-            place, wanted = click
-            if before is not None and (before[photo.pixel(place)] > 0) == wanted:
-                continue  # says what is known already
+        while new := [one for one in waiting if not _obeyed(before, photo, one)]:
+            waiting.remove(new[0])
+            clicks = (*clicks, new[0])
             was = None if before is None else before > 0
             asked = Asked(clicks, marks.stroke, marks.box, was)
             chosen = selected(photo, asked, ask, before)
             if chosen is None:
                 return None
             before = chosen.best.logits
-        return chosen if clicks or marks.stroke or marks.box else None
+        return chosen if _clicks(marks) or marks.stroke or marks.box else None
 
 
 def _clicks(marks: Marks) -> list[Click]:
     """All clicks, those on the thing first."""
     said = [(place, True) for place in marks.positive]
     return said + [(place, False) for place in marks.negative]
+
+
+def _obeyed(before: np.ndarray | None, photo: Appearance, click: Click) -> bool:
+    place, wanted = click
+    return before is not None and (before[photo.pixel(place)] > 0) == wanted
 
 
 def _shares(chosen: Chosen) -> Iterator[float]:

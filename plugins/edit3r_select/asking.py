@@ -127,4 +127,5 @@ class _Found:
 def _around(stroke: Sequence) -> Box:
     """The box around a stroke."""
     low, high = np.min(stroke, axis=0), np.max(stroke, axis=0)
-    return (*map(float, low), *map(float, high - low))
+    (x, y), (width, height) = low.tolist(), (high - low).tolist()
+    return x, y, width, height

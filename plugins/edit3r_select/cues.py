@@ -36,9 +36,10 @@ class Appearance:
     def edges(self) -> np.ndarray:
         """Strength of colour edges `[h, w]`; 1 is the photo's mean."""
         soft = cv2.GaussianBlur(self.lab, (0, 0), 1.0)
-        axes = ((1, 0), (0, 1))
-        steps = [cv2.Sobel(soft, cv2.CV_32F, *axis) ** 2 for axis in axes]
-        strength = np.sqrt(sum(steps).sum(2))
+        across, down = (
+            cv2.Sobel(soft, cv2.CV_32F, *axis) ** 2 for axis in ((1, 0), (0, 1))
+        )
+        strength = np.sqrt((across + down).sum(2))
         return strength / (strength.mean() + 1e-6)
 
     def pixel(self, place: Place) -> tuple[int, int]:

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.contract import settings as config
+import edit3r
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
@@ -79,10 +79,12 @@ VOTES = 6  # photos near a view that say what of it belongs to the thing
 class SegmenterSelector(Selector):
     """What a segmenter answers for the marks on a photo, carried to all photos."""
 
-    class Settings(config.Settings):
+    class Settings(edit3r.Settings):
         segmenter: PartChoice = Field(
             PartChoice(name="auto"), description="answers marks and words on one photo"
         )
+
+    settings: Settings
 
     def __init__(self, settings: Settings, segmenter: Segmenter) -> None:
         self.settings, self.segmenter = settings, segmenter

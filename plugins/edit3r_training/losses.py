@@ -13,6 +13,7 @@ from jaxtyping import Float, Int
 from pydantic import Field
 from torch import Tensor, nn
 
+import edit3r
 from edit3r.contract.errors import MissingDependencyError, SettingsError
 from edit3r.contract.interfaces import Loss, LossInputs
 from edit3r.contract.settings import Settings
@@ -40,7 +41,7 @@ class MseLoss(Loss):
     It sees colour, exposure and illumination and tolerates small errors of reprojection.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         cell: int = Field(
             4,
             ge=1,
@@ -60,7 +61,7 @@ class MseLoss(Loss):
 class CenterLoss(Loss):
     """Smooth L1 distance of every Gaussian's centre to its reference (L_center)."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         beta: float = Field(
             1.0,
             gt=0,
@@ -82,7 +83,7 @@ class PointsLoss(Loss):
     farthest are left out.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         outliers: float = Field(
             0.002,
             ge=0,
@@ -114,7 +115,7 @@ class GeometryLoss(Loss):
     own is subtracted, which leaves the gradient as it is and makes the reference worth 0.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         samples: int = Field(
             512, ge=1, le=8192, description="centres drawn from each view"
         )
@@ -166,7 +167,7 @@ class PerceptualLoss(Loss):
     package index.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         size: int = Field(
             128,
             ge=32,
@@ -223,7 +224,7 @@ class LpipsLoss(Loss):
 class ClipLoss(Loss):
     """Mean over images of 1 - cosine similarity of CLIP's image embeddings (L_CLIP)."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         model: str = Field(
             "openai/clip-vit-base-patch32",
             description="folder or hub name of a CLIP model",

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from pydantic import Field
 from torch import Tensor
 
-from edit3r.contract import settings as config
+import edit3r
 from edit3r.contract.interfaces import Dataset, SceneSample
 from edit3r.contract.settings import Count, Index, Share
 from edit3r.contract.types import Cameras
@@ -47,7 +47,7 @@ class ProceduralDataset(Dataset):
     truth.
     """
 
-    class Settings(config.Settings):
+    class Settings(edit3r.Settings):
         scenes: Count = Field(100_000, description="number of samples")
         seed: Index = Field(0, description="two seeds share no scene")
         image_size: int = Field(

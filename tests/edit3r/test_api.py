@@ -11,6 +11,7 @@ import torch
 
 import edit3r
 from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import Report
 from edit3r.contract.types import Cameras
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image
@@ -125,6 +126,20 @@ def test_two_results_are_compared_on_one_sheet(result):
         (pixels == colour).all(-1).mean() for colour in ([255, 0, 0], [0, 255, 0])
     ]
     assert shares[0] == shares[1] > 0.12
+
+
+@pytest.mark.parametrize(
+    "more, same",
+    [({}, True), ({"quality": "fast"}, False), ({"recon": "edit3r"}, False)],
+)
+def test_a_further_edit_has_the_reconstructor_unless_another_or_a_quality_is_asked_for(
+    result, monkeypatch, more, same
+):
+    jobs = []
+    monkeypatch.setattr("edit3r.api.run_job", lambda job, *rest: jobs.append(job))
+    edit3r.run(prompt="make it blue", earlier=result, report=Report(), **more)
+    (job,) = jobs
+    assert (job.components.get("reconstructor") is result.reconstructor) == same
 
 
 def test_results_of_different_photos_are_not_compared(result):

@@ -75,7 +75,7 @@ CASES = {
     "a bare tensor": (
         lambda v, r, a: a.images,
         "test_keeps_size_dtype_and_range",
-        "return edit3r.Views",
+        "return edit3r.contract.types.Views",
     ),
     "other intrinsics": (
         lambda v, r, a: replace(a, intrinsics=a.intrinsics * 2),

@@ -69,7 +69,7 @@ CASES = {
     "a tuple": (
         {"answer": lambda r: (r.images, r.alphas)},
         RANGE,
-        "return edit3r.Rendering",
+        "return edit3r.contract.types.Rendering",
     ),
     "a batch axis lost": (
         {"answer": lambda r: Rendering(r.images[0], r.alphas, r.depths)},

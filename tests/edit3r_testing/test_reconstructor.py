@@ -123,7 +123,7 @@ CASES = {
     "a bare set": (
         {"spoil": lambda m, v, a: a.gaussians},
         VALID,
-        "return edit3r.Reconstruction",
+        "return edit3r.contract.types.Reconstruction",
     ),
     "float64": (
         {"spoil": lambda m, v, a: changed(a, scales=a.gaussians.scales.double())},

@@ -37,7 +37,11 @@ FRAME, SAME = (
 )
 INPUTS = "test_leaves_its_inputs_alone"
 CASES = {
-    "another type": (lambda g, _: g.means, VALID, "return edit3r.Gaussians"),
+    "another type": (
+        lambda g, _: g.means,
+        VALID,
+        "return edit3r.contract.types.Gaussians",
+    ),
     "logits": (
         lambda g, _: replace(g, opacities=g.opacities * 5),
         VALID,

@@ -102,12 +102,10 @@ class Geometry(Tensors):
     """
 
     c2w: Float[Tensor, "batch view 4 4"]  # view 0 is the identity
-    depths: Float[
-        Tensor, "batch view height width"
-    ]  # camera z > 0, filled where nothing matched
-    confidence: Float[
-        Tensor, "batch view height width"
-    ]  # in [0, 1]; 0: filled in, not measured
+    # camera z > 0, filled where nothing matched
+    depths: Float[Tensor, "batch view height width"]
+    # in [0, 1]; 0: filled in, not measured
+    confidence: Float[Tensor, "batch view height width"]
     registered: Bool[Tensor, "batch view"]  # False: the view could not be placed
     # normalised, as read from the photos; None: as given
     intrinsics: Float[Tensor, "batch view 3 3"] | None = None

@@ -119,9 +119,8 @@ class RefineInputs:
     """All that a refiner may look at beside the Gaussians."""
 
     cameras: Cameras  # poses of all input views
-    views: (
-        Views  # images that show the edit; the first `views.count` cameras are theirs
-    )
+    # images that show the edit; the first `views.count` cameras are theirs
+    views: Views
     rasterizer: Rasterizer
     # in [0, 1], one for each camera; 1: may change; None: everything may
     masks: Float[Tensor, "batch camera height width"] | None = None

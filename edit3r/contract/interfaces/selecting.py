@@ -36,9 +36,8 @@ class Tracks:
     """Objects followed through views: index r is the same object everywhere."""
 
     logits: Float[Tensor, "view object height width"]  # > 0: inside
-    present: Bool[
-        Tensor, "view object"
-    ]  # False: lost in that view, its logits are all <= 0
+    # False: lost in that view, its logits are all <= 0
+    present: Bool[Tensor, "view object"]
 
 
 @dataclass(frozen=True)

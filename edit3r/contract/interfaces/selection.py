@@ -32,25 +32,19 @@ class Selection:
     down.
     """
 
-    positive: tuple[
-        tuple[int, float, float], ...
-    ] = ()  # clicks on the object: view, x, y
-    negative: tuple[
-        tuple[int, float, float], ...
-    ] = ()  # clicks on what is not the object
+    # clicks on the object: view, x, y
+    positive: tuple[tuple[int, float, float], ...] = ()
+    # clicks on what is not the object
+    negative: tuple[tuple[int, float, float], ...] = ()
     boxes: Mapping[int, Box] = field(default_factory=dict)  # view: x, y, width, height
-    added: Mapping[int, Float[Tensor, "height width"]] = field(
-        default_factory=dict
-    )  # brush in [0, 1], by view
-    removed: Mapping[int, Float[Tensor, "height width"]] = field(
-        default_factory=dict
-    )  # eraser, likewise
-    masks: Mapping[int, Float[Tensor, "height width"]] = field(
-        default_factory=dict
-    )  # finished masks, by view
-    words: str = (
-        ""  # what is meant, such as "bike"; looked up where no mark says it all
-    )
+    # brush in [0, 1], by view
+    added: Mapping[int, Float[Tensor, "height width"]] = field(default_factory=dict)
+    # eraser, likewise
+    removed: Mapping[int, Float[Tensor, "height width"]] = field(default_factory=dict)
+    # finished masks, by view
+    masks: Mapping[int, Float[Tensor, "height width"]] = field(default_factory=dict)
+    # what is meant, such as "bike"; looked up where no mark says it all
+    words: str = ""
     which: tuple[str, ...] = ()  # picks among several: "left", "big", "red", "all"
     several: bool = False  # the words are a plural: all that are sure are taken
     # True: what stands out most is taken where the words are not known
@@ -177,13 +171,12 @@ class Reading:
 class Selected:
     """What was selected on the views of one scene."""
 
-    masks: Float[
-        Tensor, "view 1 height width"
-    ]  # soft, in [0, 1]; 0 everywhere in a view where nothing was found
-    how: tuple[str, ...]  # by view, one of `WAYS`, or "not found"
-    warnings: tuple[
-        str, ...
-    ] = ()  # sentences for the user, also sent to `edit3r.contract.reporting`
+    # soft, in [0, 1]; 0 everywhere in a view where nothing was found
+    masks: Float[Tensor, "view 1 height width"]
+    # by view, one of `WAYS`, or "not found"
+    how: tuple[str, ...]
+    # sentences for the user, also sent to `edit3r.contract.reporting`
+    warnings: tuple[str, ...] = ()
     surety: float | None = None  # of what words named, in [0, 1]
     # what else may be meant: the most likely first, the one that was taken among them
     readings: tuple[Reading, ...] = ()

@@ -48,15 +48,12 @@ time with the square of their number.
 class Correspondences:
     """Where each pixel of each view lies in the view's partner (see `partner_views`)."""
 
-    coordinates: Float[
-        Tensor, "batch view height width 2"
-    ]  # normalised (x, y) in the partner's image
-    inside: Float[
-        Tensor, "batch view height width"
-    ]  # 1: in front of the partner and within its image, else 0
-    depth_ratio: Float[
-        Tensor, "batch view height width"
-    ]  # log(own depth there / partner's depth), in [-1, 1]
+    # normalised (x, y) in the partner's image
+    coordinates: Float[Tensor, "batch view height width 2"]
+    # 1: in front of the partner and within its image, else 0
+    inside: Float[Tensor, "batch view height width"]
+    # log(own depth there / partner's depth), in [-1, 1]
+    depth_ratio: Float[Tensor, "batch view height width"]
     # < 0: floats in front of what the partner sees; > 0: hidden behind it
 
 

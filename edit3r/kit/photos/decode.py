@@ -86,9 +86,8 @@ class DecodedImage:
     pixels: Image.Image  # mode RGB, upright, sRGB; smaller where less was enough
     size: tuple[int, int]  # (height, width) of the upright image in the file
     focal: float | None  # [pixels of that], same in x and y; None: EXIF has none
-    focal_source: (
-        str  # such as "EXIF 35 mm equivalent (26 mm)"; "" without a focal length
-    )
+    # such as "EXIF 35 mm equivalent (26 mm)"; "" without a focal length
+    focal_source: str
     alpha: Image.Image | None = None  # mode L, where some of it is see-through
 
 

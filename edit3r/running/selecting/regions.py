@@ -41,9 +41,8 @@ class Regions:
 
     masks: Float[Tensor, "wish view height width"]  # in [0, 1]; 1: the wish applies
     selected: tuple[Selected, ...]  # every thing that was looked for, in order
-    things: Mapping[str, Masks] = field(
-        default_factory=dict
-    )  # masks of what has a name
+    # masks of what has a name
+    things: Mapping[str, Masks] = field(default_factory=dict)
     wishes: tuple[Wish, ...] = ()  # as asked, with colours that were read off things
 
 

@@ -7,8 +7,8 @@ from ffgs.registry import get_model_spec
 from pydantic import Field
 from safetensors.torch import load_file
 
+import edit3r
 from edit3r.contract.interfaces import Geometry, Reconstructor
-from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.cameras import invert_rigid, relative_to_first
 from edit3r.kit.weights.find import find
@@ -20,7 +20,7 @@ class FfgsReconstructor(Reconstructor):
     is its own.
     """
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         model: str = Field(
             "",
             description="folder that GSPipeline.save_pretrained wrote; empty: AnySplat's weights",

@@ -8,6 +8,7 @@ from pathlib import Path
 import torch
 from pydantic import Field
 
+import edit3r
 from edit3r.contract import settings as config
 from edit3r.contract.errors import RunError
 from edit3r.contract.interfaces import Geometry, Reconstructor
@@ -22,7 +23,7 @@ class ProgramReconstructor(Reconstructor):
     photo's camera.
     """
 
-    class Settings(config.Settings):
+    class Settings(edit3r.Settings):
         command: str = Field(
             "",
             description="such as 'mytool {photos} {result}': two folders; no shell is involved",

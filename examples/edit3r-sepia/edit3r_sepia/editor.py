@@ -6,15 +6,15 @@ import kornia
 import torch
 from pydantic import Field
 
+import edit3r
 from edit3r.contract.interfaces import Editor
-from edit3r.contract.settings import Settings
 from edit3r.contract.types import EditRequest, Views
 
 
 class SepiaEditor(Editor):
     """The same matrix on every pixel, so all views agree. Masks are the pipeline's business."""
 
-    class Settings(Settings):
+    class Settings(edit3r.Settings):
         strength: float = Field(
             1.0, ge=0, le=1, description="share of the sepia tone; 0 returns the photo"
         )

@@ -1,5 +1,8 @@
 """A component that returns something else than it promised is named where it happened."""
 
+import importlib
+import inspect
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,6 +14,7 @@ from edit3r.contract.errors import InputError, PluginError, SettingsError
 from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.contract.torch_state import require_device
 from edit3r.contract.types import Reconstruction, Rendering
+from edit3r.kit import checks
 from edit3r.kit.checks import (
     check_edit,
     check_reconstruction,
@@ -60,7 +64,7 @@ def test_what_keeps_its_promise_passes():
 @pytest.mark.parametrize(
     "answer, sentence",
     [
-        (None, "must return edit3r.Views, got NoneType"),
+        (None, "must return edit3r.contract.types.Views, got NoneType"),
         (VIEWS.select([0]), "of shape [1, 2, 3, 8, 12], got [1, 1, 3, 8, 12]"),
         (
             replace(VIEWS, images=VIEWS.images.double()),
@@ -84,8 +88,14 @@ def test_an_edit_that_is_not_one(answer, sentence):
 @pytest.mark.parametrize(
     "answer, sentence",
     [
-        (GOOD.gaussians, "must return edit3r.Reconstruction, got Gaussians"),
-        (Reconstruction(None), "must return edit3r.Gaussians, got NoneType"),
+        (
+            GOOD.gaussians,
+            "must return edit3r.contract.types.Reconstruction, got Gaussians",
+        ),
+        (
+            Reconstruction(None),
+            "must return edit3r.contract.types.Gaussians, got NoneType",
+        ),
         (Reconstruction(gaussian_cloud(5, batch=2)), "gave it 1 scenes, got back 2"),
         (
             gaussians(scales=GOOD.gaussians.scales.double()),
@@ -141,7 +151,7 @@ def test_a_reconstruction_that_is_not_one(answer, sentence):
 @pytest.mark.parametrize(
     "answer, sentence",
     [
-        ((1, 2, 3), "must return edit3r.Rendering, got tuple"),
+        ((1, 2, 3), "must return edit3r.contract.types.Rendering, got tuple"),
         (
             replace(DRAWN, images=DRAWN.images[0]),
             "must return images of shape [1, 1, 3, 8, 12], got [1, 3, 8, 12]",
@@ -209,3 +219,13 @@ def test_arguments_that_a_component_changes_are_told():
         errors_named_after(Sepia(), given),
     ):
         given.numpy()[0] = 0
+
+
+def test_classes_are_named_as_a_plugin_imports_them():
+    named = re.findall(r"_require_type\(.+, (\w+)\)", inspect.getsource(checks))
+    assert len(named) > 10 and "Proposal" in named
+    for name in {*named} - {"tuple"}:
+        module, _, attribute = checks.where(getattr(checks, name)).rpartition(".")
+        promised = importlib.import_module(module)
+        assert getattr(promised, attribute) is getattr(checks, name)
+    assert checks.where(tuple) == "tuple"

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from edit3r.contract.errors import MatchingError, PluginError
-from edit3r.contract.interfaces import Geometry
+from edit3r.contract.interfaces import Geometry, MatchesLevelled
 from edit3r.running.geometry import GeometryOfRun, geometry_of, lies_flat
 from edit3r_testing.scenes import photograph
 
@@ -29,6 +29,26 @@ class Knows:
         if isinstance(self.answer, Exception):
             raise self.answer
         return self.answer
+
+
+class Levels(Knows, MatchesLevelled):
+    """One that measures depth on levelled photos; keeps those that it was given."""
+
+    def match_levelled(self, views, levelled):
+        self.levelled = [*getattr(self, "levelled", []), levelled]
+        return self.answer
+
+
+def test_each_set_of_photos_is_asked_for_once_with_the_levelled_ones_where_they_count():
+    views = SCENE.views
+    levelled = replace(views, images=0.5 * views.images)
+    plain, levels = Knows(true_geometry()), Levels(true_geometry())
+    asked = GeometryOfRun(plain)
+    assert asked.of(views) is asked.of(views, levelled)
+    asked = GeometryOfRun(levels)
+    assert asked.of(views) is not asked.of(views, levelled)
+    assert asked.of(views, levelled) is asked.of(views, levelled)
+    assert [one is levelled for one in levels.levelled] == [True]
 
 
 def test_what_a_matcher_finds_is_taken_where_the_photos_lie_apart():
@@ -121,7 +141,7 @@ LENS = SCENE.views.intrinsics
         (seen(intrinsics=LENS[:, :1]), "must return intrinsics of shape"),
         (seen(lenses=5), "must return lenses as two angles"),
         (ValueError("no luck"), "raised ValueError: no luck"),
-        (None, "must return edit3r.Geometry, got NoneType"),
+        (None, "must return edit3r.contract.interfaces.Geometry, got NoneType"),
         (
             replace(true_geometry(), depths=true_geometry().depths.double()),
             "must return depths in torch.float32",

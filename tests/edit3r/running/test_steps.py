@@ -11,6 +11,8 @@ import torch
 from edit3r.api import run
 from edit3r.contract.errors import InputError, PluginError, SettingsError
 from edit3r.contract.interfaces import (
+    ChangesShape,
+    ComparesWithBefore,
     Editor,
     EditsViews,
     FindsGeometry,
@@ -22,10 +24,12 @@ from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
 from edit3r.kit.geometry.maps import composite
 from edit3r.kit.rendering import render_each
+from edit3r.loading.registry import build
 from edit3r.running.config import DEFAULTS, make_run_config
 from edit3r.running.job import JobInputs, job_from
 from edit3r.running.loop import preview
 from edit3r.running.steps.reconstruct import _grid
+from edit3r.running.write import _scene
 from edit3r_testing import photograph
 
 PLAIN = {"gaussians": "all", "refine": 0}  # the reconstructor's own Gaussians
@@ -93,6 +97,21 @@ def test_pixels_outside_the_masks_are_bit_equal_whatever_the_editor_does(views):
     assert result.report.notes["edit.change_outside_mask_before_composite"] > 0.1
 
 
+def test_what_an_editor_has_to_change_around_the_things_may_change_too(views):
+    class Shadows(Invert):
+        def widened(self, regions, images):
+            wide = regions.clone()
+            wide[..., :5] = 1
+            return wide
+
+    masks = torch.zeros(1, 2, 6, 8)
+    masks[..., :3] = 1
+    result = run(views, "paint it red", editor=Shadows(), recon=Flat(), masks=masks)
+    assert result.masks[0, 0, 0].tolist() == [1, 1, 1, 1, 1, 0, 0, 0]
+    changed = (result.edited.images != views.images).any(2)
+    assert bool(changed[..., :5].all()) and not changed[..., 5:].any()
+
+
 def test_composite_blends_between_and_is_exact_at_zero_and_one():
     original, edited = (
         torch.full((1, 1, 3, 1, 3), 0.1),
@@ -126,10 +145,22 @@ def test_too_many_views_are_subsampled_evenly_with_a_warning(views):
     assert any("of 5 these are used: [0, 2, 4]" in text for text in report.warnings)
 
 
+def test_a_preview_shows_the_views_that_a_run_would_take(views):
+    job = job_from(JobInputs(), {"prompt": "x"})
+    many, masks = views.select([0, 1, 0, 1, 0]), torch.zeros(1, 5, 6, 8)
+    masks[:, [0, 2, 4]] = 1
+    components = {"editor": Invert(), "reconstructor": Flat()}
+    job = replace(job, photos=many, masks=masks, components=components)
+    for edits in (True, False):
+        seen = preview(job, report=Report(), edits=edits)
+        assert seen.inputs.photos.count == 3
+        assert seen.selection.masks.shape[1] == 3 and bool(seen.selection.masks.all())
+
+
 @pytest.mark.parametrize(
     ("answer", "said"),
     [
-        (lambda v: v.images, "must return edit3r.Views, got Tensor"),
+        (lambda v: v.images, "must return edit3r.contract.types.Views, got Tensor"),
         (lambda v: Views(v.images[..., :4], v.intrinsics), "return images of shape"),
         (
             lambda v: Views(v.images.double(), v.intrinsics),
@@ -226,6 +257,22 @@ def test_gaussians_are_made_on_a_grid_only_where_steps_bring_the_detail(
     ] == (6, 8)
 
 
+def test_the_edit_is_judged_at_the_size_of_the_photos_whatever_the_grid(views):
+    critic, asked = build("critic", "limits"), []
+    judge = critic.judge_edit
+    critic.judge_edit = lambda edit: asked.append(edit) or judge(edit)
+    steps = {"grid": 0.5, "refine": 1, "gaussians": "all"}
+
+    class OnGrid(Flat):
+        def __call__(self, views, source=None, geometry=None, grid=None):
+            return super().__call__(views.at(grid))
+
+    run(views, "x", editor=Invert(), recon=OnGrid(), critic=critic, **steps)
+    first, second = asked
+    assert first.cameras is first.rendered is None
+    assert second.cameras.image_size == second.rendered.images.shape[-2:] == (6, 8)
+
+
 @pytest.mark.parametrize(
     ("count", "refine", "grid"),
     [(20, 8, (48, 64)), (80, 8, (24, 32)), (80, 0, (96, 128))],
@@ -274,6 +321,19 @@ def test_the_scene_before_the_edit_is_made_only_where_a_mask_keeps_something(
     counting = recon()
     run(views, "x", editor=Invert(), recon=counting, masks=masks, rasterizer="torch")
     assert counting.calls == asked
+
+
+def test_where_things_come_or_go_nothing_is_held_to_the_scene_before(views):
+    class Reshapes(Invert, ChangesShape):
+        pass
+
+    masks = torch.zeros(1, 2, 6, 8)
+    masks[..., :4] = 1
+    for editor, asked in ((Invert(), 2), (Reshapes(), 1)):
+        counting = Counting()
+        result = run(views, "x", editor=editor, recon=counting, masks=masks)
+        assert counting.calls == asked
+        assert (result.records.made.before is None) == (asked == 1)
 
 
 class LeavingOut(Flat):
@@ -384,6 +444,24 @@ def test_the_fused_edit_does_not_count_outside_the_masks(views, monkeypatch):
     )
 
 
+def test_only_what_compares_with_the_scene_before_gets_it_in_a_first_run(
+    views, monkeypatch
+):
+    given = []
+
+    def refined(refiner, gaussians, inputs):
+        given.append((isinstance(refiner, ComparesWithBefore), inputs.before))
+        return gaussians
+
+    monkeypatch.setattr("edit3r.running.steps.refine._refined", refined)
+    masks = torch.zeros(1, views.count, *views.image_size)
+    masks[..., :4] = 1
+    steps = {"gaussians": "all", "refine": 1}
+    run(views, editor=Invert(), recon=Flat(), masks=masks, **steps)
+    assert [compares for compares, _ in given] == [True, False]
+    assert given[0][1] is not None and given[1][1] is None
+
+
 def test_refiners_are_applied_in_the_order_of_the_list_with_the_shorthands_first(views):
     config = make_run_config(
         {"refiners": ["refine", "keep-outside-mask"], "gaussians": 5, "refine": 3}
@@ -445,7 +523,9 @@ class FindsTruth(Flat, FindsGeometry):
         return super().__call__(views)
 
 
-def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_ones_own():
+def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_ones_own(
+    monkeypatch,
+):
     scene = photograph(2, (48, 64))
     images = scene.views.images.clone()
     images[:, 1] = 0.6 * images[:, 1] + 0.03
@@ -466,6 +546,28 @@ def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_one
     drawn = render_each(one.rasterizer, one.gaussians, one.cameras, "again").images
     assert torch.equal(one.rendered.images, one.records.located.exposure.to_own(drawn))
     assert own.records.located.exposure is None
+    # The look before the edit is the scene's, which is in one light.
+    monkeypatch.setattr("edit3r.running.write.colours_before", lambda *given: given)
+    for given in _scene(one).second_look().colours[2:4]:
+        assert (given.images - scene.views.images).abs().mean() < 0.01
+
+
+def test_a_photo_keeps_its_light_where_one_before_it_could_not_be_placed():
+    class WithoutTheSecond(FindsTruth):
+        def __call__(self, views, source=None, geometry=None, grid=None):
+            made = super().__call__(views, source)
+            return replace(made, placed=torch.tensor([[True, False, True]]))
+
+    scene = photograph(3, (48, 64))
+    images = scene.views.images.clone()
+    images[:, 2] = 0.6 * images[:, 2] + 0.03
+    views = replace(scene.views, images=images)
+    result = run(views, editor="none", recon=WithoutTheSecond(scene), **PLAIN)
+    exposure = result.records.located.exposure
+    assert exposure.gain.shape[1] == result.photos.count == 2
+    assert float((exposure.gain[:, 1] - 1).abs().min()) > 0.3
+    drawn = render_each(result.rasterizer, result.gaussians, result.cameras, "again")
+    assert torch.equal(result.rendered.images, exposure.to_own(drawn.images))
 
 
 def test_geometry_of_the_unedited_photos_is_found_once_and_before_the_edit():

@@ -108,3 +108,24 @@ def test_gaussians_go_that_the_photo_saw_within_its_mask_and_no_other_photos():
     left = without_transients(gaussians, masks, cameras.c2w, views.intrinsics)
     counts = [int((left.view_index == view).sum()) for view in range(3)]
     assert counts == [64 * 96, 64 * 96 - 28 * 16, 64 * 96]
+
+
+def test_what_passed_in_one_scene_of_a_batch_stays_in_the_other():
+    views = SCENE.views
+    cameras = Cameras(SCENE.cameras.c2w, views.intrinsics, views.image_size)
+    scales = pixel_scales(SCENE.depths, views.intrinsics, 0.35)
+    one = pixels_to_gaussians(
+        views.images, SCENE.depths, cameras, scales, torch.ones_like(SCENE.depths)
+    )
+    fields = ("means", "scales", "quats", "opacities", "harmonics")
+    twice = {name: torch.cat([getattr(one, name)] * 2) for name in fields}
+    masks = torch.zeros(2, *SCENE.depths.shape[1:], dtype=torch.bool)
+    masks[THING] = True
+    left = without_transients(
+        replace(one, **twice),
+        masks,
+        cameras.c2w.expand(2, -1, -1, -1),
+        views.intrinsics.expand(2, -1, -1, -1),
+    )
+    counts = (left.opacities > 0).sum(1).tolist()
+    assert counts == [3 * 64 * 96 - 28 * 16, 3 * 64 * 96]

@@ -9,6 +9,7 @@ import torch
 from edit3r_bench.generated import GeneratedSettings, build_generated, is_visible
 from edit3r_bench.manifest import (
     change_masks,
+    hash_of_sample,
     load_item,
     load_sample,
     read_bench_manifest,
@@ -16,7 +17,9 @@ from edit3r_bench.manifest import (
 )
 
 from edit3r.contract.errors import Edit3rError, InputError
+from edit3r.contract.interfaces import SceneSample
 from edit3r.loading.registry import default_registry
+from edit3r_testing import cameras_around
 
 
 def test_a_generated_scene_has_five_visible_edits_of_the_four_types(manifest, small):
@@ -137,5 +140,13 @@ def test_an_edit_is_visible_that_covers_a_fair_part_by_more_than_noise(
     before = torch.full((2, 3, 100, 10), 0.2)
     after = before.clone()
     after[:, :, :rows] += change
-    sample = SimpleNamespace(context=before, edited_context=after)
+    edits = {"edited_context": after, "edited_target": after[:0]}
+    sample = SimpleNamespace(context=before, **edits)
     assert is_visible(sample, False, GeneratedSettings()) is visible
+
+
+def test_a_data_set_without_true_edits_makes_no_benchmark():
+    images = torch.zeros(2, 3, 8, 8)
+    sample = SceneSample(images, images[:0], cameras_around(2), cameras_around(1))
+    with pytest.raises(InputError, match="its dataset knows no true edit"):
+        hash_of_sample(sample)

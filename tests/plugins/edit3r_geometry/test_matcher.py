@@ -12,6 +12,7 @@ from edit3r.contract.errors import MatchingError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.photos.triples import rotation_degrees
+from edit3r_testing import photograph
 
 pytestmark = pytest.mark.slow
 
@@ -280,3 +281,18 @@ def test_the_packaged_motorcycle_pair_has_its_true_depth(matcher):
     )
     truth = np.where(known, 1 / motion, 0)
     assert within_share(geometry.depths[0, 0].numpy(), truth, 0.1) > 0.85
+
+
+@pytest.mark.parametrize(
+    ("radial", "gain", "bent"),
+    [(-0.1, 0.06, True), (-0.1, 0.04, False), (-0.02, 0.5, False)],
+)
+def test_a_lens_bends_where_that_is_strong_and_explains_what_is_off(
+    matcher, monkeypatch, radial, gain, bent
+):
+    fit = "edit3r_geometry.bundle_adjustment.fit_distortion"
+    monkeypatch.setattr(fit, lambda *given: (radial, gain))
+    views = replace(photograph(3, (96, 128)).views, assumed=(True,) * 3)
+    found = matcher.lens(views)
+    assert (found is not None) == bent
+    assert not bent or found.distortion[0] == radial

@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
+from edit3r_geometry import matchers
 
 import edit3r
 from edit3r.contract.errors import MatchingError
@@ -51,6 +53,21 @@ def test_poses_that_do_not_belong_to_the_photos_are_refused(matcher, large):
     )  # turned about the optical axis
     with pytest.raises(MatchingError, match="known poses"):
         matcher.match(replace(views, c2w=away))
+
+
+def test_depth_is_measured_on_the_levelled_photos(matcher, large, monkeypatch):
+    _, views = large
+    darker, seen = replace(views, images=0.8 * views.images), []
+    measure = matchers.measure_depths
+    monkeypatch.setattr(
+        matchers,
+        "measure_depths",
+        lambda images, *rest: seen.append(images) or measure(images, *rest),
+    )
+    matcher.match_levelled(darker, views)
+    (images,) = seen
+    for image, levelled in zip(images, matchers.calibrated_images(views, 0)):
+        assert np.array_equal(image.pixels, levelled.pixels)
 
 
 class PosedContract(MatcherContract):

@@ -8,7 +8,7 @@ import edit3r
 from edit3r import Cameras, Views
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import Geometry, Matcher
-from edit3r.kit.compute.likeness import psnr
+from edit3r.kit.compute.metrics import psnr
 from edit3r.kit.geometry.background_fill import background_layer
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.harmonics import dc_to_colour

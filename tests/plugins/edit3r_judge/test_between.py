@@ -56,3 +56,16 @@ def rotation_about_y(angle):
 def test_a_photo_that_was_not_placed_is_unknown_and_helps_no_other():
     found = shares([0, 1], registered=(True, True, False))
     assert found[2] == 1 and 0.25 < found[0] == found[1] < 0.6
+
+
+def test_a_blank_surface_hides_the_guessed_pattern_behind_it():
+    c2w = torch.eye(4).repeat(1, 2, 1, 1)
+    c2w[0, 1, 0, 3] = 0.01
+    depths = torch.ones(1, 2, 48, 64)
+    depths[:, 1] = 4
+    images = torch.cat((BLANK[:, :1], PATTERN[:, 1:2]), 1)
+    geometry = Geometry(
+        c2w, depths, torch.zeros_like(depths), torch.ones(1, 2, dtype=torch.bool)
+    )
+    photos = replace(SCENE.views.select([0, 1]), images=images)
+    assert max(guessed_between(geometry, photos)[0].tolist()) < 0.1

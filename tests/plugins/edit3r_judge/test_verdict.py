@@ -163,3 +163,17 @@ def test_what_the_scene_leaves_out_does_not_speak_against_it():
     verdict = judge(EDITED, rendering, rendering, [True] * 3, None, None, ignored)
     assert verdict.agreement == pytest.approx((30, 30, 30), abs=1e-3)
     assert shown(EDITED, rendering, [True] * 3).label == "failed"
+
+
+def test_of_several_scenes_the_worst_counts():
+    one, other = rendered(40.0, 10.0, 40.0), rendered(40.0, 40.0, 12.0)
+    both = Rendering(
+        torch.cat((one.images, other.images)),
+        torch.cat((one.alphas, other.alphas)),
+        None,
+    )
+    twice = Views(
+        EDITED.images.repeat(2, 1, 1, 1, 1), EDITED.intrinsics.repeat(2, 1, 1, 1)
+    )
+    verdict = shown(twice, both, [True] * 3)
+    assert verdict.input_psnr == pytest.approx((40, 10, 12), abs=1e-3)

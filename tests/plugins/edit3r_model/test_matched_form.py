@@ -351,13 +351,17 @@ def test_centres_move_the_correction_of_depth_and_colours_do_not():
 
 def test_points_lie_at_the_matched_depth_in_the_matcher_s_unit(shipped):
     views, pixels = views_of(), SIZE[0] * SIZE[1]
-    own = shipped(views, views).gaussians
+    made = shipped(views, views)
+    own = made.gaussians
+    assert torch.allclose(made.cameras.c2w, SCENE.cameras.c2w[:, :2], atol=1e-6)
     depths = SCENE.depths[0, 0].flatten()
     assert torch.allclose(own.means[0, :pixels, 2], depths, rtol=1e-4)
     c2w = SCENE.cameras.c2w[:, :2].clone()
     c2w[..., :3, 3] *= 10
     matcher = TrueGeometry(c2w=c2w, depths=10 * SCENE.depths[:, :2])
-    larger = reconstructor(matcher)(views, views).gaussians
+    made = reconstructor(matcher)(views, views)
+    larger = made.gaussians
+    assert torch.allclose(made.cameras.c2w, c2w, atol=1e-5)
     assert torch.allclose(larger.means, 10 * own.means, rtol=1e-3)
     assert torch.allclose(larger.scales, 10 * own.scales, rtol=1e-3)
 

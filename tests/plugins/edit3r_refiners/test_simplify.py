@@ -9,7 +9,7 @@ from edit3r_refiners.settings import SimplifySettings
 from edit3r_refiners.simplify import simplify
 
 from edit3r.contract.types import Gaussians
-from edit3r.kit.compute.likeness import psnr
+from edit3r.kit.compute.metrics import psnr
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r_testing.scenes import cameras_around, gaussian_cloud, photograph
 

@@ -87,6 +87,10 @@ def test_the_answer_before_is_told_in_the_network_s_own_frame(build_sam_onnx, ph
     assert [float(one["has_mask_input"][0]) for one in told] == [0, 1]
     mask = told[1]["mask_input"][0, 0]
     assert (mask[:192] == 4).all() and (mask[192:] < -4).all()
+    segmenter.ask(photo.clone(), [((0.5, 0.5), True)])  # known by what it shows
+    assert len(told) == 2
+    segmenter.ask(1 - photo, [((0.5, 0.5), True)])
+    assert len(told) == 3
 
 
 def test_a_prior_alone_is_asked_for_as_the_box_around_it(build_sam_onnx, photo):

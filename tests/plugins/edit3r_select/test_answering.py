@@ -84,6 +84,29 @@ def test_each_click_is_asked_with_the_answer_before_it_and_all_are_obeyed(image)
     assert all(held) and not mask[int(0.3 * HEIGHT), WIDTH // 2]
 
 
+class OneBesideTheOther(Plain):
+    """All of the photo for one click; for more the left half, so that one outside is obeyed."""
+
+    def __init__(self):
+        self.asked = []
+
+    def ask(self, image, clicks, box=None, before=None):
+        self.asked.append(tuple(wanted for _, wanted in clicks))
+        left = np.where(COLUMNS < 32, 4.0, -4.0).astype(np.float32)
+        whole = np.full_like(left, 4.0)
+        several = len(clicks) > 1
+        return np.stack([left, left] if several else [whole, whole]), np.ones(2)
+
+
+def test_a_click_that_says_nothing_new_is_asked_about_only_once_it_is_disobeyed(image):
+    network = OneBesideTheOther()
+    marks = Marks(positive=((0.2, 0.5), (0.4, 0.2)), negative=((0.8, 0.5),))
+    mask = inside(SummingSegmenter(network).segment_marks(image, marks))
+    assert (True, False) in network.asked  # the second click inside came with neither
+    assert all(len(one) < 3 for one in network.asked)
+    assert mask[:, :30].all() and not mask[:, 34:].any()
+
+
 def test_a_click_that_says_what_is_known_changes_nothing(image):
     network = Discs()
     prior = torch.from_numpy(DISC).float()

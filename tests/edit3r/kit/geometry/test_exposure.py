@@ -84,6 +84,27 @@ def test_a_photo_that_shares_nothing_with_the_first_is_settled_through_another()
     assert (views.images[:, 2] - SCENE.views.images[:, 2]).abs().mean() > 0.04
 
 
+def test_photos_that_share_something_but_nothing_with_the_first_keep_their_light():
+    geometry = _geometry()
+    geometry.confidence[:, 0] = 0
+    assert estimate_exposure(_relit(), geometry) is None
+
+
+def test_surfaces_that_the_other_photo_only_guesses_tell_nothing_of_its_light():
+    """Darker by itself, as in a shadow, where the second photo did not measure."""
+    images = SCENE.views.images.clone()
+    images[:, 1, :, :, 40:] *= 0.6
+    views = replace(SCENE.views, images=images).select([0, 1])
+    geometry = _geometry()
+    known = Geometry(
+        *(part[:, :2] for part in (geometry.c2w, geometry.depths, geometry.confidence)),
+        geometry.registered[:, :2],
+    )
+    assert estimate_exposure(views, known) is not None
+    known.confidence[:, 1, :, 36:] = 0
+    assert estimate_exposure(views, known) is None
+
+
 def test_each_scene_of_a_batch_has_its_own_light():
     both = replace(
         SCENE.views,

@@ -82,3 +82,16 @@ def test_fields_that_explain_the_photos_alike_go_on_to_the_verdict():
     unsure = replace(READ, lenses=(30.0, 55.0))
     _, found, notes = located(EXIF, geometry(contradicts=30.0), unsure)
     assert found.lenses == (30.0, 55.0) and notes["lens.alike"] == [30.0, 55.0]
+
+
+@pytest.mark.parametrize("assumed", [(True, True), (True, False), ()])
+def test_photos_of_one_plane_are_told_only_where_nobody_knows_a_lens(assumed):
+    photos = replace(PHOTOS, assumed=assumed)
+    parts = SimpleNamespace(
+        uses_geometry=True,
+        config=SimpleNamespace(exposure="own", transients="keep"),
+        geometry=SimpleNamespace(of=lambda photos: GeometryAnswer(geometry())),
+    )
+    with collecting(Report()):
+        _, found = locate(Inputs(photos, photos), parts)
+    assert found.flat == any(assumed)

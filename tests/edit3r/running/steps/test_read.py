@@ -8,6 +8,8 @@ import pytest
 from PIL import Image
 
 from edit3r.contract.reporting import Report, collecting
+from edit3r.kit.photos.coverage import USUAL_FRAMES
+from edit3r.kit.photos.images import find_photos
 from edit3r.running.config import JobInputs
 from edit3r.running.job import job_from
 from edit3r.running.steps.read import read
@@ -20,7 +22,7 @@ def scene(tmp_path):
     """Reads two photos whose transforms.json names masks with so much white."""
     noise = np.random.default_rng(0).integers(0, 255, (30, 40, 3), dtype=np.uint8)
 
-    def of(white, *, masks=NAMES, prompt="paint it red", **marks):
+    def of(white, *, masks=NAMES, prompt="paint it red", settings=None, **marks):
         mask = np.zeros((30, 40), np.uint8)
         mask[:, : round(40 * white)] = 255
         (tmp_path / "masks").mkdir(exist_ok=True)
@@ -36,7 +38,8 @@ def scene(tmp_path):
         inputs = JobInputs(
             photos=tuple(str(tmp_path / name) for name in NAMES), **marks
         )
-        job = replace(job_from(inputs, {"prompt": prompt}), components={"reader": None})
+        config = {"prompt": prompt, **(settings or {})}
+        job = replace(job_from(inputs, config), components={"reader": None})
         with collecting(Report()) as report:
             return read(job, None), report
 
@@ -65,3 +68,16 @@ def test_own_marks_come_first_and_without_a_sentence_there_are_none(scene):
 def test_masks_that_cannot_be_read_are_warned_of(scene):
     found, report = scene(0.25, masks=("a.png", "b.nothing"))
     assert found.marked is None and "not used" in str(report.warnings)
+
+
+@pytest.mark.parametrize("views, most", [(2, USUAL_FRAMES), (50, 50)])
+def test_a_video_gives_as_many_frames_as_views_are_asked_for(
+    scene, monkeypatch, views, most
+):
+    asked = []
+    monkeypatch.setattr(
+        "edit3r.running.steps.read.find_photos",
+        lambda paths, frames: asked.append(frames) or find_photos(paths, frames),
+    )
+    scene(0.5, settings={"views": views})
+    assert asked == [most]

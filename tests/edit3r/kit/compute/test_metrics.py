@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
-from edit3r.kit.compute.likeness import psnr, ssim
+from edit3r.kit.compute.metrics import psnr, ssim
 
 
 @pytest.fixture

@@ -1,0 +1,55 @@
+"""Views that are not used, or not placed, leave every record of a run."""
+
+import torch
+
+from edit3r.contract.types import Views
+from edit3r.kit.geometry.exposure import Exposure
+from edit3r.running.records import (
+    EditedPhotos,
+    Inputs,
+    Located,
+    SelectedRegions,
+)
+
+KEPT = [0, 2]
+BY_VIEW = torch.arange(3.0)
+MAPS = BY_VIEW.view(1, 3, 1, 1).expand(1, 3, 4, 5)
+VIEWS = Views(
+    MAPS[:, :, None].expand(1, 3, 3, 4, 5) / 3, torch.eye(3).expand(1, 3, 3, 3)
+)
+
+
+def told(maps):
+    """Of which views the maps are."""
+    return maps[0, :, 0, 0].tolist()
+
+
+def test_inputs_of_some_views():
+    some = Inputs(
+        VIEWS, VIEWS, files=("a", "b", "c"), masks=MAPS, things={"bike": MAPS[0]}
+    ).select(KEPT)
+    assert some.files == ("a", "c") and told(some.masks) == KEPT
+    assert told(some.things["bike"][None]) == KEPT
+    assert torch.equal(some.photos.images, VIEWS.images[:, KEPT])
+    assert torch.equal(some.start.images, VIEWS.images[:, KEPT])
+
+
+def test_what_was_located_of_some_views():
+    gain = BY_VIEW.view(1, 3, 1, 1, 1)
+    exposure = Exposure(gain, gain + 1)
+    some = Located(exposure=exposure, transient=MAPS).select(KEPT)
+    assert some.exposure.gain.flatten().tolist() == KEPT
+    assert some.exposure.offset.flatten().tolist() == [1, 3]
+    assert told(some.transient) == KEPT
+    assert Located().select(KEPT) == Located()
+
+
+def test_what_was_selected_and_edited_on_some_views():
+    some = SelectedRegions(
+        MAPS, MAPS[None].repeat(2, 1, 1, 1, 1), things={"bike": MAPS[0]}
+    ).select(KEPT)
+    assert told(some.masks) == told(some.regions[1]) == KEPT
+    assert told(some.things["bike"][None]) == KEPT
+    edited = EditedPhotos(VIEWS, ("a fault",)).select(KEPT)
+    assert torch.equal(edited.views.images, VIEWS.images[:, KEPT])
+    assert edited.faults == ("a fault",)
