@@ -206,10 +206,10 @@ def _distortion(frame: Mapping[str, Any]) -> tuple[float, ...]:
             f"{name}: a fisheye or panorama, expected a pinhole; undistort the photos first",
         )
     names = _DISTORTION + _RATIONAL * (model == "FULL_OPENCV")
-    distortion = tuple(float(frame.get(name) or 0.0) for name in names)
+    distortion = tuple(_number(frame, name) for name in names)
     for name in _RATIONAL:
         require(
-            name in names or not float(frame.get(name) or 0.0),
+            name in names or not _number(frame, name),
             f"{name} is {frame.get(name)}, which cannot be undone; undistort the photos first",
         )
     return lens_numbers(distortion)
@@ -237,16 +237,22 @@ def _frame_intrinsics(
 ) -> Matrix3 | None:
     x = _focal(frame, "fl_x", "camera_angle_x", width)
     y = _focal(frame, "fl_y", "camera_angle_y", height)
-    if not x and not y:
+    if x is None and y is None:
         return None
     # One angle alone means square pixels.
     cx, cy = frame.get("cx"), frame.get("cy")
     rows = [
-        [x or y, 0, width / 2 if cx is None else float(cx)],
-        [0, y or x, height / 2 if cy is None else float(cy)],
+        [y if x is None else x, 0, width / 2 if cx is None else float(cx)],
+        [0, x if y is None else y, height / 2 if cy is None else float(cy)],
         [0, 0, 1.0],
     ]
     return intrinsics_from_outside(rows, width, height)
+
+
+def _number(frame: Mapping[str, Any], name: str) -> float:
+    """A number of a frame; 0 where it is not stated."""
+    value = frame.get(name)
+    return 0.0 if value is None else float(value)
 
 
 def _focal(frame: Mapping[str, Any], focal: str, angle: str, size: int) -> float | None:

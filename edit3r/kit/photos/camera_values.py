@@ -150,7 +150,7 @@ def size_from_outside(width: Any, height: Any) -> tuple[int, int]:
     """(width, height) as a file states them; raises ValueError for what is no size of an image."""
     for side in (width, height):
         require(
-            not isinstance(side, str) and int(side) == side,
+            not isinstance(side, str | bool) and int(side) == side,
             "width and height must be whole numbers",
         )
     require(
@@ -166,6 +166,7 @@ def file_name(value: Any) -> str:
     names_a_file = (
         isinstance(value, str)
         and "\0" not in value
+        and not any("\ud800" <= one <= "\udfff" for one in value)
         and Path(value).name not in ("", "..")
         and len(value) <= 4096
     )

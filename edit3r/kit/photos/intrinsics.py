@@ -219,7 +219,13 @@ class _CameraFile:
         Raises InputError for two cameras of one image that differ.
         """
         entries = self.entries_of(file, given)
-        if not entries or len({entry.file for entry in entries}) > 1:
+        files = sorted({entry.file for entry in entries})
+        if len(files) > 1 and given:
+            raise InputError(
+                f"{self.path}: {file.name} may be {files[0]} or {files[1]} in it; give photos "
+                "whose folders say which, or a camera file that names each once."
+            )
+        if len(files) != 1:
             return None
         first, *others = (entry.camera(size) for entry in entries)
         if any(not first.says_the_same_as(other) for other in others):

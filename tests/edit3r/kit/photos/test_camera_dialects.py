@@ -193,6 +193,29 @@ def test_a_camera_named_twice_with_two_answers_is_refused(tmp_path, changed):
         loaded(files, path)
 
 
+@pytest.mark.parametrize(
+    "wrong",
+    [{"w": True}, {"k1": []}, {"k1": {}}, {"fl_x": 0}, {"file_path": "\ud800.png"}],
+)
+def test_a_value_of_another_kind_is_refused(tmp_path, wrong):
+    files = photos(tmp_path / "images")
+    path = tmp_path / "given.json"
+    path.write_text(json.dumps({"frames": [f | wrong for f in frames(NAMES)]}))
+    with pytest.raises(InputError, match=r"given\.json"):
+        loaded(files, path)
+
+
+def test_a_photo_that_may_be_either_of_two_images_of_its_name_is_refused(tmp_path):
+    files = photos(tmp_path / "images")
+    first = [f"a/{name}" for name in NAMES]
+    second = [f"b/{name}" for name in NAMES]
+    other = {"transform_matrix": pose(3).tolist()}
+    path = tmp_path / "given.json"
+    path.write_text(json.dumps({"frames": [*frames(first), *frames(second, **other)]}))
+    with pytest.raises(InputError, match=r"may be a.* or b"):
+        loaded(files, path)
+
+
 def test_masks_that_a_camera_file_names_are_their_photos(tmp_path):
     files = photos(tmp_path / "images")
     content = {"frames": frames(NAMES, mask_path="masks\\left.png")}
