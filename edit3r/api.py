@@ -88,6 +88,8 @@ def run(
         *built,
     }:
         built["reconstructor"] = earlier.reconstructor
+        if (matcher := earlier.parts.job.components.get("matcher")) is not None:
+            built.setdefault("matcher", matcher)
     before = _earlier(earlier)
     layers = [{key: _plain(value) for key, value in given.items()}]
     if before is not None:

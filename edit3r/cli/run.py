@@ -77,7 +77,7 @@ class RunCommand(Command):
         )
 
     def main(self, args: argparse.Namespace) -> int:
-        for path in args.photos:
+        for path in args.photos if args.preview is None else ():
             require_there(path)  # before torch is imported, which takes seconds
         from edit3r.contract.reporting import Report
         from edit3r.kit.command.console import StageConsole, print_json

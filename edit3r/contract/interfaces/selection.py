@@ -64,7 +64,6 @@ class Selection:
     def __post_init__(self) -> None:
         """Raise InputError for marks that lie on no photo, and for what is no mark."""
         self._check_numbers()
-        self._check_masks()
         for place in (*self.positive, *self.negative, *self._drawn()):
             view, x, y = _numbers_of(place, "a point is (view, x, y)", 3)
             if not (0 <= x <= 1 and 0 <= y <= 1):
@@ -80,6 +79,16 @@ class Selection:
                     f"0; {SHARES}."
                 )
 
+        self._check_views()
+        self._check_masks()
+
+    def _check_views(self) -> None:
+        for view in self.views:
+            if not isinstance(view, int):
+                raise InputError(
+                    f"a mark on view {view!r}; expected its number, from 0 on."
+                )
+
     def _check_numbers(self) -> None:
         if not isinstance(self.reading, int) or self.reading < 1:
             raise InputError(
@@ -93,11 +102,6 @@ class Selection:
             )
         if not isinstance(self.words, str):
             raise InputError(f"words: got {self.words!r}, expected text.")
-        for view in self.views:
-            if not isinstance(view, int):
-                raise InputError(
-                    f"a mark on view {view!r}; expected its number, from 0 on."
-                )
 
     def _check_masks(self) -> None:
         sizes = set()

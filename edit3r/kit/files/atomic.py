@@ -358,7 +358,8 @@ def _contents(folder: Path) -> dict[str, str | None]:
 
 def _content(path: Path) -> str | None:
     if path.is_symlink():
-        return f"link to {os.readlink(path)}"
+        target = os.readlink(path)
+        return f"link {hashlib.sha256(os.fsencode(target)).hexdigest()}"
     if path.is_dir():
         return None
     return sha256_of(path) if path.is_file() else "no file"

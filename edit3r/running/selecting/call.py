@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
     Matcher,
     Reading,
@@ -76,6 +77,7 @@ def select_with(
 ) -> Selecting:
     """The same with built parts, by the cache of the current run."""
     views = photos if isinstance(photos, Views) else _loaded(photos)
+    _check_masks(views, selection)
     geometry = None if matcher is None else geometry_of(matcher, views)
     scenes = [
         selector.select(
@@ -98,6 +100,18 @@ def select_with(
     )
 
 
+def _check_masks(views: Views, selection: Selection) -> None:
+    """Raise InputError for masks of another size than the photos."""
+    size = list(views.image_size)
+    for masks in (selection.masks, selection.added, selection.removed):
+        for view, mask in masks.items():
+            if list(mask.shape) != size:
+                raise InputError(
+                    f"the mask of photo {view + 1} is {list(mask.shape)}; expected the photos' "
+                    f"size {size}."
+                )
+
+
 def usual_selector(segmenter: Segmenter | None = None) -> Selector:
     """The selector that a run takes unasked, with a segmenter that is built, or its own."""
     choice = PartChoice(name=DEFAULTS["selector"])
@@ -116,6 +130,13 @@ def _why(views: Views, found: Selected) -> str:
 def _ready(choice: Any, cache: Cache) -> Segmenter:
     if isinstance(choice, Segmenter):
         return choice
+    if isinstance(choice, Mapping) and "name" not in choice:
+        raise InputError(f"segmenter: {dict(choice)} has no name; give one: name=...")
+    if not isinstance(choice, str | Mapping | PartChoice | None):
+        raise InputError(
+            f"segmenter: got {type(choice).__name__}, expected a name, a name with settings, or a "
+            "Segmenter."
+        )
     if isinstance(choice, Mapping):
         settings = {key: value for key, value in choice.items() if key != "name"}
         choice = PartChoice(name=choice["name"], settings=settings)

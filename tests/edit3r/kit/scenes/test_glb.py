@@ -229,7 +229,7 @@ BAD = {
     "other kernel": (glb(PLAIN, extension={"kernel": "beta"}), "kernel 'beta'"),
     "stretched": (glb(PLAIN, node={"scale": [1, 2, 1]}), "stretches"),
     "round in circles": (glb(PLAIN, node={"children": [0]}), "circles"),
-    "deep": (chunks(DEEP, b""), "RecursionError"),
+    "deep": (chunks(DEEP, b""), "nested too deeply"),
     "no SPZ inside": (
         chunks(json.dumps({
             "meshes": [{"primitives": [{"extensions": {

@@ -4,7 +4,9 @@ import pytest
 import torch
 
 import edit3r
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Selection
+from edit3r.contract.types import Views
 from edit3r.running.selecting import call
 from edit3r_testing.scenes import photograph
 
@@ -55,3 +57,21 @@ def test_a_further_call_with_the_same_cache_builds_a_segmenter_only_for_other_se
     first, again, other = (call._ready(one, cache) for one in (small, small, large))
     assert again is first
     assert other is not first and other.settings.size == 96
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (
+            {"selection": Selection(masks={0: torch.ones(3, 4)})},
+            r"is \[3, 4\]; expected",
+        ),
+        ({"segmenter": {"points": 4}}, "has no name"),
+        ({"segmenter": 3}, "got int, expected a name"),
+    ],
+)
+def test_what_cannot_be_asked_is_one_sentence(asked, said):
+    views = Views(torch.rand(1, 2, 3, 8, 8), torch.eye(3).expand(1, 2, 3, 3))
+    given = {"selection": Selection(positive=((0, 0.5, 0.5),)), **asked}
+    with pytest.raises(InputError, match=said):
+        edit3r.select(views, **given)
