@@ -1,5 +1,6 @@
 """What files state of a camera, checked: sizes, intrinsics, poses, names of images."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -161,12 +162,19 @@ def size_from_outside(width: Any, height: Any) -> tuple[int, int]:
     return int(width), int(height)
 
 
+_HALF = re.compile(r"[\ud800-\udc7f\udd00-\udfff]")
+
+
 def file_name(value: Any) -> str:
-    """A path of an image as a file states it; raises ValueError for what names no file."""
+    """A path of an image as a file states it; raises ValueError for what names no file.
+
+    From U+DC80 to U+DCFF stand the bytes of a name that is no UTF-8 (PEP 383); other halves of a
+    character stand for nothing.
+    """
     names_a_file = (
         isinstance(value, str)
         and "\0" not in value
-        and not any("\ud800" <= one <= "\udfff" for one in value)
+        and not _HALF.search(value)
         and Path(value).name not in ("", "..")
         and len(value) <= 4096
     )
