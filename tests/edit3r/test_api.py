@@ -110,15 +110,17 @@ def result(posed):
     return run(posed, masks=edit3r.Selection(positive=((0, 0.5, 0.5),)))
 
 
-def with_scene(result, **changes):
-    return replace(result, scene=replace(result.scene, **changes))
+def with_rendered(result, rendered):
+    records = result.records
+    judged = replace(records.judged, rendered=rendered)
+    return replace(result, records=replace(records, judged=judged))
 
 
 def test_two_results_are_compared_on_one_sheet(result):
     red, green = torch.eye(3)[:2, :, None, None]
     shown = result.rendered.images
     first, second = (
-        with_scene(result, rendered=replace(result.rendered, images=colour + 0 * shown))
+        with_rendered(result, replace(result.rendered, images=colour + 0 * shown))
         for colour in (red, green)
     )
     pixels = np.asarray(first.compare(second))
@@ -155,7 +157,8 @@ def test_photos_that_are_given_are_edited_from_the_start(posed, result, monkeypa
 def test_results_of_different_photos_are_not_compared(result):
     photos = replace(result.photos, names=("x", "y"))
     with pytest.raises(InputError, match="different photos: 0, 1, and x, y"):
-        result.compare(with_scene(result, photos=photos))
+        inputs = replace(result.records.inputs, photos=photos)
+        result.compare(replace(result, records=replace(result.records, inputs=inputs)))
 
 
 def test_progress_is_shown_where_it_is_asked_for(posed, tmp_path, capsys):

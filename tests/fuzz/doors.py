@@ -219,7 +219,7 @@ def assignments(rng, folder, given):
             key,
             f"{key}.{rng.choice(TEXTS)}",
             rng.choice(TEXTS),
-            "reconstructor.matcher.kind",
+            "matcher.kind",
         )
     )
     value = rng.choice(
@@ -728,6 +728,7 @@ def _earlier_run(run: Path, cameras: Cameras, scene: Gaussians, photos) -> objec
         "settings": {
             "run": {
                 "reconstructor": {"name": "edit3r", "settings": {"size": 32}},
+                "matcher": {"name": "classical", "settings": {}},
                 "frames": 8,
             }
         },

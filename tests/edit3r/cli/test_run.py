@@ -128,8 +128,8 @@ def test_a_matcher_that_was_chosen_stays(posed_photos, tmp_path):
     options = [
         "--cameras",
         str(posed_photos / "given.json"),
-        "--set",
-        "reconstructor.matcher=classical",
+        "--matcher",
+        "classical",
     ]
     given, used, _ = run(posed_photos, tmp_path / "out", *options)
     assert np.abs(used - given).max() > 1e-3

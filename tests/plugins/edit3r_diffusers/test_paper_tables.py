@@ -89,7 +89,7 @@ def test_table_1_runs_with_tiny_weights(manifest, tiny, tmp_path):
     head = "{name: dpt-gaussian, feature_width: 8, point_width: 8, layer_widths: [8, 8, 16, 16]}"
     full = ["reconstructor.weights=random", "reconstructor.resolution=64"]
     full += [f"reconstructor.backbone={vit}", f"reconstructor.head={head}"]
-    small = ["reconstructor.weights=untrained", "reconstructor.matcher=posed"]
+    small = ["reconstructor.weights=untrained", "run.matcher=posed"]
     changes = settings(
         gaussctrl=[*control, "editor.matcher=posed", *fit],
         editsplat=[*ip2p, *fit],

@@ -188,7 +188,8 @@ def test_optimisation_methods_run_with_instruct_pix2pix(editor, posed, method):
         recon = edit3r.build(
             "reconstructor", method, {"editor": editor}, **TINY, **settings
         )
-        result = recon.edit_and_reconstruct(posed, posed, ASK)
+        geometry = edit3r.build("matcher", "posed").match(posed)
+        result = recon.edit_and_reconstruct(posed, posed, ASK, geometry)
     assert result.gaussians.count > 0
     assert not any(
         "cannot start from a given picture" in text for text in report.warnings
@@ -224,7 +225,8 @@ def test_gaussctrl_gives_controlnet_depth_the_fitted_geometry_and_its_own_refere
         recon = edit3r.build(
             "reconstructor", "gaussctrl", {"editor": editor}, **TINY, together=2
         )
-        result = recon.edit_and_reconstruct(posed, posed, ASK)
+        geometry = edit3r.build("matcher", "posed").match(posed)
+        result = recon.edit_and_reconstruct(posed, posed, ASK, geometry)
     assert result.gaussians.count > 0 and not [
         text for text in report.warnings if text.startswith("gaussctrl")
     ]

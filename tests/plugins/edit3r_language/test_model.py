@@ -1,7 +1,6 @@
 """Readers by a language model, against a service of the test and a tiny network."""
 
 import json
-from contextlib import suppress
 
 import pytest
 import torch
@@ -10,10 +9,10 @@ from edit3r_language.model import ServiceReader, _as_text
 import edit3r
 from edit3r.contract.errors import (
     InputError,
-    MatchingError,
     MissingDependencyError,
     RunError,
 )
+from edit3r.running import RunJob, make_run_config, preview
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
 SENTENCE = "male die Wand rot"
@@ -91,10 +90,9 @@ def test_a_run_reads_its_prompt_once_by_the_chosen_reader(chat, tmp_path):
     views = edit3r.Views(
         torch.stack((left, right))[None], torch.eye(3).expand(1, 2, 3, 3)
     )
-    job = {"masks": torch.ones(1, 2, 32, 48), "recon": "classical", "refine": 0}
     reader = {"name": "model", "base_url": chat.url}
-    with suppress(MatchingError):  # noise has no geometry
-        edit3r.run(views, SENTENCE, reader=reader, **job)
+    config = make_run_config({"prompt": SENTENCE, "reader": reader})
+    preview(RunJob(config, views, masks=torch.ones(1, 2, 32, 48)))
     assert len(chat.requests) == 1
 
 

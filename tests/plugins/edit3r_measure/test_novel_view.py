@@ -26,6 +26,7 @@ from edit3r.cli.main import main
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Reconstructor
 from edit3r.kit.photos.posed_folder import read_posed_folder
+from edit3r.kit.reconstructing import WithMatcher
 from edit3r.loading.registry import build, default_registry
 
 
@@ -133,7 +134,8 @@ class Carries(Reconstructor):
     """
 
     def __init__(self, scene, carries):
-        self.posed = build("reconstructor", "classical", matcher="posed")
+        lifted = build("reconstructor", "classical")
+        self.posed = WithMatcher(lifted, build("matcher", "posed"))
         poses = np.stack(
             [relative_pose(photo, scene.inputs[0]) for photo in scene.inputs]
         )
