@@ -1,6 +1,5 @@
 """`edit3r.run` can do what the command line can."""
 
-import inspect
 import json
 import warnings
 from dataclasses import replace
@@ -15,7 +14,6 @@ from edit3r.contract.reporting import Report
 from edit3r.contract.types import Cameras
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image
-from edit3r.running.config import RunConfig
 
 pytestmark = pytest.mark.slow
 
@@ -180,8 +178,3 @@ def test_marks_in_words_need_files(posed):
     views = edit3r.load_views([folder / "0.png", folder / "1.png"])
     with pytest.raises(InputError, match="photos that were read from files"):
         edit3r.run(views, "make it red", masks=folder / "mask_0.png", **QUICK)
-
-
-def test_every_setting_of_a_run_is_a_keyword():
-    names = set(inspect.signature(edit3r.run).parameters)
-    assert set(RunConfig.model_fields) - {"reconstructor"} <= names and "recon" in names
