@@ -415,8 +415,12 @@ class Looker:
                 if draft.selects:
                     look = _with_marks(look, draft, opened, parts)
                 if config.prompt or config.editor is not None:
-                    wishes = [wish for task in parts.tasks for wish in task.wishes]
-                    said = "; ".join(map(str, wishes)) or config.prompt
+                    instructions = [
+                        instruction
+                        for task in parts.tasks
+                        for instruction in task.instructions
+                    ]
+                    said = "; ".join(map(str, instructions)) or config.prompt
                     look = replace(look, understood=f"{said} ({parts.editor_names})")
                     look = self._with_regions(look, opened.cache, parts)
             except Edit3rError as error:

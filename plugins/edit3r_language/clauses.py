@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 
-from edit3r.contract.wishes import FLOOD, Action, Change, Colour, Thing
+from edit3r.contract.instructions import FLOOD, Action, Change, Colour, Thing
 from edit3r.kit.compute.colour_names import read_colour
 from edit3r_language import vocabulary as words
 from edit3r_language.changes import (
@@ -36,7 +36,7 @@ class Clause:
     verb_first: bool = False  # "remove the bin": things may follow in the next clauses
 
     def not_understood(self, *unread: str) -> "Clause":
-        """The clause as a wish that nobody here understands."""
+        """The clause as an instruction that nobody here understands."""
         return replace(self, action="other", unread=unread)
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import cache
 
-from edit3r.contract.wishes import EVERY, FLOOD
+from edit3r.contract.instructions import EVERY, FLOOD
 from edit3r.kit.compute.colour_names import NEON, TONES, read_colour
 from edit3r_language import vocabulary as words
 from edit3r_language.nouns import is_noun

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from edit3r.contract.wishes import EVERY, FLOOD, Colour, Thing
+from edit3r.contract.instructions import EVERY, FLOOD, Colour, Thing
 from edit3r.kit.compute.colour_names import read_colour
 from edit3r_language import vocabulary as words
 from edit3r_language.nouns import is_noun, is_plural, is_thing_too

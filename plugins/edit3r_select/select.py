@@ -18,6 +18,7 @@ from torch import Tensor
 import edit3r
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
+from edit3r.contract.instructions import EVERY
 from edit3r.contract.interfaces import (
     ASK,
     BACKGROUND,
@@ -36,7 +37,6 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import note, say, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
-from edit3r.contract.wishes import EVERY
 from edit3r.kit.cache import fingerprint
 from edit3r.kit.geometry.maps import shown
 from edit3r.kit.geometry.warping import nearest_views, surfaces_apart, warp
