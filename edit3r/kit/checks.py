@@ -215,12 +215,12 @@ def _require_poses(
 def check_proposal(
     segmenter: Segmenter, answer: Proposal, image: Float[torch.Tensor, "3 height width"]
 ) -> None:
-    """A soft mask of the image's size and dtype, in [0, 1], and a surety."""
+    """A soft mask of the image's size and dtype, in [0, 1], and a confidence."""
     _require_type(segmenter, answer, Proposal)
     size = list(image.shape[-2:])
     _require_tensor(segmenter, "soft_mask", answer.soft_mask, size, image.dtype)
     _require_range(segmenter, "soft_mask", answer.soft_mask)
-    numbers = {"surety": answer.surety, "box": answer.box}
+    numbers = {"confidence": answer.confidence, "box": answer.box}
     for name, value in numbers.items():
         flat = value if isinstance(value, tuple) else (value,)
         real = all(isinstance(one, Real) and isfinite(one) for one in flat)

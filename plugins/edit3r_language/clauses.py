@@ -17,8 +17,8 @@ from edit3r_language.nouns import is_noun
 from edit3r_language.paints import read_paint
 from edit3r_language.places import read_region, unclear_place
 from edit3r_language.shades import read_taken
-from edit3r_language.strangers import is_known, strangers, unread_of
 from edit3r_language.things import read_thing
+from edit3r_language.unknown_words import is_known, unknown_words, unread_of
 
 
 @dataclass
@@ -242,7 +242,7 @@ def _split_around(
     if read_region(named) is None:  # "the lower half"
         unread += [t for t in named if t in words.MORE | words.LESS | words.UNSUPPORTED]
     unread += unclear_place(named)
-    unread += strangers(named, before_change=named == before and bool(before))
+    unread += unknown_words(named, before_change=named == before and bool(before))
     return named, tuple(dict.fromkeys(unread))
 
 

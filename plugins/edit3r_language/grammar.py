@@ -4,9 +4,9 @@ A sentence is a row of clauses, split at punctuation, "and", "but", "then" and "
 the last group of change words says what to do (`changes`), and the words before it (or after it, as
 in "darken the wall") say the thing (`things`, `places`). Clauses without a change share that of a
 neighbour ("paint the door and the wall white"), and what is excepted, kept or not to be touched is
-taken out of the thing (`together`). Words that are neither change, thing nor filler (`strangers`)
-make the clause an instruction of action "other" that names them: only an editor with a model of its
-own can carry that out.
+taken out of the thing (`together`). Words that are neither change, thing nor filler
+(`unknown_words`) make the clause an instruction of action "other" that names them: only an editor
+with a model of its own can carry that out.
 """
 
 import difflib
@@ -20,9 +20,9 @@ from edit3r.kit.compute.colour_names import near_colours, read_colour
 from edit3r_language import vocabulary as words
 from edit3r_language.clauses import Clause, asks_nothing, read_clause, read_kept
 from edit3r_language.nouns import is_plural, near_nouns
-from edit3r_language.strangers import is_known
 from edit3r_language.things import read_thing
 from edit3r_language.together import instructions_of
+from edit3r_language.unknown_words import is_known
 
 MAX_WORDS = 80
 """A longer sentence is no plain one; it is left to editors with a model of their own."""

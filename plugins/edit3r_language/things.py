@@ -8,7 +8,7 @@ from edit3r_language import vocabulary as words
 from edit3r_language.nouns import is_noun, is_plural, is_thing_too
 from edit3r_language.paints import LIGHT_WORDS
 from edit3r_language.places import read_region
-from edit3r_language.strangers import is_known
+from edit3r_language.unknown_words import is_known
 
 _JOINING = words.JOINING - {"at", "to", "next", "above", "below"}
 

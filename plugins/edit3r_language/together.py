@@ -8,7 +8,7 @@ from edit3r.contract.instructions import EVERY, Instruction, Thing
 from edit3r_language import vocabulary as words
 from edit3r_language.clauses import Clause, content_of
 from edit3r_language.nouns import is_plural
-from edit3r_language.strangers import unread_of
+from edit3r_language.unknown_words import unread_of
 
 
 def instructions_of(

@@ -359,23 +359,25 @@ def test_a_kept_cup_has_no_rim_that_goes_with_the_others():
 class Unsure(Halves):
     """Takes the left half for a pot as well, and is as sure of that as told."""
 
-    def __init__(self, surety):
+    def __init__(self, confidence):
         super().__init__()
-        self.surety = surety
+        self.confidence = confidence
 
     def segment_text(self, image, text):
         if text != "pot":
             return super().segment_text(image, text)
-        return (replace(self._half(image, LEFT), surety=self.surety),)
+        return (replace(self._half(image, LEFT), confidence=self.confidence),)
 
 
-@pytest.mark.parametrize(("surety", "changed"), [(0.35, IN_LEFT), (0.9, [False] * 16)])
+@pytest.mark.parametrize(
+    ("confidence", "changed"), [(0.35, IN_LEFT), (0.9, [False] * 16)]
+)
 def test_what_is_kept_is_not_the_thing_to_change_where_its_name_is_unsure(
-    surety, changed
+    confidence, changed
 ):
     report = Report()
     with collecting(report):
-        masks = regions("paint the door red, not the pot", segmenter=Unsure(surety))
+        masks = regions("paint the door red, not the pot", segmenter=Unsure(confidence))
     assert columns(masks[0]) == changed
     told = any("'pot' is 'door' itself" in text for text in report.warnings)
     assert told == any(changed)

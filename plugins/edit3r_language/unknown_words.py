@@ -21,7 +21,7 @@ def is_known(word: str) -> bool:
     return read_colour([word]) is not None or word.endswith("ing") or word.isdigit()
 
 
-def strangers(named: Sequence[str], before_change: bool) -> tuple[str, ...]:
+def unknown_words(named: Sequence[str], before_change: bool) -> tuple[str, ...]:
     """The words around a thing's name that nobody knows.
 
     After "the" any word may be a thing's, but not one between a thing and its colour: "the wall
