@@ -10,7 +10,13 @@ from pydantic import Field, field_validator
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import SettingsError, UnknownComponentError
-from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
+from edit3r.contract.settings import (
+    PartChoice,
+    Settings,
+    Share,
+    make_settings,
+    merge,
+)
 from edit3r.kit.files.yaml import read_yaml
 from edit3r.loading.registry import Registry
 from edit3r.running.quality import read_quality, with_quality
@@ -119,6 +125,17 @@ class RunConfig(Settings):
         "all",
         description="edit every view, or the first only (as in training) and let the "
         "reconstructor carry it over",
+    )
+    strength: Share = Field(
+        1.0,
+        description="how much of the 2D edit is taken: 0 leaves the photos as they are, 1 takes "
+        "all of it",
+    )
+    feather: float = Field(
+        0.0,
+        ge=0,
+        le=MAX_GROWTH,
+        description="how far inside the outline of what is selected the edit fades in [pixels]",
     )
     moved_edits: Literal["undo", "keep"] = Field(
         "undo",

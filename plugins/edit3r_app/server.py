@@ -38,7 +38,8 @@ from edit3r_app.looking import Looker
 from edit3r_app.made_scenes import offered_scenes, photo_of
 from edit3r_app.phone import phone_link
 from edit3r_app.runner import Runner
-from edit3r_app.studio import Studio, in_app
+from edit3r_app.studio import Studio
+from edit3r_app.wording import in_app
 
 STATIC = Path(__file__).with_name("static")
 THUMBNAIL = 320  # [pixels], longer side
@@ -145,6 +146,10 @@ class Answers:
             Route("/api/home", get(lambda: self.home())),
             Route("/api/scene/{scene}", get(studio.scene, "scene", at="")),
             Route("/api/look/{state}", get(studio.look, "state")),
+            Route(
+                "/api/candidates/{state}/{name}",
+                get(studio.candidates, "state", "name"),
+            ),
             Route("/api/verdict/{state}", get(studio.verdict, "state")),
             Route("/api/settings/{state}", get(studio.settings, "state")),
             Route("/api/files/{run}", get(studio.files, "run")),
@@ -171,6 +176,8 @@ class Answers:
             Route("/photo/{state}/{name}", self.photo),
             Route("/overlay/{state}/{name}", self.overlay),
             Route("/pointed/{state}/{name}", self.pointed),
+            Route("/edited/{state}/{name}", self.edited),
+            Route("/candidate/{state}/{name}/{number:int}", self.candidate),
             Route("/reading/{state}/{number:int}", self.reading),
             Route("/image/{state}/{kind}/{name}", self.image),
             Route("/viewer/{run}", self.viewer),
@@ -255,7 +262,20 @@ class Answers:
     def overlay(self, request: Request) -> Response:
         state, name = _named(request, "state", "name")
         draft = read_draft(self.folder, state)
-        return Response(self.looker.overlay(state, draft, name), media_type="image/png")
+        line = "line" in request.query_params
+        content = self.looker.overlay(state, draft, name, line)
+        return Response(content, media_type="image/png")
+
+    def edited(self, request: Request) -> Response:
+        """The 2D edit of one photo, before anything is made."""
+        state, name = _named(request, "state", "name")
+        draft = read_draft(self.folder, state)
+        return _jpeg(self.looker.edited(state, draft, name))
+
+    def candidate(self, request: Request) -> Response:
+        state, name = _named(request, "state", "name")
+        self.folder.path(state)
+        return _jpeg(self.looker.candidate(state, name, request.path_params["number"]))
 
     def pointed(self, request: Request) -> Response:
         """What is pointed at on one photo; with `mark`, as if that mark were made as well.

@@ -1,18 +1,19 @@
 """What the page shows of a scene, and what it may ask for: plain data in, plain data out."""
 
-import re
 import threading
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from pydantic import ValidationError
 
 from edit3r.contract.errors import InputError
+from edit3r.kit.files.atomic import atomic_write
 from edit3r.running import MAX_PROMPT
 from edit3r_app import uploads
-from edit3r_app.downloads import offered_files
+from edit3r_app.downloads import has_edits, offered_files
 from edit3r_app.draft import MARK, STEP, Draft, read_draft, write_draft
 from edit3r_app.forms import run_settings, set_by_hand, settings_form
 from edit3r_app.jobs import PREVIEW, AppJob, JobsFolder, manifest_of, tree
@@ -21,9 +22,11 @@ from edit3r_app.made_scenes import open_made
 from edit3r_app.objects import MARKED, objects_of, read_action
 from edit3r_app.progress import read_progress, time_left
 from edit3r_app.runner import Runner
+from edit3r_app.wording import in_app
 
 SAY = "Say what to change first, such as: paint it golden."
 MAX_SCENES = 200  # on the first page
+LEFT = "left"  # file beside a scene: the name of its state that was looked at last
 _CHANGING = threading.Lock()
 """A draft is read, changed and written under this lock: several requests come at once."""
 
@@ -53,10 +56,34 @@ class Studio:
         found = []
         for name in self.folder.scenes()[:MAX_SCENES]:
             photos = list(self.folder.photos(name))
-            edits = len(self.folder.history(name))
-            found.append({"name": name, "photos": photos[:1], "edits": edits})
-            found[-1]["count"] = len(photos)
+            history = self.folder.history(name)
+            at = self._left_at(name)
+            found.append(
+                {
+                    "name": name,
+                    "photos": photos[:1],
+                    "count": len(photos),
+                    "edits": len(history),
+                    "at": at,
+                    "shown": list(self.folder.images(at, "renders"))[:1] if at else [],
+                }
+            )
         return found
+
+    def _left_at(self, scene: str) -> str:
+        """The state of a scene that was looked at last; "" for its photos."""
+        note = self.folder.private / scene / LEFT
+        name = note.read_text(encoding="utf-8") if note.is_file() else ""
+        with suppress(InputError):
+            if name and self.folder.job(name).scene == scene:
+                return name
+        return ""
+
+    def _leave_at(self, scene: str, state: str) -> None:
+        at = "" if state == scene else state
+        if at != self._left_at(scene):
+            with atomic_write(self.folder.beside(scene) / LEFT) as partial:
+                partial.write_text(at, encoding="utf-8")
 
     def made(self, name: str) -> dict[str, Any]:
         """A scene to try; see `open_made`."""
@@ -75,6 +102,7 @@ class Studio:
             photos = list(folder.images(state, "renders"))
         history = folder.history(scene)
         at_rest = waits or by_hand
+        self._leave_at(scene, state)
         reading = BeingRead(by_hand, by_hand) if at_rest else self.looker.begin(state)
         if is_run and reading.photos:  # nothing else is waited for
             self.runner.make_ready()
@@ -90,7 +118,7 @@ class Studio:
             "history": [self._told(job, depth) for depth, job in tree(history)],
             "job": self._work(state) if waits else None,
             "preview": list(folder.images(state, PREVIEW)) if waits else [],
-            "reading": asdict(reading),
+            "reading": {**asdict(reading), "trouble": in_app(reading.trouble)},
             "draft": self._drawn(draft, state),
         }
 
@@ -138,6 +166,7 @@ class Studio:
             ],
             "told": [in_app(text) for text in progress.told],
             "trouble": self.runner.trouble,
+            "kept": has_edits(self.folder, name),
         }
 
     # ---- marks, words, settings ----
@@ -205,6 +234,13 @@ class Studio:
             "runs": look.job is not None,
             "readings": [one.number for one in look.readings],
         }
+
+    def candidates(self, state: str, name: str) -> list[dict[str, Any]]:
+        """The marks that take what may be meant on a photo; their pictures are asked for by
+        number.
+        """
+        self._is_state(state)
+        return [asdict(mark) for mark, _ in self.looker.candidates(state, name)]
 
     def verdict(self, state: str) -> dict[str, str] | None:
         """What the 2D edit of a quick editor is worth; None of others."""
@@ -356,12 +392,3 @@ def verdicts(folder: JobsFolder, run: str) -> Iterator[dict[str, str]]:
         if isinstance(verdict, dict):
             label, reason = str(verdict.get("label")), str(verdict.get("reason", ""))
             yield {"on": on, "label": label[:40], "reason": reason[:1000]}
-
-
-def in_app(sentence: str) -> str:
-    """A sentence of edit3r without the flags of the command line."""
-    sentence = sentence.replace("add --guess to take", "let the app take")
-    sentence = re.sub(r" \(--[^)]*\)", "", sentence)
-    sentence = re.sub(r",? take --[^,.;]*, or", "", sentence)
-    sentence = re.sub(r", or leave out --sure[^.;]*", "", sentence)
-    return re.sub(r"--(\w[\w-]*)", r"the setting \1", sentence)

@@ -9,7 +9,7 @@ from edit3r_app.draft import read_draft
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.looking import Looker
 from edit3r_app.runner import Runner
-from edit3r_app.studio import Studio, in_app
+from edit3r_app.studio import Studio
 from PIL import Image
 
 from edit3r.contract.errors import InputError
@@ -123,11 +123,3 @@ def test_a_thing_is_taken_of_a_scene_only_and_its_edit_is_a_state_of_its_own(
 def test_no_edit_without_a_sentence(studio, scene):
     with pytest.raises(InputError, match="such as: paint it golden"):
         studio.go(scene, "", "")
-
-
-def test_sentences_speak_of_no_flags():
-    told = "click on it (--point X,Y), or add --guess to take what stands out."
-    assert in_app(told) == "click on it, or let the app take what stands out."
-    assert "--" not in in_app(
-        "To correct it, take --reading 2 or --reading 3, or click on it."
-    )
