@@ -271,26 +271,39 @@ class Looker:
         view = _place(look.views, name)
         return _over(None if look.masks is None else look.masks[view], line)
 
-    def edited(self, state: str, draft: Draft, name: str) -> bytes:
-        """JPEG of the 2D edit of one photo, at once; raises InputError where there is none yet."""
+    def edited(self, state: str, draft: Draft, name: str, found: bool = False) -> bytes:
+        """JPEG of the 2D edit of one photo, at once; a clear pixel where there is none yet.
+
+        `found`: what is selected is known on all photos, and that is edited.
+        """
         opened = self._open_once(state)
         view = _place(opened.views, name)
+        with suppress(Edit3rError), self._pointing:
+            if edit := self._edited_on(opened, state, draft, view, found):
+                return _jpeg(edit.images[0, 0])
+        return _jpeg(torch.zeros(3, 1, 1))
+
+    def _edited_on(
+        self, opened: _Opened, state: str, draft: Draft, view: int, found: bool
+    ) -> Views | None:
         config = make_run_config(run_settings(draft, self.registry))
-        # marks are read by what follows, and not once more by the run
-        plain = {"larger": 0, "reading": 1, "grow": 0.0, "invert": False}
+        mask = None
+        if found:
+            look = self.look(state, draft)
+            mask = None if look.masks is None else look.masks[view]
+        elif draft.selects:
+            mask = self._marked_on(opened, draft, opened.views.names[view])
+            if mask is None:  # it is marked on another photo
+                return None
         marks = None
-        if draft.selects:
-            config = config.model_copy(update=plain)
-            mask = self._marked_on(opened, draft, name)
-            if mask is None:
-                raise InputError("nothing is selected on this photo.")
+        if mask is not None:  # outlines are moved already
             marks = Selection(masks={0: mask})
+            plain = {"larger": 0, "reading": 1, "grow": 0.0, "invert": False}
+            config = config.model_copy(update=plain)
         job = _job_on(opened, config, marks, [view])
-        with self._pointing:
-            parts = Parts(config, self.registry, job)
-            if not is_quick(parts):
-                raise InputError("this editor is too slow to show its edit before.")
-            return _jpeg(preview_photo(job, self.registry).images[0, 0])
+        if not is_quick(Parts(config, self.registry, job)):
+            return None
+        return preview_photo(job, self.registry)
 
     def pointed(self, state: str, draft: Draft, name: str, line: bool = False) -> bytes:
         """The same by the marks on that photo alone, at once: before the others were asked.

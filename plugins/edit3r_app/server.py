@@ -270,7 +270,8 @@ class Answers:
         """The 2D edit of one photo, before anything is made."""
         state, name = _named(request, "state", "name")
         draft = read_draft(self.folder, state)
-        return _jpeg(self.looker.edited(state, draft, name))
+        found = "found" in request.query_params
+        return _jpeg(self.looker.edited(state, draft, name, found))
 
     def candidate(self, request: Request) -> Response:
         state, name = _named(request, "state", "name")
@@ -289,7 +290,8 @@ class Answers:
             made = _mark_of(mark)
             if draft.marks[-1:] != [made] or "made" not in request.query_params:
                 draft.take(made)
-        line = bool(mark) and "made" not in request.query_params
+        made_so = "made" in request.query_params
+        line = (bool(mark) and not made_so) or "line" in request.query_params
         content = self.looker.pointed(state, draft, name, line=line)
         return Response(content, media_type="image/png")
 

@@ -97,7 +97,7 @@ export function showSettings(groups, set, again) {
           : el(
               "section",
               {},
-              el("h3", {}, title),
+              title && el("h3", {}, title),
               fields.map((one) => field(group, one)),
             ),
       ),
@@ -222,7 +222,7 @@ export function showFiles(files, run, film, phone) {
   const other = (name, text, act) =>
     button(name, text, () => (shown.close(), act()), { text, class: "other" });
   const shown = dialog(
-    "Take it along",
+    "Download",
     el(
       "div",
       { class: "row" },

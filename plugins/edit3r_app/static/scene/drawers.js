@@ -126,7 +126,7 @@ export function drawersOf(page) {
       ? opening(async () =>
           showFiles(await ask("files", page.state()), page.state(), openFilm, openPhone),
         )
-      : toast("There is nothing to take along yet: make an edit first.", true);
+      : toast("There is nothing to download yet: make an edit first.", true);
   return {
     node,
     historyButton,

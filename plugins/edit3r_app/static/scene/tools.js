@@ -12,21 +12,22 @@ const tool = (name, text, label, act, key, more = {}) =>
 const pressed = (name, text, is, label, act, key) =>
   tool(name, text, label, act, key, { "aria-pressed": String(is) });
 // One that says why where it cannot act.
-const able = (name, text, label, act, key, can, why) =>
+const able = (name, text, label, act, key, can, why, more = {}) =>
   tool(name, text, can ? label : `${label}: ${why}`, () => (can ? act() : toast(why, true)), key, {
     "aria-disabled": String(!can),
+    ...more,
   });
 const gap = () => el("span", { class: "gap" });
 
 export function toolsOf(page) {
   const node = el("div", { class: "tools", role: "toolbar", "aria-label": "how to point" });
-  function take(name) {
+  function take(name, stays = false) {
     if (page.s.byHand) return;
     // points on photos and in 3D; for the others the photos come first
     page.tool = name;
     if (name !== "point") page.view = "photo";
     draw();
-    page.stage.draw();
+    if (!stays) page.stage.draw();
   }
   const flip = (what) => () => {
     page[what] = !page[what];
@@ -56,11 +57,14 @@ export function toolsOf(page) {
       "X",
     ),
   ];
-  function back() {
+  // In the bar above, on phones beside the tools.
+  const above = el("span", { class: "back wide-only" });
+  function back(more = {}) {
     const { undo, redo, canUndo, canRedo } = page.draft;
+    const nothing = "there is nothing to take back";
     return [
-      able("undo", "Undo", "undo", undo, "Ctrl-Z", canUndo(), "there is nothing to take back"),
-      able("redo", "Redo", "redo", redo, "Ctrl-Y", canRedo(), "nothing was taken back"),
+      able("undo", "Undo", "undo", undo, "Ctrl-Z", canUndo(), nothing, more),
+      able("redo", "Redo", "redo", redo, "Ctrl-Y", canRedo(), "nothing was taken back", more),
     ];
   }
   function ofSelection() {
@@ -101,12 +105,14 @@ export function toolsOf(page) {
     ];
   }
   function draw() {
-    if (page.s.byHand) return node.replaceChildren(...back());
+    const small = back({ class: "icon tool small-only" });
+    above.replaceChildren(...back());
+    if (page.s.byHand) return node.replaceChildren(...small);
     const active = document.activeElement;
     const focused = active && node.contains(active) ? [...node.children].indexOf(active) : -1;
-    node.replaceChildren(...pointers(), gap(), ...back(), gap(), ...ofSelection());
+    node.replaceChildren(...pointers(), ...small, gap(), ...ofSelection());
     if (focused >= 0) node.children[focused]?.focus();
     page.picture.box.dataset.tool = page.tool;
   }
-  return { node, take, draw };
+  return { node, above, take, draw };
 }

@@ -10,14 +10,9 @@ let looked = { scene: "", camera: null }; // where a scene was looked at last: i
 
 export function viewerOf(page, stage) {
   const { scene, beside, kept } = page;
-  let comparing = true,
-    drawn = false;
-  const compareButton = button("compare", "before and after", () => compare(!comparing), {
-    key: "C",
-    "aria-pressed": "true",
-  });
+  let drawn = false;
   const ofThings = () => kept.drawer === "objects";
-  const compares = () => comparing && !beside && !ofThings();
+  const compares = () => kept.compares && !beside && !ofThings();
   const frame = (run) =>
     el("iframe", {
       src: `${path("viewer", run)}?embed`,
@@ -91,11 +86,7 @@ export function viewerOf(page, stage) {
     const address = await page.picture.meant(markOf(hit, minus), hit && hit.name);
     if (address) post({ meant: await covered(hit.name, address) });
   }
-  function compare(wanted) {
-    comparing = wanted;
-    compareButton.setAttribute("aria-pressed", String(wanted));
-    post({ compare: wanted });
-  }
+  const compare = () => post({ compare: compares() });
   addEventListener(
     "message",
     (event) => {
@@ -137,9 +128,8 @@ export function viewerOf(page, stage) {
       ),
     );
   return {
-    compareButton,
+    compare,
     isDrawn: () => drawn,
-    toggleCompare: () => compare(!comparing),
     show: (runs) => {
       drawn = false;
       stage.replaceChildren(...(runs.length > 1 ? runs.map(titled) : runs.map(frame)));
@@ -148,7 +138,7 @@ export function viewerOf(page, stage) {
     camera: () => looked.camera,
     followDrawer: () => {
       post({ pointing: !ofThings() });
-      post({ compare: compares() });
+      compare();
     },
     post,
     tint,
