@@ -65,10 +65,15 @@ class Studio:
                     "count": len(photos),
                     "edits": len(history),
                     "at": at,
-                    "shown": list(self.folder.images(at, "renders"))[:1] if at else [],
+                    "shown": self._rendered(at),
                 }
             )
         return found
+
+    def _rendered(self, name: str) -> list[str]:
+        """The first picture of a run's scene, where there is one."""
+        is_run = bool(name) and self.folder.is_run(name)
+        return list(self.folder.images(name, "renders"))[:1] if is_run else []
 
     def _left_at(self, scene: str) -> str:
         """The state of a scene that was looked at last; "" for its photos."""
@@ -130,8 +135,7 @@ class Studio:
 
     def _told(self, job: AppJob, depth: int) -> dict[str, Any]:
         """One edit of the history."""
-        is_done = job.state == "done"
-        shown = list(self.folder.images(job.name, "renders")) if is_done else []
+        shown = self._rendered(job.name)
         return {
             "name": job.name,
             "parent": job.parent,
