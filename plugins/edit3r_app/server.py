@@ -30,6 +30,7 @@ from edit3r.kit.files.text import parse_json
 from edit3r.kit.photos.decode import read_image
 from edit3r_app import downloads, uploads
 from edit3r_app.draft import MARK, read_draft
+from edit3r_app.drawing import Drawing
 from edit3r_app.essentials import Essentials
 from edit3r_app.flights import film
 from edit3r_app.guard import Guard
@@ -107,7 +108,7 @@ def make_app(
 
     guard = Middleware(Guard, token=token, max_bytes=uploads.MAX_BYTES)
     refusals = {Edit3rError: refused, OSError: refused}
-    studio = Studio(folder, runner, looker)
+    studio = Studio(folder, runner, looker, Drawing(folder, default_registry()))
     app = Starlette(
         routes=Answers(studio, place, token).routes(),
         middleware=[guard],
@@ -163,6 +164,7 @@ class Answers:
             ),
             post("/api/go/{scene}", self.go, "scene"),
             post("/api/object/{scene}", self.act, "scene"),
+            post("/api/draw/{run}", studio.draw, "run"),
             post(
                 "/api/cancel/{run}", lambda run, asked: studio.runner.cancel(run), "run"
             ),

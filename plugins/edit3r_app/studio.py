@@ -15,11 +15,12 @@ from edit3r.running import MAX_PROMPT
 from edit3r_app import uploads
 from edit3r_app.downloads import has_edits, offered_files
 from edit3r_app.draft import MARK, STEP, Draft, read_draft, write_draft
+from edit3r_app.drawing import Drawing
 from edit3r_app.forms import run_settings, set_by_hand, settings_form
 from edit3r_app.jobs import PREVIEW, AppJob, JobsFolder, manifest_of, tree
 from edit3r_app.looking import BeingRead, DraftAnswer, Looker
 from edit3r_app.made_scenes import open_made
-from edit3r_app.objects import MARKED, objects_of, read_action
+from edit3r_app.objects import DRAWN, MARKED, objects_of, read_action
 from edit3r_app.progress import read_progress, time_left
 from edit3r_app.runner import Runner
 from edit3r_app.wording import in_app
@@ -38,6 +39,7 @@ class Studio:
     folder: JobsFolder
     runner: Runner
     looker: Looker
+    drawing: Drawing
 
     def renew(self) -> None:
         """Answer anew from now on: other weights are on this machine."""
@@ -284,8 +286,11 @@ class Studio:
         state, action = self._state(scene, at), read_action(asked)
         if not self.folder.is_run(state):
             raise InputError("there is no scene yet: make an edit first, then take it.")
-        masks = None
-        if action.action == MARKED:
+        masks = drawn = None
+        is_marked = action.action == MARKED
+        if action.action in DRAWN or (is_marked and self.drawing.is_drawn(state)):
+            drawn = self.drawing.file(state)
+        elif is_marked:
             masks = self.looker.look(state, read_draft(self.folder, state)).marked
             if masks is None:
                 raise InputError("point at the thing first, then give it a name.")
@@ -296,7 +301,12 @@ class Studio:
             settings={"prompt": action.in_words},
             object=action.call,
         )
-        return self.folder.new_job(job, () if masks is None else masks).name
+        marked = () if masks is None else masks
+        return self.folder.new_job(job, marked, drawn=drawn).name
+
+    def draw(self, run: str, asked: dict[str, Any]) -> dict[str, Any]:
+        """Change what is drawn over a scene; returns what it chooses."""
+        return self.drawing.change(run, asked)
 
     def _queued(self, job: AppJob, look: DraftAnswer) -> str:
         known = None if job.parent else self.looker.keep_answers(job.scene)

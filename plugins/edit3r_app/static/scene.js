@@ -11,6 +11,7 @@ import { keysOf } from "./scene/keys.js";
 import { pictureOf } from "./scene/picture.js";
 import { questionOf } from "./scene/question.js";
 import { fullScreen, stageOf } from "./scene/stage.js";
+import { sculptOf } from "./scene/sculpt.js";
 import { newPage } from "./scene/state.js";
 import { stripOf } from "./scene/strip.js";
 import { thingsOf } from "./scene/things.js";
@@ -54,6 +55,7 @@ export function scenePage(root, scene, at, beside) {
   page.question = questionOf(page);
   page.bar = barOf(page);
   page.adjust = adjustOf(page);
+  page.sculpt = sculptOf(page);
   page.verdicts = verdictsOf(page);
   page.tools = toolsOf(page);
   page.waiting = waitingOf(page);
@@ -85,7 +87,7 @@ export function scenePage(root, scene, at, beside) {
   );
   const { notice, node: verdicts } = page.verdicts;
   const over = el("div", { class: "over-stage" }, notice, verdicts, page.waiting.node);
-  const middle = el("div", { class: "middle" }, stage, over, page.adjust.node, page.question.node);
+  const middle = el("div", { class: "middle" }, stage, over, page.adjust.node, page.sculpt.node, page.question.node);
   root.replaceChildren(top, el("main", {}, strip, middle, page.drawers.node), dock);
 
   // ---- following the server ----

@@ -1,5 +1,5 @@
-"""What somebody meets who uses the app for the first time, on a desktop's and a phone's window, dark
-and light: messages that can be read, words that fail, photos that do not fit, the way back.
+"""What a first user of the app meets, on a desktop's and a phone's window, dark and light: messages
+that can be read, words that fail, photos that do not fit, the way back.
 """
 
 import time

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from edit3r_app import uploads
 from edit3r_app.draft import read_draft
+from edit3r_app.drawing import Drawing
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.looking import Looker
 from edit3r_app.runner import Runner
@@ -22,7 +23,12 @@ CLICK = {"kind": "add", "photo": "motorcycle", "places": [[0.5, 0.5]]}
 @pytest.fixture(scope="module")
 def studio(tmp_path_factory):
     folder = JobsFolder(tmp_path_factory.mktemp("jobs"))
-    yield Studio(folder, Runner(folder), Looker(folder, default_registry(), 64))
+    yield Studio(
+        folder,
+        Runner(folder),
+        Looker(folder, default_registry(), 64),
+        Drawing(folder, default_registry()),
+    )
 
 
 @pytest.fixture

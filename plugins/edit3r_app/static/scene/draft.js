@@ -93,9 +93,10 @@ export function draftOf(page) {
 
   // ---- undo and redo: of marks, and where there are none of edits ----
   const marked = () => Boolean(page.s.draft.marks.length || page.s.draft.words);
-  const canUndo = () => marked() || (page.s.isRun && !(page.s.fromRun && page.state() === scene));
+  const canUndo = () => page.sculpt.has() || marked() || (page.s.isRun && !(page.s.fromRun && page.state() === scene));
   const canRedo = () => Boolean(page.s.draft.undone.length || undone.get(scene)?.length);
   function undo() {
+    if (page.sculpt.has()) return page.sculpt.back();
     if (marked() || !canUndo()) return change("undo"); // the server may know of a mark that is on its way
     const one = page.s.history.find(({ name }) => name === page.state());
     undone.set(scene, [...(undone.get(scene) || []), page.state()]);

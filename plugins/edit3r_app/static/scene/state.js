@@ -4,7 +4,7 @@ import { toast } from "../dom.js";
 // Of the scene that was open last: the drawer and the chosen thing stay as they are with its next state.
 let kept = { scene: null };
 
-// The parts add themselves: picture, viewer, stage, strip, draft, question, adjust, verdicts, bar, tools, waiting, things, drawers, keys.
+// The parts add themselves: picture, viewer, stage, strip, draft, question, adjust, sculpt, verdicts, bar, tools, waiting, things, drawers, keys.
 export function newPage(scene, at, beside) {
   if (kept.scene !== scene) kept = { scene, drawer: "", chosen: "", hidden: new Set(), keys: [], compares: true, photo: 0 };
   const stop = new AbortController();

@@ -1,5 +1,6 @@
 // How to point, and what to do with what is selected.
 import { button, el, toast } from "../dom.js";
+import { SCULPTS } from "./sculpt.js";
 
 const TOOLS = {
   point: ["Point: click the thing, or draw a line over it", "P"],
@@ -22,10 +23,11 @@ const gap = () => el("span", { class: "gap" });
 export function toolsOf(page) {
   const node = el("div", { class: "tools", role: "toolbar", "aria-label": "how to point" });
   function take(name, stays = false) {
-    if (page.s.byHand) return;
-    // points on photos and in 3D; for the others the photos come first
+    const draws = SCULPTS.includes(name) && page.s.isRun;
+    if (page.s.byHand && !draws) return;
+    // points and draws on photos and in 3D; for the box the photos come first
     page.tool = name;
-    if (name !== "point") page.view = "photo";
+    if (name === "box") page.view = "photo";
     draw();
     if (!stays) page.stage.draw();
   }
@@ -33,9 +35,10 @@ export function toolsOf(page) {
     page[what] = !page[what];
     draw();
   };
-  const isTaken = (name) => page.tool === name && (page.view === "photo" || name === "point");
+  const offered = ([name]) => !page.s.byHand || SCULPTS.includes(name);
+  const isTaken = (name) => page.tool === name && (page.view === "photo" || name !== "box");
   const pointers = () => [
-    ...Object.entries(TOOLS).map(([name, [label, key]]) =>
+    ...Object.entries(TOOLS).filter(offered).map(([name, [label, key]]) =>
       pressed(name, label.split(":")[0], isTaken(name), label, () => take(name), key),
     ),
     page.tool === "box"
@@ -107,7 +110,8 @@ export function toolsOf(page) {
   function draw() {
     const small = back({ class: "icon tool small-only" });
     above.replaceChildren(...back());
-    if (page.s.byHand) return node.replaceChildren(...small);
+    page.sculpt.draw();
+    if (page.s.byHand) return node.replaceChildren(...pointers(), ...small);
     const active = document.activeElement;
     const focused = active && node.contains(active) ? [...node.children].indexOf(active) : -1;
     node.replaceChildren(...pointers(), ...small, gap(), ...ofSelection());

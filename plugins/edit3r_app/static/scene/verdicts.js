@@ -30,11 +30,13 @@ export function verdictsOf(page) {
     draw();
   }
   function draw() {
-    const kinds = Object.keys(COMPARED).filter((one) => one !== "last" || edit()?.parent),
-      taken = page.beside ? "last" : page.kept.compares ? "photos" : "none",
+    // a scene that was changed by hand has no colours of the photos
+    const can = { none: true, photos: !page.s.byHand, last: Boolean(edit()?.parent) },
+      kinds = Object.keys(COMPARED).filter((one) => can[one]),
+      taken = page.beside ? "last" : page.kept.compares && can.photos ? "photos" : "none",
       said = edit()?.verdicts || [];
     node.hidden = document.body.dataset.view !== "3d";
-    compared.hidden = Boolean(page.s.byHand && kinds.length < 3);
+    compared.hidden = kinds.length < 2;
     const key = JSON.stringify([kinds, taken, said]);
     if (node.dataset.key === key) return;
     node.dataset.key = key;

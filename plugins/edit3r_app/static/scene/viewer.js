@@ -27,6 +27,7 @@ export function viewerOf(page, stage) {
           ...(looked.scene === scene ? { camera: looked.camera } : {}),
         });
         post({ selected: [...tints.values()] });
+        page.sculpt.restore();
         setTimeout(seen, UNTOLD); // pages of older runs do not tell
       },
     });
@@ -98,6 +99,7 @@ export function viewerOf(page, stage) {
         if (beside) post({ camera: message.camera }, event.source);
       }
       if (message.drawn) seen();
+      if (message.stroke) page.sculpt.stroke(message.stroke, message.minus);
       if (message.pointed !== undefined) pointed(message);
       if (message.rests !== undefined) rested(message);
       if (message.object)
