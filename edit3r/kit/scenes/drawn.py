@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from pydantic import Field, TypeAdapter, ValidationError
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -20,6 +21,7 @@ from edit3r.kit.scenes.lifting import lift
 __all__ = ["Drawn", "choose_drawn", "read_drawn"]
 
 LOOKED_AT = 384  # longer side of the picture in which a stroke is read [pixels]
+RIM = 0.018  # of a lasso, where a hand strays from the thing [longer sides]
 REACH = 0.01  # how far a step of growing goes [share of the middle distance from the camera]
 MOST = 200  # strokes
 MOST_PLACES = 2000  # of one of them
@@ -117,11 +119,44 @@ def choose_drawn(
     """
     chosen = torch.zeros(gaussians.count, dtype=torch.bool)
     for stroke in strokes:
-        own = lift(gaussians, stroke.camera, stroke.mask[None], rasterizer)
+        mask = stroke.mask
+        if stroke.kind == "lasso":
+            mask = _on_the_thing(mask, gaussians, stroke.camera, rasterizer)
+        own = lift(gaussians, stroke.camera, mask[None], rasterizer)
         chosen = chosen & ~own if stroke.minus else chosen | own
     if grown and chosen.any() and not chosen.all():
         chosen = _grown(gaussians, chosen, grown, strokes[-1])
     return chosen
+
+
+def _on_the_thing(
+    mask: Float[Tensor, "height width"],
+    gaussians: Gaussians,
+    camera: Cameras,
+    rasterizer: Rasterizer,
+) -> Float[Tensor, "height width"]:
+    """A lasso without what its rim holds of other things.
+
+    Nobody draws along an outline exactly: colours say where in the rim the thing ends (GrabCut,
+    Rother et al. 2004).
+    """
+    inside = cv2.distanceTransform(mask.numpy().astype(np.uint8), cv2.DIST_L2, 5)
+    width = min(RIM * max(mask.shape), 0.5 * float(inside.max()))
+    core = inside > width
+    if not core.any():
+        return mask
+    image = rasterizer.render(gaussians, camera).images[0, 0].clamp(0, 1)
+    pixels = np.ascontiguousarray(
+        (image * 255).byte().permute(1, 2, 0).numpy(force=True)
+    )
+    labels = np.full(core.shape, cv2.GC_BGD, np.uint8)
+    labels[inside > 0] = cv2.GC_PR_FGD
+    labels[core] = cv2.GC_FGD
+    cv2.setRNGSeed(0)
+    models = np.zeros((2, 1, 65))
+    cv2.grabCut(pixels, labels, None, *models, 3, cv2.GC_INIT_WITH_MASK)
+    kept = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
+    return mask * torch.from_numpy(kept)
 
 
 def _grown(

@@ -66,8 +66,8 @@ export function barOf(page) {
       : page.s.draft.selects
         ? "Now say what shall change."
         : page.view === "3d"
-          ? "Click the thing in the scene, or name it in your sentence."
-          : "Click the thing on the photo, or name it in your sentence.";
+          ? "Click the thing, or name it."
+          : "Click the thing, or name it.";
   function drawChip() {
     const has = page.s.draft.selects;
     chip.hidden = page.s.byHand;
