@@ -218,9 +218,8 @@ class _Work:
         self.places: _Hashed | None = None  # once they are asked for
         self.masks: dict[int, Tensor] = {}
         self.how: dict[int, str] = {}
-        self.tracks: dict[
-            tuple[int, int], Tracks
-        ] = {}  # by view of the mask and direction
+        # by view of the mask and direction
+        self.tracks: dict[tuple[int, int], Tracks] = {}
         self.warnings: list[str] = []
         self.confidence: float | None = None  # of what the words named
         self.least = SURE  # confidence from which words find it on another photo too
@@ -413,9 +412,8 @@ class _Work:
             if view not in self.masks and self.masks:
                 told = len(self.warnings)
                 self.carry(view)
-                del self.warnings[
-                    told:
-                ]  # that it was not found here is what the marks are for
+                # that it was not found here is what the marks are for
+                del self.warnings[told:]
             prior = self.masks.get(view)
             expected = (
                 prior is not None

@@ -47,15 +47,13 @@ Masks = Float[Tensor, "view height width"]
 class Regions:
     """Soft masks of the instructions of one scene, and how each was found."""
 
-    masks: Float[
-        Tensor, "instruction view height width"
-    ]  # in [0, 1]; 1: the instruction applies
+    # in [0, 1]; 1: the instruction applies
+    masks: Float[Tensor, "instruction view height width"]
     selected: tuple[Selected, ...]  # every thing that was looked for, in order
     # masks of what has a name
     things: Mapping[str, Masks] = field(default_factory=dict)
-    instructions: tuple[
-        Instruction, ...
-    ] = ()  # as asked, with colours that were read off things
+    # as asked, with colours that were read off things
+    instructions: tuple[Instruction, ...] = ()
 
 
 class RegionFinder:
