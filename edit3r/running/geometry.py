@@ -70,10 +70,6 @@ class GeometryOfRun:
         self.source = source
         self._located: dict[str, GeometryAnswer] = {}
 
-    @property
-    def was_asked(self) -> bool:
-        return bool(self._located)
-
     def of(self, views: Views, levelled: Views | None = None) -> GeometryAnswer:
         """The geometry of `views`; `levelled`: the same photos in one exposure, on which depth is
         measured where the matcher can do that.

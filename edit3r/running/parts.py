@@ -167,7 +167,7 @@ class Parts:
     def geometry_parts(self) -> dict[str, Any]:
         """The matcher by its kind, where the run asked one."""
         asked = self.__dict__.get("geometry")
-        source = None if asked is None or not asked.was_asked else asked.source
+        source = None if asked is None else asked.source
         return {"matcher": source} if isinstance(source, Matcher) else {}
 
     @property

@@ -199,7 +199,7 @@ class Studio:
             "problem": in_app(look.problem),
             "asks": look.asks and not draft.guess,
             "told": [in_app(text) for text in look.told],
-            "surety": look.surety,
+            "confidence": look.confidence,
             "sure": look.is_sure,
             "selected": look.masks is not None,
             "runs": look.job is not None,

@@ -181,9 +181,8 @@ def _joint_upsample(inverse, measured, guide, photo):  # pragma: no cover - comp
                 for channel in range(3):
                     distance += (photo[y, x, channel] - guide[v, u, channel]) ** 2
                 near = max(1 - abs(place_y - v), 0.0) * max(1 - abs(place_x - u), 0.0)
-                likeness = max(
-                    np.exp(-distance / SAME_COLOUR**2), 1e-5
-                )  # none alike: then all the same
+                # none alike: then all the same
+                likeness = max(np.exp(-distance / SAME_COLOUR**2), 1e-5)
                 weights[corner] = (near + 1e-3) * likeness
                 depths[corner], trusts[corner] = inverse[v, u], measured[v, u]
                 if weights[corner] > weights[best]:

@@ -214,9 +214,8 @@ def things_of_the_scene(page, viewer):
     after(lambda: name.press("Enter"))
     page.locator(".things .chosen", has_text="it").wait_for()
     viewer.locator("#gizmo").get_by_role("button").first.wait_for()
-    page.get_by_text(
-        "it is a thing of the scene now"
-    ).wait_for()  # what was done is said
+    # what was done is said
+    page.get_by_text("it is a thing of the scene now").wait_for()
     taken = page.url.partition("at=")[2]
     asked = []  # what turning makes is asked by the tests of `edit3r objects`
 
