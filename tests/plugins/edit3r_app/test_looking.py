@@ -299,7 +299,7 @@ def test_the_run_selects_what_is_shown(looker, scene):
 
 def test_words_tell_their_confidence_and_marks_have_none(looker, scene):
     form = {"prompt": "paint the motorcycle red"}
-    named = looker.look(scene, Draft(words="sky", guess=True))
+    named = looker.look(scene, Draft(words="sky"))
     assert 0 < named.confidence <= 1
     marked = looker.look(scene, Draft([click(looker, scene)], form=form))
     assert marked.confidence is None
