@@ -36,10 +36,10 @@ export function barOf(page) {
       problem && (s.draft.form.prompt || s.draft.selects) ? "understood problem" : "understood";
     const parts = [problem || (text && `Understood: ${text}`) || hint()];
     if (!problem && surety !== null)
-      parts.push(`found by its name, ${Math.round(100 * surety)} % sure`);
+      parts.push(`selected: confidence ${Math.round(100 * surety)}%`);
     if (!problem && judged)
       parts.push(
-        `this edit looks ${judged.label}${judged.label === "good" ? "" : `: ${judged.reason}`}`,
+        `edit: ${judged.label}, ${judged.reason}`,
       );
     const line = parts.join(" · ");
     understood.replaceChildren(line);
