@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 from edit3r.contract.interfaces import Critic, EditToJudge, SceneToJudge
 from edit3r.contract.verdicts import EditVerdict, Verdict
@@ -28,7 +27,7 @@ MOVED = (
 
 
 @cache
-def fitted() -> Mapping[str, Any]:
+def fitted() -> Mapping[str, float]:
     """What `edit3r judge --fit` wrote."""
     return read_yaml(FITTED)
 
@@ -38,7 +37,7 @@ class LimitsCritic(Critic):
 
     def judge_edit(self, edit: EditToJudge) -> EditVerdict:
         figures = measured(edit)
-        faults = (*edit.faults, *faults_of(figures, fitted()["edit"]).values())
+        faults = (*edit.faults, *faults_of(figures, fitted()).values())
         measures = {**figures, "faults": list(edit.faults), "moved": list(edit.moved)}
         if faults:
             return EditVerdict("doubtful", "; ".join(faults), measures)

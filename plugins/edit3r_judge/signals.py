@@ -52,6 +52,7 @@ class Pictures:
         whole = torch.ones_like(self.old[:, 0])
         masks = whole if edit.masks is None else _small(edit.masks[0, views])
         self.inside = masks > 0.5
+        self.touched = masks > 0.02  # soft edges may change a little
         self.confined = not bool(self.inside.all())
         self.kinds = {change.kind for wish in edit.wishes for change in wish.changes}
         self.asked = [
@@ -116,6 +117,8 @@ def unchanged(found: Pictures) -> float | None:
 
     Its like: pixels of its own colour. The tyres of a bike that is painted stay black.
     """
+    if found.removes:
+        return None  # what was behind it may look like it
     if any(wish.action == "other" for wish in found.edit.wishes):
         # who puts a hat on a head leaves most of it as it was
         return None if bool((found.change >= SEEN).any()) else 1.0
@@ -129,27 +132,29 @@ def unchanged(found: Pictures) -> float | None:
 
 
 def outside(found: Pictures) -> float | None:
-    """Largest patch beside what is selected that changed like it, over what is selected.
-
-    In the edited photos, and in the scene.
+    """How much beside what is selected changed: in the photos all of it, in the scene the largest
+    patch that changed like it. As a share of what is selected; the worst photo counts.
     """
     if not found.confined:
         return None
     shares = []
     for view, inside in enumerate(found.inside):
-        area, beside = int(inside.sum()), ~_grown(found.inside[[view]], 2 * BAND)[0]
+        area = int(inside.sum())
         if area < FEW:
             continue
-        wanted = (found.new - found.old)[view][:, inside].mean(1)
+        beside = ~_grown(found.touched[[view]], 1)[0]
+        shares.append(float((beside & (found.change[view] >= SEEN)).sum()) / area)
+        did = inside & (found.change[view] >= SEEN)
+        wanted = (found.new - found.old)[view][:, did].mean(1)
         size = float(wanted.norm())
-        for picture in (found.new, found.shown):
-            if picture is None or size < SEEN:
-                continue
-            moved = _blurred((picture - found.old)[view])
-            along = (moved * wanted[:, None, None]).sum(0) / size
-            across = (moved.square().sum(0) - along.square()).clamp(min=0).sqrt()
-            like = (along > max(SEEN, 0.4 * size)) & (across < along)
-            shares.append(_largest(like & beside) / area)
+        if found.shown is None or found.removes or not size > 2 * CLEAR:
+            continue  # a small change is like what scenes miss anyway
+        moved = _blurred((found.shown - found.old)[view])
+        along = (moved * wanted[:, None, None]).sum(0) / size
+        across = (moved.square().sum(0) - along.square()).clamp(min=0).sqrt()
+        like = (along > size / 2) & (across < along / 2)
+        beside = ~_grown(found.touched[[view]], 2 * BAND)[0]
+        shares.append(_largest(like & beside) / area)
     return _worst(shares)
 
 
@@ -160,9 +165,17 @@ def shared(found: Pictures) -> float | None:
     pairs of photos.
     """
     edit = found.edit
-    if edit.masks is None or edit.rendered is None or edit.cameras is None:
+    # where something was removed, the scene has no surface of it
+    if (
+        found.removes
+        or edit.masks is None
+        or edit.rendered is None
+        or edit.cameras is None
+    ):
         return None
-    masks, depths = _small(edit.masks[0]), _small(edit.rendered.depths[0, :, 0])
+    things = [one.masks[:, 0] for one in edit.selected] or [edit.masks[0]]
+    masks = _small(torch.stack(things).amax(0))
+    depths = _small(edit.rendered.depths[0, :, 0])
     cameras, overlaps = edit.cameras, []
     for first, second in permutations(range(len(masks)), 2):
         pair = [first, second]
@@ -209,9 +222,10 @@ def as_asked(found: Pictures) -> float | None:
 
 
 def strength(found: Pictures) -> float | None:
-    """How far a colour went to the one that was asked for, in [0, ...]; 1: as saturated as it.
+    """How far colours went towards the one that was asked for; 1: as saturated as it.
 
-    Of grey, and of what has no colour to lose, it is not told. The median over what changed.
+    Of black and white how much of the colour is gone. The median over what could change; the least
+    of the wishes; None of all else.
     """
     shares = []
     for number, wish in enumerate(found.edit.wishes):
@@ -220,20 +234,16 @@ def strength(found: Pictures) -> float | None:
             continue
         old, new = (one.movedim(1, -1)[where] for one in (found.old, found.new))
         for change in wish.changes:
+            goal = torch.zeros_like(new)
             if change.kind == "paint" and change.colour is not None:
-                goal = _lab_of(change.colour.rgb)
-                chroma = float(goal[1:].norm())
-                if chroma < 2 * GREY:
-                    continue
-                asked = chroma * (new[:, 0] / goal[0].clamp(min=1)).clamp(0.1, 1)
-                got = (new[:, 1:] @ goal[1:]) / chroma
-                shares.append(float((got / asked).median()))
-            elif change.kind == "greyscale":
-                had = old[:, 1:].norm(dim=1)
-                lost = 1 - new[:, 1:].norm(dim=1) / had.clamp(min=1)
-                shares.append(
-                    float(lost[had > GREY].median()) if (had > GREY).any() else 1.0
-                )
+                goal = _lab_of(change.colour.rgb).expand_as(new)
+            elif change.kind != "greyscale":
+                continue
+            way, went = (goal - old)[:, 1:], (new - old)[:, 1:]
+            far = way.norm(dim=1) > CLEAR
+            if int(far.sum()) >= FEW:
+                done = (way * went).sum(1) / way.square().sum(1).clamp(min=1)
+                shares.append(float(done[far].median()))
     return min(shares, default=None)
 
 
@@ -281,7 +291,7 @@ def shines_through(found: Pictures) -> float | None:
 
 
 def missed(found: Pictures) -> float | None:
-    """Largest patch of what clearly changed in a photo that the scene shows as it was.
+    """Largest patch of what changed in a photo that the scene shows as it was.
 
     As a share of all that changed there; the worst photo counts.
     """
@@ -290,7 +300,7 @@ def missed(found: Pictures) -> float | None:
     shares = []
     for old, new, shown in zip(found.old, found.new, found.shown):
         wanted, got = new - old, shown - old
-        changed = wanted.norm(dim=0) > CLEAR
+        changed = wanted.norm(dim=0) > SEEN
         if int(changed.sum()) < FEW:
             continue
         arrived, asked = (

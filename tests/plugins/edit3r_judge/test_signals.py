@@ -136,13 +136,13 @@ FAULTS = {
 
 def test_there_is_a_made_fault_and_a_limit_for_each_signal():
     """A signal that is taken away, or has no limit, leaves a fault unnamed."""
-    assert list(FAULTS) == list(SIGNALS) == list(fitted()["edit"])
+    assert list(FAULTS) == list(SIGNALS) == list(fitted())
 
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_made_fault_is_named(good, name):
     bad = FAULTS[name](good)
-    named = faults_of(measured(bad), fitted()["edit"])
+    named = faults_of(measured(bad), fitted())
     assert name in named
     verdict = LimitsCritic(None).judge_edit(bad)
     assert verdict.label == "doubtful" and named[name] in verdict.reason
@@ -152,7 +152,7 @@ def test_a_made_fault_is_named(good, name):
 @pytest.mark.parametrize("well", [lambda edit: edit, gone, grey])
 def test_what_was_carried_out_well_is_good(good, well):
     edit = well(good)
-    assert faults_of(measured(edit), fitted()["edit"]) == {}
+    assert faults_of(measured(edit), fitted()) == {}
     verdict = LimitsCritic(None).judge_edit(edit)
     assert verdict.label == "good" and "in 3D too" in verdict.reason
     flat = LimitsCritic(None).judge_edit(replace(edit, rendered=None, cameras=None))
