@@ -98,17 +98,21 @@ def kept_where(where: Callable[[np.ndarray], np.ndarray]) -> Callable:
 
 
 class Spoilt(Editor):
-    """The answer of another editor, spoilt; `wishes` instead of those that it is asked for."""
+    """The answer of another editor, spoilt; to `instructions` where they are given."""
 
-    def __init__(self, inner: str, spoil=None, wishes=None) -> None:
+    def __init__(self, inner: str, spoil=None, instructions=None) -> None:
         super().__init__(None)
         self.inner, self.spoil = edit3r.build("editor", inner), spoil
-        self.wishes = wishes
+        self.instructions = instructions
 
     def edit(self, views, request):
         asked = request
-        if self.wishes is not None:
-            asked = replace(request, wishes=self.wishes, prompt=self.wishes[0].text)
+        if self.instructions is not None:
+            asked = replace(
+                request,
+                instructions=self.instructions,
+                prompt=self.instructions[0].text,
+            )
         made = self.inner.edit(views, asked).images
         if self.spoil is not None:
             made = self.spoil(views.images, made, request.masks)
@@ -180,7 +184,7 @@ def cases(masks: Masks, seed: int) -> Iterator[Case]:
     yield Case("rim", paint, masks, spoilt(kept_where(within)))
     yield Case("faint", paint, masks, spoilt(lambda b, a, _: b + 0.25 * (a - b)))
     yield Case("nothing", paint, masks, spoilt(lambda b, a, _: b + 0.01))
-    yield Case("wrong colour", paint, masks, Spoilt("recolor", wishes=wrong))
+    yield Case("wrong colour", paint, masks, Spoilt("recolor", instructions=wrong))
     yield Case("leak", paint, [leaking(one, rng) for one in masks], judged=masks)
     yield Case("other place", paint, [masks[0], moved(masks[1])])
     yield Case("ghost", remove, masks, Ghost(None))

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.torch_state import in_usual_torch, require_device
-from edit3r.contract.types import Reconstruction
+from edit3r.contract.types import Reconstruction, Views
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.atomic import atomic_folder
 from edit3r.loading.registry import Registry, default_registry
@@ -21,14 +21,14 @@ from edit3r.running.parts import Parts, undone, with_reader
 from edit3r.running.quality import note_quality
 from edit3r.running.record import RunRecord
 from edit3r.running.records import Inputs, Preview, Records
-from edit3r.running.steps.edit import edit
+from edit3r.running.scale import to_given_scale, to_working_scale
+from edit3r.running.steps.edit import edit, edit_alone
 from edit3r.running.steps.judge import judge
 from edit3r.running.steps.locate import locate
 from edit3r.running.steps.read import read
 from edit3r.running.steps.reconstruct import reconstruct
 from edit3r.running.steps.refine import refine
 from edit3r.running.steps.select import as_many_as_fit, load, select
-from edit3r.running.unit import to_given_unit, to_own_unit
 from edit3r.running.write import as_html, comparison, open_viewer, write_result
 
 
@@ -97,7 +97,7 @@ def run(
         parts.rasterizer.prepare(torch.device(job.config.device).type)
         inputs = load(inputs, parts)
         records = _made(inputs, parts)
-    records = to_given_unit(records, factor, job.refine_poses)
+    records = to_given_scale(records, factor, job.refine_poses)
     return RunResult(records, parts, report, cache)
 
 
@@ -140,6 +140,15 @@ def preview(
     return Preview(inputs, selection, edited)
 
 
+@in_usual_torch
+def preview_photo(job: RunJob, registry: Registry | None = None) -> Views:
+    """The 2D edit of the job's photos, of which one is enough: nothing is said of it."""
+    with collecting(Report()), using(job.cache or Cache()):
+        inputs, _, parts = _begin(job, registry or default_registry())
+        inputs = inputs.to(parts.config.device)
+        return edit_alone(inputs, select(inputs, parts), parts).views
+
+
 def _begin(
     job: RunJob, registry: Registry
 ) -> tuple[Inputs, Float[Tensor, "batch"], Parts]:
@@ -149,6 +158,6 @@ def _begin(
     note_quality(job.config)
     job = undone(with_reader(job, registry))
     parts = Parts(job.config, registry, job)
-    inputs, factor = to_own_unit(read(job, parts.lens))
+    inputs, factor = to_working_scale(read(job, parts.lens))
     parts.settle_matcher(inputs.photos)
     return inputs, factor, parts

@@ -13,16 +13,21 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.contract.instructions import Instruction
 from edit3r.contract.interfaces import Geometry, Selected, Selection
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
-from edit3r.contract.wishes import Wish
 from edit3r.kit.geometry.exposure import Exposure
 from edit3r.kit.photos.images import Photo
 from edit3r.running.selecting.verdict import verdict_on_selection
 
 Masks = Float[Tensor, "batch view height width"]
 """In [0, 1]; 1: may change."""
+
+
+def is_confined(masks: Masks | None) -> bool:
+    """Whether masks leave some pixels as they are."""
+    return masks is not None and not bool((masks > 0).all())
 
 
 @dataclass(frozen=True)
@@ -97,10 +102,10 @@ class SelectedRegions:
     """Which pixels may change."""
 
     masks: Masks | None = None  # None: everywhere
-    # where each wish of the prompt applies, in [0, 1]
-    regions: Float[Tensor, "wish batch view height width"] | None = None
+    # where each instruction of the prompt applies, in [0, 1]
+    regions: Float[Tensor, "instruction batch view height width"] | None = None
     # the sentence as it was read, with colours that were read off the photos
-    wishes: tuple[Wish, ...] = ()
+    instructions: tuple[Instruction, ...] = ()
     # the things that were looked for, of the first scene
     selected: tuple[Selected, ...] = ()
     # masks of what was named, in this run and before; of the first scene
@@ -116,7 +121,7 @@ class SelectedRegions:
     @property
     def confined(self) -> bool:
         """Whether some pixels must stay as they are."""
-        return self.masks is not None and not bool((self.masks > 0).all())
+        return is_confined(self.masks)
 
     def select(self, indices: list[int]) -> "SelectedRegions":
         """The same with the views at `indices` only."""

@@ -79,7 +79,7 @@ def _praise(edit: EditToJudge) -> Iterator[str]:
     what = "the whole picture" if edit.masks is None else "what was selected"
     done = (
         "is gone"
-        if any(w.action == "remove" for w in edit.wishes)
+        if any(one.action == "remove" for one in edit.instructions)
         else "changed as asked"
     )
     yield f"{what} {done}" + (", in 3D too" if edit.rendered is not None else "")

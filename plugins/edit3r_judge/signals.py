@@ -54,14 +54,20 @@ class Pictures:
         self.inside = masks > 0.5
         self.touched = masks > 0.02  # soft edges may change a little
         self.confined = not bool(self.inside.all())
-        self.kinds = {change.kind for wish in edit.wishes for change in wish.changes}
+        self.kinds = {
+            change.kind
+            for instruction in edit.instructions
+            for change in instruction.changes
+        }
         self.asked = [
             change.colour.rgb
-            for wish in edit.wishes
-            for change in wish.changes
+            for instruction in edit.instructions
+            for change in instruction.changes
             if change.colour is not None
         ]
-        self.removes = any(wish.action == "remove" for wish in edit.wishes)
+        self.removes = any(
+            instruction.action == "remove" for instruction in edit.instructions
+        )
 
     @cached_property
     def change(self) -> Maps:
@@ -119,7 +125,7 @@ def unchanged(found: Pictures) -> float | None:
     """
     if found.removes:
         return None  # what was behind it may look like it
-    if any(wish.action == "other" for wish in found.edit.wishes):
+    if any(instruction.action == "other" for instruction in found.edit.instructions):
         # who puts a hat on a head leaves most of it as it was
         return None if bool((found.change >= SEEN).any()) else 1.0
     return _worst(
@@ -198,17 +204,17 @@ def shared(found: Pictures) -> float | None:
 def as_asked(found: Pictures) -> float | None:
     """Share of the change that has the hue, the grey or the brightness that was asked for.
 
-    By how much pixels changed, not by their number. The least of the wishes; None where nothing can
-    be compared.
+    By how much pixels changed, not by their number. The least of the instructions; None where
+    nothing can be compared.
     """
     shares = []
-    for number, wish in enumerate(found.edit.wishes):
+    for number, instruction in enumerate(found.edit.instructions):
         where = found.inside & (found.change > SEEN) & _region(found, number)
         if int(where.sum()) < FEW:
             continue
         old, new = (one.movedim(1, -1)[where] for one in (found.old, found.new))
         size = (new - old).norm(dim=1)
-        for change in wish.changes:
+        for change in instruction.changes:
             right = None
             if change.kind == "paint" and change.colour is not None:
                 right = _has_hue(new, _lab_of(change.colour.rgb))
@@ -225,15 +231,15 @@ def strength(found: Pictures) -> float | None:
     """How far colours went towards the one that was asked for; 1: as saturated as it.
 
     Of black and white how much of the colour is gone. The median over what could change; the least
-    of the wishes; None of all else.
+    of the instructions; None of all else.
     """
     shares = []
-    for number, wish in enumerate(found.edit.wishes):
+    for number, instruction in enumerate(found.edit.instructions):
         where = found.core & (found.change > SEEN / 2) & _region(found, number)
         if int(where.sum()) < FEW:
             continue
         old, new = (one.movedim(1, -1)[where] for one in (found.old, found.new))
-        for change in wish.changes:
+        for change in instruction.changes:
             goal = torch.zeros_like(new)
             if change.kind == "paint" and change.colour is not None:
                 goal = _lab_of(change.colour.rgb).expand_as(new)
@@ -356,7 +362,7 @@ def _worst(values: Iterable[float]) -> float | None:
 
 
 def _region(found: Pictures, number: int) -> Where:
-    """Where a wish applies."""
+    """Where an instruction applies."""
     if found.edit.regions is None:
         return torch.ones_like(found.inside)
     return _small(found.edit.regions[number, 0, found.views]) > 0.5

@@ -133,7 +133,7 @@ class AutoSegmenter(Segmenter):
         reach = round(BAND * max(inside.shape))
         wide = dilate(inside[None].to(image), reach)[0] > 0
         marks = Marks(prior=stuff.soft_mask, known=inside | ~wide)
-        return replace(self._expected(image, marks), surety=stuff.surety)
+        return replace(self._expected(image, marks), confidence=stuff.confidence)
 
     def _expected(
         self, image: Float[Tensor, "3 height width"], marks: Marks

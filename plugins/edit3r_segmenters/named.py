@@ -32,7 +32,7 @@ AROUND = 0.4  # what it sees beyond a mask's box [longer sides of the box]
 QUALITY = 0.2  # what a mask's own quality counts beside the activation that it holds
 LEAST_SIDE = 12  # half a side of what it sees, at least [pixels]
 LIKENESS = 0.05  # what the classifier's logit of its picture counts
-# Logistic curves of the surety over the logarithm of a score: slope, and score of 1/2
+# Logistic curves of the confidence over the logarithm of a score: slope, and score of 1/2
 COCO_CURVE = (2.2, 0.42)
 IMAGENET_CURVE = (0.6, 0.06)
 
@@ -70,8 +70,8 @@ class Namer:
             x, y, across, down = one.box
             box = (x / width, y / height, across / width, down / height)
             proposal = self.answer(image, Marks(box=box))
-            surety = _surety(one.score, *COCO_CURVE)
-            found.append(replace(proposal, surety=surety))
+            confidence = _confidence(one.score, *COCO_CURVE)
+            found.append(replace(proposal, confidence=confidence))
         return tuple(found)
 
     def _by_activation(
@@ -79,10 +79,10 @@ class Namer:
     ) -> tuple[Proposal, ...]:
         detector = build("detector", "imagenet")
         _, probability, heat = detector.activation(image, text)
-        surety = _surety(probability, *IMAGENET_CURVE)
+        confidence = _confidence(probability, *IMAGENET_CURVE)
         if self.ask is None:
             found = self.answer(image, Marks(positive=tuple(_peaks(heat)[:1])))
-            return (replace(found, surety=surety),)
+            return (replace(found, confidence=confidence),)
         masks, quality = self._masks_at(image, _peaks(heat))
         held = [_held(heat, mask) for mask in (masks > 0).numpy()]
         scores = torch.tensor(held) + QUALITY * quality
@@ -90,7 +90,9 @@ class Namer:
         pictures = [_around(image, masks[index] > 0) for index in best]
         alike = detector.likeness(pictures, text)
         chosen = masks[best[int((scores[best] + LIKENESS * alike).argmax())]]
-        return (replace(as_proposal(chosen.sigmoid().to(image)), surety=surety),)
+        return (
+            replace(as_proposal(chosen.sigmoid().to(image)), confidence=confidence),
+        )
 
     def _masks_at(
         self, image: Float[Tensor, "3 height width"], places: Sequence[Place]
@@ -164,5 +166,5 @@ def _held(heat: np.ndarray, mask: np.ndarray) -> float:
     return float(heat[mask].mean() * np.sqrt(heat[mask].sum() / heat.sum()))
 
 
-def _surety(score: float, slope: float, half: float) -> float:
+def _confidence(score: float, slope: float, half: float) -> float:
     return float(1 / (1 + (half / max(score, 1e-6)) ** slope))

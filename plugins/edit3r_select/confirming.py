@@ -17,7 +17,8 @@ SEES = 0.5  # share of a mask that a photo must show to say anything of it
 # Overlap of what two photos mean from which they mean one thing, and below which they do not:
 # between lies a thing that one of them takes with its plinth.
 CONFIRMED, DENIED = 0.5, 0.2
-UNCONFIRMED = 0.5  # what is left of the surety where a photo sees the place and finds nothing there
+# what is left of the confidence where a photo sees the place and finds nothing there
+UNCONFIRMED = 0.5
 UNSEEN = 0.8  # the same in comparison to others, where a photo does not see the place
 CUT = 0.5  # the same for a thing whose outline is the photo's border
 
@@ -37,19 +38,19 @@ def surest(found: Mapping[int, Found], first: int, shared: Shared) -> tuple[int,
     where it is clearly surer.
     """
     weighed = {view: _weighed(view, found, shared) for view in found}
-    best = max(weighed, key=lambda view: _surety(weighed[view]))
-    if _surety(weighed[best]) <= SURER * _surety(weighed[first]):
+    best = max(weighed, key=lambda view: _confidence(weighed[view]))
+    if _confidence(weighed[best]) <= SURER * _confidence(weighed[first]):
         best = first
     return best, weighed[best]
 
 
-def _surety(found: Found) -> float:
-    return found[0].surety if found else 0.0
+def _confidence(found: Found) -> float:
+    return found[0].confidence if found else 0.0
 
 
 def _weighed(view: int, found: Mapping[int, Found], shared: Shared) -> Found:
-    """What a view shows, the likeliest first, with less surety for what the others see and do not
-    confirm.
+    """What a view shows, the likeliest first, less confident where the others see and do not
+    confirm it.
     """
     others = [other for other in found if other != view]
     surfaces = [(found[other], shared(view, other)) for other in others]
@@ -59,10 +60,10 @@ def _weighed(view: int, found: Mapping[int, Found], shared: Shared) -> Found:
             None if surface is None else _overlap_there(one, there, *surface)
             for there, surface in surfaces
         ]
-        surety = one.surety * _mean(map(_confirmed, overlaps))
+        confidence = one.confidence * _mean(map(_confirmed, overlaps))
         unseen = _mean(UNSEEN if overlap is None else 1.0 for overlap in overlaps)
-        rank = surety * unseen * (1 - (1 - CUT) * _on_border(one.soft_mask > 0.5))
-        weighed.append((rank, replace(one, surety=surety)))
+        rank = confidence * unseen * (1 - (1 - CUT) * _on_border(one.soft_mask > 0.5))
+        weighed.append((rank, replace(one, confidence=confidence)))
     weighed.sort(key=lambda ranked: -ranked[0])
     return tuple(one for _, one in weighed)
 
@@ -73,7 +74,7 @@ def _mean(factors: Iterable[float]) -> float:
 
 
 def _confirmed(overlap: float | None) -> float:
-    """What is left of a surety by the overlap with what another photo means; None: not seen."""
+    """What is left of a confidence by the overlap with what another photo means; None: not seen."""
     if overlap is None:
         return 1.0
     share = (overlap - DENIED) / (CONFIRMED - DENIED)

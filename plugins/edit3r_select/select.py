@@ -18,6 +18,7 @@ from torch import Tensor
 import edit3r
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
+from edit3r.contract.instructions import EVERY
 from edit3r.contract.interfaces import (
     ASK,
     BACKGROUND,
@@ -36,7 +37,6 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import note, say, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
-from edit3r.contract.wishes import EVERY
 from edit3r.kit.cache import fingerprint
 from edit3r.kit.geometry.maps import shown
 from edit3r.kit.geometry.warping import nearest_views, surfaces_apart, warp
@@ -66,7 +66,7 @@ MIN_SHARE = 0.2
 FAINT = 0.01  # a probability below this is none: such pixels keep their exact values
 MIN_AREA = 2e-4  # share of a view under which a carried mask shows nothing
 ALSO = 0.5  # the same for one of several beside one that is sure
-FOUND_AT_ALL = 0.05  # surety under which words found as good as nothing
+FOUND_AT_ALL = 0.05  # confidence under which words found as good as nothing
 CLICKED_SURE = 0.25  # the same where a click lies on what they found
 SAME_THING = 0.4  # overlap from which a click and words mean one thing
 SAME_READING = 0.85  # overlap from which two readings are one
@@ -149,7 +149,7 @@ def select_masks(
         masks,
         how,
         tuple(work.warnings),
-        work.surety,
+        work.confidence,
         tuple(work.readings),
         selection.reading,
     )
@@ -218,12 +218,11 @@ class _Work:
         self.places: _Hashed | None = None  # once they are asked for
         self.masks: dict[int, Tensor] = {}
         self.how: dict[int, str] = {}
-        self.tracks: dict[
-            tuple[int, int], Tracks
-        ] = {}  # by view of the mask and direction
+        # by view of the mask and direction
+        self.tracks: dict[tuple[int, int], Tracks] = {}
         self.warnings: list[str] = []
-        self.surety: float | None = None  # of what the words named
-        self.least = SURE  # surety from which words find it on another photo too
+        self.confidence: float | None = None  # of what the words named
+        self.least = SURE  # confidence from which words find it on another photo too
         self.readings: list[Reading] = []
         self.by_name: set[int] = set()  # views on each of which several were looked for
 
@@ -234,10 +233,10 @@ class _Work:
         if words:
             view, found = self._named_on(view)
             if found is not None:
-                found = tuple(one for one in found if one.surety >= FOUND_AT_ALL)
+                found = tuple(one for one in found if one.confidence >= FOUND_AT_ALL)
         elif self.selection.which:  # "the big one" may be one of anything
             proposals = self.segmenter.propose(self.images[view])
-            found = tuple(replace(one, surety=SURE / 2) for one in proposals)
+            found = tuple(replace(one, confidence=SURE / 2) for one in proposals)
         if found:
             self._take_named(view, found)
             return
@@ -262,7 +261,7 @@ class _Work:
         found = self.segmenter.segment_text(self.images[view], words)
         if found is None or self.selection.which:
             return view, found
-        if found and found[0].surety >= SURE:
+        if found and found[0].confidence >= SURE:
             return view, found
         asked = {view: found}
         for other in [one for one in range(len(self.images)) if one != view][
@@ -280,11 +279,11 @@ class _Work:
         alike = () if which else self._also(found)
         several = alike if self.selection.several else ()
         picked = several or pick(found, which, self.images[view])
-        sure = [one.surety for one in picked if one.surety >= SURE]
-        self.surety = min(sure if several else [one.surety for one in picked])
-        self.least = min(SURE, self.surety)
+        sure = [one.confidence for one in picked if one.confidence >= SURE]
+        self.confidence = min(sure if several else [one.confidence for one in picked])
+        self.least = min(SURE, self.confidence)
         if not several and len(alike) > 1:
-            self.surety /= len(alike)  # nothing says which of them is meant
+            self.confidence /= len(alike)  # nothing says which of them is meant
             self.warnings.append(
                 f"{len(alike)} things on photo {view + 1} may be {words!r}, and the likeliest is "
                 f"taken; say which is meant ('the left {words}')."
@@ -292,22 +291,22 @@ class _Work:
         named = " ".join((*which, words)).strip()
         if len(picked) > 1:
             say("selection.several", f"{len(picked)} {words} on photo {view + 1}")
-        if self.surety < SURE and self.selection.sure:
+        if self.confidence < SURE and self.selection.sure:
             raise InputError(
                 f"{named!r} was found on photo {view + 1}, but it may be something else "
-                f"({self.surety:.0%} sure, {SURE:.0%} are needed); {ASK}, or leave out --sure to "
-                "take it."
+                f"(confidence {self.confidence:.0%}, {SURE:.0%} are needed); {ASK}, or leave "
+                "out --sure to take it."
             )
         masks = [self._stepped(view, proposal) for proposal in picked]
         mask = torch.stack(masks).amax(0)
-        if self.surety < SURE and not self.selection.larger:
+        if self.confidence < SURE and not self.selection.larger:
             mask = self._read_among(view, self._readings_of_words(view, picked, found))
             self._tell_doubt(view, named)
-        elif self.surety < 1:
-            say("selection.words", f"{named}: found, {self.surety:.0%} sure")
+        elif self.confidence < 1:
+            say("selection.words", f"{named}: found, confidence {self.confidence:.0%}")
         self._keep(view, mask, "words")
         every = several or bool(set(which) & EVERY)
-        if words != BACKGROUND and not which and self.surety >= SURE:
+        if words != BACKGROUND and not which and self.confidence >= SURE:
             # beyond the border it has parts that another photo shows
             every = every or _spans(mask > 0.5)
         if every and not self.selection.larger and self.selection.reading == 1:
@@ -322,7 +321,7 @@ class _Work:
                 continue
             found = self.segmenter.segment_text(self.images[view], self.selection.words)
             found = tuple(found or ())
-            likely = [one for one in found if one.surety >= self.least]
+            likely = [one for one in found if one.confidence >= self.least]
             alike = [one.soft_mask for one in self._also(found) or likely]
             if alike:
                 self._keep(view, torch.stack(alike).amax(0), "words")
@@ -330,17 +329,18 @@ class _Work:
 
     def _also(self, found: tuple[Proposal, ...]) -> tuple[Proposal, ...]:
         """Those that are sure, and others that are likely beside them; none where none is sure."""
-        if all(one.surety < SURE for one in found):
+        if all(one.confidence < SURE for one in found):
             return ()
-        return tuple(one for one in found if one.surety >= ALSO)
+        return tuple(one for one in found if one.confidence >= ALSO)
 
     def _tell_doubt(self, view: int, named: str) -> None:
         others = [one.number for one in self.readings]
         others.remove(min(self.selection.reading, len(others)))
         flags = " or ".join(f"--reading {number}" for number in others)
         self.warnings.append(
-            f"{named!r} was found on photo {view + 1}, but is {self.surety:.0%} sure only: look at "
-            f"its outline. To correct it{f', take {flags}, or' if flags else ':'} {ASK}."
+            f"{named!r} was found on photo {view + 1} with a confidence of only "
+            f"{self.confidence:.0%}: look at its outline. "
+            f"To correct it{f', take {flags}, or' if flags else ':'} {ASK}."
         )
 
     def _readings_of_words(
@@ -348,18 +348,20 @@ class _Work:
     ) -> list[tuple[Tensor, float]]:
         """What unsure words may mean: what was picked, others of that name, more or less of it."""
         masks = [torch.stack([one.soft_mask for one in picked]).amax(0)]
-        scores = [min(one.surety for one in picked)]
+        scores = [min(one.confidence for one in picked)]
         height, width = self.images.shape[-2:]
         x, y, across, down = picked[0].box
         others = list(found)
         if across and down:
             box = (x / width, y / height, across / width, down / height)
             boxed = self.segmenter.readings(self.images[view], Marks(box=box))
-            others += [replace(one, surety=one.surety * scores[0]) for one in boxed]
+            others += [
+                replace(one, confidence=one.confidence * scores[0]) for one in boxed
+            ]
         for one in others:
             if all(_overlap(one.soft_mask, mask) < SAME_READING for mask in masks):
                 masks.append(one.soft_mask)
-                scores.append(one.surety)
+                scores.append(one.confidence)
         return list(zip(masks, scores))[:MAX_READINGS]
 
     def _read_among(self, view: int, options: list[tuple[Tensor, float]]) -> Tensor:
@@ -410,9 +412,8 @@ class _Work:
             if view not in self.masks and self.masks:
                 told = len(self.warnings)
                 self.carry(view)
-                del self.warnings[
-                    told:
-                ]  # that it was not found here is what the marks are for
+                # that it was not found here is what the marks are for
+                del self.warnings[told:]
             prior = self.masks.get(view)
             expected = (
                 prior is not None
@@ -531,7 +532,7 @@ class _Work:
         found = self.segmenter.readings(image, marks)
         if self.readings:  # another view was marked before, and says which
             return found[0].soft_mask
-        options = [(one.soft_mask, one.surety) for one in found[:MAX_READINGS]]
+        options = [(one.soft_mask, one.confidence) for one in found[:MAX_READINGS]]
         if named is not None:
             same = [_overlap(named, mask) >= SAME_READING for mask, _ in options]
             if not any(same):
@@ -552,7 +553,7 @@ class _Work:
             return None
         for one in self.segmenter.segment_text(self.images[view], words) or ():
             clicked = _at(one.soft_mask, marks.positive[0]) > 0.5
-            if clicked and one.surety >= CLICKED_SURE:
+            if clicked and one.confidence >= CLICKED_SURE:
                 return one.soft_mask
         return None
 
@@ -580,11 +581,11 @@ class _Work:
 
     def _named_again(self, view: int) -> bool:
         """Whether what words found elsewhere, as surely, is found by them on this photo too."""
-        if self.surety is None or self.selection.which or self.selection.larger:
+        if self.confidence is None or self.selection.which or self.selection.larger:
             return False
         words = self.selection.words
         found = self.segmenter.segment_text(self.images[view], words) or ()
-        likely = [one for one in found if one.surety >= self.least]
+        likely = [one for one in found if one.confidence >= self.least]
         if likely:
             self._keep(view, likely[0].soft_mask, "words")
         return bool(likely)

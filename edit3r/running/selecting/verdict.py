@@ -40,7 +40,7 @@ def verdict_on_selection(
 def _confidence(one: Selected) -> float | None:
     if one.taken > 1:  # somebody looked at the candidates and took it
         return None
-    return 0.0 if GUESS in one.how else one.surety
+    return 0.0 if GUESS in one.how else one.confidence
 
 
 def _said(one: Selected) -> str:

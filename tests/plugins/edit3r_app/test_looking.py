@@ -296,12 +296,12 @@ def test_the_run_selects_what_is_shown(looker, scene):
     assert torch.allclose(look.masks, shown, atol=1e-6)
 
 
-def test_words_tell_their_surety_and_marks_have_none(looker, scene):
+def test_words_tell_their_confidence_and_marks_have_none(looker, scene):
     form = {"prompt": "paint the motorcycle red"}
     named = looker.look(scene, Draft(words="sky", guess=True))
-    assert 0 < named.surety <= 1
+    assert 0 < named.confidence <= 1
     marked = looker.look(scene, Draft([click(looker, scene)], form=form))
-    assert marked.surety is None
+    assert marked.confidence is None
     assert looker.edit_verdict(looker.look(scene, Draft())) is None
 
 

@@ -8,15 +8,17 @@ import torch
 from edit3r_judge.critic import LimitsCritic, faults_of, fitted
 from edit3r_judge.signals import SIGNALS, measured
 
+from edit3r.contract.instructions import Change, Colour, Instruction, Thing
 from edit3r.contract.interfaces import EditToJudge
 from edit3r.contract.types import Cameras, Rendering, Views
-from edit3r.contract.wishes import Change, Colour, Thing, Wish
 
 SIZE, SIDE = 96, 40
 RED = (0.8, 0.1, 0.1)
-PAINT_RED = Wish("paint", Thing("marked"), (Change("paint", Colour("red", RED)),))
-REMOVE = Wish("remove", Thing("marked"))
-GREYSCALE = Wish("paint", Thing("marked"), (Change("greyscale"),))
+PAINT_RED = Instruction(
+    "paint", Thing("marked"), (Change("paint", Colour("red", RED)),)
+)
+REMOVE = Instruction("remove", Thing("marked"))
+GREYSCALE = Instruction("paint", Thing("marked"), (Change("greyscale"),))
 DEPTH = 2.0
 SHIFT = 16  # pixels that the thing lies further left in the second photo
 LEFTS = (40, 40 - SHIFT)
@@ -60,7 +62,7 @@ def good() -> EditToJudge:
         before=views(photos),
         after=after,
         edited=range(2),
-        wishes=(PAINT_RED,),
+        instructions=(PAINT_RED,),
         selected=(),
         masks=masks[None],
         regions=masks[None, None],
@@ -103,17 +105,17 @@ def with_rim(edit):
 
 def ghost(edit):
     half = 0.5 * edit.before.images + 0.5 * gone(edit).after.images
-    return judged(edit, after=views(half[0]), wishes=(REMOVE,))
+    return judged(edit, after=views(half[0]), instructions=(REMOVE,))
 
 
 def gone(edit):
     after = views(torch.full_like(edit.before.images[0], 0.4))
-    return judged(edit, after=after, wishes=(REMOVE,))
+    return judged(edit, after=after, instructions=(REMOVE,))
 
 
 def grey(edit):
     mean = edit.before.images.mean(2, keepdim=True).expand_as(edit.before.images)
-    return judged(edit, after=views(mean[0]), wishes=(GREYSCALE,))
+    return judged(edit, after=views(mean[0]), instructions=(GREYSCALE,))
 
 
 def half_in_3d(edit):
@@ -161,7 +163,9 @@ def test_what_was_carried_out_well_is_good(good, well):
 
 
 def test_whoever_edits_by_a_model_may_leave_most_of_it(good):
-    hat = replace(half_done(good), wishes=(Wish("other", Thing("marked")),))
+    hat = replace(
+        half_done(good), instructions=(Instruction("other", Thing("marked")),)
+    )
     assert LimitsCritic(None).judge_edit(hat).label == "good"
     none = judged(hat, after=hat.before)
     assert "did not change" in LimitsCritic(None).judge_edit(none).reason

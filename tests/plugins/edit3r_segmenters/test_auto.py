@@ -82,9 +82,8 @@ def test_words_need_the_weights_of_a_detector_too(at_hand, photo):
     assert segmenter.segment_text(photo, "the bike") is None
     at_hand("grounding-dino-tiny")
     assert segmenter.segment_text(photo, "the bike") is not None
-    assert (
-        float(segmenter.segment_text(photo, "everything")[0].soft_mask.min()) == 1
-    )  # a word that classical knows
+    # a word that classical knows
+    assert float(segmenter.segment_text(photo, "everything")[0].soft_mask.min()) == 1
 
 
 def test_the_pick_is_part_of_the_settings_and_can_be_made_by_hand(at_hand):
@@ -134,7 +133,7 @@ def test_the_sky_reaches_as_far_as_the_network_sees_it():
         segmenter = edit3r.build("segmenter", "auto", pick="classical")
         segmenter._network = network
         (found,) = segmenter.segment_text(image, "the sky")
-        assert 0.63 < found.surety < 1  # how far it reaches says nothing of that
+        assert 0.63 < found.confidence < 1  # how far it reaches says nothing of that
         return int((found.soft_mask > 0.5).any(1).sum())
 
     assert abs(rows_of_sky(None) - 24) <= 1

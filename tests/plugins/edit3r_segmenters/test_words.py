@@ -217,7 +217,7 @@ def test_things_of_one_name_are_found_without_parts_of_them(monkeypatch):
     monkeypatch.setattr(named, "build", lambda kind, name: Boxes())
     classical = edit3r.build("segmenter", "classical", learned=False)
     found = named.Namer(classical.segment_marks).find(IMAGE, "cups")
-    assert len(found) == 2 and found[0].surety > found[1].surety > 0.5
+    assert len(found) == 2 and found[0].confidence > found[1].confidence > 0.5
     assert named.Namer(classical.segment_marks).find(IMAGE, "mosaic") is None
 
 

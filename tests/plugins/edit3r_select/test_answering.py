@@ -60,10 +60,10 @@ def test_a_click_takes_the_mask_that_the_sum_prefers_and_shows_the_others(image)
     readings = segmenter.readings(image, Marks(positive=(CENTRE,)))
     assert overlap(inside(readings[0]), DISC) > 0.9
     assert len(readings) == 3  # of the two that are alike only one
-    assert sum(one.surety for one in readings) == pytest.approx(1)
+    assert sum(one.confidence for one in readings) == pytest.approx(1)
     answer = segmenter.segment_marks(image, Marks(positive=(CENTRE,)))
     assert torch.equal(answer.soft_mask, readings[0].soft_mask)
-    assert answer.surety == readings[0].surety
+    assert answer.confidence == readings[0].confidence
 
 
 def test_steps_go_through_the_candidates_by_size(image):

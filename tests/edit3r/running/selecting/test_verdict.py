@@ -11,13 +11,13 @@ from edit3r.running.selecting.verdict import verdict_on_selection
 MASKS = torch.zeros(2, 1, 8, 8)
 OTHERS = tuple(Reading(0, MASKS[0, 0], 0.5, number) for number in (1, 2))
 GIVEN = Selected(MASKS, ("given", "given"))
-SURE = Selected(MASKS, ("words", "geometry"), surety=0.9, called="fox")
+SURE = Selected(MASKS, ("words", "geometry"), confidence=0.9, called="fox")
 UNSURE = Selected(
-    MASKS, ("words", "not found"), surety=0.4, called="cup", readings=OTHERS
+    MASKS, ("words", "not found"), confidence=0.4, called="cup", readings=OTHERS
 )
 GUESS = Selected(MASKS, ("guess", "geometry"))
 TAKEN = Selected(
-    MASKS, ("words", "geometry"), surety=0.4, called="cup", readings=OTHERS, taken=2
+    MASKS, ("words", "geometry"), confidence=0.4, called="cup", readings=OTHERS, taken=2
 )
 
 
