@@ -14,7 +14,6 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError, PromptError
 from edit3r.contract.interfaces import (
-    ASK,
     BACKGROUND,
     Geometry,
     Selected,
@@ -60,7 +59,7 @@ class RegionFinder:
     ) -> None:
         """`views` hold one scene; selector and geometry are asked for only where needed.
 
-        `defaults` say whether to guess and what to do with outlines; `known` are masks of things
+        `defaults` say what to do with outlines; `known` are masks of things
         that were named before.
         """
         self._views = views
@@ -236,8 +235,6 @@ class RegionFinder:
                 return self._look_for(thing, self._as_known([*self._known][-1])).masks[
                     :, 0
                 ]
-            if not self._defaults.guess:
-                raise InputError(f"nothing says which object is meant; {ASK}.")
             return self._look_for(None, Selection()).masks[:, 0]
         if thing.scope == "whole" and thing.part is not None:  # "except the red parts"
             whole = torch.ones_like(self._views.images[0, :, 0])
@@ -354,10 +351,9 @@ def _median_colour(
 
 
 def _with_defaults(selection: Selection, defaults: Selection) -> Selection:
-    """A selection with what the run says of guesses and outlines beside its own."""
+    """A selection with what the run says of outlines and of what is sure beside its own."""
     return replace(
         selection,
-        guess=selection.guess or defaults.guess,
         sure=selection.sure or defaults.sure,
         reading=max(selection.reading, defaults.reading),
         larger=selection.larger + defaults.larger,
