@@ -37,14 +37,14 @@ def make_jobs(folder: Path, count: int, size: int, frames: int) -> list[dict]:
             picture.crop(box).resize(
                 (size, size * (box[3] - box[1]) // (box[2] - box[0]))
             ).save(folder / name)
-        wish = {
+        instruction = {
             "prompt": f"paint it {COLOURS[number % 8]}",
             "guess": True,
             "size": size,
             "frames": frames,
             "fov": 50,
         }
-        jobs.append({"id": f"scene-{number:03d}", "photos": photos, **wish})
+        jobs.append({"id": f"scene-{number:03d}", "photos": photos, **instruction})
     (folder / "jobs.jsonl").write_text(
         "".join(json.dumps(job) + "\n" for job in jobs), encoding="utf-8"
     )

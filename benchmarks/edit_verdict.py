@@ -227,7 +227,7 @@ def verdict_on(edit: dict, data: Path, cache: edit3r.Cache) -> EditVerdict:
     asked = replace(asked, rendered=result.rendered, cameras=result.cameras)
     measures = measure_edit_in_3d(measure_edit(asked), asked)
     measures = replace(measures, part=edit["part"])
-    return judge_edit(measures, edit["surety"])
+    return judge_edit(measures, edit["confidence"])
 
 
 def measured(name, photos, data, seed, tiles):

@@ -67,7 +67,7 @@ def kept(plain, edited, looks, prompt) -> torch.Tensor:
         image = before.images.clamp(0, 1)
         view = Views(image, camera.intrinsics)
         wanted = looks.edit(
-            replace(view), EditRequest(prompt, wishes=usual_reader().read(prompt))
+            replace(view), EditRequest(prompt, instructions=usual_reader().read(prompt))
         ).images
         own = rgb_to_lab(image[0, 0])
         changes = (rgb_to_lab(wanted[0, 0]) - own).norm(dim=0) > CHANGED

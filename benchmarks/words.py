@@ -72,17 +72,17 @@ def main() -> None:
             tensor = torch.cat((beside(args.data / file, image.shape[1::-1]), tensor))
         rows.append((name, *answer(tensor, SAID.get(name, name), segmenter, truth)))
         print(
-            "{:14} overlap {:.2f}  surety {!s:.4}  {:.1f} s".format(*rows[-1]),
+            "{:14} overlap {:.2f}  confidence {!s:.4}  {:.1f} s".format(*rows[-1]),
             flush=True,
         )
         if file in photos:
             continue
         photos.add(file)
         for word in set(ABSENT) - SEEN_BESIDE.get(file.split("/")[0], set()):
-            _, surety, _ = answer(tensor, word, segmenter, truth)
-            absent.append(surety)
-            if (surety or 0) >= SURE:
-                print(f"  {word!r}, which is not there: {surety:.2f} sure")
+            _, confidence, _ = answer(tensor, word, segmenter, truth)
+            absent.append(confidence)
+            if (confidence or 0) >= SURE:
+                print(f"  {word!r}, which is not there: {confidence:.2f} sure")
     told(rows, absent)
 
 
@@ -96,7 +96,7 @@ def beside(file: Path, size: tuple[int, int]) -> torch.Tensor:
 
 
 def answer(tensor, text, segmenter, truth) -> tuple[float, float | None, float]:
-    """Overlap, surety (None: not found) and seconds."""
+    """Overlap, confidence (None: not found) and seconds."""
     thing = usual_reader().read_thing(text)
     asked = Selection(words=thing.name, which=thing.which)
     start = time.perf_counter()
@@ -109,14 +109,14 @@ def answer(tensor, text, segmenter, truth) -> tuple[float, float | None, float]:
     seconds = time.perf_counter() - start
     if "guess" in found.how:
         return 0.0, None, seconds
-    return iou(found.masks[-1, 0].numpy() > 0.5, truth), found.surety, seconds
+    return iou(found.masks[-1, 0].numpy() > 0.5, truth), found.confidence, seconds
 
 
 def told(rows, absent) -> None:
     right = [row for row in rows if row[1] > 0.5]
     sure = [row for row in rows if (row[2] or 0) >= SURE]
     wrong = [row for row in sure if row[1] <= 0.5]
-    unasked = sum((surety or 0) >= SURE for surety in absent)
+    unasked = sum((confidence or 0) >= SURE for confidence in absent)
     print(
         f"right: {len(right)} of {len(rows)}; sure: {len(sure)}, of these wrong: {len(wrong)}"
     )

@@ -397,28 +397,6 @@ def _cell(row: dict) -> str:
     )
 
 
-def unlisted_pages(nav: list) -> list[str]:
-    """Pages in docs/ itself, one per part of the project, that the navigation does not name."""
-    return [
-        page.name
-        for page in sorted(DOCS.glob("*.md"))
-        if f"'{page.name}'" not in repr(nav)
-    ]
-
-
-def on_config(config):
-    """mkdocs hands over its configuration: pages that mkdocs.yml does not list go under 'In
-    depth'.
-    """
-    pages = unlisted_pages(config.nav)
-    if pages:
-        before = next(
-            i for i, entry in enumerate(config.nav) if "Write a plugin" in entry
-        )
-        config.nav.insert(before, {"In depth": pages})
-    return config
-
-
 def on_files(files, config):
     """mkdocs asks for the site's files: add the reference."""
     from mkdocs.structure.files import File

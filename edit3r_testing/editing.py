@@ -17,7 +17,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.checks import check_edit
 from edit3r.kit.geometry.maps import composite
-from edit3r.running import wishes_for
+from edit3r.running import instructions_for
 from edit3r_testing.contract import Contract
 
 
@@ -47,8 +47,8 @@ class EditorContract(Contract):
         if masks is None and self.masked:
             masks = torch.ones_like(views.images[:, :, 0])
         what = f"edit() of photos {list(views.images.shape)}"
-        wishes = wishes_for(self.subject, self.prompt)
-        request = EditRequest(self.prompt, 3, masks, wishes)
+        instructions = instructions_for(self.subject, self.prompt)
+        request = EditRequest(self.prompt, 3, masks, instructions)
         edited = self.call(what, self.subject.edit, views, request)
         self.keeps(check_edit, views, edited)
         return edited

@@ -7,16 +7,16 @@ from typing import Any
 
 import torch
 
+from edit3r.contract.instructions import Instruction, Thing
 from edit3r.contract.interfaces import Critic, EditToJudge, SceneToJudge, Selected
 from edit3r.contract.types import Rendering, Views
 from edit3r.contract.verdicts import LABELS, EditVerdict, Verdict
-from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.checks import check_edit_verdict, check_verdict
 from edit3r_testing.contract import Contract
 from edit3r_testing.scenes import true_geometry
 
 PLACED = (True, False, True)  # of the photos that were used
-WISH = Wish("other", Thing("marked"))
+INSTRUCTION = Instruction("other", Thing("marked"))
 
 
 class CriticContract(Contract):
@@ -38,7 +38,7 @@ class CriticContract(Contract):
             before=scene.views,
             after=replace(scene.views, images=images),
             edited=range(3),
-            wishes=(WISH,),
+            instructions=(INSTRUCTION,),
             selected=(found,) if masked else (),
             masks=masks if masked else None,
             regions=masks[None] if masked else None,

@@ -4,9 +4,9 @@ from contextlib import suppress
 from typing import ClassVar
 
 from edit3r.contract.errors import PromptError
+from edit3r.contract.instructions import Instruction, Thing
 from edit3r.contract.interfaces import Reader
-from edit3r.contract.wishes import Thing, Wish
-from edit3r.kit.checks import check_wishes
+from edit3r.kit.checks import check_instructions
 from edit3r_testing.contract import Contract
 
 NO_WORDS = "qwxz vbnk"
@@ -14,50 +14,51 @@ STRANGE = ("", "  ", "...", "\N{SNOWMAN}\0", "and, and; but", "a" * 9000, "x, " 
 
 
 class ReaderContract(Contract):
-    """Wishes that hold together, of any text; what is not understood is named."""
+    """Instructions that hold together, of any text; what is not understood is named."""
 
     kind = "reader"
     subject: Reader
     thing: ClassVar[str] = "the wall"  # as its language names one
 
-    def read(self, text: str) -> tuple[Wish, ...]:
-        """The wishes of a text, checked as every run does. Raises PromptError for none."""
+    def read(self, text: str) -> tuple[Instruction, ...]:
+        """The instructions of a text, checked as every run does. Raises PromptError for none."""
         try:
-            wishes = self.subject.read(text)
+            instructions = self.subject.read(text)
         except PromptError:
             raise
         except Exception as error:
             told = f"read({text[:40]!r}) raised {type(error).__name__}: {error}"
             self.require(False, f"{told}; raise PromptError for what cannot be read.")
-        self.keeps(check_wishes, wishes)
-        return wishes
+        self.keeps(check_instructions, instructions)
+        return instructions
 
     def test_reads_a_sentence_of_its_language(self) -> None:
-        """Its `example` gives wishes that editors can carry out, each with its words."""
+        """Its `example` gives instructions that editors can carry out, each with its words."""
         try:
-            wishes = self.read(self.subject.example)
+            instructions = self.read(self.subject.example)
         except PromptError as error:
             self.require(
                 False, f"{self.subject.example!r} is refused: {error} Set `example`."
             )
-        for wish in wishes:
+        for instruction in instructions:
             self.require(
-                wish.action != "other",
-                f"{self.subject.example!r} is not understood ({wish.unread}); set `example` to one "
-                "that is.",
+                instruction.action != "other",
+                f"{self.subject.example!r} is not understood ({instruction.unread}); set "
+                "`example` to one that is.",
             )
             self.require(
-                wish.text, f"{wish!r} has no text; set the words that ask for it."
+                instruction.text,
+                f"{instruction!r} has no text; set the words that ask for it.",
             )
 
     def test_names_what_it_does_not_understand(self) -> None:
         """Words that are none are refused, or stand in `unread`: nothing disappears."""
         with suppress(PromptError):
-            wishes = self.read(NO_WORDS)
-            fix = "return a wish of action 'other' with them in `unread`, or raise PromptError"
+            instructions = self.read(NO_WORDS)
+            fix = "return one of action 'other' with them in `unread`, or raise PromptError"
             self.require(
-                any(wish.unread for wish in wishes),
-                f"{NO_WORDS!r} is read as {wishes!r}; {fix}.",
+                any(instruction.unread for instruction in instructions),
+                f"{NO_WORDS!r} is read as {instructions!r}; {fix}.",
             )
 
     def test_any_text_is_read_or_refused(self) -> None:
@@ -65,13 +66,13 @@ class ReaderContract(Contract):
             with suppress(PromptError):
                 self.read(text)
 
-    def test_same_sentence_gives_the_same_wishes(self) -> None:
+    def test_same_sentence_gives_the_same_instructions(self) -> None:
         if self.offer is not None and not self.offer.component.supports_seed:
             return
         first, second = self.read(self.subject.example), self.read(self.subject.example)
         fix = "read without chance, or say supports_seed=False"
         self.require(
-            first == second, f"read twice, a sentence gave other wishes; {fix}."
+            first == second, f"read twice, a sentence gave other instructions; {fix}."
         )
 
     def test_reads_a_thing_alone(self) -> None:
@@ -85,8 +86,10 @@ class ReaderContract(Contract):
         )
 
     def test_hints_end_an_error(self) -> None:
-        wish = Wish("other", Thing(), text=NO_WORDS, unread=tuple(NO_WORDS.split()))
-        hint = self.call("hint()", self.subject.hint, wish, returns=str)
+        instruction = Instruction(
+            "other", Thing(), text=NO_WORDS, unread=tuple(NO_WORDS.split())
+        )
+        hint = self.call("hint()", self.subject.hint, instruction, returns=str)
         self.require(
             hint == "" or hint.startswith(" "),
             f"hint() gave {hint!r}; it follows a sentence, so begin it with a space.",

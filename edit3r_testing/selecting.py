@@ -139,7 +139,7 @@ class SelectorContract(Contract):
         self.require(
             found is None or not found.is_sure,
             f"something was surely selected for {words}; raise InputError, or return a low "
-            "surety.",
+            "confidence.",
         )
         found = self.select(Selection(words=NEVER_HEARD, sure=True), words)
         self.require(

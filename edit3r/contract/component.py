@@ -53,7 +53,7 @@ class Component:
     devices: tuple[str, ...] = ()
     needs_network: bool = False
     supports_seed: bool = True  # False: the same seed may give another result
-    # of an editor: what a run without --editor may take it for (`edit3r.contract.wishes.Action`)
+    # of an editor: what a run without --editor takes it for (`contract.instructions.Action`)
     actions: tuple[str, ...] = ()
     # of a writer: how the name of its file ends, as ".spz"; one without a dot, as "-colmap", is
     # that of a folder

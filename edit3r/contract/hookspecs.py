@@ -27,7 +27,7 @@ hookimpl = pluggy.HookimplMarker("edit3r")
 
 @hookspec
 def register_readers() -> Iterable[Component]:
-    """Sentences read into wishes: what shall happen to which thing (Reader)."""
+    """Sentences read into instructions: what shall happen to which thing (Reader)."""
 
 
 @hookspec

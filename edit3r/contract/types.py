@@ -24,7 +24,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from edit3r.contract.errors import PromptError
-from edit3r.contract.wishes import Wish
+from edit3r.contract.instructions import Instruction
 
 MAX_DEGREE = 4
 
@@ -157,22 +157,24 @@ class EditRequest(Tensors):
     seed: int = 0  # one for all views, so that every view gets the same edit
     # in [0, 1]; 1: may change; None: everywhere
     masks: Float[Tensor, "batch view height width"] | None = None
-    wishes: tuple[Wish, ...] = ()  # the prompt as the run read it; () where nobody did
-    # where each wish applies, in [0, 1]; None: nobody looked, so everywhere
-    regions: Float[Tensor, "wish batch view height width"] | None = None
+    instructions: tuple[
+        Instruction, ...
+    ] = ()  # the prompt as the run read it; () where nobody did
+    # where each instruction applies, in [0, 1]; None: nobody looked, so everywhere
+    regions: Float[Tensor, "instruction batch view height width"] | None = None
 
     def __post_init__(self) -> None:
         if self.masks is not None:
             _check("EditRequest.masks", self.masks, (None, None, None, None))
 
-    def asked(self) -> tuple[Wish, ...]:
-        """The wishes, for an editor that needs them. Raises PromptError where there are none."""
-        if not self.wishes:
+    def asked(self) -> tuple[Instruction, ...]:
+        """The instructions, for an editor that needs some. Raises PromptError if there are none."""
+        if not self.instructions:
             raise PromptError(
-                f"{self.prompt!r} comes without wishes; hand over what a reader makes of it: "
-                "EditRequest(prompt, wishes=edit3r.running.usual_reader().read(prompt))."
+                f"{self.prompt!r} comes without instructions; hand over what a reader makes of it: "
+                "EditRequest(prompt, instructions=edit3r.running.usual_reader().read(prompt))."
             )
-        return self.wishes
+        return self.instructions
 
     def of_scene(self, index: int) -> "EditRequest":
         """The same request for one scene of the batch."""

@@ -38,7 +38,7 @@ class EditVerdict:
     label: EditLabel
     reason: str  # what is doubtful, in one sentence; what was measured where nothing is
     # how surely words or a guess found the thing, in [0, 1]; 0: a guess; None: it was marked
-    surety: float | None
+    confidence: float | None
     measures: Mapping[str, Any]  # figures by name, which the critic explains
 
     def __str__(self) -> str:

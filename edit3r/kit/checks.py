@@ -24,6 +24,7 @@ from edit3r.contract.errors import (
     SettingsError,
     is_out_of_memory,
 )
+from edit3r.contract.instructions import Instruction
 from edit3r.contract.interfaces import (
     INTERFACES,
     Critic,
@@ -50,7 +51,6 @@ from edit3r.contract.types import (
     Views,
 )
 from edit3r.contract.verdicts import LABELS, EditLabel, EditVerdict, Verdict
-from edit3r.contract.wishes import Wish
 
 FARTHEST = 1e6  # depths that a camera may stand from the first
 
@@ -101,17 +101,19 @@ def check_needs(writer: Writer, scene: SceneToWrite) -> None:
         )
 
 
-def check_wishes(reader: Reader, wishes: tuple[Wish, ...]) -> None:
+def check_instructions(reader: Reader, instructions: tuple[Instruction, ...]) -> None:
     """At least one, each of which says what shall happen to what."""
-    _require_type(reader, wishes, tuple)
-    _require(reader, len(wishes) > 0, "return a wish, or raise PromptError")
-    for wish in wishes:
-        _require_type(reader, wish, Wish)
-        fault = wish.fault()
+    _require_type(reader, instructions, tuple)
+    _require(
+        reader, len(instructions) > 0, "return an instruction, or raise PromptError"
+    )
+    for instruction in instructions:
+        _require_type(reader, instruction, Instruction)
+        fault = instruction.fault()
         _require(
             reader,
             not fault,
-            f"return wishes that hold together; one {fault}: {wish!r}",
+            f"return instructions that hold together; one {fault}: {instruction!r}",
         )
 
 
@@ -213,12 +215,12 @@ def _require_poses(
 def check_proposal(
     segmenter: Segmenter, answer: Proposal, image: Float[torch.Tensor, "3 height width"]
 ) -> None:
-    """A soft mask of the image's size and dtype, in [0, 1], and a surety."""
+    """A soft mask of the image's size and dtype, in [0, 1], and a confidence."""
     _require_type(segmenter, answer, Proposal)
     size = list(image.shape[-2:])
     _require_tensor(segmenter, "soft_mask", answer.soft_mask, size, image.dtype)
     _require_range(segmenter, "soft_mask", answer.soft_mask)
-    numbers = {"surety": answer.surety, "box": answer.box}
+    numbers = {"confidence": answer.confidence, "box": answer.box}
     for name, value in numbers.items():
         flat = value if isinstance(value, tuple) else (value,)
         real = all(isinstance(one, Real) and isfinite(one) for one in flat)
@@ -367,7 +369,7 @@ def _require(component: Any, held: bool, promise: str) -> None:
 
 
 def where(cls: type) -> str:
-    """A class as a plugin imports it: edit3r.contract.types.Views, edit3r.contract.wishes.Wish."""
+    """A class as a plugin imports it: edit3r.contract.types.Views."""
     if cls.__module__ == "builtins":
         return cls.__name__
     contract = cls.__module__.split(".")[

@@ -219,7 +219,7 @@ class _Shift:
         workers: Workers,
         group: Callable[[Any], Hashable],
     ) -> None:
-        self._crew, self._workers, self._group = pool, workers, group
+        self._pool, self._workers, self._group = pool, workers, group
         self._todo = deque(jobs)
         self._deaths: dict[str, int] = {}  # by key of a job
         self._idle: list[_Hand] = []
@@ -232,7 +232,7 @@ class _Shift:
         wanted = min(self._workers.count, len(self._todo) + len(self._busy))
         present = len(self._idle) + len(self._starting) + len(self._busy)
         for _ in range(wanted - present):
-            worker, ticket = self._crew.start()
+            worker, ticket = self._pool.start()
             if ticket is None:
                 self._idle.append(_Hand(worker))
             else:
@@ -240,19 +240,19 @@ class _Shift:
         while self._idle and self._todo:
             hand = self._idle.pop()
             job = self._job_for(hand)
-            self._busy[self._crew.give(hand.worker, job)] = hand, job
+            self._busy[self._pool.give(hand.worker, job)] = hand, job
         return bool(self._busy or self._todo)
 
     def next_row(self) -> KeyedRow | None:
         """Wait until something happens; a row, where that was a finished job."""
         any_ready = bool(self._busy or self._idle)
-        ticket = self._crew.first([*self._busy, *self._starting], any_ready)
+        ticket = self._pool.first([*self._busy, *self._starting], any_ready)
         if ticket in self._starting:
             self._arrived(ticket)
             return None
         hand, job = self._busy.pop(ticket)
         try:
-            row = self._crew.answer(ticket)
+            row = self._pool.answer(ticket)
         except WorkerDied as error:
             return self._died(job, error)
         self._idle.append(hand)
@@ -271,7 +271,7 @@ class _Shift:
     def _arrived(self, ticket: Any) -> None:
         hand = self._starting.pop(ticket)
         try:
-            self._crew.answer(ticket)
+            self._pool.answer(ticket)
         except WorkerDied:
             self._failed_starts += 1
             if self._failed_starts == MOST_STARTS:
@@ -287,7 +287,7 @@ class _Shift:
         """What becomes of a job whose worker died: another try, a failure, or the end of all."""
         key = job[0]
         self._deaths[key] = self._deaths.get(key, 0) + 1
-        if self._deaths[key] < self._crew.tries:
+        if self._deaths[key] < self._pool.tries:
             self._todo.appendleft(job)
             return None
         if not self._workers.may_die:

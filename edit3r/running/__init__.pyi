@@ -43,8 +43,8 @@ from .quality import (
     write_quality as write_quality,
 )
 from .reading import (
+    instructions_for as instructions_for,
     usual_reader as usual_reader,
-    wishes_for as wishes_for,
 )
 from .records import Preview as Preview
 from .saved import (

@@ -21,6 +21,7 @@ from edit3r.running.parts import Parts, undone, with_reader
 from edit3r.running.quality import note_quality
 from edit3r.running.record import RunRecord
 from edit3r.running.records import Inputs, Preview, Records
+from edit3r.running.scale import to_given_scale, to_working_scale
 from edit3r.running.steps.edit import edit
 from edit3r.running.steps.judge import judge
 from edit3r.running.steps.locate import locate
@@ -28,7 +29,6 @@ from edit3r.running.steps.read import read
 from edit3r.running.steps.reconstruct import reconstruct
 from edit3r.running.steps.refine import refine
 from edit3r.running.steps.select import as_many_as_fit, load, select
-from edit3r.running.unit import to_given_unit, to_own_unit
 from edit3r.running.write import as_html, comparison, open_viewer, write_result
 
 
@@ -97,7 +97,7 @@ def run(
         parts.rasterizer.prepare(torch.device(job.config.device).type)
         inputs = load(inputs, parts)
         records = _made(inputs, parts)
-    records = to_given_unit(records, factor, job.refine_poses)
+    records = to_given_scale(records, factor, job.refine_poses)
     return RunResult(records, parts, report, cache)
 
 
@@ -149,6 +149,6 @@ def _begin(
     note_quality(job.config)
     job = undone(with_reader(job, registry))
     parts = Parts(job.config, registry, job)
-    inputs, factor = to_own_unit(read(job, parts.lens))
+    inputs, factor = to_working_scale(read(job, parts.lens))
     parts.settle_matcher(inputs.photos)
     return inputs, factor, parts

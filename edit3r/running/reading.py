@@ -1,12 +1,12 @@
-"""The sentence of a run, read once into wishes."""
+"""The sentence of a run, read once into instructions."""
 
 from functools import cache
 
 from edit3r.contract.errors import PromptError
+from edit3r.contract.instructions import Instruction
 from edit3r.contract.interfaces import Editor, EditsRegions, Reader
 from edit3r.contract.settings import PartChoice
-from edit3r.contract.wishes import Wish
-from edit3r.kit.checks import check_wishes, errors_named_after
+from edit3r.kit.checks import check_instructions, errors_named_after
 from edit3r.loading.registry import default_registry
 from edit3r.running.config import DEFAULTS
 
@@ -19,8 +19,8 @@ def usual_reader() -> Reader:
     )
 
 
-def read(prompt: str, reader: Reader | None = None) -> tuple[Wish, ...]:
-    """The wishes of a sentence, by `reader` or the usual one.
+def read(prompt: str, reader: Reader | None = None) -> tuple[Instruction, ...]:
+    """The instructions of a sentence, by `reader` or the usual one.
 
     Raises PromptError for one that asks for nothing.
     """
@@ -31,22 +31,26 @@ def read(prompt: str, reader: Reader | None = None) -> tuple[Wish, ...]:
             f"they are. {reader.abilities}"
         )
     with errors_named_after(reader):
-        wishes = reader.read(prompt)
-    check_wishes(reader, wishes)
-    return wishes
+        instructions = reader.read(prompt)
+    check_instructions(reader, instructions)
+    return instructions
 
 
-def wishes_for(
+def instructions_for(
     editor: Editor, prompt: str, reader: Reader | None = None
-) -> tuple[Wish, ...]:
+) -> tuple[Instruction, ...]:
     """What a chosen editor is asked, by `reader` or the usual one.
 
     () where the sentence cannot be read and the editor takes any; the others raise PromptError.
     """
     regional = isinstance(editor, EditsRegions)
     if not prompt.strip():
-        wish = editor.wish_of_nothing() if isinstance(editor, EditsRegions) else None
-        return () if wish is None else (wish,)
+        instruction = (
+            editor.instruction_of_nothing()
+            if isinstance(editor, EditsRegions)
+            else None
+        )
+        return () if instruction is None else (instruction,)
     try:
         return read(prompt, reader)
     except PromptError:

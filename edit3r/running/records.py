@@ -13,10 +13,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.contract.instructions import Instruction
 from edit3r.contract.interfaces import Geometry, Selected, Selection
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict, Verdict
-from edit3r.contract.wishes import Wish
 from edit3r.kit.geometry.exposure import Exposure
 from edit3r.kit.photos.images import Photo
 
@@ -96,10 +96,10 @@ class SelectedRegions:
     """Which pixels may change."""
 
     masks: Masks | None = None  # None: everywhere
-    # where each wish of the prompt applies, in [0, 1]
-    regions: Float[Tensor, "wish batch view height width"] | None = None
+    # where each instruction of the prompt applies, in [0, 1]
+    regions: Float[Tensor, "instruction batch view height width"] | None = None
     # the sentence as it was read, with colours that were read off the photos
-    wishes: tuple[Wish, ...] = ()
+    instructions: tuple[Instruction, ...] = ()
     # the things that were looked for, of the first scene
     selected: tuple[Selected, ...] = ()
     # masks of what was named, in this run and before; of the first scene

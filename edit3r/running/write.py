@@ -322,8 +322,10 @@ def _preview_line(made: Preview) -> str:
 
 def _how_sure(things: Sequence[Selected]) -> str:
     """How surely the words found what they name, where that was by learned words."""
-    unsure = [one.surety for one in things if (one.surety or 1.0) < 1]
-    return "".join(f"; selected by words, {surety:.0%} sure" for surety in unsure)
+    unsure = [one.confidence for one in things if (one.confidence or 1.0) < 1]
+    return "".join(
+        f"; selected by words, confidence {confidence:.0%}" for confidence in unsure
+    )
 
 
 def _manifest(result: RunRecord) -> RunManifest:

@@ -13,7 +13,7 @@ from edit3r.running import RunConfig, check_components, make_run_config
 from edit3r_app.draft import Draft
 
 CHOSEN = ("editor", "reconstructor")
-NOT_IN_FORM = (*CHOSEN, *Draft().outline, "prompt", "quality", "size", "guess")
+NOT_IN_FORM = (*CHOSEN, *Draft().outline, "prompt", "quality", "size")
 """Settings of a run that have a place of their own, or that masks were made for."""
 RUNS_PROGRAMS = "command"
 """An editor that starts a program of the user's choice: not for a page that others may reach."""
@@ -136,7 +136,7 @@ def set_by_hand(settings: dict[str, Any]) -> list[str]:
     """What was set for a run beside its sentence, in words."""
     said = []
     for name, value in settings.items():
-        if name in ("prompt", "guess") or value in ("", None, False):
+        if name == "prompt" or value in ("", None, False):
             continue
         label = EXPLAINED.get(name, (name.replace("_", " "),))[0]
         shown = value.get("name", value) if isinstance(value, dict) else value
@@ -255,7 +255,6 @@ def run_settings(draft: Draft, registry: Registry) -> dict[str, Any]:
     form = draft.form
     settings = _typed(form, "run")
     settings["prompt"] = str(form.get("prompt", "")).strip()
-    settings["guess"] = draft.guess
     usual = Draft().outline
     steps = draft.outline.items()
     settings |= {key: value for key, value in steps if value != usual[key]}

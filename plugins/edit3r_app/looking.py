@@ -84,9 +84,11 @@ class DraftAnswer:
     # the sentence as it was read, and the editor that carries it out
     understood: str = ""
     problem: str = ""  # why it cannot be carried out
-    asks: bool = False  # a click, or a guess, would help
+    asks: bool = False  # a click would help
     told: tuple[str, ...] = ()  # choices and warnings
-    surety: float | None = None  # of what words found, in [0, 1]; None: it was marked
+    confidence: float | None = (
+        None  # of what words found, in [0, 1]; None: it was marked
+    )
     is_sure: bool = True  # False: the user is asked whether it is this one
     readings: tuple[Reading, ...] = ()  # what else may be meant, the most likely first
     # the run that it asks for; None where something is missing
@@ -415,8 +417,12 @@ class Looker:
                 if draft.selects:
                     look = _with_marks(look, draft, opened, parts)
                 if config.prompt or config.editor is not None:
-                    wishes = [wish for task in parts.tasks for wish in task.wishes]
-                    said = "; ".join(map(str, wishes)) or config.prompt
+                    instructions = [
+                        instruction
+                        for task in parts.tasks
+                        for instruction in task.instructions
+                    ]
+                    said = "; ".join(map(str, instructions)) or config.prompt
                     look = replace(look, understood=f"{said} ({parts.editor_names})")
                     look = self._with_regions(look, opened.cache, parts)
             except Edit3rError as error:
@@ -434,13 +440,13 @@ class Looker:
         job = RunJob(parts.config, look.views, masks=marked, cache=cache)
         selection = preview(job, self.registry, edits=False).selection
         things = selection.selected
-        sureties = [one.surety for one in things if one.surety is not None]
+        confidences = [one.confidence for one in things if one.confidence is not None]
         used = [task.editor.offer.component for task in parts.tasks]
         return replace(
             look,
             masks=None if selection.masks is None else selection.masks[0],
             job=job,
-            surety=min(sureties, default=look.surety),
+            confidence=min(confidences, default=look.confidence),
             is_sure=look.is_sure and all(one.is_sure for one in things),
             readings=look.readings or _readings(things),
             is_quick=not any(one.weights or one.needs_network for one in used),
@@ -473,7 +479,7 @@ def _with_marks(
         look,
         marked=marked,
         masks=masks,
-        surety=found.surety,
+        confidence=found.confidence,
         is_sure=found.is_sure,
         readings=found.readings,
     )

@@ -197,9 +197,9 @@ class Studio:
             "version": self._drawn(draft, state)["version"],
             "understood": look.understood,
             "problem": in_app(look.problem),
-            "asks": look.asks and not draft.guess,
+            "asks": look.asks,
             "told": [in_app(text) for text in look.told],
-            "surety": look.surety,
+            "confidence": look.confidence,
             "sure": look.is_sure,
             "selected": look.masks is not None,
             "runs": look.job is not None,
@@ -298,16 +298,12 @@ def _change(draft: Draft, do: str, value: Any) -> None:
 
 def _select(draft: Draft, words: Any) -> None:
     """Begin anew, with nothing or with words that name the thing."""
-    draft.marks, draft.undone, draft.guess = [], [], False
+    draft.marks, draft.undone = [], []
     draft.words = str(words or "")[:200]
 
 
 def _say(draft: Draft, sentence: Any) -> None:
     draft.form["prompt"] = str(sentence)[: MAX_PROMPT + 1]
-
-
-def _guess(draft: Draft, _: Any) -> None:
-    draft.guess = True
 
 
 def _set(draft: Draft, asked: Any) -> None:
@@ -337,7 +333,6 @@ _NAMING = ("keep", "drop")  # change what is kept by name
 _WAYS = {
     "select": _select,
     "say": _say,
-    "guess": _guess,
     "set": _set,
     "keep": _keep,
     "recall": _recall,
@@ -360,7 +355,6 @@ def verdicts(folder: JobsFolder, run: str) -> Iterator[dict[str, str]]:
 
 def in_app(sentence: str) -> str:
     """A sentence of edit3r without the flags of the command line."""
-    sentence = sentence.replace("add --guess to take", "let the app take")
     sentence = re.sub(r" \(--[^)]*\)", "", sentence)
     sentence = re.sub(r",? take --[^,.;]*, or", "", sentence)
     sentence = re.sub(r", or leave out --sure[^.;]*", "", sentence)

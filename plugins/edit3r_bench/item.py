@@ -25,7 +25,7 @@ from edit3r.kit.geometry.maps import composite
 from edit3r.kit.geometry.paths import between_and_around
 from edit3r.kit.rendering import render_each
 from edit3r.kit.sheet import draw_sheet
-from edit3r.running import wishes_for
+from edit3r.running import instructions_for
 from edit3r_bench.manifest import Images, LoadedItem, Maps
 from edit3r_bench.method import Method
 from edit3r_bench.oracle import ORACLE, OracleEditor, OracleSettings
@@ -134,8 +134,8 @@ class ItemRunner:
         views = replace(item.photos, images=images[None])
         editor = self._editor(item, truth)
         assert isinstance(editor, Editor)  # what is built later edits photos alone
-        wishes = wishes_for(editor, item.record.prompt)
-        request = EditRequest(item.record.prompt, item.record.seed, masks, wishes)
+        instructions = instructions_for(editor, item.record.prompt)
+        request = EditRequest(item.record.prompt, item.record.seed, masks, instructions)
         edited = editor.edit(views, request).images
         if masks is not None:
             edited = composite(images[None], edited, masks)

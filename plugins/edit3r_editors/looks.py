@@ -23,10 +23,10 @@ from torch import Tensor
 
 import edit3r
 from edit3r.contract.errors import PromptError, suggest
+from edit3r.contract.instructions import Instruction, Thing
 from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.reporting import say
 from edit3r.contract.types import EditRequest, Views
-from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.compute.layers import one_thread
 
 Images = Float[Tensor, "view 3 height width"]
@@ -282,29 +282,29 @@ class LooksEditor(Editor, EditsRegions):
 
     settings: Settings
 
-    def understands(self, wish: Wish) -> bool:
-        return bool(self.settings.look) or look_of(wish) != ""
+    def understands(self, instruction: Instruction) -> bool:
+        return bool(self.settings.look) or look_of(instruction) != ""
 
-    def wish_of_nothing(self) -> Wish | None:
+    def instruction_of_nothing(self) -> Instruction | None:
         if not self.settings.look:
             return None
-        return Wish(
+        return Instruction(
             "look", Thing("whole"), look=self.settings.look, text=self.settings.look
         )
 
     @one_thread()  # powers differ in their last bits by where threads divide an image
     def edit(self, views: Views, request: EditRequest) -> Views:
-        given = self.wish_of_nothing()
-        wishes = request.asked() if given is None else (given,)
+        given = self.instruction_of_nothing()
+        instructions = request.asked() if given is None else (given,)
         photos = views.images.flatten(0, 1)
-        for number, wish in enumerate(wishes):
-            name = self.settings.look or look_of(wish)
+        for number, instruction in enumerate(instructions):
+            name = self.settings.look or look_of(instruction)
             if not name:
                 listed = ", ".join(LOOKS)
-                hint = suggest(wish.look, BY_WORD) if wish.look else ""
+                hint = suggest(instruction.look, BY_WORD) if instruction.look else ""
                 raise PromptError(
-                    f"{wish.text!r} names no look that the editor looks knows.{hint} Looks are "
-                    f"{listed}."
+                    f"{instruction.text!r} names no look that the editor looks knows.{hint} Looks "
+                    f"are {listed}."
                 )
             say("look", f"{name}: {LOOKS[name].does}")
             drawn = LOOKS[name].draw(photos).expand_as(photos).clamp(0, 1)
@@ -317,10 +317,10 @@ class LooksEditor(Editor, EditsRegions):
         return replace(views, images=photos.view_as(views.images))
 
 
-def look_of(wish: Wish) -> str:
-    """The name of the one look that a wish asks for; "" where it names none, or several."""
-    spoken = wish.look.split()
-    if wish.action == "paint" and len(wish.changes) == 1:
-        spoken = [wish.changes[0].material, wish.changes[0].kind]
+def look_of(instruction: Instruction) -> str:
+    """The name of the one look that an instruction asks for; "" where it names none, or several."""
+    spoken = instruction.look.split()
+    if instruction.action == "paint" and len(instruction.changes) == 1:
+        spoken = [instruction.changes[0].material, instruction.changes[0].kind]
     named = dict.fromkeys(BY_WORD[word] for word in spoken if word in BY_WORD)
     return next(iter(named)) if len(named) == 1 else ""

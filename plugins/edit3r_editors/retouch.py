@@ -16,6 +16,7 @@ from torch import Tensor
 
 import edit3r
 from edit3r.contract.errors import MatchingError, PromptError
+from edit3r.contract.instructions import Instruction, Thing
 from edit3r.contract.interfaces import (
     ChangesShape,
     Editor,
@@ -26,7 +27,6 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import note, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import EditRequest, Views
-from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.geometry.warping import warp
@@ -80,17 +80,20 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
 
-    def understands(self, wish: Wish) -> bool:
-        return wish.action == "remove" and wish.thing.scope in ("named", "marked")
+    def understands(self, instruction: Instruction) -> bool:
+        return instruction.action == "remove" and instruction.thing.scope in (
+            "named",
+            "marked",
+        )
 
-    def wish_of_nothing(self) -> Wish:
-        return Wish("remove", Thing("marked"), text="remove what is marked")
+    def instruction_of_nothing(self) -> Instruction:
+        return Instruction("remove", Thing("marked"), text="remove what is marked")
 
     def widened(
         self,
-        regions: Float[Tensor, "wish batch view height width"],
+        regions: Float[Tensor, "instruction batch view height width"],
         images: Float[Tensor, "batch view 3 height width"],
-    ) -> Float[Tensor, "wish batch view height width"]:
+    ) -> Float[Tensor, "instruction batch view height width"]:
         """The things with their shadows, and with their rims, where colours are mixed."""
         longer = max(images.shape[-2:])
         wide = dilate((regions > 0).to(regions), math.ceil(self.settings.rim * longer))

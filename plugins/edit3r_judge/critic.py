@@ -30,11 +30,11 @@ class LimitsCritic(Critic):
         if edit.in_2d is not None and edit.rendered is not None:
             measures = EditMeasures(**edit.in_2d.measures)
             measures = measure_edit_in_3d(measures, edit)
-            return judge_edit(measures, edit.in_2d.surety)
+            return judge_edit(measures, edit.in_2d.confidence)
         measures = measure_edit(edit)
         faults = (*edit.faults, *measures.faults)
         measures = replace(measures, faults=faults, moved=edit.moved)
-        return judge_edit(measures, surety_of(edit))
+        return judge_edit(measures, confidence_of(edit))
 
     def judge_scene(self, scene: SceneToJudge) -> Verdict:
         guessed = None
@@ -53,12 +53,14 @@ class LimitsCritic(Critic):
         )
 
 
-def surety_of(edit: EditToJudge) -> float | None:
+def confidence_of(edit: EditToJudge) -> float | None:
     """How surely the least sure thing was found, None where everything was marked; 0: a guess."""
-    sureties = [one.surety for one in edit.selected if one.surety is not None]
+    confidences = [
+        one.confidence for one in edit.selected if one.confidence is not None
+    ]
     if any("guess" in one.how for one in edit.selected):
-        sureties.append(0.0)
-    return min(sureties, default=None)
+        confidences.append(0.0)
+    return min(confidences, default=None)
 
 
 def doubt_of(scene: SceneToJudge) -> Doubt | None:

@@ -11,9 +11,9 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.contract.instructions import Change, Instruction
 from edit3r.contract.interfaces import EditToJudge, Selected
 from edit3r.contract.types import Cameras
-from edit3r.contract.wishes import Change, Wish
 from edit3r.kit.compute.changes import change_uptake
 from edit3r.kit.compute.colour import rgb_to_lab
 from edit3r.kit.geometry.maps import size_of
@@ -55,14 +55,14 @@ Masks = Float[Tensor, "view height width"]
 
 def measure_edit(scene: EditToJudge) -> EditMeasures:
     """Return the figures of the 2D edit; of several scenes the first counts."""
-    wishes, views = scene.wishes, list(scene.edited)
+    instructions, views = scene.instructions, list(scene.edited)
     before = _small(scene.before.images[0, views])
     after = _small(scene.after.images[0, views])
     visibly = (after - before).abs().amax(1) > VISIBLE
     regions = None
     if scene.regions is not None:
         regions = _small(scene.regions[:, 0, views])
-    reached = _reached(before, after, visibly, wishes, regions)
+    reached = _reached(before, after, visibly, instructions, regions)
     names = [scene.before.called[view] for view in views]
     if scene.masks is None:
         shares = (1.0,) * len(before)
@@ -75,11 +75,13 @@ def measure_edit(scene: EditToJudge) -> EditMeasures:
     changed = float((visibly & inside).sum() / inside.sum().clamp(min=1))
     faults = _unchanged(visibly, inside, names)
     measures = EditMeasures(shares, changed, faults, reached=reached)
-    if _means_one_clicked_thing(scene, wishes):
+    if _means_one_clicked_thing(scene, instructions):
         measures = replace(measures, clicked=max(shares), pieces=pieces(masks))
     part, reading = likely_part(scene.before.images[0], scene.selected)
     measures = replace(measures, part=part, part_reading=reading)
-    if any(wish.action == "remove" for wish in wishes):  # its shadow and rim go with it
+    if any(
+        instruction.action == "remove" for instruction in instructions
+    ):  # its shadow and rim go with it
         return replace(
             measures,
             ghost=ghost_of(before, after, masks),
@@ -91,8 +93,8 @@ def measure_edit(scene: EditToJudge) -> EditMeasures:
         measures,
         outline=outline_on_edges(before, masks),
         open_outline=open_outline(before, masks),
-        taken=taken(before, after, masks, _asked_for(wishes))
-        if _gives_one_colour(wishes)
+        taken=taken(before, after, masks, _asked_for(instructions))
+        if _gives_one_colour(instructions)
         else None,
     )
 
@@ -115,28 +117,35 @@ def _unchanged(
     )
 
 
-def _means_one_clicked_thing(scene: EditToJudge, wishes: Sequence[Wish]) -> bool:
+def _means_one_clicked_thing(
+    scene: EditToJudge, instructions: Sequence[Instruction]
+) -> bool:
     """Whether a mark alone says what is meant: no name, no mask of the user's own, not all else."""
     how = {way for one in scene.selected for way in one.how}
     return "marked" in how and all(
-        wish.thing.scope == "marked" and not wish.thing.name for wish in wishes
+        instruction.thing.scope == "marked" and not instruction.thing.name
+        for instruction in instructions
     )
 
 
-def _gives_one_colour(wishes: Sequence[Wish]) -> bool:
-    """Whether all wishes paint a thing, and all of it: no background, nothing spared."""
-    kinds = {change.kind for wish in wishes for change in wish.changes}
-    things = [wish.thing for wish in wishes if not wish.without]
+def _gives_one_colour(instructions: Sequence[Instruction]) -> bool:
+    """Whether all instructions paint a thing, and all of it: no background, nothing spared."""
+    kinds = {
+        change.kind for instruction in instructions for change in instruction.changes
+    }
+    things = [
+        instruction.thing for instruction in instructions if not instruction.without
+    ]
     return (
         kinds == {"paint"}
-        and len(things) == len(wishes)
+        and len(things) == len(instructions)
         and all(one.scope in ("named", "marked") and one.part is None for one in things)
     )
 
 
-def _asked_for(wishes: Sequence[Wish]) -> Float[Tensor, "colour 3"]:
-    """The colours that wishes paint in, which may be read off other things."""
-    changes = [change for wish in wishes for change in wish.changes]
+def _asked_for(instructions: Sequence[Instruction]) -> Float[Tensor, "colour 3"]:
+    """The colours that instructions paint in, which may be read off other things."""
+    changes = [change for instruction in instructions for change in instruction.changes]
     return torch.tensor([one.colour.rgb for one in changes if one.colour]).view(-1, 3)
 
 
@@ -453,21 +462,21 @@ def _reached(
     before: Float[Tensor, "view 3 height width"],
     after: Float[Tensor, "view 3 height width"],
     visibly: Bool[Tensor, "view height width"],
-    wishes: Sequence[Wish],
-    regions: Float[Tensor, "wish view height width"] | None,
+    instructions: Sequence[Instruction],
+    regions: Float[Tensor, "instruction view height width"] | None,
 ) -> float | None:
-    """Share of the visible change that looks as its wish asks; None where none can be checked."""
+    """Share of the visible change that looks as asked; None where none can be checked."""
     shares = []
     colours_before = rgb_to_lab(before).movedim(1, -1)
     colours_after = rgb_to_lab(after).movedim(1, -1)
-    for number, wish in enumerate(wishes):
+    for number, instruction in enumerate(instructions):
         place = visibly
         if regions is not None:
             place = visibly & (regions[number] > 0.5)
         if not place.any():
             continue
         shares += list(
-            _shares(wish.changes, colours_before[place], colours_after[place])
+            _shares(instruction.changes, colours_before[place], colours_after[place])
         )
     return min(shares, default=None)
 

@@ -67,18 +67,18 @@ class EditMeasures:
     missed: float | None = None
 
 
-def judge_edit(measures: EditMeasures, surety: float | None = None) -> EditVerdict:
+def judge_edit(measures: EditMeasures, confidence: float | None = None) -> EditVerdict:
     """Judge an edit by its figures."""
-    doubts = list(_doubts(measures, surety))
+    doubts = list(_doubts(measures, confidence))
     label: EditLabel = "doubtful" if doubts else "good"
     reason = "; ".join(doubts) or _praise(measures)
-    return EditVerdict(label, reason, surety, asdict(measures))
+    return EditVerdict(label, reason, confidence, asdict(measures))
 
 
-def _doubts(found: EditMeasures, surety: float | None) -> Iterator[str]:
+def _doubts(found: EditMeasures, confidence: float | None) -> Iterator[str]:
     """What speaks against the edit: against what was selected, then against what was made."""
     yield from found.faults
-    yield from _doubts_of_meaning(found, surety)
+    yield from _doubts_of_meaning(found, confidence)
     yield from _doubts_of_selection(found)
     yield from _doubts_of_change(found)
     if found.shown is not None and found.shown < MIN_SHOWN:
@@ -88,12 +88,12 @@ def _doubts(found: EditMeasures, surety: float | None) -> Iterator[str]:
         yield f"a patch of {share} of what was changed is as it was in the 3D scene"
 
 
-def _doubts_of_meaning(found: EditMeasures, surety: float | None) -> Iterator[str]:
+def _doubts_of_meaning(found: EditMeasures, confidence: float | None) -> Iterator[str]:
     """Whether it is the thing that was meant."""
-    if surety == 0:
+    if confidence == 0:
         yield "which thing is meant was guessed"
-    elif surety is not None and surety < SURE:
-        yield f"the thing was found by its name with {surety:.0%} surety only"
+    elif confidence is not None and confidence < SURE:
+        yield f"the thing was found by its name with {confidence:.0%} confidence only"
     if _is_over(found.clicked, MAX_CLICKED):
         yield (
             f"{found.clicked:.0%} of a photo was taken for the thing that was clicked on "

@@ -1,8 +1,8 @@
 """What a language model is asked, and its answer held to the rules that the grammar keeps.
 
-A model answers with JSON of one form (`SaidWishes`). Colours, materials and places in it are looked
-up by the words that the grammar knows. What is not known there, and words of the sentence that the
-answer speaks of nowhere, become `unread`: nothing that the user said disappears.
+A model answers with JSON of one form (`SaidInstructions`). Colours, materials and places in it are
+looked up by the words that the grammar knows. What is not known there, and words of the sentence
+that the answer speaks of nowhere, become `unread`: nothing that the user said disappears.
 """
 
 import re
@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 
 from edit3r.contract.errors import PromptError
-from edit3r.contract.wishes import (
+from edit3r.contract.instructions import (
     EVERY,
     FLOOD,
     Action,
@@ -22,8 +22,8 @@ from edit3r.contract.wishes import (
     ChangeKind,
     Colour,
     Finish,
+    Instruction,
     Thing,
-    Wish,
 )
 from edit3r.kit.compute.colour_names import read_colour
 from edit3r_language import vocabulary as words
@@ -66,8 +66,8 @@ class SaidChange(_Said):
     amount: float = Field(default=1.0, ge=-3, le=3)
 
 
-class SaidWish(_Said):
-    """A wish, as a model says it."""
+class SaidInstruction(_Said):
+    """An instruction, as a model says it."""
 
     action: Action
     thing: SaidThing = SaidThing()
@@ -79,20 +79,20 @@ class SaidWish(_Said):
     left_out: tuple[Words, ...] = Few
 
 
-class SaidWishes(_Said):
+class SaidInstructions(_Said):
     """The whole answer."""
 
-    wishes: tuple[SaidWish, ...] = Field(max_length=20)
+    instructions: tuple[SaidInstruction, ...] = Field(max_length=20)
 
 
 @cache
-def instructions() -> str:
+def system_prompt() -> str:
     """What a model is told before the sentence."""
-    return files("edit3r_language").joinpath("instructions.txt").read_text("utf-8")
+    return files("edit3r_language").joinpath("system_prompt.txt").read_text("utf-8")
 
 
-def wishes_of_answer(answer: str, prompt: str) -> tuple[Wish, ...]:
-    """The wishes of a model's answer to a sentence.
+def instructions_of_answer(answer: str, prompt: str) -> tuple[Instruction, ...]:
+    """The instructions of a model's answer to a sentence.
 
     Raises ValueError, with what is wrong, for an answer of another form; PromptError where the
     sentence asks for nothing, or for two colours on one thing.
@@ -101,28 +101,32 @@ def wishes_of_answer(answer: str, prompt: str) -> tuple[Wish, ...]:
     if found is None:
         raise ValueError("it holds no JSON object")
     try:
-        said = SaidWishes.model_validate_json(found[0])
+        said = SaidInstructions.model_validate_json(found[0])
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the answer"
         raise ValueError(f"{where}: {first['msg']}") from None
-    if not said.wishes:
+    if not said.instructions:
         raise PromptError(f"{prompt!r} asks for no change.")
-    wishes = [_Reading(one).wish() for one in said.wishes]
-    if faults := [fault for wish in wishes if (fault := wish.fault())]:
-        raise ValueError(f"a wish {faults[0]}")
-    return merged([*wishes, *_forgotten(wishes, prompt)], prompt)
+    instructions = [_Reading(one).instruction() for one in said.instructions]
+    if faults := [
+        fault for instruction in instructions if (fault := instruction.fault())
+    ]:
+        raise ValueError(f"an instruction {faults[0]}")
+    return merged([*instructions, *_forgotten(instructions, prompt)], prompt)
 
 
-def _forgotten(wishes: list[Wish], prompt: str) -> Iterator[Wish]:
-    """A wish of the words of the sentence that no other speaks of; fillers need not be told."""
+def _forgotten(instructions: list[Instruction], prompt: str) -> Iterator[Instruction]:
+    """An instruction of the words that no other speaks of; fillers need not be told."""
     told = {
-        word for wish in wishes for word in _words(" ".join((wish.text, *wish.unread)))
+        word
+        for instruction in instructions
+        for word in _words(" ".join((instruction.text, *instruction.unread)))
     }
     polite = words.FILLERS | words.POLITENESS | {"and", "then", "but", "while"}
     forgotten = [word for word in _words(prompt) if word not in told | polite]
     if forgotten:
-        yield Wish(
+        yield Instruction(
             "other", Thing("whole"), text=prompt, unread=tuple(dict.fromkeys(forgotten))
         )
 
@@ -132,15 +136,15 @@ def _words(text: str) -> list[str]:
 
 
 class _Reading:
-    """One wish of an answer, and the words in it that nobody knows."""
+    """One instruction of an answer, and the words in it that nobody knows."""
 
-    def __init__(self, said: SaidWish) -> None:
+    def __init__(self, said: SaidInstruction) -> None:
         self.said = said
         self.unread = list(said.unread)
 
-    def wish(self) -> Wish:
+    def instruction(self) -> Instruction:
         said = self.said
-        wish = Wish(
+        instruction = Instruction(
             said.action,
             self._thing(said.thing),
             tuple(map(self._change, said.changes)) if said.action == "paint" else (),
@@ -150,10 +154,13 @@ class _Reading:
             left_out=said.left_out,
         )
         if not self.unread:
-            return wish
+            return instruction
         unread = tuple(dict.fromkeys(self.unread))
-        return Wish(
-            "other", wish.thing, text=said.text or " ".join(unread), unread=unread
+        return Instruction(
+            "other",
+            instruction.thing,
+            text=said.text or " ".join(unread),
+            unread=unread,
         )
 
     def _thing(self, said: SaidThing) -> Thing:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from edit3r.contract.wishes import Change
+from edit3r.contract.instructions import Change
 from edit3r.kit.compute.colour_names import TONES, read_colour
 from edit3r_language import vocabulary as words
 from edit3r_language.nouns import is_noun, is_thing_too

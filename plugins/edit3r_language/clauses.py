@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 
-from edit3r.contract.wishes import FLOOD, Action, Change, Colour, Thing
+from edit3r.contract.instructions import FLOOD, Action, Change, Colour, Thing
 from edit3r.kit.compute.colour_names import read_colour
 from edit3r_language import vocabulary as words
 from edit3r_language.changes import (
@@ -17,8 +17,8 @@ from edit3r_language.nouns import is_noun
 from edit3r_language.paints import read_paint
 from edit3r_language.places import read_region, unclear_place
 from edit3r_language.shades import read_taken
-from edit3r_language.strangers import is_known, strangers, unread_of
 from edit3r_language.things import read_thing
+from edit3r_language.unknown_words import is_known, unknown_words, unread_of
 
 
 @dataclass
@@ -36,7 +36,7 @@ class Clause:
     verb_first: bool = False  # "remove the bin": things may follow in the next clauses
 
     def not_understood(self, *unread: str) -> "Clause":
-        """The clause as a wish that nobody here understands."""
+        """The clause as an instruction that nobody here understands."""
         return replace(self, action="other", unread=unread)
 
 
@@ -242,7 +242,7 @@ def _split_around(
     if read_region(named) is None:  # "the lower half"
         unread += [t for t in named if t in words.MORE | words.LESS | words.UNSUPPORTED]
     unread += unclear_place(named)
-    unread += strangers(named, before_change=named == before and bool(before))
+    unread += unknown_words(named, before_change=named == before and bool(before))
     return named, tuple(dict.fromkeys(unread))
 
 

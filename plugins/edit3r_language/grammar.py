@@ -4,9 +4,9 @@ A sentence is a row of clauses, split at punctuation, "and", "but", "then" and "
 the last group of change words says what to do (`changes`), and the words before it (or after it, as
 in "darken the wall") say the thing (`things`, `places`). Clauses without a change share that of a
 neighbour ("paint the door and the wall white"), and what is excepted, kept or not to be touched is
-taken out of the thing (`together`). Words that are neither change, thing nor filler (`strangers`)
-make the clause a wish of action "other" that names them: only an editor with a model of its own can
-carry that out.
+taken out of the thing (`together`). Words that are neither change, thing nor filler
+(`unknown_words`) make the clause an instruction of action "other" that names them: only an editor
+with a model of its own can carry that out.
 """
 
 import difflib
@@ -14,18 +14,18 @@ import re
 from collections.abc import Iterator
 
 from edit3r.contract.errors import PromptError
+from edit3r.contract.instructions import Instruction, Thing
 from edit3r.contract.interfaces import Reader
-from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.compute.colour_names import near_colours, read_colour
 from edit3r_language import vocabulary as words
 from edit3r_language.clauses import Clause, asks_nothing, read_clause, read_kept
 from edit3r_language.nouns import is_plural, near_nouns
-from edit3r_language.strangers import is_known
 from edit3r_language.things import read_thing
-from edit3r_language.together import wishes_of
+from edit3r_language.together import instructions_of
+from edit3r_language.unknown_words import is_known
 
 MAX_WORDS = 80
-"""A longer sentence is no plain wish; what it says is left to editors with a model of their own."""
+"""A longer sentence is no plain one; it is left to editors with a model of their own."""
 
 SHORT = 3
 """Letters of a word that is spelt nearly like any other: "pop", "add"."""
@@ -55,11 +55,11 @@ class GrammarReader(Reader):
         "remove (remove the bin)."
     )
 
-    def read(self, prompt: str) -> tuple[Wish, ...]:
+    def read(self, prompt: str) -> tuple[Instruction, ...]:
         said = prompt.split()
         if len(said) > MAX_WORDS or max(map(len, said), default=0) > 200:
             text = " ".join(prompt[:200].split())
-            return (Wish("other", Thing("whole"), text=text, unread=("...",)),)
+            return (Instruction("other", Thing("whole"), text=text, unread=("...",)),)
         clauses: list[Clause] = []
         kept: list[Thing] = []
         for tokens in clauses_of(prompt):
@@ -72,7 +72,7 @@ class GrammarReader(Reader):
                 kept += things
         if not clauses:
             raise PromptError(f"{prompt!r} asks for no change. {self.abilities}")
-        return wishes_of(clauses, kept, prompt)
+        return instructions_of(clauses, kept, prompt)
 
     def after_undo(self, prompt: str) -> str | None:
         found = _UNDO.match(prompt)
@@ -81,14 +81,16 @@ class GrammarReader(Reader):
     def read_thing(self, words: str) -> Thing:
         return read_thing(words.lower().split())
 
-    def hint(self, wish: Wish) -> str:
+    def hint(self, instruction: Instruction) -> str:
         hints = []
-        for word in wish.unread:
+        for word in instruction.unread:
             if word in words.INSTEAD:
                 hints.append(f" {words.INSTEAD[word]}")
             elif not is_known(word):
-                hints.append(_near(word) or _beside_colour(word, wish.text.split()))
-        named = [] if wish.unread else wish.thing.name.split()
+                hints.append(
+                    _near(word) or _beside_colour(word, instruction.text.split())
+                )
+        named = [] if instruction.unread else instruction.thing.name.split()
         hints += [_did_you_mean(near_nouns(word)) for word in named]
         return "".join(hints)
 

@@ -8,11 +8,11 @@ from typing import Any
 from pydantic import Field
 
 from edit3r.contract.errors import Edit3rError, MissingDependencyError, RunError
+from edit3r.contract.instructions import Instruction, Thing
 from edit3r.contract.interfaces import Reader
 from edit3r.contract.reporting import note
 from edit3r.contract.settings import USER_ONLY, Settings
 from edit3r.contract.torch_state import require_device
-from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.service import bounded_client, within
 from edit3r.kit.weights.load import (
     ChosenWeights,
@@ -21,7 +21,7 @@ from edit3r.kit.weights.load import (
     load_pretrained,
     out_of_memory_told,
 )
-from edit3r_language.answers import instructions, wishes_of_answer
+from edit3r_language.answers import instructions_of_answer, system_prompt
 
 KEY_VARIABLE = "OPENAI_API_KEY"
 MAX_QUOTE = 300  # characters of a model's words that an error repeats
@@ -41,7 +41,7 @@ class ModelSettings(Settings):
 
 
 class AskingReader(Reader, ABC):
-    """Asks for wishes as JSON, and sends an answer of another form back with what is wrong."""
+    """Asks for instructions as JSON, and sends a malformed answer back with what is wrong."""
 
     abilities = (
         "Without learned weights these are carried out, however they are said: painting, brighter, "
@@ -55,16 +55,16 @@ class AskingReader(Reader, ABC):
     def ask(self, messages: Sequence[Message]) -> str:
         """The model's answer. Raises RunError where none comes."""
 
-    def read(self, prompt: str) -> tuple[Wish, ...]:
+    def read(self, prompt: str) -> tuple[Instruction, ...]:
         messages = [
-            {"role": "system", "content": instructions()},
+            {"role": "system", "content": system_prompt()},
             {"role": "user", "content": prompt},
         ]
         answer = why = ""
         for _ in range(self.settings.attempts):
             answer = self.ask(messages)
             try:
-                return wishes_of_answer(answer, prompt)
+                return instructions_of_answer(answer, prompt)
             except ValueError as error:
                 why = str(error)
             messages += [
@@ -75,8 +75,8 @@ class AskingReader(Reader, ABC):
                 },
             ]
         raise RunError(
-            f"{self.who} gave no wishes for {prompt[:80]!r}: {why} ({_quoted(answer)}); say it "
-            "otherwise, or leave --reader out."
+            f"{self.who} gave no instructions for {prompt[:80]!r}: {why} ({_quoted(answer)}); say "
+            "it otherwise, or leave --reader out."
         )
 
     def read_thing(self, words: str) -> Thing:

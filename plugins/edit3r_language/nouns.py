@@ -4,7 +4,7 @@ import difflib
 from functools import cache
 from importlib.resources import files
 
-from edit3r.contract.wishes import Colour
+from edit3r.contract.instructions import Colour
 from edit3r.kit.compute.colour_names import BASIC_COLOURS
 
 _PLURALS = frozenset(("people", "children", "men", "women", "feet", "teeth", "mice"))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 
-from edit3r.contract.wishes import Change, Colour, Finish
+from edit3r.contract.instructions import Change, Colour, Finish
 from edit3r.kit.compute.colour_names import COMPARED, read_colour
 from edit3r_language.vocabulary import words_of
 

@@ -2,7 +2,7 @@
 
 from itertools import pairwise
 
-from edit3r.contract.wishes import Box, Thing
+from edit3r.contract.instructions import Box, Thing
 from edit3r_language import vocabulary as words
 from edit3r_language.vocabulary import words_of
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from edit3r.contract.wishes import BENEATH, Change, Colour
+from edit3r.contract.instructions import BENEATH, Change, Colour
 from edit3r.kit.compute.colour_names import read_colour, read_colour_of
 from edit3r_language import vocabulary as words
 from edit3r_language.things import read_thing

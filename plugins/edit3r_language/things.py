@@ -2,13 +2,13 @@
 
 from dataclasses import replace
 
-from edit3r.contract.wishes import EVERY, FLOOD, Colour, Thing
+from edit3r.contract.instructions import EVERY, FLOOD, Colour, Thing
 from edit3r.kit.compute.colour_names import read_colour
 from edit3r_language import vocabulary as words
 from edit3r_language.nouns import is_noun, is_plural, is_thing_too
 from edit3r_language.paints import LIGHT_WORDS
 from edit3r_language.places import read_region
-from edit3r_language.strangers import is_known
+from edit3r_language.unknown_words import is_known
 
 _JOINING = words.JOINING - {"at", "to", "next", "above", "below"}
 

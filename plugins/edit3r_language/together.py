@@ -4,23 +4,23 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from edit3r.contract.errors import PromptError
-from edit3r.contract.wishes import EVERY, Thing, Wish
+from edit3r.contract.instructions import EVERY, Instruction, Thing
 from edit3r_language import vocabulary as words
 from edit3r_language.clauses import Clause, content_of
 from edit3r_language.nouns import is_plural
-from edit3r_language.strangers import unread_of
+from edit3r_language.unknown_words import unread_of
 
 
-def wishes_of(
+def instructions_of(
     clauses: list[Clause], kept: list[Thing], prompt: str
-) -> tuple[Wish, ...]:
-    """The wishes of a sentence's clauses. Raises PromptError for two colours on one thing."""
+) -> tuple[Instruction, ...]:
+    """The instructions of a sentence's clauses. Raises PromptError for two colours on one thing."""
     return merged(_resolved(_shared(clauses), kept), prompt)
 
 
-def merged(wishes: Iterable[Wish], prompt: str) -> tuple[Wish, ...]:
-    """The wishes, one for each thing. Raises PromptError for two colours on one thing."""
-    return tuple(_with_rest(_merged(wishes, prompt)))
+def merged(instructions: Iterable[Instruction], prompt: str) -> tuple[Instruction, ...]:
+    """The instructions, one for each thing. Raises PromptError for two colours on one thing."""
+    return tuple(_with_rest(_merged(instructions, prompt)))
 
 
 # ---- what neighbours share ----
@@ -89,8 +89,8 @@ def _with_change_of(clause: Clause, giver: Clause) -> Clause:
 # ---- pronouns, and what is kept ----
 
 
-def _resolved(clauses: list[Clause], kept: list[Thing]) -> Iterator[Wish]:
-    """The clauses as wishes, with pronouns resolved and what is kept left out of the thing."""
+def _resolved(clauses: list[Clause], kept: list[Thing]) -> Iterator[Instruction]:
+    """The clauses as instructions, pronouns resolved, and what is kept left out of the thing."""
     last: Thing | None = None
     said: list[str] = []  # the words that named it
     for clause in clauses:
@@ -107,7 +107,7 @@ def _resolved(clauses: list[Clause], kept: list[Thing]) -> Iterator[Wish]:
         thing = _pointed_at(thing, last, clause, without)
         if thing.scope != "whole" or last is None:
             last, said = thing, clause.text.split()
-        yield _wish(clause, _all_of_name(thing, without), without)
+        yield _instruction(clause, _all_of_name(thing, without), without)
 
 
 def _owner(last: Thing, said: Sequence[str]) -> str:
@@ -135,7 +135,7 @@ def _named_like(kept: Thing, thing: Thing) -> Thing:
 
 
 def _matters(kept: Thing, thing: Thing) -> bool:
-    """Whether keeping `kept` says anything about a wish on `thing`: a bike has no background."""
+    """Whether keeping `kept` matters to an instruction on `thing`: a bike has no background."""
     return kept.scope != "background" or thing.scope == "whole"
 
 
@@ -171,8 +171,8 @@ def _all_of_name(thing: Thing, without: Sequence[Thing]) -> Thing:
     return replace(thing, which=("all", *thing.which))
 
 
-def _wish(clause: Clause, thing: Thing, without: Sequence[Thing]) -> Wish:
-    return Wish(
+def _instruction(clause: Clause, thing: Thing, without: Sequence[Thing]) -> Instruction:
+    return Instruction(
         action=clause.action or "other",
         thing=thing,
         changes=clause.changes if clause.action == "paint" else (),
@@ -184,25 +184,33 @@ def _wish(clause: Clause, thing: Thing, without: Sequence[Thing]) -> Wish:
     )
 
 
-# ---- wishes about one thing ----
+# ---- instructions about one thing ----
 
 
-def _merged(wishes: Iterable[Wish], prompt: str) -> list[Wish]:
-    """Wishes of one action about one thing become one; painting comes before adjusting."""
-    merged: dict[tuple, Wish] = {}
-    for number, wish in enumerate(wishes):
-        alone = number if wish.action == "other" else -1
-        key = (alone, wish.action, wish.thing, wish.without, wish.look)
-        merged[key] = _joined(merged[key], wish) if key in merged else wish
-    for wish in merged.values():
-        if sum(change.kind == "paint" for change in wish.changes) > 1:
+def _merged(instructions: Iterable[Instruction], prompt: str) -> list[Instruction]:
+    """Instructions of one action about one thing become one; painting comes before adjusting."""
+    merged: dict[tuple, Instruction] = {}
+    for number, instruction in enumerate(instructions):
+        alone = number if instruction.action == "other" else -1
+        key = (
+            alone,
+            instruction.action,
+            instruction.thing,
+            instruction.without,
+            instruction.look,
+        )
+        merged[key] = (
+            _joined(merged[key], instruction) if key in merged else instruction
+        )
+    for instruction in merged.values():
+        if sum(change.kind == "paint" for change in instruction.changes) > 1:
             raise PromptError(
                 f"{prompt!r} asks for two colours at once; name one, or what else gets the other."
             )
     return list(merged.values())
 
 
-def _joined(first: Wish, second: Wish) -> Wish:
+def _joined(first: Instruction, second: Instruction) -> Instruction:
     changes = sorted(
         (*first.changes, *second.changes), key=lambda one: one.kind != "paint"
     )
@@ -216,11 +224,15 @@ def _joined(first: Wish, second: Wish) -> Wish:
     )
 
 
-def _with_rest(wishes: list[Wish]) -> Iterator[Wish]:
+def _with_rest(instructions: list[Instruction]) -> Iterator[Instruction]:
     """In "the car blue and the background grey" the background is all but the car."""
-    named = [wish.thing for wish in wishes if wish.thing.scope in ("named", "marked")]
-    for wish in wishes:
-        if wish.thing.scope != "background" or not named or wish.without:
-            yield wish
+    named = [
+        instruction.thing
+        for instruction in instructions
+        if instruction.thing.scope in ("named", "marked")
+    ]
+    for instruction in instructions:
+        if instruction.thing.scope != "background" or not named or instruction.without:
+            yield instruction
         else:
-            yield replace(wish, without=tuple(dict.fromkeys(named)))
+            yield replace(instruction, without=tuple(dict.fromkeys(named)))

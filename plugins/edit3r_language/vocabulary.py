@@ -1,6 +1,6 @@
-"""The words that the reader of wishes knows. What is not here it must not guess."""
+"""The words that the reader of instructions knows. What is not here it must not guess."""
 
-from edit3r.contract.wishes import Change, ChangeKind
+from edit3r.contract.instructions import Change, ChangeKind
 from edit3r.kit.compute.colour_names import BASIC_COLOURS
 
 
@@ -139,7 +139,7 @@ KEPT_ANYWAY = words_of(
     "else other rest shape texture shading structure lighting light details detail objects "
     "original same everything all the of its background surroundings shadows"
 )
-"""Things of a clause such as "keep everything else" that a wish about one thing never changes."""
+"""Things of a clause such as "keep everything else" that asking for one thing never changes."""
 
 # ---- things ----
 
@@ -286,7 +286,7 @@ _NO_SIDE = "".join(
 _WAYS = "bright|dark|warm|cold|saturated|colou?rful|vivid|contrasty"
 
 PHRASES = (
-    (r"(?<!\S)\d{1,2}[.)] +(?=[a-z])", ", "),  # a list of wishes
+    (r"(?<!\S)\d{1,2}[.)] +(?=[a-z])", ", "),  # a list of instructions
     *(
         (rf"\b(?:much |far |way )?too (?:{words})\b(?! and)", f" {wanted} ")
         for words, wanted in _TOO.items()

@@ -79,8 +79,8 @@ def painted(
     pixels = dc_to_colour(own[:, 0]).clamp(0, 1).T[None, None, :, None]
     views = Views(pixels.contiguous(), torch.eye(3)[None, None])
     prompt = f"paint the thing {colour}"
-    request = EditRequest(prompt, wishes=usual_reader().read(prompt))
-    if len(request.wishes) > 1:
+    request = EditRequest(prompt, instructions=usual_reader().read(prompt))
+    if len(request.instructions) > 1:
         raise PromptError(f"recolor: expected one colour, got {colour!r}.")
     new = editor.edit(views, request).images[0, 0, :, 0]
     own[:, 1:] = own[:, 1:].mean(-1, keepdim=True)

@@ -25,7 +25,7 @@ from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstructio
 from edit3r.kit.checks import check_edit, check_reconstruction, errors_named_after
 from edit3r.kit.geometry.maps import composite
 from edit3r.kit.geometry.pose import estimate_cameras
-from edit3r.running import wishes_for
+from edit3r.running import instructions_for
 from edit3r_optimisers.fitting import FitSettings, TargetImages, fit
 
 # a fainter first Gaussian has next to no gradient and would never show what it is worth
@@ -109,8 +109,8 @@ class FittingMethod(Reconstructor, EditsViews):
     ) -> Reconstruction:
         """Reconstruct every scene of the batch by itself; prompt and seed are the settings' own."""
         prompt = self.settings.prompt
-        wishes = wishes_for(self.editor, prompt)
-        request = EditRequest(prompt, self.settings.seed, wishes=wishes)
+        instructions = instructions_for(self.editor, prompt)
+        request = EditRequest(prompt, self.settings.seed, instructions=instructions)
         return self.edit_and_reconstruct(
             views, views if source is None else source, request, geometry
         )

@@ -10,9 +10,9 @@ from torch import Tensor
 import edit3r
 from edit3r.contract import reporting
 from edit3r.contract.errors import PromptError
+from edit3r.contract.instructions import Change, Colour, Instruction
 from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.types import EditRequest, Views
-from edit3r.contract.wishes import Change, Colour, Wish
 from edit3r.kit.compute.layers import one_thread
 from edit3r_recolor.paint import paint
 from edit3r_recolor.recoloring import (
@@ -41,7 +41,7 @@ GRAINED = ("marble", "wood", "snow")
 
 
 class RecolorEditor(Editor, EditsRegions):
-    """Colour edits without a model, blended softly by the region of each wish (section 3.2)."""
+    """Colour edits without a model, blended softly by each instruction's region (section 3.2)."""
 
     class Settings(edit3r.Settings):
         strength: float = Field(
@@ -60,29 +60,33 @@ class RecolorEditor(Editor, EditsRegions):
 
     settings: Settings
 
-    def understands(self, wish: Wish) -> bool:
-        grained = any(change.material in GRAINED for change in wish.changes)
-        return wish.action == "paint" and not grained
+    def understands(self, instruction: Instruction) -> bool:
+        grained = any(change.material in GRAINED for change in instruction.changes)
+        return instruction.action == "paint" and not grained
 
     @one_thread()  # powers differ in their last bits by where threads divide an image
     def edit(self, views: Views, request: EditRequest) -> Views:
-        wishes = request.asked()
-        for wish in wishes:
-            if not self.understands(wish):
+        instructions = request.asked()
+        for instruction in instructions:
+            if not self.understands(instruction):
                 raise PromptError(
-                    f"editor 'recolor' changes colours only; it cannot do {wish.text!r}."
+                    f"editor 'recolor' changes colours only; it cannot do {instruction.text!r}."
                 )
         generator = torch.Generator().manual_seed(request.seed)
         parameters = sample_parameters(generator, self.settings.ranges)
-        if any(change.kind == "random" for wish in wishes for change in wish.changes):
+        if any(
+            change.kind == "random"
+            for instruction in instructions
+            for change in instruction.changes
+        ):
             reporting.note("editor.parameters", asdict(parameters))
         scenes = []
         for index, images in enumerate(views.images):
-            for number, wish in enumerate(wishes):
+            for number, instruction in enumerate(instructions):
                 region = torch.ones_like(images[:, 0])
                 if request.regions is not None:
                     region = request.regions[number, index].to(images)
-                images = self._changed(images, region, wish, parameters)
+                images = self._changed(images, region, instruction, parameters)
             scenes.append(images)
         return replace(views, images=torch.stack(scenes))
 
@@ -90,14 +94,18 @@ class RecolorEditor(Editor, EditsRegions):
         self,
         images: Float[Tensor, "view 3 height width"],
         region: Float[Tensor, "view height width"],
-        wish: Wish,
+        instruction: Instruction,
         parameters: RecolorParameters,
     ) -> Float[Tensor, "view 3 height width"]:
         settings = self.settings
-        everywhere = wish.thing.scope in ("whole", "region")
-        flood = everywhere or "whole" in wish.thing.which or wish.thing.name in WHOLE
+        everywhere = instruction.thing.scope in ("whole", "region")
+        flood = (
+            everywhere
+            or "whole" in instruction.thing.which
+            or instruction.thing.name in WHOLE
+        )
         changed = images
-        for change in wish.changes:
+        for change in instruction.changes:
             if change.kind == "paint":
                 changed = paint(
                     changed,

@@ -81,7 +81,7 @@ WHOLE_SIDE, CROP_SIDE = (
 )  # what the learned network sees of a picture and of a crop [pixels]
 WHOLE = ("picture", "image", "photo", "scene")  # all of it, where the words say so
 # How surely all but what stands out is the background where that is not clear
-UNCLEAR_SURETY = 0.2
+UNCLEAR_CONFIDENCE = 0.2
 MAX_READINGS = 3  # of marks, that are shown
 MAX_KEPT = 64  # images, saliences and answers that stay in memory between clicks
 ESSENTIALS = "edit3r weights get essentials"
@@ -222,7 +222,7 @@ class ClassicalSegmenter(Segmenter):
         return tuple(
             replace(
                 self._drawn(rgb, image, marks, one),
-                surety=float(one.score / total) if total else 0.0,
+                confidence=float(one.score / total) if total else 0.0,
             )
             for one in found[:MAX_READINGS]
         )
@@ -356,11 +356,11 @@ class ClassicalSegmenter(Segmenter):
             return None
         rgb = _to_numpy(image)
         analysis = self._analysis(rgb)
-        mask, surety = stuff(word, analysis.pixels, analysis.superpixels)
+        mask, confidence = stuff(word, analysis.pixels, analysis.superpixels)
         if not mask.any():
             return ()
         found = _proposal(rgb, self._fine(rgb, mask), 0.5, image)
-        return (replace(found, surety=surety),)
+        return (replace(found, confidence=confidence),)
 
     def _background(
         self, image: Float[Tensor, "3 height width"]
@@ -370,10 +370,11 @@ class ClassicalSegmenter(Segmenter):
         rgb = _to_numpy(image)
         shape = self._analysis(rgb).pixels.shape[:2]
         seen = self._saliences(rgb, shape, place=None)
-        surety = clearness(seen[0].values) if seen else 0.0
+        confidence = clearness(seen[0].values) if seen else 0.0
         return tuple(
             replace(
-                as_proposal(1 - subject.soft_mask), surety=max(UNCLEAR_SURETY, surety)
+                as_proposal(1 - subject.soft_mask),
+                confidence=max(UNCLEAR_CONFIDENCE, confidence),
             )
             for subject in self.propose(image)[:1]
         )

@@ -25,8 +25,8 @@ BLUE = 10.0  # b that is surely no wall's, towards blue [CIE Lab units]
 WARM = 3.0  # b of a wall [CIE Lab units]
 BRIGHTER = (25.0, 45.0)  # than all else: as a wall may be, and as only a sky is [L]
 SPANS = 0.7  # share of the photo's upper edge that a sky reaches along
-HIGHEST_SURETY = 0.9  # what looks like a sky may be none
-GROUND_SURETY = 0.35  # what joins the lower edge is often a table or a wall
+HIGHEST_CONFIDENCE = 0.9  # what looks like a sky may be none
+GROUND_CONFIDENCE = 0.35  # what joins the lower edge is often a table or a wall
 
 
 def stuff(
@@ -36,14 +36,14 @@ def stuff(
     surely it is that.
     """
     if word != "sky":
-        return ground(pixels), GROUND_SURETY
+        return ground(pixels), GROUND_CONFIDENCE
     mask = sky(pixels, cells)
     if mask is None:
         return np.zeros(pixels.shape[:2], dtype=bool), 0.0
-    return mask, sky_surety(pixels, mask)
+    return mask, sky_confidence(pixels, mask)
 
 
-def sky_surety(pixels: np.ndarray, mask: np.ndarray) -> float:
+def sky_confidence(pixels: np.ndarray, mask: np.ndarray) -> float:
     """How surely a bool mask is sky and no wall: blue, or much brighter than all else and not warm,
     along the upper edge.
     """
@@ -54,7 +54,7 @@ def sky_surety(pixels: np.ndarray, mask: np.ndarray) -> float:
     brighter = np.interp(lightness - lab[~mask][:, 0].mean(), BRIGHTER, (0, 1))
     cool = np.interp(b, (0, WARM), (1, 0))
     looks = max(np.interp(-b, (0, BLUE), (0, 1)), brighter * cool)
-    return float(HIGHEST_SURETY * looks * min(1.0, mask[0].mean() / SPANS))
+    return float(HIGHEST_CONFIDENCE * looks * min(1.0, mask[0].mean() / SPANS))
 
 
 def sky(pixels: np.ndarray, cells: Superpixels) -> np.ndarray | None:

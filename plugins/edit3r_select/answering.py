@@ -156,7 +156,7 @@ def _as_logits(mask: Float[Tensor, "height width"], size: Size) -> np.ndarray:
     return np.where(values > 0.5, SURE, -SURE).astype(np.float32)
 
 
-def _as_proposal(image: Image, one: MaskCandidate, surety: float) -> Proposal:
+def _as_proposal(image: Image, one: MaskCandidate, confidence: float) -> Proposal:
     """A candidate at the photo's size, its soft edge following the photo's own."""
     inside = cv2.resize(one.logits, tuple(image.shape[:0:-1])) > 0
     found = as_proposal(soft_edged(image, inside))
@@ -165,5 +165,5 @@ def _as_proposal(image: Image, one: MaskCandidate, surety: float) -> Proposal:
         found,
         stability=float(stability),
         predicted_iou=min(max(one.quality, 0.0), 1.0),
-        surety=surety,
+        confidence=confidence,
     )

@@ -138,6 +138,17 @@ def obeyed(pool: Pool) -> np.ndarray:
     return (pool.holds(told) == [wanted for _, wanted in told]).mean(1)
 
 
+def agreement(pool: Pool) -> np.ndarray:
+    """Mean IoU with the other masks that answer a further click, which all know the answer before;
+    0 for a first one.
+    """
+    count = len(pool.masks)
+    if pool.asked.before is None or count < 2:
+        return np.zeros(count)
+    shares = np.array([pool.overlaps(index).sum() for index in range(count)])
+    return (shares - pool.masks.any((1, 2))) / (count - 1)
+
+
 def middle(pool: Pool) -> np.ndarray:
     """How central the last click is in the piece that the mask changes there, in [0, 1]: people
     click in the middle of what is wrong.
@@ -165,6 +176,7 @@ CUES: dict[str, Callable[[Pool], np.ndarray]] = {
         border,
         largest_piece,
         obeyed,
+        agreement,
         middle,
     )
 }

@@ -7,6 +7,7 @@ import torch
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
+from edit3r.contract.instructions import EVERY
 from edit3r.contract.interfaces import (
     ASK,
     BACKGROUND,
@@ -17,7 +18,6 @@ from edit3r.contract.interfaces import (
     Selection,
 )
 from edit3r.contract.reporting import say
-from edit3r.contract.wishes import EVERY
 from edit3r.kit.geometry.warping import warp
 from edit3r_select.answering import readings
 from edit3r_select.photos import Mask, Named, OnPhoto, Photos, overlap
@@ -25,13 +25,13 @@ from edit3r_select.sum import SAME
 from edit3r_select.which import pick
 
 ASKED = 3  # photos on which an unsure word is looked for, at most
-FOUND_AT_ALL = 0.05  # surety under which words found as good as nothing
+FOUND_AT_ALL = 0.05  # confidence under which words found as good as nothing
 GUESSED = 0.25  # of what stands out where words mean nothing: it is a question
-ALSO = 0.5  # surety from which one of several is taken beside a sure one
+ALSO = 0.5  # confidence from which one of several is taken beside a sure one
 SURER = 1.2  # how many times as sure another photo must be to be taken in place of the first
 SEES = 0.5  # share of a mask that a photo must show to say anything of it
 UNCONFIRMED = (
-    0.5  # what is left of a surety where a photo sees the place and finds nothing there
+    0.5  # what is left of a confidence where a photo sees the place, but no such thing
 )
 SAME_THING = 0.4  # overlap from which two findings are one thing
 SPANS = 0.7  # share of a side of a photo along which a thing goes on beyond it
@@ -49,8 +49,10 @@ def looked_up(photos: Photos, selection: Selection) -> Named:
     first = selection.views[0] if selection.views else 0
     found, known = _asked(photos, selection, first)
     weighed = {view: _weighed(photos, view, found) for view in found}
-    best = max(weighed, key=lambda view: _surety(weighed[view]), default=first)
-    if _surety(weighed.get(best, ())) <= SURER * _surety(weighed.get(first, ())):
+    best = max(weighed, key=lambda view: _confidence(weighed[view]), default=first)
+    if _confidence(weighed.get(best, ())) <= SURER * _confidence(
+        weighed.get(first, ())
+    ):
         best = first
     if not weighed.get(best):
         return _standing_out(photos, selection, first, known)
@@ -90,10 +92,10 @@ def named_again(
     photos: Photos, selection: Selection, named: Named, view: int
 ) -> Mask | None:
     """What words find on a photo where it was lost, as surely as elsewhere."""
-    if named.surety is None or selection.which or selection.larger:
+    if named.confidence is None or selection.which or selection.larger:
         return None
     for one in _text(photos, selection, view)[0]:
-        return one.soft_mask if one.surety >= named.least else None
+        return one.soft_mask if one.confidence >= named.least else None
     return None
 
 
@@ -109,12 +111,12 @@ def _asked(
         if not selection.which:
             return {}, False
         some = photos.segmenter.propose(photos.images[first])
-        return {first: tuple(replace(one, surety=SURE / 2) for one in some)}, True
+        return {first: tuple(replace(one, confidence=SURE / 2) for one in some)}, True
     there, known = _text(photos, selection, first)
     if not known:
         return {}, False
     found = {first: there}
-    if not selection.which and _surety(there) < SURE:
+    if not selection.which and _confidence(there) < SURE:
         others = [view for view in range(photos.count) if view != first]
         for view in others[: ASKED - 1]:
             found[view] = _text(photos, selection, view)[0]
@@ -124,16 +126,16 @@ def _asked(
 def _text(photos: Photos, selection: Selection, view: int) -> tuple[Proposals, bool]:
     """What the words name on a photo, and whether the segmenter knows them."""
     told = photos.segmenter.segment_text(photos.images[view], selection.words)
-    likely = [one for one in told or () if one.surety >= FOUND_AT_ALL]
+    likely = [one for one in told or () if one.confidence >= FOUND_AT_ALL]
     return tuple(likely), told is not None
 
 
-def _surety(found: Sequence[Proposal]) -> float:
-    return found[0].surety if found else 0.0
+def _confidence(found: Sequence[Proposal]) -> float:
+    return found[0].confidence if found else 0.0
 
 
 def _weighed(photos: Photos, view: int, found: Mapping[int, Proposals]) -> Proposals:
-    """What a photo shows, the likeliest first, with less surety for what others see and do not
+    """What a photo shows, the likeliest first, with less confidence for what others see and do not
     confirm: a thing is a thing on all photos.
     """
     others = [other for other in found if other != view]
@@ -143,9 +145,9 @@ def _weighed(photos: Photos, view: int, found: Mapping[int, Proposals]) -> Propo
         seen = [share for share in told if share is not None]
         share = sum(seen) / len(seen) if seen else 1.0
         left = UNCONFIRMED + (1 - UNCONFIRMED) * share
-        weighed.append(replace(one, surety=one.surety * left))
-    likely = [one for one in weighed if one.surety >= FOUND_AT_ALL]
-    return tuple(sorted(likely, key=lambda one: -one.surety))
+        weighed.append(replace(one, confidence=one.confidence * left))
+    likely = [one for one in weighed if one.confidence >= FOUND_AT_ALL]
+    return tuple(sorted(likely, key=lambda one: -one.confidence))
 
 
 def _confirmed(
@@ -172,12 +174,12 @@ def _taken(photos: Photos, selection: Selection, view: int, found: Proposals) ->
     alike = () if which else _also(found)
     several = alike if selection.several else ()
     picked = several or pick(found, which, photos.images[view])
-    sure = [one.surety for one in picked if one.surety >= SURE]
-    surety = min(sure if several else [one.surety for one in picked])
-    least = min(SURE, surety)
+    sure = [one.confidence for one in picked if one.confidence >= SURE]
+    confidence = min(sure if several else [one.confidence for one in picked])
+    least = min(SURE, confidence)
     warnings: list[str] = []
     if not several and len(alike) > 1:
-        surety /= len(alike)  # nothing says which of them is meant
+        confidence /= len(alike)  # nothing says which of them is meant
         warnings.append(
             f"{len(alike)} things on photo {view + 1} may be {words!r}, and the likeliest is "
             f"taken; say which is meant ('the left {words}')."
@@ -185,31 +187,33 @@ def _taken(photos: Photos, selection: Selection, view: int, found: Proposals) ->
     named = " ".join((*which, words)).strip()
     if len(picked) > 1:
         say("selection.several", f"{len(picked)} {words} on photo {view + 1}")
-    _refuse_unsure(selection, f"{named!r} was found on photo {view + 1}, but", surety)
+    _refuse_unsure(
+        selection, f"{named!r} was found on photo {view + 1}, but", confidence
+    )
     masks = [_stepped(photos, view, one, selection.larger) for one in picked]
     mask = torch.stack(masks).amax(0)
     options: tuple[Reading, ...] = ()
-    if surety < SURE and not selection.larger:
+    if confidence < SURE and not selection.larger:
         options = numbered(view, _options(photos, view, picked, found))
         mask = taken_of(options, selection.reading).mask
         flags = " or ".join(
             f"--reading {its.number}" for its in options if its.mask is not mask
         )
         warnings.append(
-            f"{named!r} was found on photo {view + 1} with a confidence of {surety:.0%} only: look "
-            f"at its outline. To correct it{f', take {flags}, or' if flags else ':'} {ASK}."
+            f"{named!r} was found on photo {view + 1} with a confidence of only {confidence:.0%}: "
+            f"look at its outline. To correct it{f', take {flags}, or' if flags else ':'} {ASK}."
         )
-    elif surety < 1:
-        say("selection.words", f"{named}: found, confidence {surety:.0%}")
+    elif confidence < 1:
+        say("selection.words", f"{named}: found, confidence {confidence:.0%}")
     here = {view: OnPhoto(mask, "words")}
-    return Named(here, surety, least, options, tuple(warnings))
+    return Named(here, confidence, least, options, tuple(warnings))
 
 
-def _refuse_unsure(selection: Selection, what: str, surety: float) -> None:
-    if surety < SURE and selection.sure:
+def _refuse_unsure(selection: Selection, what: str, confidence: float) -> None:
+    if confidence < SURE and selection.sure:
         raise InputError(
-            f"{what} it may be something else (confidence {surety:.0%}, {SURE:.0%} are needed); "
-            f"{ASK}, or leave out --sure to take it."
+            f"{what} it may be something else (confidence {confidence:.0%}, {SURE:.0%} are "
+            f"needed); {ASK}, or leave out --sure to take it."
         )
 
 
@@ -234,13 +238,13 @@ def _options(
     photos: Photos, view: int, picked: Proposals, found: Proposals
 ) -> list[tuple[Mask, float]]:
     """What unsure words may mean: what was picked, others of that name, more or less of it."""
-    surety = min(one.surety for one in picked)
-    options = [(torch.stack([one.soft_mask for one in picked]).amax(0), surety)]
-    options += [(one.soft_mask, one.surety) for one in found]
+    confidence = min(one.confidence for one in picked)
+    options = [(torch.stack([one.soft_mask for one in picked]).amax(0), confidence)]
+    options += [(one.soft_mask, one.confidence) for one in found]
     if any(picked[0].box[2:]):
         box = Marks(box=_share_of(photos, picked[0]))
         boxed = readings(photos.segmenter, photos.images[view], box)
-        options += [(one.soft_mask, one.surety * surety) for one in boxed]
+        options += [(one.soft_mask, one.confidence * confidence) for one in boxed]
     return options
 
 
@@ -261,9 +265,9 @@ def _stepped(photos: Photos, view: int, one: Proposal, larger: int) -> Mask:
 
 def _also(found: Proposals) -> Proposals:
     """Those that are sure, and others that are likely beside them; none where none is sure."""
-    if all(one.surety < SURE for one in found):
+    if all(one.confidence < SURE for one in found):
         return ()
-    return tuple(one for one in found if one.surety >= ALSO)
+    return tuple(one for one in found if one.confidence >= ALSO)
 
 
 def _on_every_photo(
@@ -276,7 +280,7 @@ def _on_every_photo(
         return bool(set(selection.which) & EVERY)
     if selection.several and _also(found):
         return True
-    inside, is_sure = named.found[best].inside, (named.surety or 0) >= SURE
+    inside, is_sure = named.found[best].inside, (named.confidence or 0) >= SURE
     sides = (inside[0], inside[-1], inside[:, 0], inside[:, -1])
     spans = max(float(side.double().mean()) for side in sides) > SPANS
     return is_sure and spans and selection.words != BACKGROUND
@@ -287,7 +291,7 @@ def _on_others(photos: Photos, selection: Selection, named: Named, best: int) ->
     found = dict(named.found)
     for view in set(range(photos.count)) - {best}:
         there = _text(photos, selection, view)[0]
-        likely = [one for one in there if one.surety >= named.least]
+        likely = [one for one in there if one.confidence >= named.least]
         masks = [one.soft_mask for one in _also(there) or likely]
         if masks:
             found[view] = OnPhoto(torch.stack(masks).amax(0), "words")

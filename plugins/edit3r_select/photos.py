@@ -48,8 +48,8 @@ class Named:
     """What words mean, or what stands out where they mean nothing."""
 
     found: Found = field(default_factory=dict)
-    surety: float | None = None  # in [0, 1]; None: nothing was named
-    least: float = 1.0  # surety from which it is found on another photo too
+    confidence: float | None = None  # in [0, 1]; None: nothing was named
+    least: float = 1.0  # confidence from which it is found on another photo too
     readings: tuple[Reading, ...] = ()
     warnings: tuple[str, ...] = ()
     each: bool = False  # True: each photo shows its own, so that photos do not vote

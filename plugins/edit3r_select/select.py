@@ -48,9 +48,7 @@ from edit3r_select.photos import Found, Mask, Named, OnPhoto, Photos, clean, ove
 from edit3r_select.sum import SAME
 
 INSIDE = 0.95  # share of a part that lies inside of its whole, at least
-CLICKED_SURE = (
-    0.25  # surety of words that a click lies on, from which they say how far it goes
-)
+CLICKED_SURE = 0.25  # confidence of words that a click lies on, from which they say how far it goes
 
 
 class SegmenterSelector(Selector):
@@ -133,7 +131,7 @@ def select_masks(
     for text in warnings:
         warn(text)
     return Selected(
-        final, how, tuple(warnings), named.surety, named.readings, selection.reading
+        final, how, tuple(warnings), named.confidence, named.readings, selection.reading
     )
 
 
@@ -222,7 +220,7 @@ def _described(
     if marks.larger or marks.prior is not None:
         return told[0].soft_mask, ()
     named = _named_at(photos, selection, view, marks)
-    pairs = [(one.soft_mask, one.surety) for one in told[:MAX_READINGS]]
+    pairs = [(one.soft_mask, one.confidence) for one in told[:MAX_READINGS]]
     if named is not None:
         pairs = _with_named(pairs, named)
     options = numbered(view, pairs)
@@ -254,7 +252,7 @@ def _named_at(
     place = Point(marks.positive[0], True)
     for one in photos.segmenter.segment_text(image, selection.words) or ():
         clicked = one.soft_mask[place.pixel(one.soft_mask.shape)] > 0.5
-        if clicked and one.surety >= CLICKED_SURE:
+        if clicked and one.confidence >= CLICKED_SURE:
             return one.soft_mask
     return None
 

@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.instructions import EVERY
 from edit3r.contract.interfaces import Proposal
-from edit3r.contract.wishes import EVERY
 from edit3r.kit.compute.colour import rgb_to_lab
 from edit3r.kit.compute.colour_names import read_colour
 

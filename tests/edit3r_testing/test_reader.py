@@ -4,8 +4,8 @@ import itertools
 
 import pytest
 
+from edit3r.contract.instructions import Change, Instruction, Thing
 from edit3r.contract.interfaces import Reader
-from edit3r.contract.wishes import Change, Thing, Wish
 from edit3r_testing import ReaderContract
 
 
@@ -25,12 +25,12 @@ class SpoiledReader(Reader):
     def read_thing(self, words):
         return self._thing
 
-    def hint(self, wish):
+    def hint(self, instruction):
         return self._hint
 
 
 NUMBERS = itertools.count()
-REMOVE = Wish("remove", Thing(), text="remove it")
+REMOVE = Instruction("remove", Thing(), text="remove it")
 
 
 def understands_all(prompt):
@@ -38,28 +38,32 @@ def understands_all(prompt):
 
 
 def understands_none(prompt):
-    return (Wish("other", Thing(), text=prompt, unread=tuple(prompt.split())),)
+    return (Instruction("other", Thing(), text=prompt, unread=tuple(prompt.split())),)
 
 
 READS = "test_reads_a_sentence_of_its_language"
 NAMES = "test_names_what_it_does_not_understand"
 ANY = "test_any_text_is_read_or_refused"
-SAME = "test_same_sentence_gives_the_same_wishes"
+SAME = "test_same_sentence_gives_the_same_instructions"
 CASES = {
-    "nothing": (lambda prompt: (), READS, "return a wish"),
+    "nothing": (lambda prompt: (), READS, "return an instruction"),
     "a list": (lambda prompt: [REMOVE], READS, "tuple"),
-    "no wish": (lambda prompt: ("red",), READS, "Wish"),
+    "no instruction": (lambda prompt: ("red",), READS, "Instruction"),
     "no colour": (
-        lambda prompt: (Wish("paint", Thing(), (Change("paint"),), text="a"),),
+        lambda prompt: (Instruction("paint", Thing(), (Change("paint"),), text="a"),),
         READS,
         "names no colour",
     ),
     "no box": (
-        lambda prompt: (Wish("remove", Thing("region"), text="a"),),
+        lambda prompt: (Instruction("remove", Thing("region"), text="a"),),
         READS,
         "without a box",
     ),
-    "no words": (lambda prompt: (Wish("remove", Thing()),), READS, "has no text"),
+    "no words": (
+        lambda prompt: (Instruction("remove", Thing()),),
+        READS,
+        "has no text",
+    ),
     "another language": (understands_none, READS, "set `example`"),
     "a guess": (understands_all, NAMES, "in `unread`"),
     "another error": (
@@ -68,9 +72,9 @@ CASES = {
         "IndexError",
     ),
     "chance": (
-        lambda prompt: (Wish("remove", Thing(), text=f"{next(NUMBERS)}"),),
+        lambda prompt: (Instruction("remove", Thing(), text=f"{next(NUMBERS)}"),),
         SAME,
-        "gave other wishes",
+        "gave other instructions",
     ),
 }
 

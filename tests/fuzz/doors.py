@@ -422,7 +422,7 @@ def recipes(rng, folder, given):
 
 
 def prompts(rng, folder, given):
-    from edit3r.contract.wishes import Wish
+    from edit3r.contract.instructions import Instruction
     from edit3r.running import usual_reader
 
     text = mangled_text(
@@ -440,7 +440,10 @@ def prompts(rng, folder, given):
         "</script>"
     )[0]
     assert json.loads(meta)["title"] == prompt and page.count("<script") == 3
-    assert all(isinstance(wish, Wish) for wish in usual_reader().read(prompt))
+    assert all(
+        isinstance(instruction, Instruction)
+        for instruction in usual_reader().read(prompt)
+    )
 
 
 def names(rng, folder, given):

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.instructions import Instruction
 from edit3r.contract.interfaces.base import Configured
 from edit3r.contract.types import EditRequest, Views
-from edit3r.contract.wishes import Wish
 
 if TYPE_CHECKING:
     from edit3r.contract.interfaces.reconstruction import Matcher
@@ -33,30 +33,30 @@ class Editor(Configured, ABC):
         Raises PromptError for an instruction that the editor cannot carry out.
         """
 
-    def understands(self, wish: Wish) -> bool:
-        """Whether the editor can carry out this wish; one that takes any sentence says True.
+    def understands(self, instruction: Instruction) -> bool:
+        """Whether the editor can carry out this instruction; one that takes any sentence says True.
 
-        A run without `--editor` takes the first that declares the wish's action
-        (`Component.actions`) and understands the wish.
+        A run without `--editor` takes the first that declares the instruction's action
+        (`Component.actions`) and understands the instruction.
         """
         return True
 
     def widened(
         self,
-        regions: Float[Tensor, "wish batch view height width"],
+        regions: Float[Tensor, "instruction batch view height width"],
         images: Float[Tensor, "batch view 3 height width"],
-    ) -> Float[Tensor, "wish batch view height width"]:
+    ) -> Float[Tensor, "instruction batch view height width"]:
         """What the editor has to change for things under `regions`, such as their shadows too."""
         return regions
 
 
 class EditsRegions:
-    """An editor that changes the regions of its wishes and nothing else.
+    """An editor that changes the regions of its instructions and nothing else.
 
     The run finds the things that the sentence names and hands over `request.regions`.
     """
 
-    def wish_of_nothing(self) -> Wish | None:
+    def instruction_of_nothing(self) -> Instruction | None:
         """What an empty prompt asks of this editor; None where it needs a sentence."""
         return None
 

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.contract.instructions import Instruction
 from edit3r.contract.interfaces.base import Configured
 from edit3r.contract.interfaces.reconstruction import Geometry
 from edit3r.contract.interfaces.selection import Selected
 from edit3r.contract.types import Cameras, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict, Verdict
-from edit3r.contract.wishes import Wish
 
 
 @dataclass(frozen=True, repr=False)
@@ -21,12 +21,12 @@ class EditToJudge:
     before: Views
     after: Views  # the same photos, edited and held to the masks
     edited: range  # the views that were edited
-    wishes: tuple[Wish, ...]  # what was asked for
+    instructions: tuple[Instruction, ...]  # what was asked for
     selected: tuple[Selected, ...]  # the things that were looked for
     # in [0, 1]; 1: might change; None: everywhere
     masks: Float[Tensor, "batch view height width"] | None
-    # where each wish applies, in [0, 1]
-    regions: Float[Tensor, "wish batch view height width"] | None
+    # where each instruction applies, in [0, 1]
+    regions: Float[Tensor, "instruction batch view height width"] | None
     # what shows that pictures of the editor are not edits of their photos, a clause each
     faults: tuple[str, ...] = ()
     # what was undone of pictures that had moved against their photos, a clause each

@@ -1,17 +1,17 @@
-"""Readers: what a sentence asks for, as wishes."""
+"""Readers: what a sentence asks for, as instructions."""
 
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
+from edit3r.contract.instructions import Instruction, Thing
 from edit3r.contract.interfaces.base import Configured
-from edit3r.contract.wishes import Thing, Wish
 
 
 class Reader(Configured, ABC):
-    """Reads a sentence into wishes (`edit3r.contract.wishes`), which editors carry out.
+    """Reads a sentence into instructions (`edit3r.contract.instructions`), which editors carry out.
 
     A run asks its reader once. No word may disappear: what is not understood stands in `unread` of
-    a wish of action "other", and what nobody can carry out in `left_out` of its wish.
+    an instruction of action "other", what nobody can carry out in `left_out` of its instruction.
     """
 
     abilities: ClassVar[str] = ""
@@ -21,10 +21,10 @@ class Reader(Configured, ABC):
     """A sentence of its language that it understands."""
 
     @abstractmethod
-    def read(self, prompt: str) -> tuple[Wish, ...]:
-        """The wishes of a sentence, in its order, at least one.
+    def read(self, prompt: str) -> tuple[Instruction, ...]:
+        """The instructions of a sentence, in its order, at least one.
 
-        The same sentence gives the same wishes, unless the component says `supports_seed=False`.
+        The same sentence gives the same ones, unless the component says `supports_seed=False`.
         Raises PromptError for a sentence that asks for nothing, or for two colours on one thing.
         """
 
@@ -32,9 +32,10 @@ class Reader(Configured, ABC):
     def read_thing(self, words: str) -> Thing:
         """The thing that words name, such as "the left cup" (`--thing`)."""
 
-    def hint(self, wish: Wish) -> str:
-        """What to say instead of a wish's unread words, or of the words for a thing that was not
-        found, as the end of an error: " Did you mean ...?".
+    def hint(self, instruction: Instruction) -> str:
+        """What to say instead of words not read or a thing not found: " Did you mean ...?".
+
+        It ends an error.
         """
         return ""
 

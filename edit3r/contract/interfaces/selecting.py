@@ -28,7 +28,7 @@ class Proposal:
     stability: float  # in [0, 1]: overlap of the mask under two thresholds
     predicted_iou: float  # in [0, 1]: how good the mask believes it is
     box: tuple[float, float, float, float]  # x, y, width, height [pixels]
-    surety: float = 1.0  # in [0, 1]: how likely it is what is meant
+    confidence: float = 1.0  # in [0, 1]: how likely it is what is meant
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ Array = TypeVar("Array", Tensor, np.ndarray)
 def change_uptake(shown: Array, wished: Array, weight: Array) -> float:
     """Return the share of the wished change that is shown: the projection of the one on the other.
 
-    1: all of it; 0: none, something unrelated, or no wish; below 0: the opposite.
+    1: all of it; 0: none, something unrelated, or no instruction; below 0: the opposite.
     """
     energy = float((wished * wished * weight).sum())
     return float((shown * wished * weight).sum()) / energy if energy > 0 else 0.0
@@ -25,7 +25,7 @@ def change_uptake(shown: Array, wished: Array, weight: Array) -> float:
 
 def change_error(shown: Array, wished: Array, weight: Array) -> float:
     """Return the mean absolute error of the shown change over the mean absolute wished one; 0
-    without a wish.
+    without an instruction.
     """
     total = float((abs(wished) * weight).sum())
     return float((abs(shown - wished) * weight).sum()) / total if total > 0 else 0.0

@@ -14,7 +14,7 @@ from typing import Literal
 
 from PIL import ImageColor
 
-from edit3r.contract.wishes import Colour
+from edit3r.contract.instructions import Colour
 
 RGB = tuple[float, float, float]
 

@@ -34,12 +34,12 @@ _built: WeakKeyDictionary[Cache, tuple[str, Segmenter]] = WeakKeyDictionary()
 
 @dataclass(frozen=True, eq=False)
 class Selecting:
-    """What was selected on photos; of a batch, readings and sureties are the first scene's."""
+    """What was selected on photos; of a batch, readings and confidences are the first scene's."""
 
     views: Views  # the photos
     masks: Float[Tensor, "batch view height width"]  # soft, in [0, 1]
     readings: tuple[Reading, ...]  # what may be meant, smallest first
-    surety: float | None  # of what words named, in [0, 1]; None: it was marked
+    confidence: float | None  # of what words named, in [0, 1]; None: it was marked
     is_sure: bool
     why: str  # how it was found on each photo, in one sentence
     how: tuple[str, ...]  # the same as one word for each photo
@@ -92,7 +92,7 @@ def select_with(
         views,
         torch.stack([one.masks[:, 0] for one in scenes]),
         tuple(sorted(first.readings, key=lambda one: float((one.mask > 0.5).sum()))),
-        first.surety,
+        first.confidence,
         first.is_sure,
         _why(views, first),
         first.how,
@@ -122,9 +122,9 @@ def usual_selector(segmenter: Segmenter | None = None) -> Selector:
 def _why(views: Views, found: Selected) -> str:
     names = views.names or tuple(str(view + 1) for view in range(views.count))
     listed = ", ".join(f"{name}: {how}" for name, how in zip(names, found.how))
-    if found.surety is None:
+    if found.confidence is None:
         return listed
-    return f"{listed}; {found.surety:.0%} sure that it is what the words mean"
+    return f"{listed}; confidence {found.confidence:.0%}"
 
 
 def _ready(choice: Any, cache: Cache) -> Segmenter:

@@ -9,9 +9,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
+from edit3r.contract.instructions import Thing
 from edit3r.contract.interfaces import Box, Reader, Selection
 from edit3r.contract.lens import Lens
-from edit3r.contract.wishes import Thing
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import LoadedPhotos
 from edit3r.kit.photos.mask_files import masks_by_photo

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.errors import PromptError
-from edit3r.contract.wishes import Colour
+from edit3r.contract.instructions import Colour
 from edit3r.kit.compute.colour import rgb_to_lab
 
 NEAR, FAR = 13.0, 20.0

@@ -1,4 +1,4 @@
-"""Where each wish of a sentence applies: masks of its thing in every view.
+"""Where each instruction of a sentence applies: masks of its thing in every view.
 
 Marks (clicks, boxes, masks) stand for the thing that the sentence names, and its name tells how far
 it goes around a click. In "the background" and "everything except the fox" they stand for what is
@@ -13,6 +13,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.errors import InputError, PromptError
+from edit3r.contract.instructions import (
+    BENEATH,
+    FLOOD,
+    Change,
+    Colour,
+    Instruction,
+    Thing,
+)
 from edit3r.contract.interfaces import (
     BACKGROUND,
     Geometry,
@@ -22,7 +30,6 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import note, say, warn
 from edit3r.contract.types import Views
-from edit3r.contract.wishes import BENEATH, FLOOD, Change, Colour, Thing, Wish
 from edit3r.kit.checks import check_selected, errors_named_after
 from edit3r.kit.geometry.maps import dilate, shown
 from edit3r.running.selecting.near_colour import near_colour
@@ -36,17 +43,21 @@ Masks = Float[Tensor, "view height width"]
 
 @dataclass(frozen=True)
 class Regions:
-    """Soft masks of the wishes of one scene, and how each was found."""
+    """Soft masks of the instructions of one scene, and how each was found."""
 
-    masks: Float[Tensor, "wish view height width"]  # in [0, 1]; 1: the wish applies
+    masks: Float[
+        Tensor, "instruction view height width"
+    ]  # in [0, 1]; 1: the instruction applies
     selected: tuple[Selected, ...]  # every thing that was looked for, in order
     # masks of what has a name
     things: Mapping[str, Masks] = field(default_factory=dict)
-    wishes: tuple[Wish, ...] = ()  # as asked, with colours that were read off things
+    instructions: tuple[
+        Instruction, ...
+    ] = ()  # as asked, with colours that were read off things
 
 
 class RegionFinder:
-    """Finds the things of wishes in the views of one scene; a thing is looked for once."""
+    """Finds the things of instructions in the views of one scene; a thing is looked for once."""
 
     def __init__(
         self,
@@ -70,30 +81,43 @@ class RegionFinder:
         self._known = dict(known or {})
         self._found: dict[Thing | None, Selected] = {}
 
-    def find(self, wishes: Sequence[Wish]) -> Regions:
-        """Where each wish applies. Raises InputError for what cannot be found."""
-        marked_thing = self._thing_of_marks(wishes)
+    def find(self, instructions: Sequence[Instruction]) -> Regions:
+        """Where each instruction applies. Raises InputError for what cannot be found."""
+        marked_thing = self._thing_of_marks(instructions)
         self._name_marks(marked_thing)
-        masks = [self._region(wish, marked_thing) for wish in wishes]
-        coloured = tuple(self._with_colours(wish, marked_thing) for wish in wishes)
+        masks = [
+            self._region(instruction, marked_thing) for instruction in instructions
+        ]
+        coloured = tuple(
+            self._with_colours(instruction, marked_thing)
+            for instruction in instructions
+        )
         found = tuple(self._found.values())
         return Regions(torch.stack(masks), found, self._things(marked_thing), coloured)
 
-    def _with_colours(self, wish: Wish, marked_thing: Thing | None) -> Wish:
-        """The wish with the colours that it takes from other things."""
-        changes = tuple(self._coloured(one, wish, marked_thing) for one in wish.changes)
-        return replace(wish, changes=changes)
+    def _with_colours(
+        self, instruction: Instruction, marked_thing: Thing | None
+    ) -> Instruction:
+        """The instruction with the colours that it takes from other things."""
+        changes = tuple(
+            self._coloured(one, instruction, marked_thing)
+            for one in instruction.changes
+        )
+        return replace(instruction, changes=changes)
 
     def _coloured(
-        self, change: Change, wish: Wish, marked_thing: Thing | None
+        self, change: Change, instruction: Instruction, marked_thing: Thing | None
     ) -> Change:
         if change.like is None:
             return change
         try:
             if change.like.of == BENEATH:
-                mask = _beneath(self._base(wish, marked_thing))
+                mask = _beneath(self._base(instruction, marked_thing))
             else:
                 mask = self._mask(change.like, marked_thing)
+                found = self._found.get(replace(change.like, part=None))
+                if found is not None and "guess" in found.how:
+                    raise InputError(found.warnings[0])
         except InputError as error:
             raise InputError(
                 f"the colour of {change.like} cannot be read: {error} Where clicks mark what is "
@@ -116,20 +140,29 @@ class RegionFinder:
                 things[name] = selected.masks[:, 0]
         return things
 
-    def _thing_of_marks(self, wishes: Sequence[Wish]) -> Thing | None:
+    def _thing_of_marks(self, instructions: Sequence[Instruction]) -> Thing | None:
         """The one thing that the marks stand for; None for one that has no name."""
         if self._marked is None:
             return None
-        sources = [one.like for wish in wishes for one in wish.changes if one.like]
+        sources = [
+            one.like
+            for instruction in instructions
+            for one in instruction.changes
+            if one.like
+        ]
         clicked = [thing for thing in sources if thing.scope == "marked"]
         if clicked:  # "paint the door the colour of what I clicked on"
             return clicked[0]
-        _refuse_places_and_marks(wishes)
+        _refuse_places_and_marks(instructions)
         wanted = [
-            wish.thing for wish in wishes if wish.thing.scope in ("named", "marked")
+            instruction.thing
+            for instruction in instructions
+            if instruction.thing.scope in ("named", "marked")
         ]
         if not wanted:
-            wanted = [thing for wish in wishes for thing in wish.without]
+            wanted = [
+                thing for instruction in instructions for thing in instruction.without
+            ]
         names = {thing.name: thing for thing in wanted}
         if len(names) > 1:
             listed = " and ".join(repr(name) for name in names)
@@ -152,12 +185,12 @@ class RegionFinder:
                 "whatever it is called."
             )
 
-    def _region(self, wish: Wish, marked_thing: Thing | None) -> Masks:
-        thing = wish.thing
-        mask = self._base(wish, marked_thing)
-        for kept in wish.without:
+    def _region(self, instruction: Instruction, marked_thing: Thing | None) -> Masks:
+        thing = instruction.thing
+        mask = self._base(instruction, marked_thing)
+        for kept in instruction.without:
             rest = mask * self._all_but(kept, marked_thing)
-            if self._is_denied(mask, rest, kept, wish):
+            if self._is_denied(mask, rest, kept, instruction):
                 continue
             mask = rest
             if kept.name and kept.name == thing.name:  # "the cups but the middle one"
@@ -166,37 +199,41 @@ class RegionFinder:
             mask = near_colour(mask, self._views.images[0], thing.part)
         return mask
 
-    def _is_denied(self, mask: Masks, rest: Masks, kept: Thing, wish: Wish) -> bool:
+    def _is_denied(
+        self, mask: Masks, rest: Masks, kept: Thing, instruction: Instruction
+    ) -> bool:
         """Whether what was found unsurely for a thing to keep is the thing to change itself: "the
         fern, not the planter" says that these are two.
         """
         found = self._found.get(replace(kept, part=None))
         unsure = found is not None and not found.is_sure
-        other = wish.thing.scope == "named" and kept.name != wish.thing.name
+        other = (
+            instruction.thing.scope == "named" and kept.name != instruction.thing.name
+        )
         if not (unsure and other and kept.part is None):
             return False
         left = float((rest > 0.5).sum() / (mask > 0.5).sum().clamp(min=1))
         if left >= LEFT:
             return False
         warn(
-            f"what was found for {kept.name!r} is {wish.thing.name!r} itself, so it is not left "
-            "out; to leave it out, mark what is to change (--point X,Y)."
+            f"what was found for {kept.name!r} is {instruction.thing.name!r} itself, so it is not "
+            "left out; to leave it out, mark what is to change (--point X,Y)."
         )
         return True
 
-    def _base(self, wish: Wish, marked_thing: Thing | None) -> Masks:
-        """The wish's thing before anything is taken out of it."""
-        thing, whole = wish.thing, torch.ones_like(self._views.images[0, :, 0])
+    def _base(self, instruction: Instruction, marked_thing: Thing | None) -> Masks:
+        """The instruction's thing before anything is taken out of it."""
+        thing, whole = instruction.thing, torch.ones_like(self._views.images[0, :, 0])
         if thing.scope in ("named", "region"):
             return self._mask(thing, marked_thing)
         if thing.scope == "whole":
             if thing.name == "it" and self._known and self._marked is None:
                 return self._mask(Thing(), None)  # what was named last
-            confined = self._marked is not None and not wish.without
+            confined = self._marked is not None and not instruction.without
             return self._mask(None, None) if confined else whole
         if thing.scope == "marked":
             return self._mask(thing, thing)
-        if wish.without:  # the background of what is named beside it
+        if instruction.without:  # the background of what is named beside it
             return whole
         return self._background()
 
@@ -297,9 +334,17 @@ def _name(thing: Thing) -> str:
     return " ".join((*which, thing.name)).strip()
 
 
-def _refuse_places_and_marks(wishes: Sequence[Wish]) -> None:
-    places = [wish.thing for wish in wishes if wish.thing.scope == "region"]
-    if places and len(places) == len(wishes) and not any(w.without for w in wishes):
+def _refuse_places_and_marks(instructions: Sequence[Instruction]) -> None:
+    places = [
+        instruction.thing
+        for instruction in instructions
+        if instruction.thing.scope == "region"
+    ]
+    if (
+        places
+        and len(places) == len(instructions)
+        and not any(w.without for w in instructions)
+    ):
         raise PromptError(
             f"the sentence says the {places[0]}, and clicks, boxes or masks say another place; "
             "leave out one of them."

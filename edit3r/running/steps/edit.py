@@ -29,8 +29,8 @@ def edit(inputs: Inputs, selection: SelectedRegions, parts: Parts) -> EditedPhot
         faults: list[str] = []
         moved: list[str] = []
         for task in parts.tasks:
-            wishes = range(done, done + len(task.wishes))
-            request = request_of(task, selection, config.seed, wishes)
+            instructions = range(done, done + len(task.instructions))
+            request = request_of(task, selection, config.seed, instructions)
             request = request.of_views(range(count))
             answer = _answer(task.editor, edited, request)
             if config.moved_edits == "undo":
@@ -39,7 +39,7 @@ def edit(inputs: Inputs, selection: SelectedRegions, parts: Parts) -> EditedPhot
                 moved += aligned.moved
                 answer = replace(answer, images=aligned.images)
             edited = _held_to_masks(task.editor, edited, answer, request.masks)
-            done += len(task.wishes)
+            done += len(task.instructions)
         _note_change(edited, chosen)
         images = edited.images
         if count < views.count:

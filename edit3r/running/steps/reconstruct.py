@@ -140,8 +140,8 @@ def _reconstructed(
         grid = _grid(parts, edited)
         return _checked(recon, edited, lambda: recon(edited, source, geometry, grid))
     task = parts.only_task
-    wishes = range(len(task.wishes))
-    request = request_of(task, selection, parts.config.seed, wishes)
+    instructions = range(len(task.instructions))
+    request = request_of(task, selection, parts.config.seed, instructions)
     return _checked(
         recon,
         edited,

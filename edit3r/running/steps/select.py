@@ -8,10 +8,10 @@ from torch import Tensor
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
+from edit3r.contract.instructions import Instruction, Thing
 from edit3r.contract.interfaces import EditsRegions, Geometry, Reconstructor, Selection
 from edit3r.contract.reporting import stage, warn
 from edit3r.contract.types import Views
-from edit3r.contract.wishes import Thing, Wish
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.parts import Parts
 from edit3r.running.records import Inputs, SelectedRegions
@@ -53,12 +53,14 @@ def _require_enough(views: Views, reconstructor: Reconstructor) -> None:
 
 
 def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
-    """A region for each wish, and their union as masks.
+    """A region for each instruction, and their union as masks.
 
     An editor that takes any sentence is confined only by marks, or where a segmenter was asked for.
     """
     views = inputs.start
-    wishes = tuple(wish for task in parts.tasks for wish in task.wishes)
+    instructions = tuple(
+        instruction for task in parts.tasks for instruction in task.instructions
+    )
     if inputs.masks is not None:
         expected = [*views.images.shape[:2], *views.image_size]
         if list(inputs.masks.shape) != expected:
@@ -66,20 +68,23 @@ def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
                 f"masks: expected one per view at the views' size {expected}, got "
                 f"{list(inputs.masks.shape)}."
             )
-        own = [_narrowed(inputs.masks, views, wish.thing) for wish in wishes]
+        own = [
+            _narrowed(inputs.masks, views, instruction.thing)
+            for instruction in instructions
+        ]
         return SelectedRegions(
             inputs.masks, torch.stack(own) if own else None, things=inputs.things
         )
     regional = any(isinstance(task.editor, EditsRegions) for task in parts.tasks)
     named = parts.chose_segmenter and any(
-        wish.thing.scope == "named" for wish in wishes
+        instruction.thing.scope == "named" for instruction in instructions
     )
     if inputs.marked is None and not regional and not named:
         return SelectedRegions(things=inputs.things)
-    hints = "".join(parts.reader.hint(wish) for wish in wishes)
+    hints = "".join(parts.reader.hint(one) for one in instructions)
     try:
         found = [
-            _finder(index, inputs, parts).find(wishes or (MARKED,))
+            _finder(index, inputs, parts).find(instructions or (MARKED,))
             for index in range(len(views.images))
         ]
     except InputError as error:
@@ -92,8 +97,8 @@ def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
         masks = dilate_softly((masks > 0.5).to(masks).flatten(0, 1)).view_as(masks)
     return SelectedRegions(
         masks=None if bool((masks >= 1).all()) else masks,
-        regions=regions if wishes else None,
-        wishes=found[0].wishes if wishes else (),
+        regions=regions if instructions else None,
+        instructions=found[0].instructions if instructions else (),
         selected=found[0].selected,
         things=found[0].things,
     )
@@ -105,7 +110,7 @@ def _widened(
     """The selection with what editors have to change around the things, such as shadows."""
     if selection.regions is None or selection.masks is None:
         return selection
-    of_tasks = selection.regions.split([len(task.wishes) for task in parts.tasks])
+    of_tasks = selection.regions.split([len(task.instructions) for task in parts.tasks])
     regions = torch.cat(
         [
             task.editor.widened(own, inputs.start.images)
@@ -128,8 +133,8 @@ def _narrowed(
     )
 
 
-MARKED = Wish("other", Thing("marked"))
-"""The wish of a sentence that could not be read, or of none."""
+MARKED = Instruction("other", Thing("marked"))
+"""The instruction of a sentence that could not be read, or of none."""
 
 
 def _finder(index: int, inputs: Inputs, parts: Parts) -> RegionFinder:

@@ -94,7 +94,7 @@ def mask(value):
         ("marks", mask(MASK[:6]), r"soft_mask of shape \[8, 12\], got \[6, 12\]"),
         ("marks", mask(MASK.double()), "soft_mask in torch.float32, got torch.float64"),
         ("marks", mask(255 * MASK), r"soft_mask in \[0, 1\], got 0 to 255"),
-        ("marks", replace(GOOD, surety=float("nan")), "surety made of numbers"),
+        ("marks", replace(GOOD, confidence=float("nan")), "confidence made of numbers"),
         ("marks", replace(GOOD, box=None), "box made of numbers, got None"),
         ("track", None, "must return edit3r.contract.interfaces.Tracks, got NoneType"),
         (

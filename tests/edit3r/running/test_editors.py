@@ -15,7 +15,7 @@ from edit3r.running.reading import usual_reader
 
 def chosen(prompt, registry=None):
     tasks = tasks_without_editor(prompt, usual_reader(), registry or default_registry())
-    return [(component_name(task.editor), len(task.wishes)) for task in tasks]
+    return [(component_name(task.editor), len(task.instructions)) for task in tasks]
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_an_empty_prompt_is_enough_for_an_editor_that_needs_none():
     (task,) = tasks_for_editor(
         edit3r.build("editor", "retouch"), "", usual_reader(), default_registry()
     )
-    assert task.wishes[0].action == "remove"
+    assert task.instructions[0].action == "remove"
     with pytest.raises(PromptError, match="nothing is asked for"):
         chosen("")
 

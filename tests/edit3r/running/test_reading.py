@@ -1,4 +1,4 @@
-"""The prompt of a run is read once, by the chosen reader, and its wishes are handed over."""
+"""The prompt of a run is read once, by the chosen reader, and its instructions are handed over."""
 
 from types import SimpleNamespace
 
@@ -8,31 +8,31 @@ import torch
 import edit3r
 from edit3r import Views
 from edit3r.contract.errors import PluginError, PromptError, UnknownComponentError
+from edit3r.contract.instructions import Change, Colour, Instruction, Thing
 from edit3r.contract.interfaces import Editor, EditsRegions, Reader, Selection
 from edit3r.contract.settings import PartChoice
-from edit3r.contract.wishes import Change, Colour, Thing, Wish
 from edit3r.kit.photos.images import LoadedPhotos
 from edit3r.loading.load import LoadedPlugins, PluginFailure
 from edit3r.loading.registry import Registry
 from edit3r.running import MarkTexts, preview
 from edit3r.running.config import JobInputs
 from edit3r.running.job import RunJob, job_from
-from edit3r.running.reading import read, wishes_for
+from edit3r.running.reading import instructions_for, read
 
 RED = Change("paint", Colour("rouge", (0.9, 0.1, 0.1)))
-ALL_RED = Wish("paint", Thing("whole"), (RED,), text="rouge")
+ALL_RED = Instruction("paint", Thing("whole"), (RED,), text="rouge")
 VIEWS = Views(torch.full((1, 2, 3, 8, 12), 0.5), torch.eye(3).expand(1, 2, 3, 3))
 
 
 class Counting(Reader):
     """Understands everything as painting everything red."""
 
-    def __init__(self, wishes=(ALL_RED,)):
-        self.wishes, self.asked = wishes, []
+    def __init__(self, instructions=(ALL_RED,)):
+        self.instructions, self.asked = instructions, []
 
     def read(self, prompt):
         self.asked.append(prompt)
-        return self.wishes
+        return self.instructions
 
     def read_thing(self, words):
         self.asked.append(words)
@@ -49,13 +49,15 @@ class Asked(Editor, EditsRegions):
         return views
 
 
-def test_the_prompt_is_read_once_and_the_editor_gets_the_wishes():
+def test_the_prompt_is_read_once_and_the_editor_gets_the_instructions():
     reader, editor = Counting(), Asked()
     config = edit3r.running.RunConfig(prompt="peins tout en rouge")
     preview(RunJob(config, VIEWS, components={"reader": reader, "editor": editor}))
     assert reader.asked == ["peins tout en rouge"]
-    assert [request.wishes for request in editor.requests] == [reader.wishes]
-    assert editor.requests[0].asked() == reader.wishes
+    assert [request.instructions for request in editor.requests] == [
+        reader.instructions
+    ]
+    assert editor.requests[0].asked() == reader.instructions
 
 
 def test_words_for_the_thing_are_the_readers_too():
@@ -75,16 +77,16 @@ def test_the_reader_is_a_setting_like_the_other_parts(given):
 
 
 @pytest.mark.parametrize(
-    ("wishes", "why"),
+    ("instructions", "why"),
     [
-        ((), "return a wish"),
-        ((Wish("paint", Thing(), text="red"),), "names no change"),
+        ((), "return an instruction"),
+        ((Instruction("paint", Thing(), text="red"),), "names no change"),
         (None, "tuple"),
     ],
 )
-def test_a_reader_that_breaks_its_contract_is_named(wishes, why):
+def test_a_reader_that_breaks_its_contract_is_named(instructions, why):
     with pytest.raises(PluginError, match=f"Counting.*{why}"):
-        read("paint it red", Counting(wishes))
+        read("paint it red", Counting(instructions))
 
 
 def test_a_sentence_that_cannot_be_read_is_for_editors_that_take_any():
@@ -92,12 +94,12 @@ def test_a_sentence_that_cannot_be_read_is_for_editors_that_take_any():
         def edit(self, views, request):
             return views
 
-    assert wishes_for(Any(), "paint it red and blue") == ()
+    assert instructions_for(Any(), "paint it red and blue") == ()
     with pytest.raises(PromptError, match="two colours"):
-        wishes_for(Asked(), "paint it red and blue")
+        instructions_for(Asked(), "paint it red and blue")
 
 
-def test_an_editor_without_wishes_says_how_to_get_them():
+def test_an_editor_without_instructions_says_how_to_get_them():
     with pytest.raises(PromptError, match=r"usual_reader\(\)\.read"):
         edit3r.EditRequest("paint it red").asked()
 

@@ -314,7 +314,7 @@ class Doubting(Segmenter):
 
     def segment_text(self, image, text):
         found = [as_proposal(self._square(image, left)) for left in (0.3, 0.6)]
-        return tuple(replace(one, surety=0.3) for one in found)
+        return tuple(replace(one, confidence=0.3) for one in found)
 
     def track(self, images, masks):
         return Tracks(

@@ -65,10 +65,10 @@ def test_nothing_is_written_through_a_link(folder, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "wish", ["../../etc/passwd", "", "..", "CON", "a" * 500, "<b>x</b>", "bear"]
+    "instruction", ["../../etc/passwd", "", "..", "CON", "a" * 500, "<b>x</b>", "bear"]
 )
-def test_new_sets_lie_directly_in_the_jobs_folder(folder, wish):
-    first, second = folder.new_scene(wish), folder.new_scene(wish)
+def test_new_sets_lie_directly_in_the_jobs_folder(folder, instruction):
+    first, second = folder.new_scene(instruction), folder.new_scene(instruction)
     assert first.casefold() != second.casefold()
     for name in (first, second):
         assert folder.path(name).parent == folder.root and folder.photos(name) == {}
@@ -80,7 +80,7 @@ def test_photos_dropped_while_an_edit_waits_do_not_take_its_name(folder):
     assert not (folder.root / job.name).exists()
 
 
-def test_a_run_of_the_command_line_is_listed_with_its_wish_and_verdict(folder):
+def test_a_run_of_the_command_line_is_listed_with_its_instruction_and_verdict(folder):
     make_run(
         folder,
         "mine",

@@ -236,10 +236,10 @@ def test_geometry_survives_a_restart(looker, folder, scene):
     assert "match" not in opened.cache.computed
 
 
-def test_words_that_nobody_knows_are_asked_back(looker, scene):
+def test_words_that_nobody_knows_are_a_question(looker, scene):
     look = looker.look(scene, Draft(words="the frobnicator"))
-    assert "frobnicator" in look.problem
-    assert look.asks
+    assert any("frobnicator" in one for one in look.told)
+    assert not look.is_sure and look.masks is not None
 
 
 def test_a_sentence_is_said_as_it_was_read(looker, scene):
@@ -296,12 +296,12 @@ def test_the_run_selects_what_is_shown(looker, scene):
     assert torch.allclose(look.masks, shown, atol=1e-6)
 
 
-def test_words_tell_their_surety_and_marks_have_none(looker, scene):
+def test_words_tell_their_confidence_and_marks_have_none(looker, scene):
     form = {"prompt": "paint the motorcycle red"}
-    named = looker.look(scene, Draft(words="sky", guess=True))
-    assert 0 < named.surety <= 1
+    named = looker.look(scene, Draft(words="sky"))
+    assert 0 < named.confidence <= 1
     marked = looker.look(scene, Draft([click(looker, scene)], form=form))
-    assert marked.surety is None
+    assert marked.confidence is None
     assert looker.edit_verdict(looker.look(scene, Draft())) is None
 
 

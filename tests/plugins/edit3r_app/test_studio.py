@@ -126,8 +126,8 @@ def test_no_edit_without_a_sentence(studio, scene):
 
 
 def test_sentences_speak_of_no_flags():
-    told = "click on it (--point X,Y), or add --guess to take what stands out."
-    assert in_app(told) == "click on it, or let the app take what stands out."
+    told = "click on it (--point X,Y), or leave out --sure to take what stands out."
+    assert in_app(told) == "click on it."
     assert "--" not in in_app(
         "To correct it, take --reading 2 or --reading 3, or click on it."
     )

@@ -115,17 +115,17 @@ def test_strength_ignores_fine_noise_and_counts_the_mask_alone(photos, masks):
     assert change_outside(far, photos, masks) == pytest.approx(0.3 * 15 / 25, rel=1e-6)
 
 
-def test_uptake_is_the_share_of_the_wish(photos, masks):
-    wish = photos + masks[..., None] * np.array([0.2, -0.1, 0.0])
-    assert edit_uptake(wish, photos, wish, masks) == pytest.approx(1)
+def test_uptake_is_the_share_of_the_instruction(photos, masks):
+    instruction = photos + masks[..., None] * np.array([0.2, -0.1, 0.0])
+    assert edit_uptake(instruction, photos, instruction, masks) == pytest.approx(1)
     assert edit_uptake(
-        photos + 0.5 * (wish - photos), photos, wish, masks
+        photos + 0.5 * (instruction - photos), photos, instruction, masks
     ) == pytest.approx(0.5)
-    assert edit_uptake(photos - (wish - photos), photos, wish, masks) == pytest.approx(
-        -1
-    )
     assert edit_uptake(
-        photos + np.array([0, 0, 0.3]), photos, wish, masks
+        photos - (instruction - photos), photos, instruction, masks
+    ) == pytest.approx(-1)
+    assert edit_uptake(
+        photos + np.array([0, 0, 0.3]), photos, instruction, masks
     ) == pytest.approx(0)
 
 

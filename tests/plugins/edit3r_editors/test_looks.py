@@ -47,10 +47,10 @@ VIEWS = Views(
         ("remove the bear", ""),
     ],
 )
-def test_a_wish_names_a_look_or_is_not_understood(prompt, look):
-    (wish,) = read(prompt)
-    assert look_of(wish) == look
-    assert build("editor", "looks").understands(wish) == bool(look)
+def test_a_instruction_names_a_look_or_is_not_understood(prompt, look):
+    (instruction,) = read(prompt)
+    assert look_of(instruction) == look
+    assert build("editor", "looks").understands(instruction) == bool(look)
 
 
 def test_what_names_no_look_is_an_error_with_the_looks_there_are():
@@ -61,11 +61,11 @@ def test_what_names_no_look_is_an_error_with_the_looks_there_are():
     assert all(look in str(caught.value) for look in LOOKS)
 
 
-def test_a_look_stays_in_the_region_of_its_wish():
+def test_a_look_stays_in_the_region_of_its_instruction():
     regions = torch.zeros(1, 1, 2, *VIEWS.image_size)
     regions[..., :100] = 1
     request = EditRequest(
-        "the fox as a sketch", wishes=read("the fox as a sketch"), regions=regions
+        "the fox as a sketch", instructions=read("the fox as a sketch"), regions=regions
     )
     images = build("editor", "looks").edit(VIEWS, request).images
     assert torch.equal(images[..., 100:], VIEWS.images[..., 100:])
@@ -73,8 +73,8 @@ def test_a_look_stays_in_the_region_of_its_wish():
 
 
 def edited(prompt="", **settings) -> torch.Tensor:
-    wishes = read(prompt) if prompt else ()
-    request = EditRequest(prompt, wishes=wishes)
+    instructions = read(prompt) if prompt else ()
+    request = EditRequest(prompt, instructions=instructions)
     return build("editor", "looks", **settings).edit(VIEWS, request).images
 
 

@@ -22,7 +22,7 @@ def test_the_number_of_threads_changes_no_bit(editor, prompt):
         torch.set_num_threads(threads)
         answers.append(
             build("editor", editor)
-            .edit(views, EditRequest(prompt, wishes=read(prompt)))
+            .edit(views, EditRequest(prompt, instructions=read(prompt)))
             .images
         )
     torch.set_num_threads(before)

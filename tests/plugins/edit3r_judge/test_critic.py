@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_judge.critic import doubt_of, surety_of
+from edit3r_judge.critic import confidence_of, doubt_of
 from edit3r_judge.edit_verdict import EditMeasures, judge_edit
 
 from edit3r.contract.interfaces import EditToJudge, SceneToJudge, Selected
@@ -35,7 +35,7 @@ def test_a_scene_is_at_most_fair_where_photos_do_not_tell_or_edits_are_none(
 
 
 @pytest.mark.parametrize(
-    "things, surety",
+    "things, confidence",
     [
         ([], None),
         ([("marked", None)], None),
@@ -43,11 +43,11 @@ def test_a_scene_is_at_most_fair_where_photos_do_not_tell_or_edits_are_none(
         ([("words", 0.7), ("guess", None)], 0.0),
     ],
 )
-def test_the_least_sure_thing_counts_and_a_guess_is_not_sure_at_all(things, surety):
+def test_the_least_sure_thing_counts_and_a_guess_is_not_sure_at_all(things, confidence):
     views = Views(torch.zeros(1, 2, 3, 8, 8), cameras_around(2).intrinsics)
     selected = tuple(
-        Selected(torch.zeros(2, 1, 8, 8), (how, how), surety=sure)
+        Selected(torch.zeros(2, 1, 8, 8), (how, how), confidence=sure)
         for how, sure in things
     )
     edit = EditToJudge(views, views, range(2), (), selected, None, None)
-    assert surety_of(edit) == surety
+    assert confidence_of(edit) == confidence

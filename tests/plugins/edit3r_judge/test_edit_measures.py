@@ -14,14 +14,16 @@ from edit3r_judge.edit_measures import (
     taken,
 )
 
+from edit3r.contract.instructions import Change, Colour, Instruction, Thing
 from edit3r.contract.interfaces import EditToJudge, Reading, Selected
 from edit3r.contract.types import Cameras, Rendering, Views
-from edit3r.contract.wishes import Change, Colour, Thing, Wish
 
 SIZE = 48
 RED = (0.8, 0.1, 0.1)
-PAINT_RED = Wish("paint", Thing("marked"), (Change("paint", Colour("red", RED)),))
-REMOVE = Wish("remove", Thing("marked"))
+PAINT_RED = Instruction(
+    "paint", Thing("marked"), (Change("paint", Colour("red", RED)),)
+)
+REMOVE = Instruction("remove", Thing("marked"))
 DEPTH = 2.0
 SHIFT = 8  # pixels that the thing lies further left in the second photo
 
@@ -47,15 +49,17 @@ def scene() -> EditToJudge:
         before=views(photos),
         after=views(edited),
         edited=range(2),
-        wishes=(PAINT_RED,),
+        instructions=(PAINT_RED,),
         selected=(),
         masks=masks[None],
         regions=masks[None, None],
     )
 
 
-def figures(scene: EditToJudge, wish: Wish = PAINT_RED):
-    return measure_edit(replace(scene, regions=scene.masks[None], wishes=(wish,)))
+def figures(scene: EditToJudge, instruction: Instruction = PAINT_RED):
+    return measure_edit(
+        replace(scene, regions=scene.masks[None], instructions=(instruction,))
+    )
 
 
 def test_a_clean_edit_has_full_marks(scene):
@@ -117,8 +121,8 @@ def test_reflections_that_hardly_changed_and_stay_grey_do_not_count_as_another_c
 @pytest.mark.parametrize(("amount", "reached"), [(1.0, 0.0), (-1.0, 1.0)])
 def test_darker_is_not_brighter(scene, amount, reached):
     darker = torch.where(scene.masks[0, :, None] > 0, 0.2, scene.before.images[0])
-    wish = replace(PAINT_RED, changes=(Change("brightness", amount=amount),))
-    assert figures(replace(scene, after=views(darker)), wish).reached == reached
+    instruction = replace(PAINT_RED, changes=(Change("brightness", amount=amount),))
+    assert figures(replace(scene, after=views(darker)), instruction).reached == reached
 
 
 def test_a_removed_things_outline_that_stays_is_a_ghost(scene):

@@ -49,9 +49,9 @@ def test_one_bad_figure_is_enough_and_is_said(figure, value, sentence):
 
 
 def test_a_guess_is_doubtful():
-    assert "guessed" in judge_edit(GOOD, surety=0.0).reason
-    assert "30% surety" in judge_edit(GOOD, surety=0.3).reason
-    assert judge_edit(GOOD, surety=0.9).label == "good"
+    assert "guessed" in judge_edit(GOOD, confidence=0.0).reason
+    assert "30% confidence" in judge_edit(GOOD, confidence=0.3).reason
+    assert judge_edit(GOOD, confidence=0.9).label == "good"
 
 
 def test_figures_that_are_not_known_say_nothing():

@@ -174,8 +174,10 @@ def test_a_sentence_is_read(sentence, reading):
     ],
 )
 def test_what_is_not_understood_is_named(sentence, unread):
-    """Such a wish is of the action "other": only an editor with a model of its own takes it."""
-    others = [wish for wish in read(sentence) if wish.action == "other"]
+    """It is of the action "other": only an editor with a model of its own takes it."""
+    others = [
+        instruction for instruction in read(sentence) if instruction.action == "other"
+    ]
     assert others and unread in others[0].unread
 
 
@@ -209,14 +211,14 @@ def test_undo_is_told_from_what_else_is_asked(sentence, rest):
 
 
 def test_a_misspelt_colour_is_suggested():
-    (wish,) = read("paint the bike purpel")
-    assert "Did you mean 'purple'" in GrammarReader().hint(wish)
+    (instruction,) = read("paint the bike purpel")
+    assert "Did you mean 'purple'" in GrammarReader().hint(instruction)
 
 
 def test_a_short_word_is_named_without_words_of_nearly_its_spelling():
-    (wish,) = read("make the sky pop")
-    assert wish.unread == ("pop",)
-    assert "Did you mean" not in GrammarReader().hint(wish)
+    (instruction,) = read("make the sky pop")
+    assert instruction.unread == ("pop",)
+    assert "Did you mean" not in GrammarReader().hint(instruction)
 
 
 @pytest.mark.parametrize(
@@ -231,14 +233,16 @@ def test_a_short_word_is_named_without_words_of_nearly_its_spelling():
     ],
 )
 def test_a_misspelt_thing_is_suggested_and_no_thing_of_another_name(word, meant):
-    (wish,) = read(f"paint the {word} red")
-    assert GrammarReader().hint(wish) == meant
+    (instruction,) = read(f"paint the {word} red")
+    assert GrammarReader().hint(instruction) == meant
 
 
 def test_every_content_word_is_used_or_named():
     """A word that is left out of a sentence leaves the reading, or was a filler."""
     for sentence in READINGS:
-        said = " ".join(f"{wish} {wish.text}" for wish in read(sentence))
+        said = " ".join(
+            f"{instruction} {instruction.text}" for instruction in read(sentence)
+        )
         for word in ("red", "background", "except", "not", "without"):
             if word in sentence.lower().split():
                 assert word in said or "without" in said or "background" in said, (
@@ -257,9 +261,9 @@ WORDS = TEXT.split()
 @pytest.mark.parametrize("text", ["from red", "FROM%RED", "instead of green"])
 def test_a_colour_to_change_from_alone_is_told_and_not_done(text):
     """Once an IndexError, found by the next test."""
-    (wish,) = read(text)
-    assert wish.action == "other"
-    assert wish.unread
+    (instruction,) = read(text)
+    assert instruction.action == "other"
+    assert instruction.unread
 
 
 @pytest.mark.slow
@@ -272,15 +276,15 @@ def test_a_colour_to_change_from_alone_is_told_and_not_done(text):
 )
 def test_any_text_is_read_or_refused(text):
     try:
-        wishes = read(text)
+        instructions = read(text)
     except PromptError:
         return
-    assert wishes
-    for wish in wishes:
-        assert wish.action in ("paint", "look", "remove", "other")
-        assert (wish.action == "paint") == bool(wish.changes)
-        assert (wish.action == "look") == bool(wish.look)
-        assert str(wish)
+    assert instructions
+    for instruction in instructions:
+        assert instruction.action in ("paint", "look", "remove", "other")
+        assert (instruction.action == "paint") == bool(instruction.changes)
+        assert (instruction.action == "look") == bool(instruction.look)
+        assert str(instruction)
 
 
 @pytest.mark.parametrize(

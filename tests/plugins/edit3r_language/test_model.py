@@ -18,8 +18,8 @@ from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 SENTENCE = "male die Wand rot"
 CHANGES = [{"kind": "paint", "colour": "red"}]
 THING = {"scope": "named", "name": "wall"}
-WISH = {"action": "paint", "thing": THING, "changes": CHANGES, "text": SENTENCE}
-RIGHT = json.dumps({"wishes": [WISH]})
+INSTRUCTION = {"action": "paint", "thing": THING, "changes": CHANGES, "text": SENTENCE}
+RIGHT = json.dumps({"instructions": [INSTRUCTION]})
 GIBBERISH = {"action": "other", "thing": {}, "text": "", "unread": ["qwxz", "vbnk"]}
 
 
@@ -74,9 +74,13 @@ def test_without_a_key_or_a_server_of_ones_own_it_says_what_to_set(monkeypatch):
 
 
 def test_a_thing_alone_is_read_as_what_is_removed(chat):
-    wish = {"action": "remove", "thing": {**THING, "which": ["left"]}, "text": "x"}
+    instruction = {
+        "action": "remove",
+        "thing": {**THING, "which": ["left"]},
+        "text": "x",
+    }
     chat.answers.append(
-        json.dumps({"wishes": [{**wish, "text": "remove die linke Wand"}]})
+        json.dumps({"instructions": [{**instruction, "text": "remove die linke Wand"}]})
     )
     thing = service(chat).read_thing("die linke Wand")
     assert (thing.name, thing.which) == ("wall", ("left",))
@@ -84,7 +88,7 @@ def test_a_thing_alone_is_read_as_what_is_removed(chat):
 
 @pytest.mark.slow
 def test_a_run_reads_its_prompt_once_by_the_chosen_reader(chat, tmp_path):
-    """And editors get its wishes: recolor, which knows no German, paints the wall."""
+    """And editors get its instructions: recolor, which knows no German, paints the wall."""
     chat.answers.append(RIGHT)
     left, right = torch.rand(2, 3, 32, 48, generator=torch.Generator().manual_seed(0))
     views = edit3r.Views(
@@ -165,7 +169,7 @@ def test_a_model_of_this_machine_is_asked_and_read(saying):
 
 @pytest.mark.slow
 def test_a_random_model_says_nothing_that_can_be_used(saying):
-    with pytest.raises(RunError, match="gave no wishes for 'male die Wand rot'"):
+    with pytest.raises(RunError, match="gave no instructions for 'male die Wand rot'"):
         local(saying(), max_tokens=5, attempts=1).read(SENTENCE)
 
 
@@ -183,7 +187,11 @@ def test_a_folder_without_a_model_is_told_by_its_setting(tmp_path):
     "claim", sorted({*claims(CONTRACTS["reader"])} - {*claims(Contract)})
 )
 def test_contract(chat, monkeypatch, claim):
-    names = {"wishes": [GIBBERISH]} if "not_understand" in claim else {"wishes": [WISH]}
+    names = (
+        {"instructions": [GIBBERISH]}
+        if "not_understand" in claim
+        else {"instructions": [INSTRUCTION]}
+    )
     chat.answers.append(json.dumps(names))
     contract = contract_for("reader", "model", base_url=chat.url)
     contract.thing = SENTENCE

@@ -23,11 +23,11 @@ SENTENCES = [
 ]
 
 
-def not_understood(wish) -> tuple[str, ...]:
-    """Words of a wish that nobody understands; a look that no editor has is one, too."""
-    if wish.look and not set(wish.look.split()) & LOOKS:
-        return tuple(wish.look.split())
-    return wish.unread
+def not_understood(instruction) -> tuple[str, ...]:
+    """Words of an instruction that nobody understands; a look that no editor has is one, too."""
+    if instruction.look and not set(instruction.look.split()) & LOOKS:
+        return tuple(instruction.look.split())
+    return instruction.unread
 
 
 @pytest.mark.parametrize(("sentence", "reading"), SENTENCES)
@@ -37,13 +37,15 @@ def test_a_sentence_is_read_right_or_its_unknown_words_are_named(sentence, readi
         with pytest.raises(PromptError, match=said):
             read(sentence)
         return
-    wishes = read(sentence)
-    unread = {word for wish in wishes for word in not_understood(wish)}
+    instructions = read(sentence)
+    unread = {
+        word for instruction in instructions for word in not_understood(instruction)
+    }
     if kind == "?":
         assert unread == set(said.split(", "))
     else:
         assert not unread
-        assert " | ".join(map(str, wishes)) == reading
+        assert " | ".join(map(str, instructions)) == reading
 
 
 def test_there_are_enough_sentences():

@@ -20,12 +20,12 @@ def photos(batch: int = 1) -> Views:
 
 def edit(prompt, regions=None, seed=0, views=None, **settings):
     editor = RecolorEditor(RecolorEditor.Settings(**settings))
-    request = EditRequest(prompt, seed, wishes=read(prompt), regions=regions)
+    request = EditRequest(prompt, seed, instructions=read(prompt), regions=regions)
     return editor.edit(views or photos(), request).images
 
 
 def halves() -> torch.Tensor:
-    """Regions of two wishes: the left half, and the right half."""
+    """Regions of two instructions: the left half, and the right half."""
     regions = torch.zeros(2, 1, 2, HEIGHT, WIDTH)
     regions[0, ..., : WIDTH // 2] = 1
     regions[1, ..., WIDTH // 2 :] = 1
@@ -46,7 +46,7 @@ def test_a_soft_region_blends_between_photo_and_colour():
     assert torch.allclose(half, 0.5 * full + 0.5 * photos().images, atol=1e-6)
 
 
-def test_each_wish_changes_its_own_region():
+def test_each_instruction_changes_its_own_region():
     images = edit("paint the door red and the wall green", halves())
     left = images[..., : WIDTH // 2].mean((0, 1, 3, 4))
     right = images[..., WIDTH // 2 :].mean((0, 1, 3, 4))

@@ -4,7 +4,7 @@ import torch
 from edit3r_recolor.recoloring import RecolorParameters
 from edit3r_recolor.steps import apply_change, tint
 
-from edit3r.contract.wishes import Change
+from edit3r.contract.instructions import Change
 
 
 @pytest.mark.parametrize("amount", [-1.7, -1.0, -0.5, 0.5, 1.0, 1.7])

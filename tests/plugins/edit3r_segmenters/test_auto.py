@@ -134,7 +134,7 @@ def test_the_sky_reaches_as_far_as_the_network_sees_it():
         segmenter = edit3r.build("segmenter", "auto", pick="classical")
         segmenter._network = network
         (found,) = segmenter.segment_text(image, "the sky")
-        assert 0.63 < found.surety < 1  # how far it reaches says nothing of that
+        assert 0.63 < found.confidence < 1  # how far it reaches says nothing of that
         return int((found.soft_mask > 0.5).any(1).sum())
 
     assert abs(rows_of_sky(None) - 24) <= 1

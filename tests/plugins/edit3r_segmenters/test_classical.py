@@ -148,7 +148,7 @@ def test_words_for_stuff_need_no_weights():
     assert bool((SEGMENTER.segment_text(picture, "everything")[0].soft_mask == 1).all())
     (background,) = SEGMENTER.segment_text(PICTURE, "the background")
     assert iou(background.soft_mask, ~LARGE) > 0.9
-    assert background.surety < SURE  # without learned salience it may be anything
+    assert background.confidence < SURE  # without learned salience it may be anything
 
 
 def test_a_negative_point_takes_a_part_away_and_a_positive_one_adds_it():

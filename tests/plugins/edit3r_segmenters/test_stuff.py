@@ -4,7 +4,7 @@ ground.
 
 import numpy as np
 import pytest
-from edit3r_segmenters.stuff import GROUND_SURETY, sky_surety, stuff
+from edit3r_segmenters.stuff import GROUND_CONFIDENCE, sky_confidence, stuff
 from edit3r_segmenters.superpixels import superpixels
 
 from edit3r.contract.interfaces import SURE
@@ -35,18 +35,18 @@ def photo(above, below, rows=30, wide=1.0):
     ],
 )
 def test_a_sky_is_sure_where_no_wall_looks_like_it(above, below, wide, sure):
-    surety = sky_surety(*photo(above, below, wide=wide))
-    assert (surety >= SURE) == sure
-    assert surety <= 0.9  # never without doubt
+    confidence = sky_confidence(*photo(above, below, wide=wide))
+    assert (confidence >= SURE) == sure
+    assert confidence <= 0.9  # never without doubt
 
 
 def test_a_word_for_stuff_says_how_sure_it_is():
     pixels, sky = photo(BLUE_SKY, EARTH)
     cells = superpixels(pixels.astype(np.float32) / 255)
-    found, surety = stuff("sky", pixels, cells)
-    assert (found == sky).mean() > 0.95 and surety == sky_surety(pixels, found)
-    found, surety = stuff("ground", pixels, cells)
-    assert found[-1].all() and surety == GROUND_SURETY < SURE
+    found, confidence = stuff("sky", pixels, cells)
+    assert (found == sky).mean() > 0.95 and confidence == sky_confidence(pixels, found)
+    found, confidence = stuff("ground", pixels, cells)
+    assert found[-1].all() and confidence == GROUND_CONFIDENCE < SURE
 
 
 def test_haze_into_which_a_sky_passes_is_sky_and_a_pale_house_is_not():
@@ -59,5 +59,7 @@ def test_haze_into_which_a_sky_passes_is_sky_and_a_pale_house_is_not():
 
 def test_without_sky_nothing_is_found_for_sure():
     pixels, _ = photo((30, 25, 20), EARTH)
-    found, surety = stuff("sky", pixels, superpixels(pixels.astype(np.float32) / 255))
-    assert not found.any() and surety == 0
+    found, confidence = stuff(
+        "sky", pixels, superpixels(pixels.astype(np.float32) / 255)
+    )
+    assert not found.any() and confidence == 0

@@ -4,8 +4,16 @@ import numpy as np
 import pytest
 import torch
 from edit3r_select.answering import readings
+from edit3r_select.select import select_masks
 
-from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
+from edit3r.contract.interfaces import (
+    Marks,
+    Proposal,
+    Segmenter,
+    Selection,
+    Tracks,
+    as_proposal,
+)
 
 HEIGHT, WIDTH = 48, 64
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH] + 0.5
@@ -60,7 +68,7 @@ def test_a_click_takes_the_mask_that_the_sum_prefers_and_shows_the_others(image)
     found = readings(segmenter, image, Marks(positive=(CENTRE,)))
     assert overlap(inside(found[0]), DISC) > 0.9
     assert len(found) == 3  # of the two that are alike only one
-    assert sum(one.surety for one in found) == pytest.approx(1)
+    assert sum(one.confidence for one in found) == pytest.approx(1)
 
 
 def test_steps_go_through_the_candidates_by_size(image):
@@ -75,7 +83,11 @@ def test_steps_go_through_the_candidates_by_size(image):
 def test_each_click_is_asked_with_the_answer_before_it_and_all_are_obeyed(image):
     network = Discs()
     marks = Marks(positive=(CENTRE, (0.9, 0.5)), negative=((0.5, 0.3),))
-    mask = inside(readings(network, image, marks)[0])
+    asked = Selection(
+        positive=tuple((0, *place) for place in marks.positive),
+        negative=tuple((0, *place) for place in marks.negative),
+    )
+    mask = select_masks(image[None], asked, network).masks[0, 0].numpy() > 0.5
     assert network.asked[0] == (1, False, False) and (2, False, True) in network.asked
     held = [mask[int(y * HEIGHT), int(x * WIDTH)] for x, y in marks.positive]
     assert all(held) and not mask[int(0.3 * HEIGHT), WIDTH // 2]

@@ -63,6 +63,15 @@ def test_marks_are_obeyed_inside_and_outside():
     assert middle[0] == 0 and middle[1] > 0.5
 
 
+def test_of_further_answers_those_that_agree_count():
+    asked = Asked((CENTRE, CENTRE), before=as_logits(DISC)[0])
+    masks = (DISC, DISC, LEFT, np.zeros_like(DISC))
+    assert CUES["agreement"](pool(asked, masks)) == pytest.approx(
+        [(1 + 0.5) / 3, (1 + 0.5) / 3, (0.5 + 0.5) / 3, 0], abs=0.02
+    )
+    assert not CUES["agreement"](pool(masks=masks)).any()
+
+
 def test_an_empty_mask_shows_its_size_and_quality_alone():
     empty = table(pool(masks=(DISC, np.zeros_like(DISC))))[1]
     assert {name for name, value in zip(CUES, empty) if value} <= {*OF_ANY_SIZE}

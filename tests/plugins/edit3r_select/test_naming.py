@@ -12,11 +12,11 @@ from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r.kit.segmenting import HeldSegmenter
 
 
-def thing(surety, row):
+def thing(confidence, row):
     """A square of 4 pixels in an image of 16, at a row of four places."""
     mask = torch.zeros(16, 16)
     mask[4 * row : 4 * row + 4, 4:8] = 1
-    return replace(as_proposal(mask), surety=surety)
+    return replace(as_proposal(mask), confidence=confidence)
 
 
 class Finds(Segmenter):
@@ -62,7 +62,7 @@ STILL, HIDDEN, UNKNOWN = True, False, None
 
 
 @pytest.mark.parametrize(
-    ("first", "other", "sees", "view", "surety"),
+    ("first", "other", "sees", "view", "confidence"),
     [
         ([(0.5, 0)], [(0.5, 0)], STILL, 0, 0.5),  # confirmed
         ([(0.6, 0)], [], STILL, 0, 0.6 * UNCONFIRMED),  # seen there, and nothing
@@ -75,11 +75,11 @@ STILL, HIDDEN, UNKNOWN = True, False, None
     ],
 )
 def test_the_surest_photo_is_taken_and_the_others_have_a_say(
-    first, other, sees, view, surety
+    first, other, sees, view, confidence
 ):
     named = looked_up(photos(sees, first, other), Selection(words="box"))
     assert named.readings[0].view == view
-    assert named.surety == pytest.approx(surety)
+    assert named.confidence == pytest.approx(confidence)
 
 
 def rows(named):
@@ -109,5 +109,5 @@ def test_a_photo_keeps_its_own_finding_beside_a_surer_one(sees, first, other, ow
 
 def test_found_on_no_photo_what_stands_out_is_a_question():
     named = looked_up(photos(STILL, [(0.04, 0)], []), Selection(words="horse"))
-    assert rows(named) == {0: 3} and named.surety <= 0.25
+    assert rows(named) == {0: 3} and named.confidence <= 0.25
     assert named.found[0].how == "guess"

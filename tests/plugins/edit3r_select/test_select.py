@@ -125,7 +125,7 @@ def test_unknown_words_take_what_stands_out_as_a_question_unless_it_must_be_sure
     assert select_masks(IMAGES, Selection(words="box"), Squares()).how[0] == "words"
     for words, why in (("the teapot", "is not a word"), ("", "nothing says which")):
         found = select_masks(IMAGES, Selection(words=words), Squares())
-        assert found.how[0] == "guess" and 0 < found.surety <= 0.25
+        assert found.how[0] == "guess" and 0 < found.confidence <= 0.25
         assert not found.is_sure and (inside(found, 0) == square(1, 1).bool()).all()
         assert why in found.warnings[0] and "--point" in found.warnings[0]
         with pytest.raises(InputError, match=f"{why}.*--point.*--sure"):
@@ -139,7 +139,7 @@ def test_what_else_stands_out_is_a_candidate():
 
     found = select_masks(IMAGES, Selection(words="teapot"), Two())
     assert [float(one.mask[3, 3]) for one in found.readings] == [1, 0]  # what differs
-    assert found.readings[1].score < found.readings[0].score == found.surety
+    assert found.readings[1].score < found.readings[0].score == found.confidence
     second = select_masks(IMAGES, Selection(words="teapot", reading=2), Two())
     assert (inside(second, 0) == square(12, 1).bool()).all()
 
@@ -298,7 +298,7 @@ class Unsure(Squares):
     """Finds a box, but does not believe in it; a larger reading of a box is its own."""
 
     def segment_text(self, image, text):
-        return (replace(self._proposal(square(2, 2)), surety=0.3),)
+        return (replace(self._proposal(square(2, 2)), confidence=0.3),)
 
     def segment_marks(self, image, marks):
         assert marks.box is not None and marks.larger in (0, 2)
@@ -307,10 +307,10 @@ class Unsure(Squares):
 
 def test_what_words_found_unsurely_is_taken_and_told_with_other_readings():
     found = select_masks(IMAGES, Selection(words="box"), Unsure())
-    assert found.how[0] == "words" and found.surety == 0.3 and not found.is_sure
+    assert found.how[0] == "words" and found.confidence == 0.3 and not found.is_sure
     assert (inside(found, 0) == square(2, 2).bool()).all()
     assert (
-        "confidence of 30% only" in found.warnings[0]
+        "confidence of only 30%" in found.warnings[0]
         and "--reading 2" in found.warnings[0]
     )
     second = select_masks(IMAGES, Selection(words="box", reading=2), Unsure())
@@ -321,21 +321,21 @@ def test_what_words_found_unsurely_is_taken_and_told_with_other_readings():
 class Walkers(Squares):
     """People who stand elsewhere on each photo, told apart by its brightness; surest first."""
 
-    def __init__(self, *sureties):
+    def __init__(self, *confidences):
         super().__init__()
-        self.sureties = sureties
+        self.confidences = confidences
 
     def segment_text(self, image, text):
         first = 2 if image.mean() < 0.5 else 14
         found = [square(2, first), square(8, first + 4), square(16, first + 8)]
         return tuple(
-            replace(self._proposal(mask), surety=surety)
-            for mask, surety in zip(found, self.sureties)
+            replace(self._proposal(mask), confidence=confidence)
+            for mask, confidence in zip(found, self.confidences)
         )
 
 
 @pytest.mark.parametrize(
-    ("sureties", "several", "which", "each", "count"),
+    ("confidences", "several", "which", "each", "count"),
     [
         ((0.8, 0.6, 0.4), True, (), True, 2),  # one that is likely beside a sure one
         ((0.6, 0.55), True, (), True, 1),  # none is sure: the best of each photo
@@ -343,10 +343,12 @@ class Walkers(Squares):
         ((0.8, 0.6, 0.4), False, (), False, 1),  # one is followed
     ],
 )
-def test_several_are_looked_for_on_every_photo(sureties, several, which, each, count):
+def test_several_are_looked_for_on_every_photo(
+    confidences, several, which, each, count
+):
     images = torch.stack((torch.zeros(3, 24, 32), torch.ones(3, 24, 32)))
     words = Selection(words="people", several=several, which=which)
-    found = select_masks(images, words, Walkers(*sureties))
+    found = select_masks(images, words, Walkers(*confidences))
     assert (found.how == ("words", "words")) == each
     one = float(square(2, 2).sum())
     assert float(inside(found, 0).sum()) == count * one
@@ -354,11 +356,11 @@ def test_several_are_looked_for_on_every_photo(sureties, several, which, each, c
         there = inside(found, 1)
         assert there[2, 14] and not there[2, 2] and float(there.sum()) == count * one
     if several:
-        assert found.surety == (sureties[-1] if which else sureties[0])
+        assert found.confidence == (confidences[-1] if which else confidences[0])
 
 
 @pytest.mark.parametrize(
-    ("sureties", "which", "surety"),
+    ("confidences", "which", "confidence"),
     [
         ((0.8, 0.6, 0.4), (), 0.4),  # two may be meant, and one is taken
         ((0.8, 0.4), (), 0.8),
@@ -366,14 +368,14 @@ def test_several_are_looked_for_on_every_photo(sureties, several, which, each, c
     ],
 )
 def test_of_several_of_one_name_none_is_surely_meant_unless_words_say_which(
-    sureties, which, surety
+    confidences, which, confidence
 ):
     found = select_masks(
-        IMAGES, Selection(words="person", which=which), Walkers(*sureties)
+        IMAGES, Selection(words="person", which=which), Walkers(*confidences)
     )
-    assert found.surety == surety
+    assert found.confidence == confidence
     told = "2 things on photo 1 may be 'person'"
-    assert any(told in text for text in found.warnings) == (surety == 0.4)
+    assert any(told in text for text in found.warnings) == (confidence == 0.4)
 
 
 def test_one_of_several_is_found_again_only_as_surely_as_it_was_found():
@@ -390,7 +392,7 @@ def test_one_of_several_is_found_again_only_as_surely_as_it_was_found():
 
     images = torch.stack((torch.zeros(3, 24, 32), torch.ones(3, 24, 32)))
     found = select_masks(images, Selection(words="person"), Lost(0.8, 0.7, 0.5))
-    assert found.surety < 0.5 and found.how == ("words", "not found")
+    assert found.confidence < 0.5 and found.how == ("words", "not found")
 
 
 @pytest.mark.parametrize("rows", [10, 24])
@@ -401,7 +403,7 @@ def test_what_goes_on_beyond_a_side_is_looked_for_on_every_photo(rows):
         def segment_text(self, image, text):
             mask = torch.zeros(24, 32)
             mask[24 - rows : 20, :30] = 1
-            return (replace(self._proposal(mask), surety=0.9),)
+            return (replace(self._proposal(mask), confidence=0.9),)
 
     found = select_masks(IMAGES, Selection(words="sky"), Sky())
     assert (found.how[1] == "words") == (rows == 24)
@@ -427,12 +429,12 @@ def test_a_reading_that_is_not_there_is_told_and_the_last_one_taken():
 class Whole(Squares):
     """Knows the word 'bike': large, and as sure as told; a click alone finds a small part."""
 
-    def __init__(self, surety=0.3):
+    def __init__(self, confidence=0.3):
         super().__init__()
-        self.surety = surety
+        self.confidence = confidence
 
     def segment_text(self, image, text):
-        found = replace(self._proposal(square(4, 4, 16)), surety=self.surety)
+        found = replace(self._proposal(square(4, 4, 16)), confidence=self.confidence)
         return (found,) if text == "bike" else None
 
 
@@ -444,16 +446,16 @@ def test_what_is_hardly_sure_was_not_found():
 
 
 @pytest.mark.parametrize(
-    "place, surety, expected",
+    "place, confidence, expected",
     [
         ((0.4, 0.4), 0.3, square(4, 4, 16)),  # the bike, of which a click finds a part
         ((0.4, 0.4), 0.2, square(9, 12)),  # too unsure to be believed
         ((0.7, 0.7), 0.3, square(16, 22)),  # not on what is called a bike
     ],
 )
-def test_words_say_how_far_goes_what_is_clicked_on(place, surety, expected):
+def test_words_say_how_far_goes_what_is_clicked_on(place, confidence, expected):
     marks = Selection(positive=((0, *place),), words="bike")
-    selected = select_masks(IMAGES, marks, Whole(surety))
+    selected = select_masks(IMAGES, marks, Whole(confidence))
     assert selected.how[0] == "marked"
     assert (inside(selected, 0) == expected.bool()).all()
 
@@ -463,7 +465,7 @@ def test_what_the_words_name_is_one_more_reading_of_a_click():
         """The word's own thing is a part of what the click takes."""
 
         def segment_text(self, image, text):
-            return (replace(self._proposal(square(9, 11)), surety=self.surety),)
+            return (replace(self._proposal(square(9, 11)), confidence=self.confidence),)
 
     marks = Selection(positive=((0, 0.4, 0.4),), words="bike")
     selected = select_masks(IMAGES, marks, Smaller())
@@ -489,7 +491,7 @@ def test_of_the_readings_of_a_click_a_name_takes_a_smaller_one_and_no_larger(
             return tuple(self._proposal(square(9, 12, size)) for size in (6, 4, 7))
 
         def segment_text(self, image, text):
-            return (replace(self._proposal(named), surety=self.surety),)
+            return (replace(self._proposal(named), confidence=self.confidence),)
 
     marks = Selection(positive=((0, 0.4, 0.4),), words="bike")
     selected = select_masks(IMAGES, marks, Several())

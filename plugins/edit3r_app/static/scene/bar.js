@@ -31,12 +31,12 @@ export function barOf(page) {
 
   function drawUnderstood() {
     const { look, s } = page,
-      { understood: text, problem, judged, surety } = look;
+      { understood: text, problem, judged, confidence } = look;
     understood.className =
       problem && (s.draft.form.prompt || s.draft.selects) ? "understood problem" : "understood";
     const parts = [problem || (text && `Understood: ${text}`) || hint()];
-    if (!problem && surety !== null)
-      parts.push(`found by its name, ${Math.round(100 * surety)} % sure`);
+    if (!problem && confidence !== null)
+      parts.push(`found by its name, confidence ${Math.round(100 * confidence)} %`);
     if (!problem && judged)
       parts.push(
         `this edit looks ${judged.label}${judged.label === "good" ? "" : `: ${judged.reason}`}`,
@@ -44,15 +44,6 @@ export function barOf(page) {
     const line = parts.join(" · ");
     understood.replaceChildren(line);
     understood.title = line;
-    if (look.asks && s.draft.form.prompt)
-      understood.append(
-        " ",
-        el(
-          "button",
-          { type: "button", class: "link", onclick: () => page.draft.change("guess") },
-          "Take what stands out most",
-        ),
-      );
     goButton.title = look.runs ? "make it (Enter)" : problem || hint();
   }
   const hint = () =>

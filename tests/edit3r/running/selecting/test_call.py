@@ -19,7 +19,7 @@ def test_masks_of_all_photos_come_at_their_size_with_readings_in_order_of_size()
         views, click, segmenter={"name": "classical", "learned": False}
     )
     assert found.masks.shape == (1, 2, 48, 64)
-    assert found.is_sure and found.surety is None and "marked" in found.why
+    assert found.is_sure and found.confidence is None and "marked" in found.why
     areas = [float((one.mask > 0.5).sum()) for one in found.readings]
     assert areas == sorted(areas) and {one.number for one in found.readings} >= {1}
     assert abs(sum(one.score for one in found.readings)) <= 1.001

@@ -2,7 +2,7 @@
 
 import torch
 
-from edit3r.contract.wishes import Colour
+from edit3r.contract.instructions import Colour
 from edit3r.running.selecting.near_colour import near_colour
 
 RED, DARK_RED, GREY = (0.8, 0.1, 0.1), (0.28, 0.045, 0.04), (0.5, 0.5, 0.5)

@@ -1,4 +1,4 @@
-"""Where each wish applies: what is marked, named, left out, or near a colour."""
+"""Where each instruction applies: what is marked, named, left out, or near a colour."""
 
 from dataclasses import replace
 
@@ -66,7 +66,7 @@ def photos() -> Views:
 
 
 def regions(prompt, marked=None, segmenter=None, known=None, **defaults):
-    """Masks [wish, view, height, width]."""
+    """Masks [instruction, view, height, width]."""
     segmenter = segmenter or Halves()
     return finder(marked, segmenter, known, **defaults).find(read(prompt)).masks
 
@@ -130,7 +130,7 @@ def test_a_name_says_how_far_goes_what_a_click_finds_a_small_part_of():
     assert columns(regions("paint the house red", CLICK, Small())[0]) == EVERYWHERE
 
 
-def test_two_wishes_have_their_own_regions_and_a_thing_is_looked_for_once():
+def test_two_instructions_have_their_own_regions_and_a_thing_is_looked_for_once():
     segmenter = Halves()
     found = regions(
         "paint the door red, the wall green and the door darker", None, segmenter
@@ -221,7 +221,7 @@ def test_what_was_named_in_an_earlier_run_is_known():
     assert columns(regions("paint the fox red", known=known)[0]) == IN_RIGHT
     assert columns(regions("paint it red", known=known)[0]) == IN_RIGHT
     with pytest.raises(InputError, match="'cat' was not found"):
-        regions("paint the cat red", known=known)
+        regions("paint the cat red", known=known, sure=True)
 
 
 def test_names_of_what_was_marked_and_found_are_kept_the_newest_last():
@@ -257,14 +257,18 @@ def test_a_place_and_a_click_together_are_an_error():
 
 
 def test_a_colour_is_read_off_another_thing():
-    (wish,) = finder().find(read("paint the door the colour of the wall")).wishes
-    assert wish.changes[0].colour.rgb == pytest.approx((0.1, 0.25, 0.8))
-    assert str(wish) == "door: the colour of wall (#1a40cc)"
+    (instruction,) = (
+        finder().find(read("paint the door the colour of the wall")).instructions
+    )
+    assert instruction.changes[0].colour.rgb == pytest.approx((0.1, 0.25, 0.8))
+    assert str(instruction) == "door: the colour of wall (#1a40cc)"
 
 
 def test_the_red_of_a_thing_is_that_of_its_red_parts():
-    (wish,) = finder().find(read("paint the door the red of the wall")).wishes
-    assert wish.changes[0].colour.rgb == pytest.approx((0.55, 0.16, 0.14))
+    (instruction,) = (
+        finder().find(read("paint the door the red of the wall")).instructions
+    )
+    assert instruction.changes[0].colour.rgb == pytest.approx((0.55, 0.16, 0.14))
 
 
 def test_a_click_can_be_where_a_colour_comes_from():
@@ -272,7 +276,7 @@ def test_a_click_can_be_where_a_colour_comes_from():
     prompt = "paint the wall the colour of what I clicked on"
     found = finder(click).find(read(prompt))
     assert columns(found.masks[0]) == IN_RIGHT
-    assert found.wishes[0].changes[0].colour is not None
+    assert found.instructions[0].changes[0].colour is not None
 
 
 def test_a_colour_of_what_is_not_found_is_an_error_that_asks_for_its_name():
@@ -342,7 +346,7 @@ def test_what_a_thing_stands_on_lends_it_its_colour():
     found = RegionFinder(
         views, lambda: usual_selector(segmenter), lambda: None, marked
     ).find(read("give the bear the colour of the stone it stands on"))
-    (change,) = found.wishes[0].changes
+    (change,) = found.instructions[0].changes
     assert change.colour.rgb == pytest.approx((0.2, 0.6, 0.3))
     assert "stone" not in segmenter.looked_up
 
@@ -359,23 +363,25 @@ def test_a_kept_cup_has_no_rim_that_goes_with_the_others():
 class Unsure(Halves):
     """Takes the left half for a pot as well, and is as sure of that as told."""
 
-    def __init__(self, surety):
+    def __init__(self, confidence):
         super().__init__()
-        self.surety = surety
+        self.confidence = confidence
 
     def segment_text(self, image, text):
         if text != "pot":
             return super().segment_text(image, text)
-        return (replace(self._half(image, LEFT), surety=self.surety),)
+        return (replace(self._half(image, LEFT), confidence=self.confidence),)
 
 
-@pytest.mark.parametrize(("surety", "changed"), [(0.35, IN_LEFT), (0.9, [False] * 16)])
+@pytest.mark.parametrize(
+    ("confidence", "changed"), [(0.35, IN_LEFT), (0.9, [False] * 16)]
+)
 def test_what_is_kept_is_not_the_thing_to_change_where_its_name_is_unsure(
-    surety, changed
+    confidence, changed
 ):
     report = Report()
     with collecting(report):
-        masks = regions("paint the door red, not the pot", segmenter=Unsure(surety))
+        masks = regions("paint the door red, not the pot", segmenter=Unsure(confidence))
     assert columns(masks[0]) == changed
     told = any("'pot' is 'door' itself" in text for text in report.warnings)
     assert told == any(changed)

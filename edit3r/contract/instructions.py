@@ -1,14 +1,14 @@
 """What a sentence asks for, as the editors get it with their request.
 
 The reader of a run (`edit3r.contract.interfaces.Reader`) makes these from the prompt. A sentence is
-a row of wishes, each about one thing: "paint the door green and remove the bin" is two.
+a row of instructions, each about one thing: "paint the door green and remove the bin" is two.
 """
 
 from dataclasses import dataclass, replace
 from typing import Literal
 
 Action = Literal["paint", "look", "remove", "other"]
-"""What a wish does: change colours, give a look, take something away, or anything else."""
+"""What an instruction does: change colours, give a look, take something away, or anything else."""
 
 Scope = Literal["named", "marked", "whole", "background", "region"]
 Finish = Literal["", "matte", "metallic"]
@@ -21,7 +21,7 @@ FLOOD = frozenset(
 """Words of `Thing.which` that want all of a thing painted, its neutral parts too."""
 
 BENEATH = "under it"
-"""`Thing.of` of what the wish's own thing stands on, whose colour it may take."""
+"""`Thing.of` of what the instruction's own thing stands on, whose colour it may take."""
 
 Box = tuple[float, float, float, float]
 
@@ -36,7 +36,7 @@ class Colour:
 
 @dataclass(frozen=True)
 class Thing:
-    """What a wish is about."""
+    """What an instruction is about."""
 
     # named: by `name`; marked: what the user marked, or what stands out; whole: all of the image;
     # background: all but the main thing; region: `box` of the picture, such as its left half
@@ -117,7 +117,7 @@ def _measured(colour: Colour | None) -> str:
 
 
 @dataclass(frozen=True)
-class Wish:
+class Instruction:
     """One thing, and what shall happen to it."""
 
     action: Action

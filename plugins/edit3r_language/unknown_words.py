@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from functools import cache
 
-from edit3r.contract.wishes import EVERY, FLOOD
+from edit3r.contract.instructions import EVERY, FLOOD
 from edit3r.kit.compute.colour_names import NEON, TONES, read_colour
 from edit3r_language import vocabulary as words
 from edit3r_language.nouns import is_noun
@@ -21,7 +21,7 @@ def is_known(word: str) -> bool:
     return read_colour([word]) is not None or word.endswith("ing") or word.isdigit()
 
 
-def strangers(named: Sequence[str], before_change: bool) -> tuple[str, ...]:
+def unknown_words(named: Sequence[str], before_change: bool) -> tuple[str, ...]:
     """The words around a thing's name that nobody knows.
 
     After "the" any word may be a thing's, but not one between a thing and its colour: "the wall

@@ -21,11 +21,11 @@ from edit3r.running.records import (
     Records,
     SelectedRegions,
 )
-from edit3r.running.unit import (
+from edit3r.running.scale import (
     has_given_poses,
     own_unit,
-    to_given_unit,
-    to_own_unit,
+    to_given_scale,
+    to_working_scale,
 )
 
 pytestmark = pytest.mark.slow
@@ -80,14 +80,14 @@ def test_each_scene_of_a_batch_has_the_unit_that_it_has_alone(gaussians_at):
     )
     factors = torch.cat([own_unit(one) for one in alone])
     assert torch.equal(own_unit(batch), factors)
-    inputs, factor = to_own_unit(Inputs(photos=batch, start=batch))
+    inputs, factor = to_working_scale(Inputs(photos=batch, start=batch))
     assert 0.7 < inputs.photos.c2w[:, 1:, :3, 3].norm(dim=-1).mean(1).min() < 1.42
     # The second scene's poses are its own, so its answer is in no unit of the photos.
     cameras = Cameras(inputs.photos.c2w.clone(), batch.intrinsics, (4, 5))
     cameras.c2w[1, 1, 1, 3] += 0.1
     points = edit3r.Gaussians.stack([gaussians_at(3.0)] * 3)
     made = Reconstruction(points, cameras)
-    back = to_given_unit(records_of(inputs, made), factor)
+    back = to_given_scale(records_of(inputs, made), factor)
     expected = 3 / factors
     expected[1] = 3
     assert torch.allclose(back.gaussians.means[:, 0, 2].double(), expected)
@@ -174,7 +174,7 @@ def test_editing_again_goes_on_in_the_given_unit(both):
 def test_a_reconstructor_that_finds_poses_itself_keeps_its_unit(gaussians_at):
     """Whose answer does not stand on the given poses is not in their unit."""
     given = views(0.01)
-    inputs, factor = to_own_unit(Inputs(photos=given, start=given))
+    inputs, factor = to_working_scale(Inputs(photos=given, start=given))
     assert torch.equal(inputs.photos.c2w[..., :3, 3], factor * given.c2w[..., :3, 3])
     cameras = Cameras(inputs.photos.c2w, given.intrinsics, (4, 5))
     on_poses = Reconstruction(gaussians_at(3.0), cameras)
@@ -185,11 +185,11 @@ def test_a_reconstructor_that_finds_poses_itself_keeps_its_unit(gaussians_at):
         (replace(on_poses, cameras=other), 3.0),
     ):
         full = records_of(inputs, made)
-        back = to_given_unit(full, factor)
+        back = to_given_scale(full, factor)
         assert torch.equal(back.inputs.photos.c2w, given.c2w)
         assert float(back.gaussians.means.max()) == pytest.approx(expected)
         assert has_given_poses(back.made.reconstruction, given) == (made is on_poses)
-    assert float(to_given_unit(full, factor, refined=True).gaussians.means.max()) < 3
+    assert float(to_given_scale(full, factor, refined=True).gaussians.means.max()) < 3
 
 
 @pytest.fixture

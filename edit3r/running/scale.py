@@ -21,7 +21,7 @@ SAME_POSE = 1e-3
 LARGEST = 2.0**100  # factor of a unit; positions have limits of their own
 
 
-def to_own_unit(inputs: Inputs) -> tuple[Inputs, Float[Tensor, "batch"]]:
+def to_working_scale(inputs: Inputs) -> tuple[Inputs, Float[Tensor, "batch"]]:
     """The inputs in their own unit, and by what lengths were multiplied; 1 without poses."""
     factor = own_unit(inputs.photos)
     before = inputs.before
@@ -34,7 +34,7 @@ def to_own_unit(inputs: Inputs) -> tuple[Inputs, Float[Tensor, "batch"]]:
     return replace(inputs, photos=photos, start=start, before=before), factor
 
 
-def to_given_unit(
+def to_given_scale(
     records: Records, factor: Float[Tensor, "batch"], refined: bool = False
 ) -> Records:
     """The scene in the unit of its given poses, if it was made on them (`refined`: or from them).
