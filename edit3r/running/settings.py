@@ -30,7 +30,6 @@ class RunSettings(TypedDict, total=False):
     segmenter: Choice | Segmenter | None
     critic: Choice | Critic
     refiners: Sequence[Choice]
-    guess: bool
     sure: bool
     reading: int
     larger: int
