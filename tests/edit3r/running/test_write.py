@@ -344,7 +344,7 @@ def test_what_was_found_unsurely_is_a_question_with_candidates_and_no_doubt_of_t
     assert asks.label == "question" and asks.confidence == pytest.approx(
         0.248, abs=1e-3
     )
-    assert asks.candidates == (2,) and "bear, confidence 25%" in asks.reason
+    assert asks.candidates == (2, 3) and "bear, confidence 25%" in asks.reason
     assert "--reading 2" in asks.reason
     assert doubtful.edit_verdict.label == "good"
     assert any(
