@@ -60,7 +60,7 @@ class AutoSegmenter(Segmenter):
             "segmenter", "classical", **settings.model_dump(exclude={"pick"})
         )
         self._chosen: Segmenter = self.classical
-        self._network = None
+        self._network: Segmenter | None = None
         if settings.pick == "sam2":
             self._chosen = build("segmenter", "sam2")
         elif settings.pick != "classical":
@@ -156,6 +156,8 @@ class AutoSegmenter(Segmenter):
     ) -> Prompt:
         """Asks the network at the size of `shape`."""
         height, width = shape
+        network = self._network
+        assert network is not None  # else nobody is told of it
 
         def prompt(clicks: Sequence[Click], box: Box | None) -> np.ndarray:
             places = [
@@ -167,8 +169,9 @@ class AutoSegmenter(Segmenter):
                 (top, left), (bottom, right) = box
                 sides = (right - left) / width, (bottom - top) / height
                 frame = (left / width, top / height, *sides)
-            logits = self._network.ask(image, places, frame)[0]
-            return np.stack([cv2.resize(one, (width, height)) for one in logits])
+            answer = network.ask(image, places, frame)
+            assert answer is not None  # it is a network of several masks
+            return np.stack([cv2.resize(one, (width, height)) for one in answer[0]])
 
         return prompt
 
