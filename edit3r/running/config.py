@@ -89,13 +89,10 @@ class RunConfig(Settings):
         None,
         description="finds what the prompt is about, if it reads words; default: the editor's own",
     )
-    guess: bool = Field(
-        False,
-        description="take what stands out most where the words for the object are not known",
-    )
     sure: bool = Field(
         False,
-        description="refuse what words found unsurely instead of calling the edit doubtful",
+        description="refuse what words found unsurely or not at all, instead of taking it as a "
+        "question",
     )
     reading: int = Field(
         1,

@@ -15,7 +15,6 @@ MAKES_NO_OTHER_SCENE = {
     "frames",
     "outputs",
     "export",
-    "guess",
     "sure",
 }
 """Settings that may differ from the defaults without the run being another kind of run."""

@@ -19,7 +19,7 @@ NOT_IN_FORM = (
     *CHOSEN,
     *BESIDE_THE_PHOTO,
     *Draft().outline,
-    *("prompt", "quality", "size", "guess"),
+    *("prompt", "quality", "size", "writer"),
 )
 """Settings of a run that have a place of their own, or that masks were made for."""
 WHO = {
@@ -147,7 +147,7 @@ def set_by_hand(settings: dict[str, Any]) -> list[str]:
     """What was set for a run beside its sentence, in words."""
     said = []
     for name, value in settings.items():
-        if name in ("prompt", "guess") or value in ("", None, False):
+        if name == "prompt" or value in ("", None, False):
             continue
         label = EXPLAINED.get(name, (name.replace("_", " "),))[0]
         shown = value.get("name", value) if isinstance(value, dict) else value
@@ -262,7 +262,6 @@ def run_settings(draft: Draft, registry: Registry) -> dict[str, Any]:
     form = draft.form
     settings = _typed(form, "run")
     settings["prompt"] = str(form.get("prompt", "")).strip()
-    settings["guess"] = draft.guess
     usual = Draft().outline
     steps = draft.outline.items()
     settings |= {key: value for key, value in steps if value != usual[key]}

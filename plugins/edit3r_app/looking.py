@@ -91,7 +91,7 @@ class DraftAnswer:
     # the sentence as it was read, and the editor that carries it out
     understood: str = ""
     problem: str = ""  # why it cannot be carried out
-    asks: bool = False  # a click, or a guess, would help
+    asks: bool = False  # a click would help
     told: tuple[str, ...] = ()  # choices and warnings
     confidence: float | None = (
         None  # of what words found, in [0, 1]; None: it was marked

@@ -232,7 +232,7 @@ class Studio:
             "version": self._drawn(draft, state)["version"],
             "understood": look.understood,
             "problem": in_app(look.problem),
-            "asks": look.asks and not draft.guess,
+            "asks": look.asks,
             "told": [in_app(text) for text in look.told],
             "confidence": look.confidence,
             "sure": look.is_sure,
@@ -348,16 +348,12 @@ def _change(draft: Draft, do: str, value: Any) -> None:
 
 def _select(draft: Draft, words: Any) -> None:
     """Begin anew, with nothing or with words that name the thing."""
-    draft.marks, draft.undone, draft.guess = [], [], False
+    draft.marks, draft.undone = [], []
     draft.words = str(words or "")[:200]
 
 
 def _say(draft: Draft, sentence: Any) -> None:
     draft.form["prompt"] = str(sentence)[: MAX_PROMPT + 1]
-
-
-def _guess(draft: Draft, _: Any) -> None:
-    draft.guess = True
 
 
 def _set(draft: Draft, asked: Any) -> None:
@@ -387,7 +383,6 @@ _NAMING = ("keep", "drop")  # change what is kept by name
 _WAYS = {
     "select": _select,
     "say": _say,
-    "guess": _guess,
     "set": _set,
     "keep": _keep,
     "recall": _recall,

@@ -53,14 +53,12 @@ class MarkArguments(BaseModel):
     points: list[str] = Field([], description=f"`X,Y` on the thing, {PLACE}")
     not_points: list[str] = Field([], description=f"`X,Y` beside the thing, {PLACE}")
     boxes: list[str] = Field([], description=f"`X,Y,WIDTH,HEIGHT` around it, {PLACE}")
-    guess: bool = Field(False, description="take what was found unsurely")
 
     def flags(self) -> list[str]:
         flags = [f"--thing={self.thing}"] if self.thing else []
         flags += [f"--point={place}" for place in self.points]
         flags += [f"--not-point={place}" for place in self.not_points]
-        flags += [f"--box={place}" for place in self.boxes]
-        return [*flags, "--guess"] if self.guess else flags
+        return flags + [f"--box={place}" for place in self.boxes]
 
 
 class Tools:

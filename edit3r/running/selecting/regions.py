@@ -22,7 +22,6 @@ from edit3r.contract.instructions import (
     Thing,
 )
 from edit3r.contract.interfaces import (
-    ASK,
     BACKGROUND,
     Geometry,
     Selected,
@@ -70,7 +69,7 @@ class RegionFinder:
     ) -> None:
         """`views` hold one scene; selector and geometry are asked for only where needed.
 
-        `defaults` say whether to guess and what to do with outlines; `known` are masks of things
+        `defaults` say what to do with outlines; `known` are masks of things
         that were named before.
         """
         self._views = views
@@ -115,6 +114,9 @@ class RegionFinder:
                 mask = _beneath(self._base(instruction, marked_thing))
             else:
                 mask = self._mask(change.like, marked_thing)
+                found = self._found.get(replace(change.like, part=None))
+                if found is not None and "guess" in found.how:
+                    raise InputError(found.warnings[0])
         except InputError as error:
             raise InputError(
                 f"the colour of {change.like} cannot be read: {error} Where clicks mark what is "
@@ -273,8 +275,6 @@ class RegionFinder:
                 return self._look_for(thing, self._as_known([*self._known][-1])).masks[
                     :, 0
                 ]
-            if not self._defaults.guess:
-                raise InputError(f"nothing says which object is meant; {ASK}.")
             return self._look_for(None, Selection()).masks[:, 0]
         if thing.scope == "whole" and thing.part is not None:  # "except the red parts"
             whole = torch.ones_like(self._views.images[0, :, 0])
@@ -405,10 +405,9 @@ def _median_colour(
 
 
 def _with_defaults(selection: Selection, defaults: Selection) -> Selection:
-    """A selection with what the run says of guesses and outlines beside its own."""
+    """A selection with what the run says of outlines and of what is sure beside its own."""
     return replace(
         selection,
-        guess=selection.guess or defaults.guess,
         sure=selection.sure or defaults.sure,
         reading=max(selection.reading, defaults.reading),
         larger=selection.larger + defaults.larger,

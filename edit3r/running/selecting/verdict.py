@@ -38,9 +38,10 @@ def verdict_on_selection(
 
 
 def _confidence(one: Selected) -> float | None:
-    if one.taken > 1:  # somebody looked at the candidates and took it
+    # Somebody looked at the candidates and took one.
+    if one.taken > 1:
         return None
-    return 0.0 if GUESS in one.how else one.confidence
+    return one.confidence
 
 
 def _said(one: Selected) -> str:
@@ -48,8 +49,8 @@ def _said(one: Selected) -> str:
     name = one.called or MARKED
     confidence = _confidence(one)
     if GUESS in one.how:
-        name = "what stands out most, a guess"
-    elif confidence is not None:
+        name = "what stands out most"
+    if confidence is not None:
         name = f"{name}, confidence {confidence:.0%}"
     lost = [str(view + 1) for view, how in enumerate(one.how) if how == "not found"]
     return f"{name}, not found on photo {' and '.join(lost)}" if lost else name

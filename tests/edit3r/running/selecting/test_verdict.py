@@ -15,7 +15,7 @@ SURE = Selected(MASKS, ("words", "geometry"), confidence=0.9, called="fox")
 UNSURE = Selected(
     MASKS, ("words", "not found"), confidence=0.4, called="cup", readings=OTHERS
 )
-GUESS = Selected(MASKS, ("guess", "geometry"))
+GUESS = Selected(MASKS, ("guess", "geometry"), confidence=0.25)
 TAKEN = Selected(
     MASKS, ("words", "geometry"), confidence=0.4, called="cup", readings=OTHERS, taken=2
 )
@@ -28,7 +28,12 @@ TAKEN = Selected(
         ([SURE], "found", 0.9, "fox, confidence 90%"),
         ([GIVEN, SURE, UNSURE], "question", 0.4, "fox, confidence 90%; cup"),
         ([UNSURE], "question", 0.4, "not found on photo 2; look.*--reading 2 takes"),
-        ([SURE, GUESS], "question", 0.0, "a guess; if it is another thing, click"),
+        (
+            [SURE, GUESS],
+            "question",
+            0.25,
+            "most, confidence 25%; if it is another thing, click",
+        ),
         ([TAKEN], "given", None, "^cup$"),
     ],
 )
