@@ -51,9 +51,8 @@ def run_once(folder: str, photos: int, size: int) -> dict[str, float]:
     views = views.at(
         tuple(round(side * size / max(views.image_size)) for side in views.image_size)
     )
-    edit3r.run(
-        replace(edit3r.load_views(files[:2], size=96), c2w=None), editor="none"
-    )  # loads kernels
+    # loads kernels
+    edit3r.run(replace(edit3r.load_views(files[:2], size=96), c2w=None), editor="none")
     start = time.process_time()
     result = edit3r.run(views, editor="none")
     path = path_around(result.cameras, result.rendered, 12)
@@ -144,9 +143,8 @@ def main() -> None:
     parser.add_argument("--photos", type=int, nargs="*", default=PHOTOS)
     parser.add_argument("--sizes", type=int, nargs="*", default=SIZES)
     parser.add_argument("--gaussians", type=int, nargs="*", default=GAUSSIANS)
-    parser.add_argument(
-        "--one", nargs="+", type=int, help=argparse.SUPPRESS
-    )  # the process of one figure
+    # the process of one figure
+    parser.add_argument("--one", nargs="+", type=int, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.one:
         print(

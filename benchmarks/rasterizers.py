@@ -72,9 +72,8 @@ def _view(view: int, side: int, draw: torch.Generator) -> Gaussians:
         + 0.01 * torch.rand(side, side, generator=draw)
     )
     means = unproject(depths[None], intrinsics[None], c2w[None]).reshape(1, -1, 3)
-    pixel = depths.reshape(1, -1, 1) / (
-        intrinsics[0, 0] * side
-    )  # width of a pixel at that depth [scene units]
+    # width of a pixel at that depth [scene units]
+    pixel = depths.reshape(1, -1, 1) / (intrinsics[0, 0] * side)
     total = side * side
     return Gaussians(
         means,

@@ -71,9 +71,8 @@ def supervise(out: Path, count: int, workers: int, kills: int) -> None:
     no death.
     """
     began, start, deaths = time.monotonic(), 0, 0
-    places = sorted(
-        random.Random(0).sample(range(count * 9 // 10), kills)
-    )  # rows after which to kill
+    # rows after which to kill
+    places = sorted(random.Random(0).sample(range(count * 9 // 10), kills))
     while True:
         command = [
             sys.executable,

@@ -40,17 +40,17 @@ from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.workers import run_resumable
 
 SHARES = (0.1, 0.2, 0.33)
+# as `simplify` does after merging
 POLISH = {
     "steps": 10,
     "colour": 0.015,
     "opacity": 0.08,
     "scale": 0.08,
-}  # as `simplify` does after merging
+}
 RENDER_REPEATS = 5
 SHORT = ("all", "auto", *(f"simplify to {share:g}" for share in reversed(SHARES)))
-UNSEEN = {
-    "procedural": {"seed": 2024, "targets": 1, "angles": [5, 20]}
-}  # no training has seen these
+# no training has seen these
+UNSEEN = {"procedural": {"seed": 2024, "targets": 1, "angles": [5, 20]}}
 
 
 def main() -> None:
@@ -147,9 +147,8 @@ class Measurement:
                 scene, RefineInputs(cameras, views, rasterizer)
             ), time.process_time() - start
 
-        refined(
-            everything, views, "simplify", gaussians="auto"
-        )  # the first run of a process compiles kernels
+        # the first run of a process compiles kernels
+        refined(everything, views, "simplify", gaussians="auto")
         auto, seconds = refined(everything, views, "simplify", gaussians="auto")
         yield "all", everything, 0.0
         yield "auto", auto, seconds

@@ -29,6 +29,7 @@ import edit3r
 from edit3r.contract.errors import Edit3rError
 from edit3r.kit.photos.posed_folder import read_posed_folder
 
+# photos, distance
 SETS = (
     (2, 2),
     (2, 4),
@@ -40,7 +41,7 @@ SETS = (
     (6, 2),
     (6, 3),
     (6, 7),
-)  # photos, distance
+)
 
 
 def sets_of(count: int) -> list[list[int]]:

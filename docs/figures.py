@@ -35,7 +35,6 @@ class Table:
 
 TABLES = {
     "formats": Table("docs/files.md", "python benchmarks/export_formats.py", 1),
-    "viewer": Table("docs/notes/files.md", "python benchmarks/viewer_page.py", 1),
     "poses": Table(
         "docs/classical.md",
         "python benchmarks/poses.py photos/bear photos/fern photos/fox photos/monstree "
@@ -45,7 +44,6 @@ TABLES = {
     "held-out": Table(
         "docs/notes/scenes.md", "python benchmarks/held_out.py photos/", 1
     ),
-    "full-run": Table("docs/notes/network.md", "python benchmarks/full_run.py", 4),
 }
 
 

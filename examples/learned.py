@@ -57,9 +57,8 @@ class CurtainHead(GaussianHead):
         )
         depth, opacity = F.pixel_shuffle(raw, self.patch_size).unbind(2)  # [B, V, H, W]
         depth = self.settings.depth * (0.1 * depth.tanh()).exp()
-        rays = F.pad(
-            pixel_grid((height, width), images) - 0.5, (0, 1), value=1.0
-        )  # [H, W, 3]
+        # [H, W, 3]
+        rays = F.pad(pixel_grid((height, width), images) - 0.5, (0, 1), value=1.0)
         rays = rays * rays.new_tensor([1, height / width, 1])
         flat = (batch, views * height * width)
         return Gaussians(
@@ -114,9 +113,8 @@ class LearnedReconstructor(Reconstructor):
             views.images.flatten(0, 1), fitting, mode="bilinear", antialias=True
         )
         images = images.unflatten(0, views.images.shape[:2])
-        features = self.network["backbone"](
-            images, views.intrinsics
-        )  # normalised: resizing changes nothing
+        # normalised: resizing changes nothing
+        features = self.network["backbone"](images, views.intrinsics)
         head, views = self.network["head"], replace(views, images=images)
         gaussians = head(features, images, views, None)
         return Reconstruction(gaussians, features.cameras, per_pixel=head.per_pixel)

@@ -326,9 +326,8 @@ def test_the_example_of_each_page_keeps_its_contract(kind, example_folders):
     for module in [
         module for module in sys.modules if module.split(".")[0] == folder.name
     ]:
-        del sys.modules[
-            module
-        ]  # else `new-plugin` takes it for installed in the tests that follow
+        # else `new-plugin` takes it for installed in the tests that follow
+        del sys.modules[module]
 
 
 @pytest.mark.slow

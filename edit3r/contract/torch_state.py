@@ -55,7 +55,20 @@ def usual_torch() -> Iterator[None]:
         if dtype != torch.float32:
             torch.set_default_dtype(torch.float32)
             stack.callback(torch.set_default_dtype, dtype)
+        _settle_logarithms()
         yield
+
+
+@functools.cache
+def _settle_logarithms() -> None:
+    """Make the logarithms of this process the same bits on every thread.
+
+    The first one that MKL computes on several threads is sometimes less accurate in one of them,
+    and then the same seed does not give the same bytes. After a small one on one thread none is.
+    """
+    import torch
+
+    torch.log(torch.ones(1))
 
 
 def _normal(value: Any) -> Any:

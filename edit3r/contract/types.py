@@ -157,9 +157,8 @@ class EditRequest(Tensors):
     seed: int = 0  # one for all views, so that every view gets the same edit
     # in [0, 1]; 1: may change; None: everywhere
     masks: Float[Tensor, "batch view height width"] | None = None
-    instructions: tuple[
-        Instruction, ...
-    ] = ()  # the prompt as the run read it; () where nobody did
+    # the prompt as the run read it; () where nobody did
+    instructions: tuple[Instruction, ...] = ()
     # where each instruction applies, in [0, 1]; None: nobody looked, so everywhere
     regions: Float[Tensor, "instruction batch view height width"] | None = None
 

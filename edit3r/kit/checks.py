@@ -372,9 +372,8 @@ def where(cls: type) -> str:
     """A class as a plugin imports it: edit3r.contract.types.Views."""
     if cls.__module__ == "builtins":
         return cls.__name__
-    contract = cls.__module__.split(".")[
-        :3
-    ]  # interfaces are a package that names them all
+    # interfaces are a package that names them all
+    contract = cls.__module__.split(".")[:3]
     return ".".join((*contract, cls.__name__))
 
 

@@ -147,9 +147,8 @@ def _check_view_limits(offer: Offer, cls: Any) -> str:
         return ""
     declared = (offer.component.min_views, offer.component.max_views)
     said = (cls.min_views, cls.max_views)
-    simple = isinstance(said[0], int) and isinstance(
-        said[1], int | None
-    )  # else a property, known when built
+    # else a property, known when built
+    simple = isinstance(said[0], int) and isinstance(said[1], int | None)
     if simple and declared not in (said, (1, None)):
         return (
             f"it declares min_views, max_views = {declared}, but {cls.__name__} says "

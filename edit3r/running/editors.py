@@ -23,9 +23,8 @@ class EditorTask:
 
     editor: Editor
     prompt: str  # the sentence, or the part of it that is this editor's
-    instructions: tuple[
-        Instruction, ...
-    ] = ()  # () where the sentence could not be read
+    # () where the sentence could not be read
+    instructions: tuple[Instruction, ...] = ()
 
 
 def request_of(

@@ -167,7 +167,7 @@ class Parts:
     def geometry_parts(self) -> dict[str, Any]:
         """The matcher by its kind, where the run asked one."""
         asked = self.__dict__.get("geometry")
-        source = None if asked is None or not asked.was_asked else asked.source
+        source = None if asked is None else asked.source
         return {"matcher": source} if isinstance(source, Matcher) else {}
 
     @property
@@ -233,7 +233,7 @@ class Parts:
 
     def writer(self, name: str) -> Writer:
         """The writer of that name."""
-        return self._registry.build_choice("writer", PartChoice(name=name))
+        return self._registry.build_choice("writer", self.config.writer_choice(name))
 
     @property
     def chose_segmenter(self) -> bool:

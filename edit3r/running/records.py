@@ -24,6 +24,11 @@ Masks = Float[Tensor, "batch view height width"]
 """In [0, 1]; 1: may change."""
 
 
+def is_confined(masks: Masks | None) -> bool:
+    """Whether masks leave some pixels as they are."""
+    return masks is not None and not bool((masks > 0).all())
+
+
 @dataclass(frozen=True)
 class Inputs:
     """The photos, what is marked on them, and what an earlier run left."""
@@ -110,7 +115,7 @@ class SelectedRegions:
     @property
     def confined(self) -> bool:
         """Whether some pixels must stay as they are."""
-        return self.masks is not None and not bool((self.masks > 0).all())
+        return is_confined(self.masks)
 
     def select(self, indices: list[int]) -> "SelectedRegions":
         """The same with the views at `indices` only."""

@@ -87,9 +87,8 @@ class WordAttention:
         reads the words.
         """
         self.words, self.halves = words, halves
-        self.maps: dict[
-            int, Float[Tensor, "token"]
-        ] = {}  # by number of places in the grid
+        # by number of places in the grid
+        self.maps: dict[int, Float[Tensor, "token"]] = {}
 
     def __call__(
         self,

@@ -210,9 +210,8 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
                 callback_on_step_end=latents.StepEnd(text, redrawn, mask, photo_at),
             ).images
         finally:
-            pipeline.unet.set_attn_processor(
-                own_attention
-            )  # the inversion of the next scene looks at each view alone
+            # the inversion of the next scene looks at each view alone
+            pipeline.unet.set_attn_processor(own_attention)
 
 
 def matched_disparity(

@@ -139,9 +139,8 @@ def noisy_start(
     noisy = scheduler.add_noise(
         clean, noise, scheduler.timesteps[skipped].expand(len(clean))
     )
-    return (
-        noisy / scheduler.init_noise_sigma
-    )  # pipelines multiply by it, as if it were pure noise
+    # pipelines multiply by it, as if it were pure noise
+    return noisy / scheduler.init_noise_sigma
 
 
 @contextmanager

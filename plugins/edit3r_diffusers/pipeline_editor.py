@@ -138,9 +138,10 @@ class PipelineEditor(Editor):
                 if obeyed
                 else "the whole picture is edited, then cut out",
             )
+        # packed in 2x2 cells
         multiple = pipeline.vae_scale_factor * (
             2 if hasattr(pipeline, "transformer") else 1
-        )  # packed in 2x2 cells
+        )
         denoise = partial(
             self._denoise, pipeline, multiple, [_pil(image) for image in references]
         )

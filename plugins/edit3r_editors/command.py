@@ -166,9 +166,8 @@ def parse_command(command: str) -> tuple[list[str], bool]:
         raise SettingsError(
             f"editor.command: the editor 'command' needs a program, for example {EXAMPLE}."
         )
-    used = [
-        name for _, name, _, _ in parsed if name is not None
-    ]  # a literal brace is written twice
+    # a literal brace is written twice
+    used = [name for _, name, _, _ in parsed if name is not None]
     unknown = [name for name in used if name not in PLACEHOLDERS]
     if unknown:
         listed = ", ".join(f"{{{name}}}" for name in PLACEHOLDERS)

@@ -62,9 +62,8 @@ def graded(
 
 def autumn(images: Images) -> Images:
     hsv, weight = _foliage(images)
-    hue = torch.deg2rad(
-        44 - 28 * ((torch.rad2deg(hsv[:, :1]) - 55) / 110).clamp(0, 1)
-    )  # yellow-green to red
+    # yellow-green to red
+    hue = torch.deg2rad(44 - 28 * ((torch.rad2deg(hsv[:, :1]) - 55) / 110).clamp(0, 1))
     leaves = torch.cat(
         (hue, (1.7 * hsv[:, 1:2]).clamp(max=0.9), (1.1 * hsv[:, 2:]).clamp(max=1)), 1
     )
@@ -111,9 +110,8 @@ def marble(images: Images) -> Images:
     smooth = _by_opencv(images, partial(cv2.medianBlur, ksize=15))
     phase = 8 * _blurred(grey(_flattened(smooth, 60, 0.5)), 0.008)
     slope = kornia.filters.spatial_gradient(phase)[:, 0].norm(dim=1, keepdim=True)
-    distance = (phase - phase.round()).abs() / slope.clamp(
-        min=0.005
-    )  # to the line [pixels]
+    # to the line [pixels]
+    distance = (phase - phase.round()).abs() / slope.clamp(min=0.005)
     veins = (0.8 * torch.exp(-((distance / 1.3) ** 2))).maximum(
         0.35 * torch.exp(-((distance / 4.5) ** 2))
     )

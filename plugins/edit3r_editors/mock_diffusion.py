@@ -31,10 +31,8 @@ SHOWN = 7.5 / 10.5
 # share of the remaining way a step goes: 10 steps leave 1 % of the noise
 STEP_RATE = 0.35
 TEXTURE_CELLS = 12  # cells of the texture and warp noise along each side of the image
-TEXTURE, WARP = (
-    0.12,
-    0.02,
-)  # at full disagreement: deviation of the colour texture, displacement [image widths]
+# at full disagreement: deviation of the colour texture, displacement [image widths]
+TEXTURE, WARP = 0.12, 0.02
 
 
 class MockDiffusionEditor(Editor):

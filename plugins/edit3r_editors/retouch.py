@@ -277,9 +277,8 @@ def behind(
         inverse = torch.from_numpy(
             _spanned(torch.where(holes[view], carried, known).cpu().numpy())
         ).to(depths)
-        background = 1 / torch.minimum(inverse, 1 / depths[view]).clamp(
-            min=1e-9
-        )  # never before what is removed
+        # never before what is removed
+        background = 1 / torch.minimum(inverse, 1 / depths[view]).clamp(min=1e-9)
         hidden = unproject(background, intrinsics[view], c2w[view])
         lenders = (
             _lent(

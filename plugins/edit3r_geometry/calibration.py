@@ -62,12 +62,13 @@ _CLEAR = 0.08
 _FAR = 0.3  # smallest error that is told of [log focal length]
 _ASIDE = 0.35  # where a look aside tells whether there is anything to tell [log focal length]
 _LEAST_SUPPORT = 15.0  # score below which the matches agree with no motion at all
+# between two fields of view of the scan, shorter and shorter [log focal length]
 _STEPS = (
     0.08,
     0.04,
     0.02,
     0.01,
-)  # between two fields of view of the scan, shorter and shorter [log focal length]
+)
 
 
 @dataclass(frozen=True)

@@ -26,13 +26,10 @@ AGREEMENT = 1.5  # planes by which two measurements of one surface may differ
 CLEARANCE = 2.0  # planes by which a guess may stand before a neighbour's surface
 REACH = 2000.0  # smoothness weight of the fill: a gap of some fifty pixels is bridged
 TOUCH = 15.0  # and for smoothing what was measured
-COLOUR, TOUCH_COLOUR = (
-    6.0,
-    8.0,
-)  # 8-bit colour differences at which the smoothness falls to 1/e
-BESIDE = (
-    1 / 16
-)  # distance from the nearest measured pixel up to which its depth is taken [long sides]
+# 8-bit colour differences at which the smoothness falls to 1/e
+COLOUR, TOUCH_COLOUR = 6.0, 8.0
+# distance from the nearest measured pixel up to which its depth is taken [long sides]
+BESIDE = 1 / 16
 # but not where spreading says that much farther: next to a depth edge the background goes on
 BEHIND = 0.05
 TRUST_IN_GUESSES = 1e-6  # of unconfirmed depths where confirmed ones are far away
@@ -84,9 +81,8 @@ def without_speckles(
 ) -> Bool[np.ndarray, "height width"]:
     """`agrees` without lone pixels and small islands of one depth, which agree by chance."""
     height, width = agrees.shape
-    square = np.ones(
-        (2, 2), np.uint8
-    )  # the two anchors are opposite corners, or what is kept would move by a pixel
+    # the two anchors are opposite corners, or what is kept would move by a pixel
+    square = np.ones((2, 2), np.uint8)
     eroded = cv2.erode(
         agrees.astype(np.uint8),
         square,

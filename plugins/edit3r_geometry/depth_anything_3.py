@@ -162,9 +162,8 @@ def _untrained(model: str) -> nn.Module:
         from depth_anything_3.utils.logger import logger
         from omegaconf import OmegaConf
 
-        OmegaConf.clear_resolver(
-            "eval"
-        )  # it would evaluate what any configuration file of this process says
+        # it would evaluate what any configuration file of this process says
+        OmegaConf.clear_resolver("eval")
         logger.level = 0
         torch.manual_seed(0)
         return create_object(load_config(MODEL_REGISTRY[model]))

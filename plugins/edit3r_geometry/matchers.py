@@ -367,9 +367,8 @@ class PosedMatcher(Matcher, MatchesLevelled):
         if self.settings.refine_poses:
             poses = self._refined(images, features, poses)
             c2w = torch.from_numpy(np.stack([pose.inverse().matrix for pose in poses]))
-        limit = self.settings.threshold / np.sqrt(
-            2
-        )  # Sampson's error counts the distances in both photos
+        # Sampson's error counts the distances in both photos
+        limit = self.settings.threshold / np.sqrt(2)
         registration = Registration.on_poses(
             images, features, dict(enumerate(poses)), limit
         )

@@ -326,9 +326,8 @@ def _holds_together(found: TwoViewPose, matches: Matches) -> bool:
         return False
     from scipy.spatial import cKDTree  # learned features only
 
-    _, near = cKDTree(places[:, :2]).query(
-        places[:, :2], 5
-    )  # itself and four neighbours
+    # itself and four neighbours
+    _, near = cKDTree(places[:, :2]).query(places[:, :2], 5)
     step = np.median(np.abs(log_depth[near[:, 1:]] - log_depth[:, None]))
     return bool(
         step <= DEPTH_STEP

@@ -44,32 +44,10 @@ class NetworkSettings(SinglePassSettings):
         return with_parts_of(load_weights(weights), values)
 
 
-class Edit3rReconstructor(Reconstructor):
-    """A backbone and a head, in the form that the head asks for.
+class NetworkReconstructor(Reconstructor):
+    """A backbone and a head with their weights, in the form that the head asks for."""
 
-    A head that takes geometry: poses and depths are the run's, the network draws disagreeing edits
-    to the reference's. View 0 is the reference: its edit is kept as it is. Where another view's
-    edit is the same function of colour, that view keeps its own edited colours exactly, as it does
-    without any edit.
-
-    Any other head: the paper's form, a single pass from the edited photos alone.
-    """
-
-    class Settings(NetworkSettings, MatchedSettings):
-        backbone: PartChoice = Field(
-            PartChoice(name="matched-unet"),
-            description="images and geometry to features",
-        )
-        head: PartChoice = Field(
-            PartChoice(name="edit-fusion"), description="features to Gaussians"
-        )
-        weights: str = Field(
-            "shipped",
-            description="'shipped', 'untrained', 'official' (the authors' own), a file, the folder "
-            "best of `edit3r train`, or a hub id; a file that names its parts brings them along",
-        )
-
-    settings: NetworkSettings  # those of the single pass below are others
+    settings: NetworkSettings
 
     def __init__(
         self,
@@ -125,7 +103,35 @@ class Edit3rReconstructor(Reconstructor):
         return about
 
 
-class NoPoSplatReconstructor(Edit3rReconstructor):
+class Edit3rReconstructor(NetworkReconstructor):
+    """A backbone and a head, in the form that the head asks for.
+
+    A head that takes geometry: poses and depths are the run's, the network draws disagreeing edits
+    to the reference's. View 0 is the reference: its edit is kept as it is. Where another view's
+    edit is the same function of colour, that view keeps its own edited colours exactly, as it does
+    without any edit.
+
+    Any other head: the paper's form, a single pass from the edited photos alone.
+    """
+
+    class Settings(NetworkSettings, MatchedSettings):
+        backbone: PartChoice = Field(
+            PartChoice(name="matched-unet"),
+            description="images and geometry to features",
+        )
+        head: PartChoice = Field(
+            PartChoice(name="edit-fusion"), description="features to Gaussians"
+        )
+        weights: str = Field(
+            "shipped",
+            description="'shipped', 'untrained', 'official' (the authors' own), a file, the folder "
+            "best of `edit3r train`, or a hub id; a file that names its parts brings them along",
+        )
+
+    settings: Settings
+
+
+class NoPoSplatReconstructor(NetworkReconstructor):
     """The same network in a single pass: baseline, and reference of the training."""
 
     class Settings(NetworkSettings):

@@ -22,6 +22,8 @@ VALUES = {
     "add": "",
     "remove": "",
     "isolate": "",
+    "cut": "",
+    "crop": "",
     "rename": "NEW_NAME",
     "recolor": "COLOUR",
     "move": "RIGHT UP NEARER",
@@ -30,7 +32,9 @@ VALUES = {
     "copy": "NEW_NAME RIGHT UP NEARER",
 }
 """What follows the name of the object."""
-NAMELESS = ("list", "find")
+DRAWN = ("cut", "crop")
+"""Actions on what is drawn: away with it, or with all else."""
+NAMELESS = ("list", "find", *DRAWN)
 """Actions that take no name."""
 OPENS = ("remove", "move", "turn", "scale")
 """Actions after which the place behind the object is seen."""
@@ -58,6 +62,12 @@ class ObjectsCommand(Command):
         )
         add("values", nargs="*", metavar="VALUE", help=after)
         add_mark_flags(parser)
+        add(
+            "--drawn",
+            metavar="FILE",
+            help="for cut, crop and add: what was drawn over the scene, as JSON (see "
+            "docs/objects.md)",
+        )
         add("--out", metavar="DIR", help="folder for the new run; RUN is never changed")
         add_output_flags(parser)
 
@@ -101,6 +111,12 @@ def _numbers(args: argparse.Namespace) -> tuple[float, ...]:
         raise SettingsError(f"{args.action}: expected {usage}.")
     if args.action == "find" and args.name:
         raise SettingsError("find names what it finds; use rename afterwards.")
+    if args.action in DRAWN and (args.name or not args.drawn):
+        raise SettingsError(
+            f"{args.action}: expected --drawn FILE and no name; remove takes an object away."
+        )
+    if args.drawn and args.action not in (*DRAWN, "add"):
+        raise SettingsError(f"--drawn: {args.action} takes none.")
     if args.action not in NAMELESS and not args.name:
         raise SettingsError(f"{args.action}: name the object: {usage}.")
     if args.action == "recolor" and not args.values:
@@ -131,7 +147,7 @@ def _edited(
     from edit3r.contract.types import Gaussians
     from edit3r_objects import edits
     from edit3r_objects.holes import without_object
-    from edit3r_objects.run import add_object, find_objects
+    from edit3r_objects.run import add_object, find_objects, what_is_drawn
 
     done = " ".join((args.action, args.name, *args.values)).strip()
     run = replace(run, edits=(*run.edits, done))
@@ -140,6 +156,10 @@ def _edited(
     if args.action == "add":
         return add_object(run, args, rasterizer)
     scene = run.gaussians
+    if args.action in DRAWN:
+        drawn = what_is_drawn(run, Path(args.drawn), rasterizer)
+        rest = scene.select(drawn if args.action == "crop" else ~drawn)
+        return replace(run, gaussians=rest)
     chosen = run.chosen(args.name)
     if args.action not in ("rename", "remove") and not chosen.any():
         raise InputError(

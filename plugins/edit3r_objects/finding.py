@@ -31,10 +31,8 @@ SEEN = 0.3  # share of a mask that another photo must show to say anything of it
 SAME = 0.5  # overlap from which two masks are one thing
 APART = 0.2  # share of the smaller of two masks that they may have in common
 LIKELY = 0.35  # score of a detector's box from which it is looked into
-NAMED, AGAIN = (
-    0.4,
-    0.25,
-)  # scores that the better and the other photo give a word that is taken
+# scores that the better and the other photo give a word that is taken
+NAMED, AGAIN = 0.4, 0.25
 REACH = 4  # how far beside an outline depths are compared [pixels]
 STEP = 0.05  # relative difference of depth from which one lies before the other
 MOSTLY = 0.7  # share of its outline that must lie behind for a gap

@@ -31,12 +31,8 @@ X_PER_Y_REST = _COLUMNS[14]
 # rest.
 CENTRE = 9  # of the camera in the world, 3 numbers
 FOCAL_X, FOCAL_Y, CENTRE_X, CENTRE_Y = 12, 13, 14, 15  # [pixels]
-LOW_X, HIGH_X, LOW_Y, HIGH_Y = (
-    16,
-    17,
-    18,
-    19,
-)  # where the Jacobian is not clamped [tangents]
+# where the Jacobian is not clamped [tangents]
+LOW_X, HIGH_X, LOW_Y, HIGH_Y = 16, 17, 18, 19
 CAMERA = 20
 POSE = 16  # the first columns, by which the backward pass gives gradients
 

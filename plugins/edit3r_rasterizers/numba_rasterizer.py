@@ -428,9 +428,8 @@ def _tile_bounds(frame: ProjectedScene, threads: int) -> list[int]:
     if threads == 1:
         return [0, frame.grid.count]
     slices = min(frame.grid.count, 8 * threads)
-    work = frame.lists.offsets + 16 * np.arange(
-        frame.grid.count + 1
-    )  # opening a tile costs as much as some entries
+    # opening a tile costs as much as some entries
+    work = frame.lists.offsets + 16 * np.arange(frame.grid.count + 1)
     cuts = np.searchsorted(work, work[-1] * np.arange(1, slices) / slices)
     return [
         0,

@@ -191,11 +191,12 @@ def _differentiate_group(staged, camera, eps2d, by_pose):
     store(staged, (_SCALE + U(2)) * GROUP, f2 * m2 + g2 * n2)
     f0, f1, f2, g0, g1, g2 = f0 * s0, f1 * s1, f2 * s2, g0 * s0, g1 * s1, g2 * s2
 
+    # by the rotation matrix
     h0, h1, h2 = (
         j0 * f0 + k0 * g0,
         j0 * f1 + k0 * g1,
         j0 * f2 + k0 * g2,
-    )  # by the rotation matrix
+    )
     h3, h4, h5 = j1 * f0 + k1 * g0, j1 * f1 + k1 * g1, j1 * f2 + k1 * g2
     h6, h7, h8 = j2 * f0 + k2 * g0, j2 * f1 + k2 * g1, j2 * f2 + k2 * g2
     _store_quat_gradients(

@@ -279,9 +279,8 @@ def _exp2_coefficients() -> list[float]:
 _EXP2 = _exp2_coefficients()
 # adding it leaves the nearest integer in the low bits of the mantissa
 _ROUNDER = 1.5 * 2**23
-_SERIES = [
-    2 / math.log(2) / power for power in range(1, 12, 2)
-]  # log2((1 + s) / (1 - s)) in odd powers of s
+# log2((1 + s) / (1 - s)) in odd powers of s
+_SERIES = [2 / math.log(2) / power for power in range(1, 12, 2)]
 
 
 def _horner(builder, kind, coefficients, x):

@@ -222,9 +222,8 @@ def project_scene(
     `gaussians`.
     """
     work = working_dtype(gaussians.means)
-    offsets = gaussians.means[scene].to(work) - c2w[:3, 3].to(
-        work
-    )  # subtracting first is exact far from the origin
+    # subtracting first is exact far from the origin
+    offsets = gaussians.means[scene].to(work) - c2w[:3, 3].to(work)
     rotation = c2w[:3, :3].to(work)
     depth = (offsets.detach() @ rotation)[:, 2]
     opacities = gaussians.opacities[scene].to(work)
@@ -234,9 +233,8 @@ def project_scene(
         & (opacities.detach() >= settings.min_alpha)
     )
     index = kept.nonzero().squeeze(-1)
-    index = index[
-        depth[index].argsort(stable=True)
-    ]  # front to back, ties in index order
+    # front to back, ties in index order
+    index = index[depth[index].argsort(stable=True)]
 
     camera = offsets[index] @ rotation
     height, width = image_size
@@ -248,9 +246,8 @@ def project_scene(
     shape = quats_to_matrices(
         gaussians.quats[scene, index].to(work)
     ) * gaussians.scales[scene, index, None].to(work)
-    across, down = (rows @ shape).unbind(
-        -2
-    )  # covariance a = |across|^2 + eps2d, b = across . down, ...
+    # covariance a = |across|^2 + eps2d, b = across . down, ...
+    across, down = (rows @ shape).unbind(-2)
     variance_x = across.square().sum(-1) + settings.eps2d
     variance_y = down.square().sum(-1) + settings.eps2d
     down = down / variance_y.sqrt()[:, None]

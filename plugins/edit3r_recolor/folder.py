@@ -151,9 +151,10 @@ def _painted(photos: Images, masks: Masks) -> Images:
     """Draw grey photos with every region in a colour of its own, the same in all views."""
     shown = 0.6 * photos.mean(1, keepdim=True).expand(-1, 3, -1, -1)
     for number, mask in enumerate(masks):
+        # golden ratio: far apart
         colour = shown.new_tensor(
             colorsys.hsv_to_rgb((number * 0.381966) % 1, 0.8, 1.0)
-        )  # golden ratio: far apart
+        )
         shown = torch.lerp(
             shown, colour[:, None, None].expand_as(shown), 0.6 * mask[:, None]
         )

@@ -99,9 +99,8 @@ class RecolorParameters:
     # output channel c is input channel permutation[c]
     permutation: tuple[int, int, int] = (0, 1, 2)
     greyscale: bool = False
-    __pydantic_config__ = ConfigDict(
-        extra="forbid"
-    )  # of a recipe that is read from a file
+    # of a recipe that is read from a file
+    __pydantic_config__ = ConfigDict(extra="forbid")
 
     def __post_init__(self) -> None:
         if sorted(self.order) != sorted(JITTERS):

@@ -1,5 +1,5 @@
-"""Steps after reconstruction: fewer Gaussians, sharper Gaussians, and nothing changed outside the
-masks.
+"""Steps after reconstruction: fewer Gaussians, sharper Gaussians, no floaters, and nothing changed
+outside the masks.
 """
 
 from edit3r import Component, hookimpl
@@ -21,6 +21,11 @@ def register_refiners() -> list[Component]:
             "sharpens the Gaussians by photometric steps on the edited photos",
         ),
         Component(
+            "clean",
+            "edit3r_refiners.clean:CleanRefiner",
+            "takes out floaters: what hangs before everything that the cameras see",
+        ),
+        Component(
             "keep-outside-mask",
             "edit3r_refiners.keep_outside_mask:KeepOutsideMask",
             "keeps what shows outside the masks as it was before the edit, bit for bit",
@@ -34,6 +39,6 @@ def register_commands() -> list[Component]:
         Component(
             "simplify",
             "edit3r_refiners.command:SimplifyCommand",
-            "a saved scene (3DGS PLY) with only the Gaussians it requires",
+            "a saved scene (3DGS PLY) with only the Gaussians it requires, or without floaters",
         ),
     ]

@@ -1,4 +1,4 @@
-"""`edit3r simplify`: a saved scene with only the Gaussians it requires."""
+"""`edit3r simplify`: a saved scene with only the Gaussians it requires, or without floaters."""
 
 import argparse
 from typing import TYPE_CHECKING
@@ -7,7 +7,8 @@ from edit3r.contract.command import Command
 from edit3r.kit.scenes.files import scene_file
 
 if TYPE_CHECKING:
-    from edit3r_refiners.settings import SimplifySettings
+    from edit3r_refiners.clean import CleanSettings
+    from edit3r_refiners.settings import Budget, SimplifySettings
 
 
 class SimplifyCommand(Command):
@@ -29,10 +30,16 @@ class SimplifyCommand(Command):
             "beside the scene, else looks from outside",
         )
         add(
+            "--clean",
+            action="store_true",
+            help="take out floaters, which hang before everything that the cameras see; without "
+            "--out only say what would go",
+        )
+        add(
             "--gaussians",
-            default="auto",
             metavar="auto|N",
-            help="as many as the scene requires (default), or at most N",
+            help="as many as the scene requires (default), or at most N; with --clean all that are "
+            "left, unless given",
         )
         add(
             "--rasterizer",
@@ -45,7 +52,7 @@ class SimplifyCommand(Command):
             action="append",
             default=[],
             metavar="KEY=VALUE",
-            help="such as simplify.relative_price=2",
+            help="such as simplify.relative_price=2 or clean.before=0.2",
         )
         add(
             "--plugin",
@@ -57,14 +64,14 @@ class SimplifyCommand(Command):
         add(
             "--out",
             metavar="FILE",
-            required=True,
-            help="the simplified scene, also as 3DGS PLY",
+            help="the new scene, as 3DGS PLY",
         )
         add("--overwrite", action="store_true", help="replace a file that is there")
         add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r import default_registry
+        from edit3r.contract.errors import SettingsError
         from edit3r.contract.reporting import Report, collecting
         from edit3r.kit.checks import require_gives
         from edit3r.kit.command.console import StageConsole
@@ -72,14 +79,22 @@ class SimplifyCommand(Command):
         from edit3r.kit.scenes.look import SIDES, look_at
         from edit3r.kit.scenes.ply import save_ply
         from edit3r.kit.scenes.read import load_scene
+        from edit3r_refiners.clean import find_floaters
         from edit3r_refiners.simplify import simplify
 
-        check_new_file(args.out, args.overwrite, source=args.scene)
-        most, settings = _budget_and_settings(args)
-        rasterizer = default_registry(tuple(args.plugin)).build(
-            "rasterizer", args.rasterizer
-        )
-        require_gives(rasterizer, args.rasterizer, "images", who="simplify")
+        if args.out:
+            check_new_file(args.out, args.overwrite, source=args.scene)
+        elif not args.clean:
+            raise SettingsError(
+                "simplify needs --out FILE, the new scene; --clean without it only says what would "
+                "go."
+            )
+        budget, settings, clean_settings = _asked(args)
+        registry = default_registry(tuple(args.plugin))
+        rasterizer = registry.build("rasterizer", args.rasterizer)
+        gives = ("images", "alphas", "depths") if args.clean else ("images",)
+        require_gives(rasterizer, args.rasterizer, *gives, who="simplify")
+        said = []
         with (
             StageConsole(quiet=args.quiet) as console,
             collecting(Report(on_event=console)) as report,
@@ -87,45 +102,63 @@ class SimplifyCommand(Command):
             with report.stage("read scene"):
                 gaussians = load_scene(args.scene, visible=False)
                 cameras, _ = look_at(args.scene, args.cameras, gaussians, len(SIDES))
-            with report.stage("simplify"):
-                result = simplify(gaussians, cameras, rasterizer, most, settings)
-            with report.stage("write scene"):
-                save_ply(args.out, result.gaussians)
-        if not args.quiet:
-            print(
-                f"{result.before:,} Gaussians -> {result.gaussians.count:,}: {result.unseen:,} "
-                "unseen, "
-                f"{result.doubled:,} doubled, {result.merged:,} merged away; "
-                f"the views' pictures agree to {result.psnr:.1f} dB\nwrote {args.out}"
-            )
+            if args.clean:
+                with report.stage("clean"):
+                    floaters = find_floaters(
+                        gaussians, cameras, rasterizer, clean_settings
+                    )
+                    gaussians = gaussians.select(~floaters.found)
+                said.append(floaters.sentence)
+            if args.out and budget != "all":
+                with report.stage("simplify"):
+                    most = None if budget == "auto" else budget
+                    result = simplify(gaussians, cameras, rasterizer, most, settings)
+                gaussians = result.gaussians
+                said.append(
+                    f"{result.before:,} Gaussians -> {result.gaussians.count:,}: "
+                    f"{result.unseen:,} unseen, {result.doubled:,} doubled, "
+                    f"{result.merged:,} merged away; the views' pictures agree to "
+                    f"{result.psnr:.1f} dB"
+                )
+            if args.out:
+                with report.stage("write scene"):
+                    save_ply(args.out, gaussians)
+                said.append(f"wrote {args.out}")
+            elif floaters.found.any():
+                said.append("Nothing was written: give --out FILE to take them out.")
+        if not args.quiet or not args.out:
+            print("\n".join(said))
         return 0
 
 
-def _budget_and_settings(
+def _asked(
     args: argparse.Namespace,
-) -> tuple[int | None, "SimplifySettings"]:
-    """Read the most Gaussians that may be left (None: as the scene requires) and the settings of
-    `simplify`.
-    """
+) -> tuple["Budget", "SimplifySettings", "CleanSettings"]:
+    """Read how many Gaussians may be left, and the settings of `simplify` and `clean`."""
     from edit3r.contract.errors import SettingsError
     from edit3r.contract.settings import make_settings
     from edit3r.kit.files.configs import parse_assignments
+    from edit3r_refiners.clean import CleanSettings
     from edit3r_refiners.settings import SimplifySettings, parse_budget
 
+    asked = args.gaussians or ("all" if args.clean else "auto")
     try:
-        budget = parse_budget(args.gaussians)
+        budget = parse_budget(asked)
     except ValueError as error:
         raise SettingsError(f"--gaussians: {error}, got {args.gaussians!r}.") from None
-    if budget == "all":
+    if budget == "all" and not args.clean:
         raise SettingsError(
             "--gaussians all: nothing to do; ask for auto or for a number."
         )
     given = parse_assignments(args.set)
-    if set(given) - {"simplify"}:
+    strange = sorted(set(given) - {"simplify", "clean"})
+    if strange:
         raise SettingsError(
-            f"--set {sorted(given)[0]}: simplify has settings of its own only (simplify.KEY)."
+            f"--set {strange[0]}: simplify has settings of its own only (simplify.KEY, "
+            "clean.KEY)."
         )
-    settings = make_settings(
-        SimplifySettings, given.get("simplify", {}), where="simplify"
+    return (
+        budget,
+        make_settings(SimplifySettings, given.get("simplify", {}), where="simplify"),
+        make_settings(CleanSettings, given.get("clean", {}), where="clean"),
     )
-    return None if budget == "auto" else budget, settings

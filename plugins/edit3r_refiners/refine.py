@@ -25,10 +25,8 @@ from edit3r.kit.photos.images import evenly
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
 BETAS, EPSILON = (0.7, 0.99), 1e-8  # of Adam: few steps must do
-CALM, LAST_SHARE = (
-    0.6,
-    0.2,
-)  # share of the steps after which they get shorter, and how short the last one is
+# share of the steps after which they get shorter, and how short the last one is
+CALM, LAST_SHARE = 0.6, 0.2
 MOST_VIEWS = 20  # whose steps a refinement takes: of more views, each takes fewer
 TELLING_VIEWS = 8  # that tell the error before and after, where there are more
 # error of a pixel [sRGB] below which its square counts, and beyond which its size

@@ -64,21 +64,21 @@ from edit3r_segmenters.superpixels import (
 from edit3r_segmenters.words import plain
 
 SAME_OBJECT = 0.6  # intersection over union above which two candidates are one object
+# how far an outline may move in and out when it is refined [square roots of the area]
 SNAP = (
     0.06,
     0.25,
-)  # how far an outline may move in and out when it is refined [square roots of the area]
+)
 SNAP_FINE = (0.04, 0.04)  # the same for the second time, on the larger image
+# sides of the crops around a click [longer sides of the picture]
 CROPS = (
     0.5,
     0.35,
     0.25,
     0.16,
-)  # sides of the crops around a click [longer sides of the picture]
-WHOLE_SIDE, CROP_SIDE = (
-    320,
-    160,
-)  # what the learned network sees of a picture and of a crop [pixels]
+)
+# what the learned network sees of a picture and of a crop [pixels]
+WHOLE_SIDE, CROP_SIDE = 320, 160
 WHOLE = ("picture", "image", "photo", "scene")  # all of it, where the words say so
 # How surely all but what stands out is the background where that is not clear
 UNCLEAR_CONFIDENCE = 0.2

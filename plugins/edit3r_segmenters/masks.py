@@ -34,9 +34,8 @@ def snapped(
         return mask
     size = np.sqrt(mask.sum())
     shrink, grow = max(1.0, shrink * size), max(1.0, grow * size)
-    window = window_around(
-        mask, 2 * grow + 8
-    )  # enough of what surrounds it for a colour model, and no more to compute
+    # enough of what surrounds it for a colour model, and no more to compute
+    window = window_around(mask, 2 * grow + 8)
     part = mask[window]
     outwards, inwards = distance_to(part), distance_to(~part)
     trimap = np.full(part.shape, cv2.GC_BGD, np.uint8)

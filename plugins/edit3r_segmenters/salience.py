@@ -14,10 +14,8 @@ from edit3r.kit.compute.outlines import distance_to
 from edit3r_segmenters.masks import overlap
 from edit3r_segmenters.superpixels import PALETTE, Superpixels
 
-MIN_AREA, MAX_AREA = (
-    0.008,
-    0.55,
-)  # shares of the image that an object may cover to be proposed
+# shares of the image that an object may cover to be proposed
+MIN_AREA, MAX_AREA = 0.008, 0.55
 # share that photographers give their subject; a factor of e**1.5 off is one deviation
 USUAL_AREA = 0.15
 CENTRE_SPREAD = (
@@ -173,7 +171,6 @@ def salience(
     scaled = (square.astype(np.float32) / max(1, int(square.max())) - _MEAN) / _STD
     network = read()
     network.setInput(np.ascontiguousarray(scaled.transpose(2, 0, 1)[None]))
-    found = network.forward(network.getUnconnectedOutLayersNames()[0])[
-        0, 0
-    ]  # the first is the fusion of all
+    # the first is the fusion of all
+    found = network.forward(network.getUnconnectedOutLayersNames()[0])[0, 0]
     return np.clip(cv2.resize(found, pixels.shape[1::-1]), 0, 1)

@@ -361,9 +361,8 @@ class SamSegmenter(Segmenter):
         for number, mask in enumerate(binary_masks(masks, side)):
             session.add_mask_inputs(session.obj_id_to_idx(number), 0, mask[None, None])
         session.obj_with_new_inputs = list(range(len(masks)))
-        model(
-            session, frame_idx=0
-        )  # turns the masks into memories; propagation alone refuses to start
+        # turns the masks into memories; propagation alone refuses to start
+        model(session, frame_idx=0)
         logits, present = [], []
         for output in model.propagate_in_video_iterator(session):
             logits.append(enlarge(output.pred_masks[:, 0], size))
@@ -449,9 +448,8 @@ class Sam3Segmenter(SamSegmenter):
                 foreign("transformers", "CLIPTokenizer"), self.weights
             )
         model = self._model("Sam3Model", image.device)
-        words = (
-            text.strip().lower().removeprefix("the ")
-        )  # it was trained on noun phrases such as "yellow school bus"
+        # it was trained on noun phrases such as "yellow school bus"
+        words = text.strip().lower().removeprefix("the ")
         tokens = self._tokenizer(
             words,
             return_tensors="pt",

@@ -16,10 +16,8 @@ SAME_SKY = (
     14.0  # colour distance to a piece of sky at the top within which more of it may lie
 )
 HAZE_STEP = 6.0  # colour distance between neighbours, over which sky passes into haze
-HIGHEST_GROUND, SURE_GROUND = (
-    0.3,
-    0.93,
-)  # rows above which there is no ground and below which it is likely, in heights
+# rows above which there is no ground and below which it is likely, in heights
+HIGHEST_GROUND, SURE_GROUND = 0.3, 0.93
 # How surely it is the sky, read off 53 photos of fifteen places (docs/notes/selecting.md)
 BLUE = 10.0  # b that is surely no wall's, towards blue [CIE Lab units]
 WARM = 3.0  # b of a wall [CIE Lab units]

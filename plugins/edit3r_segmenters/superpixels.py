@@ -133,9 +133,8 @@ class _Region:
     area: float
     colour: np.ndarray  # [3], mean Lab
     histogram: np.ndarray  # [palette], pixels per palette colour
-    neighbours: dict[
-        int, tuple[float, float]
-    ]  # region: (border length, mean edge strength)
+    # region: (border length, mean edge strength)
+    neighbours: dict[int, tuple[float, float]]
 
 
 def merge_tree(superpixels: Superpixels) -> np.ndarray:

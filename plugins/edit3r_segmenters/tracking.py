@@ -37,10 +37,8 @@ SNAP_BAND = (
 
 # Dense flow
 SMALLEST = 24  # below this side length [pixels] the flow's patches do not fit
-ERROR_FLOOR, ERROR_SLOPE = (
-    1.5,
-    0.05,
-)  # allowed forward-backward error: pixels, plus a share of the movement
+# allowed forward-backward error: pixels, plus a share of the movement
+ERROR_FLOOR, ERROR_SLOPE = 1.5, 0.05
 
 # Features
 RATIO = 0.8  # Lowe's test: best match at most this share of the second best distance
@@ -59,15 +57,12 @@ FREEDOM_PRICE = 1.25
 class Flow:
     """Movement between a source and a target view."""
 
-    forward: (
-        np.ndarray
-    )  # float32 [H, W, 2], x and y from source to target [pixels], on the source's grid
-    backward: (
-        np.ndarray
-    )  # float32 [H, W, 2], from target to source, on the target's grid
-    leaves: (
-        np.ndarray
-    )  # bool [H, W], source pixels that come back to where they started
+    # float32 [H, W, 2], x and y from source to target [pixels], on the source's grid
+    forward: np.ndarray
+    # float32 [H, W, 2], from target to source, on the target's grid
+    backward: np.ndarray
+    # bool [H, W], source pixels that come back to where they started
+    leaves: np.ndarray
     arrives: np.ndarray  # bool [H, W], the same for the target's pixels
 
 

@@ -59,9 +59,8 @@ class MaskCandidate:
 class Chosen:
     """What marks may mean on one photo."""
 
-    candidates: tuple[
-        MaskCandidate, ...
-    ]  # the one that is taken first, then by their sums
+    # the one that is taken first, then by their sums
+    candidates: tuple[MaskCandidate, ...]
     confidence: (
         float  # in [0, 1]: how likely the first has an IoU of 0.7 with what is meant
     )

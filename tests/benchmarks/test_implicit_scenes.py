@@ -33,9 +33,8 @@ def sample(index=0, **settings):
 
 
 def test_a_ball_is_seen_where_and_as_far_as_geometry_says():
-    plain = np.zeros(
-        (2, 5, 4)
-    )  # no waves: both sums are 0, so that the pattern is even
+    # no waves: both sums are 0, so that the pattern is even
+    plain = np.zeros((2, 5, 4))
     sky = implicit.Body(implicit.DOME, np.zeros(3), np.ones(3), np.zeros((3, 3)), plain)
     ball = implicit.Body(
         implicit.BALL,

@@ -6,8 +6,6 @@ Interfaces are abstract, concrete classes are final: compose, do not subclass. P
 the manifest and warnings go through `edit3r.contract.reporting` (`track`, `note`, `warn`).
 """
 
-import torch
-
 from edit3r.contract.command import Command
 from edit3r.contract.interfaces.base import Configured
 from edit3r.contract.interfaces.editing import (
@@ -71,11 +69,6 @@ from edit3r.contract.interfaces.writing import (
     SecondLook,
     Writer,
 )
-
-# The first logarithm that MKL computes on several threads of a process is sometimes less accurate
-# in one of them, and then the same seed does not give the same bytes. After one small logarithm on
-# one thread it never is.
-torch.log(torch.ones(1))
 
 INTERFACES: dict[str, type] = {
     "reader": Reader,

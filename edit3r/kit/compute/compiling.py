@@ -52,9 +52,8 @@ def compiled(**options: Any) -> Callable[[Callable], Callable]:
     def decorate(function: Callable) -> Callable:
         dispatcher = numba.njit(**options)(function)
         try:
-            dispatcher._cache = _ForgivingCache(
-                function
-            )  # what `cache=True` sets, without numba's class
+            # what `cache=True` sets, without numba's class
+            dispatcher._cache = _ForgivingCache(function)
         # neither the function's own folder nor the user's cache folder can be used
         except RuntimeError:
             dispatcher._cache = _NoCache()

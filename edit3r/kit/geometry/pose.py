@@ -115,9 +115,8 @@ def _pose(
     rotation, translation = cv2.solvePnPRefineLM(
         centres[chosen] / unit, pixels[chosen], camera, None, rotation, translation
     )
-    pose = np.eye(
-        4
-    )  # OpenCV's rotation vector and translation take the world to the camera
+    # OpenCV's rotation vector and translation take the world to the camera
+    pose = np.eye(4)
     pose[:3, :3] = cv2.Rodrigues(rotation)[0].T
     pose[:3, 3] = -pose[:3, :3] @ (translation[:, 0] * unit)
     return pose

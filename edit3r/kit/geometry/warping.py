@@ -122,9 +122,8 @@ def contradicted(
     guessed = geometry.confidence < 0.5
     better = _better_measured(geometry)
     surfaces = geometry.depths * (~guessed & geometry.registered[..., None, None])
-    nearest = -dilate(
-        -surfaces, 1
-    )  # at a depth edge neither of two surfaces is seen through
+    # at a depth edge neither of two surfaces is seen through
+    nearest = -dilate(-surfaces, 1)
     through, confirmed = (
         torch.zeros_like(guessed, dtype=torch.int16) for _ in range(2)
     )

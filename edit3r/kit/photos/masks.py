@@ -157,7 +157,6 @@ def read_mask(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
                 "photo "
                 f"({width}x{height}) or the size of its view ({frame.target[1]}x{frame.target[0]})."
             )
-        image = frame.cut(
-            image, Image.Resampling.BILINEAR
-        )  # never leaves [0, 1], unlike Lanczos
+        # never leaves [0, 1], unlike Lanczos
+        image = frame.cut(image, Image.Resampling.BILINEAR)
     return torch.from_numpy(np.array(image, dtype=np.float32) / 255)

@@ -5,7 +5,7 @@ it goes around a click. In "the background" and "everything except the fox" they
 left out. What is not marked is looked up by its name.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -35,6 +35,7 @@ from edit3r.kit.geometry.maps import dilate, shown
 from edit3r.running.selecting.near_colour import near_colour
 
 PLAIN = Selection()
+MARKED = "what was marked"  # of what has no name; a further one has a number
 FAINT = 0.01  # a probability below is none: such pixels keep their exact values
 LEFT = 0.5  # share of a thing that must be left beside what is kept of it
 RIM = 0.012  # half of how thick a rim between two outlines may be [longer sides]
@@ -45,15 +46,13 @@ Masks = Float[Tensor, "view height width"]
 class Regions:
     """Soft masks of the instructions of one scene, and how each was found."""
 
-    masks: Float[
-        Tensor, "instruction view height width"
-    ]  # in [0, 1]; 1: the instruction applies
+    # in [0, 1]; 1: the instruction applies
+    masks: Float[Tensor, "instruction view height width"]
     selected: tuple[Selected, ...]  # every thing that was looked for, in order
     # masks of what has a name
     things: Mapping[str, Masks] = field(default_factory=dict)
-    instructions: tuple[
-        Instruction, ...
-    ] = ()  # as asked, with colours that were read off things
+    # as asked, with colours that were read off things
+    instructions: tuple[Instruction, ...] = ()
 
 
 class RegionFinder:
@@ -137,7 +136,11 @@ class RegionFinder:
             if thing is not None and thing.scope == "named":
                 name = _name(thing)
                 things.pop(name, None)  # the newest is the last
-                things[name] = selected.masks[:, 0]
+            elif self._marked is not None and (thing is None or thing == marked_thing):
+                name = _free(MARKED, things)  # it has no name, but was changed
+            else:
+                continue
+            things[name] = selected.masks[:, 0]
         return things
 
     def _thing_of_marks(self, instructions: Sequence[Instruction]) -> Thing | None:
@@ -326,6 +329,13 @@ def _as_given(
     how = ("given",) * len(images)
     note("selection", {"how": how})
     return Selected(torch.where(given < FAINT, 0, given.clamp(0, 1)), how)
+
+
+def _free(name: str, taken: Collection[str]) -> str:
+    """The name, with a number where it is taken."""
+    if name not in taken:
+        return name
+    return f"{name} {sum(one.startswith(name) for one in taken) + 1}"
 
 
 def _name(thing: Thing) -> str:

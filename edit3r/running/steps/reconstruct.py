@@ -29,6 +29,7 @@ from edit3r.running.records import (
     Masks,
     Reconstructed,
     SelectedRegions,
+    is_confined,
     known_cameras,
 )
 
@@ -85,7 +86,7 @@ def _beside(
     transient: Bool[Tensor, "batch view height width"] | None, masks: Masks | None
 ) -> Bool[Tensor, "batch view height width"] | None:
     """What passed while the photos were taken, but for what the user selected."""
-    if transient is not None and masks is not None and not bool((masks > 0).all()):
+    if transient is not None and masks is not None and is_confined(masks):
         transient = transient & (masks <= 0)
     return transient if transient is not None and bool(transient.any()) else None
 
@@ -241,8 +242,7 @@ def _before(
 ) -> Reconstruction | None:
     """The scene as it was before the edit, where a refiner needs it and some of it must stay."""
     needed = any(isinstance(refiner, ComparesWithBefore) for refiner in parts.refiners)
-    confined = masks is not None and not bool((masks > 0).all())
-    if not needed or parts.changes_shape or not confined:
+    if not needed or parts.changes_shape or not is_confined(masks):
         return None
     if inputs.before is not None:  # an earlier run's
         return inputs.before

@@ -23,9 +23,8 @@ for index, photo in enumerate(sorted(photos.iterdir())):
     focal = 0.5 * width / math.tan(0.45)  # [pixels]
     rows, columns = np.mgrid[:height, :width] + 0.5
     wall = np.zeros((height, width, len(COLUMNS)), np.float32)
-    wall[..., 0] = (
-        2 * (columns - width / 2) / focal + 0.1 * index
-    )  # the cameras stand side by side
+    # the cameras stand side by side
+    wall[..., 0] = 2 * (columns - width / 2) / focal + 0.1 * index
     wall[..., 1] = 2 * (rows - height / 2) / focal
     wall[..., 2] = 2
     wall[..., 3:6] = (colours - 0.5) / 0.28209479  # harmonics of degree 0

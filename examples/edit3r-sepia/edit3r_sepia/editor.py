@@ -22,11 +22,9 @@ class SepiaEditor(Editor):
     settings: Settings
 
     def edit(self, views: Views, request: EditRequest) -> Views:
-        images = views.images.flatten(
-            0, 1
-        )  # [batch * view, 3, height, width], sRGB in [0, 1]
+        # [batch * view, 3, height, width], sRGB in [0, 1]
+        images = views.images.flatten(0, 1)
         toned = kornia.color.sepia(images, rescale=False).clamp(0, 1)
         edited = torch.lerp(images, toned, self.settings.strength).clamp(0, 1)
-        return replace(
-            views, images=edited.reshape_as(views.images)
-        )  # cameras and names stay
+        # cameras and names stay
+        return replace(views, images=edited.reshape_as(views.images))

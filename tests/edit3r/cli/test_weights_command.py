@@ -41,9 +41,8 @@ def weights(tmp_path, monkeypatch):
             "strange-1.0.dist-info/WHEEL", "Wheel-Version: 1.0\nTag: py3-none-any\n"
         )
         wheel.writestr("strange-1.0.dist-info/RECORD", "")
-    plugin = (
-        tmp_path / f"strange_{secrets.token_hex(4)}.py"
-    )  # a module is imported once in a process
+    # a module is imported once in a process
+    plugin = tmp_path / f"strange_{secrets.token_hex(4)}.py"
     plugin.write_text(PLUGIN)
     monkeypatch.setenv("PIP_NO_INDEX", "1")
     monkeypatch.setenv("PIP_FIND_LINKS", str(tmp_path))

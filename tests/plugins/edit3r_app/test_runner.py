@@ -38,9 +38,8 @@ WRONG = "import sys; print('noise'); print('edit3r: too dark.', file=sys.stderr)
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        runner_module, "PATIENCE", 0.5
-    )  # the suite may run where SIGINT is ignored
+    # the suite may run where SIGINT is ignored
+    monkeypatch.setattr(runner_module, "PATIENCE", 0.5)
     return JobsFolder(tmp_path)
 
 

@@ -26,11 +26,12 @@ from edit3r.loading.registry import default_registry
 pytestmark = pytest.mark.slow
 
 SIZE = 40
+# rows of each region: a band of 2 pixels
 EDIT, BAND, BACKGROUND = (
     slice(0, 10),
     slice(10, 12),
     slice(12, 40),
-)  # rows of each region: a band of 2 pixels
+)
 
 
 @pytest.fixture
@@ -181,9 +182,8 @@ def test_order_change_is_the_mean_difference_of_what_does_not_depend_on_it(item)
     assert measured(item, item.truth, reordered=reordered)[
         "order-change"
     ] == pytest.approx(0.01, abs=1e-6)
-    assert (
-        measured(item, item.truth, reordered=reordered[:1])["order-change"] == 0
-    )  # held-back poses not known
+    # held-back poses not known
+    assert measured(item, item.truth, reordered=reordered[:1])["order-change"] == 0
     assert "order-change" not in measured(item, item.truth)
 
 
@@ -210,9 +210,8 @@ def test_prompt_quality_is_the_share_of_the_better_of_two_texts():
         return torch.tensor([[cosines[text] for text in texts]] * len(images))
 
     quality = prompt_quality(clip, torch.zeros(2, 3, 8, 8), "Good photo.", "Bad photo.")
-    assert quality == pytest.approx(
-        1 / (1 + math.exp(-1)), abs=1e-4
-    )  # 100 * (0.26 - 0.25) = 1
+    # 100 * (0.26 - 0.25) = 1
+    assert quality == pytest.approx(1 / (1 + math.exp(-1)), abs=1e-4)
     assert prompt_quality(
         clip, torch.zeros(2, 3, 8, 8), "Bad photo.", "Good photo."
     ) == pytest.approx(1 - quality)

@@ -227,24 +227,21 @@ def test_true_matches_lie_on_their_epipolar_lines(two_cameras):
     ) * 2 + torch.tensor([-1.0, -1.0, 3.0])
     first, second = seen_by(two_cameras, points)
     assert epipolar_distances(first, second, two_cameras).max() < 1e-3
-    assert (
-        np.median(epipolar_distances(second, first, two_cameras)) > 1
-    )  # views swapped
+    # views swapped
+    assert np.median(epipolar_distances(second, first, two_cameras)) > 1
     other_way = Cameras(
         torch.linalg.inv(two_cameras.c2w),
         two_cameras.intrinsics,
         two_cameras.image_size,
     )
-    assert (
-        np.median(epipolar_distances(first, second, other_way)) > 1
-    )  # world-to-camera instead
+    # world-to-camera instead
+    assert np.median(epipolar_distances(first, second, other_way)) > 1
     far = Cameras(
         two_cameras.c2w.clone(), two_cameras.intrinsics, two_cameras.image_size
     )
     far.c2w[..., :3, 3] *= 7
-    assert (
-        epipolar_distances(first, second, far).max() < 1e-3
-    )  # the unit of length does not matter
+    # the unit of length does not matter
+    assert epipolar_distances(first, second, far).max() < 1e-3
 
 
 def test_a_match_that_is_off_across_its_line_is_off_by_that(cameras):
@@ -282,11 +279,12 @@ def test_what_is_there_twice_is_matched_once():
 
 def test_a_match_counts_from_the_corner_of_the_picture():
     rows, columns = np.mgrid[:64, :96]
+    # column and row of the pixel in the middle, width
     spots = [
         (20, 30, 3.0),
         (60, 24, 5.0),
         (40, 50, 4.0),
-    ]  # column and row of the pixel in the middle, width
+    ]
     grey = sum(
         np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * w**2))
         for x, y, w in spots
@@ -294,9 +292,8 @@ def test_a_match_counts_from_the_corner_of_the_picture():
     image = np.repeat(grey[..., None], 3, -1).clip(0, 1)
     found = matched_points(image, image)[0]
     for x, y, _ in spots:
-        assert (
-            np.abs(found - [x + 0.5, y + 0.5]).max(1).min() < 0.3
-        )  # OpenCV's SIFT is a quarter of a pixel off
+        # OpenCV's SIFT is a quarter of a pixel off
+        assert np.abs(found - [x + 0.5, y + 0.5]).max(1).min() < 0.3
 
 
 def textbook_frechet(a, b):

@@ -92,9 +92,8 @@ def test_each_fault_is_of_the_stated_amount(truth):
         [0.575, 0.5, 0.425]
     )
     edge = slightly_off(sharp, "blurred")[0, 50]
-    spread = (
-        edge[1:] - edge[:-1]
-    ) / 0.5  # of a step: a normal density, 1.2 pixels wide at 100 pixels
+    # of a step: a normal density, 1.2 pixels wide at 100 pixels
+    spread = (edge[1:] - edge[:-1]) / 0.5
     places = torch.arange(1, 100) - 0.5
     middle = float((places * spread).sum())
     assert float(((places - middle) ** 2 * spread).sum()) ** 0.5 == pytest.approx(

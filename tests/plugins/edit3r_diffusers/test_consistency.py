@@ -133,9 +133,8 @@ def test_reference_first_with_a_pipeline_of_one_picture_names_the_way_out(overla
 
 def test_disagreement_is_that_of_the_changes_not_of_the_photos(overlapping):
     photos = overlapping.images[0]
-    darker = torch.stack(
-        (photos[0], 0.5 * photos[1])
-    )  # another exposure, not another edit
+    # another exposure, not another edit
+    darker = torch.stack((photos[0], 0.5 * photos[1]))
     assert disagreement(darker, darker + 0.1) == pytest.approx(0, abs=1e-3)
     apart = torch.stack((photos[0] + 0.1, photos[1] - 0.1))
     assert disagreement(photos, apart) == pytest.approx(0.2, abs=5e-3)

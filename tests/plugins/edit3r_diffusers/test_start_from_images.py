@@ -135,9 +135,8 @@ def test_attention_is_a_map_of_every_view_that_hangs_on_the_words(editor, two_vi
     assert maps.std() > 0 and not torch.equal(
         maps, editor.attention(two_views, replace(ASK, prompt="make it snow"))
     )
-    assert torch.equal(
-        editor.edit(two_views, ASK).images, before
-    )  # nothing of the listening stays
+    # nothing of the listening stays
+    assert torch.equal(editor.edit(two_views, ASK).images, before)
 
 
 def test_attention_is_read_without_guidance_too(tiny, two_views):
@@ -164,9 +163,8 @@ def test_listening_changes_no_attention_and_adds_the_shares_of_the_words():
         t[0].view(-1, 2, 4).transpose(0, 1)
         for t in (layer.to_q(places), layer.to_k(words))
     )
-    shares = (query @ key.transpose(-1, -2) / 2).softmax(
-        -1
-    )  # 2: root of the heads' width
+    # 2: root of the heads' width
+    shares = (query @ key.transpose(-1, -2) / 2).softmax(-1)
     by_hand = shares[..., 1] + shares[..., 2]
     assert torch.allclose(listener.maps[12], by_hand.mean(0), atol=1e-5)
     picture = listener.image((6, 8))

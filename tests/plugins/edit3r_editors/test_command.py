@@ -98,9 +98,8 @@ def test_the_time_limit_ends_a_program_also_when_its_children_go_on(tmp_path):
     started = time.monotonic()
     with pytest.raises(RunError, match=r"longer than 0\.5 s.*editor\.timeout"):
         edit(program(tmp_path, code, "{input} {output}"), timeout=0.5)
-    assert (
-        time.monotonic() - started < 15
-    )  # it would be 20 if the end of the child were waited for
+    # it would be 20 if the end of the child were waited for
+    assert time.monotonic() - started < 15
 
 
 def test_a_program_that_writes_nothing_is_an_error(tmp_path):

@@ -300,9 +300,8 @@ def test_what_agrees_in_one_corner_of_both_pictures_only_is_a_poster(surface):
         )
         found = FoundFeatures(keys, {(0, 1): np.stack([np.arange(len(chosen))] * 2, 1)})
         registration.register(images, "ab", found, threshold=1.0, seed=0)
-    alone = np.flatnonzero(
-        on_it
-    )  # the same thing before a plain wall, where nothing else is to be matched
+    # the same thing before a plain wall, where nothing else is to be matched
+    alone = np.flatnonzero(on_it)
     assert placed(images, (first[alone], second[alone]), len(alone), len(alone))
 
 

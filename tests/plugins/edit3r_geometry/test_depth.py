@@ -32,9 +32,8 @@ from edit3r_geometry.semi_global import SMALL_STEP, _jump_costs, aggregate, best
 
 SIZE = (48, 64)
 INTRINSICS = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
-SIDEWAYS = Pose(
-    np.eye(3), np.array([-0.5, 0, 0])
-)  # the neighbour stands half a unit to the right
+# the neighbour stands half a unit to the right
+SIDEWAYS = Pose(np.eye(3), np.array([-0.5, 0, 0]))
 
 
 @pytest.fixture

@@ -93,9 +93,8 @@ def test_points_of_one_view_fall_on_the_same_surface_in_the_other(truthful):
     found, _ = project(points, geometry.intrinsics[0, 1], geometry.c2w[0, 1])
     expected, _ = project(true, scene.cameras.intrinsics[0, 1], scene.cameras.c2w[0, 1])
     off = ((found - expected) * torch.tensor([256, 192])).norm(dim=-1)
-    assert (
-        off.median() < 0.05 and off.quantile(0.95) < 1
-    )  # the rest lies on depth edges
+    # the rest lies on depth edges
+    assert off.median() < 0.05 and off.quantile(0.95) < 1
 
 
 def test_confidence_2_counts_as_measured_and_the_unit_is_the_networks(truthful):
@@ -191,9 +190,10 @@ class TestThePackage:
             geometry.depths[0], geometry.intrinsics[0], geometry.c2w[0]
         ).flatten(0, 2)
         in_view_0 = theirs @ w2c[0, 0, :3, :3].T + w2c[0, 0, :3, 3]
+        # half a pixel
         assert (ours - in_view_0).norm(dim=-1).max() < 0.02 * in_view_0.norm(
             dim=-1
-        ).median()  # half a pixel
+        ).median()
 
     def test_weights_in_the_layout_of_the_hub_are_read_and_others_refused(
         self, contract, tmp_path

@@ -48,9 +48,8 @@ def test_views_without_poses_go_to_the_other_matcher(matcher, large):
 def test_poses_that_do_not_belong_to_the_photos_are_refused(matcher, large):
     _, views = large
     away = views.c2w.clone()
-    away[0, 1, :3, :3] = torch.tensor(
-        [[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]
-    )  # turned about the optical axis
+    # turned about the optical axis
+    away[0, 1, :3, :3] = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])
     with pytest.raises(MatchingError, match="known poses"):
         matcher.match(replace(views, c2w=away))
 

@@ -192,7 +192,8 @@ def test_the_background_layer_shows_the_background_where_a_foreground_was_taken_
     alone = edit3r.build("rasterizer", "numba").render(layer, camera)
     shown = alone.alphas[0, 0, 0] > 0.5
     assert 0.02 < shown.float().mean() < 0.9
+    # soft edges of blocks reach over
     assert (
         alone.depths[0, 0, 0][shown] > truth.depths[0, 0][shown]
-    ).float().mean() > 0.85  # soft edges of blocks reach over
+    ).float().mean() > 0.85
     assert full.count > truth.depths.numel()

@@ -214,9 +214,8 @@ def test_best_blurred_copy_finds_photo_and_blur(picture):
     best_psnr, best_ssim = best_blurred_copy(
         (other, picture), gaussian_filter(picture, (2, 2, 0))
     )
-    assert math.isinf(best_psnr) and best_ssim == pytest.approx(
-        1
-    )  # that very blur was among those tried
+    # that very blur was among those tried
+    assert math.isinf(best_psnr) and best_ssim == pytest.approx(1)
 
 
 def test_best_blurred_copy_can_count_covered_pixels_alone(picture):

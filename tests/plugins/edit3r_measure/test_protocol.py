@@ -149,9 +149,8 @@ def test_an_index_is_made_of_a_folder_and_can_be_read_again(wall, tmp_path):
     (tmp_path / "straight" / "cameras.json").write_text(json.dumps(entries))
     out = tmp_path / "index.json"
     indexing.main([str(tmp_path / "straight"), "--size", "96", "--out", str(out)])
-    ((scene, entry),) = read_index(
-        out
-    )  # the squares show 3.2 of the wall each, 1.2 apart
+    # the squares show 3.2 of the wall each, 1.2 apart
+    ((scene, entry),) = read_index(out)
     assert (scene, entry.context, entry.targets, entry.overlap_class) == (
         "straight",
         (0, 2),
@@ -241,9 +240,8 @@ def placed(gaussians, pose):
 
 
 def test_a_camera_beside_its_place_finds_back_to_what_its_photo_shows():
-    world = torch.from_numpy(
-        turned(120, [3.0, 1.0, -2.0])
-    )  # which way the scene lies in the world does not matter
+    # which way the scene lies in the world does not matter
+    world = torch.from_numpy(turned(120, [3.0, 1.0, -2.0]))
     scene, render = (
         placed(cloud(), world).to(torch.float32),
         build("rasterizer", "numba"),

@@ -136,9 +136,8 @@ def test_the_command_measures_runs_and_says_which_failed(
     command = f"tradeoff --plan {tmp_path}/plan.yaml --scenes 1 --repeats 1 --threads 1"
     environment = dict(os.environ)
     assert main(f"{command} --out {out}".split()) == 0
-    assert (
-        dict(os.environ) == environment
-    )  # the threads are the measured processes' alone
+    # the threads are the measured processes' alone
+    assert dict(os.environ) == environment
     base, wrong = read_rows(out / "measurements.jsonl").values()
     assert wrong["failure"].startswith("no reconstructor named 'nobody'.")
     assert base["psnr"] > 15

@@ -95,17 +95,15 @@ def test_an_edit_of_one_view_alone_disagrees():
 
 def test_what_the_reference_shows_unedited_disagrees_although_the_function_is_the_same():
     edited = _edited(_warmer, _warmer)
-    edited[:, 1, :, :, 38:] = _warmer(PAIR[:, 1])[
-        ..., 38:
-    ]  # a stripe that is edited in view 1 alone
+    # a stripe that is edited in view 1 alone
+    edited[:, 1, :, :, 38:] = _warmer(PAIR[:, 1])[..., 38:]
     gap = _gap(edited, PAIR, SAME_PLACE)[:, 1]
     assert gap[..., 40:].mean() > 0.9 and not gap[..., 14:34].any()
     elsewhere = Correspondences(
         SAME_PLACE.coordinates, torch.zeros(1, 2, *SIZE), SAME_PLACE.depth_ratio
     )
-    assert not _gap(edited, PAIR, elsewhere)[
-        :, 1
-    ].any()  # the reference does not show the place
+    # the reference does not show the place
+    assert not _gap(edited, PAIR, elsewhere)[:, 1].any()
 
 
 def test_what_the_view_left_unedited_where_the_reference_did_not_disagrees_too():
@@ -128,9 +126,8 @@ def test_a_patch_that_was_edited_otherwise_disagrees_with_its_border_and_nothing
     edited[patch] = other(PAIR[patch]).clamp(0, 1)
     gap = _gap(edited, PAIR, SAME_PLACE)[0, 1]
     assert (gap[14:20, 16:22] > 0.9).float().mean() > 0.9
-    assert (gap[14:20, 15] > 0.9).all() or (
-        gap[13, 16:22] > 0.9
-    ).all()  # one pixel around it, the reach at this size
+    # one pixel around it, the reach at this size
+    assert (gap[14:20, 15] > 0.9).all() or (gap[13, 16:22] > 0.9).all()
     away = torch.ones(SIZE, dtype=torch.bool)
     away[13:21, 15:23] = False
     assert not gap[away].any()
@@ -152,9 +149,8 @@ CONTRARY = _edited(_warmer, lambda image: 1 - image)
 def test_a_view_with_a_contrary_edit_gives_way_on_the_object_alone():
     inside, away = _conflict(CONTRARY)
     assert inside > 0.95 and away == 0
-    assert (
-        _conflict(_edited(lambda image: image, _warmer))[0] > 0.95
-    )  # the reference kept what the view changed
+    # the reference kept what the view changed
+    assert _conflict(_edited(lambda image: image, _warmer))[0] > 0.95
     assert _conflict(_edited(_warmer, _warmer)) == (0, 0)
 
 

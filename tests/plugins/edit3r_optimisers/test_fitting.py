@@ -46,9 +46,8 @@ def test_loss_falls_and_the_views_look_like_the_photos(start, posed, rasterizer)
     first, last = (sum(part) / 9 for part in (result.losses[:9], result.losses[-9:]))
     assert last < first / 4
     rendering = rasterizer.render(result.gaussians, start[1])
-    assert (
-        psnr(rendering.images, posed.images) > 26
-    )  # the grey ones it began with: 16 dB
+    # the grey ones it began with: 16 dB
+    assert psnr(rendering.images, posed.images) > 26
     assert psnr(rasterizer.render(*start).images, posed.images) < 17
 
 
@@ -68,9 +67,8 @@ def test_extent_is_how_far_the_cameras_are_from_the_scene_however_near_each_othe
 ):
     near = scene_extent(*start)
     apart = Views(truth.views.images, truth.views.intrinsics, c2w=truth.cameras.c2w)
-    assert (
-        2 < near < 4.5 and apart.count == 3
-    )  # balls and wall are 1.8 to 4 away, the cameras 0.2 from each other
+    # balls and wall are 1.8 to 4 away, the cameras 0.2 from each other
+    assert 2 < near < 4.5 and apart.count == 3
 
 
 def test_centres_slow_down_log_linearly_in_units_of_the_scene():

@@ -64,10 +64,11 @@ def test_an_editor_with_a_matcher_is_given_the_fitted_depth_and_stays_as_it_was(
             posed, posed, EditRequest("x")
         )
     assert editor.matcher is editor.parts["matcher"] and not report.warnings
+    # view 0 leads both calls
     assert [views.count for views, _ in editor.asked] == [
         2,
         2,
-    ]  # view 0 leads both calls
+    ]
     for (_, found), chosen in zip(editor.asked, ([0, 1], [0, 2])):
         assert torch.allclose(found.c2w, truth.cameras.c2w[:, chosen], atol=1e-5)
         sure = found.confidence > 0.5

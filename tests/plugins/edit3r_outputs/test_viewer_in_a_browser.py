@@ -67,9 +67,8 @@ def scene():
     """A cloud of small and large Gaussians whose colour changes with the direction."""
     torch.manual_seed(0)
     plain = colour_to_dc(0.35 + 0.3 * torch.rand(1, 600, 1, 3))
-    harmonics = torch.cat(
-        (plain, 0.1 * torch.randn(1, 600, 15, 3)), 2
-    )  # within [0, 1]: a browser shows no more
+    # within [0, 1]: a browser shows no more
+    harmonics = torch.cat((plain, 0.1 * torch.randn(1, 600, 15, 3)), 2)
     means = torch.randn(1, 600, 3) * torch.tensor([1.2, 0.9, 0.7]) + torch.tensor(
         [0, 0, 5.0]
     )

@@ -1,6 +1,5 @@
 import sys
 from pathlib import Path
 
-sys.path.insert(
-    0, str(Path(__file__).parent)
-)  # the independent calculation beside the tests
+# the independent calculation beside the tests
+sys.path.insert(0, str(Path(__file__).parent))

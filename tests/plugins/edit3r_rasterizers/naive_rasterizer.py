@@ -95,9 +95,8 @@ def render(
         near_decision = (np.abs(alpha * 255 - 1) < 1e-3) | (
             seen & (np.abs(after / 1e-4 - 1) < 1e-2)
         )
-        near_decision |= (
-            seen & (z - drawn_z < 1e-6 * z) & (z != drawn_z)
-        )  # order in float32
+        # order in float32
+        near_decision |= seen & (z - drawn_z < 1e-6 * z) & (z != drawn_z)
         fragile |= near_decision & ~ended
         ended |= seen & ~ended & (after <= 1e-4)
         shown = seen & ~ended

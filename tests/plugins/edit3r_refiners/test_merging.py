@@ -23,9 +23,8 @@ def test_the_second_view_of_a_wall_keeps_only_what_the_first_does_not_show():
     twice = found(gaussians, cameras)
     first, second = twice.view(2, 64, 64)
     assert not first.any()
-    shift = round(
-        0.1 / 2.0 * float(cameras.intrinsics[0, 0, 0, 0]) * 64
-    )  # disparity of the wall [pixels]
+    # disparity of the wall [pixels]
+    shift = round(0.1 / 2.0 * float(cameras.intrinsics[0, 0, 0, 0]) * 64)
     assert second[:, : 64 - shift - 1].all() and not second[:, 64 - shift + 1 :].any()
 
 

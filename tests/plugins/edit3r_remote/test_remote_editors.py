@@ -89,9 +89,8 @@ def test_lasting_trouble_is_one_sentence_without_the_key(
     with pytest.raises(error, match=says) as caught:
         build(attempts=2).edit(two_views, ASK)
     assert SECRET not in str(caught.value)
-    assert (
-        caught.value.__cause__ is None and caught.value.__suppress_context__
-    )  # nothing for --debug to print either
+    # nothing for --debug to print either
+    assert caught.value.__cause__ is None and caught.value.__suppress_context__
 
 
 def test_attempts_are_the_tries_for_each_photo(build, fake, two_views):

@@ -82,9 +82,8 @@ def test_words_need_the_weights_of_a_detector_too(at_hand, photo):
     assert segmenter.segment_text(photo, "the bike") is None
     at_hand("grounding-dino-tiny")
     assert segmenter.segment_text(photo, "the bike") is not None
-    assert (
-        float(segmenter.segment_text(photo, "everything")[0].soft_mask.min()) == 1
-    )  # a word that classical knows
+    # a word that classical knows
+    assert float(segmenter.segment_text(photo, "everything")[0].soft_mask.min()) == 1
 
 
 def test_the_pick_is_part_of_the_settings_and_can_be_made_by_hand(at_hand):

@@ -8,9 +8,8 @@ from edit3r_segmenters.superpixels import superpixels
 
 from edit3r.kit.compute.outlines import softened
 
-sys.path.insert(
-    0, str(Path(__file__).parent)
-)  # pytest in importlib mode finds no neighbours
+# pytest in importlib mode finds no neighbours
+sys.path.insert(0, str(Path(__file__).parent))
 
 from segmenter_scenes import backdrop, ellipse, with_object
 

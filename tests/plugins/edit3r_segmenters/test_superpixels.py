@@ -6,9 +6,8 @@ from edit3r_segmenters.masks import overlap
 from edit3r_segmenters.salience import measure
 from edit3r_segmenters.superpixels import background_weights, merge_tree, superpixels
 
-sys.path.insert(
-    0, str(Path(__file__).parent)
-)  # pytest in importlib mode finds no neighbours
+# pytest in importlib mode finds no neighbours
+sys.path.insert(0, str(Path(__file__).parent))
 
 from segmenter_scenes import backdrop, ellipse, with_object
 

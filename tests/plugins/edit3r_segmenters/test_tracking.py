@@ -9,9 +9,8 @@ from edit3r_segmenters import tracking
 
 from edit3r.loading.registry import build
 
-sys.path.insert(
-    0, str(Path(__file__).parent)
-)  # pytest in importlib mode finds no neighbours
+# pytest in importlib mode finds no neighbours
+sys.path.insert(0, str(Path(__file__).parent))
 
 from segmenter_scenes import backdrop, ellipse, iou, tensor, with_object
 

@@ -133,9 +133,8 @@ def test_a_step_averages_the_gradients_of_its_batches_and_takes_new_ones(
     lines = [
         json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()
     ]
-    assert (
-        next(line["pull"] for line in lines if line["kind"] == "train") == 0
-    )  # the weights began at 0
+    # the weights began at 0
+    assert next(line["pull"] for line in lines if line["kind"] == "train") == 0
 
 
 def test_weights_decay_by_their_share_of_the_rate(tmp_path, monkeypatch):

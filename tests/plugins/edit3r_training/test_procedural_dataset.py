@@ -52,9 +52,8 @@ def test_masks_cover_every_pixel_once():
 
 def test_recoloring_changes_one_object_and_nothing_else():
     sample = _dataset(edit="recolor")[1]
-    change = (
-        (sample.edited_context - sample.context).abs().amax(1)
-    )  # [view, height, width]
+    # [view, height, width]
+    change = (sample.edited_context - sample.context).abs().amax(1)
     inside = [(change * mask).sum() / change.sum() for mask in sample.context_masks]
     edited = max(range(len(inside)), key=lambda i: inside[i])
     assert change[sample.context_masks[edited] == 0].max() < 0.01

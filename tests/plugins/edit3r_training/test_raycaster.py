@@ -42,9 +42,8 @@ def _cast(scene: ProceduralScene, size: int = 33):
 def test_depth_is_camera_z_of_the_nearest_surface():
     image = _cast(_scene((ELLIPSOID, (0, 0, 0), (1, 1, 1))))
     assert abs(image.depth[16, 16] - 2) < 1e-5
-    assert (
-        abs(image.depth[0, 0] - 13) < 1e-5
-    )  # the far wall, z and not the length of the ray
+    # the far wall, z and not the length of the ray
+    assert abs(image.depth[0, 0] - 13) < 1e-5
 
 
 def test_box_and_cylinder_fronts_are_where_they_should_be():

@@ -314,10 +314,11 @@ def test_a_full_recipe_trains_a_small_network(name, tmp_path):
         for key, p in named.items()
         if id(p) in fresh
     }
+    # what MASt3R does not have
     assert begins == {
         "backbone.intrinsics_embed",
         "head.attributes",
-    }  # what MASt3R does not have
+    }
 
 
 ABLATION = re.compile(

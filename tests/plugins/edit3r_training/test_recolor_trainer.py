@@ -156,12 +156,10 @@ def test_a_stopped_and_resumed_run_has_the_straight_run_s_weights(
     straight = tiny_job(tmp_path / "straight")
     _trainer(steps=4).train(straight)
     stopped = tiny_job(tmp_path / "stopped")
-    data = _StopAt(
-        stopped.train_data, at=4, number=number
-    )  # the first is looked at before the first step
-    before = signal.signal(
-        signal.SIGINT, signal.default_int_handler
-    )  # ignored in jobs of the background
+    # the first is looked at before the first step
+    data = _StopAt(stopped.train_data, at=4, number=number)
+    # ignored in jobs of the background
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     with pytest.raises(KeyboardInterrupt) if number == signal.SIGINT else nullcontext():
         _trainer(steps=4).train(replace(stopped, train_data=data))
     signal.signal(signal.SIGINT, before)
@@ -275,19 +273,15 @@ def test_renderings_are_compared_with_the_edited_scene_in_every_view(tmp_path):
     spy = _Spy(job, regimes=ONLY_REFERENCE, drop_first=0)
     spy.step()
     targets = [job.train_data[index].target[0] for index in range(len(job.train_data))]
-    assert (
-        min((spy.wished[0, 2] - target).abs().mean() for target in targets) > 0.02
-    )  # novel views show it too
+    # novel views show it too
+    assert min((spy.wished[0, 2] - target).abs().mean() for target in targets) > 0.02
     assert spy.wished.shape[1] == 3  # two context views and a target view
-    assert torch.equal(
-        spy.wished[:, 0], spy.edited[:, 0]
-    )  # the reference is right as it is
-    assert torch.equal(
-        spy.edited[:, 1], spy.source[:, 1]
-    )  # the other view is given unedited
-    assert (
-        spy.wished[:, 1] - spy.source[:, 1]
-    ).abs().mean() > 0.02  # and must show the edit
+    # the reference is right as it is
+    assert torch.equal(spy.wished[:, 0], spy.edited[:, 0])
+    # the other view is given unedited
+    assert torch.equal(spy.edited[:, 1], spy.source[:, 1])
+    # and must show the edit
+    assert (spy.wished[:, 1] - spy.source[:, 1]).abs().mean() > 0.02
 
 
 def test_dropping_the_first_view_leaves_its_gaussians_and_its_image_out(tmp_path):
@@ -301,10 +295,11 @@ def test_dropping_the_first_view_leaves_its_gaussians_and_its_image_out(tmp_path
 
 @pytest.mark.slow
 def test_the_first_view_is_dropped_as_often_as_asked(tmp_path):
+    # by default half of the time, as in the paper
     spy, dropped = (
         _Spy(tiny_job(tmp_path)),
         0,
-    )  # by default half of the time, as in the paper
+    )
     for number in range(40):
         spy.step(number)
         dropped += spy.shown == {1}
@@ -391,9 +386,8 @@ def test_data_is_told_how_far_the_training_is(tmp_path, workers):
     recipe.begin()
     for batch in range(7):
         recipe.loss(batch, Processes())
-    assert data.asked - {7 / 8} == {
-        batch / 8 for batch in range(7)
-    }  # a worker may be one ahead
+    # a worker may be one ahead
+    assert data.asked - {7 / 8} == {batch / 8 for batch in range(7)}
 
 
 def test_workers_load_ahead_and_change_nothing(tmp_path):

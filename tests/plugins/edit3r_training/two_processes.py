@@ -71,9 +71,8 @@ def main(out: Path) -> None:
         straight, stopped = tiny_job(out / "straight"), tiny_job(out / "stopped")
         if rank == 1:  # must not matter: the first process's weights count
             torch.nn.init.zeros_(straight.reconstructor.network.weight)
-            stopped = replace(
-                stopped, train_data=StopsItself(stopped.train_data, at=2)
-            )  # only this one is asked
+            # only this one is asked
+            stopped = replace(stopped, train_data=StopsItself(stopped.train_data, at=2))
         train(straight, "weights", rank)
         train(stopped, "half", rank)
         dist.barrier()

@@ -44,9 +44,8 @@ def test_compiled_code_is_kept_and_damage_to_it_is_mended(tmp_path):
 @pytest.mark.slow
 def test_without_a_writable_folder_there_is_one_warning(monkeypatch):
     monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
-    functions = [
-        compiled(nogil=True)(lambda value: value + 1) for _ in range(2)
-    ]  # as modules are loaded
+    # as modules are loaded
+    functions = [compiled(nogil=True)(lambda value: value + 1) for _ in range(2)]
     with collecting(Report()) as report:
         assert [function(1) for function in functions] == [2, 2]
     assert len(report.warnings) == 1 and "NUMBA_CACHE_DIR" in report.warnings[0]

@@ -77,9 +77,8 @@ def test_enlarging_a_slope_keeps_it_smooth():
 @pytest.mark.parametrize("shape", [(7, 9), (3, 7, 9), (2, 3, 7, 9)])
 @pytest.mark.parametrize("reach", [0, 1, 4])
 def test_it_is_the_largest_of_the_square_inside_the_picture(shape, reach):
-    maps = (
-        torch.randn(shape, generator=torch.Generator().manual_seed(reach)) - 5
-    )  # beyond the border is not 0
+    # beyond the border is not 0
+    maps = torch.randn(shape, generator=torch.Generator().manual_seed(reach)) - 5
     found = dilate(maps, reach)
     assert found.shape == maps.shape
     for row in range(7):

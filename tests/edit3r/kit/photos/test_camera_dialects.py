@@ -332,9 +332,8 @@ def test_colmaps_lenses_are_those_of_opencv(tmp_path, lens, write):
     assert camera.distortion == expected
     (file,) = photos(tmp_path / "images", ["left.png"])
     focal = loaded([file], tmp_path / "model")[0].intrinsics[0, 0, 0, 0]
-    assert focal == pytest.approx(
-        FOCAL / WIDTH, rel=0.1
-    )  # of what is left, straightened
+    # of what is left, straightened
+    assert focal == pytest.approx(FOCAL / WIDTH, rel=0.1)
 
 
 @pytest.mark.parametrize("gap", ["\n\n", "\n", "\r\n\r\n"])

@@ -92,9 +92,8 @@ def test_views_n_takes_the_photos_that_differ(tmp_path):
 
 
 def test_of_a_video_the_sharp_frames_are_taken(tmp_path):
-    blurred = {
-        number for number in range(24) if number % 2
-    }  # of each stretch of two frames one
+    # of each stretch of two frames one
+    blurred = {number for number in range(24) if number % 2}
     report = Report()
     with collecting(report):
         taken = take_frames(video(tmp_path / "clip.mp4", range(0, 480, 20), blurred), 4)

@@ -128,9 +128,8 @@ def test_a_straightened_photo_has_no_dark_corners(k1, dark):
     intrinsics = torch.tensor(
         [[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]], dtype=torch.float64
     )
-    wider = (
-        1 - frame.cropped
-    ) ** -0.5  # the crop is centred, so all angles and the middle stay
+    # the crop is centred, so all angles and the middle stay
+    wider = (1 - frame.cropped) ** -0.5
     assert torch.allclose(
         frame.follow(intrinsics).diagonal()[:2], wider * intrinsics.diagonal()[:2]
     )

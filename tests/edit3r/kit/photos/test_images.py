@@ -422,9 +422,8 @@ def test_a_lens_that_the_photos_tell_straightens_those_of_one_unknown_lens_only(
             lens.focal, lens.centre, (0.1, 0.0, 0.0, 0.0, 0.0)
         ),
     )
-    assert (
-        wide.views.intrinsics[..., 0, 0] > plain.views.intrinsics[..., 0, 0]
-    ).all()  # cropped: no dark corners
+    # cropped: no dark corners
+    assert (wide.views.intrinsics[..., 0, 0] > plain.views.intrinsics[..., 0, 0]).all()
     assert torch.equal(
         load_photos(files, read_lens=lambda views: None).views.images,
         plain.views.images,

@@ -67,9 +67,10 @@ def test_several_in_a_photos_folder_are_asked_about(masks, tmp_path):
 
 
 def test_img10_is_not_named_after_img1(masks):
+    # a single one, of no photo's name: the first photo's
     assert paired(masks("img10_mask.png"), [("img1.jpg",), ("img2.jpg",)]) == [
         "img10_mask.png"
-    ]  # a single one, of no photo's name: the first photo's
+    ]
     (view,) = masks_by_photo(masks("img10_m.png"), [("img1.jpg",), ("img10.jpg",)])
     assert view == 1
 

@@ -147,9 +147,8 @@ def test_the_named_files_of_the_pinned_commit_come_whole_and_are_noted(hub, tmp_
     noted = json.loads((place / "source.json").read_text())
     assert noted["revision"] == COMMIT and noted["files"]["unet/big.bin"] == sha256(BIG)
     asked = len(hub.ranges)
-    assert (
-        fetch(one, tmp_path) == place and len(hub.ranges) == asked
-    )  # nothing is fetched twice
+    # nothing is fetched twice
+    assert fetch(one, tmp_path) == place and len(hub.ranges) == asked
     assert [path.name for path in tmp_path.iterdir() if path.name != ".lock"] == [
         "thing"
     ]
@@ -190,9 +189,8 @@ def test_a_file_that_was_damaged_on_this_machine_is_noticed_and_fetched_anew(
     hub, tmp_path
 ):
     one = hub_weights()
-    damaged = (
-        fetch(one, tmp_path) / "unet" / "config.json"
-    )  # whose SHA-256 nobody declared
+    # whose SHA-256 nobody declared
+    damaged = fetch(one, tmp_path) / "unet" / "config.json"
     damaged.write_bytes(b"[]")
     said = []
     assert (

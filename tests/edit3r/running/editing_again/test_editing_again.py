@@ -85,10 +85,11 @@ def test_a_program_that_stays_open_matches_the_same_photos_once(planted, edit):
     first = edit(masks=planted.masks[0], cache=cache)
     planted.calls.clear()
     second = edit(masks=planted.masks[1], cache=cache)
+    # of the edited photos; the scene before is known too
     assert sorted(planted.calls) == [
         "edit",
         "reconstruct",
-    ]  # of the edited photos; the scene before is known too
+    ]
     assert torch.equal(first.cameras.c2w, second.cameras.c2w)
 
 

@@ -126,9 +126,8 @@ def test_places_and_masks_on_photos_of_a_bent_lens_follow_them(tmp_path):
     (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
     bent = load_photos([tmp_path / "a.png", tmp_path / "b.png"], size=60)
     ((_, x, y),) = read(bent, "--point", "0.1,0.15").positive
-    assert (
-        x < 0.1 - 0.01 and y < 0.15 - 0.01
-    )  # barrel distortion had drawn it to the middle
+    # barrel distortion had drawn it to the middle
+    assert x < 0.1 - 0.01 and y < 0.15 - 0.01
     left, _, width, _ = read(bent, "--box", "0.1,0.15,0.8,0.7").boxes[0]
     assert left == pytest.approx(x, abs=1e-3) and width == pytest.approx(
         1 - 2 * x, abs=2e-3
