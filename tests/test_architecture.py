@@ -50,6 +50,7 @@ ORDINARY_WORDS = {
         "auto",
         "command",
         "folder",
+        "mp4",
         "network",
         "model",
         "posed",

@@ -33,7 +33,7 @@ from edit3r.contract.interfaces import Marks, Reading, Selected, Selection
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
-from edit3r.contract.verdicts import EditVerdict
+from edit3r.contract.verdicts import EditVerdict, SelectionVerdict
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.atomic import atomic_folder, atomic_write
 from edit3r.kit.photos.images import load_photos, save_image, to_bytes
@@ -395,9 +395,10 @@ class Looker:
         is_edited = False
         if look.is_quick:  # of slower editors the edit is seen with the result
             with suppress(Edit3rError), self._working:
-                if edit := self._edits(look).edit:
-                    views, is_edited = edit.views, True
-                    _keep_verdict(edit.verdict, folder)
+                made = self._edits(look)
+                if made.edit is not None:
+                    views, is_edited = made.edit.views, True
+                    _keep_answers(made.edit.verdict, made.selection.verdict, folder)
         for view, name in enumerate(views.names):
             image = views.images[0, view]
             if look.masks is not None and not is_edited:
@@ -581,10 +582,14 @@ def _trouble(opened: _Opened) -> tuple[str, bool]:
     return f"{' and '.join(apart)}: shows too little of what the others show", True
 
 
-def _keep_verdict(verdict: EditVerdict | None, folder: Path) -> None:
-    """Write the verdict on a preview as run.json will hold that on the whole run."""
-    if verdict is not None:
-        content = json.dumps({"edit_verdict": asdict(verdict)})
+def _keep_answers(
+    edit: EditVerdict | None, selected: SelectionVerdict | None, folder: Path
+) -> None:
+    """Write the answers on a preview as run.json will hold those on the whole run."""
+    answers = {"edit_verdict": edit, "selection_verdict": selected}
+    known = {key: asdict(one) for key, one in answers.items() if one is not None}
+    if known:
+        content = json.dumps(known)
         with atomic_write(folder / "run.json") as partial:
             partial.write_text(content, encoding="utf-8")
 

@@ -17,9 +17,10 @@ TEXTS = {
 MARKED = "add"  # takes what is marked on the photos
 DRAWN = {"cut": "remove what is drawn", "crop": "keep only what is drawn"}
 """Actions on what is drawn over the scene, which need no name."""
-NAMELESS = ("find", *DRAWN)
+NAMELESS = ("find", "clean", *DRAWN)
 IN_WORDS = {
     **DRAWN,
+    "clean": "take out floaters",
     "find": "find the things",
     "add": "take hold of {name}",
     "remove": "remove {name}",

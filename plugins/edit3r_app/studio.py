@@ -390,14 +390,20 @@ _WAYS = {
 }
 
 
+ANSWERS = {
+    "selected": "selection_verdict",
+    "edit": "edit_verdict",
+    "scene": "verdict",
+}
+"""How a run's three answers are called, and where its run.json has them."""
+
+
 def verdicts(folder: JobsFolder, run: str) -> Iterator[dict[str, str]]:
-    """A run's verdicts on its scene and on its edit; of one that is not finished that on its
-    preview.
-    """
+    """A run's three answers; of one that is not finished those on its preview."""
     beside = folder.private / run / PREVIEW
     manifest = manifest_of(folder.root / run) or manifest_of(beside)
-    for on, key in (("scene", "verdict"), ("edit", "edit_verdict")):
+    for on, key in ANSWERS.items():
         verdict = manifest.get(key)
         if isinstance(verdict, dict):
             label, reason = str(verdict.get("label")), str(verdict.get("reason", ""))
-            yield {"on": on, "label": label[:40], "reason": reason[:1000]}
+            yield {"on": on, "label": label[:40], "reason": in_app(reason[:1000])}

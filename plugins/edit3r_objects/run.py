@@ -12,8 +12,13 @@ from torch import Tensor
 
 from edit3r import default_registry
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import NamedObjects, Rasterizer, SceneToWrite
-from edit3r.contract.types import Cameras, Gaussians
+from edit3r.contract.interfaces import (
+    NamedObjects,
+    Rasterizer,
+    RefineInputs,
+    SceneToWrite,
+)
+from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.files.names import unique_names
 from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import LoadedPhotos, save_image
@@ -188,6 +193,22 @@ def what_is_drawn(
     if not chosen.any() or chosen.all():
         raise InputError("what is drawn chooses nothing, or all of the scene.")
     return chosen
+
+
+def without_floaters(run: Run, rasterizer: Rasterizer) -> Gaussians:
+    """The scene without what hangs before all that its cameras see. Raises InputError for one that
+    has no such thing.
+    """
+    shown = render_each(rasterizer, run.gaussians, run.cameras, "look at the scene")
+    views = Views(shown.images.clamp(0, 1), run.cameras.intrinsics)
+    inputs = RefineInputs(run.cameras, views, rasterizer)
+    clean = default_registry().build("refiner", "clean")
+    rest = clean(run.gaussians, inputs)
+    if rest.count == run.gaussians.count:
+        raise InputError(
+            "no floaters were found: every point lies where some photo sees it."
+        )
+    return rest
 
 
 def _check_photos(run: Run) -> None:

@@ -184,6 +184,7 @@ class Selected:
     # what else may be meant: the most likely first, the one that was taken among them
     readings: tuple[Reading, ...] = ()
     taken: int = 1  # the number of that one
+    called: str = ""  # what was looked for, as people say it: "left cup"
 
     @property
     def is_sure(self) -> bool:

@@ -152,9 +152,9 @@ def _on_the_thing(
     labels[inside > 0] = cv2.GC_PR_FGD
     labels[core] = cv2.GC_FGD
     cv2.setRNGSeed(0)
-    back, front = np.zeros((2, 1, 65))
-    nowhere = (0, 0, 0, 0)  # the labels count
-    cv2.grabCut(pixels, labels, nowhere, back, front, 3, cv2.GC_INIT_WITH_MASK)
+    behind, thing = np.zeros((1, 65)), np.zeros((1, 65))  # models of their colours
+    nowhere = [0, 0, 1, 1]  # not read where labels are given
+    cv2.grabCut(pixels, labels, nowhere, behind, thing, 3, cv2.GC_INIT_WITH_MASK)
     kept = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
     return mask * torch.from_numpy(kept)
 

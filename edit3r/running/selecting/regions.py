@@ -303,14 +303,13 @@ class RegionFinder:
             carried = len(selection.masks) < self._views.count
             geometry = self._geometry() if carried else None
             given = _as_given(selection, self._views.images[0])
-            if given is not None:
-                self._found[key] = given
-                return given
-            selector = self._selector()
-            with errors_named_after(selector, self._views.images):
-                found = selector.select(self._views, selection, geometry)
-            check_selected(selector, self._views, found)
-            self._found[key] = found
+            if given is None:
+                selector = self._selector()
+                with errors_named_after(selector, self._views.images):
+                    given = selector.select(self._views, selection, geometry)
+                check_selected(selector, self._views, given)
+            called = selection.words if thing is None else str(thing)
+            self._found[key] = replace(given, called=called)
         return self._found[key]
 
 

@@ -161,7 +161,7 @@ def test_from_photos_to_a_download(server, tab):
             "[...document.querySelectorAll('.strip .over')].every((one) => one.naturalWidth > 1)"
         )
     page.get_by_label("what to change").fill("paint it blue")
-    page.get_by_text("this edit looks").wait_for()  # the verdict on it, before Go
+    page.get_by_text("edit: ").wait_for()  # the verdict on it, before Go
     page.get_by_role("button", name="Go", exact=True).click()
     page.wait_for_url("**at=**")
     page.locator(".pill progress").wait_for()  # where it stands is said

@@ -231,7 +231,8 @@ def test_geometry_survives_a_restart(looker, folder, scene):
         time.sleep(0.1)
     again = Looker(folder, default_registry(), SIZE)
     opened = again._opened(scene, tuple(folder.photos(scene)))
-    assert torch.equal(opened.geometry.result().depths, shown.depths)
+    found = opened.geometry.result().geometry
+    assert torch.equal(found.depths, shown.geometry.depths)
     assert "match" in opened.cache.reused
     assert "match" not in opened.cache.computed
 

@@ -38,10 +38,10 @@ export function barOf(page) {
     if (problem && asked) return say(problem);
     const parts = [(text && `Understood: ${text}`) || hint()];
     if (confidence !== null)
-      parts.push(`found by its name, confidence ${Math.round(100 * confidence)} %`);
+      parts.push(`selected: confidence ${Math.round(100 * confidence)}%`);
     if (judged)
       parts.push(
-        `this edit looks ${judged.label}${judged.label === "good" ? "" : `: ${judged.reason}`}`,
+        `edit: ${judged.label}, ${judged.reason}`,
       );
     say(parts.join(" · "));
   }

@@ -15,6 +15,7 @@ const ACTIONS = {
   copy: ["copying it", "is copied"],
   cut: ["Removing what is drawn", "What was drawn is removed."],
   crop: ["Removing all else", "All else is removed."],
+  clean: ["Looking for floaters", "Floaters are taken out."],
   find: ["Looking for things", "The things that were found are in the list."],
 };
 

@@ -62,6 +62,16 @@ export function toolsOf(page) {
   ];
   // In the bar above, on phones beside the tools.
   const above = el("span", { class: "back wide-only" });
+  const clean = () =>
+    page.s.isRun && page.view === "3d"
+      ? tool(
+          "clean",
+          "Clean",
+          "take out floaters: points that hang in front of everything the photos show",
+          () => page.things.shape("clean", ""),
+          "",
+        )
+      : "";
   function back(more = {}) {
     const { undo, redo, canUndo, canRedo } = page.draft;
     const nothing = "there is nothing to take back";
@@ -111,10 +121,10 @@ export function toolsOf(page) {
     const small = back({ class: "icon tool small-only" });
     above.replaceChildren(...back());
     page.sculpt.draw();
-    if (page.s.byHand) return node.replaceChildren(...pointers(), ...small);
+    if (page.s.byHand) return node.replaceChildren(...pointers(), clean(), ...small);
     const active = document.activeElement;
     const focused = active && node.contains(active) ? [...node.children].indexOf(active) : -1;
-    node.replaceChildren(...pointers(), ...small, gap(), ...ofSelection());
+    node.replaceChildren(...pointers(), clean(), ...small, gap(), ...ofSelection());
     if (focused >= 0) node.children[focused]?.focus();
     page.picture.box.dataset.tool = page.tool;
   }
