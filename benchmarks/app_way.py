@@ -113,7 +113,7 @@ def main() -> None:
         watch.step("see: the scene drawn")
         viewer.locator("#cut").press("ArrowLeft")
         watch.step("compare")
-        page.get_by_role("button", name="take it along").click()
+        page.get_by_role("button", name="download").click()
         file = page.locator(".file", has_text="viewer.html")
         file.get_by_text(" kB").wait_for()
         with page.expect_download() as loading:

@@ -32,7 +32,7 @@ from edit3r.running import geometry_of
 
 ELSEWHERE = (0, 0.1, 0.85)  # photo, x and y of the click that warms up
 ASIDE = 0.004  # the second click's distance from the first, whose answer is remembered
-WORDS = ("dog", "castle")  # of the detectors `coco` and `imagenet`
+WORDS = ("dog",)  # of the detector `coco`
 
 
 def main() -> None:

@@ -37,6 +37,7 @@ import cv2
 import numpy as np
 import torch
 from edit3r_select.obeying import points_of, seen_elsewhere
+from edit3r_select.photos import Photos
 from edit3r_select.select import select_masks
 from edit3r_select.sum import CueWeights
 from PIL import Image, ImageDraw
@@ -180,7 +181,7 @@ def weighed_by(weights: dict | None) -> Iterator[None]:
         yield
         return
     with patch(
-        "edit3r_select.asking.fitted", lambda kind: CueWeights.of(weights[kind])
+        "edit3r_select.answering.fitted", lambda kind: CueWeights.of(weights[kind])
     ):
         yield
 
@@ -298,7 +299,8 @@ def obeyed_marks(selection, masks, geometry, lens) -> tuple[int, int]:
     shown = [(0, point) for point in own]
     if geometry is not None:
         lens = lens if geometry.intrinsics is None else geometry.intrinsics
-        shown += [(1, one) for one in seen_elsewhere(own, geometry, lens, (0, 1))]
+        photos = Photos(masks, None, geometry, lens)
+        shown += [(1, one) for one in seen_elsewhere(own, photos, 0, 1)]
     height, width = masks.shape[-2:]
     obeyed = 0
     for view, point in shown:

@@ -36,8 +36,8 @@ from clicks import (
     scene_of,
     tensor_of,
 )
-from edit3r_select.asking import gathered
-from edit3r_select.cues import CUES, Appearance, Asked, table
+from edit3r_select.answering import gathered
+from edit3r_select.cues import CUES, Asked, table
 from edit3r_select.sum import FITTED, CueWeights, choose, lead
 from PIL import Image
 from scipy.optimize import minimize
@@ -157,48 +157,45 @@ class Bench:
 
     def __init__(self, cache: Path | None) -> None:
         self.cache, self.sam = cache, build("segmenter", "sam-onnx")
-        self._held: tuple[Path, Appearance, Answerer] | None = None
+        self._held: tuple[Path, np.ndarray, Answerer] | None = None
 
-    def looked(self, thing: Thing) -> tuple[Appearance, Answerer, np.ndarray]:
-        """The photo, what answers on it, and the outline."""
+    def looked(self, thing: Thing) -> tuple[Answerer, np.ndarray]:
+        """What answers on the photo, and the outline."""
         image = np.asarray(Image.open(thing.file).convert("RGB"))
         if self._held is None or self._held[0] != thing.file:
-            photo = Appearance(reduced(image))
-            answers = partial(self.sam.ask, tensor_of(photo.rgb))
-            self._held = thing.file, photo, answers
+            photo = reduced(image)
+            self._held = thing.file, photo, partial(self.sam.ask, tensor_of(photo))
         _, photo, answers = self._held
-        truth = at_size(filled(thing.polygons, image.shape[:2]), photo.size)
-        return photo, answers, truth
+        truth = at_size(filled(thing.polygons, image.shape[:2]), photo.shape[:2])
+        return answers, truth
 
     def first_rows(self, thing: Thing) -> list[Row]:
         """Questions that need no earlier answer."""
-        photo, answers, truth = self.looked(thing)
+        answers, truth = self.looked(thing)
         asked = [("anywhere", one) for one in anywhere(truth, thing)]
         asked += [("innermost 1", Asked(clicks=(innermost(truth),)))]
         asked += [("stroke", one) for one in strokes(truth)]
         asked += [("box", one) for one in boxes(truth)]
         with remembering(self.cache):
-            return [
-                self.row(thing, way, one, photo, answers, truth) for way, one in asked
-            ]
+            return [self.row(thing, way, one, answers, truth) for way, one in asked]
 
-    def row(self, thing, way, asked, photo, answers, truth, before=None) -> Row:
-        pool = gathered(photo, asked, answers, before)
+    def row(self, thing, way, asked, answers, truth) -> Row:
+        pool = gathered(truth.shape, asked, answers)
         ious = np.array([iou(mask, truth) for mask in pool.masks])
         return Row(thing.name, asked.kind, way, table(pool, NAMES), ious)
 
     def corrected(self, thing: Thing, click: CueWeights, more: CueWeights) -> list[Row]:
         """The second and third innermost click, each in the middle of what is wrong."""
-        photo, answers, truth = self.looked(thing)
+        answers, truth = self.looked(thing)
         clicks: tuple = (innermost(truth),)
-        best = choose(gathered(photo, Asked(clicks=clicks), answers), click).best
+        best = choose(gathered(truth.shape, Asked(clicks), answers), click).best
         rows = []
         with remembering(self.cache):
             for number in (2, 3):
                 kind, place = next_click(best.mask, truth)
                 clicks = (*clicks, (place, kind == "positive"))
-                asked = Asked(clicks=clicks, before=best.mask)
-                pool = gathered(photo, asked, answers, best.logits)
+                asked = Asked(clicks, before=best.logits)
+                pool = gathered(truth.shape, asked, answers)
                 was, best = best, choose(pool, more).best
                 ious = np.array([iou(mask, truth) for mask in pool.masks])
                 got = iou(best.mask, truth), iou(was.mask, truth)
@@ -304,8 +301,8 @@ def fitted_without(things: list[Thing], kind: str, scene: str | None) -> CueWeig
     sums = np.where(fit.there, fit.cues @ weights.values, -np.inf)
     best = sums.argmax(1)
     right = fit.ious[np.arange(len(best)), best] >= RIGHT
-    area = np.exp(fit.cues[:, :, NAMES.index("log_area")])
-    leads = np.array([lead(*pair) for pair in zip(sums, area)])
+    size = -np.sqrt(fit.cues[:, :, NAMES.index("square_of_log_area")])
+    leads = np.array([lead(*pair) for pair in zip(sums, np.exp(size))])
     return replace(weights, **logistic(leads, right, fit.share))
 
 

@@ -11,7 +11,6 @@ another photo of the folder, two steps on, comes before the outlined one.
 import argparse
 import json
 import time
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -104,9 +103,7 @@ def answer(tensor, text, segmenter, truth) -> tuple[float, float | None, float]:
     try:
         lens = intrinsics_from_fov(FOV, tensor.shape[-2:]).expand(1, len(tensor), 3, 3)
         geometry = geometry_of(MATCHER, Views(tensor[None], lens))
-        found = select_masks(
-            tensor, replace(asked, guess=True), segmenter, geometry, lens
-        )
+        found = select_masks(tensor, asked, segmenter, geometry, lens)
     except InputError:
         return 0.0, None, time.perf_counter() - start
     seconds = time.perf_counter() - start

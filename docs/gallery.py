@@ -38,7 +38,8 @@ p {{ margin: .3rem 0 }}
 <main>{cards}</main>
 """
 CARD = """<article><a href="{name}/viewer.html"><img src="{name}.webp" alt="{prompt}"></a>
-<h2>{prompt}</h2><p>scene: {scene}, edit: {edit}. <a href="{name}/viewer.html">Walk around</a>.</p>
+<h2>{prompt}</h2><p>selected: {selected}, edit: {edit}, scene: {scene}.
+<a href="{name}/viewer.html">Walk around</a>.</p>
 <p><code>{command}</code></p></article>"""
 
 
@@ -90,15 +91,16 @@ def main() -> None:
         shown = {
             "name": edit.name,
             "prompt": edit.prompt,
-            "scene": run["verdict"]["label"],
+            "selected": (run["selection_verdict"] or {"label": "all of it"})["label"],
             "edit": run["edit_verdict"]["label"],
+            "scene": run["verdict"]["label"],
             "command": shlex.join(edit.command),
         }
         cards.append(
             CARD.format(**{key: html.escape(text) for key, text in shown.items()})
         )
         (args.out / "index.html").write_text(PAGE.format(cards="\n".join(cards)))
-        print(f"{edit.name}: scene {shown['scene']}, edit {shown['edit']}")
+        print(f"{edit.name}: edit {shown['edit']}, scene {shown['scene']}")
 
 
 def moving_image(video: Path, path: Path) -> None:

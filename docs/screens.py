@@ -85,9 +85,9 @@ def screens(page: Page, address: str) -> Iterator[str]:
     page.get_by_role("button", name="Take", exact=True).click()
     viewer.locator("#gizmo button").first.wait_for()
     yield "dark"
-    yield from dialogs(page, "history", "take it along")
+    yield from dialogs(page, "history", "download")
     if page.viewport_size["width"] > 720:
-        page.get_by_role("button", name="take it along").click()
+        page.get_by_role("button", name="download").click()
         page.get_by_role("button", name="Open it on a phone").press("Enter")
         page.locator(".code svg").wait_for()
         yield "dark"

@@ -132,11 +132,19 @@ class SelectorContract(Contract):
             found is None, "a click on photo 8 of 3 was taken; raise InputError."
         )
 
-    def test_words_that_nobody_knows_are_refused(self) -> None:
-        found = self.select(Selection(words=NEVER_HEARD), f"{NEVER_HEARD!r}")
+    def test_words_that_nobody_knows_are_a_question(self) -> None:
+        """Or refused; always refused where only sure things may be taken."""
+        words = f"{NEVER_HEARD!r}"
+        found = self.select(Selection(words=NEVER_HEARD), words)
+        self.require(
+            found is None or not found.is_sure,
+            f"something was surely selected for {words}; raise InputError, or return a low "
+            "confidence.",
+        )
+        found = self.select(Selection(words=NEVER_HEARD, sure=True), words)
         self.require(
             found is None,
-            f"something was selected for {NEVER_HEARD!r}; raise InputError.",
+            f"something was selected for {words} with selection.sure; raise InputError.",
         )
 
     def test_same_marks_give_the_same_masks(self) -> None:

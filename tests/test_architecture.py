@@ -50,6 +50,7 @@ ORDINARY_WORDS = {
         "auto",
         "command",
         "folder",
+        "mp4",
         "network",
         "model",
         "posed",
@@ -62,7 +63,7 @@ ORDINARY_WORDS = {
     ),
     *("export", "convert", "mask", "points", "batch", "looks", "uncertainty"),
     # formats that the core itself reads or writes, and things that it speaks of
-    *("ply", "spz", "sog", "splat", "glb", "nerfstudio", "colmap", "video"),
+    *("ply", "spz", "sog", "splat", "glb", "nerfstudio", "colmap", "video", "mp4"),
     *("viewer", "sheet", "mesh", "render"),
 }
 """Component names that are words of the core's own too; they count only where nothing else can be

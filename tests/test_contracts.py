@@ -59,7 +59,6 @@ ATTRIBUTES: dict[tuple[str, str], dict] = {
 DECLARATION_ONLY: dict[tuple[str, str], str] = {
     ("segmenter", "sam-onnx"): "needs weights of 151 MB",
     ("detector", "coco"): "needs weights of 8 MB",
-    ("detector", "imagenet"): "needs weights of 19 MB",
     ("editor", "folder"): "needs an edited picture of each view",
     ("editor", "command"): "needs a program",
     ("editor", "instruct-pix2pix"): "needs weights of 4 GB",
@@ -113,7 +112,7 @@ TRIED_IN: dict[tuple[str, ...], str] = {
         "sam-onnx",
         "grounding-dino",
     ): "edit3r_segmenters/test_contract.py",
-    ("coco", "imagenet"): "edit3r_segmenters/test_words.py",
+    ("coco",): "edit3r_segmenters/test_words.py",
     (
         "editsplat",
         "gaussctrl",

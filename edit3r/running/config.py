@@ -6,11 +6,17 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import SettingsError, UnknownComponentError
-from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
+from edit3r.contract.settings import (
+    PartChoice,
+    Settings,
+    Share,
+    make_settings,
+    merge,
+)
 from edit3r.kit.files.yaml import read_yaml
 from edit3r.loading.registry import Registry
 from edit3r.running.quality import read_quality, with_quality
@@ -83,13 +89,10 @@ class RunConfig(Settings):
         None,
         description="finds what the prompt is about, if it reads words; default: the editor's own",
     )
-    guess: bool = Field(
-        False,
-        description="take what stands out most where the words for the object are not known",
-    )
     sure: bool = Field(
         False,
-        description="refuse what words found unsurely instead of calling the edit doubtful",
+        description="refuse what words found unsurely or not at all, instead of taking it as a "
+        "question",
     )
     reading: int = Field(
         1,
@@ -119,6 +122,17 @@ class RunConfig(Settings):
         "all",
         description="edit every view, or the first only (as in training) and let the "
         "reconstructor carry it over",
+    )
+    strength: Share = Field(
+        1.0,
+        description="how much of the 2D edit is taken: 0 leaves the photos as they are, 1 takes "
+        "all of it",
+    )
+    feather: float = Field(
+        0.0,
+        ge=0,
+        le=MAX_GROWTH,
+        description="how far inside the outline of what is selected the edit fades in [pixels]",
     )
     moved_edits: Literal["undo", "keep"] = Field(
         "undo",
@@ -166,6 +180,11 @@ class RunConfig(Settings):
     export: tuple[str, ...] = Field(
         (), description="what is written as well, by any writer, such as spz,glb"
     )
+    writer: dict[str, dict[str, Any]] = Field(
+        {},
+        description="settings of writers by their names, such as writer.video.fps=30; in a list "
+        "of outputs also {name: video, fps: 30}",
+    )
     gaussians: int | Literal["all", "auto"] = Field(
         "auto",
         description="all, auto (only what the scene requires), or the most there may be (see "
@@ -199,6 +218,25 @@ class RunConfig(Settings):
         None,
         description="measured preset that lies under all other settings (see docs/tradeoff.md)",
     )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _read_settings_of_outputs(cls, values: Any) -> Any:
+        """Accept outputs with their settings, `{name: video, fps: 30}`; those in `writer` are over
+        them.
+        """
+        found: dict[str, Any] = {}
+        changed = dict(values)
+        for key in ("outputs", "export"):
+            given = values.get(key)
+            if not isinstance(given, list | tuple):
+                continue
+            choices = [PartChoice.model_validate(one) for one in given]
+            changed[key] = [one.name for one in choices]
+            found |= {one.name: one.settings for one in choices if one.settings}
+        if found:
+            changed["writer"] = merge(found, values.get("writer", {}))
+        return changed
 
     @field_validator("outputs", "export", mode="before")
     @classmethod
@@ -237,6 +275,10 @@ class RunConfig(Settings):
     def writers(self) -> tuple[str, ...]:
         """What of that is made by writers."""
         return tuple(name for name in self.written if name not in OWN_OUTPUTS)
+
+    def writer_choice(self, name: str) -> PartChoice:
+        """A writer with what is set for it."""
+        return PartChoice(name=name, settings=self.writer.get(name, {}))
 
     def all_refiners(self, by_default: bool = True) -> tuple[PartChoice, ...]:
         """The refiners in order: what `gaussians` and `refine` stand for, then those listed.
@@ -413,12 +455,19 @@ def _check_rasterizer(
 
 def _check_outputs(config: RunConfig, registry: Registry) -> None:
     """Raise for an output that nobody writes, and for two that would be one file."""
+    for name in config.writer:
+        if name not in config.writers:
+            written = ", ".join(config.writers) or "none"
+            raise SettingsError(
+                f"writer.{name}: nothing is written by {name!r} in this run; add it to outputs or "
+                f"export. Writers of this run: {written}."
+            )
     taken = {"run.json": "every run"}
     for name in config.written:
         taken |= dict.fromkeys(OWN_OUTPUTS.get(name, ()), name)
     for name in config.writers:
         try:
-            registry.check("writer", PartChoice(name=name))
+            registry.check("writer", config.writer_choice(name))
         except UnknownComponentError as error:
             own = ", ".join(OWN_OUTPUTS)
             raise UnknownComponentError(

@@ -184,6 +184,11 @@ def _places(
     return (here * sides).numpy(force=True), (there * sides).numpy(force=True)
 
 
+def geometry_answer(matcher: Matcher, views: Views) -> GeometryAnswer:
+    """The geometry of the photos, or why they cannot be placed; of one photo there is none."""
+    return _locate(matcher, views, None) if views.count > 1 else GeometryAnswer(None)
+
+
 def geometry_of(matcher: Matcher, views: Views) -> Geometry | None:
     """The geometry of the photos to select by; None, and said so, where it cannot be trusted."""
-    return None if views.count < 2 else _locate(matcher, views, None).trusted()
+    return geometry_answer(matcher, views).trusted()

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.torch_state import in_usual_torch, require_device
-from edit3r.contract.types import Reconstruction
+from edit3r.contract.types import Reconstruction, Views
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.atomic import atomic_folder
 from edit3r.loading.registry import Registry, default_registry
@@ -22,7 +22,7 @@ from edit3r.running.quality import note_quality
 from edit3r.running.record import RunRecord
 from edit3r.running.records import Inputs, Preview, Records
 from edit3r.running.scale import to_given_scale, to_working_scale
-from edit3r.running.steps.edit import edit
+from edit3r.running.steps.edit import edit, edit_alone
 from edit3r.running.steps.judge import judge
 from edit3r.running.steps.locate import locate
 from edit3r.running.steps.read import read
@@ -138,6 +138,15 @@ def preview(
         inputs, selection = inputs.select(used), selection.select(used)
         edited = edit(inputs, selection, parts) if edits else None
     return Preview(inputs, selection, edited)
+
+
+@in_usual_torch
+def preview_photo(job: RunJob, registry: Registry | None = None) -> Views:
+    """The 2D edit of the job's photos, of which one is enough: nothing is said of it."""
+    with collecting(Report()), using(job.cache or Cache()):
+        inputs, _, parts = _begin(job, registry or default_registry())
+        inputs = inputs.to(parts.config.device)
+        return edit_alone(inputs, select(inputs, parts), parts).views
 
 
 def _begin(

@@ -233,7 +233,7 @@ class Parts:
 
     def writer(self, name: str) -> Writer:
         """The writer of that name."""
-        return self._registry.build_choice("writer", PartChoice(name=name))
+        return self._registry.build_choice("writer", self.config.writer_choice(name))
 
     @property
     def chose_segmenter(self) -> bool:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor
 from edit3r.contract.reporting import Report
 from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
-from edit3r.contract.verdicts import EditVerdict, Verdict
+from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
 from edit3r.kit.cache import Cache
 from edit3r.running.config import RunConfig
 from edit3r.running.parts import Parts
@@ -57,13 +57,18 @@ class RunRecord:
 
     @property
     def verdict(self) -> Verdict:
-        """How well the scene shows the edited images."""
+        """Whether the scene holds."""
         return self.records.judged.verdict
 
     @property
     def edit_verdict(self) -> EditVerdict | None:
-        """How surely the edit is what was asked for; None where none was."""
+        """How the edit was carried out on what was selected; None where none was asked for."""
         return self.records.judged.edit_verdict
+
+    @property
+    def selection_verdict(self) -> SelectionVerdict | None:
+        """What was selected and how likely it is what was meant; None: nothing was looked for."""
+        return self.records.selection.verdict
 
     @property
     def editor(self) -> Editor:

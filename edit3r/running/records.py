@@ -16,9 +16,10 @@ from torch import Tensor
 from edit3r.contract.instructions import Instruction
 from edit3r.contract.interfaces import Geometry, Selected, Selection
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
-from edit3r.contract.verdicts import EditVerdict, Verdict
+from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
 from edit3r.kit.geometry.exposure import Exposure
 from edit3r.kit.photos.images import Photo
+from edit3r.running.selecting.verdict import verdict_on_selection
 
 Masks = Float[Tensor, "batch view height width"]
 """In [0, 1]; 1: may change."""
@@ -111,6 +112,11 @@ class SelectedRegions:
     things: Mapping[str, Float[Tensor, "view height width"]] = field(
         default_factory=dict
     )
+
+    @property
+    def verdict(self) -> SelectionVerdict | None:
+        """What was selected and how likely it is what was meant; None: nothing was looked for."""
+        return verdict_on_selection(self.selected, self.confined)
 
     @property
     def confined(self) -> bool:

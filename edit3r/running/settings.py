@@ -30,13 +30,14 @@ class RunSettings(TypedDict, total=False):
     segmenter: Choice | Segmenter | None
     critic: Choice | Critic
     refiners: Sequence[Choice]
-    guess: bool
     sure: bool
     reading: int
     larger: int
     grow: float
     invert: bool
     edit_views: Literal["all", "first"]
+    strength: float
+    feather: float
     moved_edits: Literal["undo", "keep"]
     transients: Literal["leave-out", "keep"]
     seed: int
@@ -45,8 +46,9 @@ class RunSettings(TypedDict, total=False):
     views: int
     device: str
     frames: int
-    outputs: Sequence[str]
-    export: Sequence[str]
+    outputs: Sequence[str | Mapping[str, Any]]
+    export: Sequence[str | Mapping[str, Any]]
+    writer: Mapping[str, Mapping[str, Any]]
     gaussians: int | Literal["all", "auto"]
     max_gaussians: int
     refine: int

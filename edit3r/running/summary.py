@@ -3,9 +3,11 @@
 import math
 from pathlib import Path
 
+from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.run_folder import RunFolder
 from edit3r.running.config import RunConfig, make_run_config
 from edit3r.running.loop import RunResult
+from edit3r.running.records import SelectedRegions
 
 MAKES_NO_OTHER_SCENE = {
     "prompt",
@@ -13,7 +15,6 @@ MAKES_NO_OTHER_SCENE = {
     "frames",
     "outputs",
     "export",
-    "guess",
     "sure",
 }
 """Settings that may differ from the defaults without the run being another kind of run."""
@@ -22,17 +23,16 @@ BEST_COSTS, LARGE_COSTS = "half as long again", "up to four times as long"  # di
 
 
 def summary(out: Path, result: RunResult) -> str:
-    """The verdict, what was made with which settings, and where to look first."""
+    """The three answers, what was made with which settings, and where to look first."""
     seconds = sum(stage.seconds for stage in result.report.stages)
     height, width = result.cameras.image_size
     lines = [
+        *answers(result.records.selection, result.edit_verdict),
         f"scene: {result.verdict.label}, {result.verdict.reason}",
         f"{_named_settings(result)} settings, {width}x{height}: "
         f"{result.gaussians.count:,} Gaussians from {result.photos.count} photos in "
         f"{seconds:.1f} s; {_field_of_view(result)}",
     ]
-    if result.edit_verdict is not None:
-        lines.insert(1, f"edit: {result.edit_verdict}.")
     folder = RunFolder(out)
     places = (
         (folder.before_after, "look first   {}"),
@@ -42,6 +42,12 @@ def summary(out: Path, result: RunResult) -> str:
     )
     lines += [f"  {text.format(place)}" for place, text in places if place.exists()]
     return "\n".join([*lines, *_sharper(result)])
+
+
+def answers(selection: SelectedRegions, edit: EditVerdict | None) -> list[str]:
+    """What was selected and how the edit was carried out, a line each; fewer without them."""
+    said = {"selected": selection.verdict, "edit": edit}
+    return [f"{on}: {one}." for on, one in said.items() if one is not None]
 
 
 def _sharper(result: RunResult) -> list[str]:

@@ -30,6 +30,7 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import collecting, note, warn
 from edit3r.contract.types import Views
+from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.checks import check_needs, check_written, errors_named_after
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image, save_pixels, to_bytes
@@ -48,7 +49,7 @@ from edit3r.running.before import colours_before
 from edit3r.running.config import DEFAULTS
 from edit3r.running.earlier import CACHE, THINGS, note_views
 from edit3r.running.record import RunRecord
-from edit3r.running.records import Preview
+from edit3r.running.records import Preview, SelectedRegions
 
 FITS = 15.0
 """PSNR [dB] of a photo in the scene from which the camera path comes near it."""
@@ -244,15 +245,14 @@ def _about(result: RunRecord) -> str:
     """Who made the scene, and the verdicts, in one line."""
     line = (
         f"editor {result.parts.editor_names}, "
-        f"reconstructor {component_name(result.reconstructor)}; "
-        f"scene: {result.verdict.label}"
+        f"reconstructor {component_name(result.reconstructor)}"
     )
-    if result.edit_verdict is not None:
-        line += f", edit: {result.edit_verdict.label}"
+    line += _answers(result.records.selection, result.edit_verdict)
+    line += f"; scene: {result.verdict.label}"
     left_out = result.records.made.left_out
     if left_out is not None:
         line += f"; left out: {', '.join(left_out.names)}"
-    return line + _how_sure(result.records.selection.selected)
+    return line
 
 
 def comparison(result: RunRecord, other: RunRecord) -> Image.Image:
@@ -314,18 +314,14 @@ def _chosen_by(reading: Reading, selected: Selected) -> str:
 
 def _preview_line(made: Preview) -> str:
     line = "preview: nothing is reconstructed yet"
-    line += _how_sure(made.selection.selected)
-    if made.edit is None or made.edit.verdict is None:
-        return line
-    return f"{line}; edit: {made.edit.verdict.label}"
+    edit = None if made.edit is None else made.edit.verdict
+    return line + _answers(made.selection, edit)
 
 
-def _how_sure(things: Sequence[Selected]) -> str:
-    """How surely the words found what they name, where that was by learned words."""
-    unsure = [one.confidence for one in things if (one.confidence or 1.0) < 1]
-    return "".join(
-        f"; selected by words, confidence {confidence:.0%}" for confidence in unsure
-    )
+def _answers(selection: SelectedRegions, edit: EditVerdict | None) -> str:
+    """What was selected and how the edit was carried out, in a few words; "" without them."""
+    line = "" if selection.verdict is None else f"; selected: {selection.verdict.short}"
+    return line if edit is None else f"{line}; edit: {edit.label}"
 
 
 def _manifest(result: RunRecord) -> RunManifest:
@@ -357,6 +353,7 @@ def _manifest(result: RunRecord) -> RunManifest:
         weights=[WeightsRecord(**facts) for facts in weights.values()],
         verdict=result.verdict,
         edit_verdict=result.edit_verdict,
+        selection_verdict=result.selection_verdict,
         gaussians=result.gaussians.count,
         harmonics_degree=result.gaussians.degree,
         stages=report.stages,

@@ -75,9 +75,10 @@ class Edit3rEdit:
         folders = (output / f"edit3r-{number}" for number in count(1))
         folder = next(folder for folder in folders if not folder.exists())
         result.save(folder)
-        verdict = f"scene: {result.verdict.label}, {result.verdict.reason}"
-        if result.edit_verdict is not None:
-            verdict += f"\nedit: {result.edit_verdict}"
+        answers = {"selected": result.selection_verdict, "edit": result.edit_verdict}
+        lines = [f"{on}: {one}" for on, one in answers.items() if one is not None]
+        scene = f"scene: {result.verdict.label}, {result.verdict.reason}"
+        verdict = "\n".join([*lines, scene])
         edited, rendered = result.edited.images, result.rendered.images
         return str(folder / "scene.ply"), _shown(edited), _shown(rendered), verdict
 

@@ -11,14 +11,16 @@ from edit3r.contract.component import Offer
 from edit3r.contract.errors import InputError
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.running import SavedScene, write_saved
-from edit3r_app.jobs import JobsFolder
+from edit3r_app.jobs import PREVIEW, JobsFolder
 
 ARCHIVE = "all.zip"
+EDITED = "edited-photos.zip"  # the 2D edits, also of a run that failed
 FILM = "flight.webm"  # of a flight that the user made
 OF_EVERY_RUN = {
     "scene.ply": "3D Gaussians, for most programs",
     "cameras.json": "where the photos were taken from",
     "run.json": "how it was made",
+    EDITED: "the edited photos",
     ARCHIVE: "everything in one file",
 }
 FIRST = ("viewer.html", "video.webm", "before_after.png", "scene.ply", ARCHIVE)
@@ -79,6 +81,8 @@ def prepared(folder: JobsFolder, run: str, what: str) -> Path:
 
     Raises InputError for what is no download, and for what the run left out.
     """
+    if what == EDITED:
+        return _edited_photos(folder, run)
     source = folder.path(run)
     made = folder.beside(run) / what
     if what == FILM and _is_file(made):
@@ -95,6 +99,26 @@ def prepared(folder: JobsFolder, run: str, what: str) -> Path:
         _write(writer, source, made)
     else:
         raise InputError(f"{run} has no {what}: its settings left it out.")
+    return made
+
+
+def has_edits(folder: JobsFolder, run: str) -> bool:
+    """Whether the preview of a run that is not finished holds its 2D edit."""
+    return (folder.private / run / PREVIEW / "run.json").is_file()
+
+
+def _edited_photos(folder: JobsFolder, run: str) -> Path:
+    """An archive of the 2D edits: those of the run, or of its preview where it has none."""
+    folder.job(run)
+    of_run = folder.root / run / "edited"
+    source = of_run if of_run.is_dir() else folder.private / run / PREVIEW
+    if not of_run.is_dir() and not has_edits(folder, run):
+        raise InputError(f"{run} has no edited photos.")
+    made = folder.beside(run) / EDITED
+    with atomic_write(made) as partial, zipfile.ZipFile(partial, "w") as archive:
+        for file in _files(source):
+            if file.suffix != ".json":
+                archive.write(file, file.name)
     return made
 
 

@@ -63,7 +63,6 @@ class Draft:
     marks: list[Mark | Step] = field(default_factory=list)
     undone: list[Mark | Step] = field(default_factory=list)  # the last taken back last
     words: str = ""  # name the thing where nothing is marked
-    guess: bool = False  # take what stands out most where words are not known
     # what was typed: the sentence, names of components, settings
     form: dict[str, Any] = field(default_factory=dict)
     # of a set of photos, for all edits of it: marks by the name that the user gave them
@@ -104,7 +103,6 @@ class Draft:
             self.undone.append(self.marks.pop())
         else:
             self.words = ""
-            self.guess = False
 
     def take_again(self) -> None:
         """Take the mark or step again that was taken back last."""
@@ -135,7 +133,6 @@ class Draft:
             removed=_painted([*of("erase"), *of("carve")], views.image_size),
             words=thing.name,
             which=thing.which,
-            guess=self.guess,
             larger=self.outline["larger"],
             reading=self.outline["reading"],
         )

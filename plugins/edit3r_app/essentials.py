@@ -26,7 +26,9 @@ class Essentials:
     def state(self) -> dict[str, Any]:
         """What is missing, with its licences, and what was said while fetching it."""
         known = declared(()).values()
-        missing = [one for one in known if one.essential and at_hand(one) is None]
+        missing = [
+            one for one in known if one.bundle == ESSENTIALS and at_hand(one) is None
+        ]
         return {
             "missing": [
                 {

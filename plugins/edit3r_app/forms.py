@@ -11,10 +11,22 @@ from edit3r.kit.files.configs import parse_assignments
 from edit3r.loading import SettingLine, settings_lines
 from edit3r.running import RunConfig, check_components, make_run_config
 from edit3r_app.draft import Draft
+from edit3r_app.wording import in_app
 
 CHOSEN = ("editor", "reconstructor")
-NOT_IN_FORM = (*CHOSEN, *Draft().outline, "prompt", "quality", "size", "guess")
+BESIDE_THE_PHOTO = ("strength", "feather")
+NOT_IN_FORM = (
+    *CHOSEN,
+    *BESIDE_THE_PHOTO,
+    *Draft().outline,
+    *("prompt", "quality", "size", "writer"),
+)
 """Settings of a run that have a place of their own, or that masks were made for."""
+WHO = {
+    "editor": ("Editor of the photos", "the one that can do what you ask for"),
+    "reconstructor": ("Builder of the scene", "the usual one: two photos are enough"),
+}
+"""Of what is chosen: its label, and what is taken where nothing is."""
 RUNS_PROGRAMS = "command"
 """An editor that starts a program of the user's choice: not for a page that others may reach."""
 MAX_TYPED = 2000  # characters of one setting
@@ -110,15 +122,14 @@ LARGEST_SLIDER = 1000  # steps: what has more is typed
 def settings_form(draft: Draft, registry: Registry) -> list[dict[str, Any]]:
     """Groups of fields as the dialog shows them: a title, and fields with their words."""
     form = draft.form
-    groups = [_group("How good and how long", "", [_quality(form)])]
-    for kind, title in zip(CHOSEN, ("Who edits the photos", "Who builds the scene")):
+    groups = [_group("", "", [_quality(form)])]
+    for kind, (label, usual_one) in WHO.items():
         names = offered(registry, kind)
         asked = form.get(kind, "")
         chosen = asked if asked in names else ""
-        options = [_option("", "automatic", "the one that can do what you ask for")]
+        options = [_option("", "automatic", usual_one)]
         options += [_option(name, name, told) for name, told in names.items()]
-        fields = [_select(kind, kind.capitalize(), options, chosen)]
-        groups.append(_group(title, "", fields))
+        groups.append(_group("", "", [_select(kind, label, options, chosen)]))
         if chosen:
             typed = _texts(form, f"{kind} {chosen}")
             lines = form_lines(registry, kind, chosen)
@@ -136,7 +147,7 @@ def set_by_hand(settings: dict[str, Any]) -> list[str]:
     """What was set for a run beside its sentence, in words."""
     said = []
     for name, value in settings.items():
-        if name in ("prompt", "guess") or value in ("", None, False):
+        if name == "prompt" or value in ("", None, False):
             continue
         label = EXPLAINED.get(name, (name.replace("_", " "),))[0]
         shown = value.get("name", value) if isinstance(value, dict) else value
@@ -161,7 +172,7 @@ def _select(
 
 def _quality(form: dict[str, Any]) -> dict[str, Any]:
     options = [_option(name, name or "automatic", told) for name, told in COSTS.items()]
-    return _select("quality", "Quality", options, form.get("quality", ""))
+    return _select("quality", "Quality and time", options, form.get("quality", ""))
 
 
 def _texts(form: dict[str, Any], group: str) -> dict[str, Any]:
@@ -171,7 +182,7 @@ def _texts(form: dict[str, Any], group: str) -> dict[str, Any]:
 def _field(line: SettingLine, typed: dict[str, Any]) -> dict[str, Any]:
     """One setting as a switch, a select, a slider, a number or a text, with its words."""
     plain = line.name.replace("_", " ")
-    sentence = FLAGS.sub("", line.sentence)
+    sentence = in_app(line.sentence)
     usual = (plain[:1].upper() + plain[1:], sentence, "")
     label, told, unit = EXPLAINED.get(line.name, usual)
     default = "" if line.default is None else _as_text(line.default)
@@ -205,10 +216,6 @@ def _field(line: SettingLine, typed: dict[str, Any]) -> dict[str, Any]:
     return {**made, "kind": "number", **limits}
 
 
-FLAGS = re.compile(
-    r"[;,]? ?\(?(?:where |see )?--[\w-]+[^;,.)]*\)?|\(?see docs/[^)]*\)?"
-)
-"""What speaks of the command line in the sentence of a setting."""
 MOST_SAID = 1e6
 
 
@@ -255,7 +262,6 @@ def run_settings(draft: Draft, registry: Registry) -> dict[str, Any]:
     form = draft.form
     settings = _typed(form, "run")
     settings["prompt"] = str(form.get("prompt", "")).strip()
-    settings["guess"] = draft.guess
     usual = Draft().outline
     steps = draft.outline.items()
     settings |= {key: value for key, value in steps if value != usual[key]}

@@ -35,6 +35,8 @@ PRIVATE = ".edit3r-app"
 PREVIEW = "preview"
 KINDS = ("images", "inputs", "edited", "renders", PREVIEW)
 """Folders of images: of a set of photos, of a run, and of what a run will edit."""
+ASKED = "asked.json"
+"""File beside a job: what was drawn over the scene before it."""
 RECENT = 2.0
 """[s] that a file may change while its time of change stays: as coarse as some disks note it."""
 
@@ -50,6 +52,7 @@ class AppJob:
     settings: dict[str, Any] = field(default_factory=dict)
     # what `edit3r objects` is asked for instead of an edit: an action, a name, values
     object: tuple[str, ...] = ()
+    drawn: bool = False  # whether that is about what is drawn over the scene
     masks: int = 0  # how many mask files there are, one for each photo; 0: none
     size: int = 512  # of the photos [pixels]
     state: Literal["queued", "running", "done", "failed", "cancelled"] = "queued"
@@ -144,10 +147,12 @@ class JobsFolder:
         job: AppJob,
         masks: Iterable[Float[Tensor, "height width"]] = (),
         known: Path | None = None,
+        drawn: Path | None = None,
     ) -> AppJob:
         """Queue a job, after writing its masks, under a name that is free; its own is ignored.
 
-        `known` is a folder with what was read from the photos already; beside masks a run finds it.
+        `drawn` is the file of what is drawn over the scene. `known` is a folder with what was read
+        from the photos already; beside masks a run finds it.
         """
         name = self._reserved(job.scene[:80])
         count = 0
@@ -157,7 +162,15 @@ class JobsFolder:
             count += 1
         if count and known is not None and known.is_dir():
             shutil.copytree(known, self.beside(name) / known.name)
-        job = replace(job, name=name, masks=count, made=time.time())
+        if drawn is not None:
+            shutil.copyfile(drawn, self.beside(name) / ASKED)
+        job = replace(
+            job,
+            name=name,
+            masks=count,
+            drawn=drawn is not None,
+            made=time.time(),
+        )
         self.write(job)
         return job
 

@@ -29,11 +29,11 @@ from torch import Tensor
 
 from edit3r import Registry
 from edit3r.contract.errors import Edit3rError, InputError
-from edit3r.contract.interfaces import Geometry, Marks, Reading, Selected, Selection
+from edit3r.contract.interfaces import Marks, Reading, Selected, Selection
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
-from edit3r.contract.verdicts import EditVerdict
+from edit3r.contract.verdicts import EditVerdict, SelectionVerdict
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.atomic import atomic_folder, atomic_write
 from edit3r.kit.photos.images import load_photos, save_image, to_bytes
@@ -41,17 +41,21 @@ from edit3r.kit.photos.outline import draw_outline, outlined
 from edit3r.running import (
     CACHE,
     DEFAULTS,
+    EarlierRun,
+    GeometryAnswer,
     Parts,
     Preview,
+    RunConfig,
     RunJob,
     default_matcher,
-    geometry_of,
+    geometry_answer,
     make_run_config,
     preview,
-    read_views_of_run,
+    preview_photo,
+    read_earlier_run,
     usual_selector,
 )
-from edit3r_app.draft import DRAFT, Draft
+from edit3r_app.draft import DRAFT, Draft, Mark
 from edit3r_app.forms import run_settings
 from edit3r_app.jobs import PREVIEW, JobsFolder
 
@@ -71,6 +75,9 @@ DRAWN = 1024
 """Longer side at least, about, of what is drawn over photos [pixels]."""
 BLUR = 0.7  # of steps along its border; a line of one pixel stays [pixels]
 THUMBNAIL = 240  # [pixels], longer side of the picture of a reading
+CANDIDATES = 5  # that are shown of what may be meant
+ANOTHER = 0.6  # overlap from which two of them are one
+FINE = 0.004  # how far the border of a candidate may be simplified [longer sides]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +91,7 @@ class DraftAnswer:
     # the sentence as it was read, and the editor that carries it out
     understood: str = ""
     problem: str = ""  # why it cannot be carried out
-    asks: bool = False  # a click, or a guess, would help
+    asks: bool = False  # a click would help
     told: tuple[str, ...] = ()  # choices and warnings
     confidence: float | None = (
         None  # of what words found, in [0, 1]; None: it was marked
@@ -125,7 +132,8 @@ class _Opened:
     views: Views  # its photos, edited where it is a run
     cache: Cache
     began: float  # when they began to be read [seconds since 1970]
-    geometry: "Future[Geometry | None]" = field(default_factory=Future)
+    earlier: EarlierRun | None  # the run, without its scene; None of photos
+    geometry: "Future[GeometryAnswer]" = field(default_factory=Future)
     read: dict[int, "Future[None]"] = field(default_factory=dict)
     """By photo: that the segmenter has read it."""
     shown: set[int] = field(default_factory=set)  # photos that somebody looked at
@@ -140,6 +148,8 @@ class BeingRead:
     photos: bool = False  # a click is answered at once
     geometry: bool = False  # poses and depths are known, or cannot be
     left: float = 0.0  # of the geometry, about [s]
+    trouble: str = ""  # why the photos make no good scene, as soon as it is known
+    placed: bool = True  # False: they make none at all
 
 
 class Looker:
@@ -164,6 +174,7 @@ class Looker:
         self._looks = lru_cache(maxsize=64)(self._look)
         self._points = lru_cache(maxsize=64)(self._point)
         self._edits = lru_cache(maxsize=4)(self._edit)
+        self._found = lru_cache(maxsize=16)(self._find)
 
     def prepare(self) -> None:
         """Load, in the background and once, what pointing needs, before there are photos."""
@@ -189,7 +200,9 @@ class Looker:
                 opened.read.get(view) for view in tuple(opened.shown or opened.read)
             ]
             photos = bool(seen) and all(one is not None and one.done() for one in seen)
-            return BeingRead(photos, opened.geometry.done(), self._left(opened))
+            trouble, placed = _trouble(opened)
+            left = self._left(opened)
+            return BeingRead(photos, opened.geometry.done(), left, trouble, placed)
         self._background.submit(self._open_once, state).add_done_callback(_said)
         return BeingRead(left=self._pace * len(self.folder.photos(state)))
 
@@ -230,6 +243,7 @@ class Looker:
             self._looks.cache_clear()
             self._points.cache_clear()
             self._edits.cache_clear()
+            self._found.cache_clear()
 
     def changes(self, state: str, before: Draft, after: Draft) -> bool:
         """Whether two drafts select different things."""
@@ -248,11 +262,48 @@ class Looker:
             self._begin_reading(opened, view)
         return _jpeg(opened.views.images[0, view])
 
-    def overlay(self, state: str, draft: Draft, name: str) -> bytes:
-        """PNG to lie over one photo: what is selected is outlined, and the rest is darker."""
+    def overlay(self, state: str, draft: Draft, name: str, line: bool = False) -> bytes:
+        """PNG to lie over one photo: what is selected is outlined, and the rest is darker.
+
+        With `line` nothing is darker.
+        """
         look = self.look(state, draft)
         view = _place(look.views, name)
-        return _over(None if look.masks is None else look.masks[view])
+        return _over(None if look.masks is None else look.masks[view], line)
+
+    def edited(self, state: str, draft: Draft, name: str, found: bool = False) -> bytes:
+        """JPEG of the 2D edit of one photo, at once; a clear pixel where there is none yet.
+
+        `found`: what is selected is known on all photos, and that is edited.
+        """
+        opened = self._open_once(state)
+        view = _place(opened.views, name)
+        with suppress(Edit3rError), self._pointing:
+            if edit := self._edited_on(opened, state, draft, view, found):
+                return _jpeg(edit.images[0, 0])
+        return _jpeg(torch.zeros(3, 1, 1))
+
+    def _edited_on(
+        self, opened: _Opened, state: str, draft: Draft, view: int, found: bool
+    ) -> Views | None:
+        config = make_run_config(run_settings(draft, self.registry))
+        mask = None
+        if found:
+            look = self.look(state, draft)
+            mask = None if look.masks is None else look.masks[view]
+        elif draft.selects:
+            mask = self._marked_on(opened, draft, opened.views.names[view])
+            if mask is None:  # it is marked on another photo
+                return None
+        marks = None
+        if mask is not None:  # outlines are moved already
+            marks = Selection(masks={0: mask})
+            plain = {"larger": 0, "reading": 1, "grow": 0.0, "invert": False}
+            config = config.model_copy(update=plain)
+        job = _job_on(opened, config, marks, [view])
+        if not is_quick(Parts(config, self.registry, job)):
+            return None
+        return preview_photo(job, self.registry)
 
     def pointed(self, state: str, draft: Draft, name: str, line: bool = False) -> bytes:
         """The same by the marks on that photo alone, at once: before the others were asked.
@@ -263,11 +314,14 @@ class Looker:
         view = _place(opened.views, name)
         opened.asked.set()
         wait([opened.read[view]] if view in opened.read else [])
+        return _over(self._marked_on(opened, draft, name), line)
+
+    def _marked_on(self, opened: _Opened, draft: Draft, name: str) -> Tensor | None:
+        """What the marks on one photo select there."""
         own = [one for one in draft.marks if getattr(one, "photo", name) == name]
         alone = Draft(own)
         with self._pointing:  # who asks the same meanwhile gets this answer
-            mask = self._points(opened, alone.as_json(), name)
-        return _over(mask, line)
+            return self._points(opened, alone.as_json(), name)
 
     def _point(self, opened: _Opened, text: str, name: str) -> Tensor | None:
         draft = DRAFT.validate_json(text)
@@ -284,16 +338,39 @@ class Looker:
             return usual_selector().select(alone, selection).masks[0, 0]
         return None
 
+    def candidates(self, state: str, name: str) -> tuple[tuple[Mark, Tensor], ...]:
+        """What may be meant on one photo: a mark that takes it, and its mask."""
+        opened = self._open_once(state)
+        return self._found(opened, name)
+
+    def candidate(self, state: str, name: str, number: int) -> bytes:
+        """JPEG of one of them."""
+        found = self.candidates(state, name)
+        if not 0 <= number < len(found):
+            raise InputError("there is no such picture.")
+        opened = self._open_once(state)
+        image = opened.views.images[0, _place(opened.views, name)]
+        return _picture(image, found[number][1])
+
+    def _find(self, opened: _Opened, name: str) -> tuple[tuple[Mark, Tensor], ...]:
+        image = opened.views.images[0, _place(opened.views, name)]
+        choice = PartChoice(name=DEFAULTS["segmenter"])
+        with _working_with(opened.cache):
+            segmenter = self.registry.build_choice("segmenter", choice)
+            proposals = segmenter.propose(image)
+        masks: list[Tensor] = []
+        for one in proposals:
+            if all(_overlap(one.soft_mask, mask) < ANOTHER for mask in masks):
+                masks.append(one.soft_mask)
+        return tuple((_around(mask, name), mask) for mask in masks[:CANDIDATES])
+
     def reading(self, state: str, draft: Draft, number: int) -> bytes:
         """JPEG of a reading of what is selected, on the photo where it was found."""
         look = self.look(state, draft)
         found = [one for one in look.readings if one.number == number]
         if not found:
             raise InputError("there is no such reading of what is selected.")
-        image = look.views.images[0, found[0].view]
-        mask = found[0].mask
-        dimmed = image * (DIMMED + (1 - DIMMED) * mask)
-        return _jpeg(outlined(dimmed, mask), THUMBNAIL)
+        return _picture(look.views.images[0, found[0].view], found[0].mask)
 
     def edit_verdict(self, look: DraftAnswer) -> EditVerdict | None:
         """What is to be said of the 2D edit; None of slow editors, and where there is no edit."""
@@ -315,30 +392,33 @@ class Looker:
         views = look.views
         folder = self.folder.beside(job) / PREVIEW
         folder.mkdir()
+        is_edited = False
         if look.is_quick:  # of slower editors the edit is seen with the result
             with suppress(Edit3rError), self._working:
-                if edit := self._edits(look).edit:
-                    views = edit.views
-                    _keep_verdict(edit.verdict, folder)
+                made = self._edits(look)
+                if made.edit is not None:
+                    views, is_edited = made.edit.views, True
+                    _keep_answers(made.edit.verdict, made.selection.verdict, folder)
         for view, name in enumerate(views.names):
             image = views.images[0, view]
-            if look.masks is not None:
+            if look.masks is not None and not is_edited:
                 image = outlined(image, look.masks[view])
             save_image(image, folder / f"{name}.jpg")
 
     def _open(self, state: str, names: tuple[str, ...]) -> _Opened:
         """Read a state's photos as a run does; `names` says which there are."""
         path = self.folder.path(state)
-        began = time.time()
+        began, earlier = time.time(), None
         if self.folder.is_run(state):
             cache = Cache(path / CACHE)
-            photos, views = read_views_of_run(path)
+            earlier = replace(read_earlier_run(path), scene=None)
+            photos, views = earlier.photos, earlier.edited
         else:
             cache = Cache(self._answers(state))
             files = list(self.folder.photos(state).values())
             with _working_with(cache):
                 photos = views = load_photos(files, size=self.size).views
-        opened = _Opened(views, cache, began)
+        opened = _Opened(views, cache, began, earlier)
         opened.geometry.add_done_callback(_said)
         if photos is views:  # else the scene is looked at first
             self._begin_reading(opened, 0)
@@ -397,11 +477,11 @@ class Looker:
                 with atomic_folder(self._answers(state), overwrite=True) as partial:
                     cache.save(partial)
 
-    def _geometry(self, photos: Views, cache: Cache) -> Geometry | None:
+    def _geometry(self, photos: Views, cache: Cache) -> GeometryAnswer:
         """Poses and depths, as a run with the default reconstructor finds them."""
         began = time.time()
         with _working_with(cache):
-            found = geometry_of(default_matcher(self.registry), photos)
+            found = geometry_answer(default_matcher(self.registry), photos)
         if "match" in cache.computed:
             self._pace = (time.time() - began) / photos.count
         return found
@@ -424,24 +504,23 @@ class Looker:
                     ]
                     said = "; ".join(map(str, instructions)) or config.prompt
                     look = replace(look, understood=f"{said} ({parts.editor_names})")
-                    look = self._with_regions(look, opened.cache, parts)
+                    look = self._with_regions(look, opened, parts)
             except Edit3rError as error:
                 asks = isinstance(error, InputError)
                 look = replace(look, problem=str(error), asks=asks)
         return replace(look, told=tuple(told))
 
     def _with_regions(
-        self, look: DraftAnswer, cache: Cache, parts: Parts
+        self, look: DraftAnswer, opened: _Opened, parts: Parts
     ) -> DraftAnswer:
         """Where the sentence applies, as a run finds it."""
         marked = None
         if look.marked is not None:
             marked = Selection(masks=dict(enumerate(look.marked)))
-        job = RunJob(parts.config, look.views, masks=marked, cache=cache)
+        job = _job_on(opened, parts.config, marked)
         selection = preview(job, self.registry, edits=False).selection
         things = selection.selected
         confidences = [one.confidence for one in things if one.confidence is not None]
-        used = [task.editor.offer.component for task in parts.tasks]
         return replace(
             look,
             masks=None if selection.masks is None else selection.masks[0],
@@ -449,14 +528,68 @@ class Looker:
             confidence=min(confidences, default=look.confidence),
             is_sure=look.is_sure and all(one.is_sure for one in things),
             readings=look.readings or _readings(things),
-            is_quick=not any(one.weights or one.needs_network for one in used),
+            is_quick=is_quick(parts),
         )
 
 
-def _keep_verdict(verdict: EditVerdict | None, folder: Path) -> None:
-    """Write the verdict on a preview as run.json will hold that on the whole run."""
-    if verdict is not None:
-        content = json.dumps({"edit_verdict": asdict(verdict)})
+def is_quick(parts: Parts) -> bool:
+    """Whether the editors of a run answer at once."""
+    used = [task.editor.offer.component for task in parts.tasks]
+    return not any(one.weights or one.needs_network for one in used)
+
+
+def _job_on(
+    opened: _Opened,
+    config: RunConfig,
+    marks: Selection | None,
+    views: list[int] | None = None,
+) -> RunJob:
+    """The run of a draft: on photos, or on from what an earlier run left; of some views alone."""
+    if opened.earlier is None:
+        photos = opened.views if views is None else opened.views.select(views)
+        return RunJob(config, photos, masks=marks, cache=opened.cache)
+    earlier = opened.earlier
+    if views is not None:
+        earlier = replace(
+            earlier,
+            photos=earlier.photos.select(views),
+            edited=earlier.edited.select(views),
+            records=(),
+            things={name: masks[views] for name, masks in earlier.things.items()},
+        )
+    return RunJob(config, masks=marks, earlier=earlier, cache=opened.cache)
+
+
+def _trouble(opened: _Opened) -> tuple[str, bool]:
+    """What is to be said of photos that make no good scene, and whether they make any."""
+    views = opened.views
+    if not opened.geometry.done() or views.count < 2:
+        return "", True
+    if opened.geometry.exception():
+        return str(opened.geometry.exception()), False
+    found = opened.geometry.result()
+    if found.geometry is None:
+        return found.problem, False
+    if found.problem:
+        return found.problem, True
+    apart = [
+        name
+        for name, is_in in zip(views.names, found.geometry.registered[0])
+        if not is_in
+    ]
+    if not apart:
+        return "", True
+    return f"{' and '.join(apart)}: shows too little of what the others show", True
+
+
+def _keep_answers(
+    edit: EditVerdict | None, selected: SelectionVerdict | None, folder: Path
+) -> None:
+    """Write the answers on a preview as run.json will hold those on the whole run."""
+    answers = {"edit_verdict": edit, "selection_verdict": selected}
+    known = {key: asdict(one) for key, one in answers.items() if one is not None}
+    if known:
+        content = json.dumps(known)
         with atomic_write(folder / "run.json") as partial:
             partial.write_text(content, encoding="utf-8")
 
@@ -465,7 +598,7 @@ def _with_marks(
     look: DraftAnswer, draft: Draft, opened: _Opened, parts: Parts
 ) -> DraftAnswer:
     """What the marks select on every photo."""
-    geometry = opened.geometry.result() if opened.geometry.done() else None
+    geometry = opened.geometry.result().trusted() if opened.geometry.done() else None
     selector = parts.selector
     found = selector.select(look.views, draft.selection(look.views), geometry)
     marked = found.masks[:, 0]
@@ -501,6 +634,30 @@ def _place(views: Views, name: str) -> int:
     if name not in views.names:
         raise InputError(f"{name[:60]!r}: no photo of that name.")
     return views.names.index(name)
+
+
+def _picture(image: Float[Tensor, "3 height width"], mask: Tensor) -> bytes:
+    """JPEG of a photo with one thing outlined and the rest darker."""
+    dimmed = image * (DIMMED + (1 - DIMMED) * mask)
+    return _jpeg(outlined(dimmed, mask), THUMBNAIL)
+
+
+def _overlap(one: Tensor, other: Tensor) -> float:
+    """Intersection over union of two soft masks."""
+    a, b = one > 0.5, other > 0.5
+    return float((a & b).sum() / (a | b).sum().clamp(min=1))
+
+
+def _around(mask: Float[Tensor, "height width"], photo: str) -> Mark:
+    """A lasso around the largest piece of a mask."""
+    shape = (mask > 0.5).numpy(force=True).astype(np.uint8)
+    pieces, _ = cv2.findContours(shape, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    largest = max(pieces, key=cv2.contourArea)
+    line = cv2.approxPolyDP(largest, FINE * max(mask.shape), True)[:, 0]
+    height, width = mask.shape
+    return Mark(
+        "lasso", photo, [(float(x / width), float(y / height)) for x, y in line]
+    )
 
 
 def _jpeg(image: Float[Tensor, "3 height width"], most: int = 0) -> bytes:

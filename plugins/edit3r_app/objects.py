@@ -15,7 +15,12 @@ TEXTS = {
     "copy": "a name for the copy",
 }
 MARKED = "add"  # takes what is marked on the photos
+DRAWN = {"cut": "remove what is drawn", "crop": "keep only what is drawn"}
+"""Actions on what is drawn over the scene, which need no name."""
+NAMELESS = ("find", "clean", *DRAWN)
 IN_WORDS = {
+    **DRAWN,
+    "clean": "take out floaters",
     "find": "find the things",
     "add": "take hold of {name}",
     "remove": "remove {name}",
@@ -48,7 +53,7 @@ class ObjectAction(BaseModel):
     @property
     def call(self) -> tuple[str, ...]:
         """What stands on the command line after the folder of the run."""
-        named = [self.name] if self.action != "find" else []
+        named = [] if self.action in NAMELESS else [self.name]
         texts = [self.text.strip()] if self.action in TEXTS else []
         return (self.action, *named, *texts, *(f"{one:.6g}" for one in self.numbers))
 
@@ -59,7 +64,7 @@ def read_action(asked: dict[str, Any]) -> ObjectAction:
         found = ObjectAction(**asked)
     except (ValidationError, TypeError):
         raise InputError("not something that can be done with a thing.") from None
-    if found.action != "find" and not found.name.strip():
+    if found.action not in NAMELESS and not found.name.strip():
         raise InputError("give the thing a name first.")
     if any(
         one.startswith("-") or not one.isprintable() for one in (found.name, found.text)

@@ -21,7 +21,7 @@ from edit3r.contract.errors import InputError
 from edit3r.kit.children import PYTHON
 from edit3r.kit.files.atomic import atomic_write, remove_abandoned
 from edit3r.running import DEFAULTS
-from edit3r_app.jobs import AppJob, JobsFolder
+from edit3r_app.jobs import ASKED, AppJob, JobsFolder
 from edit3r_app.objects import checked_words
 from edit3r_app.progress import read_progress
 from edit3r_app.ready import CAN_WAIT, ReadyProcess
@@ -47,6 +47,8 @@ def command_of(folder: JobsFolder, job: AppJob) -> list[str]:
     out = ["--out", str(folder.root / job.name)]
     if job.object:
         marked = ["--mask", *masks] if masks else []
+        if job.drawn:
+            marked = ["--drawn", str(beside / ASKED)]
         run = str(folder.path(job.parent))
         words = checked_words(job.object)
         return ["objects", "--quiet", *out, *marked, "--", run, *words]

@@ -30,6 +30,7 @@ from edit3r.kit.files.text import parse_json
 from edit3r.kit.photos.decode import read_image
 from edit3r_app import downloads, uploads
 from edit3r_app.draft import MARK, read_draft
+from edit3r_app.drawing import Drawing
 from edit3r_app.essentials import Essentials
 from edit3r_app.flights import film
 from edit3r_app.guard import Guard
@@ -38,7 +39,8 @@ from edit3r_app.looking import Looker
 from edit3r_app.made_scenes import offered_scenes, photo_of
 from edit3r_app.phone import phone_link
 from edit3r_app.runner import Runner
-from edit3r_app.studio import Studio, in_app
+from edit3r_app.studio import Studio
+from edit3r_app.wording import in_app
 
 STATIC = Path(__file__).with_name("static")
 THUMBNAIL = 320  # [pixels], longer side
@@ -106,7 +108,7 @@ def make_app(
 
     guard = Middleware(Guard, token=token, max_bytes=uploads.MAX_BYTES)
     refusals = {Edit3rError: refused, OSError: refused}
-    studio = Studio(folder, runner, looker)
+    studio = Studio(folder, runner, looker, Drawing(folder, default_registry()))
     app = Starlette(
         routes=Answers(studio, place, token).routes(),
         middleware=[guard],
@@ -145,6 +147,10 @@ class Answers:
             Route("/api/home", get(lambda: self.home())),
             Route("/api/scene/{scene}", get(studio.scene, "scene", at="")),
             Route("/api/look/{state}", get(studio.look, "state")),
+            Route(
+                "/api/candidates/{state}/{name}",
+                get(studio.candidates, "state", "name"),
+            ),
             Route("/api/verdict/{state}", get(studio.verdict, "state")),
             Route("/api/settings/{state}", get(studio.settings, "state")),
             Route("/api/files/{run}", get(studio.files, "run")),
@@ -158,6 +164,7 @@ class Answers:
             ),
             post("/api/go/{scene}", self.go, "scene"),
             post("/api/object/{scene}", self.act, "scene"),
+            post("/api/draw/{run}", studio.draw, "run"),
             post(
                 "/api/cancel/{run}", lambda run, asked: studio.runner.cancel(run), "run"
             ),
@@ -171,6 +178,8 @@ class Answers:
             Route("/photo/{state}/{name}", self.photo),
             Route("/overlay/{state}/{name}", self.overlay),
             Route("/pointed/{state}/{name}", self.pointed),
+            Route("/edited/{state}/{name}", self.edited),
+            Route("/candidate/{state}/{name}/{number:int}", self.candidate),
             Route("/reading/{state}/{number:int}", self.reading),
             Route("/image/{state}/{kind}/{name}", self.image),
             Route("/viewer/{run}", self.viewer),
@@ -255,7 +264,21 @@ class Answers:
     def overlay(self, request: Request) -> Response:
         state, name = _named(request, "state", "name")
         draft = read_draft(self.folder, state)
-        return Response(self.looker.overlay(state, draft, name), media_type="image/png")
+        line = "line" in request.query_params
+        content = self.looker.overlay(state, draft, name, line)
+        return Response(content, media_type="image/png")
+
+    def edited(self, request: Request) -> Response:
+        """The 2D edit of one photo, before anything is made."""
+        state, name = _named(request, "state", "name")
+        draft = read_draft(self.folder, state)
+        found = "found" in request.query_params
+        return _jpeg(self.looker.edited(state, draft, name, found))
+
+    def candidate(self, request: Request) -> Response:
+        state, name = _named(request, "state", "name")
+        self.folder.path(state)
+        return _jpeg(self.looker.candidate(state, name, request.path_params["number"]))
 
     def pointed(self, request: Request) -> Response:
         """What is pointed at on one photo; with `mark`, as if that mark were made as well.
@@ -269,7 +292,8 @@ class Answers:
             made = _mark_of(mark)
             if draft.marks[-1:] != [made] or "made" not in request.query_params:
                 draft.take(made)
-        line = bool(mark) and "made" not in request.query_params
+        made_so = "made" in request.query_params
+        line = (bool(mark) and not made_so) or "line" in request.query_params
         content = self.looker.pointed(state, draft, name, line=line)
         return Response(content, media_type="image/png")
 

@@ -1,29 +1,33 @@
 """What the page shows of a scene, and what it may ask for: plain data in, plain data out."""
 
-import re
 import threading
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from pydantic import ValidationError
 
 from edit3r.contract.errors import InputError
+from edit3r.kit.files.atomic import atomic_write
 from edit3r.running import MAX_PROMPT
 from edit3r_app import uploads
-from edit3r_app.downloads import offered_files
+from edit3r_app.downloads import has_edits, offered_files
 from edit3r_app.draft import MARK, STEP, Draft, read_draft, write_draft
+from edit3r_app.drawing import Drawing
 from edit3r_app.forms import run_settings, set_by_hand, settings_form
 from edit3r_app.jobs import PREVIEW, AppJob, JobsFolder, manifest_of, tree
 from edit3r_app.looking import BeingRead, DraftAnswer, Looker
 from edit3r_app.made_scenes import open_made
-from edit3r_app.objects import MARKED, objects_of, read_action
+from edit3r_app.objects import DRAWN, MARKED, objects_of, read_action
 from edit3r_app.progress import read_progress, time_left
 from edit3r_app.runner import Runner
+from edit3r_app.wording import in_app
 
 SAY = "Say what to change first, such as: paint it golden."
 MAX_SCENES = 200  # on the first page
+LEFT = "left"  # file beside a scene: the name of its state that was looked at last
 _CHANGING = threading.Lock()
 """A draft is read, changed and written under this lock: several requests come at once."""
 
@@ -35,6 +39,7 @@ class Studio:
     folder: JobsFolder
     runner: Runner
     looker: Looker
+    drawing: Drawing
 
     def renew(self) -> None:
         """Answer anew from now on: other weights are on this machine."""
@@ -53,10 +58,39 @@ class Studio:
         found = []
         for name in self.folder.scenes()[:MAX_SCENES]:
             photos = list(self.folder.photos(name))
-            edits = len(self.folder.history(name))
-            found.append({"name": name, "photos": photos[:1], "edits": edits})
-            found[-1]["count"] = len(photos)
+            history = self.folder.history(name)
+            at = self._left_at(name)
+            found.append(
+                {
+                    "name": name,
+                    "photos": photos[:1],
+                    "count": len(photos),
+                    "edits": len(history),
+                    "at": at,
+                    "shown": self._rendered(at),
+                }
+            )
         return found
+
+    def _rendered(self, name: str) -> list[str]:
+        """The first picture of a run's scene, where there is one."""
+        is_run = bool(name) and self.folder.is_run(name)
+        return list(self.folder.images(name, "renders"))[:1] if is_run else []
+
+    def _left_at(self, scene: str) -> str:
+        """The state of a scene that was looked at last; "" for its photos."""
+        note = self.folder.private / scene / LEFT
+        name = note.read_text(encoding="utf-8") if note.is_file() else ""
+        with suppress(InputError):
+            if name and self.folder.job(name).scene == scene:
+                return name
+        return ""
+
+    def _leave_at(self, scene: str, state: str) -> None:
+        at = "" if state == scene else state
+        if at != self._left_at(scene):
+            with atomic_write(self.folder.beside(scene) / LEFT) as partial:
+                partial.write_text(at, encoding="utf-8")
 
     def made(self, name: str) -> dict[str, Any]:
         """A scene to try; see `open_made`."""
@@ -75,6 +109,7 @@ class Studio:
             photos = list(folder.images(state, "renders"))
         history = folder.history(scene)
         at_rest = waits or by_hand
+        self._leave_at(scene, state)
         reading = BeingRead(by_hand, by_hand) if at_rest else self.looker.begin(state)
         if is_run and reading.photos:  # nothing else is waited for
             self.runner.make_ready()
@@ -90,7 +125,7 @@ class Studio:
             "history": [self._told(job, depth) for depth, job in tree(history)],
             "job": self._work(state) if waits else None,
             "preview": list(folder.images(state, PREVIEW)) if waits else [],
-            "reading": asdict(reading),
+            "reading": {**asdict(reading), "trouble": in_app(reading.trouble)},
             "draft": self._drawn(draft, state),
         }
 
@@ -102,8 +137,7 @@ class Studio:
 
     def _told(self, job: AppJob, depth: int) -> dict[str, Any]:
         """One edit of the history."""
-        is_done = job.state == "done"
-        shown = list(self.folder.images(job.name, "renders")) if is_done else []
+        shown = self._rendered(job.name)
         return {
             "name": job.name,
             "parent": job.parent,
@@ -138,6 +172,7 @@ class Studio:
             ],
             "told": [in_app(text) for text in progress.told],
             "trouble": self.runner.trouble,
+            "kept": has_edits(self.folder, name),
         }
 
     # ---- marks, words, settings ----
@@ -197,7 +232,7 @@ class Studio:
             "version": self._drawn(draft, state)["version"],
             "understood": look.understood,
             "problem": in_app(look.problem),
-            "asks": look.asks and not draft.guess,
+            "asks": look.asks,
             "told": [in_app(text) for text in look.told],
             "confidence": look.confidence,
             "sure": look.is_sure,
@@ -205,6 +240,13 @@ class Studio:
             "runs": look.job is not None,
             "readings": [one.number for one in look.readings],
         }
+
+    def candidates(self, state: str, name: str) -> list[dict[str, Any]]:
+        """The marks that take what may be meant on a photo; their pictures are asked for by
+        number.
+        """
+        self._is_state(state)
+        return [asdict(mark) for mark, _ in self.looker.candidates(state, name)]
 
     def verdict(self, state: str) -> dict[str, str] | None:
         """What the 2D edit of a quick editor is worth; None of others."""
@@ -244,8 +286,11 @@ class Studio:
         state, action = self._state(scene, at), read_action(asked)
         if not self.folder.is_run(state):
             raise InputError("there is no scene yet: make an edit first, then take it.")
-        masks = None
-        if action.action == MARKED:
+        masks = drawn = None
+        is_marked = action.action == MARKED
+        if action.action in DRAWN or (is_marked and self.drawing.is_drawn(state)):
+            drawn = self.drawing.file(state)
+        elif is_marked:
             masks = self.looker.look(state, read_draft(self.folder, state)).marked
             if masks is None:
                 raise InputError("point at the thing first, then give it a name.")
@@ -256,7 +301,12 @@ class Studio:
             settings={"prompt": action.in_words},
             object=action.call,
         )
-        return self.folder.new_job(job, () if masks is None else masks).name
+        marked = () if masks is None else masks
+        return self.folder.new_job(job, marked, drawn=drawn).name
+
+    def draw(self, run: str, asked: dict[str, Any]) -> dict[str, Any]:
+        """Change what is drawn over a scene; returns what it chooses."""
+        return self.drawing.change(run, asked)
 
     def _queued(self, job: AppJob, look: DraftAnswer) -> str:
         known = None if job.parent else self.looker.keep_answers(job.scene)
@@ -298,16 +348,12 @@ def _change(draft: Draft, do: str, value: Any) -> None:
 
 def _select(draft: Draft, words: Any) -> None:
     """Begin anew, with nothing or with words that name the thing."""
-    draft.marks, draft.undone, draft.guess = [], [], False
+    draft.marks, draft.undone = [], []
     draft.words = str(words or "")[:200]
 
 
 def _say(draft: Draft, sentence: Any) -> None:
     draft.form["prompt"] = str(sentence)[: MAX_PROMPT + 1]
-
-
-def _guess(draft: Draft, _: Any) -> None:
-    draft.guess = True
 
 
 def _set(draft: Draft, asked: Any) -> None:
@@ -337,7 +383,6 @@ _NAMING = ("keep", "drop")  # change what is kept by name
 _WAYS = {
     "select": _select,
     "say": _say,
-    "guess": _guess,
     "set": _set,
     "keep": _keep,
     "recall": _recall,
@@ -345,23 +390,20 @@ _WAYS = {
 }
 
 
+ANSWERS = {
+    "selected": "selection_verdict",
+    "edit": "edit_verdict",
+    "scene": "verdict",
+}
+"""How a run's three answers are called, and where its run.json has them."""
+
+
 def verdicts(folder: JobsFolder, run: str) -> Iterator[dict[str, str]]:
-    """A run's verdicts on its scene and on its edit; of one that is not finished that on its
-    preview.
-    """
+    """A run's three answers; of one that is not finished those on its preview."""
     beside = folder.private / run / PREVIEW
     manifest = manifest_of(folder.root / run) or manifest_of(beside)
-    for on, key in (("scene", "verdict"), ("edit", "edit_verdict")):
+    for on, key in ANSWERS.items():
         verdict = manifest.get(key)
         if isinstance(verdict, dict):
             label, reason = str(verdict.get("label")), str(verdict.get("reason", ""))
-            yield {"on": on, "label": label[:40], "reason": reason[:1000]}
-
-
-def in_app(sentence: str) -> str:
-    """A sentence of edit3r without the flags of the command line."""
-    sentence = sentence.replace("add --guess to take", "let the app take")
-    sentence = re.sub(r" \(--[^)]*\)", "", sentence)
-    sentence = re.sub(r",? take --[^,.;]*, or", "", sentence)
-    sentence = re.sub(r", or leave out --sure[^.;]*", "", sentence)
-    return re.sub(r"--(\w[\w-]*)", r"the setting \1", sentence)
+            yield {"on": on, "label": label[:40], "reason": in_app(reason[:1000])}

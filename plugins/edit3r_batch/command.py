@@ -299,12 +299,12 @@ def _counted(counts: Counter) -> str:
 
 
 def _table(rows: list[dict[str, Any]], longest: int | None = None) -> str:
-    """A Markdown table with a line for each job: its two verdicts, and why, cut to `longest`
+    """A Markdown table with a line for each job: its three answers, and why, cut to `longest`
     characters.
     """
     lines = [
-        "| job | scene | edit | input views [dB] | Gaussians | why |",
-        "| --- | --- | --- | --: | --: | --- |",
+        "| job | selected | edit | scene | input views [dB] | Gaussians | why |",
+        "| --- | --- | --- | --- | --: | --: | --- |",
     ]
     for row in rows:
         figures = (
@@ -314,7 +314,7 @@ def _table(rows: list[dict[str, Any]], longest: int | None = None) -> str:
         if row.get("edit") == "doubtful":
             why = f"edit: {row['edit_reason']}; scene: {why}"
         why = why[:longest].replace("|", "\\|")
-        labels = f"{row['verdict']} | {row.get('edit', '')}"
+        labels = f"{row.get('selected', '')} | {row.get('edit', '')} | {row['verdict']}"
         lines.append(f"| {row['id']} | {labels} | {figures} | {why} |")
     return "\n".join(lines)
 

@@ -105,6 +105,7 @@ class _Row(TypedDict, total=False):
 
     verdict: Required[Label]
     reason: Required[str]
+    selected: str
     edit: Literal["good", "doubtful", ""]
     edit_reason: str
     psnr: float
@@ -119,6 +120,14 @@ def check_row(row: dict[str, Any]) -> None:
     _ROWS.validate_python(row)
 
 
+def _selected(verdict: dict[str, Any] | None) -> str:
+    """What was selected, in a word, and how confidently; "" where nothing was looked for."""
+    if verdict is None:
+        return ""
+    label, confidence = verdict["label"], verdict["confidence"]
+    return label if confidence is None else f"{label} {confidence:.0%}"
+
+
 def row_of(folder: Path) -> dict[str, Any]:
     """What a finished folder says about its run. It is the same whoever did the job."""
     try:
@@ -129,6 +138,7 @@ def row_of(folder: Path) -> dict[str, Any]:
         row = {
             "verdict": verdict["label"],
             "reason": verdict["reason"],
+            "selected": _selected(manifest["selection_verdict"]),
             "edit": edit["label"],
             "edit_reason": edit["reason"],
             "psnr": sum(shown) / len(shown),

@@ -231,7 +231,6 @@ def tiny_job(registry: Registry, config: "RunConfig") -> Iterator[Finding]:
             cameras=cameras,
             size=JOB_SIZE,
             device=config.device,
-            guess=True,
             refine=4,
             registry=registry,
             report=report,

@@ -1,7 +1,7 @@
 """Geometry without learned weights: relative poses and dense depths that the photos alone tell."""
 
 from edit3r import Component, hookimpl
-from edit3r.contract.weights import Weights
+from edit3r.contract.weights import ESSENTIALS, Weights
 
 EDIT3R_API = 1
 
@@ -23,7 +23,7 @@ ALIKED = Weights(
             "d975e965b105311a6143194852297dff4f02aea5cc2e10cecfed966ca0e22503",
         ),
     ),
-    essential=True,
+    bundle=ESSENTIALS,
 )
 
 DEPTH_ANYTHING_3 = (

@@ -11,6 +11,17 @@ def register_critics():
         Component(
             "limits",
             "edit3r_judge.critic:LimitsCritic",
-            "signs of edit and scene, held to limits that were chosen on known ones",
+            "signals of edit and scene, held to limits that were fitted to known ones",
+        )
+    ]
+
+
+@hookimpl
+def register_commands():
+    return [
+        Component(
+            "judge",
+            "edit3r_judge.fit:JudgeCommand",
+            "fit the limits of the verdict to edits of which it is known whether they are good",
         )
     ]

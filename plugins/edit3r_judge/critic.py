@@ -1,12 +1,12 @@
-"""The critic `limits`: figures of edit and scene, held to limits that were chosen on known ones."""
+"""The critic `limits`: figures of edit and scene, held to limits that were fitted to known ones."""
 
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
 
 from edit3r.contract.interfaces import Critic, EditToJudge, SceneToJudge
 from edit3r.contract.verdicts import EditVerdict, Verdict
 from edit3r_judge.between import guessed_between
-from edit3r_judge.edit_measures import measure_edit, measure_edit_in_3d
-from edit3r_judge.edit_verdict import EditMeasures, judge_edit
+from edit3r_judge.limits import limits_of_edits
+from edit3r_judge.signals import SIGNALS, measured
 from edit3r_judge.verdict import Doubt, judge
 
 FLAT = (
@@ -27,14 +27,12 @@ class LimitsCritic(Critic):
     """See docs/verdict.md."""
 
     def judge_edit(self, edit: EditToJudge) -> EditVerdict:
-        if edit.in_2d is not None and edit.rendered is not None:
-            measures = EditMeasures(**edit.in_2d.measures)
-            measures = measure_edit_in_3d(measures, edit)
-            return judge_edit(measures, edit.in_2d.confidence)
-        measures = measure_edit(edit)
-        faults = (*edit.faults, *measures.faults)
-        measures = replace(measures, faults=faults, moved=edit.moved)
-        return judge_edit(measures, confidence_of(edit))
+        figures = measured(edit)
+        faults = (*edit.faults, *faults_of(figures, limits_of_edits()).values())
+        measures = {**figures, "faults": list(edit.faults), "moved": list(edit.moved)}
+        if faults:
+            return EditVerdict("doubtful", "; ".join(faults), measures)
+        return EditVerdict("good", "; ".join(_praise(edit)), measures)
 
     def judge_scene(self, scene: SceneToJudge) -> Verdict:
         guessed = None
@@ -53,14 +51,29 @@ class LimitsCritic(Critic):
         )
 
 
-def confidence_of(edit: EditToJudge) -> float | None:
-    """How surely the least sure thing was found, None where everything was marked; 0: a guess."""
-    confidences = [
-        one.confidence for one in edit.selected if one.confidence is not None
-    ]
-    if any("guess" in one.how for one in edit.selected):
-        confidences.append(0.0)
-    return min(confidences, default=None)
+def faults_of(
+    figures: Mapping[str, float | None], limits: Mapping[str, float]
+) -> dict[str, str]:
+    """What is said of each signal that lies beyond its limit, by its name."""
+    found = {}
+    for name, signal in SIGNALS.items():
+        figure, limit = figures[name], limits[name]
+        if figure is None:
+            continue
+        if figure < limit if signal.at_least else figure > limit:
+            found[name] = signal.fault.format(max(figure, 0.0))
+    return found
+
+
+def _praise(edit: EditToJudge) -> Iterator[str]:
+    """What was measured of an edit that nothing speaks against."""
+    what = "the whole picture" if edit.masks is None else "what was selected"
+    done = (
+        "is gone"
+        if any(one.action == "remove" for one in edit.instructions)
+        else "changed as asked"
+    )
+    yield f"{what} {done}" + (", in 3D too" if edit.rendered is not None else "")
 
 
 def doubt_of(scene: SceneToJudge) -> Doubt | None:

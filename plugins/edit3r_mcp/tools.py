@@ -30,9 +30,16 @@ TOLD_EVERY = 3.0  # assistants give up after a minute without a sign [s]
 MAX_SIDE = 1600  # of an image that is sent [pixels]: assistants reduce larger ones
 INSTRUCTIONS = (
     "Edits 3D scenes from two or more photos of one place. Show what a click or words select with "
-    "`select`, then call `edit` with the same marks; tell the user the verdicts, and say so where "
-    "one is not 'good'."
+    "`select`, then call `edit` with the same marks; tell the user the three answers (what was "
+    "selected, how the edit was carried out, whether the scene holds); ask where the selection "
+    "is a 'question', and say so where edit or scene is not 'good'."
 )
+ANSWERS = (
+    ("selected", "selection_verdict"),
+    ("edit", "edit_verdict"),
+    ("scene", "verdict"),
+)
+"""How a run's three answers are called, and where run.json has them."""
 PLACE = "on the first photo, or `N:...` on photo N; in shares of its sides or pixels"
 
 
@@ -46,14 +53,12 @@ class MarkArguments(BaseModel):
     points: list[str] = Field([], description=f"`X,Y` on the thing, {PLACE}")
     not_points: list[str] = Field([], description=f"`X,Y` beside the thing, {PLACE}")
     boxes: list[str] = Field([], description=f"`X,Y,WIDTH,HEIGHT` around it, {PLACE}")
-    guess: bool = Field(False, description="take what was found unsurely")
 
     def flags(self) -> list[str]:
         flags = [f"--thing={self.thing}"] if self.thing else []
         flags += [f"--point={place}" for place in self.points]
         flags += [f"--not-point={place}" for place in self.not_points]
-        flags += [f"--box={place}" for place in self.boxes]
-        return [*flags, "--guess"] if self.guess else flags
+        return flags + [f"--box={place}" for place in self.boxes]
 
 
 class Tools:
@@ -110,7 +115,7 @@ class Tools:
         lines = [f"run: {run} (walk through it in {folder / 'viewer.html'})"]
         try:
             about = read_json(folder / "run.json")
-            for what, key in (("scene", "verdict"), ("edit", "edit_verdict")):
+            for what, key in ANSWERS:
                 verdict = about.get(key)
                 if verdict:
                     lines.append(f"{what}: {verdict['label']}, {verdict['reason']}")

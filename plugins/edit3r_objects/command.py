@@ -22,6 +22,9 @@ VALUES = {
     "add": "",
     "remove": "",
     "isolate": "",
+    "clean": "",
+    "cut": "",
+    "crop": "",
     "rename": "NEW_NAME",
     "recolor": "COLOUR",
     "move": "RIGHT UP NEARER",
@@ -30,7 +33,9 @@ VALUES = {
     "copy": "NEW_NAME RIGHT UP NEARER",
 }
 """What follows the name of the object."""
-NAMELESS = ("list", "find")
+DRAWN = ("cut", "crop")
+"""Actions on what is drawn: away with it, or with all else."""
+NAMELESS = ("list", "find", "clean", *DRAWN)
 """Actions that take no name."""
 OPENS = ("remove", "move", "turn", "scale")
 """Actions after which the place behind the object is seen."""
@@ -50,7 +55,8 @@ class ObjectsCommand(Command):
             nargs="?",
             choices=VALUES,
             default="list",
-            help="what to do (default list); find: look for the things of the scene",
+            help="what to do (default list); find: look for the things of the scene; clean: take "
+            "out floaters",
         )
         add("name", nargs="?", default="", metavar="NAME", help="of the object")
         after = "; ".join(
@@ -58,6 +64,12 @@ class ObjectsCommand(Command):
         )
         add("values", nargs="*", metavar="VALUE", help=after)
         add_mark_flags(parser)
+        add(
+            "--drawn",
+            metavar="FILE",
+            help="for cut, crop and add: what was drawn over the scene, as JSON (see "
+            "docs/objects.md)",
+        )
         add("--out", metavar="DIR", help="folder for the new run; RUN is never changed")
         add_output_flags(parser)
 
@@ -99,10 +111,7 @@ def _numbers(args: argparse.Namespace) -> tuple[float, ...]:
     usage = f"edit3r objects RUN {args.action} NAME {VALUES[args.action]}".strip()
     if len(args.values) != len(expected) and args.action != "recolor":
         raise SettingsError(f"{args.action}: expected {usage}.")
-    if args.action == "find" and args.name:
-        raise SettingsError("find names what it finds; use rename afterwards.")
-    if args.action not in NAMELESS and not args.name:
-        raise SettingsError(f"{args.action}: name the object: {usage}.")
+    _check_name(args, usage)
     if args.action == "recolor" and not args.values:
         raise SettingsError(f"recolor: name a colour: {usage}.")
     given = {"move": args.values, "turn": args.values, "scale": args.values}
@@ -120,6 +129,21 @@ def _numbers(args: argparse.Namespace) -> tuple[float, ...]:
     return numbers
 
 
+def _check_name(args: argparse.Namespace, usage: str) -> None:
+    """Raise SettingsError for a name where none is taken, for a missing one, and for strokes that
+    are missing or not wanted.
+    """
+    action = args.action
+    if action in NAMELESS and args.name:
+        raise SettingsError(f"{action} takes no name: {usage.replace(' NAME', '')}.")
+    if action not in NAMELESS and not args.name:
+        raise SettingsError(f"{action}: name the object: {usage}.")
+    if action in DRAWN and not args.drawn:
+        raise SettingsError(f"{action}: expected --drawn FILE, see docs/objects.md.")
+    if args.drawn and action not in (*DRAWN, "add"):
+        raise SettingsError(f"--drawn: {action} takes none.")
+
+
 def _edited(
     run: "Run", args: argparse.Namespace, numbers: tuple[float, ...], rasterizer: Any
 ) -> "Run":
@@ -131,14 +155,14 @@ def _edited(
     from edit3r.contract.types import Gaussians
     from edit3r_objects import edits
     from edit3r_objects.holes import without_object
-    from edit3r_objects.run import add_object, find_objects
+    from edit3r_objects.run import add_object
 
     done = " ".join((args.action, args.name, *args.values)).strip()
     run = replace(run, edits=(*run.edits, done))
-    if args.action == "find":
-        return find_objects(run, rasterizer)
     if args.action == "add":
         return add_object(run, args, rasterizer)
+    if args.action in NAMELESS:
+        return _of_the_scene(run, args, rasterizer)
     scene = run.gaussians
     chosen = run.chosen(args.name)
     if args.action not in ("rename", "remove") and not chosen.any():
@@ -165,6 +189,21 @@ def _edited(
         return run.without(args.name, rest)
     own = _changed(scene, chosen, args, numbers).select(chosen)
     return replace(run, gaussians=Gaussians.cat([rest, own]))
+
+
+def _of_the_scene(run: "Run", args: argparse.Namespace, rasterizer: Any) -> "Run":
+    """The run after an action that is about no object."""
+    from dataclasses import replace
+
+    from edit3r_objects.run import find_objects, what_is_drawn, without_floaters
+
+    if args.action == "find":
+        return find_objects(run, rasterizer)
+    if args.action == "clean":
+        return replace(run, gaussians=without_floaters(run, rasterizer))
+    drawn = what_is_drawn(run, Path(args.drawn), rasterizer)
+    chosen = drawn if args.action == "crop" else ~drawn
+    return replace(run, gaussians=run.gaussians.select(chosen))
 
 
 def _changed(

@@ -12,14 +12,21 @@ from torch import Tensor
 
 from edit3r import default_registry
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import NamedObjects, Rasterizer, SceneToWrite
-from edit3r.contract.types import Cameras, Gaussians
+from edit3r.contract.interfaces import (
+    NamedObjects,
+    Rasterizer,
+    RefineInputs,
+    SceneToWrite,
+)
+from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.files.names import unique_names
 from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import LoadedPhotos, save_image
 from edit3r.kit.rendering import render_each
 from edit3r.kit.run_folder import RunFolder, continue_run
+from edit3r.kit.scenes.drawn import choose_drawn, read_drawn
 from edit3r.kit.scenes.files import scene_file
+from edit3r.kit.scenes.lifting import lift, lift_all
 from edit3r.kit.scenes.look import look_at
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.scenes.read import load_scene
@@ -32,7 +39,6 @@ from edit3r.running import (
     usual_selector,
 )
 from edit3r_objects.finding import find_things, usual_tools
-from edit3r_objects.lifting import lift, lift_all
 
 MAX_NAME = 80
 SMALLEST = 2e-4  # share of a view from which an object shows in it
@@ -156,8 +162,11 @@ def add_object(run: Run, args: argparse.Namespace, rasterizer: Rasterizer) -> Ru
     """The run with one more object: what is marked, or what the run itself selected."""
     name = args.name
     run = run.named(name, run.free)
-    _check_photos(run)
-    chosen = lift(run.gaussians, run.cameras, _masks(run, args), rasterizer)
+    if args.drawn:
+        chosen = what_is_drawn(run, Path(args.drawn), rasterizer)
+    else:
+        _check_photos(run)
+        chosen = lift(run.gaussians, run.cameras, _masks(run, args), rasterizer)
     if not chosen.any():
         raise InputError(
             f"{name}: nothing of the scene lies inside the masks; mark it with --point X,Y, "
@@ -165,6 +174,41 @@ def add_object(run: Run, args: argparse.Namespace, rasterizer: Rasterizer) -> Ru
         )
     index = torch.where(chosen, run.names[name], run.gaussians.objects)
     return replace(run, gaussians=replace(run.gaussians, object_index=index))
+
+
+def what_is_drawn(
+    run: Run, file: Path, rasterizer: Rasterizer
+) -> Bool[Tensor, "gaussian"]:
+    """The Gaussians that a file of strokes chooses. Raises InputError where that are none, or all.
+
+    The file is JSON: `{"strokes": [...], "grown": 0}`, each stroke with the fields of
+    `edit3r.kit.scenes.drawn.Drawn`.
+    """
+    try:
+        content = read_json(file)
+        strokes, grown = read_drawn(content["strokes"]), int(content.get("grown", 0))
+    except (OSError, ValueError, TypeError, KeyError, RecursionError) as error:
+        raise InputError(f"{file}: expected JSON with strokes ({error}).") from None
+    chosen = choose_drawn(run.gaussians, strokes, rasterizer, grown)
+    if not chosen.any() or chosen.all():
+        raise InputError("what is drawn chooses nothing, or all of the scene.")
+    return chosen
+
+
+def without_floaters(run: Run, rasterizer: Rasterizer) -> Gaussians:
+    """The scene without what hangs before all that its cameras see. Raises InputError for one that
+    has no such thing.
+    """
+    shown = render_each(rasterizer, run.gaussians, run.cameras, "look at the scene")
+    views = Views(shown.images.clamp(0, 1), run.cameras.intrinsics)
+    inputs = RefineInputs(run.cameras, views, rasterizer)
+    clean = default_registry().build("refiner", "clean")
+    rest = clean(run.gaussians, inputs)
+    if rest.count == run.gaussians.count:
+        raise InputError(
+            "no floaters were found: every point lies where some photo sees it."
+        )
+    return rest
 
 
 def _check_photos(run: Run) -> None:

@@ -27,6 +27,17 @@ def register_writers() -> list[Component]:
             loses="all else",
         ),
         Component(
+            "mp4",
+            "edit3r_outputs.mp4:Mp4Writer",
+            "the flight as H.264, for phones, slides and social media",
+            suffix=".mp4",
+            stem="video",
+            keeps="what is seen on the way",
+            loses="all else",
+            requires=("av",),
+            extra="mp4",
+        ),
+        Component(
             "sheet",
             "edit3r_outputs.sheet:SheetWriter",
             "photo, 2D edit and 3D result of each view side by side",
@@ -122,8 +133,8 @@ def register_writers() -> list[Component]:
             "edit3r_outputs.posed_photos:NerfstudioWriter",
             "the photos' cameras and edited images as nerfstudio's transforms.json",
             suffix="-nerfstudio",
-            keeps="cameras and edited images",
-            loses="the Gaussians",
+            keeps="cameras, edited images, centres and colours of up to 100,000 Gaussians",
+            loses="shapes and opacities",
         ),
     ]
 

@@ -1,9 +1,12 @@
 """`edit3r export`: a saved scene by any writer; scenes of other programs as PLY."""
 
 import argparse
+from collections.abc import Iterable
 from pathlib import Path
 
 from edit3r.contract.command import Command
+from edit3r.contract.errors import SettingsError
+from edit3r.contract.settings import PartChoice
 from edit3r.kit.command.results import add_common, shown_stages
 from edit3r.kit.scenes.files import scene_file
 
@@ -37,7 +40,11 @@ class ExportCommand(Command):
             metavar="PATH",
             help="the file or folder to write, for one writer; default: beside the scene",
         )
-        add_common(parser, overwrite="replace files that are there")
+        add_common(
+            parser,
+            settings="a setting of a writer, such as writer.video.fps=30",
+            overwrite="replace files that are there",
+        )
 
     def main(self, args: argparse.Namespace) -> int:
 
@@ -52,7 +59,8 @@ class ExportCommand(Command):
             )
         registry = default_registry(tuple(args.plugin))
         saved = SavedScene(args.scene, registry)
-        writers = [registry.build("writer", name) for name in dict.fromkeys(args.to)]
+        choices = _choices(dict.fromkeys(args.to), args.set)
+        writers = [registry.build_choice("writer", one) for one in choices]
         made = {}
         for writer in writers:
             name = writer.offer.component.file_name(saved.stem)
@@ -69,3 +77,19 @@ class ExportCommand(Command):
                 size = sum(file.stat().st_size for file in (path, *path.rglob("*")))
                 print(f"wrote {path} ({size / 1e6:.1f} MB)")
         return 0
+
+
+def _choices(names: Iterable[str], assignments: Iterable[str]) -> list[PartChoice]:
+    """The writers with what is set for them; raises SettingsError for settings of others."""
+    from edit3r.kit.files.configs import parse_assignments
+
+    names = tuple(names)
+    given = parse_assignments(assignments)
+    settings = given.pop("writer", {})
+    wrong = [*given, *(f"writer.{name}" for name in settings if name not in names)]
+    if wrong or not all(isinstance(one, dict) for one in settings.values()):
+        raise SettingsError(
+            f"--set {wrong[0] if wrong else 'writer'}: expected writer.NAME.SETTING=VALUE of a "
+            f"writer in --to ({', '.join(names)}), such as writer.{names[0]}.SETTING=VALUE."
+        )
+    return [PartChoice(name=name, settings=settings.get(name, {})) for name in names]

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, UInt8
 
 from edit3r.contract.interfaces import SceneToWrite, Writer
 from edit3r.contract.types import Cameras, Gaussians
@@ -19,6 +20,19 @@ from edit3r.kit.photos.cameras import write_transforms
 from edit3r.kit.photos.images import save_image
 
 MAX_POINTS = 100_000  # as many as COLMAP finds in some hundred photos
+POINTS = "sparse_pc.ply"  # as nerfstudio calls it
+_VERTEX = [("position", "<f4", 3), ("colour", "u1", 3)]
+_PLY = """ply
+format binary_little_endian 1.0
+element vertex {}
+property float x
+property float y
+property float z
+property uchar red
+property uchar green
+property uchar blue
+end_header
+"""
 _PINHOLE = 1  # COLMAP's number of the model with fx, fy, cx, cy
 _POINT = [
     ("id", "<u8"),
@@ -41,14 +55,20 @@ class ColmapWriter(Writer):
 
 
 class NerfstudioWriter(Writer):
-    """nerfstudio's `transforms.json`."""
+    """nerfstudio's `transforms.json`, with the points that splatfacto begins with."""
 
     needs = ("cameras", "edited", "names")
 
     def write(self, path: Path, scene: SceneToWrite) -> None:
         assert scene.cameras is not None  # they are needed
         files = [f"images/{name}" for name in _write_images(path, scene)]
-        write_transforms(path / "transforms.json", scene.cameras, files)
+        write_transforms(path / "transforms.json", scene.cameras, files, POINTS)
+        means, colours = _points(scene.gaussians)
+        points = np.zeros(len(means), _VERTEX)
+        points["position"], points["colour"] = means, colours
+        (path / POINTS).write_bytes(
+            _PLY.format(len(points)).encode() + points.tobytes()
+        )
 
 
 def _write_images(folder: Path, scene: SceneToWrite) -> list[str]:
@@ -80,12 +100,20 @@ def _write_colmap(
     (folder / "cameras.bin").write_bytes(lenses)
     (folder / "images.bin").write_bytes(images)
 
-    step = gaussians.count // MAX_POINTS + 1
-    means = gaussians.means[0, ::step].cpu().numpy()
-    colours = dc_to_colour(gaussians.harmonics[0, ::step, 0]).clamp(0, 1).cpu()
+    means, colours = _points(gaussians)
     points = np.zeros(len(means), _POINT)
     points["id"] = np.arange(1, len(means) + 1)
     points["position"] = means
-    points["colour"] = (colours * 255).round().byte().numpy()
+    points["colour"] = colours
     content = struct.pack("<Q", len(points)) + points.tobytes()
     (folder / "points3D.bin").write_bytes(content)
+
+
+def _points(
+    gaussians: Gaussians,
+) -> tuple[Float[np.ndarray, "point 3"], UInt8[np.ndarray, "point 3"]]:
+    """Centres and colours of at most `MAX_POINTS` Gaussians."""
+    step = gaussians.count // MAX_POINTS + 1
+    means = gaussians.means[0, ::step].cpu().numpy()
+    colours = dc_to_colour(gaussians.harmonics[0, ::step, 0]).clamp(0, 1).cpu()
+    return means, (colours * 255).round().byte().numpy()

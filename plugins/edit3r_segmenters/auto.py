@@ -21,10 +21,11 @@ from edit3r.kit.geometry.maps import dilate
 from edit3r_segmenters import SMALL
 from edit3r_segmenters.classical import ESSENTIALS, ClassicalSegmenter
 from edit3r_segmenters.completing import Box, Click, Prompt, completed
-from edit3r_segmenters.named import DETECTORS, Namer, knows, usable
+from edit3r_segmenters.named import named, usable
 from edit3r_segmenters.stuff import STUFF
 from edit3r_segmenters.words import plain
 
+ANY_WORD = "pip install 'edit3r[transformers]' and edit3r weights get words"
 BAND = 0.15  # beside sky and ground, in which a network may find more [longer sides]
 
 
@@ -59,7 +60,7 @@ class AutoSegmenter(Segmenter):
             "segmenter", "classical", **settings.model_dump(exclude={"pick"})
         )
         self._chosen: Segmenter = self.classical
-        self._network = None
+        self._network: Segmenter | None = None
         if settings.pick == "sam2":
             self._chosen = build("segmenter", "sam2")
         elif settings.pick != "classical":
@@ -113,17 +114,11 @@ class AutoSegmenter(Segmenter):
         self, image: Float[Tensor, "3 height width"], text: str
     ) -> tuple[Proposal, ...] | None:
         known = self.classical.segment_text(image, text)
-        detects = default_registry().ready(
-            "detector", "grounding-dino", "grounding-dino", "grounding-dino-tiny"
-        )
         if known and self._network is not None and plain(text) in STUFF:
             return (self._completed(image, known[0]),)
-        if known or (known is not None and not knows(text)):
+        if known is not None:
             return known
-        if self._chosen is not self.classical and detects:
-            return self._picked.segment_text(image, text)
-        ask = None if self._network is None else self._network.ask
-        return Namer(self.segment_marks, ask).find(image, text)
+        return named(image, text, self.segment_marks)
 
     def _completed(
         self, image: Float[Tensor, "3 height width"], stuff: Proposal
@@ -161,6 +156,8 @@ class AutoSegmenter(Segmenter):
     ) -> Prompt:
         """Asks the network at the size of `shape`."""
         height, width = shape
+        network = self._network
+        assert network is not None  # else nobody is told of it
 
         def prompt(clicks: Sequence[Click], box: Box | None) -> np.ndarray:
             places = [
@@ -172,14 +169,18 @@ class AutoSegmenter(Segmenter):
                 (top, left), (bottom, right) = box
                 sides = (right - left) / width, (bottom - top) / height
                 frame = (left / width, top / height, *sides)
-            logits = self._network.ask(image, places, frame)[0]
-            return np.stack([cv2.resize(one, (width, height)) for one in logits])
+            answer = network.ask(image, places, frame)
+            assert answer is not None  # it is a network of several masks
+            return np.stack([cv2.resize(one, (width, height)) for one in answer[0]])
 
         return prompt
 
     def words_help(self) -> str:
-        missing = [name for name in DETECTORS if not usable(name)]
-        return f"fetch what reads words: {ESSENTIALS}" if missing else ""
+        if not usable("coco"):
+            return f"fetch what reads words: {ESSENTIALS}"
+        return (
+            "" if usable("grounding-dino") else f"fetch what finds any word: {ANY_WORD}"
+        )
 
 
 def _best() -> str:

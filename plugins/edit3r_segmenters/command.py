@@ -16,14 +16,9 @@ class MaskCommand(Command):
         add_mark_flags(parser)
         add("--words", dest="thing", metavar="TEXT", help="the same as --thing")
         add(
-            "--guess",
-            action="store_true",
-            help="take what stands out most where the words are not known",
-        )
-        add(
             "--sure",
             action="store_true",
-            help="refuse what words found unsurely",
+            help="refuse what words found unsurely or not at all",
         )
         add(
             "--segmenter",
@@ -119,7 +114,6 @@ class MaskCommand(Command):
                 photos = load_photos(args.images, size=args.size)
                 marks = replace(
                     texts.read(photos),
-                    guess=args.guess,
                     sure=args.sure,
                     larger=sum(args.larger or ()),
                     reading=args.reading or 1,

@@ -158,7 +158,9 @@ class _Search:
         for way in (self._by_flow, self._by_features):
             for source in self._sources(number):
                 guess = way(source, number)
-                score = self._score(guess, source, number) if guess is not None else 0.0
+                if guess is None:
+                    continue
+                score = self._score(guess, source, number)
                 if score > best_score:
                     best, best_score = guess.mask, score
             if best_score >= GOOD_SCORE:
@@ -172,13 +174,19 @@ class _Search:
         )
         return [last, 0] if last else [0]
 
+    def _seen(self, view: int, number: int) -> np.ndarray:
+        """The mask of an object on a photo that shows it."""
+        mask = self.found[view][number]
+        assert mask is not None
+        return mask
+
     def _by_flow(self, source: int, number: int) -> _Guess | None:
         if source not in self.flows:
             here, there = self.views[source].grey, self.views[self.index].grey
             self.flows[source] = _whole_flow(
                 here.tobytes(), there.tobytes(), here.shape
             )
-        return self._carried(self.found[source][number], self.flows[source])
+        return self._carried(self._seen(source, number), self.flows[source])
 
     def _by_features(self, source: int, number: int) -> _Guess | None:
         """Guess by an affine map, and flow for what it leaves; by the map alone where flow does not
@@ -186,7 +194,7 @@ class _Search:
         """
         grey, mask, here = (
             self.views[source].grey,
-            self.found[source][number],
+            self._seen(source, number),
             self.views[self.index].grey,
         )
         matrix = affine_between(grey, here, mask)
@@ -226,7 +234,7 @@ class _Search:
 
     def _score(self, guess: _Guess, source: int, number: int) -> float:
         """Trust in a guess, in [0, 1]; 0 when it cannot be the object that earlier views show."""
-        before, first = self.found[source][number], self.found[0][number]
+        before, first = self._seen(source, number), self._seen(0, number)
         if (
             _growth(before, guess.mask) > MAX_GROWTH
             or _growth(first, guess.mask) > MAX_TOTAL_GROWTH
@@ -276,11 +284,11 @@ def flow_between(source: np.ndarray, target: np.ndarray) -> Flow:
         still = np.zeros((height, width, 2), np.float32)
         nowhere = np.zeros((height, width), dtype=bool)
         return Flow(still, still, nowhere, nowhere)
-    engine = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     engine.setFinestScale(0)
     forward, backward = (
-        engine.calc(source, target, None),
-        engine.calc(target, source, None),
+        engine.calc(source, target, None),  # type: ignore[call-overload]
+        engine.calc(target, source, None),  # type: ignore[call-overload]
     )
     return Flow(
         forward, backward, _returns(forward, backward), _returns(backward, forward)
@@ -305,8 +313,8 @@ def carry(mask: np.ndarray, flow: Flow) -> tuple[np.ndarray, np.ndarray, float]:
     warped = (
         cv2.remap(
             mask.astype(np.float32),
-            came_from,
-            None,
+            came_from[..., 0],
+            came_from[..., 1],
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT,
         )
@@ -327,8 +335,8 @@ def _returns(there: np.ndarray, back: np.ndarray) -> np.ndarray:
     landed = _grid(height, width) + there
     returned = cv2.remap(
         back,
-        landed,
-        None,
+        landed[..., 0],
+        landed[..., 1],
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_CONSTANT,
         borderValue=(1e4, 1e4),
@@ -407,7 +415,7 @@ def _matches(
 
 
 def _features() -> cv2.SIFT:
-    return cv2.SIFT_create(nfeatures=4000, contrastThreshold=0.02)
+    return cv2.SIFT.create(nfeatures=4000, contrastThreshold=0.02)
 
 
 @lru_cache(maxsize=4)

@@ -3,8 +3,6 @@
 from functools import cache
 from pathlib import Path
 
-DOGS = range(151, 269)  # ImageNet has 118 breeds
-
 
 @cache
 def lines_of(name: str) -> tuple[str, ...]:
@@ -17,42 +15,26 @@ COCO = lines_of("coco.txt")
 SYNONYMS = dict(line.split(": ") for line in lines_of("synonyms.txt"))
 
 
-def coco_classes(text: str) -> tuple[int, ...]:
-    """Places in COCO of what a text names; () where COCO has no such thing."""
-    return _classes(text, _by_name(tuple((name,) for name in COCO)))
-
-
-def imagenet_classes(text: str) -> tuple[int, ...]:
-    """Places in ImageNet's 1,000 classes of what a text names; () where it has no such thing."""
-    names = _by_name(tuple(tuple(line.split(", ")) for line in imagenet_names()))
-    return _classes(text, names | {"dog": tuple(DOGS)})
-
-
-def imagenet_names() -> tuple[str, ...]:
-    """A line of names that mean the same for each class of ImageNet, in order."""
-    return lines_of("imagenet.txt")
-
-
 @cache
-def _by_name(classes: tuple[tuple[str, ...], ...]) -> dict[str, tuple[int, ...]]:
-    """Places of the classes that a name means: those with that name, else those that end in it."""
-    whole: dict[str, list[int]] = {}
-    heads: dict[str, list[int]] = {}
-    for place, names in enumerate(classes):
-        for name in names:
-            whole.setdefault(name, []).append(place)
-        if " " in names[0]:
-            heads.setdefault(names[0].split()[-1], []).append(place)
-    return {name: tuple(places) for name, places in (heads | whole).items()}
+def _by_name() -> dict[str, tuple[int, ...]]:
+    """Places of the classes that a name means: that with this name, else those that end in it."""
+    heads: dict[str, tuple[int, ...]] = {}
+    for place, name in enumerate(COCO):
+        if " " in name:
+            head = name.split()[-1]
+            heads[head] = (*heads.get(head, ()), place)
+    return heads | {name: (place,) for place, name in enumerate(COCO)}
 
 
-def _classes(text: str, known: dict[str, tuple[int, ...]]) -> tuple[int, ...]:
-    """The classes of the longest end of the text that means something: "old red mug" is a mug."""
+def coco_classes(text: str) -> tuple[int, ...]:
+    """Places in COCO of what the longest end of a text means; () where COCO has no such thing: "old
+    red mug" is a mug.
+    """
     words = plain(text).split()
     for start in range(len(words)):
         for name in _forms(" ".join(words[start:])):
             names = [*SYNONYMS.get(name, "").split("/"), name]
-            found = [place for one in names for place in known.get(one, ())]
+            found = [place for one in names for place in _by_name().get(one, ())]
             if found:
                 return tuple(dict.fromkeys(found))
     return ()

@@ -1,86 +1,145 @@
-"""Answers marks on one photo by the sum, where a segmenter has several masks for them."""
+"""Marks on one photo, answered by the sum: any SAM gives the masks.
 
-from collections.abc import Iterator
+A segmenter whose `ask` has no masks reads marks itself.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Protocol
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import Marks, Proposal, as_proposal
+from edit3r.contract.interfaces import Marks, Proposal, Segmenter, as_proposal
 from edit3r.kit.compute.outlines import soft_edged
-from edit3r.kit.segmenting import HeldSegmenter
-from edit3r_select.asking import selected
-from edit3r_select.cues import Appearance, Asked, Click
-from edit3r_select.sum import SURE, Chosen, MaskCandidate
+from edit3r_select.cues import Asked, Box, Click, Pool, pixel
+from edit3r_select.sum import SURE, Chosen, CueWeights, MaskCandidate, choose, fitted
 
 LONGER = 512  # longer side of a photo whose masks are compared: weights are for this [pixels]
+ON_STROKE = 4  # places of a stroke that are asked together
 
 Image = Float[Tensor, "3 height width"]
+Size = tuple[int, int]  # height and width
+Answer = tuple[np.ndarray, np.ndarray]
 
 
-class SummingSegmenter(HeldSegmenter):
-    """Chooses among all masks that a segmenter's `ask` has for marks; a segmenter without reads
-    them itself.
+class AnswersMarks(Protocol):
+    def __call__(
+        self,
+        clicks: Sequence[Click],
+        box: Box | None = None,
+        before: np.ndarray | None = None,
+    ) -> Answer | None:
+        """A segmenter's `ask` on one photo: logits `[n, h, w]` of any size, which cover it, and the
+        IoU that each mask is expected to have `[n]`; None where it has none.
+        """
+
+
+def readings(segmenter: Segmenter, image: Image, marks: Marks) -> tuple[Proposal, ...]:
+    """All that the marks may mean, the answer first: as sure as the sum is, the others share the
+    rest. With `marks.larger` the answer, that many steps from the likeliest, is alone.
     """
+    scale = min(1.0, LONGER / max(image.shape[-2:]))
+    height, width = (max(1, round(side * scale)) for side in image.shape[-2:])
+    chosen = _chosen(partial(segmenter.ask, image), (height, width), marks)
+    if chosen is None:
+        if marks.larger or marks.prior is not None:
+            return (segmenter.segment_marks(image, marks),)
+        return segmenter.readings(image, marks)
+    if marks.larger:
+        stepped = chosen.stepped(marks.larger)
+        return (_as_proposal(image, stepped, chosen.confidence),)
+    pairs = zip(chosen.candidates, _shares(chosen))
+    return tuple(_as_proposal(image, one, share) for one, share in pairs)
 
-    def segment_marks(self, image: Image, marks: Marks) -> Proposal:
-        chosen = self._chosen(image, marks)
+
+def _chosen(ask: AnswersMarks, size: Size, marks: Marks) -> Chosen | None:
+    """What the marks may mean by the sum, one click after the other; None where nobody has masks,
+    and without marks.
+
+    A click that says what is known waits until an answer to another one disobeys it: nobody told
+    in which order clicks on the thing and beside it were made.
+    """
+    chosen: Chosen | None = None
+    waiting = [(place, True) for place in marks.positive]
+    waiting += [(place, False) for place in marks.negative]
+    if marks.prior is not None and waiting:
+        expected = MaskCandidate(_as_logits(marks.prior, size), 0.0, 1.0)
+        chosen = Chosen((expected,), 1.0)
+    elif marks.stroke or marks.box:
+        chosen = selected(size, Asked((), marks.stroke, marks.box), ask)
+    clicks: tuple[Click, ...] = ()
+    while new := [one for one in waiting if not _obeyed(chosen, size, one)]:
+        waiting.remove(new[0])
+        clicks = (*clicks, new[0])
+        before = None if chosen is None else chosen.best.logits
+        chosen = selected(size, Asked(clicks, marks.stroke, marks.box, before), ask)
         if chosen is None:
-            return super().segment_marks(image, marks)
-        return _as_proposal(image, chosen.stepped(marks.larger), chosen.confidence)
-
-    def readings(self, image: Image, marks: Marks) -> tuple[Proposal, ...]:
-        """All that the marks may mean; the first is as sure as the sum is, the others share the
-        rest by theirs.
-        """
-        chosen = self._chosen(image, marks)
-        if chosen is None:
-            return super().readings(image, marks)
-        pairs = zip(chosen.candidates, _shares(chosen))
-        return tuple(_as_proposal(image, one, share) for one, share in pairs)
-
-    def _chosen(self, image: Image, marks: Marks) -> Chosen | None:
-        """What the marks may mean by the sum, one click after the other; None where the segmenter
-        has one answer only, and without marks.
-
-        A click that says what is known waits until an answer to another one disobeys it: nobody
-        told in which order clicks on the thing and beside it were made.
-        """
-        photo, ask = Appearance(_rgb(image)), partial(self.ask, image)
-        chosen, before = None, None
-        if marks.prior is not None:
-            before = _as_logits(marks.prior, photo.size)
-            chosen = Chosen((MaskCandidate(before, 0.0, 1.0),), 1.0)
-        elif marks.stroke or marks.box:
-            drawn = Asked(stroke=marks.stroke, box=marks.box)
-            chosen = selected(photo, drawn, ask)
-            before = None if chosen is None else chosen.best.logits
-        waiting = _clicks(marks)
-        clicks: tuple[Click, ...] = ()
-        while new := [one for one in waiting if not _obeyed(before, photo, one)]:
-            waiting.remove(new[0])
-            clicks = (*clicks, new[0])
-            was = None if before is None else before > 0
-            asked = Asked(clicks, marks.stroke, marks.box, was)
-            chosen = selected(photo, asked, ask, before)
-            if chosen is None:
-                return None
-            before = chosen.best.logits
-        return chosen if _clicks(marks) or marks.stroke or marks.box else None
+            return None
+    return chosen
 
 
-def _clicks(marks: Marks) -> list[Click]:
-    """All clicks, those on the thing first."""
-    said = [(place, True) for place in marks.positive]
-    return said + [(place, False) for place in marks.negative]
+def selected(
+    size: Size, asked: Asked, ask: AnswersMarks, weights: CueWeights | None = None
+) -> Chosen | None:
+    """What is meant by marks on one photo, its masks at `size`; None where `ask` has none."""
+    pool = gathered(size, asked, ask)
+    return None if pool is None else choose(pool, weights or fitted(asked.kind))
 
 
-def _obeyed(before: np.ndarray | None, photo: Appearance, click: Click) -> bool:
+def gathered(size: Size, asked: Asked, ask: AnswersMarks) -> Pool | None:
+    """All masks that answer the marks, at `size`; None where `ask` has none."""
+    drawn = [(place, True) for place in spread(asked.stroke)]
+    clicks, before = [*drawn, *asked.clicks], asked.before
+    answers = [ask(clicks, asked.box)]
+    if asked.kind == "stroke":
+        answers += [ask([drawn[len(drawn) // 2]]), ask(drawn, _around(asked.stroke))]
+    if asked.kind == "more" and before is not None:
+        answers.append(ask(clicks, asked.box, before))
+        at_last = ask([(asked.clicks[-1][0], True)])
+        answers.append(_joined(size, at_last, before, asked.clicks[-1][1]))
+    known = [one for one in answers if one is not None]
+    if answers[0] is None:
+        return None
+    logits = np.concatenate([_large(some, size) for some, _ in known])
+    return Pool(asked, logits, np.concatenate([good for _, good in known]))
+
+
+def spread(stroke: Sequence) -> list:
+    """At most `ON_STROKE` places, evenly along a stroke."""
+    if len(stroke) <= ON_STROKE:
+        return list(stroke)
+    chosen = np.linspace(0, len(stroke) - 1, ON_STROKE).round().astype(int)
+    return [stroke[index] for index in chosen]
+
+
+def _joined(
+    size: Size, answer: Answer | None, before: np.ndarray, wanted: bool
+) -> Answer | None:
+    """The answer `before` with each part at the last click, or without it."""
+    if answer is None:
+        return None
+    parts, whole = _large(answer[0], size), _large(before[None], size)
+    return np.maximum(whole, parts) if wanted else np.minimum(whole, -parts), answer[1]
+
+
+def _large(logits: np.ndarray, size: Size) -> np.ndarray:
+    return np.stack([cv2.resize(np.float32(one), size[::-1]) for one in logits])
+
+
+def _around(stroke: Sequence) -> Box:
+    """The box around a stroke."""
+    low, high = np.min(stroke, axis=0), np.max(stroke, axis=0)
+    (x, y), (width, height) = low.tolist(), (high - low).tolist()
+    return x, y, width, height
+
+
+def _obeyed(chosen: Chosen | None, size: Size, click: Click) -> bool:
     place, wanted = click
-    return before is not None and (before[photo.pixel(place)] > 0) == wanted
+    return chosen is not None and chosen.best.mask[pixel(place, size)] == wanted
 
 
 def _shares(chosen: Chosen) -> Iterator[float]:
@@ -92,21 +151,7 @@ def _shares(chosen: Chosen) -> Iterator[float]:
         yield from ((1 - chosen.confidence) * parts / parts.sum()).tolist()
 
 
-def _rgb(image: Image) -> np.ndarray:
-    """uint8 RGB `[h, w, 3]`, reduced to `LONGER`."""
-    rgb = image.detach().cpu().float().clamp(0, 1).permute(1, 2, 0).numpy() * 255
-    pixels = np.ascontiguousarray(rgb.round().astype(np.uint8))
-    height, width = pixels.shape[:2]
-    scale = LONGER / max(height, width)
-    if scale >= 1:
-        return pixels
-    size = max(1, round(width * scale)), max(1, round(height * scale))
-    return cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-
-
-def _as_logits(
-    mask: Float[Tensor, "height width"], size: tuple[int, int]
-) -> np.ndarray:
+def _as_logits(mask: Float[Tensor, "height width"], size: Size) -> np.ndarray:
     values = cv2.resize(mask.float().numpy(force=True), size[::-1])
     return np.where(values > 0.5, SURE, -SURE).astype(np.float32)
 

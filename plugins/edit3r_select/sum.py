@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import yaml
 
-from edit3r_select.cues import NOTICED, Pool, table
+from edit3r_select.cues import Pool, pixel, table
 
 FITTED = Path(__file__).with_name("fitted.yaml")
 SAME = 0.85
@@ -21,6 +21,8 @@ DOT = 0.008
 """Radius of the dot that makes a mask obey a click [longer sides]."""
 SURE = 4.0
 """Its logit."""
+NOTICED = 1.15
+"""Ratio of two areas from which one mask is larger than the other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +92,7 @@ def choose(pool: Pool, weights: CueWeights) -> Chosen:
     values = scores(pool, weights)
     order: list[int] = []
     for index in np.argsort(-values, kind="stable").tolist():
-        alike = any(pool.overlaps[index, other] > SAME for other in order)
+        alike = any(pool.overlaps(index)[order] > SAME)
         if not alike and pool.masks[index].any():
             order.append(index)
     order = order or [int(values.argmax())]
@@ -108,9 +110,9 @@ def choose(pool: Pool, weights: CueWeights) -> Chosen:
 def obeying(pool: Pool, logits: np.ndarray) -> np.ndarray:
     """Logits that obey every click: a dot of the mask is set or cleared where one does not."""
     obeyed = logits.copy()
-    radius = max(1, round(DOT * max(pool.photo.size)))
+    radius = max(1, round(DOT * max(pool.size)))
     for place, wanted in pool.asked.clicks:
-        row, column = pool.photo.pixel(place)
+        row, column = pixel(place, pool.size)
         if (obeyed[row, column] > 0) != wanted:
             cv2.circle(obeyed, (column, row), radius, SURE if wanted else -SURE, -1)
     return obeyed

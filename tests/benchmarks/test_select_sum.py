@@ -37,9 +37,9 @@ def things_by(bench, scene, cue, count=40, never_fitted=False):
 
 
 def test_the_cue_that_tells_gets_the_weight(bench):
-    things = things_by(bench, "a", "edge")
+    things = things_by(bench, "a", "stability")
     values = bench.fitted_without(things, "click", None).values
-    assert values.argmax() == bench.NAMES.index("edge")
+    assert values.argmax() == bench.NAMES.index("stability")
     assert abs(np.delete(values, values.argmax())).max() < 0.4 * values.max()
 
 
@@ -47,13 +47,13 @@ def test_the_cue_that_tells_gets_the_weight(bench):
 def test_a_scene_that_was_left_out_teaches_nothing(bench, never_fitted):
     out = None if never_fitted else "b"
     other = things_by(bench, "b", "border", never_fitted=never_fitted)
-    things = things_by(bench, "a", "edge")
+    things = things_by(bench, "a", "stability")
     both = bench.fitted_without(things + other, "click", out).values
     assert (both == bench.fitted_without(things, "click", None).values).all()
 
 
 def test_figures_are_those_of_weights_that_did_not_see_the_scene(bench):
-    things = things_by(bench, "a", "edge") + things_by(bench, "bb", "edge")
+    things = things_by(bench, "a", "stability") + things_by(bench, "bb", "stability")
     told = bench.report(things, bench.folds(things, ("click",)))
     line = next(
         one for one in told.splitlines() if one.split()[:2] == ["anywhere", "all"]

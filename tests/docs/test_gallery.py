@@ -27,7 +27,11 @@ def made(monkeypatch, tmp_path):
         folder = Path(command[command.index("--out") + 1])
         folder.mkdir()
         save_video(folder / "video.webm", frames)
-        verdicts = {"verdict": {"label": "good"}, "edit_verdict": {"label": "doubtful"}}
+        verdicts = {
+            "verdict": {"label": "good"},
+            "edit_verdict": {"label": "doubtful"},
+            "selection_verdict": None,
+        }
         (folder / "run.json").write_text(json.dumps(verdicts))
 
     monkeypatch.setattr(gallery.subprocess, "run", run)
@@ -39,7 +43,7 @@ def made(monkeypatch, tmp_path):
 def test_every_scene_of_the_pair_that_ships_has_a_card_with_its_verdicts(made):
     page = (made / "index.html").read_text()
     shown = [edit for edit in gallery.EDITS if not edit.photos]
-    assert page.count("scene: good, edit: doubtful") == len(shown)
+    assert page.count("selected: all of it, edit: doubtful, scene: good") == len(shown)
     for edit in shown:
         assert f'href="{edit.name}/viewer.html"' in page and edit.prompt in page
 

@@ -80,7 +80,7 @@ GROW = "test_outlines_grow_and_shrink"
 INVERT = "test_inverted_is_all_but_the_thing"
 PHOTO, WORDS = (
     "test_marks_on_no_photo_are_refused",
-    "test_words_that_nobody_knows_are_refused",
+    "test_words_that_nobody_knows_are_a_question",
 )
 TWICE = "test_same_marks_give_the_same_masks"
 ALONE = "test_leaves_its_inputs_alone"

@@ -78,7 +78,8 @@ def test_the_edit_node_makes_a_scene_and_previews(edited, images):
         assert made.min() >= 0 and made.max() <= 1
     red, _, blue = (edited["edited"].mean((0, 1, 2)) - images.mean((0, 1, 2))).tolist()
     assert red > blue  # warmer
-    assert edited["verdict"].startswith("scene: ")
+    lines = edited["verdict"].splitlines()
+    assert [line.split(":")[0] for line in lines[-2:]] == ["edit", "scene"]
 
 
 def test_the_render_node_shows_the_scene(nodes, edited):

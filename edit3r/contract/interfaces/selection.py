@@ -47,9 +47,8 @@ class Selection:
     words: str = ""
     which: tuple[str, ...] = ()  # picks among several: "left", "big", "red", "all"
     several: bool = False  # the words are a plural: all that are sure are taken
-    # True: what stands out most is taken where the words are not known
-    guess: bool = False
-    sure: bool = False  # True: what words found unsurely is refused
+    # True: what words found unsurely or not at all is refused; else it is taken as a question
+    sure: bool = False
     # 1: the most likely reading of clicks, strokes, boxes and words; 2: the next
     reading: int = 1
     # steps to a larger reading of clicks, boxes and words (> 0), or to a smaller one (< 0)
@@ -185,12 +184,12 @@ class Selected:
     # what else may be meant: the most likely first, the one that was taken among them
     readings: tuple[Reading, ...] = ()
     taken: int = 1  # the number of that one
+    called: str = ""  # what was looked for, as people say it: "left cup"
 
     @property
     def is_sure(self) -> bool:
         """Whether it was marked, or found by its name surely enough."""
-        guessed = "guess" in self.how
-        return not guessed and (self.confidence is None or self.confidence >= SURE)
+        return self.confidence is None or self.confidence >= SURE
 
 
 class Selector(Configured, ABC):
@@ -206,8 +205,9 @@ class Selector(Configured, ABC):
         it masks are carried by what the pictures show. The masks obey the marks, and are those of
         `selection.grow` and `selection.inverted`.
 
-        Raises InputError for marks on no photo or of a sort that it does not read, and for words
-        that nobody knows or finds.
+        Words that nobody knows or finds are a question: what stands out, "guess" in `how`. Raises
+        InputError for marks on no photo or of a sort that it does not read, and for what is unsure
+        where `selection.sure`.
         """
 
 

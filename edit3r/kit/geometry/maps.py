@@ -1,5 +1,6 @@
 """Maps of pixels: dilation, blending by masks, resizing, and upsampling along an image's edges."""
 
+import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -13,6 +14,7 @@ __all__ = [
     "composite",
     "dilate",
     "dilate_softly",
+    "feathered",
     "guided_upsample",
     "resize",
     "shown",
@@ -60,6 +62,24 @@ def dilate_softly(
         wide, 2 * radius + 1, stride=1, padding=radius, count_include_pad=False
     )[:, 0]
     return torch.maximum(masks, soft)
+
+
+def feathered(
+    masks: Float[Tensor, "*batch height width"], pixels: float
+) -> Float[Tensor, "*batch height width"]:
+    """Weights that rise from 0 at the outline of each mask (values above 0.5) to 1 `pixels` inside
+    it, and are 0 outside; the border of the image is no outline.
+    """
+    inside = (masks.reshape(-1, *masks.shape[-2:]) > 0.5).numpy(force=True)
+    found = np.zeros(inside.shape, np.float32)
+    for weight, mask in zip(found, inside):
+        if mask.all():
+            weight[:] = 1
+        elif mask.any():
+            weight[:] = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
+            weight /= pixels
+    share = torch.from_numpy(found.clip(0, 1)).to(masks).reshape(masks.shape)
+    return share * share * (3 - 2 * share)
 
 
 def composite(

@@ -148,8 +148,13 @@ def write_cameras(path: str | Path, cameras: Sequence[PosedCamera]) -> None:
         partial.write_text("[\n" + ",\n".join(lines) + "\n]\n", encoding="utf-8")
 
 
-def write_transforms(path: str | Path, cameras: Cameras, files: Sequence[str]) -> None:
-    """Write the cameras of one scene (batch 1) as nerfstudio's `transforms.json`."""
+def write_transforms(
+    path: str | Path, cameras: Cameras, files: Sequence[str], points: str = ""
+) -> None:
+    """Write the cameras of one scene (batch 1) as nerfstudio's `transforms.json`.
+
+    `points` names a PLY beside it with points of the same world, from which Gaussians may begin.
+    """
     height, width = cameras.image_size
     pixels = to_pixels(cameras.intrinsics[0].double(), cameras.image_size).tolist()
     poses = (cameras.c2w[0].double() @ torch.from_numpy(OPENGL_TO_OPENCV)).tolist()
@@ -158,7 +163,9 @@ def write_transforms(path: str | Path, cameras: Cameras, files: Sequence[str]) -
         frame = {"file_path": file, "w": width, "h": height}
         frame |= {"fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy, "transform_matrix": pose}
         frames.append(frame)
-    content = {"camera_model": "PINHOLE", "frames": frames}
+    content: dict[str, Any] = {"camera_model": "PINHOLE", "frames": frames}
+    if points:
+        content["ply_file_path"] = points
     with atomic_write(path) as partial:
         partial.write_text(json.dumps(content, indent=1, allow_nan=False), "utf-8")
 

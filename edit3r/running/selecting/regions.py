@@ -5,7 +5,7 @@ it goes around a click. In "the background" and "everything except the fox" they
 left out. What is not marked is looked up by its name.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -22,7 +22,6 @@ from edit3r.contract.instructions import (
     Thing,
 )
 from edit3r.contract.interfaces import (
-    ASK,
     BACKGROUND,
     Geometry,
     Selected,
@@ -36,6 +35,7 @@ from edit3r.kit.geometry.maps import dilate, shown
 from edit3r.running.selecting.near_colour import near_colour
 
 PLAIN = Selection()
+MARKED = "what was marked"  # of what has no name; a further one has a number
 FAINT = 0.01  # a probability below is none: such pixels keep their exact values
 LEFT = 0.5  # share of a thing that must be left beside what is kept of it
 RIM = 0.012  # half of how thick a rim between two outlines may be [longer sides]
@@ -69,7 +69,7 @@ class RegionFinder:
     ) -> None:
         """`views` hold one scene; selector and geometry are asked for only where needed.
 
-        `defaults` say whether to guess and what to do with outlines; `known` are masks of things
+        `defaults` say what to do with outlines; `known` are masks of things
         that were named before.
         """
         self._views = views
@@ -114,6 +114,9 @@ class RegionFinder:
                 mask = _beneath(self._base(instruction, marked_thing))
             else:
                 mask = self._mask(change.like, marked_thing)
+                found = self._found.get(replace(change.like, part=None))
+                if found is not None and "guess" in found.how:
+                    raise InputError(found.warnings[0])
         except InputError as error:
             raise InputError(
                 f"the colour of {change.like} cannot be read: {error} Where clicks mark what is "
@@ -133,7 +136,11 @@ class RegionFinder:
             if thing is not None and thing.scope == "named":
                 name = _name(thing)
                 things.pop(name, None)  # the newest is the last
-                things[name] = selected.masks[:, 0]
+            elif self._marked is not None and (thing is None or thing == marked_thing):
+                name = _free(MARKED, things)  # it has no name, but was changed
+            else:
+                continue
+            things[name] = selected.masks[:, 0]
         return things
 
     def _thing_of_marks(self, instructions: Sequence[Instruction]) -> Thing | None:
@@ -268,8 +275,6 @@ class RegionFinder:
                 return self._look_for(thing, self._as_known([*self._known][-1])).masks[
                     :, 0
                 ]
-            if not self._defaults.guess:
-                raise InputError(f"nothing says which object is meant; {ASK}.")
             return self._look_for(None, Selection()).masks[:, 0]
         if thing.scope == "whole" and thing.part is not None:  # "except the red parts"
             whole = torch.ones_like(self._views.images[0, :, 0])
@@ -298,14 +303,13 @@ class RegionFinder:
             carried = len(selection.masks) < self._views.count
             geometry = self._geometry() if carried else None
             given = _as_given(selection, self._views.images[0])
-            if given is not None:
-                self._found[key] = given
-                return given
-            selector = self._selector()
-            with errors_named_after(selector, self._views.images):
-                found = selector.select(self._views, selection, geometry)
-            check_selected(selector, self._views, found)
-            self._found[key] = found
+            if given is None:
+                selector = self._selector()
+                with errors_named_after(selector, self._views.images):
+                    given = selector.select(self._views, selection, geometry)
+                check_selected(selector, self._views, given)
+            called = selection.words if thing is None else str(thing)
+            self._found[key] = replace(given, called=called)
         return self._found[key]
 
 
@@ -324,6 +328,13 @@ def _as_given(
     how = ("given",) * len(images)
     note("selection", {"how": how})
     return Selected(torch.where(given < FAINT, 0, given.clamp(0, 1)), how)
+
+
+def _free(name: str, taken: Collection[str]) -> str:
+    """The name, with a number where it is taken."""
+    if name not in taken:
+        return name
+    return f"{name} {sum(one.startswith(name) for one in taken) + 1}"
 
 
 def _name(thing: Thing) -> str:
@@ -394,10 +405,9 @@ def _median_colour(
 
 
 def _with_defaults(selection: Selection, defaults: Selection) -> Selection:
-    """A selection with what the run says of guesses and outlines beside its own."""
+    """A selection with what the run says of outlines and of what is sure beside its own."""
     return replace(
         selection,
-        guess=selection.guess or defaults.guess,
         sure=selection.sure or defaults.sure,
         reading=max(selection.reading, defaults.reading),
         larger=selection.larger + defaults.larger,

@@ -11,7 +11,7 @@ from edit3r.contract.reporting import note, say, stage, warn
 from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.checks import check_edit, check_edit_verdict, errors_named_after
-from edit3r.kit.geometry.maps import composite
+from edit3r.kit.geometry.maps import composite, feathered
 from edit3r.running.edit_alignment import AlignedEdit, align_edit
 from edit3r.running.editors import edit_to_judge, request_of
 from edit3r.running.parts import Parts
@@ -21,31 +21,52 @@ from edit3r.running.records import EditedPhotos, Inputs, SelectedRegions
 @torch.no_grad()
 def edit(inputs: Inputs, selection: SelectedRegions, parts: Parts) -> EditedPhotos:
     """Edit all views, or the first alone, one editor after the other."""
-    config, views = parts.config, inputs.start
     with stage(f"edit ({parts.editor_names})"):
-        count = parts.edited_count(views)
-        chosen = views.select(range(count))
-        edited, done = chosen, 0
-        faults: list[str] = []
-        moved: list[str] = []
-        for task in parts.tasks:
-            instructions = range(done, done + len(task.instructions))
-            request = request_of(task, selection, config.seed, instructions)
-            request = request.of_views(range(count))
-            answer = _answer(task.editor, edited, request)
-            if config.moved_edits == "undo":
-                aligned = _in_place(edited, answer, request.masks)
-                faults += aligned.faults
-                moved += aligned.moved
-                answer = replace(answer, images=aligned.images)
-            edited = _held_to_masks(task.editor, edited, answer, request.masks)
-            done += len(task.instructions)
-        _note_change(edited, chosen)
-        images = edited.images
-        if count < views.count:
-            images = torch.cat((images, views.images[:, count:]), dim=1)
-        made = EditedPhotos(replace(views, images=images), tuple(faults), tuple(moved))
+        made = edit_alone(inputs, selection, parts)
         return replace(made, verdict=_verdict(inputs, selection, made, parts))
+
+
+@torch.no_grad()
+def edit_alone(
+    inputs: Inputs, selection: SelectedRegions, parts: Parts
+) -> EditedPhotos:
+    """The same without a verdict."""
+    config, views = parts.config, inputs.start
+    count = parts.edited_count(views)
+    chosen = views.select(range(count))
+    edited, done = chosen, 0
+    faults: list[str] = []
+    moved: list[str] = []
+    for task in parts.tasks:
+        instructions = range(done, done + len(task.instructions))
+        request = request_of(task, selection, config.seed, instructions)
+        request = request.of_views(range(count))
+        answer = _answer(task.editor, edited, request)
+        if config.moved_edits == "undo":
+            aligned = _in_place(edited, answer, request.masks)
+            faults += aligned.faults
+            moved += aligned.moved
+            answer = replace(answer, images=aligned.images)
+        edited = _held_to_masks(task.editor, edited, answer, request.masks)
+        done += len(task.instructions)
+    edited = _in_part(chosen, edited, selection.masks, parts)
+    _note_change(edited, chosen)
+    images = edited.images
+    if count < views.count:
+        images = torch.cat((images, views.images[:, count:]), dim=1)
+    return EditedPhotos(replace(views, images=images), tuple(faults), tuple(moved))
+
+
+def _in_part(views: Views, edited: Views, masks: Tensor | None, parts: Parts) -> Views:
+    """As much of the edit as `strength` and `feather` ask for."""
+    config = parts.config
+    if config.strength == 1 and (masks is None or not config.feather):
+        return edited
+    weights = torch.ones_like(views.images[:, :, 0])
+    if masks is not None and config.feather:
+        weights = feathered(masks[:, : views.count], config.feather)
+    images = composite(views.images, edited.images, config.strength * weights)
+    return replace(edited, images=images)
 
 
 def _verdict(

@@ -81,16 +81,16 @@ def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
     )
     if inputs.marked is None and not regional and not named:
         return SelectedRegions(things=inputs.things)
+    hints = "".join(parts.reader.hint(one) for one in instructions)
     try:
         found = [
             _finder(index, inputs, parts).find(instructions or (MARKED,))
             for index in range(len(views.images))
         ]
     except InputError as error:
-        hints = "".join(parts.reader.hint(instruction) for instruction in instructions)
-        if not hints:
-            raise
         raise InputError(f"{error}{hints}") from None
+    if hints and any("guess" in one.how for scene in found for one in scene.selected):
+        warn(hints.strip())
     regions = torch.stack([one.masks for one in found], dim=1)
     masks = regions.amax(0)
     if not regional and inputs.marked is None:  # words are less exact than marks
@@ -146,7 +146,6 @@ def _finder(index: int, inputs: Inputs, parts: Parts) -> RegionFinder:
         geometry=lambda: _geometry(index, inputs.photos, parts),
         marked=inputs.marked,
         defaults=Selection(
-            guess=config.guess,
             sure=config.sure,
             reading=config.reading,
             larger=config.larger,

@@ -44,6 +44,7 @@ const PATHS = {
   clear: "M5 7h14M10 7V4h4v3M7 7l1 13h8l1-13",
   add: "M12 5v14M5 12h14",
   which: "M4 4h7v7H4zM13 4h7v7h-7zM4 13h7v7H4zM13 13h7v7h-7z",
+  clean: "M20 4l-8 8M12 12l-3-3-6 6 6 6 6-6zM6 18l3-3M9 21l3-3",
   keep: "M6 4h12v16l-6-4-6 4z",
   save: "M4 8h4l2-3h4l2 3h4v11H4zM12 10a3.5 3.5 0 1 0 .1 0",
   away: "M4 12a8 8 0 1 0 16 0 8 8 0 1 0-16 0M8 12h8",

@@ -25,23 +25,20 @@ export function home(page) {
         "There is no photo among these; expected JPEG, PNG, WebP, TIFF, AVIF or a video.",
         true,
       );
-    const { scene, refused } = await send(files, "", folder, (text) => {
-      told.textContent = text;
-    });
-    told.replaceChildren(
-      ...refused.slice(0, 10).map((text) => el("span", { class: "problem" }, text)),
+    // The page of the scene opens with its first photo; the others arrive there.
+    const { scene, refused } = await send(
+      files,
+      "",
+      folder,
+      (text) => {
+        told.textContent = text;
+      },
+      (begun) => go(sceneAddress(begun)),
     );
-    if (scene && !refused.length) return go(sceneAddress(scene));
-    if (refused.length > 10)
-      told.append(el("span", { class: "problem" }, `and ${refused.length - 10} more`));
-    if (scene)
-      told.append(
-        el(
-          "a",
-          { href: sceneAddress(scene), "data-ours": true },
-          "Go on with the photos that were taken",
-        ),
-      );
+    const sentences = refused.slice(0, 10);
+    if (refused.length > 10) sentences.push(`and ${refused.length - 10} more`);
+    if (scene) return sentences.length && toast(sentences.join(" "), true);
+    told.replaceChildren(...sentences.map((text) => el("span", { class: "problem" }, text)));
   }
   const tries = el("ul", { class: "scenes tries" });
   async function openMade(name, button) {
@@ -171,17 +168,18 @@ export function home(page) {
   };
 }
 
-function card({ name, photos, count, edits }) {
-  const image = photos.length
-    ? el("img", { src: path("thumbnail", name, photos[0]), alt: "", loading: "lazy" })
-    : icon("photos");
+function card({ name, photos, count, edits, at, shown }) {
+  const source = shown.length
+    ? path("image", at, "renders", shown[0])
+    : photos.length && path("thumbnail", name, photos[0]);
+  const image = source ? el("img", { src: source, alt: "", loading: "lazy" }) : icon("photos");
   const facts = `${count} photo${count === 1 ? "" : "s"}, ${edits} edit${edits === 1 ? "" : "s"}`;
   return el(
     "li",
     {},
     el(
       "a",
-      { href: sceneAddress(name), "data-ours": true },
+      { href: sceneAddress(name, at), "data-ours": true },
       el("span", { class: "cover" }, image),
       el("span", { class: "name" }, name),
       el("small", {}, facts),

@@ -117,12 +117,12 @@ export function showObjects(drawer, s, acts, close) {
     s.objects.length
       ? el("ul", { class: "things" }, s.objects.map(item))
       : el("p", { class: "quiet" }, "No thing of this scene is known yet."),
-    s.byHand
-      ? el("small", {}, "Things are found and marked on photos: before the first change by hand.")
-      : el(
-          "div",
-          { class: "thing" },
-          el(
+    el(
+      "div",
+      { class: "thing" },
+      s.byHand
+        ? ""
+        : el(
             "button",
             {
               type: "button",
@@ -132,14 +132,14 @@ export function showObjects(drawer, s, acts, close) {
             },
             s.objects.length ? "Look for more" : "Find the things",
           ),
-          s.draft.selects
-            ? field(
-                "name of the new thing",
-                "What you marked is called…",
-                (name) => acts.ask("add", name),
-                "Take",
-              )
-            : el("small", {}, "Or point at one, then give it a name here."),
-        ),
+      acts.takes
+        ? field(
+            "name of the new thing",
+            "What you marked is called…",
+            (name) => acts.ask("add", name),
+            "Take",
+          )
+        : el("small", {}, "Point at one, or draw around it (brush, lasso); then name it here."),
+    ),
   );
 }

@@ -97,7 +97,7 @@ export function showSettings(groups, set, again) {
           : el(
               "section",
               {},
-              el("h3", {}, title),
+              title && el("h3", {}, title),
               fields.map((one) => field(group, one)),
             ),
       ),
@@ -222,7 +222,7 @@ export function showFiles(files, run, film, phone) {
   const other = (name, text, act) =>
     button(name, text, () => (shown.close(), act()), { text, class: "other" });
   const shown = dialog(
-    "Take it along",
+    "Download",
     el(
       "div",
       { class: "row" },
@@ -324,6 +324,7 @@ const KEYS = [
   ["/ · Enter", "to the sentence · Go"],
   ["M", "photos or 3D"],
   ["Alt, or press and wait", "in 3D: draw a line over the thing"],
+  ["R · L in 3D", "choose points of the scene: hide, remove, keep, take"],
   ["C · B in 3D", "handle between before and after · switch"],
   ["arrows, W A S D in 3D", "turn and fly"],
   ["V · O · H · D · S", "photos · things · history · downloads · settings"],

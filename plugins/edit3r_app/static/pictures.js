@@ -49,7 +49,7 @@ export const STORY = [
         `<path d="M214 126l-2 10-9-4z" fill="#26262e"/>`,
     ),
     "3. Turn it in 3D",
-    "compare before and after, and take it along.",
+    "compare before and after, and download it.",
   ],
 ];
 

@@ -3,6 +3,7 @@ import { ask } from "./api.js";
 import { button, el, icon } from "./dom.js";
 import { changeTheme } from "./home.js";
 import { showKeys } from "./panels.js";
+import { adjustOf } from "./scene/adjust.js";
 import { barOf } from "./scene/bar.js";
 import { draftOf } from "./scene/draft.js";
 import { drawersOf } from "./scene/drawers.js";
@@ -10,10 +11,12 @@ import { keysOf } from "./scene/keys.js";
 import { pictureOf } from "./scene/picture.js";
 import { questionOf } from "./scene/question.js";
 import { fullScreen, stageOf } from "./scene/stage.js";
+import { sculptOf } from "./scene/sculpt.js";
 import { newPage } from "./scene/state.js";
 import { stripOf } from "./scene/strip.js";
 import { thingsOf } from "./scene/things.js";
 import { toolsOf } from "./scene/tools.js";
+import { verdictsOf } from "./scene/verdicts.js";
 import { viewerOf } from "./scene/viewer.js";
 import { waitingOf } from "./scene/waiting.js";
 
@@ -31,7 +34,11 @@ export function scenePage(root, scene, at, beside) {
   const stage = el("section", { class: "stage", "aria-label": "the scene" }),
     strip = el("nav", { class: "strip", "aria-label": "photos" }),
     views = el("div", { class: "switch", role: "group", "aria-label": "what is shown" });
-  const files = button("download", "take it along", () => page.drawers.openFiles(), { key: "D" });
+  const files = button("download", "download", () => page.drawers.openFiles(), {
+    key: "D",
+    text: "Download",
+    class: "icon named",
+  });
   const stripButton = button("photos", "photos", toggleStrip, {
     key: "V",
     "aria-expanded": "true",
@@ -47,6 +54,9 @@ export function scenePage(root, scene, at, beside) {
   page.draft = draftOf(page);
   page.question = questionOf(page);
   page.bar = barOf(page);
+  page.adjust = adjustOf(page);
+  page.sculpt = sculptOf(page);
+  page.verdicts = verdictsOf(page);
   page.tools = toolsOf(page);
   page.waiting = waitingOf(page);
   page.things = thingsOf(page);
@@ -61,9 +71,9 @@ export function scenePage(root, scene, at, beside) {
     { class: "top unready" },
     allScenes({ class: "brand", title: "all scenes" }, icon("cube"), el("span", {}, "edit3r")),
     el("h1", {}, scene),
+    page.tools.above,
     el("span", { class: "grow" }),
     views,
-    page.viewer.compareButton,
     files,
     stripButton,
     objectsButton,
@@ -75,7 +85,9 @@ export function scenePage(root, scene, at, beside) {
       class: "icon wide-only",
     }),
   );
-  const middle = el("div", { class: "middle" }, stage, page.waiting.node, page.question.node);
+  const { notice, node: verdicts } = page.verdicts;
+  const over = el("div", { class: "over-stage" }, notice, verdicts, page.waiting.node);
+  const middle = el("div", { class: "middle" }, stage, over, page.adjust.node, page.sculpt.node, page.question.node);
   root.replaceChildren(top, el("main", {}, strip, middle, page.drawers.node), dock);
 
   // ---- following the server ----
@@ -112,6 +124,7 @@ export function scenePage(root, scene, at, beside) {
       page.stage.draw();
     } else if (last.isRun !== s.isRun) page.stage.draw();
     page.waiting.draw();
+    page.verdicts.drawNotice();
     if (first || JSON.stringify(last.history) !== JSON.stringify(s.history)) page.drawers.draw();
     if (first || last.draft.version !== s.draft.version) {
       page.draft.took(s.draft);
@@ -137,6 +150,8 @@ export function scenePage(root, scene, at, beside) {
     page.stop.abort();
     clearTimeout(timer);
     page.bar.leave();
+    page.adjust.leave();
+    page.draft.leave();
     page.picture.leave();
     page.strip.leave();
     document.body.classList.remove("no-strip", "only-scene");

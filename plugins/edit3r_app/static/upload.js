@@ -4,11 +4,16 @@ const PHOTO = /\.(jpe?g|jpe|jfif|mpo|png|webp|tiff?|hei[cf]|avif|bmp|p[pg]m|jp2)
 const inOrder = (files) =>
   [...files].sort((a, b) => a.name.localeCompare(b.name, undefined, { numeric: true }));
 
-// Returns the scene and the sentences about what was refused; `told` hears how far it is.
-export async function send(files, scene, folder, told) {
+export const arriving = new Map(); // by scene: how far its photos are that are still being sent
+
+// Returns the scene and the sentences about what was refused; `told` hears how far it is, and `begun`
+// which scene it is as soon as its first photo is there.
+export async function send(files, scene, folder, told, begun = () => {}) {
   const refused = [];
   for (const [index, file] of [...files].entries()) {
-    told(`Sending ${index + 1} of ${files.length}: ${file.name}`);
+    const line = `Sending ${index + 1} of ${files.length}: ${file.name}`;
+    told(line);
+    if (scene) arriving.set(scene, line);
     const headers = {
       "X-Name": encodeURIComponent(file.name),
       "X-Folder": encodeURIComponent(folder || ""),
@@ -20,12 +25,14 @@ export async function send(files, scene, folder, told) {
         headers,
       });
       const text = await answer.text();
+      if (answer.ok && !scene) begun(text);
       if (answer.ok) scene = text;
       else refused.push(answer.status === 413 ? `${file.name}: ${text}` : text);
     } catch {
       refused.push(`${file.name}: could not be sent; is the app still running?`);
     }
   }
+  arriving.delete(scene);
   return { scene: scene || "", refused };
 }
 

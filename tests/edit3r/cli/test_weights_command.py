@@ -148,6 +148,6 @@ def test_essentials_are_several_weights_whose_licences_are_accepted_at_once(
     assert weights("get", "essentials") == 2
     said = capsys.readouterr()
     assert "accept the licences with: edit3r weights get essentials --yes" in said.err
-    for name in ("u2netp", "sam2-onnx", "nanodet", "efficientnet-lite0"):
+    for name in ("u2netp", "sam2-onnx", "nanodet"):
         assert f"{name}: " in said.out
     assert "strange: " not in said.out

@@ -2,12 +2,12 @@ import json
 
 import numpy as np
 import pytest
-from edit3r_judge.verdict import Verdict
 from PIL import Image
 from pydantic import Field, SecretStr
 
 from edit3r.contract.reporting import StageRecord
 from edit3r.contract.settings import Settings
+from edit3r.contract.verdicts import Verdict
 from edit3r.kit import run_folder
 from edit3r.kit.photos.images import load_photos
 from edit3r.kit.run_folder import (
@@ -51,6 +51,7 @@ def manifest(tmp_path):
             (0.2, None),
         ),
         edit_verdict=None,
+        selection_verdict=None,
         gaussians=131072,
         harmonics_degree=0,
         stages=[StageRecord("edit", 1.5, 1.25, 300.0)],

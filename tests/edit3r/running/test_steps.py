@@ -193,7 +193,9 @@ def test_masks_of_the_wrong_size_are_an_error_with_both_sizes(views):
 def test_an_edit_that_does_nothing_is_reported(views):
     report = Report()
     run(views, "x", editor=Answer(lambda v: v), recon=Flat(), report=report)
-    assert any("0% of the picture changed visibly" in text for text in report.warnings)
+    assert any(
+        "(100%) of what was selected did not change" in text for text in report.warnings
+    )
 
 
 def test_the_edit_is_judged_before_and_after_the_3d_part(views):
@@ -202,23 +204,30 @@ def test_the_edit_is_judged_before_and_after_the_3d_part(views):
     report = Report()
     seen = preview(job, report=report)
     assert seen.edit.verdict.label == "doubtful"
-    assert seen.edit.verdict.measures["shown"] is None
-    assert any("the edit is doubtful: only 0%" in text for text in report.warnings)
+    assert seen.edit.verdict.measures["missed"] is None
+    assert any(
+        "the edit is doubtful: a part (100%)" in text for text in report.warnings
+    )
     result = run(views, "invert it", editor=Invert(), recon=Flat())
-    assert result.edit_verdict.measures["changed"] > 0.9
-    assert result.edit_verdict.measures["shown"] is not None
+    assert result.edit_verdict.measures["unchanged"] < 0.1
+    assert result.edit_verdict.measures["missed"] is not None
 
 
 def test_without_a_prompt_there_is_no_edit_to_judge(views):
     assert run(views, editor="none", recon=Flat()).edit_verdict is None
 
 
-def test_both_verdicts_stand_in_the_manifest(views, tmp_path):
-    result = run(views, "x", editor=Invert(), recon=Flat(), outputs=["sheet"])
+def test_the_three_answers_stand_in_the_manifest(views, tmp_path):
+    masks = torch.ones(1, 2, *views.image_size)
+    masks[..., :4] = 0
+    asked = {"masks": masks, "outputs": ["sheet"]}
+    result = run(views, "x", editor=Invert(), recon=Flat(), **asked)
     content = json.loads((result.save(tmp_path / "out") / "run.json").read_text())
     assert content["verdict"]["label"] == result.verdict.label
     assert content["edit_verdict"]["reason"] == result.edit_verdict.reason
-    assert set(content["edit_verdict"]["measures"]) >= {"changed", "outline", "shown"}
+    assert set(content["edit_verdict"]["measures"]) >= {"unchanged", "rim", "missed"}
+    assert content["selection_verdict"]["label"] == "given"
+    assert result.selection_verdict.confidence is None
 
 
 def test_a_reconstructor_that_edits_is_given_the_request(views):

@@ -330,7 +330,7 @@ class Doubting(Segmenter):
         return mask
 
 
-def test_what_was_found_unsurely_is_edited_called_doubtful_and_shown_with_its_readings(
+def test_what_was_found_unsurely_is_a_question_with_candidates_and_no_doubt_of_the_edit(
     tmp_path,
 ):
     views = photograph(2, (48, 64)).views
@@ -339,13 +339,21 @@ def test_what_was_found_unsurely_is_edited_called_doubtful_and_shown_with_its_re
     asked |= {"outputs": ["sheet"]}
     report = Report()
     doubtful = edit3r.run(views, "paint the bear red", report=report, **asked)
-    assert doubtful.edit_verdict.label == "doubtful"
+    asks = doubtful.selection_verdict
+    # The other photo confirms it in part only.
+    assert asks.label == "question" and asks.confidence == pytest.approx(
+        0.248, abs=1e-3
+    )
+    assert asks.candidates == (2, 3) and "bear, confidence 25%" in asks.reason
+    assert "--reading 2" in asks.reason
+    assert doubtful.edit_verdict.label == "good"
     assert any(
         "'bear' was found" in text and "--reading 2" in text for text in report.warnings
     )
     second = edit3r.run(
         views, "paint the bear red", reading=2, report=Report(), **asked
     )
+    assert second.selection_verdict.confidence is None  # somebody took it
     left, right = (one.masks[0, 0].argmax(1).max() for one in (doubtful, second))
     assert left < right  # the other bear
     marked = Selection(masks=dict(enumerate(doubtful.masks[0])))

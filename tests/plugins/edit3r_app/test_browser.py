@@ -9,8 +9,6 @@ import contextlib
 import os
 import shutil
 import signal
-import socket
-import subprocess
 import sys
 import threading
 import time
@@ -31,125 +29,6 @@ playwright = pytest.importorskip(
     "playwright.sync_api", reason="needs playwright, see this file's docstring"
 )
 pytest.importorskip("uvicorn", reason='needs the app: pip install "edit3r[app]"')
-PATIENCE = 120_000  # [ms]
-SHIFTED = """window.shifted = 0;
-new PerformanceObserver((list) => {
-  for (const one of list.getEntries()) if (!one.hadRecentInput) window.shifted += one.value;
-}).observe({type: "layout-shift", buffered: true});"""
-SOFTWARE_GL = [
-    "--no-sandbox",
-    "--use-gl=angle",
-    "--use-angle=swiftshader",
-    "--enable-unsafe-swiftshader",
-]
-
-
-class Server:
-    """`edit3r app` in a process of its own."""
-
-    def __init__(self, folder, **environment):
-        self.environment = environment
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            self.port = probe.getsockname()[1]
-        self.folder, self.address = folder, f"http://localhost:{self.port}"
-        self.start()
-
-    def start(self):
-        call = [
-            sys.executable,
-            "-m",
-            "edit3r",
-            "app",
-            "--no-browser",
-            "--size",
-            "96",
-        ]
-        call += ["--port", str(self.port), "--jobs", str(self.folder)]
-        plain = {
-            name: value
-            for name, value in os.environ.items()
-            if not name.startswith("PYTEST")
-        }
-        self.process = subprocess.Popen(
-            call,
-            cwd=self.folder.parent,
-            stdout=subprocess.DEVNULL,
-            env=plain | self.environment,
-        )
-        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
-        for _ in range(3000):
-            with contextlib.suppress(OSError):
-                opener.open(f"{self.address}/static/app.css").close()
-                return
-            assert self.process.poll() is None, "the server ended"
-            time.sleep(0.2)
-        raise AssertionError("the server did not begin to answer")
-
-    def kill(self, kind=signal.SIGTERM):
-        self.process.send_signal(kind)
-        self.process.wait()
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("app")
-    # What networks find is asked by their own tests: without them all is here in half the time.
-    server = Server(
-        folder / "jobs",
-        EDIT3R_WEIGHTS=str(folder / "weights"),
-        PIP_CONFIG_FILE=os.devnull,
-        PIP_INDEX_URL="http://127.0.0.1:9",  # nobody answers there
-        PIP_RETRIES="0",
-    )
-    yield server
-    server.kill()
-
-
-@pytest.fixture(scope="module")
-def browser():
-    with playwright.sync_playwright() as driver:
-        path = (
-            os.environ.get("EDIT3R_CHROMIUM")
-            or shutil.which("chromium")
-            or shutil.which("google-chrome")
-        )
-        try:
-            browser = driver.chromium.launch(executable_path=path, args=SOFTWARE_GL)
-        except playwright.Error as error:
-            pytest.skip(f"no browser: {str(error).splitlines()[0]}")
-        yield browser
-        browser.close()
-
-
-@pytest.fixture
-def tab(browser, server):
-    """A new tab that notes every console error and every request to elsewhere."""
-    context = browser.new_context(accept_downloads=True)
-    context.set_default_timeout(PATIENCE)
-    context.add_init_script(SHIFTED)
-    problems = []
-
-    def new_tab(size=(1280, 800)):
-        page = context.new_page()
-        page.set_viewport_size({"width": size[0], "height": size[1]})
-        page.on(
-            "console",
-            lambda line: problems.append(line.text) if line.type == "error" else None,
-        )
-        page.on("pageerror", lambda error: problems.append(str(error)))
-        ours = (server.address, "data:", "blob:")
-        page.on(
-            "request",
-            lambda request: (
-                None if request.url.startswith(ours) else problems.append(request.url)
-            ),
-        )
-        return page
-
-    new_tab.problems = problems
-    yield new_tab
-    context.close()
 
 
 def upload(page, files):
@@ -282,7 +161,7 @@ def test_from_photos_to_a_download(server, tab):
             "[...document.querySelectorAll('.strip .over')].every((one) => one.naturalWidth > 1)"
         )
     page.get_by_label("what to change").fill("paint it blue")
-    page.get_by_text("this edit looks").wait_for()  # the verdict on it, before Go
+    page.get_by_text("edit: ").wait_for()  # the verdict on it, before Go
     page.get_by_role("button", name="Go", exact=True).click()
     page.wait_for_url("**at=**")
     page.locator(".pill progress").wait_for()  # where it stands is said
@@ -323,7 +202,7 @@ def test_from_photos_to_a_download(server, tab):
     things_of_the_scene(page, viewer)
 
     # downloads, each with what it is for and its size
-    page.get_by_role("button", name="take it along").click()
+    page.get_by_role("button", name="download").click()
     page.locator(".file", has_text="viewer.html").get_by_text(" kB").wait_for()
     with page.expect_download() as loading:
         page.locator(".file", has_text="all.zip").press("Enter")
@@ -442,7 +321,7 @@ PHOTO_VIEWS = {
     "keys": "Keys",
     "keep what is marked": "Selections",
 }
-SCENE_VIEWS = {"things": "Things", "history": "History", "take it along": "Take it"}
+SCENE_VIEWS = {"things": "Things", "history": "History", "download": "Download"}
 """What opens beside photos and beside a scene: the button, and the title."""
 
 
@@ -490,7 +369,7 @@ def test_nothing_serious_for_those_who_do_not_see_or_point(server, tab, theme, s
     for name, title in SCENE_VIEWS.items():
         open_and_check(name, title)
     for name in ("Film a flight", "Open it on a phone"):
-        page.get_by_role("button", name="take it along").press("Enter")
+        page.get_by_role("button", name="download").press("Enter")
         open_and_check(name, name)
 
 

@@ -24,7 +24,6 @@ def test_a_draft_survives_a_restart(folder):
             Step("invert"),
         ],
         words="sky",
-        guess=True,
         form={"prompt": "gold"},
         named={"door": [Mark("add", "a", [(0.5, 0.5)])]},
     )

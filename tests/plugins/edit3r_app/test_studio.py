@@ -6,10 +6,11 @@ from pathlib import Path
 import pytest
 from edit3r_app import uploads
 from edit3r_app.draft import read_draft
+from edit3r_app.drawing import Drawing
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.looking import Looker
 from edit3r_app.runner import Runner
-from edit3r_app.studio import Studio, in_app
+from edit3r_app.studio import Studio
 from PIL import Image
 
 from edit3r.contract.errors import InputError
@@ -22,7 +23,12 @@ CLICK = {"kind": "add", "photo": "motorcycle", "places": [[0.5, 0.5]]}
 @pytest.fixture(scope="module")
 def studio(tmp_path_factory):
     folder = JobsFolder(tmp_path_factory.mktemp("jobs"))
-    yield Studio(folder, Runner(folder), Looker(folder, default_registry(), 64))
+    yield Studio(
+        folder,
+        Runner(folder),
+        Looker(folder, default_registry(), 64),
+        Drawing(folder, default_registry()),
+    )
 
 
 @pytest.fixture
@@ -123,11 +129,3 @@ def test_a_thing_is_taken_of_a_scene_only_and_its_edit_is_a_state_of_its_own(
 def test_no_edit_without_a_sentence(studio, scene):
     with pytest.raises(InputError, match="such as: paint it golden"):
         studio.go(scene, "", "")
-
-
-def test_sentences_speak_of_no_flags():
-    told = "click on it (--point X,Y), or add --guess to take what stands out."
-    assert in_app(told) == "click on it, or let the app take what stands out."
-    assert "--" not in in_app(
-        "To correct it, take --reading 2 or --reading 3, or click on it."
-    )

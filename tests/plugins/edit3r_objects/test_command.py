@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import edit3r_objects.run
@@ -13,8 +14,9 @@ from PIL import Image
 
 from edit3r.cli.main import main
 from edit3r.contract.interfaces import Segmenter, as_proposal
+from edit3r.contract.types import Gaussians
 from edit3r.kit.photos.images import packaged_pair
-from edit3r.kit.scenes.ply import load_ply
+from edit3r.kit.scenes.ply import load_ply, save_ply
 from edit3r_testing import CommandContract
 
 FLAT = Path(__file__).parents[1] / "flat_scene.py"
@@ -111,7 +113,7 @@ def test_things_are_found_by_one_press(made, monkeypatch, capsys):
     assert objects(made, f"left find --out {made}/more") == 0  # it is an object already
     assert manifest_of(made / "more")["objects"] == {"left": 0}
     assert objects(made, f"run find it --out {made}/no") == 2
-    assert "find names what it finds" in capsys.readouterr().err
+    assert "find takes no name" in capsys.readouterr().err
 
 
 def test_links_among_the_photos_are_not_followed(made):
@@ -218,3 +220,71 @@ def test_a_scene_from_elsewhere_is_listed_without_run_or_cameras(
     line = ["export", str(made / "run"), "--to", form, "--out", str(file), "--quiet"]
     assert main(line) == 0 and main(["objects", str(file)]) == 0
     assert "no objects" in capsys.readouterr().out
+
+
+def drawn_file(place, name, begin, end, **more):
+    """A lasso around a part of what the first camera shows, from its left to its right edge."""
+    camera = json.loads((place / "run" / "cameras.json").read_text())[0]
+    c2w = np.array(camera["c2w"])
+    (fx, _, cx), (_, fy, cy), _ = camera["K"]
+    stroke = {
+        "kind": "lasso",
+        "places": [(begin, 0), (end, 0), (end, 1), (begin, 1)],
+        **dict(zip(("right", "down", "forward", "centre"), c2w[:3].T.tolist())),
+        "lens": (fx / 48, fy / 32, cx / 48, cy / 32),
+        "aspect": 1.5,
+    }
+    file = place / f"{name}.json"
+    file.write_text(json.dumps({"strokes": [{**stroke, **more}]}))
+    return file
+
+
+def test_what_is_drawn_around_is_cut_kept_or_named(made):
+    file = drawn_file(made, "half", 0, 0.5)
+    for action, name in (("cut", ""), ("crop", ""), ("add", "drawn")):
+        line = f"run {action} {name} --drawn {file} --out {made}/{action} --overwrite"
+        assert objects(made, line) == 0
+    whole, cut, crop = (scene_of(made / one) for one in ("run", "cut", "crop"))
+    assert cut.count + crop.count == whole.count
+    assert 0.3 < crop.count / whole.count < 0.7
+    masked = scene_of(made / "left").objects >= 0
+    drawn = scene_of(made / "add").objects >= 0
+    shared = (masked & drawn).sum() / (masked | drawn).sum()
+    assert shared > 0.9, "as by masks of the photos"
+    assert list(manifest_of(made / "add")["objects"]) == ["drawn"]
+
+
+@pytest.mark.parametrize(
+    ("line", "told"),
+    [
+        ("cut", "expected --drawn FILE"),
+        ("cut it --drawn {file}", "takes no name"),
+        ("remove it --drawn {file}", "remove takes none"),
+        ("cut --drawn {broken}", "expected JSON with strokes"),
+        ("cut --drawn {flat}", "not a camera"),
+        ("clean it", "takes no name"),
+    ],
+)
+def test_what_cannot_be_drawn_is_told(made, capsys, line, told):
+    (made / "broken.json").write_text("{}")
+    flat = drawn_file(made, "flat", 0, 1, right=(0, 0, 1))
+    files = {"file": drawn_file(made, "half", 0, 0.5), "broken": made / "broken.json"}
+    line = line.format(**files, flat=flat)
+    assert objects(made, f"run {line} --out {made}/nothing") == 2
+    assert told in capsys.readouterr().err
+    assert not (made / "nothing").exists()
+
+
+def test_floaters_are_taken_out_and_a_clean_scene_is_told(made, capsys, tmp_path):
+    assert objects(made, f"run clean --out {tmp_path}/none") == 2
+    assert "no floaters" in capsys.readouterr().err
+    dirty = tmp_path / "dirty"
+    shutil.copytree(made / "run", dirty)
+    scene = scene_of(dirty)
+    spread = scene.select(torch.tensor([100, 700]))  # near the camera, thin as a veil
+    near = replace(spread, means=0.3 * spread.means, scales=0.1 * spread.scales)
+    near = replace(near, opacities=0.2 * spread.opacities)
+    save_ply(dirty / "scene.ply", Gaussians.cat([scene, near]))
+    line = ["objects", str(dirty), "clean", "--out", str(tmp_path / "clean"), "--quiet"]
+    assert main(line) == 0
+    assert scene.count <= scene_of(tmp_path / "clean").count < scene.count + 2

@@ -16,7 +16,7 @@ from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.geometry.rotations import quats_to_matrices
 from edit3r.kit.photos.cameras import posed_cameras, read_scene_cameras, write_cameras
 from edit3r.kit.photos.images import load_views, save_image
-from edit3r.kit.scenes.ply import save_ply
+from edit3r.kit.scenes.ply import load_ply, save_ply
 
 NAMES = ["one photo.png", "two.png"]  # COLMAP's text form would cut a name at its space
 SIZE = (48, 64)
@@ -89,6 +89,12 @@ def test_transforms_are_read_as_the_cameras_they_were_written_from(run, tmp_path
     ours = pixels(read_scene_cameras(run / "cameras.json")[0])
     np.testing.assert_allclose(pixels(read), ours, atol=PIXEL)
     assert [view.file for view in views] == [f"images/{name}" for name in NAMES]
+    points = json.loads((out / "transforms.json").read_text())["ply_file_path"]
+    header, _, body = (out / points).read_bytes().partition(b"end_header\n")
+    ours = load_ply(run / "scene.ply")
+    assert b"element vertex %d\n" % ours.count in header
+    rows = np.frombuffer(body, [("position", "<f4", 3), ("colour", "u1", 3)])
+    np.testing.assert_allclose(rows["position"], ours.means[0], atol=1e-6)
 
 
 @pytest.mark.parametrize("form", ["colmap", "nerfstudio"])

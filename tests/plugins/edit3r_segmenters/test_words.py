@@ -10,7 +10,7 @@ from edit3r_segmenters.coco import LEVELS, SIDE
 from edit3r_segmenters.tfjs import TfjsGraph
 
 import edit3r
-from edit3r.contract.errors import InputError, MissingDependencyError
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Detection, Detector
 from edit3r_testing import CONTRACTS, Contract, claims, contract_for
 
@@ -32,24 +32,9 @@ def test_a_word_or_its_synonym_is_one_of_coco(text, names):
     assert {words.COCO[place] for place in words.coco_classes(text)} == names
 
 
-@pytest.mark.parametrize(
-    ("text", "name"),
-    [("duvet", "quilt"), ("foxes", "red fox"), ("bear", "ice bear"), ("dog", "kuvasz")],
-)
-def test_a_word_is_one_of_imagenet(text, name):
-    found = [words.imagenet_names()[place] for place in words.imagenet_classes(text)]
-    assert any(name in line.split(", ") for line in found)
-    assert words.imagenet_classes("mosaic") == ()
-
-
-def test_every_synonym_means_something_to_a_detector():
-    unknown = [
-        word
-        for word in words.SYNONYMS
-        if not (words.coco_classes(word) or words.imagenet_classes(word))
-    ]
-    assert len(words.COCO) == 80 and len(words.imagenet_names()) == 1000
-    assert unknown == []
+def test_every_synonym_means_something_to_the_detector():
+    assert len(words.COCO) == 80
+    assert [one for one in words.SYNONYMS if not words.coco_classes(one)] == []
 
 
 def node(name, op, *inputs, **attributes):
@@ -97,27 +82,12 @@ def test_a_box_lies_where_the_network_says_in_pixels_of_the_photo(nanodet):
     assert edit3r.build("detector", "coco").detect(IMAGE, "dog") == ()
 
 
-@pytest.fixture
-def efficientnet(tmp_path, monkeypatch):
-    """Random weights of the network, where they are looked for."""
-    network = pytest.importorskip("efficientnet_lite_pytorch").EfficientNet
-    monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
-    file = tmp_path / "efficientnet-lite0" / "efficientnet-lite0-57934424.pth"
-    file.parent.mkdir()
-    torch.save(network.from_name("efficientnet-lite0").state_dict(), file)
-
-
 DETECTOR_CLAIMS = sorted({*claims(CONTRACTS["detector"])} - {*claims(Contract)})
 
 
 @pytest.mark.parametrize("claim", DETECTOR_CLAIMS)
 def test_coco_keeps_the_contract(nanodet, claim):
     getattr(contract_for("detector", "coco")(), claim)()
-
-
-@pytest.mark.parametrize("claim", DETECTOR_CLAIMS)
-def test_imagenet_keeps_the_contract(efficientnet, claim):
-    getattr(contract_for("detector", "imagenet", size=64)(), claim)()
 
 
 @pytest.mark.parametrize(
@@ -177,32 +147,6 @@ def test_a_graph_computes_as_torch_does(tmp_path):
     )
 
 
-def test_the_activation_of_a_word_peaks_at_one(tmp_path, monkeypatch):
-    network = pytest.importorskip("efficientnet_lite_pytorch").EfficientNet
-    monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
-    with pytest.raises(MissingDependencyError, match="weights get efficientnet-lite0"):
-        edit3r.build("detector", "imagenet")
-    (tmp_path / "efficientnet-lite0").mkdir()
-    file = tmp_path / "efficientnet-lite0" / "efficientnet-lite0-57934424.pth"
-    torch.manual_seed(0)
-    state = network.from_name("efficientnet-lite0").state_dict()
-    torch.save(state, file)
-    detector = edit3r.build("detector", "imagenet", size=64)
-    name, probability, heat = detector.activation(IMAGE, "the fox")
-    assert "fox" in name and 0 <= probability < 1 and heat.shape == (48, 96)
-    assert heat.max() <= 1 and heat.min() >= 0
-    assert detector.activation(IMAGE, "mosaic") is None
-    blind = {
-        name: 0 * value if "_fc" in name else value for name, value in state.items()
-    }
-    torch.save(blind, file)  # all classes alike: 118 of 1,000 say nothing of a dog
-    guess = edit3r.build("detector", "imagenet", size=64).activation(IMAGE, "dog")
-    assert guess[1] == pytest.approx(0, abs=1e-6)
-    file.write_bytes(file.read_bytes()[:5000])
-    with pytest.raises(InputError, match="holds no EfficientNet-lite0"):
-        edit3r.build("detector", "imagenet").detect(IMAGE, "fox")
-
-
 class Boxes(Detector):
     """Finds three cups of which the last is a part of the first."""
 
@@ -216,41 +160,21 @@ def test_things_of_one_name_are_found_without_parts_of_them(monkeypatch):
     monkeypatch.setattr(named, "usable", lambda name: name == "coco")
     monkeypatch.setattr(named, "build", lambda kind, name: Boxes())
     classical = edit3r.build("segmenter", "classical", learned=False)
-    found = named.Namer(classical.segment_marks).find(IMAGE, "cups")
+    found = named.named(IMAGE, "cups", classical.segment_marks)
     assert len(found) == 2 and found[0].confidence > found[1].confidence > 0.5
-    assert named.Namer(classical.segment_marks).find(IMAGE, "mosaic") is None
+    assert named.named(IMAGE, "mosaic", classical.segment_marks) is None
 
 
-class Classifier:
-    """Two places are lit up; alone, what is bright looks alike."""
-
-    def activation(self, image, text):
-        heat = np.zeros(image.shape[-2:], np.float32)
-        heat[20, 20], heat[24, 74] = 1.0, 0.8
-        return text, 0.1, heat
-
-    def likeness(self, pictures, text):
-        return torch.tensor([10 * float(picture[0].mean()) for picture in pictures])
-
-
-@pytest.mark.parametrize("bright, column", [(True, 74), (False, 20)])
-def test_of_places_that_a_word_lights_up_that_counts_which_looks_like_it(
-    bright, column, monkeypatch
-):
-    monkeypatch.setattr(named, "usable", lambda detector: detector == "imagenet")
-    monkeypatch.setattr(named, "build", lambda kind, name: Classifier())
-    image = torch.zeros(3, 48, 96)
-    image[:, :, 48:] = float(bright)
-
-    def ask(image, clicks):
-        ((x, y), _), *_ = clicks
-        logits = -np.ones((1, 48, 96), np.float32)
-        row, column = int(y * 48), int(x * 96)
-        logits[0, row - 4 : row + 4, column - 4 : column + 4] = 1
-        return logits, np.ones(1, np.float32)
-
-    found = named.Namer(None, ask).find(image, "fox")
-    assert found[0].soft_mask[24 if bright else 20, column] > 0.5
+def test_a_detector_of_any_word_is_asked_first_where_it_is_at_hand(monkeypatch):
+    monkeypatch.setattr(named, "usable", lambda name: True)
+    asked = []
+    monkeypatch.setattr(
+        named, "build", lambda kind, name: asked.append(name) or Boxes()
+    )
+    classical = edit3r.build("segmenter", "classical", learned=False)
+    found = named.named(IMAGE, "mosaic", classical.segment_marks)
+    assert asked == ["grounding-dino"]
+    assert [one.confidence for one in found] == [0.7, 0.6]  # its own scores
 
 
 def test_an_unknown_word_names_the_weights_that_are_missing(tmp_path, monkeypatch):
@@ -260,7 +184,7 @@ def test_an_unknown_word_names_the_weights_that_are_missing(tmp_path, monkeypatc
 
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
     segmenter = edit3r.build("segmenter", "auto")
-    with pytest.raises(InputError, match=r"--point.*weights get essentials"):
+    with pytest.warns(UserWarning, match=r"--point.*weights get essentials"):
         select_masks(IMAGE[None], Selection(words="mug"), segmenter)
 
 

@@ -3,9 +3,17 @@
 import numpy as np
 import pytest
 import torch
-from edit3r_select.answering import SummingSegmenter
+from edit3r_select.answering import readings
+from edit3r_select.select import select_masks
 
-from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
+from edit3r.contract.interfaces import (
+    Marks,
+    Proposal,
+    Segmenter,
+    Selection,
+    Tracks,
+    as_proposal,
+)
 
 HEIGHT, WIDTH = 48, 64
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH] + 0.5
@@ -44,7 +52,7 @@ class Discs(Plain):
         x, y = clicks[-1][0] if clicks else CENTRE
         away = np.hypot(COLUMNS - x * WIDTH, ROWS - y * HEIGHT)
         logits = np.stack([radius - away for radius in (12.0, 5.0, 12.0, 20.0)])
-        return logits.astype(np.float32), np.array([0.9, 0.8, 0.9, 0.7])
+        return logits.astype(np.float32), np.array([0.9, 0.6, 0.9, 0.2])
 
 
 def inside(found):
@@ -56,20 +64,17 @@ def overlap(one, other):
 
 
 def test_a_click_takes_the_mask_that_the_sum_prefers_and_shows_the_others(image):
-    segmenter = SummingSegmenter(Discs())
-    readings = segmenter.readings(image, Marks(positive=(CENTRE,)))
-    assert overlap(inside(readings[0]), DISC) > 0.9
-    assert len(readings) == 3  # of the two that are alike only one
-    assert sum(one.confidence for one in readings) == pytest.approx(1)
-    answer = segmenter.segment_marks(image, Marks(positive=(CENTRE,)))
-    assert torch.equal(answer.soft_mask, readings[0].soft_mask)
-    assert answer.confidence == readings[0].confidence
+    segmenter = Discs()
+    found = readings(segmenter, image, Marks(positive=(CENTRE,)))
+    assert overlap(inside(found[0]), DISC) > 0.9
+    assert len(found) == 3  # of the two that are alike only one
+    assert sum(one.confidence for one in found) == pytest.approx(1)
 
 
 def test_steps_go_through_the_candidates_by_size(image):
-    segmenter = SummingSegmenter(Discs())
+    segmenter = Discs()
     areas = [
-        inside(segmenter.segment_marks(image, Marks((CENTRE,), larger=steps))).sum()
+        inside(readings(segmenter, image, Marks((CENTRE,), larger=steps))[0]).sum()
         for steps in (-1, 0, 1)
     ]
     assert areas == sorted(areas) and areas[0] < 0.5 * areas[1] < 0.4 * areas[2]
@@ -78,7 +83,11 @@ def test_steps_go_through_the_candidates_by_size(image):
 def test_each_click_is_asked_with_the_answer_before_it_and_all_are_obeyed(image):
     network = Discs()
     marks = Marks(positive=(CENTRE, (0.9, 0.5)), negative=((0.5, 0.3),))
-    mask = inside(SummingSegmenter(network).segment_marks(image, marks))
+    asked = Selection(
+        positive=tuple((0, *place) for place in marks.positive),
+        negative=tuple((0, *place) for place in marks.negative),
+    )
+    mask = select_masks(image[None], asked, network).masks[0, 0].numpy() > 0.5
     assert network.asked[0] == (1, False, False) and (2, False, True) in network.asked
     held = [mask[int(y * HEIGHT), int(x * WIDTH)] for x, y in marks.positive]
     assert all(held) and not mask[int(0.3 * HEIGHT), WIDTH // 2]
@@ -101,7 +110,7 @@ class OneBesideTheOther(Plain):
 def test_a_click_that_says_nothing_new_is_asked_about_only_once_it_is_disobeyed(image):
     network = OneBesideTheOther()
     marks = Marks(positive=((0.2, 0.5), (0.4, 0.2)), negative=((0.8, 0.5),))
-    mask = inside(SummingSegmenter(network).segment_marks(image, marks))
+    mask = inside(readings(network, image, marks)[0])
     assert (True, False) in network.asked  # the second click inside came with neither
     assert all(len(one) < 3 for one in network.asked)
     assert mask[:, :30].all() and not mask[:, 34:].any()
@@ -111,7 +120,7 @@ def test_a_click_that_says_what_is_known_changes_nothing(image):
     network = Discs()
     prior = torch.from_numpy(DISC).float()
     marks = Marks(positive=(CENTRE,), negative=((0.9, 0.9),), prior=prior)
-    mask = inside(SummingSegmenter(network).segment_marks(image, marks))
+    mask = inside(readings(network, image, marks)[0])
     assert not network.asked and overlap(mask, DISC) > 0.97
 
 
@@ -124,20 +133,19 @@ def test_a_click_that_says_what_is_known_changes_nothing(image):
 )
 def test_a_box_and_a_stroke_are_asked_first(image, marks, asked):
     network = Discs()
-    assert SummingSegmenter(network).segment_marks(image, marks).area > 0
+    assert readings(network, image, marks)[0].area > 0
     assert network.asked[:1] == asked
 
 
 def test_without_masks_to_choose_from_the_segmenter_reads_marks_itself(image):
     for marks in (Marks(positive=(CENTRE,)), Marks(box=(0.2, 0.2, 0.5, 0.5))):
-        assert SummingSegmenter(Plain()).segment_marks(image, marks).area == 1
-        assert SummingSegmenter(Plain()).readings(image, marks)[0].area == 1
+        assert readings(Plain(), image, marks)[0].area == 1
     prior = Marks(prior=torch.zeros(HEIGHT, WIDTH))  # no mark: not the sum's
-    assert SummingSegmenter(Discs()).segment_marks(image, prior).area == 1
+    assert readings(Discs(), image, prior)[0].area == 1
 
 
 def test_a_large_photo_is_answered_at_its_own_size(image):
     large = torch.nn.functional.interpolate(image[None], (960, 1280))[0]
-    found = SummingSegmenter(Discs()).segment_marks(large, Marks(positive=(CENTRE,)))
+    found = readings(Discs(), large, Marks(positive=(CENTRE,)))[0]
     assert found.soft_mask.shape == (960, 1280)
     assert found.area == pytest.approx(DISC.mean(), rel=0.05)

@@ -1,5 +1,7 @@
 """What a person marks is obeyed in every photo that sees the marked point."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from edit3r_select.obeying import (
@@ -8,6 +10,7 @@ from edit3r_select.obeying import (
     obeyed,
     seen_elsewhere,
 )
+from edit3r_select.photos import Photos
 from edit3r_select.select import select_masks
 
 from edit3r.contract.interfaces import Geometry, Proposal, Segmenter, Selection, Tracks
@@ -22,6 +25,7 @@ GEOMETRY = Geometry(
     torch.ones_like(SCENE.depths),
     torch.ones(1, 3, dtype=torch.bool),
 )
+PHOTOS = Photos(VIEWS.images[0], None, GEOMETRY, VIEWS.intrinsics)
 
 
 def middle(mask):
@@ -63,16 +67,16 @@ class Balls(Segmenter):
 
 def test_a_point_is_seen_where_the_same_surface_is_shown_and_nowhere_else():
     on_first = Point(middle(FIRST[0]), True)
-    (there,) = seen_elsewhere([on_first], GEOMETRY, VIEWS.intrinsics, (0, 1))
+    (there,) = seen_elsewhere([on_first], PHOTOS, 0, 1)
     x, y = there.place
     assert FIRST[1][int(y * 48), int(x * 64)] and there.wanted
     # The exact place: it comes back to where it was.
-    (back,) = seen_elsewhere([there], GEOMETRY, VIEWS.intrinsics, (1, 0))
+    (back,) = seen_elsewhere([there], PHOTOS, 1, 0)
     assert back.place == pytest.approx(on_first.place, abs=0.02)
     hidden = GEOMETRY.depths.clone()
     hidden[0, 1] *= 0.5  # something stands before all of it
     behind = Geometry(GEOMETRY.c2w, hidden, GEOMETRY.confidence, GEOMETRY.registered)
-    assert not list(seen_elsewhere([on_first], behind, VIEWS.intrinsics, (0, 1)))
+    assert not list(seen_elsewhere([on_first], replace(PHOTOS, geometry=behind), 0, 1))
 
 
 @pytest.mark.parametrize("follows", [True, False])
@@ -86,7 +90,7 @@ def test_marks_are_obeyed_in_all_photos_that_see_them(follows):
         for place, inside in ((wanted, True), (unwanted, False)):
             points = [Point(place, inside)]
             if view:
-                points = seen_elsewhere(points, GEOMETRY, VIEWS.intrinsics, (0, view))
+                points = seen_elsewhere(points, PHOTOS, 0, view)
             for point in points:
                 x, y = point.place
                 value = selected.masks[view, 0, int(y * 48), int(x * 64)]
@@ -102,10 +106,10 @@ def test_a_correction_changes_nothing_that_does_not_hang_together_with_it():
     before[5:15, 5:15] = 1
     after = torch.zeros(40, 40)
     after[25:35, 25:35] = 1  # what was there is gone, and something far away came
-    changed = joined_change(before, after, (0.75, 0.75))
+    changed = joined_change(before, after, Point((0.75, 0.75), True))
     assert (changed[5:15, 5:15] == 1).all() and (changed[25:35, 25:35] == 1).all()
     assert changed.sum() == 200
-    assert torch.equal(joined_change(before, after, (0.9, 0.1)), before)
+    assert torch.equal(joined_change(before, after, Point((0.9, 0.1), True)), before)
 
 
 def test_what_is_obeyed_already_stays_to_the_bit():

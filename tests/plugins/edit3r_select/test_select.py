@@ -121,12 +121,27 @@ def test_a_region_is_its_box_exactly_and_adds_to_clicks():
         Selection(regions=((0, (0.5, 0.5, 0.9, 0.1)),))
 
 
-def test_unknown_words_are_an_error_unless_a_guess_is_allowed():
+def test_unknown_words_take_what_stands_out_as_a_question_unless_it_must_be_sure():
     assert select_masks(IMAGES, Selection(words="box"), Squares()).how[0] == "words"
-    with pytest.raises(InputError, match="--point"):
-        select_masks(IMAGES, Selection(words="the teapot"), Squares())
-    guessed = select_masks(IMAGES, Selection(words="the teapot", guess=True), Squares())
-    assert guessed.how[0] == "guess" and "guess" in guessed.warnings[0]
+    for words, why in (("the teapot", "is not a word"), ("", "nothing says which")):
+        found = select_masks(IMAGES, Selection(words=words), Squares())
+        assert found.how[0] == "guess" and 0 < found.confidence <= 0.25
+        assert not found.is_sure and (inside(found, 0) == square(1, 1).bool()).all()
+        assert why in found.warnings[0] and "--point" in found.warnings[0]
+        with pytest.raises(InputError, match=f"{why}.*--point.*--sure"):
+            select_masks(IMAGES, Selection(words=words, sure=True), Squares())
+
+
+def test_what_else_stands_out_is_a_candidate():
+    class Two(Squares):
+        def propose(self, image):
+            return tuple(self._proposal(square(row, 1)) for row in (1, 1, 12))
+
+    found = select_masks(IMAGES, Selection(words="teapot"), Two())
+    assert [float(one.mask[3, 3]) for one in found.readings] == [1, 0]  # what differs
+    assert found.readings[1].score < found.readings[0].score == found.confidence
+    second = select_masks(IMAGES, Selection(words="teapot", reading=2), Two())
+    assert (inside(second, 0) == square(12, 1).bool()).all()
 
 
 def test_a_lost_object_is_told():
@@ -231,7 +246,6 @@ def test_of_the_rest_it_is_told_by_photos_to_which_it_was_carried():
 @pytest.mark.parametrize(
     "marks",
     [
-        {},
         {"positive": ((0, 1.2, 0.5),)},
         {"positive": ((7, 0.2, 0.5),)},
         {"boxes": {0: (0.5, 0.5, 0.8, 0.2)}},
@@ -239,12 +253,13 @@ def test_of_the_rest_it_is_told_by_photos_to_which_it_was_carried():
         {"boxes": {0: (float("nan"), 0.5, 0.2, 0.2)}},
         {"positive": ((0, 0.5, float("nan")),)},
         {"masks": {0: torch.full((24, 32), float("nan"))}},
-        {"negative": ((0, 0.2, 0.5),)},
+        {"negative": ((0, 0.2, 0.5),), "positive": ((1, 0.2, 0.5),), "lost": True},
     ],
 )
 def test_marks_that_say_nothing_are_an_error(marks):
+    lost = marks.pop("lost", False)
     with pytest.raises(InputError):
-        select_masks(IMAGES, Selection(**marks), Squares())
+        select_masks(IMAGES, Selection(**marks), Squares(lost))
 
 
 def test_a_click_where_it_was_lost_starts_anew_and_ends_the_warning():
@@ -323,7 +338,7 @@ class Walkers(Squares):
     ("confidences", "several", "which", "each", "count"),
     [
         ((0.8, 0.6, 0.4), True, (), True, 2),  # one that is likely beside a sure one
-        ((0.6, 0.55), True, (), False, 1),  # none is sure: the best of the first photo
+        ((0.6, 0.55), True, (), True, 1),  # none is sure: the best of each photo
         ((0.6, 0.55), True, ("all",), True, 2),
         ((0.8, 0.6, 0.4), False, (), False, 1),  # one is followed
     ],
@@ -426,10 +441,8 @@ class Whole(Squares):
 def test_what_is_hardly_sure_was_not_found():
     words = Selection(words="bike")
     assert select_masks(IMAGES, words, Whole(0.06)).how[0] == "words"
-    with pytest.raises(InputError, match=r"'bike' was not found on photo 1; .*--guess"):
-        select_masks(IMAGES, words, Whole(0.04))
-    guessed = select_masks(IMAGES, replace(words, guess=True), Whole(0.04))
-    assert guessed.how[0] == "guess"
+    unsure = select_masks(IMAGES, words, Whole(0.04))
+    assert unsure.how[0] == "guess" and "was not found on photo 1" in unsure.warnings[0]
 
 
 @pytest.mark.parametrize(
@@ -514,7 +527,7 @@ def test_a_click_that_means_what_the_words_mean_keeps_its_own_outline():
 
 
 def test_a_larger_reading_of_words_is_one_of_their_box():
-    words = Selection(words="box", guess=True, larger=2)
+    words = Selection(words="box", larger=2)
     found = select_masks(IMAGES, words, Unsure())
     assert (inside(found, 0) == square(1, 1).bool()).all()
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 import yaml
-from edit3r_select.asking import gathered, selected
-from edit3r_select.cues import CUES, Appearance, Asked, Pool
+from edit3r_select.answering import gathered, selected
+from edit3r_select.cues import CUES, Asked, Pool
 from edit3r_select.sum import ALONE, FITTED, CueWeights, choose, fitted, lead
 
 SIDE = 100
@@ -19,14 +19,14 @@ def as_logits(*masks):
     return np.where(np.stack(masks), 3.0, -3.0).astype(np.float32)
 
 
-PHOTO = Appearance(np.full((SIDE, SIDE, 3), 90, np.uint8))
+SIZE = SIDE, SIDE
 CLICK = ((0.5, 0.5), True)
 BY_QUALITY = CueWeights(("quality",), np.array([10.0]), margin=2.0, constant=-1.0)
 
 
 def pool(masks, quality, clicks=(CLICK,)):
     asked = Asked(clicks=clicks)
-    return Pool(PHOTO, asked, as_logits(*masks), np.array(quality))
+    return Pool(asked, as_logits(*masks), np.array(quality))
 
 
 def test_the_largest_sum_comes_first_and_nearly_equal_masks_once():
@@ -73,23 +73,23 @@ class Sam:
 
 def test_a_click_asks_once_a_stroke_thrice_and_a_correction_with_what_was_before():
     sam = Sam()
-    assert len(gathered(PHOTO, Asked(clicks=(CLICK,)), sam).masks) == 4
+    assert len(gathered(SIZE, Asked(clicks=(CLICK,)), sam).masks) == 4
     assert sam.asked == [(1, False, False)]
     stroke = tuple((0.3 + 0.02 * n, 0.5) for n in range(20))
-    gathered(PHOTO, Asked(stroke=stroke), sam)
+    gathered(SIZE, Asked(stroke=stroke), sam)
     assert sam.asked[1:] == [(4, False, False), (1, False, False), (4, True, False)]
     del sam.asked[:]
-    more = Asked(clicks=(CLICK, ((0.8, 0.5), False)), before=square(40))
-    found = gathered(PHOTO, more, sam, as_logits(square(40))[0])
+    more = Asked(clicks=(CLICK, ((0.8, 0.5), False)), before=as_logits(square(40))[0])
+    found = gathered(SIZE, more, sam)
     assert [one[2] for one in sam.asked] == [False, True, False]
     joined = found.masks[-4:]  # the answer before without the part at the click
     assert not joined[:, 50, 80].any() and joined[:, 50, 20].all()
 
 
 def test_selecting_uses_the_fitted_weights():
-    chosen = selected(PHOTO, Asked(clicks=(CLICK,)), Sam())
+    chosen = selected(SIZE, Asked(clicks=(CLICK,)), Sam())
     assert chosen.best.mask[50, 50] and 0 < chosen.confidence < 1
-    assert selected(PHOTO, Asked(clicks=(CLICK,)), lambda *_: None) is None
+    assert selected(SIZE, Asked(clicks=(CLICK,)), lambda *_: None) is None
 
 
 @pytest.mark.parametrize("kind", ["click", "stroke", "box", "more"])

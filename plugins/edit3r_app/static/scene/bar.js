@@ -3,6 +3,7 @@ import { go, sceneAddress } from "../app.js";
 import { tell } from "../api.js";
 import { el, icon, toast } from "../dom.js";
 
+const LONG = 150; // characters that are shown at once
 const FEW = "One more photo at least, taken from another place.";
 
 export function barOf(page) {
@@ -21,39 +22,43 @@ export function barOf(page) {
     onclick: () => page.draft.change("select", ""),
   });
   const goButton = el("button", { type: "submit", class: "primary" }, "Go");
-  const understood = el("p", { class: "understood", role: "status", "aria-live": "polite" });
+  const line = el("div", { class: "line", role: "status", "aria-live": "polite" });
   const node = el(
     "div",
     { class: "saying" },
-    understood,
+    el("div", { class: "understood" }, line),
     el("form", { class: "bar", onsubmit: submit }, chip, said, goButton),
   );
 
   function drawUnderstood() {
     const { look, s } = page,
       { understood: text, problem, judged, confidence } = look;
-    understood.className =
-      problem && (s.draft.form.prompt || s.draft.selects) ? "understood problem" : "understood";
-    const parts = [problem || (text && `Understood: ${text}`) || hint()];
-    if (!problem && confidence !== null)
-      parts.push(`found by its name, confidence ${Math.round(100 * confidence)} %`);
-    if (!problem && judged)
+    const asked = s.draft.form.prompt || s.draft.selects;
+    line.classList.toggle("problem", Boolean(problem && asked));
+    if (problem && asked) return say(problem);
+    const parts = [(text && `Understood: ${text}`) || hint()];
+    if (confidence !== null)
+      parts.push(`selected: confidence ${Math.round(100 * confidence)}%`);
+    if (judged)
       parts.push(
-        `this edit looks ${judged.label}${judged.label === "good" ? "" : `: ${judged.reason}`}`,
+        `edit: ${judged.label}, ${judged.reason}`,
       );
-    const line = parts.join(" · ");
-    understood.replaceChildren(line);
-    understood.title = line;
-    if (look.asks && s.draft.form.prompt)
-      understood.append(
-        " ",
-        el(
-          "button",
-          { type: "button", class: "link", onclick: () => page.draft.change("guess") },
-          "Take what stands out most",
-        ),
-      );
-    goButton.title = look.runs ? "make it (Enter)" : problem || hint();
+    say(parts.join(" · "));
+  }
+  // A long text begins with its first sentence; the others are a press away.
+  function say(text) {
+    const first = text.length > LONG ? /^.{20,}?[.!?](?= )/.exec(text)?.[0] : null;
+    line.replaceChildren(first || text);
+    if (first)
+      line.append(el("details", {}, el("summary", {}, "More"), text.slice(first.length + 1)));
+  }
+  // What was said of the words before is not said of these.
+  function forget() {
+    page.look = null;
+    line.classList.remove("problem");
+    say(said.value.trim() ? "Reading your words" : hint());
+    page.picture.setEdit("");
+    page.question.close();
   }
   const hint = () =>
     page.s.photos.length < 2
@@ -61,8 +66,8 @@ export function barOf(page) {
       : page.s.draft.selects
         ? "Now say what shall change."
         : page.view === "3d"
-          ? "Click the thing in the scene, or name it in your sentence."
-          : "Click the thing on the photo, or name it in your sentence.";
+          ? "Click the thing, or name it."
+          : "Click the thing, or name it.";
   function drawChip() {
     const has = page.s.draft.selects;
     chip.hidden = page.s.byHand;
@@ -80,7 +85,9 @@ export function barOf(page) {
   let typing = 0;
   said.addEventListener("input", () => {
     clearTimeout(typing);
-    typing = setTimeout(() => page.draft.change("say", said.value), 350);
+    page.typed = performance.now();
+    forget();
+    typing = setTimeout(() => page.draft.change("say", said.value), 200);
   });
   async function submit(event) {
     event.preventDefault();

@@ -5,6 +5,7 @@ import { toast } from "../dom.js";
 import { showNames } from "../panels.js";
 import { imageThere } from "./picture.js";
 
+const PATIENCE = 2500; // [ms] of looking for words before pointing is offered
 const undone = new Map(); // of each scene: the states that undo went back from, the last one last
 
 export function draftOf(page) {
@@ -35,12 +36,29 @@ export function draftOf(page) {
   }
 
   let asking = 0,
-    asked = null;
+    asked = null,
+    late = 0,
+    adjusting = 0;
+  // How much of the edit is taken: the photo shows it at once, what is said of it follows.
+  async function adjust(name, value) {
+    const draft = await page.attempt(() =>
+      tell(["draft", page.state()], { do: "set", value: ["run", name, String(value)] }),
+    );
+    if (!draft) return;
+    page.s.draft = draft;
+    page.picture.preview(true);
+    clearTimeout(adjusting);
+    adjusting = setTimeout(answer, 1000);
+  }
   async function answer() {
     // what the draft means, on every photo
     const number = ++asking,
       { draft } = page.s;
     page.waiting.busy(draft.selects || draft.form.prompt ? "Finding it on every photo" : "");
+    page.picture.preview();
+    clearTimeout(late);
+    if (draft.form.prompt && !draft.selects && !page.s.byHand)
+      late = setTimeout(() => page.question.point("Still looking for it."), PATIENCE);
     while (asked) await asked; // one question at a time: of those that wait the last is asked
     if (number !== asking || page.gone()) return;
     const version = page.s.draft.version,
@@ -49,6 +67,7 @@ export function draftOf(page) {
     const found = await asked;
     asked = null;
     if (number !== asking) return;
+    clearTimeout(late);
     page.waiting.busy("");
     if (!found || page.gone()) return;
     page.look = found;
@@ -56,6 +75,8 @@ export function draftOf(page) {
     page.bar.drawChip();
     page.question.draw();
     page.tools.draw();
+    page.verdicts.draw();
+    page.picture.preview(true);
     for (const name of page.s.photos) {
       const address = `${path("overlay", place, name)}?v=${found.version}`;
       imageThere(address).then((there) => {
@@ -72,9 +93,10 @@ export function draftOf(page) {
 
   // ---- undo and redo: of marks, and where there are none of edits ----
   const marked = () => Boolean(page.s.draft.marks.length || page.s.draft.words);
-  const canUndo = () => marked() || (page.s.isRun && !(page.s.fromRun && page.state() === scene));
+  const canUndo = () => page.sculpt.has() || marked() || (page.s.isRun && !(page.s.fromRun && page.state() === scene));
   const canRedo = () => Boolean(page.s.draft.undone.length || undone.get(scene)?.length);
   function undo() {
+    if (page.sculpt.has()) return page.sculpt.back();
     if (marked() || !canUndo()) return change("undo"); // the server may know of a mark that is on its way
     const one = page.s.history.find(({ name }) => name === page.state());
     undone.set(scene, [...(undone.get(scene) || []), page.state()]);
@@ -96,6 +118,7 @@ export function draftOf(page) {
   return {
     change,
     larger,
+    adjust,
     took,
     answer,
     undo,
@@ -103,6 +126,7 @@ export function draftOf(page) {
     canUndo,
     canRedo,
     endRedo: () => undone.delete(scene),
+    leave: () => [late, adjusting].forEach(clearTimeout),
     openNames,
   };
 }

@@ -38,12 +38,13 @@ export function drawersOf(page) {
   // ---- things ----
   let takes = false; // whether what is marked can be taken as a thing
   function drawObjects(close) {
-    takes = page.s.draft.selects;
+    takes = marks();
     if (!page.s.objects.includes(kept.chosen)) kept.chosen = "";
     const acts = {
       chosen: kept.chosen,
       hidden: kept.hidden,
       busy: page.things.isBusy(),
+      takes,
       ask: page.things.shape,
       choose: (name) => {
         kept.chosen = name;
@@ -58,7 +59,8 @@ export function drawersOf(page) {
     };
     showObjects(node, page.s, acts, close);
   }
-  const followMarks = () => kept.drawer === "objects" && page.s.draft.selects !== takes && draw();
+  const marks = () => page.s.draft.selects || page.sculpt.has();
+  const followMarks = () => kept.drawer === "objects" && marks() !== takes && draw();
   // What was chosen in the scene itself.
   function choose(name) {
     if (name === kept.chosen) return;
@@ -126,7 +128,7 @@ export function drawersOf(page) {
       ? opening(async () =>
           showFiles(await ask("files", page.state()), page.state(), openFilm, openPhone),
         )
-      : toast("There is nothing to take along yet: make an edit first.", true);
+      : toast("There is nothing to download yet: make an edit first.", true);
   return {
     node,
     historyButton,

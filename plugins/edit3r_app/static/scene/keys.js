@@ -21,7 +21,7 @@ export function keysOf(page, stage, toggleStrip) {
     "-": () => page.draft.larger(-1),
     i: () => page.draft.change("step", ["invert", 0]),
     w: () => page.look && page.look.readings.length > 1 && page.question.showOthers(),
-    c: () => page.viewer.toggleCompare(),
+    c: () => page.verdicts.toggle(),
     h: () => page.drawers.toggle("history"),
     o: () => page.s.isRun && page.drawers.toggle("objects"),
     d: () => page.drawers.openFiles(),

@@ -5,19 +5,22 @@ import { pointing } from "../pointing.js";
 
 const BRUSH = 0.03; // radius, of the photo's longer side
 
+// How wide an image is, once it is there; 0 where it is none.
 export const imageThere = (address) =>
   new Promise((done) => {
     const one = new Image();
-    one.onload = () => done(true);
-    one.onerror = () => done(false);
+    one.onload = () => done(one.naturalWidth);
+    one.onerror = () => done(0);
     one.src = address;
   });
 
 // `stage` is the room that the photo fills.
 export function pictureOf(page, stage) {
-  const base = el("img", { class: "base", alt: "", draggable: "false" }),
-    over = el("img", { class: "over", alt: "", draggable: "false", hidden: true }),
-    hover = el("img", { class: "over", alt: "", draggable: "false", hidden: true });
+  const layer = (name, more) => el("img", { class: name, alt: "", draggable: "false", ...more });
+  const base = layer("base"),
+    edit = layer("edit", { hidden: true }),
+    over = layer("over", { hidden: true }),
+    hover = layer("over", { hidden: true });
   // A ring where a mark was made, until its outline is there.
   const ring = el("span", { class: "heard", hidden: true });
   const box = el(
@@ -29,6 +32,7 @@ export function pictureOf(page, stage) {
       "aria-label": "the photo; arrow keys move a cross, Enter points at it",
     },
     base,
+    edit,
     over,
     hover,
     ring,
@@ -80,6 +84,7 @@ export function pictureOf(page, stage) {
   }
   async function made(mark, name = page.current()) {
     hovered++;
+    page.question.close();
     pressed = performance.now();
     if (page.view === "photo") hear(mark);
     page.waiting.busy(
@@ -108,25 +113,56 @@ export function pictureOf(page, stage) {
     page.strip.setOver(name, address);
     if (page.view === "3d") page.viewer.tint(name, address);
     if (name === page.current()) {
-      over.src = address;
+      lay(address);
       over.hidden = page.view !== "photo";
     } else if (page.view !== "3d") return;
     ring.hidden = true; // in 3D the tint ends it
     if (pressed) document.body.dataset.outlined = Math.round(performance.now() - pressed); // [ms], for those who measure
     pressed = 0;
   }
+  // Where the edit is shown nothing is darker: the outline alone lies over it.
+  let laid = "";
+  function lay(address) {
+    laid = address;
+    over.src = edit.hidden ? address : `${address}&line=1`;
+  }
+  // The 2D edit of the photo that is shown, as soon as words and marks allow one; `found`: the thing
+  // is known on all photos.
+  let previewing = 0;
+  async function preview(found = false) {
+    const number = ++previewing,
+      { draft, job, byHand } = page.s;
+    if (page.view !== "photo" || job || byHand) return;
+    if (!draft.form.prompt || page.adjust.isOff()) return setEdit("");
+    const address = `${path("edited", page.state(), page.current())}?v=${draft.version}${found ? "&found=1" : ""}`;
+    const width = await imageThere(address);
+    if (number === previewing && !page.gone()) setEdit(width > 1 ? address : "");
+  }
+  function setEdit(address) {
+    if (!address) previewing++;
+    const was = edit.hidden;
+    edit.hidden = !address;
+    if (address) edit.src = address;
+    if (was !== edit.hidden && laid) lay(laid);
+    page.adjust.draw(Boolean(address));
+    if (!address || !page.typed) return;
+    document.body.dataset.previewed = Math.round(performance.now() - page.typed); // [ms], for those who measure
+    page.typed = 0;
+  }
   // Show the photo `name` from `source`; `selected` lies over it where it is known.
   function show(name, source, selected) {
     if (base.getAttribute("src") !== source) {
       base.src = source;
       base.alt = name;
-      over.hidden = ring.hidden = true;
+      over.hidden = ring.hidden = edit.hidden = true;
+      laid = "";
     }
     if (selected) {
-      over.src = selected;
+      lay(selected);
       over.hidden = false;
     }
     drawMarks();
+    preview(Boolean(page.look));
   }
-  return { box, show, made, meant, drawMarks, setOver, leave: () => resized.disconnect() };
+  return { box, show, made, meant, drawMarks, setOver, preview, setEdit, leave: () => resized.disconnect() };
 }

@@ -1,5 +1,6 @@
-// Which of several things is meant: asked once where it is unsure, and whenever somebody wants to see the others.
-import { path } from "../api.js";
+// Which of several things is meant: asked once where it is unsure, where words found nothing, and
+// whenever somebody wants to see the others.
+import { ask, path } from "../api.js";
 import { button, el } from "../dom.js";
 
 export function questionOf(page) {
@@ -12,49 +13,90 @@ export function questionOf(page) {
   let answered = 0; // the version of the answer that was not doubted
   const close = () => (node.hidden = true);
   function draw() {
-    const { look } = page;
-    const doubt = look.readings.length > 1 && !look.sure && answered !== look.version;
-    node.hidden = !doubt;
+    const { look, s } = page;
+    if (answered === look.version) return;
+    const doubt = look.readings.length > 1 && !look.sure;
     if (doubt) show("Is it this one?");
+    else if (look.asks && s.draft.form.prompt && !s.draft.selects)
+      point("The words do not say what to change.");
+    else close();
   }
-  const word = (isTaken) => (isTaken ? "Yes, this one" : "This one");
-  const choice = (number, taken, others) =>
+  const picture = (source, text, label, taken, onclick) =>
     el(
       "button",
       {
         type: "button",
         class: "reading",
-        "aria-pressed": String(number === taken),
-        onclick: () => pick(number),
-        "aria-label": `${word(number === taken)}: reading ${number} of ${others.length}`,
+        "aria-pressed": String(taken),
+        onclick,
+        "aria-label": label,
       },
-      el("img", {
-        src: `${path("reading", page.state(), String(number))}?v=${page.look.version}`,
-        alt: "",
+      el("img", { src: source, alt: "" }),
+      el("span", {}, text),
+    );
+  const ending = (text) =>
+    el(
+      "div",
+      { class: "row" },
+      el("small", {}, text),
+      button("close", "close", () => {
+        if (page.look) answered = page.look.version;
+        close();
       }),
-      el("span", {}, word(number === taken)),
     );
   function show(text) {
     const taken = page.s.draft.outline.reading,
       others = page.look.readings;
-    node.hidden = false;
-    node.replaceChildren(
+    const word = (number) => (number === taken ? "Yes, this one" : "This one");
+    const source = (number) =>
+      `${path("reading", page.state(), String(number))}?v=${page.look.version}`;
+    const one = (number) =>
+      picture(
+        source(number),
+        word(number),
+        `${word(number)}: reading ${number} of ${others.length}`,
+        number === taken,
+        () => pick(number),
+      );
+    fill(
       el("strong", {}, text),
-      el(
-        "div",
-        { class: "row" },
-        others.map((number) => choice(number, taken, others)),
-      ),
-      el(
-        "div",
-        { class: "row" },
-        el("small", {}, "None of these? Point at it, or draw a box."),
-        button("close", "close", () => {
-          answered = page.look.version;
-          close();
-        }),
-      ),
+      el("div", { class: "row" }, others.map(one)),
+      ending("None of these? Click the thing, or draw a box around it."),
     );
+  }
+  // Pointing is asked for: the next click takes what it hits, or one of the things on the photo is picked.
+  async function point(text) {
+    if (!node.hidden && node.dataset.asks) return void (node.firstChild.textContent = text);
+    page.minus = false;
+    page.tools.take("point", true);
+    const where = page.view === "3d" ? "scene" : "photo",
+      name = page.current(),
+      row = el("div", { class: "row" }, el("small", {}, "Looking for things on this photo"));
+    fill(
+      el("strong", {}, text),
+      el("span", {}, `Click the thing in the ${where}, or take one of these:`),
+      row,
+      ending("One click anywhere on it is enough."),
+    );
+    node.dataset.asks = "pointing";
+    const found = await ask("candidates", page.state(), name).catch(() => []);
+    const one = (mark, k) =>
+      picture(
+        path("candidate", page.state(), name, String(k)),
+        "This one",
+        `this one: ${k + 1} of ${found.length}`,
+        false,
+        () => {
+          close();
+          page.picture.made({ kind: mark.kind, places: mark.places, radius: 0 }, name);
+        },
+      );
+    row.replaceChildren(...found.map(one));
+  }
+  function fill(...content) {
+    node.hidden = false;
+    delete node.dataset.asks;
+    node.replaceChildren(...content);
   }
   async function pick(number) {
     close();
@@ -63,5 +105,5 @@ export function questionOf(page) {
     answered = page.look.version;
     close();
   }
-  return { node, draw, close, showOthers: () => show("Which one?") };
+  return { node, draw, close, point, showOthers: () => show("Which one?") };
 }

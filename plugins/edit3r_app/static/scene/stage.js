@@ -9,10 +9,11 @@ export function stageOf(page, { stage, views, files, objects, dock }) {
     const { s } = page;
     const kind = s.isRun && page.view === "3d" ? "3d" : s.job ? "job" : "photo";
     document.body.dataset.view = kind;
+    page.verdicts.draw();
+    page.adjust.draw(false);
     fill(kind);
     stage.classList.toggle("two", kind === "3d" && Boolean(page.beside));
     views.hidden = !s.isRun || s.byHand;
-    page.viewer.compareButton.hidden = kind !== "3d";
     files.hidden = !s.isRun;
     objects.hidden = !s.isRun;
     dock.inert = Boolean(s.job); // it keeps its place, so that nothing shifts
@@ -20,9 +21,12 @@ export function stageOf(page, { stage, views, files, objects, dock }) {
     drawViews();
   }
   function fill(kind) {
-    const wanted = kind === "3d" ? `3d ${page.state()} ${page.beside}` : kind;
+    // while an edit is made the scene before it stays
+    const before = kind === "job" ? page.s.job.parent : "";
+    const wanted = kind === "3d" ? `3d ${page.state()} ${page.beside}` : `${kind} ${before}`;
     if (wanted === shown) return;
     shown = wanted;
+    if (before) return page.viewer.show([before]);
     if (kind === "3d") return page.viewer.show([page.state(), page.beside].filter(Boolean));
     stage.replaceChildren(
       page.s.photos.length

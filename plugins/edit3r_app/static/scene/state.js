@@ -4,9 +4,9 @@ import { toast } from "../dom.js";
 // Of the scene that was open last: the drawer and the chosen thing stay as they are with its next state.
 let kept = { scene: null };
 
-// The parts add themselves: picture, viewer, stage, strip, draft, question, bar, tools, waiting, things, drawers, keys.
+// The parts add themselves: picture, viewer, stage, strip, draft, question, adjust, sculpt, verdicts, bar, tools, waiting, things, drawers, keys.
 export function newPage(scene, at, beside) {
-  if (kept.scene !== scene) kept = { scene, drawer: "", chosen: "", hidden: new Set(), keys: [] };
+  if (kept.scene !== scene) kept = { scene, drawer: "", chosen: "", hidden: new Set(), keys: [], compares: true, photo: 0 };
   const stop = new AbortController();
   const page = {
     scene,
@@ -17,7 +17,14 @@ export function newPage(scene, at, beside) {
     on: { signal: stop.signal }, // of listeners that end with this page
     s: null, // what the server said of the scene last
     look: null, // what the draft means
-    photo: 0, // which one is shown
+    // which photo is shown, in all states of the scene
+    get photo() {
+      return kept.photo;
+    },
+    set photo(index) {
+      kept.photo = index;
+    },
+    typed: 0, // when somebody typed last [ms]; 0: what came of it is shown
     view: "photo", // or "3d"
     tool: "point",
     minus: false, // marks take away

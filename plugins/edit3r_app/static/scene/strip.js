@@ -78,5 +78,5 @@ export function stripOf(page, strip) {
     const ours = strip.querySelector(`img.over[data-photo="${CSS.escape(name)}"]`);
     return ours && !ours.hidden && ours.src;
   }
-  return { draw, mark, show, setOver, over, leave: undrop };
+  return { draw, mark, show, add, setOver, over, leave: undrop };
 }

@@ -13,6 +13,9 @@ const ACTIONS = {
   turn: ["turning it", "is turned"],
   scale: ["resizing it", "is resized"],
   copy: ["copying it", "is copied"],
+  cut: ["Removing what is drawn", "What was drawn is removed."],
+  crop: ["Removing all else", "All else is removed."],
+  clean: ["Looking for floaters", "Floaters are taken out."],
   find: ["Looking for things", "The things that were found are in the list."],
 };
 
@@ -43,7 +46,7 @@ export function thingsOf(page) {
     if (action === "copy" || action === "rename") kept.chosen = text;
     if (action === "add") kept.chosen = name;
     go(sceneAddress(scene, job));
-    toast(name ? `${name} ${done}. Undo takes it back.` : done);
+    toast(name ? `${name} ${done}. Undo takes it back.` : `${done} Undo takes it back.`);
   }
   async function finished(job) {
     while (!page.gone()) {

@@ -1,5 +1,6 @@
 // How to point, and what to do with what is selected.
 import { button, el, toast } from "../dom.js";
+import { SCULPTS } from "./sculpt.js";
 
 const TOOLS = {
   point: ["Point: click the thing, or draw a line over it", "P"],
@@ -12,29 +13,32 @@ const tool = (name, text, label, act, key, more = {}) =>
 const pressed = (name, text, is, label, act, key) =>
   tool(name, text, label, act, key, { "aria-pressed": String(is) });
 // One that says why where it cannot act.
-const able = (name, text, label, act, key, can, why) =>
+const able = (name, text, label, act, key, can, why, more = {}) =>
   tool(name, text, can ? label : `${label}: ${why}`, () => (can ? act() : toast(why, true)), key, {
     "aria-disabled": String(!can),
+    ...more,
   });
 const gap = () => el("span", { class: "gap" });
 
 export function toolsOf(page) {
   const node = el("div", { class: "tools", role: "toolbar", "aria-label": "how to point" });
-  function take(name) {
-    if (page.s.byHand) return;
-    // points on photos and in 3D; for the others the photos come first
+  function take(name, stays = false) {
+    const draws = SCULPTS.includes(name) && page.s.isRun;
+    if (page.s.byHand && !draws) return;
+    // points and draws on photos and in 3D; for the box the photos come first
     page.tool = name;
-    if (name !== "point") page.view = "photo";
+    if (name === "box") page.view = "photo";
     draw();
-    page.stage.draw();
+    if (!stays) page.stage.draw();
   }
   const flip = (what) => () => {
     page[what] = !page[what];
     draw();
   };
-  const isTaken = (name) => page.tool === name && (page.view === "photo" || name === "point");
+  const offered = ([name]) => !page.s.byHand || SCULPTS.includes(name);
+  const isTaken = (name) => page.tool === name && (page.view === "photo" || name !== "box");
   const pointers = () => [
-    ...Object.entries(TOOLS).map(([name, [label, key]]) =>
+    ...Object.entries(TOOLS).filter(offered).map(([name, [label, key]]) =>
       pressed(name, label.split(":")[0], isTaken(name), label, () => take(name), key),
     ),
     page.tool === "box"
@@ -56,11 +60,24 @@ export function toolsOf(page) {
       "X",
     ),
   ];
-  function back() {
+  // In the bar above, on phones beside the tools.
+  const above = el("span", { class: "back wide-only" });
+  const clean = () =>
+    page.s.isRun && page.view === "3d"
+      ? tool(
+          "clean",
+          "Clean",
+          "take out floaters: points that hang in front of everything the photos show",
+          () => page.things.shape("clean", ""),
+          "",
+        )
+      : "";
+  function back(more = {}) {
     const { undo, redo, canUndo, canRedo } = page.draft;
+    const nothing = "there is nothing to take back";
     return [
-      able("undo", "Undo", "undo", undo, "Ctrl-Z", canUndo(), "there is nothing to take back"),
-      able("redo", "Redo", "redo", redo, "Ctrl-Y", canRedo(), "nothing was taken back"),
+      able("undo", "Undo", "undo", undo, "Ctrl-Z", canUndo(), nothing, more),
+      able("redo", "Redo", "redo", redo, "Ctrl-Y", canRedo(), "nothing was taken back", more),
     ];
   }
   function ofSelection() {
@@ -101,12 +118,15 @@ export function toolsOf(page) {
     ];
   }
   function draw() {
-    if (page.s.byHand) return node.replaceChildren(...back());
+    const small = back({ class: "icon tool small-only" });
+    above.replaceChildren(...back());
+    page.sculpt.draw();
+    if (page.s.byHand) return node.replaceChildren(...pointers(), clean(), ...small);
     const active = document.activeElement;
     const focused = active && node.contains(active) ? [...node.children].indexOf(active) : -1;
-    node.replaceChildren(...pointers(), gap(), ...back(), gap(), ...ofSelection());
+    node.replaceChildren(...pointers(), clean(), ...small, gap(), ...ofSelection());
     if (focused >= 0) node.children[focused]?.focus();
     page.picture.box.dataset.tool = page.tool;
   }
-  return { node, take, draw };
+  return { node, above, take, draw };
 }

@@ -10,14 +10,9 @@ let looked = { scene: "", camera: null }; // where a scene was looked at last: i
 
 export function viewerOf(page, stage) {
   const { scene, beside, kept } = page;
-  let comparing = true,
-    drawn = false;
-  const compareButton = button("compare", "before and after", () => compare(!comparing), {
-    key: "C",
-    "aria-pressed": "true",
-  });
+  let drawn = false;
   const ofThings = () => kept.drawer === "objects";
-  const compares = () => comparing && !beside && !ofThings();
+  const compares = () => kept.compares && !beside && !ofThings();
   const frame = (run) =>
     el("iframe", {
       src: `${path("viewer", run)}?embed`,
@@ -32,6 +27,7 @@ export function viewerOf(page, stage) {
           ...(looked.scene === scene ? { camera: looked.camera } : {}),
         });
         post({ selected: [...tints.values()] });
+        page.sculpt.restore();
         setTimeout(seen, UNTOLD); // pages of older runs do not tell
       },
     });
@@ -91,11 +87,7 @@ export function viewerOf(page, stage) {
     const address = await page.picture.meant(markOf(hit, minus), hit && hit.name);
     if (address) post({ meant: await covered(hit.name, address) });
   }
-  function compare(wanted) {
-    comparing = wanted;
-    compareButton.setAttribute("aria-pressed", String(wanted));
-    post({ compare: wanted });
-  }
+  const compare = () => post({ compare: compares() });
   addEventListener(
     "message",
     (event) => {
@@ -107,6 +99,7 @@ export function viewerOf(page, stage) {
         if (beside) post({ camera: message.camera }, event.source);
       }
       if (message.drawn) seen();
+      if (message.stroke) page.sculpt.stroke(message.stroke, message.minus);
       if (message.pointed !== undefined) pointed(message);
       if (message.rests !== undefined) rested(message);
       if (message.object)
@@ -137,9 +130,8 @@ export function viewerOf(page, stage) {
       ),
     );
   return {
-    compareButton,
+    compare,
     isDrawn: () => drawn,
-    toggleCompare: () => compare(!comparing),
     show: (runs) => {
       drawn = false;
       stage.replaceChildren(...(runs.length > 1 ? runs.map(titled) : runs.map(frame)));
@@ -148,7 +140,7 @@ export function viewerOf(page, stage) {
     camera: () => looked.camera,
     followDrawer: () => {
       post({ pointing: !ofThings() });
-      post({ compare: compares() });
+      compare();
     },
     post,
     tint,

@@ -1,7 +1,8 @@
 // The pill over the stage: how far an edit is, or what somebody waits for.
 import { go, sceneAddress } from "../app.js";
-import { tell } from "../api.js";
+import { path, tell } from "../api.js";
 import { el, seconds } from "../dom.js";
+import { arriving } from "../upload.js";
 
 const STAGES = {
   "": "Starting",
@@ -31,7 +32,7 @@ export function waitingOf(page) {
   }
   function long(text) {
     lasting = text;
-    if (page.s) draw();
+    if (page.s && !page.gone()) draw();
   }
   function draw() {
     const { job } = page.s;
@@ -45,6 +46,7 @@ export function waitingOf(page) {
   }
   const slow = () => {
     const { reading, photos } = page.s;
+    if (arriving.has(page.scene)) return arriving.get(page.scene);
     if (page.view === "3d") return page.viewer.isDrawn() ? "" : "Drawing the scene";
     if (!reading.photos) return "Reading the photos";
     return !reading.geometry && photos.length > 1
@@ -59,7 +61,7 @@ export function waitingOf(page) {
         ? `${stageWords(job.stage)}${job.left === null ? "" : ` · about ${seconds(job.left + 1)} left`}`
         : job.state === "cancelled"
           ? "Cancelled"
-          : "It did not work";
+          : "This did not work";
   const cancel = (event) => {
     event.currentTarget.disabled = true;
     event.currentTarget.textContent = "Stopping";
@@ -93,6 +95,13 @@ export function waitingOf(page) {
           })
         : el("span", { class: "problem" }, job.sentence),
       job.trouble ? el("span", { class: "problem" }, job.trouble) : "",
+      !job.active && job.kept
+        ? el(
+            "a",
+            { href: path("download", page.state(), "edited-photos.zip"), download: "" },
+            "Download the edited photos",
+          )
+        : "",
       actOf(job),
     );
   }

@@ -150,17 +150,21 @@ def test_marks_cannot_stand_for_two_things():
         regions("paint the door green and the wall white", CLICK)
 
 
-def test_an_unknown_thing_is_an_error_with_the_way_out_unless_a_guess_is_allowed():
-    with pytest.raises(InputError, match=r"'fox' was not found.*--point"):
-        regions("paint the fox red")
+@pytest.mark.parametrize(
+    ("sentence", "why"),
+    [
+        ("paint the fox red", "'fox' was not found"),
+        ("paint it red", "nothing says which object is meant"),
+    ],
+)
+def test_what_is_not_known_is_a_question_and_refused_where_it_must_be_sure(
+    sentence, why
+):
+    with pytest.raises(InputError, match=f"{why}.*--point"):
+        regions(sentence, sure=True)
     with collecting(Report()) as report:
-        assert columns(regions("paint the fox red", guess=True)[0]) == IN_LEFT
-    assert "guess" in report.warnings[0]
-
-
-def test_nothing_named_and_nothing_marked_is_an_error():
-    with pytest.raises(InputError, match="nothing says which object is meant"):
-        regions("paint it red")
+        assert columns(regions(sentence)[0]) == IN_LEFT
+    assert why in report.warnings[0] and "--point" in report.warnings[0]
 
 
 def test_a_view_that_lost_what_is_left_out_stays_as_it_is():
@@ -217,7 +221,7 @@ def test_what_was_named_in_an_earlier_run_is_known():
     assert columns(regions("paint the fox red", known=known)[0]) == IN_RIGHT
     assert columns(regions("paint it red", known=known)[0]) == IN_RIGHT
     with pytest.raises(InputError, match="'cat' was not found"):
-        regions("paint the cat red", known=known)
+        regions("paint the cat red", known=known, sure=True)
 
 
 def test_names_of_what_was_marked_and_found_are_kept_the_newest_last():

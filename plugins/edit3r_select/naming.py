@@ -1,0 +1,337 @@
+"""What words name on photos, and what stands out where they name nothing."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+
+import torch
+
+from edit3r.contract.component import component_name
+from edit3r.contract.errors import InputError
+from edit3r.contract.instructions import EVERY
+from edit3r.contract.interfaces import (
+    ASK,
+    BACKGROUND,
+    SURE,
+    Marks,
+    Proposal,
+    Reading,
+    Selection,
+)
+from edit3r.contract.reporting import say
+from edit3r.kit.geometry.warping import warp
+from edit3r_select.answering import readings
+from edit3r_select.photos import Mask, Named, OnPhoto, Photos, overlap
+from edit3r_select.sum import SAME
+from edit3r_select.which import pick
+
+ASKED = 3  # photos on which an unsure word is looked for, at most
+FOUND_AT_ALL = 0.05  # confidence under which words found as good as nothing
+GUESSED = 0.25  # of what stands out where words mean nothing: it is a question
+ALSO = 0.5  # confidence from which one of several is taken beside a sure one
+SURER = 1.2  # how many times as sure another photo must be to be taken in place of the first
+SEES = 0.5  # share of a mask that a photo must show to say anything of it
+UNCONFIRMED = (
+    0.5  # what is left of a confidence where a photo sees the place, but no such thing
+)
+SAME_THING = 0.4  # overlap from which two findings are one thing
+SPANS = 0.7  # share of a side of a photo along which a thing goes on beyond it
+MAX_READINGS = 3  # that are shown
+
+Proposals = tuple[Proposal, ...]
+
+
+def looked_up(photos: Photos, selection: Selection) -> Named:
+    """What the words of a selection mean; what stands out, as a question, where nobody knows them
+    or finds it.
+
+    Raises InputError for what is not sure where only sure things may be taken.
+    """
+    first = selection.views[0] if selection.views else 0
+    found, known = _asked(photos, selection, first)
+    weighed = {view: _weighed(photos, view, found) for view in found}
+    best = max(weighed, key=lambda view: _confidence(weighed[view]), default=first)
+    if _confidence(weighed.get(best, ())) <= SURER * _confidence(
+        weighed.get(first, ())
+    ):
+        best = first
+    if not weighed.get(best):
+        return _standing_out(photos, selection, first, known)
+    named = _taken(photos, selection, best, weighed[best])
+    if selection.larger or selection.reading > 1:
+        return named
+    if _on_every_photo(selection, weighed[best], named, best):
+        return _on_others(photos, selection, named, best)
+    own = {
+        view: _own(photos, view, there, best, named.found[best].mask)
+        for view, there in weighed.items()
+        if view != best and not selection.which and selection.words != BACKGROUND
+    }
+    kept = {view: OnPhoto(one, "words") for view, one in own.items() if one is not None}
+    return replace(named, found={**kept, **named.found})
+
+
+def _own(
+    photos: Photos, view: int, there: Proposals, best: int, mask: Mask
+) -> Mask | None:
+    """What a photo finds itself is never thrown away because another one is surer; None where
+    geometry says that none of it is what that other one shows.
+    """
+    surface = photos.shared(view, best)
+    if not there or surface is None:
+        return there[0].soft_mask if there else None
+    grid, same = surface
+    moved = warp(mask[None], grid, padding="zeros")[0] * same
+    if (moved > 0.5).sum() < SEES * (mask > 0.5).sum():
+        return there[0].soft_mask
+    shares = [overlap(one.soft_mask * same, moved) for one in there]
+    likeliest = max(range(len(there)), key=shares.__getitem__)
+    return there[likeliest].soft_mask if shares[likeliest] >= SAME_THING else None
+
+
+def named_again(
+    photos: Photos, selection: Selection, named: Named, view: int
+) -> Mask | None:
+    """What words find on a photo where it was lost, as surely as elsewhere."""
+    if named.confidence is None or selection.which or selection.larger:
+        return None
+    for one in _text(photos, selection, view)[0]:
+        return one.soft_mask if one.confidence >= named.least else None
+    return None
+
+
+def _asked(
+    photos: Photos, selection: Selection, first: int
+) -> tuple[Mapping[int, Proposals], bool]:
+    """What the words name on each photo that is looked at, and whether anybody knows them.
+
+    Others than the first are asked where that is not sure; which is the left one is said of the
+    first alone, and "the big one" may be one of anything.
+    """
+    if not selection.words:
+        if not selection.which:
+            return {}, False
+        some = photos.segmenter.propose(photos.images[first])
+        return {first: tuple(replace(one, confidence=SURE / 2) for one in some)}, True
+    there, known = _text(photos, selection, first)
+    if not known:
+        return {}, False
+    found = {first: there}
+    if not selection.which and _confidence(there) < SURE:
+        others = [view for view in range(photos.count) if view != first]
+        for view in others[: ASKED - 1]:
+            found[view] = _text(photos, selection, view)[0]
+    return found, True
+
+
+def _text(photos: Photos, selection: Selection, view: int) -> tuple[Proposals, bool]:
+    """What the words name on a photo, and whether the segmenter knows them."""
+    told = photos.segmenter.segment_text(photos.images[view], selection.words)
+    likely = [one for one in told or () if one.confidence >= FOUND_AT_ALL]
+    return tuple(likely), told is not None
+
+
+def _confidence(found: Sequence[Proposal]) -> float:
+    return found[0].confidence if found else 0.0
+
+
+def _weighed(photos: Photos, view: int, found: Mapping[int, Proposals]) -> Proposals:
+    """What a photo shows, the likeliest first, with less confidence for what others see and do not
+    confirm: a thing is a thing on all photos.
+    """
+    others = [other for other in found if other != view]
+    weighed = []
+    for one in found[view]:
+        told = [_confirmed(photos, view, one, other, found[other]) for other in others]
+        seen = [share for share in told if share is not None]
+        share = sum(seen) / len(seen) if seen else 1.0
+        left = UNCONFIRMED + (1 - UNCONFIRMED) * share
+        weighed.append(replace(one, confidence=one.confidence * left))
+    likely = [one for one in weighed if one.confidence >= FOUND_AT_ALL]
+    return tuple(sorted(likely, key=lambda one: -one.confidence))
+
+
+def _confirmed(
+    photos: Photos, view: int, one: Proposal, other: int, there: Proposals
+) -> float | None:
+    """Overlap with what another photo means; None where that does not see the place."""
+    surface = photos.shared(view, other)
+    inside = one.soft_mask > 0.5
+    if surface is None:
+        return None
+    grid, same = surface
+    seen = inside & same
+    if not inside.any() or seen.sum() < SEES * inside.sum():
+        return None
+    moved = [
+        warp(its.soft_mask[None].to(grid), grid, padding="zeros")[0] for its in there
+    ]
+    return max((overlap(mask * same, seen.to(mask)) for mask in moved), default=0.0)
+
+
+def _taken(photos: Photos, selection: Selection, view: int, found: Proposals) -> Named:
+    """The mask of those of `found` that are meant, and what else may be."""
+    words, which = selection.words, selection.which
+    alike = () if which else _also(found)
+    several = alike if selection.several else ()
+    picked = several or pick(found, which, photos.images[view])
+    sure = [one.confidence for one in picked if one.confidence >= SURE]
+    confidence = min(sure if several else [one.confidence for one in picked])
+    least = min(SURE, confidence)
+    warnings: list[str] = []
+    if not several and len(alike) > 1:
+        confidence /= len(alike)  # nothing says which of them is meant
+        warnings.append(
+            f"{len(alike)} things on photo {view + 1} may be {words!r}, and the likeliest is "
+            f"taken; say which is meant ('the left {words}')."
+        )
+    named = " ".join((*which, words)).strip()
+    if len(picked) > 1:
+        say("selection.several", f"{len(picked)} {words} on photo {view + 1}")
+    _refuse_unsure(
+        selection, f"{named!r} was found on photo {view + 1}, but", confidence
+    )
+    masks = [_stepped(photos, view, one, selection.larger) for one in picked]
+    mask = torch.stack(masks).amax(0)
+    options: tuple[Reading, ...] = ()
+    if confidence < SURE and not selection.larger:
+        options = numbered(view, _options(photos, view, picked, found))
+        mask = taken_of(options, selection.reading).mask
+        flags = " or ".join(
+            f"--reading {its.number}" for its in options if its.mask is not mask
+        )
+        warnings.append(
+            f"{named!r} was found on photo {view + 1} with a confidence of only {confidence:.0%}: "
+            f"look at its outline. To correct it{f', take {flags}, or' if flags else ':'} {ASK}."
+        )
+    elif confidence < 1:
+        say("selection.words", f"{named}: found, confidence {confidence:.0%}")
+    here = {view: OnPhoto(mask, "words")}
+    return Named(here, confidence, least, options, tuple(warnings))
+
+
+def _refuse_unsure(selection: Selection, what: str, confidence: float) -> None:
+    if confidence < SURE and selection.sure:
+        raise InputError(
+            f"{what} it may be something else (confidence {confidence:.0%}, {SURE:.0%} are "
+            f"needed); {ASK}, or leave out --sure to take it."
+        )
+
+
+def numbered(view: int, options: Iterable[tuple[Mask, float]]) -> tuple[Reading, ...]:
+    """What differs among masks and their scores, the likeliest first."""
+    kept: list[tuple[Mask, float]] = []
+    for mask, score in options:
+        if all(overlap(mask, other) < SAME for other, _ in kept):
+            kept.append((mask, score))
+    return tuple(
+        Reading(view, mask, float(score), number)
+        for number, (mask, score) in enumerate(kept[:MAX_READINGS], 1)
+    )
+
+
+def taken_of(options: Sequence[Reading], wanted: int) -> Reading:
+    """The reading of that number; the last where there are fewer."""
+    return options[min(wanted, len(options)) - 1]
+
+
+def _options(
+    photos: Photos, view: int, picked: Proposals, found: Proposals
+) -> list[tuple[Mask, float]]:
+    """What unsure words may mean: what was picked, others of that name, more or less of it."""
+    confidence = min(one.confidence for one in picked)
+    options = [(torch.stack([one.soft_mask for one in picked]).amax(0), confidence)]
+    options += [(one.soft_mask, one.confidence) for one in found]
+    if any(picked[0].box[2:]):
+        box = Marks(box=_share_of(photos, picked[0]))
+        boxed = readings(photos.segmenter, photos.images[view], box)
+        options += [(one.soft_mask, one.confidence * confidence) for one in boxed]
+    return options
+
+
+def _share_of(photos: Photos, one: Proposal) -> tuple[float, float, float, float]:
+    """The box of a proposal [shares of the sides]."""
+    height, width = photos.images.shape[-2:]
+    x, y, across, down = one.box
+    return x / width, y / height, across / width, down / height
+
+
+def _stepped(photos: Photos, view: int, one: Proposal, larger: int) -> Mask:
+    """The mask of a named thing; a larger or smaller reading of its box where that is asked."""
+    if not larger:
+        return one.soft_mask
+    marks = Marks(box=_share_of(photos, one), larger=larger)
+    return readings(photos.segmenter, photos.images[view], marks)[0].soft_mask
+
+
+def _also(found: Proposals) -> Proposals:
+    """Those that are sure, and others that are likely beside them; none where none is sure."""
+    if all(one.confidence < SURE for one in found):
+        return ()
+    return tuple(one for one in found if one.confidence >= ALSO)
+
+
+def _on_every_photo(
+    selection: Selection, found: Proposals, named: Named, best: int
+) -> bool:
+    """Whether words are looked for on each photo: several walk, and beyond the border a thing has
+    parts that another photo shows.
+    """
+    if selection.which:
+        return bool(set(selection.which) & EVERY)
+    if selection.several and _also(found):
+        return True
+    inside, is_sure = named.found[best].inside, (named.confidence or 0) >= SURE
+    sides = (inside[0], inside[-1], inside[:, 0], inside[:, -1])
+    spans = max(float(side.double().mean()) for side in sides) > SPANS
+    return is_sure and spans and selection.words != BACKGROUND
+
+
+def _on_others(photos: Photos, selection: Selection, named: Named, best: int) -> Named:
+    """All of that name on the other photos too, as surely as on the best."""
+    found = dict(named.found)
+    for view in set(range(photos.count)) - {best}:
+        there = _text(photos, selection, view)[0]
+        likely = [one for one in there if one.confidence >= named.least]
+        masks = [one.soft_mask for one in _also(there) or likely]
+        if masks:
+            found[view] = OnPhoto(torch.stack(masks).amax(0), "words")
+    return replace(named, found=found, each=len(found) > 1)
+
+
+def _standing_out(
+    photos: Photos, selection: Selection, view: int, known: bool
+) -> Named:
+    """What stands out on a photo, with other candidates: nothing is refused that can be shown, but
+    where only sure things may be taken.
+    """
+    why = _why_not(photos, selection, view, known)
+    if selection.sure:
+        raise InputError(f"{why}; {ASK}, or leave out --sure to take what stands out.")
+    some = photos.segmenter.propose(photos.images[view])
+    if not some:
+        raise InputError(f"{why}, and nothing stands out on photo {view + 1}; {ASK}.")
+    first = pick(some, selection.which, photos.images[view])[:1]
+    options = numbered(
+        view, ((one.soft_mask, GUESSED / 2**n) for n, one in enumerate((*first, *some)))
+    )
+    flags = " or ".join(f"--reading {one.number}" for one in options[1:])
+    warning = (
+        f"{why}; what stands out is taken, with a confidence of {GUESSED:.0%} only: look at its "
+        f"outline. To correct it{f', take {flags}, or' if flags else ':'} {ASK}"
+    )
+    more = photos.segmenter.words_help() if selection.words and not known else ""
+    warning += f", or {more}." if more else "."
+    taken = taken_of(options, selection.reading)
+    found = {view: OnPhoto(taken.mask, "guess")}
+    return Named(found, GUESSED, SURE, options, (warning,))
+
+
+def _why_not(photos: Photos, selection: Selection, view: int, known: bool) -> str:
+    """Why the words found nothing."""
+    words = selection.words
+    if not words:
+        return "nothing says which object is meant"
+    if known:
+        return f"{words!r} was not found on photo {view + 1}"
+    name = component_name(photos.segmenter.asked)
+    return f"{words!r} is not a word that segmenter {name!r} knows"

@@ -1,0 +1,49 @@
+"""What is said of the selection: the least confident thing decides, and what was given is given."""
+
+import re
+
+import pytest
+import torch
+
+from edit3r.contract.interfaces import Reading, Selected
+from edit3r.running.selecting.verdict import verdict_on_selection
+
+MASKS = torch.zeros(2, 1, 8, 8)
+OTHERS = tuple(Reading(0, MASKS[0, 0], 0.5, number) for number in (1, 2))
+GIVEN = Selected(MASKS, ("given", "given"))
+SURE = Selected(MASKS, ("words", "geometry"), confidence=0.9, called="fox")
+UNSURE = Selected(
+    MASKS, ("words", "not found"), confidence=0.4, called="cup", readings=OTHERS
+)
+GUESS = Selected(MASKS, ("guess", "geometry"), confidence=0.25)
+TAKEN = Selected(
+    MASKS, ("words", "geometry"), confidence=0.4, called="cup", readings=OTHERS, taken=2
+)
+
+
+@pytest.mark.parametrize(
+    ("things", "label", "confidence", "said"),
+    [
+        ([GIVEN], "given", None, "what is marked"),
+        ([SURE], "found", 0.9, "fox, confidence 90%"),
+        ([GIVEN, SURE, UNSURE], "question", 0.4, "fox, confidence 90%; cup"),
+        ([UNSURE], "question", 0.4, "not found on photo 2; look.*--reading 2 takes"),
+        (
+            [SURE, GUESS],
+            "question",
+            0.25,
+            "most, confidence 25%; if it is another thing, click",
+        ),
+        ([TAKEN], "given", None, "^cup$"),
+    ],
+)
+def test_the_least_confident_thing_decides(things, label, confidence, said):
+    found = verdict_on_selection(things)
+    assert (found.label, found.confidence) == (label, confidence)
+    assert re.search(said, str(found))
+    assert found.candidates == ((2,) if things[-1] is UNSURE else ())
+
+
+def test_of_nothing_nothing_is_said():
+    assert verdict_on_selection(()) is None
+    assert verdict_on_selection((), confined=True).label == "given"

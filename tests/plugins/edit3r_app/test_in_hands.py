@@ -1,0 +1,302 @@
+"""What a first user of the app meets, on a desktop's and a phone's window, dark and light: messages
+that can be read, words that fail, photos that do not fit, the way back.
+"""
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+from PIL import Image
+
+from edit3r.kit.photos.images import packaged_pair
+
+pytestmark = pytest.mark.slow
+pytest.importorskip("playwright.sync_api", reason="needs playwright")
+
+AXE_FILE = os.environ.get("EDIT3R_AXE", "")  # axe.min.js of the npm package axe-core
+WIDE, PHONE = (1440, 900), (390, 844)
+LOOKS = [(WIDE, "dark"), (PHONE, "light")]
+EVERY_LOOK = [(size, theme) for size in (WIDE, PHONE) for theme in ("dark", "light")]
+MESSAGES = (
+    ".line",
+    ".toast",
+    ".pill",
+    ".notice",
+    ".question",
+    ".badge[open]",
+    ".told",
+)
+"""Elements that hold sentences."""
+CUT_OFF = """(names) => names.flatMap((name) => [...document.querySelectorAll(name)])
+  .filter((one) => one.checkVisibility())
+  .filter((one) => {
+    const {overflowY, overflowX} = getComputedStyle(one), scrolls = ["auto", "scroll"];
+    const area = one.getBoundingClientRect();
+    return (one.scrollHeight > one.clientHeight + 1 && !scrolls.includes(overflowY))
+      || (one.scrollWidth > one.clientWidth + 1 && !scrolls.includes(overflowX))
+      || area.left < -1 || area.right > innerWidth + 1
+      || area.top < -1 || area.bottom > innerHeight + 1;
+  })
+  .map((one) => one.className + ": " + one.textContent)"""
+FAILING = (
+    "paint the zeppelin red",
+    "make the flibbertigibbet golden",
+    "turn the thingamajig blue",
+    "paint it golden",
+    "colour the doohickey green",
+)
+
+
+@pytest.fixture(params=EVERY_LOOK, ids=lambda look: f"{look[0][0]}-{look[1]}")
+def page(request, tab):
+    return open_tab(tab, *request.param)
+
+
+@pytest.fixture(params=LOOKS, ids=lambda look: f"{look[0][0]}-{look[1]}")
+def page_once(request, tab):
+    """In half of the looks, for what takes long."""
+    return open_tab(tab, *request.param)
+
+
+def open_tab(tab, size, theme):
+    page = tab(size)
+    page.add_init_script(
+        f"try {{ localStorage.setItem('edit3r-theme', '{theme}') }} catch {{}}"
+    )
+    return page
+
+
+def drop(page, server, files=None):
+    page.goto(server.address)
+    with page.expect_file_chooser() as choosing:
+        page.get_by_text("Choose photos").click()
+    choosing.value.set_files(files or packaged_pair()[0])
+    page.wait_for_url("**/s/**")
+    page.wait_for_function("document.querySelector('.box .base')?.naturalWidth > 0")
+
+
+def read_photos(page):
+    """Wait until the photos are read: from then on the app has no excuse."""
+    page.wait_for_function(
+        "!document.querySelector('.pill').checkVisibility()", timeout=60_000
+    )
+
+
+def say(page, sentence):
+    page.get_by_label("what to change").fill(sentence)
+
+
+def all_can_be_read(page):
+    assert page.evaluate(CUT_OFF, list(MESSAGES)) == []
+    shown = page.locator("body").inner_text()
+    for word in ("--", "edit3r list", "pip install"):
+        assert word not in shown, "a command line"
+    if AXE_FILE:
+        page.evaluate(Path(AXE_FILE).read_text(encoding="utf-8"))
+        found = page.evaluate("axe.run(document, {iframes: false})")["violations"]
+        serious = [one for one in found if one["impact"] in ("serious", "critical")]
+        assert [(one["id"], one["nodes"][0]["html"]) for one in serious] == []
+
+
+def test_messages_can_be_read_whole(server, page):
+    drop(page, server)
+    say(page, "make her happier")
+    page.locator(".line.problem").wait_for()
+    all_can_be_read(page)
+    page.locator(".line summary").click()
+    page.get_by_text("brighter, darker").wait_for()
+    all_can_be_read(page)
+    assert page.get_by_role("button", name="Go", exact=True).is_visible()
+    page.keyboard.press("Escape")
+    page.get_by_role("button", name="Go", exact=True).click()
+    page.locator(".toast").wait_for()
+    all_can_be_read(page)
+
+
+def test_words_that_fail_lead_to_pointing_at_once(server, page_once):
+    page = page_once
+    drop(page, server)
+    read_photos(page)
+    for sentence in FAILING:
+        begun = time.monotonic()
+        say(page, sentence)
+        page.locator(".question[data-asks=pointing]").wait_for()
+        assert time.monotonic() - begun < 3.5, sentence  # 0.2 s of them are typing
+        assert page.locator(".box").get_attribute("data-tool") == "point"
+        all_can_be_read(page)
+    picture = page.locator(".question .reading").first
+    picture.wait_for()
+    assert picture.locator("img").evaluate("(one) => one.decode().then(() => 1)")
+    picture.click()  # it is taken
+    page.locator(".chip", has_text="marked").wait_for()
+    page.get_by_text("this edit looks").wait_for()
+    assert page.locator(".question").locator("visible=true").count() == 0
+
+
+def test_the_edit_is_seen_while_it_is_typed(server, page_once):
+    page = page_once
+    drop(page, server)
+    read_photos(page)
+    place = page.locator(".box").bounding_box()
+    page.mouse.click(place["x"] + place["width"] / 2, place["y"] + place["height"] / 2)
+    page.locator(".chip", has_text="marked").wait_for()
+    say(page, "paint it blue")  # what is needed for the first is loaded
+    page.get_by_text("this edit looks").wait_for()
+    page.evaluate("delete document.body.dataset.previewed")
+    say(page, "paint it golden")
+    assert "looks" not in page.locator(".line").inner_text(), "the old verdict is gone"
+    page.wait_for_function("document.body.dataset.previewed")
+    assert int(page.evaluate("document.body.dataset.previewed")) <= 1000
+    page.get_by_text("this edit looks").wait_for()
+
+    def shown():
+        return page.evaluate(
+            """() => {
+              const image = document.querySelector(".box .edit");
+              const ink = document.createElement("canvas");
+              [ink.width, ink.height] = [image.naturalWidth, image.naturalHeight];
+              const pen = ink.getContext("2d");
+              pen.drawImage(image, 0, 0);
+              return [...pen.getImageData(ink.width / 2, ink.height / 2, 1, 1).data];
+            }"""
+        )
+
+    golden = shown()
+    before = page.locator(".box .edit").get_attribute("src")
+    page.get_by_label("strength").fill("0")
+    page.wait_for_function(
+        "(before) => document.querySelector('.box .edit').getAttribute('src') !== before",
+        arg=before,
+    )
+    page.wait_for_function("document.querySelector('.box .edit').complete")
+    plain = shown()
+    assert max(abs(a - b) for a, b in zip(golden, plain)) > 20, "the slider does it"
+    for name in ("Undo", "Redo"):
+        assert page.get_by_text(name, exact=True).locator("visible=true").count() == 1
+    all_can_be_read(page)
+
+
+def test_photos_that_cannot_be_placed_are_told_first(server, page_once, tmp_path):
+    page = page_once
+    one = tmp_path / "one.png"
+    Image.open(packaged_pair()[0][0]).resize((160, 106)).save(one)
+    other = tmp_path / "other.png"
+    Image.effect_noise((160, 106), 90).convert("RGB").save(other)
+    begun = time.monotonic()
+    drop(page, server, [str(one), str(other)])
+    page.locator(".notice", has_text="cannot be placed").wait_for()
+    assert time.monotonic() - begun < 30
+    all_can_be_read(page)
+    # what was made of them is kept all the same
+    say(page, "make everything grey")
+    page.get_by_text("Understood").wait_for()
+    page.get_by_role("button", name="Go", exact=True).click()
+    page.get_by_text("This did not work").wait_for()
+    all_can_be_read(page)
+    with page.expect_download() as loading:
+        page.get_by_text("Download the edited photos").click()
+    assert loading.value.path().stat().st_size > 1000
+
+
+def test_a_scene_reopens_where_it_was_left(server, page_once):
+    page = page_once
+    drop(page, server)
+    say(page, "make everything grey")
+    page.get_by_text("Understood").wait_for()
+    page.get_by_role("button", name="Go", exact=True).click()
+    viewer = page.frame_locator(".stage iframe")
+    viewer.locator("body[data-drawn]").wait_for()
+    page.get_by_text("Scene: ").wait_for()  # both verdicts stand over it
+    page.get_by_text("Edit: ").click()
+    all_can_be_read(page)
+    left = page.url
+    # while the next edit is made, the scene before it stays
+    say(page, "make everything warmer")
+    page.get_by_text("this edit looks").wait_for()
+    page.get_by_role("button", name="Go", exact=True).click()
+    page.wait_for_url(lambda address: address != left)
+    page.locator(".pill.large").wait_for()
+    parent = left.partition("at=")[2]
+    assert f"/viewer/{parent}" in page.locator(".stage iframe").get_attribute("src")
+    page.locator(".pill.large").wait_for(state="hidden")
+    # before is the photos, or the last state
+    page.get_by_label("compare with").select_option("last")
+    page.wait_for_function("document.querySelectorAll('.stage iframe').length === 2")
+    page.get_by_label("compare with").select_option("photos")
+    page.wait_for_function("document.querySelectorAll('.stage iframe').length === 1")
+    left = page.url
+    page.goto(server.address)
+    page.locator(".scenes a").first.click()
+    page.wait_for_url(lambda address: "/s/" in address)
+    assert page.url == left
+    page.locator(".stage iframe").wait_for()
+
+
+def test_what_is_drawn_in_3d_is_chosen_removed_and_taken_back(server, page_once):
+    page = page_once
+    drop(page, server)
+    say(page, "make everything grey")
+    page.get_by_text("Understood").wait_for()
+    page.get_by_role("button", name="Go", exact=True).click()
+    viewer = page.frame_locator(".stage iframe")
+    viewer.locator("body[data-drawn].pointing").wait_for()
+    made = page.url
+    page.keyboard.press("l")
+    frame = next(one for one in page.frames if "/viewer/" in one.url)
+    frame.wait_for_function("drawing === 'lasso'")
+
+    def draw(left, right):
+        frame.evaluate(
+            """([left, right]) => {
+              const x = (share) => share * canvas.clientWidth;
+              const y = (share) => share * canvas.clientHeight;
+              tell({stroke: drawn([[x(left), y(0.3)], [x(right), y(0.3)],
+                [x(right), y(0.7)], [x(left), y(0.7)]])});
+            }""",
+            [left, right],
+        )
+
+    def count():
+        told = page.locator(".question strong:visible").inner_text()
+        return int(told.split()[0].replace(",", ""))
+
+    draw(0.3, 0.5)
+    page.get_by_text("points chosen").wait_for()
+    one = count()
+    draw(0.5, 0.7)
+    page.wait_for_function(
+        "(one) => !document.body.innerText.includes(one + ' points')", arg=f"{one:,}"
+    )
+    assert count() > one
+    all_can_be_read(page)
+    page.get_by_text("Undo", exact=True).locator("visible=true").click()
+    page.get_by_text(f"{one:,} points chosen").wait_for()
+    page.get_by_role("button", name="take in what lies around").click()
+    page.wait_for_function(
+        "(one) => !document.body.innerText.includes(one + ' points')", arg=f"{one:,}"
+    )
+    assert count() > one
+    page.get_by_role("button", name="hide it for now").click()
+    frame.wait_for_function("gone")
+    page.get_by_role("button", name="remove it from the scene").click()
+    page.wait_for_url(lambda address: address != made)
+    page.get_by_text("What was drawn is removed").wait_for()
+    viewer.locator("body[data-drawn]").wait_for()
+    page.keyboard.press("Control+z")
+    page.wait_for_url(made)  # the step is taken back
+
+
+def test_clean_is_a_step_or_says_that_nothing_is_to_do(server, page_once):
+    page = page_once
+    drop(page, server)
+    say(page, "make everything grey")
+    page.get_by_text("Understood").wait_for()
+    page.get_by_role("button", name="Go", exact=True).click()
+    page.frame_locator(".stage iframe").locator("body[data-drawn].pointing").wait_for()
+    made = page.url
+    page.get_by_role("button", name="take out floaters").click()
+    page.locator(".toast").filter(has_text="loaters").wait_for()
+    all_can_be_read(page)
+    if page.url != made:
+        page.get_by_text("Floaters are taken out").wait_for()

@@ -1,0 +1,64 @@
+"""`edit3r judge --fit`: limits lie between good and bad; a place is judged without itself."""
+
+import argparse
+import json
+
+import pytest
+from edit3r_judge import fit
+from edit3r_judge.fit import JudgeCommand, between, limits_of, read_rows
+from edit3r_judge.limits import FITTED
+from edit3r_judge.signals import SIGNALS
+
+from edit3r.contract.errors import InputError
+from edit3r.kit.files.yaml import read_yaml
+
+CLEAN = {name: 1.0 if one.at_least else 0.0 for name, one in SIGNALS.items()}
+
+
+def rows(places: int = 4) -> list[dict]:
+    """A good edit and one with each fault at each place."""
+    found = []
+    for place in range(places):
+        about = {"place": f"p{place}"}
+        found.append(about | {"kind": "well", "fault": None, "figures": CLEAN})
+        for name in SIGNALS:
+            figures = CLEAN | {name: 0.5}
+            found.append(about | {"kind": name, "fault": name, "figures": figures})
+    return found
+
+
+def test_limits_lie_midway_between_good_and_bad_edits():
+    limits = limits_of(rows())
+    assert limits == {n: pytest.approx(0.25 + 0.5 * (CLEAN[n] == 1)) for n in SIGNALS}
+
+
+def test_a_good_edit_counts_twice():
+    assert between([0.1, 0.2, 0.6], [0.5, 0.7, 0.8]) == pytest.approx(0.65)
+    assert between([0.1, 0.2], [0.15, 0.9]) == pytest.approx(0.55)
+
+
+def test_the_report_says_what_is_named_where_nothing_was_fitted(tmp_path, capsys):
+    path = tmp_path / "rows.jsonl"
+    path.write_text("\n".join(map(json.dumps, rows())))
+    assert JudgeCommand(None).main(argparse.Namespace(fit=str(path), write=False)) == 0
+    said = capsys.readouterr().out
+    assert "never fitted on: p0, p3" in said and "called good 2, are 2 (100.0%)" in said
+    assert all(f"called {name:15} 2 of 2" in said for name in SIGNALS)
+
+
+@pytest.mark.parametrize("text", ["{", '{"place": "a"}', "3"])
+def test_rows_of_something_else_are_refused(tmp_path, text):
+    path = tmp_path / "rows.jsonl"
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"rows\.jsonl: .*edit_verdict\.py"):
+        read_rows(str(path))
+
+
+def test_limits_are_written_beside_those_of_scenes(tmp_path, monkeypatch):
+    own = tmp_path / "fitted.yaml"
+    own.write_text(FITTED.read_text())
+    monkeypatch.setattr(fit, "FITTED", own)
+    fit.write_limits(dict.fromkeys(SIGNALS, 0.123))
+    was, now = (read_yaml(path) for path in (FITTED, own))
+    assert now["edit"] == dict.fromkeys(SIGNALS, 0.123)
+    assert now["scene"] == was["scene"] and own.read_text().startswith("#")

@@ -1,0 +1,188 @@
+"""Every way in which an edit goes wrong is named by its signal, and a good edit by none."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+from edit3r_judge.critic import LimitsCritic, faults_of
+from edit3r_judge.limits import limits_of_edits
+from edit3r_judge.signals import SIGNALS, measured
+
+from edit3r.contract.instructions import Change, Colour, Instruction, Thing
+from edit3r.contract.interfaces import EditToJudge
+from edit3r.contract.types import Cameras, Rendering, Views
+
+SIZE, SIDE = 96, 40
+RED = (0.8, 0.1, 0.1)
+PAINT_RED = Instruction(
+    "paint", Thing("marked"), (Change("paint", Colour("red", RED)),)
+)
+REMOVE = Instruction("remove", Thing("marked"))
+GREYSCALE = Instruction("paint", Thing("marked"), (Change("greyscale"),))
+DEPTH = 2.0
+SHIFT = 16  # pixels that the thing lies further left in the second photo
+LEFTS = (40, 40 - SHIFT)
+
+
+def square(left: int, inner: int = 0) -> torch.Tensor:
+    mask = torch.zeros(SIZE, SIZE)
+    mask[28 + inner : 68 - inner, left + inner : left + SIDE - inner] = 1
+    return mask
+
+
+def views(images: torch.Tensor) -> Views:
+    return Views(images[None], torch.eye(3).expand(1, len(images), 3, 3))
+
+
+def over(images: torch.Tensor, colour, masks: torch.Tensor) -> torch.Tensor:
+    """Images with a colour where masks say so."""
+    paint = torch.tensor(colour)[:, None, None]
+    return torch.where(masks[:, None] > 0, paint, images)
+
+
+def judged(edit: EditToJudge, **changes) -> EditToJudge:
+    """The edit with other pictures, which its scene shows too."""
+    edit = replace(edit, **changes)
+    return replace(edit, rendered=replace(edit.rendered, images=edit.after.images))
+
+
+@pytest.fixture
+def good() -> EditToJudge:
+    """A striped green square on grey in two photos of a wall, painted red, in 3D too."""
+    masks = torch.stack([square(left) for left in LEFTS])
+    stripes = (torch.arange(SIZE) // 4 % 2)[:, None].expand(SIZE, SIZE)
+    photos = over(torch.full((2, 3, SIZE, SIZE), 0.4), (0.2, 0.6, 0.3), masks)
+    photos = photos - 0.15 * (masks * stripes)[:, None]
+    c2w = torch.eye(4).repeat(1, 2, 1, 1)
+    c2w[0, 1, 0, 3] = SHIFT / SIZE * DEPTH
+    k = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
+    depths = torch.full((1, 2, 1, SIZE, SIZE), DEPTH)
+    after = views(over(photos, RED, masks))
+    return EditToJudge(
+        before=views(photos),
+        after=after,
+        edited=range(2),
+        instructions=(PAINT_RED,),
+        selected=(),
+        masks=masks[None],
+        regions=masks[None, None],
+        rendered=Rendering(after.images, torch.ones_like(depths), depths),
+        cameras=Cameras(c2w, k, (SIZE, SIZE)),
+    )
+
+
+def half_done(edit):
+    images = edit.after.images.clone()
+    images[..., :48, :] = edit.before.images[..., :48, :]
+    return judged(edit, after=views(images[0]))
+
+
+def leaked(edit):
+    wide = torch.stack([square(left) for left in (10, 60)])
+    return judged(edit, after=views(over(edit.after.images[0], RED, wide)))
+
+
+def elsewhere(edit):
+    masks = torch.stack([square(LEFTS[0]), square(52)])
+    after = views(over(edit.before.images[0], RED, masks))
+    return judged(edit, after=after, masks=masks[None], regions=masks[None, None])
+
+
+def another_colour(edit):
+    blue = over(edit.before.images[0], (0.1, 0.2, 0.8), edit.masks[0])
+    return judged(edit, after=views(blue))
+
+
+def faint(edit):
+    before, after = edit.before.images, edit.after.images
+    return judged(edit, after=views((before + 0.25 * (after - before))[0]))
+
+
+def with_rim(edit):
+    inner = torch.stack([square(left, 3) for left in LEFTS])
+    return judged(edit, after=views(over(edit.before.images[0], RED, inner)))
+
+
+def ghost(edit):
+    half = 0.5 * edit.before.images + 0.5 * gone(edit).after.images
+    return judged(edit, after=views(half[0]), instructions=(REMOVE,))
+
+
+def gone(edit):
+    after = views(torch.full_like(edit.before.images[0], 0.4))
+    return judged(edit, after=after, instructions=(REMOVE,))
+
+
+def grey(edit):
+    mean = edit.before.images.mean(2, keepdim=True).expand_as(edit.before.images)
+    return judged(edit, after=views(mean[0]), instructions=(GREYSCALE,))
+
+
+def half_in_3d(edit):
+    images = edit.after.images.clone()
+    images[:, 1, :, :48] = edit.before.images[:, 1, :, :48]
+    return replace(edit, rendered=replace(edit.rendered, images=images))
+
+
+FAULTS = {
+    "unchanged": half_done,
+    "outside": leaked,
+    "shared": elsewhere,
+    "as_asked": another_colour,
+    "strength": faint,
+    "rim": with_rim,
+    "shines_through": ghost,
+    "missed": half_in_3d,
+}
+
+
+def test_there_is_a_made_fault_and_a_limit_for_each_signal():
+    """A signal that is taken away, or has no limit, leaves a fault unnamed."""
+    assert list(FAULTS) == list(SIGNALS) == list(limits_of_edits())
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_a_made_fault_is_named(good, name):
+    bad = FAULTS[name](good)
+    named = faults_of(measured(bad), limits_of_edits())
+    assert name in named
+    verdict = LimitsCritic(None).judge_edit(bad)
+    assert verdict.label == "doubtful" and named[name] in verdict.reason
+    json.dumps(verdict.measures, allow_nan=False)
+
+
+@pytest.mark.parametrize("well", [lambda edit: edit, gone, grey])
+def test_what_was_carried_out_well_is_good(good, well):
+    edit = well(good)
+    assert faults_of(measured(edit), limits_of_edits()) == {}
+    verdict = LimitsCritic(None).judge_edit(edit)
+    assert verdict.label == "good" and "in 3D too" in verdict.reason
+    flat = LimitsCritic(None).judge_edit(replace(edit, rendered=None, cameras=None))
+    assert flat.label == "good" and "in 3D" not in flat.reason
+    assert flat.measures["missed"] is None
+
+
+def test_whoever_edits_by_a_model_may_leave_most_of_it(good):
+    hat = replace(
+        half_done(good), instructions=(Instruction("other", Thing("marked")),)
+    )
+    assert LimitsCritic(None).judge_edit(hat).label == "good"
+    none = judged(hat, after=hat.before)
+    assert "did not change" in LimitsCritic(None).judge_edit(none).reason
+
+
+def test_what_has_another_colour_may_stay_and_what_looks_as_asked_need_not_change(good):
+    before = good.before.images[0].clone()
+    tyre = torch.stack([square(left, 12) for left in LEFTS])
+    kept = over(good.after.images[0], (0.02, 0.02, 0.02), tyre)
+    before = over(before, (0.02, 0.02, 0.02), tyre)
+    edit = judged(good, before=views(before), after=views(kept))
+    assert measured(edit)["unchanged"] == 0
+    red = views(over(good.before.images[0], (0.78, 0.12, 0.1), good.masks[0]))
+    assert measured(judged(good, before=red, after=red))["unchanged"] is None
+
+
+def test_faults_of_the_editors_pictures_are_said(good):
+    verdict = LimitsCritic(None).judge_edit(replace(good, faults=("it is black",)))
+    assert verdict.label == "doubtful" and verdict.reason == "it is black"

@@ -1,0 +1,113 @@
+"""Words are looked up where they are found most surely, and each photo keeps what it finds."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from edit3r_select.naming import SURER, UNCONFIRMED, looked_up
+from edit3r_select.photos import Photos
+
+from edit3r.contract.interfaces import Segmenter, Selection, Tracks, as_proposal
+from edit3r.kit.geometry.cameras import pixel_grid
+from edit3r.kit.segmenting import HeldSegmenter
+
+
+def thing(confidence, row):
+    """A square of 4 pixels in an image of 16, at a row of four places."""
+    mask = torch.zeros(16, 16)
+    mask[4 * row : 4 * row + 4, 4:8] = 1
+    return replace(as_proposal(mask), confidence=confidence)
+
+
+class Finds(Segmenter):
+    """Finds on each photo, told by its brightness, what it was told to."""
+
+    def __init__(self, *found):
+        self.found = found
+
+    def segment_text(self, image, text):
+        return tuple(thing(*one) for one in self.found[int(image[0, 0, 0])])
+
+    def propose(self, image):
+        return (thing(1.0, 3),)
+
+    def segment_marks(self, image, marks):
+        return as_proposal(torch.zeros_like(image[0]))
+
+    def track(self, images, masks):
+        return Tracks(masks[None], torch.ones(1, 1, dtype=torch.bool))
+
+
+class FromOnePlace(Photos):
+    """Each pixel lies where it lay; where the other photo shows the same is told."""
+
+    sees = None
+
+    def shared(self, view, source, tolerance=0.0):
+        if self.sees is None:
+            return None
+        same = torch.full((16, 16), self.sees)
+        return pixel_grid((16, 16), torch.zeros(1)), same
+
+
+def photos(sees, *found):
+    count = len(found)
+    images = torch.arange(count).view(count, 1, 1, 1).expand(count, 3, 16, 16).float()
+    made = FromOnePlace(images, HeldSegmenter(Finds(*found)))
+    object.__setattr__(made, "sees", sees)
+    return made
+
+
+STILL, HIDDEN, UNKNOWN = True, False, None
+
+
+@pytest.mark.parametrize(
+    ("first", "other", "sees", "view", "confidence"),
+    [
+        ([(0.5, 0)], [(0.5, 0)], STILL, 0, 0.5),  # confirmed
+        ([(0.6, 0)], [], STILL, 0, 0.6 * UNCONFIRMED),  # seen there, and nothing
+        ([(0.6, 0)], [], HIDDEN, 0, 0.6),  # not seen there
+        ([(0.6, 0)], [], UNKNOWN, 0, 0.6),  # nobody knows
+        ([(0.6, 0), (0.5, 2)], [(0.5, 2)], STILL, 0, 0.5),  # the confirmed one wins
+        ([], [(0.5, 1)], HIDDEN, 1, 0.5),  # only the other shows it
+        ([(0.3, 0)], [(0.3 * SURER + 0.01, 0)], UNKNOWN, 1, 0.3 * SURER + 0.01),
+        ([(0.3, 0)], [(0.3 * SURER - 0.01, 0)], UNKNOWN, 0, 0.3),  # hardly surer
+    ],
+)
+def test_the_surest_photo_is_taken_and_the_others_have_a_say(
+    first, other, sees, view, confidence
+):
+    named = looked_up(photos(sees, first, other), Selection(words="box"))
+    assert named.readings[0].view == view
+    assert named.confidence == pytest.approx(confidence)
+
+
+def rows(named):
+    """The row of squares in which each photo's own mask lies."""
+    return {
+        view: int(one.mask.any(1).nonzero()[0]) // 4
+        for view, one in named.found.items()
+    }
+
+
+@pytest.mark.parametrize(
+    ("sees", "first", "other", "own"),
+    [
+        # a horse on each of two photos, and one is surer
+        (UNKNOWN, [(0.18, 0)], [(0.46, 2)], {0: 0, 1: 2}),
+        # what the surer photo shows is the second thing of that name here
+        (STILL, [(0.4, 0), (0.3, 2)], [(0.6, 2)], {0: 2, 1: 2}),
+        # none of it is what the surer photo shows here: it is carried
+        (STILL, [(0.2, 0)], [(0.6, 2)], {1: 2}),
+        (HIDDEN, [(0.2, 0)], [(0.6, 2)], {0: 0, 1: 2}),
+    ],
+)
+def test_a_photo_keeps_its_own_finding_beside_a_surer_one(sees, first, other, own):
+    named = looked_up(photos(sees, first, other), Selection(words="horse"))
+    assert rows(named) == own
+
+
+def test_found_on_no_photo_what_stands_out_is_a_question():
+    named = looked_up(photos(STILL, [(0.04, 0)], []), Selection(words="horse"))
+    assert rows(named) == {0: 3} and named.confidence <= 0.25
+    assert named.found[0].how == "guess"
