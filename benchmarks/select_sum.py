@@ -4,7 +4,8 @@
     python benchmarks/select_sum.py DATA ELSEWHERE --kept ROWS.pkl [--write] [--never-fitted]
         [--left-out FITS.json] [--cache FOLDER]
 
-Objects are those of `clicks.json`, `outlines.json` and `elsewhere.json`. Clicks lie uniformly in
+Objects are those of `clicks.json`, `outlines.json` and `elsewhere.json`; outlines of two photos
+that geometry can place are carried from the first to the second. Clicks lie uniformly in
 the object, at its rim too; innermost clicks, strokes and boxes are those of `clicks.py`. Weights
 are fitted to what the other scenes show, an object's figures are those of weights that never saw
 its scene. Scenes that are never fitted on are left out of all but the last look, --never-fitted.
@@ -22,27 +23,35 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import torch
 import yaml
 from clicks import (
     ANYWHERE,
+    FOV,
     at_size,
     filled,
+    geometry_of,
     iou,
     line_on,
     next_click,
     places_on,
     reduced,
     remembering,
+    resized,
     scene_of,
     tensor_of,
 )
-from edit3r_select.answering import gathered
+from edit3r_select.answering import asked_by, gathered
+from edit3r_select.carrying import expected_on
 from edit3r_select.cues import CUES, Asked, table
+from edit3r_select.photos import OnPhoto, Photos
 from edit3r_select.sum import FITTED, CueWeights, choose, lead
 from PIL import Image
 from scipy.optimize import minimize
 
 from edit3r import build
+from edit3r.kit.geometry.cameras import intrinsics_from_fov
+from edit3r.kit.segmenting import HeldSegmenter
 
 HERE = Path(__file__).parent
 NAMES = tuple(CUES)
@@ -53,6 +62,7 @@ STROKES = 3
 PARTS = 0.2  # how much a part's click counts beside a thing's in the fit
 
 FIRST = ("click", "stroke", "box")
+CARRIED = "carried"
 Fits = dict[tuple[str, str | None], CueWeights]
 """By kind of marks and the scene that was left out; None: none was."""
 Answerer = Callable[..., tuple[np.ndarray, np.ndarray]]
@@ -82,6 +92,8 @@ class Thing:
     file: Path
     polygons: list
     never_fitted: bool
+    # file and polygons of another photo of it
+    beside: tuple[Path, list] | None = None
     rows: list[Row] = field(default_factory=list)
 
 
@@ -100,7 +112,7 @@ def main() -> None:
             print(thing.name, flush=True)
             args.kept.write_bytes(pickle.dumps(kept))
         thing.rows = list(kept[thing.name])
-    fits = folds(things, FIRST)
+    fits = folds(things, (*FIRST, CARRIED))
     fits |= corrections(things, bench, fits, args.rounds)
     print(report([one for one in things if not one.never_fitted], fits))
     if args.never_fitted:
@@ -139,16 +151,21 @@ def listed(data: Path, elsewhere: Path) -> Iterator[Thing]:
         content = json.loads((HERE / f"{source}.json").read_text())
         for name, entry in content.get("objects", content).items():
             photos = entry.get("photos", entry)
-            file, polygons = next(iter(photos.items()))
-            own = file.startswith("benchmarks/")
+            own = "benchmarks/"
+            places = [
+                HERE.parent / file if file.startswith(own) else folder / file
+                for file in photos
+            ]
+            (polygons, *more), (file, *others) = photos.values(), places
             yield Thing(
                 name,
-                scene_of(file),
+                scene_of(next(iter(photos))),
                 source,
                 bool(entry.get("part")),
-                HERE.parent / file if own else folder / file,
+                file,
                 polygons,
                 bool(entry.get("never_fitted")),
+                beside=(others[0], more[0]) if others else None,
             )
 
 
@@ -157,6 +174,7 @@ class Bench:
 
     def __init__(self, cache: Path | None) -> None:
         self.cache, self.sam = cache, build("segmenter", "sam-onnx")
+        self.matcher, self.geometries = build("matcher", "classical"), {}
         self._held: tuple[Path, np.ndarray, Answerer] | None = None
 
     def looked(self, thing: Thing) -> tuple[Answerer, np.ndarray]:
@@ -177,7 +195,31 @@ class Bench:
         asked += [("stroke", one) for one in strokes(truth)]
         asked += [("box", one) for one in boxes(truth)]
         with remembering(self.cache):
-            return [self.row(thing, way, one, answers, truth) for way, one in asked]
+            rows = [self.row(thing, way, one, answers, truth) for way, one in asked]
+            return rows + list(self.carried(thing))
+
+    def carried(self, thing: Thing) -> Iterator[Row]:
+        """The outline of the first photo on a second one that geometry can place."""
+        if thing.beside is None or not thing.beside[0].is_file():
+            return
+        images, truths = [], []
+        for file, polygons in ((thing.file, thing.polygons), thing.beside):
+            image = np.asarray(Image.open(file).convert("RGB"))
+            images.append(tensor_of(reduced(image)))
+            size = tuple(images[0].shape[-2:])
+            truths.append(at_size(filled(polygons, image.shape[:2]), size))
+        frames = torch.stack([images[0], resized(images[1], size)])
+        geometry = geometry_of(frames, self.matcher, self.geometries)
+        if geometry is None:
+            return
+        lens = intrinsics_from_fov(FOV, size).expand(1, 2, 3, 3)
+        lens = lens if geometry.intrinsics is None else geometry.intrinsics
+        photos = Photos(frames, HeldSegmenter(self.sam), geometry, lens)
+        given = OnPhoto(torch.from_numpy(truths[0]).float(), "given")
+        marks = expected_on(photos, {0: given}, 1)
+        if marks is not None:
+            asked, answers = asked_by(marks, size), partial(self.sam.ask, frames[1])
+            yield self.row(thing, CARRIED, asked, answers, truths[1])
 
     def row(self, thing, way, asked, answers, truth) -> Row:
         pool = gathered(truth.shape, asked, answers)
@@ -376,7 +418,7 @@ def report(things: list[Thing], fits: Fits) -> str:
 
 def entries(fits: Fits, scene: str | None) -> dict[str, dict]:
     """The weights that were fitted without a scene, as `fitted.yaml` has them."""
-    found = {kind: fits[kind, scene] for kind in (*FIRST, "more")}
+    found = {kind: fits[kind, scene] for kind in (*FIRST, CARRIED, "more")}
     return {
         kind: {
             "weights": {

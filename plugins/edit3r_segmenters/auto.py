@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
-import cv2
 import numpy as np
-import torch
 from jaxtyping import Float
 from pydantic import Field, model_validator
 from torch import Tensor
@@ -17,16 +15,11 @@ from edit3r import build, default_registry
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import say
 from edit3r.kit.compute.outlines import soft_edged
-from edit3r.kit.geometry.maps import dilate
 from edit3r_segmenters import SMALL
 from edit3r_segmenters.classical import ESSENTIALS, ClassicalSegmenter
-from edit3r_segmenters.completing import Box, Click, Prompt, completed
 from edit3r_segmenters.named import named, usable
-from edit3r_segmenters.stuff import STUFF
-from edit3r_segmenters.words import plain
 
 ANY_WORD = "pip install 'edit3r[transformers]' and edit3r weights get words"
-BAND = 0.15  # beside sky and ground, in which a network may find more [longer sides]
 
 
 class AutoSegmenter(Segmenter):
@@ -81,7 +74,7 @@ class AutoSegmenter(Segmenter):
         if self._network is None:
             return chosen.segment_marks(image, marks)
         if not (marks.inside or marks.negative or marks.box):
-            return self._expected(image, marks)
+            return self.classical.segment_marks(image, marks)
         found = self._network.segment_marks(image, marks)
         inside = (found.soft_mask > 0.5).numpy(force=True)
         return replace(found, soft_mask=soft_edged(image, inside))
@@ -114,66 +107,9 @@ class AutoSegmenter(Segmenter):
         self, image: Float[Tensor, "3 height width"], text: str
     ) -> tuple[Proposal, ...] | None:
         known = self.classical.segment_text(image, text)
-        if known and self._network is not None and plain(text) in STUFF:
-            return (self._completed(image, known[0]),)
         if known is not None:
             return known
         return named(image, text, self.segment_marks)
-
-    def _completed(
-        self, image: Float[Tensor, "3 height width"], stuff: Proposal
-    ) -> Proposal:
-        """Sky or ground, as far as the network sees it beyond what colours say."""
-        inside = stuff.soft_mask > 0.5
-        reach = round(BAND * max(inside.shape))
-        wide = dilate(inside[None].to(image), reach)[0] > 0
-        marks = Marks(prior=stuff.soft_mask, known=inside | ~wide)
-        return replace(self._expected(image, marks), confidence=stuff.confidence)
-
-    def _expected(
-        self, image: Float[Tensor, "3 height width"], marks: Marks
-    ) -> Proposal:
-        """A mask from elsewhere, completed by the network where nothing is known of it, and its
-        outline moved.
-        """
-        if marks.prior is None or marks.known is None:
-            return self.classical.segment_marks(image, marks)
-        height, width = image.shape[-2:]
-        scale = min(1.0, self.settings.size / max(height, width))
-        shape = max(1, round(height * scale)), max(1, round(width * scale))
-        prior, known = (
-            cv2.resize(one.float().numpy(force=True), shape[::-1]) > 0.5
-            for one in (marks.prior, marks.known)
-        )
-        whole = completed(prior, known, self._prompt(image, shape))
-        large = cv2.resize(whole.astype(np.float32), (width, height))
-        return self.classical.segment_marks(
-            image, Marks(prior=torch.from_numpy(large).to(image))
-        )
-
-    def _prompt(
-        self, image: Float[Tensor, "3 height width"], shape: tuple[int, int]
-    ) -> Prompt:
-        """Asks the network at the size of `shape`."""
-        height, width = shape
-        network = self._network
-        assert network is not None  # else nobody is told of it
-
-        def prompt(clicks: Sequence[Click], box: Box | None) -> np.ndarray:
-            places = [
-                (((column + 0.5) / width, (row + 0.5) / height), inside)
-                for (row, column), inside in clicks
-            ]
-            frame = None
-            if box is not None:
-                (top, left), (bottom, right) = box
-                sides = (right - left) / width, (bottom - top) / height
-                frame = (left / width, top / height, *sides)
-            answer = network.ask(image, places, frame)
-            assert answer is not None  # it is a network of several masks
-            return np.stack([cv2.resize(one, (width, height)) for one in answer[0]])
-
-        return prompt
 
     def words_help(self) -> str:
         if not usable("coco"):

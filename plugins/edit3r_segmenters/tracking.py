@@ -1,10 +1,9 @@
-"""Follow objects from the first view through the others, by dense flow where views are close, else
-by features.
+"""Follow objects from the first view through the others, by features and dense flow.
 
-View by view, from the last earlier view that showed the object: dense inverse-search flow with a
-forward-backward check carries the mask; where flow breaks down, SIFT matches on the object give an
-affine map to start it from. The outline is then snapped to the colours of the new view. An object
-whose match is too thin or looks different is reported lost.
+View by view, from the last earlier view that showed the object: an affine map of SIFT matches on
+it, where enough agree, then dense inverse-search flow with a forward-backward check. The outline is
+snapped to the colours of the new view. An object of which too little leads back, or that looks
+different, is reported lost.
 """
 
 from collections.abc import Callable
@@ -22,18 +21,10 @@ from edit3r.contract.interfaces import Tracks
 from edit3r.kit.compute.outlines import distance_to, softened
 from edit3r_segmenters.masks import overlap, reduced, snapped, to_bytes
 
-GOOD_SCORE = 0.8  # consistent share times likeness above which nothing else is tried
 MIN_CONSISTENT = 0.35  # share under which flow says nothing
-UNCHECKED = (
-    0.3  # what counts as consistent share where only features say where the object is
-)
+# how far the outline may move when it is snapped [square roots of the area]
+SNAP_BAND = 0.04
 MIN_LIKENESS = 0.5  # overlap of colour histograms under which it is not the same object
-# change of area, either way, between two views beyond which an object counts as lost
-MAX_GROWTH = 2.5
-MAX_TOTAL_GROWTH = 6.0  # the same between the first view and any other
-SNAP_BAND = (
-    0.04  # how far the outline may move when it is snapped [square roots of the area]
-)
 
 # Dense flow
 SMALLEST = 24  # below this side length [pixels] the flow's patches do not fit
@@ -112,9 +103,8 @@ def follow(
     found: list[list[np.ndarray | None]] = [
         [mask if mask.any() else None for mask in first]
     ]
-    for index in range(1, len(views)):
-        search = _Search(views, found, index)
-        found.append([search.find(number) for number in range(len(masks))])
+    for view in range(1, len(views)):
+        found.append([_found_again(views, found, view, n) for n in range(len(masks))])
     soft = np.zeros((len(views), len(masks), *images[0].shape[:2]), np.float32)
     present = np.zeros(soft.shape[:2], dtype=bool)
     for index, row in enumerate(found):
@@ -133,127 +123,49 @@ def _view(image: np.ndarray, size: int) -> _View:
     return _View(pixels, cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY))
 
 
-@dataclass(frozen=True)
-class _Guess:
-    """Where an object may be."""
-
-    mask: np.ndarray  # bool [h, w]
-    consistent: float  # share of it that flow carries there and back, in [0, 1]
-
-
-class _Search:
-    """The search in one view; flow to each earlier view is computed once for all objects."""
-
-    def __init__(
-        self, views: list[_View], found: list[list[np.ndarray | None]], index: int
-    ) -> None:
-        self.views, self.found, self.index = views, found, index
-        self.flows: dict[int, Flow] = {}
-
-    def find(self, number: int) -> np.ndarray | None:
-        """Find the bool mask `[h, w]` of object `number` in this view; None when it is lost."""
-        if self.found[0][number] is None:
-            return None
-        best, best_score = None, 0.0
-        for way in (self._by_flow, self._by_features):
-            for source in self._sources(number):
-                guess = way(source, number)
-                if guess is None:
-                    continue
-                score = self._score(guess, source, number)
-                if score > best_score:
-                    best, best_score = guess.mask, score
-            if best_score >= GOOD_SCORE:
-                break
-        return best
-
-    def _sources(self, number: int) -> list[int]:
-        """The last view the object was seen in, then the first view."""
-        last = max(
-            index for index, row in enumerate(self.found) if row[number] is not None
-        )
-        return [last, 0] if last else [0]
-
-    def _seen(self, view: int, number: int) -> np.ndarray:
-        """The mask of an object on a photo that shows it."""
-        mask = self.found[view][number]
-        assert mask is not None
-        return mask
-
-    def _by_flow(self, source: int, number: int) -> _Guess | None:
-        if source not in self.flows:
-            here, there = self.views[source].grey, self.views[self.index].grey
-            self.flows[source] = _whole_flow(
-                here.tobytes(), there.tobytes(), here.shape
-            )
-        return self._carried(self._seen(source, number), self.flows[source])
-
-    def _by_features(self, source: int, number: int) -> _Guess | None:
-        """Guess by an affine map, and flow for what it leaves; by the map alone where flow does not
-        agree.
-        """
-        grey, mask, here = (
-            self.views[source].grey,
-            self._seen(source, number),
-            self.views[self.index].grey,
-        )
-        matrix = affine_between(grey, here, mask)
-        if matrix is None:
-            return None
-        size = here.shape[::-1]
-        moved = cv2.warpAffine(mask.astype(np.float32), matrix, size) > 0.5
-        if not moved.any():
-            return None
-        rest = flow_between(
-            cv2.warpAffine(grey, matrix, size, borderMode=cv2.BORDER_REPLICATE), here
-        )
-        return self._carried(moved, rest) or _Guess(
-            self._snapped(moved, 3 * SNAP_BAND), UNCHECKED
-        )
-
-    def _carried(self, mask: np.ndarray, flow: Flow) -> _Guess | None:
-        """Carry a bool mask `[h, w]` along the flow and snap it; None when too little of it leads
-        back.
-        """
-        moved, sure, consistent = carry(mask, flow)
-        if consistent < MIN_CONSISTENT:
-            return None
-        return _Guess(self._snapped(moved, SNAP_BAND, moved & ~sure), consistent)
-
-    def _snapped(
-        self, mask: np.ndarray, band: float, unsure: np.ndarray | None = None
-    ) -> np.ndarray:
-        """Put a mask's outline `[h, w]` on the colours of this view, unless that would change the
-        object itself.
-        """
-        moved = snapped(
-            self.views[self.index].pixels, mask, band, band, rounds=2, unsure=unsure
-        )
-        sure = mask if unsure is None else mask & ~unsure
-        return moved if overlap(moved | ~sure & mask, mask) > 0.7 else sure
-
-    def _score(self, guess: _Guess, source: int, number: int) -> float:
-        """Trust in a guess, in [0, 1]; 0 when it cannot be the object that earlier views show."""
-        before, first = self._seen(source, number), self._seen(0, number)
-        if (
-            _growth(before, guess.mask) > MAX_GROWTH
-            or _growth(first, guess.mask) > MAX_TOTAL_GROWTH
-        ):
-            return 0.0
-        here = self.views[self.index].pixels
-        likeness = max(
-            _likeness(self.views[view].pixels, seen, here, guess.mask)
-            for view, seen in ((source, before), (0, first))
-        )
-        return guess.consistent * likeness if likeness >= MIN_LIKENESS else 0.0
+def _found_again(
+    views: list[_View],
+    found: list[list[np.ndarray | None]],
+    index: int,
+    number: int,
+) -> np.ndarray | None:
+    """An object in one view by the last one that showed it; None when it is lost."""
+    shown = [view for view, row in enumerate(found) if row[number] is not None]
+    if not shown:
+        return None
+    here, source = views[index], views[shown[-1]]
+    mask, grey = found[shown[-1]][number], source.grey
+    assert mask is not None
+    matrix = affine_between(grey, here.grey, mask)
+    if matrix is not None:
+        size = here.grey.shape[::-1]
+        mask = cv2.warpAffine(mask.astype(np.float32), matrix, size) > 0.5
+        rim = cv2.BORDER_REPLICATE
+        grey = cv2.warpAffine(grey, matrix, size, borderMode=rim)
+    if not mask.any():
+        return None
+    moved, sure, consistent = carry(mask, flow_between(grey, here.grey))
+    if consistent >= MIN_CONSISTENT:
+        moved = _on_colours(here.pixels, moved, SNAP_BAND, moved & ~sure)
+    elif matrix is not None:
+        moved = _on_colours(here.pixels, mask, 3 * SNAP_BAND)
+    else:
+        return None
+    first = found[0][number]
+    assert first is not None
+    alike = _likeness(views[0].pixels, first, here.pixels, moved)
+    return moved if alike >= MIN_LIKENESS else None
 
 
-def _growth(one: np.ndarray, other: np.ndarray) -> float:
-    """Ratio of the areas of two bool masks `[H, W]`, larger over smaller; infinite when one is
-    empty.
+def _on_colours(
+    pixels: np.ndarray, mask: np.ndarray, band: float, unsure: np.ndarray | None = None
+) -> np.ndarray:
+    """A mask `[h, w]` with its outline on the colours of a view, unless that would change the
+    object itself.
     """
-    smaller, larger = sorted((int(one.sum()), int(other.sum())))
-    return larger / smaller if smaller else float("inf")
+    moved = snapped(pixels, mask, band, band, rounds=2, unsure=unsure)
+    sure = mask if unsure is None else mask & ~unsure
+    return moved if overlap(moved | ~sure & mask, mask) > 0.7 else sure
 
 
 def _likeness(
@@ -293,13 +205,6 @@ def flow_between(source: np.ndarray, target: np.ndarray) -> Flow:
     return Flow(
         forward, backward, _returns(forward, backward), _returns(backward, forward)
     )
-
-
-@lru_cache(maxsize=4)
-def _whole_flow(source: bytes, target: bytes, shape: tuple[int, int]) -> Flow:
-    """The flow between two whole views: clicks follow each other on one pair of photos."""
-    greys = [np.frombuffer(grey, np.uint8).reshape(shape) for grey in (source, target)]
-    return flow_between(*greys)
 
 
 def carry(mask: np.ndarray, flow: Flow) -> tuple[np.ndarray, np.ndarray, float]:

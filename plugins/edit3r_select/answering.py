@@ -6,6 +6,7 @@ A segmenter whose `ask` has no masks reads marks itself.
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import zip_longest
 from typing import Protocol
 
 import cv2
@@ -19,7 +20,8 @@ from edit3r_select.cues import Asked, Box, Click, Pool, pixel
 from edit3r_select.sum import SURE, Chosen, CueWeights, MaskCandidate, choose, fitted
 
 LONGER = 512  # longer side of a photo whose masks are compared: weights are for this [pixels]
-ON_STROKE = 4  # places of a stroke that are asked together
+ON_STROKE = 4  # places of a stroke, or of what is expected, that are asked together
+UNTOLD = 0.5  # quality of a mask that no network made
 
 Image = Float[Tensor, "3 height width"]
 Size = tuple[int, int]  # height and width
@@ -60,12 +62,15 @@ def _chosen(ask: AnswersMarks, size: Size, marks: Marks) -> Chosen | None:
     """What the marks may mean by the sum, one click after the other; None where nobody has masks,
     and without marks.
 
-    A click that says what is known waits until an answer to another one disobeys it: nobody told
-    in which order clicks on the thing and beside it were made.
+    Nobody told in which order clicks on the thing and beside it were made: they come in turns, and
+    one that says what is known waits until an answer to another one disobeys it.
     """
     chosen: Chosen | None = None
-    waiting = [(place, True) for place in marks.positive]
-    waiting += [(place, False) for place in marks.negative]
+    inside = [(place, True) for place in marks.positive]
+    outside = [(place, False) for place in marks.negative]
+    waiting = [one for pair in zip_longest(inside, outside) for one in pair if one]
+    if marks.known is not None:
+        return selected(size, asked_by(marks, size), ask)
     if marks.prior is not None and waiting:
         expected = MaskCandidate(_as_logits(marks.prior, size), 0.0, 1.0)
         chosen = Chosen((expected,), 1.0)
@@ -92,11 +97,14 @@ def selected(
 
 def gathered(size: Size, asked: Asked, ask: AnswersMarks) -> Pool | None:
     """All masks that answer the marks, at `size`; None where `ask` has none."""
-    drawn = [(place, True) for place in spread(asked.stroke)]
+    drawn = [(place, True) for place in along(asked.stroke)]
     clicks, before = [*drawn, *asked.clicks], asked.before
     answers = [ask(clicks, asked.box)]
     if asked.kind == "stroke":
         answers += [ask([drawn[len(drawn) // 2]]), ask(drawn, _around(asked.stroke))]
+    if asked.expected is not None:
+        given = np.where(asked.expected, SURE, -SURE)[None], np.array([UNTOLD])
+        answers += [ask(clicks), ask(clicks[:1]), given]
     if asked.kind == "more" and before is not None:
         answers.append(ask(clicks, asked.box, before))
         at_last = ask([(asked.clicks[-1][0], True)])
@@ -108,7 +116,28 @@ def gathered(size: Size, asked: Asked, ask: AnswersMarks) -> Pool | None:
     return Pool(asked, logits, np.concatenate([good for _, good in known]))
 
 
-def spread(stroke: Sequence) -> list:
+def asked_by(marks: Marks, size: Size) -> Asked:
+    """What is asked about a photo without marks: places deep inside of what is expected there, away
+    from each other, and the box around it.
+    """
+    assert marks.prior is not None and marks.known is not None
+    there = _as_logits(marks.prior, size) > 0
+    known = _as_logits(marks.known, size) > 0
+    rest = there.astype(np.uint8)
+    clicks: list[Click] = []
+    while rest.any() and len(clicks) < ON_STROKE:
+        padded = cv2.distanceTransform(np.pad(rest, 1), cv2.DIST_L2, 5)
+        depth = padded[1:-1, 1:-1]
+        row, column = map(int, np.unravel_index(depth.argmax(), size))
+        place = (column + 0.5) / size[1], (row + 0.5) / size[0]
+        clicks.append((place, True))
+        cv2.circle(rest, (column, row), round(2 * depth.max()), 0, cv2.FILLED)
+    x, y, width, height = cv2.boundingRect(there.astype(np.uint8))
+    box = x / size[1], y / size[0], width / size[1], height / size[0]
+    return Asked(tuple(clicks), box=box, expected=there & known, known=known)
+
+
+def along(stroke: Sequence) -> list:
     """At most `ON_STROKE` places, evenly along a stroke."""
     if len(stroke) <= ON_STROKE:
         return list(stroke)
@@ -151,7 +180,7 @@ def _shares(chosen: Chosen) -> Iterator[float]:
         yield from ((1 - chosen.confidence) * parts / parts.sum()).tolist()
 
 
-def _as_logits(mask: Float[Tensor, "height width"], size: Size) -> np.ndarray:
+def _as_logits(mask: Tensor, size: Size) -> np.ndarray:
     values = cv2.resize(mask.float().numpy(force=True), size[::-1])
     return np.where(values > 0.5, SURE, -SURE).astype(np.float32)
 

@@ -36,7 +36,7 @@ def carried(photos: Photos, found: Found, missing: Iterable[int]) -> dict[int, O
         if not found[nearest[view]].inside.any():  # an empty mask is carried as it is
             known[view] = OnPhoto(found[nearest[view]].mask, "pictures")
             continue
-        marks = _expected(photos, known, view)
+        marks = expected_on(photos, known, view)
         if marks is not None:
             mask = readings(photos.segmenter, photos.images[view], marks)[0].soft_mask
             known[view] = OnPhoto(clean(mask, photos.images), "geometry")
@@ -49,7 +49,7 @@ def carried(photos: Photos, found: Found, missing: Iterable[int]) -> dict[int, O
     return {view: known[view] for view in wanted}
 
 
-def _expected(photos: Photos, found: Found, view: int) -> Marks | None:
+def expected_on(photos: Photos, found: Found, view: int) -> Marks | None:
     """Where photos with masks say that the object is; None where geometry cannot tell.
 
     Those with own masks are asked first, then those that geometry carried it to: of what they all

@@ -28,6 +28,9 @@ class Asked:
     box: Box | None = None  # around it
     # logits [h, w] of the answer before the last click, > 0 inside
     before: np.ndarray | None = None
+    # bool [h, w]: what other photos show of it here, and where they show anything
+    expected: np.ndarray | None = None
+    known: np.ndarray | None = None
 
     @property
     def places(self) -> list[Click]:
@@ -36,7 +39,11 @@ class Asked:
 
     @property
     def kind(self) -> str:
-        """Which weights hold: those of a first click, of more clicks, a stroke or a box."""
+        """Which weights hold: those of a first click, of more clicks, a stroke, a box, or of what
+        other photos show.
+        """
+        if self.expected is not None:
+            return "carried"
         if self.before is not None or len(self.clicks) > 1:
             return "more"
         if self.stroke:
@@ -166,6 +173,15 @@ def middle(pool: Pool) -> np.ndarray:
     return np.array(values)
 
 
+def expected(pool: Pool) -> np.ndarray:
+    """IoU with what other photos show, where they show anything; 0 where nobody asked them."""
+    there, known = pool.asked.expected, pool.asked.known
+    if there is None:
+        return np.zeros(len(pool.masks))
+    either = ((pool.masks & known) | there).sum((1, 2))
+    return (pool.masks & there).sum((1, 2)) / np.maximum(1, either)
+
+
 CUES: dict[str, Callable[[Pool], np.ndarray]] = {
     one.__name__: one
     for one in (
@@ -178,9 +194,10 @@ CUES: dict[str, Callable[[Pool], np.ndarray]] = {
         obeyed,
         agreement,
         middle,
+        expected,
     )
 }
-"""Six of a mask on one photo, then what the marks say of it."""
+"""Six of a mask on one photo, then what the marks say of it, then what other photos do."""
 
 
 def table(pool: Pool, names: Sequence[str] = tuple(CUES)) -> np.ndarray:

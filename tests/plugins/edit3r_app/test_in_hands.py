@@ -130,7 +130,7 @@ def test_words_that_fail_lead_to_pointing_at_once(server, page_once):
     assert picture.locator("img").evaluate("(one) => one.decode().then(() => 1)")
     picture.click()  # it is taken
     page.locator(".chip", has_text="marked").wait_for()
-    page.get_by_text("this edit looks").wait_for()
+    page.locator(".line", has_text="edit: ").wait_for()
     assert page.locator(".question").locator("visible=true").count() == 0
 
 
@@ -142,13 +142,13 @@ def test_the_edit_is_seen_while_it_is_typed(server, page_once):
     page.mouse.click(place["x"] + place["width"] / 2, place["y"] + place["height"] / 2)
     page.locator(".chip", has_text="marked").wait_for()
     say(page, "paint it blue")  # what is needed for the first is loaded
-    page.get_by_text("this edit looks").wait_for()
+    page.locator(".line", has_text="edit: ").wait_for()
     page.evaluate("delete document.body.dataset.previewed")
     say(page, "paint it golden")
-    assert "looks" not in page.locator(".line").inner_text(), "the old verdict is gone"
+    assert "edit: " not in page.locator(".line").inner_text(), "the old verdict is gone"
     page.wait_for_function("document.body.dataset.previewed")
     assert int(page.evaluate("document.body.dataset.previewed")) <= 1000
-    page.get_by_text("this edit looks").wait_for()
+    page.locator(".line", has_text="edit: ").wait_for()
 
     def shown():
         return page.evaluate(
@@ -213,7 +213,7 @@ def test_a_scene_reopens_where_it_was_left(server, page_once):
     left = page.url
     # while the next edit is made, the scene before it stays
     say(page, "make everything warmer")
-    page.get_by_text("this edit looks").wait_for()
+    page.locator(".line", has_text="edit: ").wait_for()
     page.get_by_role("button", name="Go", exact=True).click()
     page.wait_for_url(lambda address: address != left)
     page.locator(".pill.large").wait_for()

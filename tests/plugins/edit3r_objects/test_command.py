@@ -17,6 +17,7 @@ from edit3r.contract.interfaces import Segmenter, as_proposal
 from edit3r.contract.types import Gaussians
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.scenes.ply import load_ply, save_ply
+from edit3r.running import usual_selector
 from edit3r_testing import CommandContract
 
 FLAT = Path(__file__).parents[1] / "flat_scene.py"
@@ -104,7 +105,7 @@ class Half(Segmenter):
 
 def test_things_are_found_by_one_press(made, monkeypatch, capsys):
     monkeypatch.setattr(
-        edit3r_objects.run, "usual_tools", lambda: Finders(Half(), None)
+        edit3r_objects.run, "usual_tools", lambda: Finders(usual_selector(Half()), None)
     )
     assert objects(made, f"run find --out {made}/found") == 0
     assert manifest_of(made / "found")["objects"] == {"thing 1": 0}

@@ -6,6 +6,7 @@ from edit3r_objects.finding import MOST, Finders, find_things
 
 from edit3r import Cameras
 from edit3r.contract.interfaces import Detection, Detector, Segmenter, as_proposal
+from edit3r.running import usual_selector
 
 SIZE = 60
 WALL, SHIFT = 4.0, 0.1  # depth behind everything; how far the second camera stands
@@ -65,7 +66,9 @@ def found(scene, labels=None):
     images, depths, cameras = scene
     images[1, :, 0, 0] = 0.01  # tells the detector which photo it sees
     detector = None if labels is None else Calls(labels)
-    return find_things(images, depths, cameras, Finders(OneColour(), detector))
+    return find_things(
+        images, depths, cameras, Finders(usual_selector(OneColour()), detector)
+    )
 
 
 SQUARE = ("near", 1.0, 24, 24, 16, 16)
@@ -102,6 +105,6 @@ def test_a_gap_that_is_looked_through_is_no_thing():
 def test_the_wall_is_no_thing_and_one_photo_is_enough():
     assert found(made()) == []
     images, depths, cameras = made(SQUARE)
-    tools = Finders(OneColour(), None)
+    tools = Finders(usual_selector(OneColour()), None)
     (thing,) = find_things(images[:1], depths[:1], cameras.select([0]), tools)
     assert not thing.confirmed and len(thing.masks) == 1 <= MOST

@@ -110,31 +110,3 @@ def test_what_is_remembered_of_classical_s_answers_depends_on_its_fetched_weight
     (tmp_path / "u2netp").mkdir()
     (tmp_path / "u2netp" / "u2netp.onnx").touch()
     assert identity(classical) != without
-
-
-class Horizon:
-    """A network for which all above a row is one thing."""
-
-    def ask(self, image, clicks, box=None, before=None):
-        rows = torch.arange(image.shape[1]).float()[:, None].expand(image.shape[1:])
-        return (HORIZON - rows).numpy()[None], torch.ones(1).numpy()
-
-
-HORIZON = 34  # of 60 rows
-
-
-def test_the_sky_reaches_as_far_as_the_network_sees_it():
-    image = torch.zeros(3, 60, 80)
-    image[:, :24] = torch.tensor([0.4, 0.6, 0.95])[:, None, None]  # blue
-    image[:, 24:HORIZON] = torch.tensor([0.9, 0.6, 0.4])[:, None, None]  # red dusk
-    image[:, HORIZON:] = torch.tensor([0.1, 0.2, 0.1])[:, None, None]
-
-    def rows_of_sky(network):
-        segmenter = edit3r.build("segmenter", "auto", pick="classical")
-        segmenter._network = network
-        (found,) = segmenter.segment_text(image, "the sky")
-        assert 0.63 < found.confidence < 1  # how far it reaches says nothing of that
-        return int((found.soft_mask > 0.5).any(1).sum())
-
-    assert abs(rows_of_sky(None) - 24) <= 1
-    assert abs(rows_of_sky(Horizon()) - HORIZON) <= 1

@@ -5,7 +5,6 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from edit3r_segmenters import tracking
 
 from edit3r.loading.registry import build
 
@@ -135,22 +134,6 @@ def test_view_0_keeps_the_given_soft_mask():
 def test_tracking_is_deterministic():
     views = [view()[0], view((60, 10))[0]]
     assert torch.equal(track(*views).logits, track(*views).logits)
-
-
-def test_flow_between_two_photos_is_computed_once_for_all_clicks(monkeypatch):
-    asked = []
-
-    def counted(*views):
-        asked.append(views)
-        return original(*views)
-
-    original = tracking.flow_between
-    monkeypatch.setattr(tracking, "flow_between", counted)
-    views = [view()[0], view((5, 2))[0]]
-    smaller = ellipse(HEIGHT, WIDTH, (60, 60), (13, 11))
-    for mask in (MASK, smaller):
-        track(*views, masks=(mask,))
-    assert len(asked) == 1
 
 
 def test_no_objects_give_empty_tracks():

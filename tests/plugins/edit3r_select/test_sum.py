@@ -92,7 +92,7 @@ def test_selecting_uses_the_fitted_weights():
     assert selected(SIZE, Asked(clicks=(CLICK,)), lambda *_: None) is None
 
 
-@pytest.mark.parametrize("kind", ["click", "stroke", "box", "more"])
+@pytest.mark.parametrize("kind", ["click", "stroke", "box", "carried", "more"])
 def test_fitted_weights_are_of_known_cues(kind):
     assert set(fitted(kind).cues) <= set(CUES)
     assert fitted(kind).margin > 0  # a lead never speaks against the first
@@ -100,5 +100,5 @@ def test_fitted_weights_are_of_known_cues(kind):
 
 def test_the_file_says_how_it_was_made():
     assert "benchmarks/select_sum.py" in FITTED.read_text()
-    kinds = {"click", "stroke", "box", "more"}
+    kinds = {"click", "stroke", "box", "carried", "more"}
     assert set(yaml.safe_load(FITTED.read_text())) == kinds
