@@ -103,7 +103,7 @@ def main() -> None:
         page.wait_for_function("document.body.dataset.outlined")
         watch.step("point, until the outline")
         page.get_by_label("what to change").fill("paint it golden")
-        page.get_by_text("this edit looks").wait_for()
+        page.locator(".line", has_text="edit: ").wait_for()
         watch.step("say, until the verdict")
         page.get_by_role("button", name="Go", exact=True).click()
         page.locator(".stage iframe").wait_for()

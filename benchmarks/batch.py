@@ -39,7 +39,6 @@ def make_jobs(folder: Path, count: int, size: int, frames: int) -> list[dict]:
             ).save(folder / name)
         instruction = {
             "prompt": f"paint it {COLOURS[number % 8]}",
-            "guess": True,
             "size": size,
             "frames": frames,
             "fov": 50,
@@ -55,7 +54,6 @@ def command(folder: Path, job: dict) -> None:
     options = [
         "--prompt",
         job["prompt"],
-        "--guess",
         "--size",
         str(job["size"]),
         "--fov",

@@ -67,7 +67,7 @@ def screens(page: Page, address: str) -> Iterator[str]:
     tank = {"x": 0.55 * place["width"], "y": 0.4 * place["height"]}
     page.locator(".box").click(position=tank)
     page.get_by_label("what to change").fill("paint it golden")
-    page.get_by_text("this edit looks").wait_for(timeout=200_000)
+    page.locator(".line", has_text="edit: ").wait_for(timeout=200_000)
     yield "dark"
     yield from dialogs(page, "what else may be meant", "settings")
     page.get_by_role("button", name="Go", exact=True).click()

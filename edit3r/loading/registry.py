@@ -30,6 +30,14 @@ from edit3r.contract.torch_state import in_usual_torch
 from edit3r.kit.weights.find import at_hand
 from edit3r.loading.load import LoadedPlugins, PluginFailure, load_plugins
 
+SEVERAL = ("writer",)
+"""Kinds of which a run has several, so that settings name the component: writer.gif.width."""
+
+
+def _key(kind: str, name: str) -> str:
+    """Where the settings of a chosen component stand in a configuration."""
+    return f"{kind}.{name}" if kind in SEVERAL else kind
+
 
 class Registry:
     """All components on offer."""
@@ -189,14 +197,15 @@ class Registry:
             dict(choice.settings),
             dict(parts or {}),
             built={},
-            where=kind,
+            where=_key(kind, choice.name),
         )
 
     def check(self, kind: str, choice: PartChoice) -> Settings:
         """The settings; raises what building the component would raise about its name, its packages
         and them.
         """
-        return self._settings(self.find(kind, choice.name), choice.settings, kind)
+        offer = self.find(kind, choice.name)
+        return self._settings(offer, choice.settings, _key(kind, choice.name))
 
     def _settings(
         self, offer: Offer, values: Mapping[str, Any], where: str

@@ -19,8 +19,7 @@ MAKES_NO_OTHER_SCENE = {
 }
 """Settings that may differ from the defaults without the run being another kind of run."""
 
-LARGE = 1024  # longer side that shows what photos have beyond the default size [pixels]
-BEST_COSTS, LARGE_COSTS = "half as long again", "about four times as long"  # dial.py
+BEST_COSTS, LARGE_COSTS = "half as long again", "up to four times as long"  # dial.py
 
 
 def summary(out: Path, result: RunResult) -> str:
@@ -59,13 +58,13 @@ def _sharper(result: RunResult) -> list[str]:
     if (asked.size, asked.refine) != (usual.size, usual.refine):
         return []
     longest = max((max(file.size) for file in result.records.inputs.files), default=0)
-    line = f"  sharper      --quality best takes {BEST_COSTS}"
-    if longest > usual.size:
-        line += (
-            f"; with --size {min(LARGE, longest)}, of the photos' {longest} pixels, "
-        )
-        line += LARGE_COSTS
-    return [line]
+    best = min(longest, make_run_config({"quality": "best"}).size)
+    if best <= usual.size:
+        return [f"  sharper      --quality best takes {BEST_COSTS}"]
+    return [
+        f"  sharper      --quality best, which shows {best} of the photos' {longest} pixels, "
+        f"takes {LARGE_COSTS}"
+    ]
 
 
 def _named_settings(result: RunResult) -> str:

@@ -335,9 +335,7 @@ class PhotoBuild:
         frames = (*scene.inputs, *scene.held_back)
         files = [scene.path / scene.files[index] for index in frames]
         views = load_photos(files, size=self.image_size).views
-        config = make_run_config(
-            {"prompt": edit.prompt, "seed": self.options.seed, "guess": True}
-        )
+        config = make_run_config({"prompt": edit.prompt, "seed": self.options.seed})
         job = RunJob(config, views, components={"editor": self.parts["truth"]})
         made = preview(job, self.registry).edit
         assert made is not None  # it was asked for

@@ -4,8 +4,8 @@ A wrong focal length bends the epipolar geometry, and fewer matches agree with a
 the focal length is looked for with which most matches agree: a scan over plausible fields of view,
 then between the best neighbours. Photos without known intrinsics are taken to share one field of
 view across their longer side. The pairs that are asked are those that can tell: many matches, all
-over the picture, that no homography explains. A weak preference for what was assumed decides where
-the matches do not care, as when a camera only moved sideways; then the reading says so.
+over the picture, that no homography explains. What is known of lenses decides where the matches
+hardly care, as when a camera only moved sideways; then the reading says so.
 """
 
 import math
@@ -26,8 +26,6 @@ from edit3r_geometry.relative_pose import (
 )
 
 __all__ = [
-    "PREFERENCE",
-    "WIDE_PREFERENCE",
     "LensReading",
     "PointPairs",
     "calibrate",
@@ -46,16 +44,24 @@ PointPairs = Mapping[tuple[int, int], Matches]
 _MOST_PAIRS = 4
 _MOST_MATCHES = 400  # of a pair that are asked
 _FEWEST_MATCHES = 40
-PREFERENCE = 0.01
-"""Share of the matches that a focal length e times larger or smaller has to win over before it is
-believed.
+USUAL_FOV = 66.0
+"""The middle of usual fields of view [degrees]. Across the 36 mm of a full frame the main cameras
+of phones (24 to 28 mm in its terms, as their makers state them) have 74 to 65 degrees, zooms that
+come with cameras (18 to 55 mm before APS-C, 27 to 83 mm in its terms) 67 to 25, a cropped video a
+tenth less than photos; phones' second, ultra-wide ones (13 mm) and action cameras 90 to 120.
 """
-WIDE_PREFERENCE = 0.05
-"""The same for photos from wide apart, of whose few matches more are wrong."""
-APART = 20.0
-"""Fields of view so far apart are two answers [degrees]."""
+USUAL_SPREAD, FEW, FEW_SPREAD = 0.25, 0.3, 0.6
+"""Spread of most lenses about it [log focal length]; the share of the others, and their spread:
+fitted with whole places left out (docs/notes/classical.md).
+"""
+_LEANING = 0.01
+"""Share of the matches that a focal length e times what the user gave has to win over."""
+APART = 0.45
+"""Lenses so far apart are two answers [log focal length]: 46 and 66 degrees, or 66 and 91."""
 ALIKE = 0.4
-"""Matches by which another answer must be worse, times the root of all that agree."""
+"""Matches by which another answer must be worse, times the root of all that are asked: the unit of
+their likelihood's logarithm.
+"""
 _SURE = 80.0  # score below which the matches never contradict what the user says of the lens
 # share of the best score by which what the user says must be worse to be contradicted
 _CLEAR = 0.08
@@ -85,31 +91,27 @@ def calibrate(
     found: PointPairs,
     threshold: float,
     seed: int,
-    preference: float = PREFERENCE,
 ) -> LensReading | None:
-    """The field of view that `images`, all taken to have the same one, agree on best; None with too
-    few matches.
+    """The likeliest field of view of `images`, all taken to have the same one, by what their
+    matches and what is known of lenses say; None with too few matches.
 
-    `threshold` is in pixels at a long side of 256. A focal length e times as large as what was
-    assumed has to win over a share `preference` of the matches.
+    `threshold` is in pixels at a long side of 256.
     """
-    search = _search(images, found, threshold, seed, preference)
+    search = _search(images, found, threshold, seed, usual=True)
     if search is None:
         return None
     scanned = search.scan()
     best = max(scanned, key=lambda trial: trial.score)
-    if best.score < _LEAST_SUPPORT:
+    if best.support < _LEAST_SUPPORT:
         return None
     best = search.between(best)
-    fov = search.fov(best.log_focal)
-    alike = [
-        search.fov(trial.log_focal)
-        for trial in scanned
-        if trial.support >= best.support - ALIKE * math.sqrt(best.support)
-    ]
-    span = min([fov, *alike]), max([fov, *alike])
-    unsure = max(fov - span[0], span[1] - fov) >= APART
-    return LensReading(fov, span if unsure else None)
+    most = max(one.support for one in (best, *scanned))
+    alike = [one for one in scanned if one.support >= most - search.unit]
+    likely = [best.log_focal, *(one.log_focal for one in alike)]
+    longest, shortest = max(likely), min(likely)
+    unsure = max(longest - best.log_focal, best.log_focal - shortest) >= APART
+    span = search.fov(longest), search.fov(shortest)
+    return LensReading(search.fov(best.log_focal), span if unsure else None)
 
 
 def contradiction(
@@ -144,9 +146,12 @@ def _search(
     found: PointPairs,
     threshold: float,
     seed: int,
-    preference: float = PREFERENCE,
+    usual: bool = False,
 ) -> "_FocalSearch | None":
-    """A search on the pairs that can tell most; None where no pair has enough matches."""
+    """A search on the pairs that can tell most; None where no pair has enough matches.
+
+    `usual`: beside the matches by what lenses usually have, not by what was given.
+    """
     longest = max(max(image.size) for image in images)
     limit = threshold * longest / 256
     enough = [matches for matches in found.values() if len(matches) >= _FEWEST_MATCHES]
@@ -157,7 +162,7 @@ def _search(
     shares = np.array([told[pair] / len(enough[pair]) for pair in most])
     weights = tuple((shares / max(shares.mean(), 1e-9)).tolist())
     pairs = [_sample(enough[pair]) for pair in most]
-    return _FocalSearch(pairs, weights, longest, limit, seed, preference)
+    return _FocalSearch(pairs, weights, longest, limit, seed, usual)
 
 
 def _telling(matches: Matches, threshold: float) -> float:
@@ -195,7 +200,7 @@ class _Trial:
     log_focal: float  # [log pixels]
     supports: tuple[float, ...]  # of each pair; higher is better
     poses: tuple[Pose | None, ...]  # of each pair
-    penalty: float  # of its distance from what was assumed
+    penalty: float  # of its distance from what is usual, or was given
 
     @property
     def support(self) -> float:
@@ -222,12 +227,22 @@ class _FocalSearch:
     longest: int  # side [pixels]
     threshold: float  # [pixels]
     seed: int
-    preference: float
+    usual: bool
 
     @property
     def assumed(self) -> float:
         """Log focal length that the pairs came with."""
         return math.log(self.pairs[0].focal)
+
+    @property
+    def asked(self) -> float:
+        """How many matches are asked, those of telling pairs counting more."""
+        return sum(w * len(pair) for w, pair in zip(self.weights, self.pairs))
+
+    @property
+    def unit(self) -> float:
+        """Matches by which one lens is likelier than another by a factor of e."""
+        return ALIKE * math.sqrt(self.asked)
 
     def log_focal(self, fov: float) -> float:
         return math.log(0.5 * self.longest / math.tan(math.radians(fov) / 2))
@@ -301,10 +316,18 @@ class _FocalSearch:
             * sharp_support(self._with_focal(pair, log_focal), pose, self.threshold)
             for pair, weight, pose in zip(self.pairs, self.weights, poses)
         )
-        off = (log_focal - self.assumed) ** 2
-        asked = sum(w * len(pair) for w, pair in zip(self.weights, self.pairs))
-        penalty = self.preference * off * asked
-        return _Trial(log_focal, supports, poses, penalty)
+        return _Trial(log_focal, supports, poses, self._penalty(log_focal))
+
+    def _penalty(self, log_focal: float) -> float:
+        """What `log_focal` loses before any match is asked [matches]."""
+        if not self.usual:
+            return _LEANING * (log_focal - self.assumed) ** 2 * self.asked
+        off = log_focal - self.log_focal(USUAL_FOV)
+        usual, rare = (
+            share / spread * math.exp(-0.5 * (off / spread) ** 2)
+            for share, spread in ((1 - FEW, USUAL_SPREAD), (FEW, FEW_SPREAD))
+        )
+        return -self.unit * math.log(usual + rare)
 
     def _with_focal(self, pair: Matches, log_focal: float) -> Matches:
         """The same points seen with another focal length."""

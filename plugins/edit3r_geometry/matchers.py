@@ -24,12 +24,7 @@ from edit3r.contract.types import Views
 from edit3r.kit.cache import fingerprint, identity, remembered
 from edit3r.kit.checks import require_matchable
 from edit3r.kit.geometry.cameras import from_pixels, relative_to_first
-from edit3r_geometry.calibration import (
-    PREFERENCE,
-    WIDE_PREFERENCE,
-    calibrate,
-    contradiction,
-)
+from edit3r_geometry.calibration import calibrate, contradiction
 from edit3r_geometry.cameras import CalibratedImage, Pose, calibrated_images
 from edit3r_geometry.depth_maps import DepthSettings, measure_depths
 from edit3r_geometry.features import (
@@ -227,8 +222,7 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
         asked = images, pairs, chosen.threshold, chosen.seed
         told, lenses = None, None
         if unknown:
-            preference = WIDE_PREFERENCE if features.tilted else PREFERENCE
-            reading = calibrate(*asked, preference)
+            reading = calibrate(*asked)
             if reading is not None:
                 told, lenses = reading.fov, reading.alike
                 images = [image.with_fov(told) for image in images]
@@ -241,7 +235,8 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
                 features,
                 chosen.threshold,
                 chosen.seed,
-                free_focal=unknown,
+                # Where the matches of each pair tell no lens, all views' together bend it away.
+                free_focal=unknown and lenses is None,
             )
         except MatchingError as error:
             return error

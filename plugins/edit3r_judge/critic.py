@@ -1,17 +1,14 @@
 """The critic `limits`: figures of edit and scene, held to limits that were fitted to known ones."""
 
 from collections.abc import Iterator, Mapping
-from functools import cache
-from pathlib import Path
 
 from edit3r.contract.interfaces import Critic, EditToJudge, SceneToJudge
 from edit3r.contract.verdicts import EditVerdict, Verdict
-from edit3r.kit.files.yaml import read_yaml
 from edit3r_judge.between import guessed_between
+from edit3r_judge.limits import limits_of_edits
 from edit3r_judge.signals import SIGNALS, measured
 from edit3r_judge.verdict import Doubt, judge
 
-FITTED = Path(__file__).with_name("fitted.yaml")
 FLAT = (
     "all that the photos share lies on one plane: a flat thing, or photos from one place. Take a "
     "step to the side between photos, or tell the lens (--fov)"
@@ -26,18 +23,12 @@ MOVED = (
 )
 
 
-@cache
-def fitted() -> Mapping[str, float]:
-    """What `edit3r judge --fit` wrote."""
-    return read_yaml(FITTED)
-
-
 class LimitsCritic(Critic):
     """See docs/verdict.md."""
 
     def judge_edit(self, edit: EditToJudge) -> EditVerdict:
         figures = measured(edit)
-        faults = (*edit.faults, *faults_of(figures, fitted()).values())
+        faults = (*edit.faults, *faults_of(figures, limits_of_edits()).values())
         measures = {**figures, "faults": list(edit.faults), "moved": list(edit.moved)}
         if faults:
             return EditVerdict("doubtful", "; ".join(faults), measures)

@@ -13,14 +13,10 @@ from typing import Any
 
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError
+from edit3r_judge.limits import FITTED
 
 NEVER = 3  # each third place is fitted on by nobody
 Row = Mapping[str, Any]
-HEADER = """\
-# Beyond which figure an edit is doubtful, for each signal of `signals.py`. Fitted by
-#     python benchmarks/edit_verdict.py DATA --json ROWS.jsonl
-#     edit3r judge --fit ROWS.jsonl --write
-"""
 
 
 class JudgeCommand(Command):
@@ -53,10 +49,10 @@ class JudgeCommand(Command):
         print(report(left_out))
         print(f"never fitted on: {', '.join(never)}")
         print(report([(row, limits) for row in rows if row["place"] in never]))
-        content = "".join(f"{name}: {limit:.3g}\n" for name, limit in limits.items())
-        print(content)
+        for name, limit in limits.items():
+            print(f"{name}: {limit:.3g}")
         if args.write:
-            Path(__file__).with_name("fitted.yaml").write_text(HEADER + content)
+            write_limits(limits)
         return 0
 
 
@@ -71,6 +67,16 @@ def read_rows(path: str) -> list[Row]:
             f"{path}: {error}; expected rows of benchmarks/edit_verdict.py."
         ) from None
     return rows
+
+
+def write_limits(limits: Mapping[str, float]) -> None:
+    """Put the edit's limits into the package; comments and the scene's stay."""
+    lines = FITTED.read_text().splitlines(keepends=True)
+    for number, line in enumerate(lines):
+        name = line.split(":")[0].strip()
+        if name in limits:
+            lines[number] = f"  {name}: {limits[name]:.3g}\n"
+    FITTED.write_text("".join(lines))
 
 
 def limits_of(rows: Sequence[Row]) -> dict[str, float]:

@@ -110,12 +110,12 @@ class Pictures:
 
 @dataclass(frozen=True)
 class Signal:
-    """One figure of an edit: how it is measured, its unit, and what is said beyond its limit."""
+    """One figure of an edit: how it is measured, and what is said and done beyond its limit."""
 
     measure: Callable[[Pictures], float | None]
-    unit: str
     fault: str  # said with the figure as {} where it lies beyond the limit
-    at_least: bool  # the limit is the least that is good, not the most
+    at_least: bool = False  # the limit is the least that is good, not the most
+    in_scene: bool = False  # the scene tells of it too
 
 
 def unchanged(found: Pictures) -> float | None:
@@ -319,42 +319,57 @@ def missed(found: Pictures) -> float | None:
 
 SIGNALS = {
     "unchanged": Signal(
-        unchanged, "share", "a part ({:.0%}) of what was selected did not change", False
+        unchanged,
+        "a part ({:.0%}) of what was selected did not change ('all of it' changes that too)",
     ),
     "outside": Signal(
-        outside, "share", "it spread beyond what was selected (by {:.0%} of it)", False
+        outside,
+        "it spread beyond what was selected, by {:.0%} of it (--mask holds it in)",
+        in_scene=True,
     ),
     "shared": Signal(
         shared,
-        "share",
-        "it lies at different places in the photos (they share {:.0%})",
-        True,
+        "it lies at different places in the photos, which share {:.0%} of it (mark it on each: "
+        "--point N:X,Y)",
+        at_least=True,
+        in_scene=True,
     ),
     "as_asked": Signal(
-        as_asked, "share", "only {:.0%} of the change looks as asked", True
+        as_asked,
+        "only {:.0%} of the change looks as asked (another --editor may do it)",
+        at_least=True,
     ),
     "strength": Signal(
-        strength, "share", "it is too faint ({:.0%} of what was asked)", True
+        strength,
+        "it is too faint, {:.0%} of what was asked (ask again with --from this run)",
+        at_least=True,
     ),
     "rim": Signal(
-        rim, "share", "a rim of the old colours is left ({:.0%} of the outline)", False
+        rim,
+        "a rim of the old colours is left along {:.0%} of the outline (--grow 2 takes it too)",
     ),
     "shines_through": Signal(
-        shines_through, "share", "what was removed shines through ({:.0%})", False
+        shines_through,
+        "what was removed shines through, {:.0%} of it (--grow 4 takes more around it)",
+        in_scene=True,
     ),
     "missed": Signal(
         missed,
-        "share",
-        "a part ({:.0%}) of the change is missing in the 3D scene",
-        False,
+        "a part ({:.0%}) of the change is missing in the 3D scene (a photo from beside it helps)",
+        in_scene=True,
     ),
 }
+"""All are shares, of 1; said in percent."""
 
 
 def measured(edit: EditToJudge) -> dict[str, float | None]:
-    """All signals of an edit, those of the scene only where there is one."""
+    """All signals of an edit; what the photos alone tell is taken over from the verdict in 2D."""
     found = Pictures(edit)
-    return {name: one.measure(found) for name, one in SIGNALS.items()}
+    known = {} if edit.in_2d is None else edit.in_2d.measures
+    return {
+        name: known[name] if name in known and not one.in_scene else one.measure(found)
+        for name, one in SIGNALS.items()
+    }
 
 
 def _worst(values: Iterable[float]) -> float | None:

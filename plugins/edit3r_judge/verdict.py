@@ -1,7 +1,9 @@
 """How good a run came out, judged without any truth: does the scene show its own input views?
 
 A scene whose rendering of a photo differs much from that (edited) photo shows other viewpoints no
-better. The thresholds were calibrated on views that no scene had seen; see docs/notes/verdict.md.
+better, and one that is guessed half-way between them shows nothing there. Three signals, whose
+limits for each label stand in `fitted.yaml`: the agreement of the worst photo [dB], what is guessed
+half-way, and how many photos are left out [shares]. See docs/notes/verdict.md.
 """
 
 from collections.abc import Sequence
@@ -14,18 +16,7 @@ from torch.nn.functional import interpolate
 
 from edit3r.contract.types import Rendering, Views
 from edit3r.contract.verdicts import LABELS, Label, Verdict
-
-MEAN_PSNR = {"good": 24.0, "fair": 17.0, "poor": 14.0}
-"""Least mean PSNR [dB] of the placed input views for each label; below the last one a run failed.
-"""
-WORST_PSNR = {"good": 22.0, "fair": 15.0, "poor": 11.0}
-"""Least PSNR [dB] of the worst placed input view for each label."""
-MOST_GUESSED = {"good": 0.2, "fair": 0.32, "poor": 1.0}
-"""Largest share of the picture half-way from a photo to its nearest one that may be guessed, for
-each label.
-"""
-MOST_LEFT_OUT = {"good": 0.0, "fair": 0.5, "poor": 0.5}
-"""Largest share of the photos that may be left out, for each label."""
+from edit3r_judge.limits import limits_of_scenes
 
 
 @dataclass(frozen=True)
@@ -124,12 +115,15 @@ def _label(
     guessed = max((share for share in between if share is not None), default=0.0)
     left_out = sum(not there for there in placed)
 
+    limits = limits_of_scenes()
+
     def agrees(label: Label) -> bool:
-        return mean >= MEAN_PSNR[label] and worst >= WORST_PSNR[label]
+        return worst >= limits[label]["agreement"]
 
     def holds(label: Label) -> bool:
-        seen = guessed <= MOST_GUESSED[label]
-        return agrees(label) and seen and left_out <= MOST_LEFT_OUT[label] * len(placed)
+        seen = guessed <= limits[label]["guessed"]
+        lost = left_out > limits[label]["left_out"] * len(placed)
+        return agrees(label) and seen and not lost
 
     found = next((label for label in LABELS[:-1] if holds(label)), LABELS[-1])
     if doubt is not None:
@@ -141,7 +135,7 @@ def _label(
         shown += f", and they fit together at {mean:.1f} dB, the worst ({blamed}) at {worst:.1f} dB"
     if left_out:
         shown += f"; {left_out} of {len(placed)} photos could not be placed"
-    if guessed > MOST_GUESSED["good"]:
+    if guessed > limits["good"]["guessed"]:
         least_known = names[between.index(guessed)]
         shown += (
             f"; {guessed:.0%} of the view from {least_known} to its nearest is guessed"

@@ -120,7 +120,7 @@ def figures_of(job: PointJob) -> dict[str, Any]:
     @torch.enable_grad()
     def reconstruct(views: Views) -> Reconstruction:
         """Do as `edit3r run` does, several times; all times leave the same scene."""
-        scale = size / max(views.image_size)
+        scale = min(1.0, size / max(views.image_size))
         small = views.at(tuple(round(scale * side) for side in views.image_size))
         small = replace(small, names=("first", "second"))
         for _ in range(1 + job.repeats):

@@ -53,7 +53,7 @@ class AutoSegmenter(Segmenter):
             "segmenter", "classical", **settings.model_dump(exclude={"pick"})
         )
         self._chosen: Segmenter = self.classical
-        self._network = None
+        self._network: Segmenter | None = None
         if settings.pick == "sam2":
             self._chosen = build("segmenter", "sam2")
         elif settings.pick != "classical":

@@ -156,12 +156,12 @@ class ClassicalSegmenter(Segmenter):
         rgb = _to_numpy(image)
         analysis = self._analysis(rgb)
         subject = self._subject(rgb, analysis)
-        scored = [
+        measured = [
             (mask, analysis.measure(mask, (MIN_AREA, MAX_AREA)))
             for mask in analysis.masks()
         ]
         scored = _distinct(
-            [(mask, cues) for mask, cues in scored if cues is not None],
+            [(mask, cues) for mask, cues in measured if cues is not None],
             self.settings.max_objects,
         )
         refined = [
@@ -309,6 +309,7 @@ class ClassicalSegmenter(Segmenter):
         height, width = rgb.shape[:2]
         windows = [(0, 0, max(height, width), WHOLE_SIDE)]
         for side in (max(16, round(side)) for side in sides):
+            assert place is not None  # sides are given with a place
             x, y = place
             top = np.clip(y * height - side / 2, 0, max(0, height - side))
             left = np.clip(x * width - side / 2, 0, max(0, width - side))
@@ -509,12 +510,9 @@ def _proposal(
     """
     soft = softened(rgb, mask)
     inside = soft > 0.5
-    box = tuple(
-        map(
-            float,
-            cv2.boundingRect((inside if inside.any() else soft > 0).astype(np.uint8)),
-        )
-    )
+    outline = inside if inside.any() else soft > 0
+    left, top, across, down = cv2.boundingRect(outline.astype(np.uint8))
+    box = (float(left), float(top), float(across), float(down))
     stability = overlap(soft > 0.35, soft > 0.65)
     return Proposal(
         torch.from_numpy(soft).to(like), float(inside.mean()), stability, quality, box

@@ -62,7 +62,7 @@ def graph_cut(image: np.ndarray, trimap: np.ndarray, rounds: int = 3) -> np.ndar
     cv2.grabCut(
         image,
         labels,
-        None,
+        (0, 0, 0, 0),
         np.zeros((1, 65)),
         np.zeros((1, 65)),
         rounds,

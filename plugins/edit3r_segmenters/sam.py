@@ -34,6 +34,7 @@ from edit3r.contract.reporting import note, progress
 from edit3r.contract.settings import PartChoice, Settings
 from edit3r.kit.cache import fingerprint, remembered
 from edit3r.kit.geometry.cameras import pixel_grid
+from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.weights.load import (
     ChosenWeights,
     foreign,
@@ -58,6 +59,7 @@ MOST_KEPT = (
 class SamSettings(Settings):
     """Settings of every generation."""
 
+    model: str
     revision: str = Field(
         "", description="branch, tag or commit of the model; empty: the declared commit"
     )
@@ -102,6 +104,8 @@ class SamSegmenter(Segmenter):
     std: ClassVar[tuple[float, float, float]]
     threshold_key: ClassVar[str]  # the setting to lower where words are not found
 
+    settings: SamSettings
+
     def __init__(self, settings: SamSettings) -> None:
         self.settings = settings
         self.weights = ChosenWeights(
@@ -124,7 +128,7 @@ class SamSegmenter(Segmenter):
     def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
         if self.settings.prompt:
             return self._named(image, self.settings.prompt)
-        size = tuple(image.shape[-2:])
+        size = size_of(image)
         model = self._model(self.image_class, image.device)
         with torch.no_grad(), self._memory("segmenting"):
             found = self._candidates(model, self._embed(model, image), size)
@@ -347,7 +351,7 @@ class SamSegmenter(Segmenter):
         a video.
         """
         module, _, name = self.session.partition(":")
-        views, size = len(images), tuple(images.shape[-2:])
+        views, size = len(images), size_of(images)
         side = model.config.image_size
         session = getattr(importlib.import_module(module), name)(
             video=self._pixels(images, side),
@@ -468,9 +472,7 @@ class Sam3Segmenter(SamSegmenter):
             for index in scores.argsort(descending=True).tolist()
             if scores[index] >= self.settings.min_score
         ]
-        masks = enlarge(found.pred_masks[0, best], tuple(image.shape[-2:])).to(
-            image.device
-        )
+        masks = enlarge(found.pred_masks[0, best], size_of(image)).to(image.device)
         return tuple(
             proposal(mask, float(scores[index]))
             for mask, index in zip(masks, best)

@@ -24,6 +24,7 @@ from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_pr
 from edit3r.contract.weights import Weights
 from edit3r.kit.cache import fingerprint, recall
 from edit3r.kit.geometry.cameras import pixel_grid
+from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.weights.find import at_hand, find
 from edit3r.kit.weights.load import foreign
 from edit3r_segmenters import SMALL, tracking
@@ -128,19 +129,20 @@ class SamOnnxSegmenter(Segmenter):
         """What a grid of clicks finds, best first; of masks with nearly the same box the best."""
         chosen = self.settings
         grid = pixel_grid((chosen.points_per_side, chosen.points_per_side), like=image)
-        logits, quality = [], []
+        logits: list[np.ndarray] = []
+        quality: list[np.ndarray] = []
         for place in grid.flatten(0, 1).tolist():
             some, good = self.ask(image, [(tuple(place), True)])
             kept = (good >= chosen.min_predicted_iou) & (some > 0).any((1, 2))
             logits.append(some[kept])
             quality.append(good[kept])
         found = torch.from_numpy(np.concatenate(logits)).to(image)
-        good = torch.from_numpy(np.concatenate(quality)).to(image)
-        best = best_boxes(boxes_of(found > 0), good, overlap=0.7)
-        size = tuple(image.shape[-2:])
+        sure = torch.from_numpy(np.concatenate(quality)).to(image)
+        best = best_boxes(boxes_of(found > 0), sure, overlap=0.7)
+        size = size_of(image)
         larger = (enlarge(found[index][None], size)[0] for index in best)
         return tuple(
-            proposal(one, float(good[index]))
+            proposal(one, float(sure[index]))
             for index, one in zip(best, larger)
             if (one > 0).any()
         )
@@ -163,7 +165,7 @@ class SamOnnxSegmenter(Segmenter):
         areas = (logits > 0).sum((1, 2))
         best = stepped(areas, int(quality.argmax()), marks.larger)
         small = torch.from_numpy(logits[best : best + 1]).to(image)
-        large = enlarge(small, tuple(image.shape[-2:]))[0]
+        large = enlarge(small, size_of(image))[0]
         return proposal(large, float(quality[best]))
 
     def track(
@@ -264,7 +266,7 @@ class SamOnnxSegmenter(Segmenter):
             names = ["image_embeddings"]
         side = self.settings.image_size
         pixels = image.detach().cpu().float().clamp(0, 1).permute(1, 2, 0).numpy() * 255
-        shares = _shares(*pixels.shape[:2], whole=len(names) > 1)
+        shares = _shares(pixels.shape[0], pixels.shape[1], whole=len(names) > 1)
         height, width = (max(1, round(side * share)) for share in shares)
         square = np.zeros((side, side, 3), np.float32)
         square[:height, :width] = (cv2.resize(pixels, (width, height)) - MEAN) / STD
@@ -304,7 +306,7 @@ class SamOnnxSegmenter(Segmenter):
             "point_coords": points,
             "point_labels": labels,
             "mask_input": mask,
-            "has_mask_input": np.float32([before is not None]),
+            "has_mask_input": np.array([before is not None], np.float32),
             # the size to which a mask that is not asked for is enlarged
             "orig_im_size": np.array([32, 32], np.float32),
         }

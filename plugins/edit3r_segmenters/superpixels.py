@@ -73,8 +73,9 @@ def _quantised(lab: np.ndarray) -> np.ndarray:
     clusters = min(PALETTE, len(np.unique(sample, axis=0)))
     cv2.setRNGSeed(0)
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 15, 0.5)
+    labels = np.zeros(len(sample), np.int32)  # filled in
     _, _, centres = cv2.kmeans(
-        sample, clusters, None, criteria, 1, cv2.KMEANS_PP_CENTERS
+        sample, clusters, labels, criteria, 1, cv2.KMEANS_PP_CENTERS
     )
     distance = (
         (weighted**2).sum(1, keepdims=True)
@@ -89,13 +90,10 @@ def _edge_strength(lab: np.ndarray) -> np.ndarray:
     edges.
     """
     smooth = cv2.GaussianBlur(lab, (0, 0), 1.0)
-    gradient = (
-        sum(
-            cv2.Sobel(smooth, cv2.CV_32F, dx, dy, ksize=3) ** 2
-            for dx, dy in ((1, 0), (0, 1))
-        ).sum(2)
-        ** 0.5
+    across, down = (
+        cv2.Sobel(smooth, cv2.CV_32F, *way, ksize=3) for way in ((1, 0), (0, 1))
     )
+    gradient = (across**2 + down**2).sum(2) ** 0.5
     return np.clip(
         gradient / max(float(np.quantile(gradient, EDGE_QUANTILE)), 1e-3), 0, 1
     )

@@ -4,7 +4,7 @@ Only the operations of convolutional detectors are known. Nothing of the file is
 """
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -155,7 +155,7 @@ def _expect(attributes: Mapping[str, Any], key: str, wanted: bytes) -> None:
         raise ValueError(f"{key} other than {wanted.decode()}")
 
 
-OPERATIONS = {
+OPERATIONS: dict[str, Callable[..., Any]] = {
     "Add": lambda _, a, b: a + b,
     "AddV2": lambda _, a, b: a + b,
     "ConcatV2": lambda _, *values: torch.cat(values[:-1], int(values[-1])),

@@ -196,11 +196,11 @@ def flow_between(source: np.ndarray, target: np.ndarray) -> Flow:
         still = np.zeros((height, width, 2), np.float32)
         nowhere = np.zeros((height, width), dtype=bool)
         return Flow(still, still, nowhere, nowhere)
-    engine = cv2.DISOpticalFlow_create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     engine.setFinestScale(0)
     forward, backward = (
-        engine.calc(source, target, None),
-        engine.calc(target, source, None),
+        engine.calc(source, target, None),  # type: ignore[call-overload]
+        engine.calc(target, source, None),  # type: ignore[call-overload]
     )
     return Flow(
         forward, backward, _returns(forward, backward), _returns(backward, forward)
@@ -218,8 +218,8 @@ def carry(mask: np.ndarray, flow: Flow) -> tuple[np.ndarray, np.ndarray, float]:
     warped = (
         cv2.remap(
             mask.astype(np.float32),
-            came_from,
-            None,
+            came_from[..., 0],
+            came_from[..., 1],
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_CONSTANT,
         )
@@ -240,8 +240,8 @@ def _returns(there: np.ndarray, back: np.ndarray) -> np.ndarray:
     landed = _grid(height, width) + there
     returned = cv2.remap(
         back,
-        landed,
-        None,
+        landed[..., 0],
+        landed[..., 1],
         cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_CONSTANT,
         borderValue=(1e4, 1e4),
@@ -320,7 +320,7 @@ def _matches(
 
 
 def _features() -> cv2.SIFT:
-    return cv2.SIFT_create(nfeatures=4000, contrastThreshold=0.02)
+    return cv2.SIFT.create(nfeatures=4000, contrastThreshold=0.02)
 
 
 @lru_cache(maxsize=4)

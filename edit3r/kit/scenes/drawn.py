@@ -14,14 +14,19 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Rasterizer
-from edit3r.contract.types import Cameras, Gaussians
+from edit3r.contract.types import Cameras, Gaussians, Rendering
+from edit3r.kit.geometry.cameras import project
+from edit3r.kit.geometry.warping import warp
 from edit3r.kit.scenes.lifting import lift
 
 __all__ = ["Drawn", "choose_drawn", "read_drawn"]
 
 LOOKED_AT = 384  # longer side of the picture in which a stroke is read [pixels]
+BEHIND = 0.15  # relative difference of depth from which a Gaussian is behind a surface
 RIM = 0.018  # of a lasso, where a hand strays from the thing [longer sides]
 REACH = 0.01  # how far a step of growing goes [share of the middle distance from the camera]
+NEXT = 1.5  # the same at least, so that a coarse scene grows [distances to the next Gaussian]
+SAMPLED = 2000  # Gaussians of which that distance is taken
 MOST = 200  # strokes
 MOST_PLACES = 2000  # of one of them
 
@@ -80,7 +85,8 @@ class Drawn:
         """1 under the brush, or inside the lasso."""
         height, width = self.size
         mask = np.zeros(self.size, np.float32)
-        places = np.rint(np.multiply(self.places, (width, height))).astype(np.int32)
+        line = [*self.places, self.places[-1]]  # one place alone is a dot
+        places = np.rint(np.multiply(line, (width, height))).astype(np.int32)
         if self.kind == "lasso":
             cv2.fillPoly(mask, [places], 1)
         else:
@@ -118,21 +124,31 @@ def choose_drawn(
     """
     chosen = torch.zeros(gaussians.count, dtype=torch.bool)
     for stroke in strokes:
-        mask = stroke.mask
+        mask, camera = stroke.mask, stroke.camera
+        shown = rasterizer.render(gaussians, camera)
         if stroke.kind == "lasso":
-            mask = _on_the_thing(mask, gaussians, stroke.camera, rasterizer)
-        own = lift(gaussians, stroke.camera, mask[None], rasterizer)
+            mask = _on_the_thing(mask, shown)
+        own = lift(gaussians, camera, mask[None], rasterizer)
+        own &= ~_behind(gaussians, camera, shown)
         chosen = chosen & ~own if stroke.minus else chosen | own
     if grown and chosen.any() and not chosen.all():
         chosen = _grown(gaussians, chosen, grown, strokes[-1])
     return chosen
 
 
+def _behind(
+    gaussians: Gaussians, camera: Cameras, shown: Rendering
+) -> Bool[Tensor, "gaussian"]:
+    """Which Gaussians lie clearly behind the surface that the picture shows at their place."""
+    places, depth = project(
+        gaussians.means[0], camera.intrinsics[0, 0], camera.c2w[0, 0]
+    )
+    surface = warp(shown.depths[0, :, 0][None], places[None, None], mode="nearest")
+    return depth > (1 + BEHIND) * surface[0, 0, 0]
+
+
 def _on_the_thing(
-    mask: Float[Tensor, "height width"],
-    gaussians: Gaussians,
-    camera: Cameras,
-    rasterizer: Rasterizer,
+    mask: Float[Tensor, "height width"], shown: Rendering
 ) -> Float[Tensor, "height width"]:
     """A lasso without what its rim holds of other things.
 
@@ -144,7 +160,7 @@ def _on_the_thing(
     core = inside > width
     if not core.any():
         return mask
-    image = rasterizer.render(gaussians, camera).images[0, 0].clamp(0, 1)
+    image = shown.images[0, 0].clamp(0, 1)
     pixels = np.ascontiguousarray(
         (image * 255).byte().permute(1, 2, 0).numpy(force=True)
     )
@@ -165,7 +181,9 @@ def _grown(
     points = gaussians.means[0].numpy(force=True)
     here = chosen.numpy()
     far = (points[here] - np.array(seen.centre)) @ np.array(seen.forward)
-    reach = REACH * abs(steps) * max(float(np.median(far)), 1e-9)
+    apart = cKDTree(points).query(points[here][:SAMPLED], 2)[0][:, 1]
+    step = max(REACH * float(np.median(far)), NEXT * float(np.median(apart)), 1e-9)
+    reach = abs(steps) * step
     source, rest = (here, ~here) if steps > 0 else (~here, here)
     gaps = cKDTree(points[source]).query(points[rest], distance_upper_bound=reach)[0]
     near = np.zeros_like(here)

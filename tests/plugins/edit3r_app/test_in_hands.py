@@ -2,7 +2,9 @@
 that can be read, words that fail, photos that do not fit, the way back.
 """
 
+import os
 import time
+from pathlib import Path
 
 import pytest
 from PIL import Image
@@ -12,6 +14,7 @@ from edit3r.kit.photos.images import packaged_pair
 pytestmark = pytest.mark.slow
 pytest.importorskip("playwright.sync_api", reason="needs playwright")
 
+AXE_FILE = os.environ.get("EDIT3R_AXE", "")  # axe.min.js of the npm package axe-core
 WIDE, PHONE = (1440, 900), (390, 844)
 LOOKS = [(WIDE, "dark"), (PHONE, "light")]
 EVERY_LOOK = [(size, theme) for size in (WIDE, PHONE) for theme in ("dark", "light")]
@@ -84,26 +87,31 @@ def say(page, sentence):
     page.get_by_label("what to change").fill(sentence)
 
 
-def nothing_is_cut_off(page):
+def all_can_be_read(page):
     assert page.evaluate(CUT_OFF, list(MESSAGES)) == []
     shown = page.locator("body").inner_text()
     for word in ("--", "edit3r list", "pip install"):
         assert word not in shown, "a command line"
+    if AXE_FILE:
+        page.evaluate(Path(AXE_FILE).read_text(encoding="utf-8"))
+        found = page.evaluate("axe.run(document, {iframes: false})")["violations"]
+        serious = [one for one in found if one["impact"] in ("serious", "critical")]
+        assert [(one["id"], one["nodes"][0]["html"]) for one in serious] == []
 
 
 def test_messages_can_be_read_whole(server, page):
     drop(page, server)
     say(page, "make her happier")
     page.locator(".line.problem").wait_for()
-    nothing_is_cut_off(page)
+    all_can_be_read(page)
     page.locator(".line summary").click()
     page.get_by_text("brighter, darker").wait_for()
-    nothing_is_cut_off(page)
+    all_can_be_read(page)
     assert page.get_by_role("button", name="Go", exact=True).is_visible()
     page.keyboard.press("Escape")
     page.get_by_role("button", name="Go", exact=True).click()
     page.locator(".toast").wait_for()
-    nothing_is_cut_off(page)
+    all_can_be_read(page)
 
 
 def test_words_that_fail_lead_to_pointing_at_once(server, page_once):
@@ -116,13 +124,13 @@ def test_words_that_fail_lead_to_pointing_at_once(server, page_once):
         page.locator(".question[data-asks=pointing]").wait_for()
         assert time.monotonic() - begun < 3.5, sentence  # 0.2 s of them are typing
         assert page.locator(".box").get_attribute("data-tool") == "point"
-        nothing_is_cut_off(page)
+        all_can_be_read(page)
     picture = page.locator(".question .reading").first
     picture.wait_for()
     assert picture.locator("img").evaluate("(one) => one.decode().then(() => 1)")
     picture.click()  # it is taken
     page.locator(".chip", has_text="marked").wait_for()
-    page.get_by_text("this edit looks").wait_for()
+    page.locator(".line", has_text="edit: ").wait_for()
     assert page.locator(".question").locator("visible=true").count() == 0
 
 
@@ -134,13 +142,13 @@ def test_the_edit_is_seen_while_it_is_typed(server, page_once):
     page.mouse.click(place["x"] + place["width"] / 2, place["y"] + place["height"] / 2)
     page.locator(".chip", has_text="marked").wait_for()
     say(page, "paint it blue")  # what is needed for the first is loaded
-    page.get_by_text("this edit looks").wait_for()
+    page.locator(".line", has_text="edit: ").wait_for()
     page.evaluate("delete document.body.dataset.previewed")
     say(page, "paint it golden")
-    assert "looks" not in page.locator(".line").inner_text(), "the old verdict is gone"
+    assert "edit: " not in page.locator(".line").inner_text(), "the old verdict is gone"
     page.wait_for_function("document.body.dataset.previewed")
     assert int(page.evaluate("document.body.dataset.previewed")) <= 1000
-    page.get_by_text("this edit looks").wait_for()
+    page.locator(".line", has_text="edit: ").wait_for()
 
     def shown():
         return page.evaluate(
@@ -166,7 +174,7 @@ def test_the_edit_is_seen_while_it_is_typed(server, page_once):
     assert max(abs(a - b) for a, b in zip(golden, plain)) > 20, "the slider does it"
     for name in ("Undo", "Redo"):
         assert page.get_by_text(name, exact=True).locator("visible=true").count() == 1
-    nothing_is_cut_off(page)
+    all_can_be_read(page)
 
 
 def test_photos_that_cannot_be_placed_are_told_first(server, page_once, tmp_path):
@@ -179,13 +187,13 @@ def test_photos_that_cannot_be_placed_are_told_first(server, page_once, tmp_path
     drop(page, server, [str(one), str(other)])
     page.locator(".notice", has_text="cannot be placed").wait_for()
     assert time.monotonic() - begun < 30
-    nothing_is_cut_off(page)
+    all_can_be_read(page)
     # what was made of them is kept all the same
     say(page, "make everything grey")
     page.get_by_text("Understood").wait_for()
     page.get_by_role("button", name="Go", exact=True).click()
     page.get_by_text("This did not work").wait_for()
-    nothing_is_cut_off(page)
+    all_can_be_read(page)
     with page.expect_download() as loading:
         page.get_by_text("Download the edited photos").click()
     assert loading.value.path().stat().st_size > 1000
@@ -201,11 +209,11 @@ def test_a_scene_reopens_where_it_was_left(server, page_once):
     viewer.locator("body[data-drawn]").wait_for()
     page.get_by_text("Scene: ").wait_for()  # both verdicts stand over it
     page.get_by_text("Edit: ").click()
-    nothing_is_cut_off(page)
+    all_can_be_read(page)
     left = page.url
     # while the next edit is made, the scene before it stays
     say(page, "make everything warmer")
-    page.get_by_text("this edit looks").wait_for()
+    page.locator(".line", has_text="edit: ").wait_for()
     page.get_by_role("button", name="Go", exact=True).click()
     page.wait_for_url(lambda address: address != left)
     page.locator(".pill.large").wait_for()
@@ -223,3 +231,72 @@ def test_a_scene_reopens_where_it_was_left(server, page_once):
     page.wait_for_url(lambda address: "/s/" in address)
     assert page.url == left
     page.locator(".stage iframe").wait_for()
+
+
+def test_what_is_drawn_in_3d_is_chosen_removed_and_taken_back(server, page_once):
+    page = page_once
+    drop(page, server)
+    say(page, "make everything grey")
+    page.get_by_text("Understood").wait_for()
+    page.get_by_role("button", name="Go", exact=True).click()
+    viewer = page.frame_locator(".stage iframe")
+    viewer.locator("body[data-drawn].pointing").wait_for()
+    made = page.url
+    page.keyboard.press("l")
+    frame = next(one for one in page.frames if "/viewer/" in one.url)
+    frame.wait_for_function("drawing === 'lasso'")
+
+    def draw(left, right):
+        frame.evaluate(
+            """([left, right]) => {
+              const x = (share) => share * canvas.clientWidth;
+              const y = (share) => share * canvas.clientHeight;
+              tell({stroke: drawn([[x(left), y(0.3)], [x(right), y(0.3)],
+                [x(right), y(0.7)], [x(left), y(0.7)]])});
+            }""",
+            [left, right],
+        )
+
+    def count():
+        told = page.locator(".question strong:visible").inner_text()
+        return int(told.split()[0].replace(",", ""))
+
+    draw(0.3, 0.5)
+    page.get_by_text("points chosen").wait_for()
+    one = count()
+    draw(0.5, 0.7)
+    page.wait_for_function(
+        "(one) => !document.body.innerText.includes(one + ' points')", arg=f"{one:,}"
+    )
+    assert count() > one
+    all_can_be_read(page)
+    page.get_by_text("Undo", exact=True).locator("visible=true").click()
+    page.get_by_text(f"{one:,} points chosen").wait_for()
+    page.get_by_role("button", name="take in what lies around").click()
+    page.wait_for_function(
+        "(one) => !document.body.innerText.includes(one + ' points')", arg=f"{one:,}"
+    )
+    assert count() > one
+    page.get_by_role("button", name="hide it for now").click()
+    frame.wait_for_function("gone")
+    page.get_by_role("button", name="remove it from the scene").click()
+    page.wait_for_url(lambda address: address != made)
+    page.get_by_text("What was drawn is removed").wait_for()
+    viewer.locator("body[data-drawn]").wait_for()
+    page.keyboard.press("Control+z")
+    page.wait_for_url(made)  # the step is taken back
+
+
+def test_clean_is_a_step_or_says_that_nothing_is_to_do(server, page_once):
+    page = page_once
+    drop(page, server)
+    say(page, "make everything grey")
+    page.get_by_text("Understood").wait_for()
+    page.get_by_role("button", name="Go", exact=True).click()
+    page.frame_locator(".stage iframe").locator("body[data-drawn].pointing").wait_for()
+    made = page.url
+    page.get_by_role("button", name="take out floaters").click()
+    page.locator(".toast").filter(has_text="loaters").wait_for()
+    all_can_be_read(page)
+    if page.url != made:
+        page.get_by_text("Floaters are taken out").wait_for()

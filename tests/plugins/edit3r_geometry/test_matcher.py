@@ -208,17 +208,10 @@ def test_photos_that_are_placed_are_not_matched_again(matcher, pair, monkeypatch
     assert "tilted" not in report.notes["matcher.matches"]
 
 
-def test_the_lens_is_read_with_more_care_from_photos_wide_apart(
-    quick, make_room, monkeypatch
-):
-    preferences = []
-    monkeypatch.setattr(
-        matchers, "calibrate", lambda *_: preferences.append(_[-1]) or None
-    )
+def test_photos_from_wide_apart_are_told_that_their_lens_is_unsure(quick, make_room):
     views = make_room([(-1.956, 0, 52.5), (1.956, 0, -52.5)]).views
     with pytest.warns(UserWarning, match="Give --fov if you know it"):
         quick.match(replace(views, assumed=(True, True)))
-    assert preferences == [matchers.PREFERENCE, matchers.WIDE_PREFERENCE]
 
 
 def test_a_second_try_that_places_fewer_photos_is_not_taken(

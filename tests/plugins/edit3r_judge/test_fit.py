@@ -4,10 +4,13 @@ import argparse
 import json
 
 import pytest
+from edit3r_judge import fit
 from edit3r_judge.fit import JudgeCommand, between, limits_of, read_rows
+from edit3r_judge.limits import FITTED
 from edit3r_judge.signals import SIGNALS
 
 from edit3r.contract.errors import InputError
+from edit3r.kit.files.yaml import read_yaml
 
 CLEAN = {name: 1.0 if one.at_least else 0.0 for name, one in SIGNALS.items()}
 
@@ -49,3 +52,13 @@ def test_rows_of_something_else_are_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(InputError, match=r"rows\.jsonl: .*edit_verdict\.py"):
         read_rows(str(path))
+
+
+def test_limits_are_written_beside_those_of_scenes(tmp_path, monkeypatch):
+    own = tmp_path / "fitted.yaml"
+    own.write_text(FITTED.read_text())
+    monkeypatch.setattr(fit, "FITTED", own)
+    fit.write_limits(dict.fromkeys(SIGNALS, 0.123))
+    was, now = (read_yaml(path) for path in (FITTED, own))
+    assert now["edit"] == dict.fromkeys(SIGNALS, 0.123)
+    assert now["scene"] == was["scene"] and own.read_text().startswith("#")

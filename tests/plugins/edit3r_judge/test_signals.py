@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_judge.critic import LimitsCritic, faults_of, fitted
+from edit3r_judge.critic import LimitsCritic, faults_of
+from edit3r_judge.limits import limits_of_edits
 from edit3r_judge.signals import SIGNALS, measured
 
 from edit3r.contract.instructions import Change, Colour, Instruction, Thing
@@ -138,13 +139,13 @@ FAULTS = {
 
 def test_there_is_a_made_fault_and_a_limit_for_each_signal():
     """A signal that is taken away, or has no limit, leaves a fault unnamed."""
-    assert list(FAULTS) == list(SIGNALS) == list(fitted())
+    assert list(FAULTS) == list(SIGNALS) == list(limits_of_edits())
 
 
 @pytest.mark.parametrize("name", FAULTS)
 def test_a_made_fault_is_named(good, name):
     bad = FAULTS[name](good)
-    named = faults_of(measured(bad), fitted())
+    named = faults_of(measured(bad), limits_of_edits())
     assert name in named
     verdict = LimitsCritic(None).judge_edit(bad)
     assert verdict.label == "doubtful" and named[name] in verdict.reason
@@ -154,7 +155,7 @@ def test_a_made_fault_is_named(good, name):
 @pytest.mark.parametrize("well", [lambda edit: edit, gone, grey])
 def test_what_was_carried_out_well_is_good(good, well):
     edit = well(good)
-    assert faults_of(measured(edit), fitted()) == {}
+    assert faults_of(measured(edit), limits_of_edits()) == {}
     verdict = LimitsCritic(None).judge_edit(edit)
     assert verdict.label == "good" and "in 3D too" in verdict.reason
     flat = LimitsCritic(None).judge_edit(replace(edit, rendered=None, cameras=None))

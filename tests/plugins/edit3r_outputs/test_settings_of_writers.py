@@ -70,7 +70,7 @@ def test_a_flag_is_over_what_stands_in_the_list():
     ("given", "told"),
     [
         ("writer.video.fps=30", "add it to outputs or export"),
-        ("writer.sheet.width=3", "unknown setting"),
+        ("writer.sheet.width=3", "writer.sheet.width: unknown setting"),
     ],
 )
 def test_what_no_writer_takes_is_refused_before_a_run(gif, capsys, given, told):

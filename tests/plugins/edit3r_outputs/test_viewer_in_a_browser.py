@@ -518,3 +518,66 @@ def test_inside_of_the_app_a_click_points_and_handles_ask_for_the_object(
     inner.get_by_label("scale; arrow keys").press("ArrowUp")
     page.wait_for_function("heard.some((one) => one.object?.action === 'scale')")
     assert heard("object")["numbers"][0] > 1
+
+
+LYING_OVER = """() => {
+  const names = "header h1, #map, #cut span, footer button, #help, #beyond";
+  const shown = [...document.querySelectorAll(names)]
+    .filter((one) => one.checkVisibility({opacityProperty: true}))
+    .map((one) => [one.id || one.textContent, one.getBoundingClientRect()]);
+  const over = (a, b) => Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1
+    && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1;
+  const outside = shown.filter(([, a]) => a.left < 0 || a.top < 0
+    || a.right > innerWidth || a.bottom > innerHeight).map(([name]) => name);
+  return [...outside, ...shown.flatMap(([name, a], k) => shown.slice(k + 1)
+    .filter(([, b]) => over(a, b)).map(([other]) => `${name} over ${other}`))];
+}"""
+
+
+@pytest.mark.parametrize("size", [(1440, 900), (390, 844)], ids=["desktop", "phone"])
+def test_a_strangers_first_look(page, size):
+    """Nothing lies over anything else, help opens and closes, and a phone's window is filled."""
+    page.set_viewport_size(dict(zip(("width", "height"), size)))
+    page.reload()
+    page.wait_for_selector("body[data-drawn]", timeout=60_000)
+    page.keyboard.press("c")
+    assert page.evaluate(LYING_OVER) == []
+    filled = "zoom * Math.min(canvas.width / lens.width, canvas.height / lens.height)"
+    assert page.evaluate(f"{filled} * lens.height / canvas.height") > 0.5
+    page.keyboard.press("c")  # the handle goes: the help lies over it on phones
+    page.keyboard.press("?")
+    assert page.get_by_text("fly to a photo").is_visible()
+    assert page.evaluate(LYING_OVER) == []
+    page.keyboard.press("Escape")
+    assert page.get_by_text("fly to a photo").is_hidden()
+    page.get_by_role("button", name="help").click()
+    assert page.get_by_text("fly to a photo").is_visible()
+    page.get_by_role("button", name="help").click()
+    for _ in range(80):
+        page.keyboard.press("ArrowRight")
+    page.wait_for_function("element('beyond').style.opacity === '1'")
+    told = page.get_by_text("No photo shows the scene from here.")
+    ground = told.evaluate("(one) => getComputedStyle(one).backgroundColor")
+    assert told.is_visible() and ground.startswith("rgba(22, 22, 24, 0.9")
+    assert page.evaluate(LYING_OVER) == []
+
+
+@pytest.mark.parametrize("kind", ["lasso", "brush"])
+def test_a_stroke_is_told_with_the_camera_that_it_was_drawn_from(page, kind):
+    places = [[80, 60], [240, 60], [240, 180], [80, 180]]
+    told = page.evaluate(f"drawing = '{kind}', drawn({places})")
+    assert told["kind"] == kind and told["aspect"] == pytest.approx(WIDTH / HEIGHT)
+    assert told["places"][0] == [0.25, 0.25]
+    assert told["lens"] == pytest.approx([0.9, 1.2, 0.5, 0.5])
+    assert told["right"] == [1, 0, 0] and told["centre"] == [0, 0, 0]
+
+
+def test_what_was_chosen_is_tinted_and_hidden(page, scene):
+    bits = np.packbits(np.ones(scene.count, np.uint8)).tobytes().hex()
+    page.evaluate(f"choosePicked('{bits}')")
+    assert page.evaluate("document.body.dataset.picked") == str(scene.count)
+    before = seen(page)
+    page.evaluate("gone = true, redraw()")
+    assert seen(page).max() < before.max() / 2, "nothing is left to see"
+    page.evaluate("choosePicked('')")
+    assert seen(page).max() > before.max() / 2
