@@ -310,7 +310,11 @@ def _standing_out(
     some = photos.segmenter.propose(photos.images[view])
     if not some:
         raise InputError(f"{why}, and nothing stands out on photo {view + 1}; {ASK}.")
-    first = pick(some, selection.which, photos.images[view])[:1]
+    likeliest = pick(some, selection.which, photos.images[view])[0]
+    # as if another photo had shown it: the sum draws its outline
+    whole = torch.ones_like(likeliest.soft_mask, dtype=torch.bool)
+    shown = Marks(prior=likeliest.soft_mask, known=whole)
+    first = readings(photos.segmenter, photos.images[view], shown)[:1]
     options = numbered(
         view, ((one.soft_mask, GUESSED / 2**n) for n, one in enumerate((*first, *some)))
     )

@@ -32,7 +32,8 @@ class Finds(Segmenter):
         return (thing(1.0, 3),)
 
     def segment_marks(self, image, marks):
-        return as_proposal(torch.zeros_like(image[0]))
+        there = torch.zeros_like(image[0]) if marks.prior is None else marks.prior
+        return as_proposal(there)
 
     def track(self, images, masks):
         return Tracks(masks[None], torch.ones(1, 1, dtype=torch.bool))
