@@ -183,7 +183,7 @@ def cases(masks: Masks, seed: int) -> Iterator[Case]:
     yield Case("half bw", grey, masks, spoilt(kept_where(half)))
     yield Case("rim", paint, masks, spoilt(kept_where(within)))
     yield Case("faint", paint, masks, spoilt(lambda b, a, _: b + 0.25 * (a - b)))
-    yield Case("nothing", paint, masks, spoilt(lambda b, a, _: b + 0.01))
+    yield Case("nothing", paint, masks, spoilt(lambda b, a, _: (b + 0.01).clamp(0, 1)))
     yield Case("wrong colour", paint, masks, Spoilt("recolor", instructions=wrong))
     yield Case("leak", paint, [leaking(one, rng) for one in masks], judged=masks)
     yield Case("other place", paint, [masks[0], moved(masks[1])])

@@ -19,7 +19,7 @@ MAKES_NO_OTHER_SCENE = {
 }
 """Settings that may differ from the defaults without the run being another kind of run."""
 
-BEST_COSTS, LARGE_COSTS = "half as long again", "up to four times as long"  # dial.py
+BEST_COSTS, LARGE_COSTS = "half as long again", "four to five times as long"  # dial.py
 
 
 def summary(out: Path, result: RunResult) -> str:

@@ -22,7 +22,7 @@ from edit3r.kit.scenes.lifting import lift
 __all__ = ["Drawn", "choose_drawn", "read_drawn"]
 
 LOOKED_AT = 384  # longer side of the picture in which a stroke is read [pixels]
-BEHIND = 0.15  # relative difference of depth from which a Gaussian is behind a surface
+BEHIND = 0.4  # relative difference of depth from which a Gaussian is behind a surface
 RIM = 0.018  # of a lasso, where a hand strays from the thing [longer sides]
 REACH = 0.01  # how far a step of growing goes [share of the middle distance from the camera]
 NEXT = 1.5  # the same at least, so that a coarse scene grows [distances to the next Gaussian]

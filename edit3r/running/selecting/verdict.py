@@ -49,7 +49,7 @@ def _said(one: Selected) -> str:
     name = one.called or MARKED
     confidence = _confidence(one)
     if GUESS in one.how:
-        name = "what stands out most"
+        name = ": ".join(filter(None, (one.called, "what stands out most")))
     if confidence is not None:
         name = f"{name}, confidence {confidence:.0%}"
     lost = [str(view + 1) for view, how in enumerate(one.how) if how == "not found"]
