@@ -9,7 +9,13 @@ from torch import Tensor
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
 from edit3r.contract.instructions import Instruction, Thing
-from edit3r.contract.interfaces import EditsRegions, Geometry, Reconstructor, Selection
+from edit3r.contract.interfaces import (
+    ASK,
+    EditsRegions,
+    Geometry,
+    Reconstructor,
+    Selection,
+)
 from edit3r.contract.reporting import stage, warn
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.maps import dilate_softly
@@ -81,6 +87,9 @@ def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
     )
     if inputs.marked is None and not regional and not named:
         return SelectedRegions(things=inputs.things)
+    marked_alone = any(one.thing.scope == "marked" for one in instructions)
+    if inputs.marked is None and marked_alone and not parts.config.prompt:
+        raise InputError(f"nothing says which object is meant; {ASK}.")
     hints = "".join(parts.reader.hint(one) for one in instructions)
     try:
         found = [
