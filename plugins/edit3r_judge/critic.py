@@ -5,8 +5,7 @@ from collections.abc import Iterator, Mapping
 from edit3r.contract.interfaces import Critic, EditToJudge, SceneToJudge
 from edit3r.contract.verdicts import EditVerdict, Verdict
 from edit3r_judge.between import guessed_between
-from edit3r_judge.limits import limits_of_edits
-from edit3r_judge.signals import SIGNALS, measured
+from edit3r_judge.signals import SIGNALS, limits_of_edits, measured
 from edit3r_judge.verdict import Doubt, judge
 
 FLAT = (

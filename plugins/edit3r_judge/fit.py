@@ -13,7 +13,7 @@ from typing import Any
 
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError
-from edit3r_judge.limits import FITTED
+from edit3r_judge.signals import FITTED
 
 NEVER = 3  # each third place is fitted on by nobody
 Row = Mapping[str, Any]

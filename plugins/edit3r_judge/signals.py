@@ -5,10 +5,12 @@ A signal is None where it cannot be told. Its limit stands in `fitted.yaml`, bey
 is doubtful; `edit3r judge --fit` chooses it by edits that were made well and badly on purpose.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import permutations
+from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -19,9 +21,11 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import EditToJudge
 from edit3r.kit.compute.colour import rgb_to_lab
+from edit3r.kit.files.yaml import read_yaml
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.geometry.warping import shared_surface, warp
 
+FITTED = Path(__file__).with_name("fitted.yaml")
 SIDE = 256  # longer side at which pictures are looked at [pixels]
 SEEN = 6.0  # difference of colours that one sees [CIE Lab]
 CLEAR = 12.0  # difference of colours that nobody overlooks [CIE Lab]
@@ -35,6 +39,22 @@ FEW = 30  # pixels below which nothing is told
 
 Maps = Float[Tensor, "view height width"]
 Where = Bool[Tensor, "view height width"]
+
+
+@cache
+def limits_of_edits() -> Mapping[str, float]:
+    """By signal; see `fitted.yaml`."""
+    return _limits()["edit"]
+
+
+@cache
+def limits_of_scenes() -> Mapping[str, Mapping[str, float]]:
+    """By label and signal; see `fitted.yaml`."""
+    return _limits()["scene"]
+
+
+def _limits() -> dict[str, Any]:
+    return read_yaml(FITTED)
 
 
 class Pictures:
@@ -81,7 +101,7 @@ class Pictures:
             return self.inside & (self.old[:, 1:].norm(dim=1) > GREY)
         can = self.inside
         for rgb in self.asked if self.kinds == {"paint"} else ():
-            goal = _lab_of(rgb)[:, None, None]
+            goal = _lab_of(rgb).to(self.old)[:, None, None]
             can = can & ((self.old - goal).norm(dim=1) > 2 * CLEAR)
         return can
 
@@ -217,7 +237,7 @@ def as_asked(found: Pictures) -> float | None:
         for change in instruction.changes:
             right = None
             if change.kind == "paint" and change.colour is not None:
-                right = _has_hue(new, _lab_of(change.colour.rgb))
+                right = _has_hue(new, _lab_of(change.colour.rgb).to(new))
             elif change.kind == "greyscale":
                 right = new[:, 1:].norm(dim=1) < GREY
             elif change.kind == "brightness":
@@ -242,7 +262,7 @@ def strength(found: Pictures) -> float | None:
         for change in instruction.changes:
             goal = torch.zeros_like(new)
             if change.kind == "paint" and change.colour is not None:
-                goal = _lab_of(change.colour.rgb).expand_as(new)
+                goal = _lab_of(change.colour.rgb).to(new).expand_as(new)
             elif change.kind != "greyscale":
                 continue
             way, went = (goal - old)[:, 1:], (new - old)[:, 1:]
@@ -422,7 +442,9 @@ def _blurred(
     """Over two pixels: scenes are softer than photos."""
     return torch.stack(
         [
-            torch.from_numpy(cv2.GaussianBlur(one.numpy(force=True), (0, 0), 2.0))
+            torch.from_numpy(cv2.GaussianBlur(one.numpy(force=True), (0, 0), 2.0)).to(
+                one
+            )
             for one in maps
         ]
     )
@@ -440,7 +462,7 @@ def _steps(light: Float[Tensor, "height width"]) -> Float[Tensor, "2 height widt
     """How light changes to the right and downwards, over two pixels."""
     smooth = cv2.GaussianBlur(light.numpy(force=True), (0, 0), 1.0)
     steps = [cv2.Sobel(smooth, cv2.CV_32F, *way) for way in ((1, 0), (0, 1))]
-    return torch.from_numpy(np.stack(steps))
+    return torch.from_numpy(np.stack(steps)).to(light)
 
 
 def _largest(where: Bool[Tensor, "height width"]) -> int:

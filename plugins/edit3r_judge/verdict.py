@@ -16,7 +16,7 @@ from torch.nn.functional import interpolate
 
 from edit3r.contract.types import Rendering, Views
 from edit3r.contract.verdicts import LABELS, Label, Verdict
-from edit3r_judge.limits import limits_of_scenes
+from edit3r_judge.signals import limits_of_scenes
 
 
 @dataclass(frozen=True)

@@ -219,7 +219,7 @@ def test_geometry_is_kept_in_the_cache(looker, scene):
     first = opened.geometry.result()
     with collecting(Report()):
         again = looker._geometry(opened.views, opened.cache)
-    assert torch.equal(first.depths, again.depths)
+    assert torch.equal(first.geometry.depths, again.geometry.depths)
 
 
 def test_geometry_survives_a_restart(looker, folder, scene):

@@ -138,7 +138,10 @@ def test_describe_lists_every_look(capsys):
     ("flags", "says"),
     [
         (["--editor", "looks", "--prompt", "like mars"], "is not understood"),
-        (["--editor", "looks", "--prompt", "turn the motorcycle into gold"], "--point"),
+        (
+            ["--editor", "looks", "--sure", "--prompt", "turn the bear into gold"],
+            "--point",
+        ),
         (
             [
                 "--editor",
@@ -147,6 +150,7 @@ def test_describe_lists_every_look(capsys):
                 "turn the motorcycle into gold",
                 "--segmenter",
                 "classical",
+                "--sure",
             ],
             "not a word",
         ),
@@ -161,10 +165,10 @@ def test_describe_lists_every_look(capsys):
             "names 'door' and 'wall'",
         ),
         (
-            ["--prompt", "paint the door green and the wall white"],
+            ["--sure", "--prompt", "paint the door green and the wall white"],
             "'door' is not a word",
         ),
-        (["--prompt", "paint the fxo red"], "Did you mean 'fox'?"),
+        (["--sure", "--prompt", "paint the fxo red"], "Did you mean 'fox'?"),
         (["--prompt", "from green to brown", "--point", "100,100"], "near green"),
     ],
 )

@@ -6,8 +6,7 @@ import json
 import pytest
 from edit3r_judge import fit
 from edit3r_judge.fit import JudgeCommand, between, limits_of, read_rows
-from edit3r_judge.limits import FITTED
-from edit3r_judge.signals import SIGNALS
+from edit3r_judge.signals import FITTED, SIGNALS
 
 from edit3r.contract.errors import InputError
 from edit3r.kit.files.yaml import read_yaml

@@ -6,8 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 from edit3r_judge.critic import LimitsCritic, faults_of
-from edit3r_judge.limits import limits_of_edits
-from edit3r_judge.signals import SIGNALS, measured
+from edit3r_judge.signals import SIGNALS, limits_of_edits, measured
 
 from edit3r.contract.instructions import Change, Colour, Instruction, Thing
 from edit3r.contract.interfaces import EditToJudge

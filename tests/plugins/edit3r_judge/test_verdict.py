@@ -4,7 +4,7 @@ was left out.
 
 import pytest
 import torch
-from edit3r_judge.limits import limits_of_scenes
+from edit3r_judge.signals import limits_of_scenes
 from edit3r_judge.verdict import Doubt, judge
 
 from edit3r.contract.types import Rendering, Views

@@ -141,10 +141,10 @@ def saying(tmp_path_factory):
 
 @torch.no_grad()
 def _say(network, tokenizer, prompt: str, answer: str) -> None:
-    from edit3r_language.answers import instructions
+    from edit3r_language.answers import system_prompt
 
     talk = [
-        {"role": "system", "content": instructions()},
+        {"role": "system", "content": system_prompt()},
         {"role": "user", "content": prompt},
     ]
     start = len(tokenizer(_as_text(tokenizer, talk))["input_ids"]) - 1

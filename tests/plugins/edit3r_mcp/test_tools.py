@@ -96,8 +96,8 @@ def test_an_edit_answers_with_its_verdicts_and_its_sheet(edited, place):
     assert not failed
     assert [line.partition(":")[0] for line in text.splitlines()] == [
         "run",
-        "scene",
         "edit",
+        "scene",
     ]
     assert image.format == "JPEG" and min(image.size) > 64
     assert (place / "work" / "edit-1" / "scene.ply").is_file()

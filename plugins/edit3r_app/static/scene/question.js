@@ -15,11 +15,18 @@ export function questionOf(page) {
   function draw() {
     const { look, s } = page;
     if (answered === look.version) return;
-    const doubt = look.readings.length > 1 && !look.sure;
-    if (doubt) show("Is it this one?");
-    else if (look.asks && s.draft.form.prompt && !s.draft.selects)
-      point("The words do not say what to change.");
+    const words = s.draft.form.prompt && !s.draft.selects;
+    if (look.readings.length > 1 && !look.sure) {
+      show("Is it this one?");
+      if (words) ready("candidates");
+    } else if ((look.asks || !look.sure) && words) point("The words do not say what to change.");
     else close();
+  }
+  // The next click takes what it hits.
+  function ready(asks) {
+    page.minus = false;
+    page.tools.take("point", true);
+    node.dataset.asks = asks;
   }
   const picture = (source, text, label, taken, onclick) =>
     el(
@@ -66,9 +73,8 @@ export function questionOf(page) {
   }
   // Pointing is asked for: the next click takes what it hits, or one of the things on the photo is picked.
   async function point(text) {
-    if (!node.hidden && node.dataset.asks) return void (node.firstChild.textContent = text);
-    page.minus = false;
-    page.tools.take("point", true);
+    if (!node.hidden && node.dataset.asks === "pointing")
+      return void (node.firstChild.textContent = text);
     const where = page.view === "3d" ? "scene" : "photo",
       name = page.current(),
       row = el("div", { class: "row" }, el("small", {}, "Looking for things on this photo"));
@@ -78,7 +84,7 @@ export function questionOf(page) {
       row,
       ending("One click anywhere on it is enough."),
     );
-    node.dataset.asks = "pointing";
+    ready("pointing");
     const found = await ask("candidates", page.state(), name).catch(() => []);
     const one = (mark, k) =>
       picture(
