@@ -129,7 +129,7 @@ def test_words_that_fail_lead_to_pointing_at_once(server, page_once):
     picture.wait_for()
     assert picture.locator("img").evaluate("(one) => one.decode().then(() => 1)")
     picture.click()  # it is taken
-    page.locator(".question").wait_for(state="hidden")
+    page.locator(".question[data-asks]").wait_for(state="hidden")
     page.locator(".line", has_text="edit: ").wait_for()
 
 
