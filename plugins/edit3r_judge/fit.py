@@ -13,7 +13,6 @@ from typing import Any
 
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError
-from edit3r_judge.signals import FITTED
 
 NEVER = 3  # each third place is fitted on by nobody
 Row = Mapping[str, Any]
@@ -71,6 +70,8 @@ def read_rows(path: str) -> list[Row]:
 
 def write_limits(limits: Mapping[str, float]) -> None:
     """Put the edit's limits into the package; comments and the scene's stay."""
+    from edit3r_judge.signals import FITTED
+
     lines = FITTED.read_text().splitlines(keepends=True)
     for number, line in enumerate(lines):
         name = line.split(":")[0].strip()

@@ -56,7 +56,7 @@ def test_rows_of_something_else_are_refused(tmp_path, text):
 def test_limits_are_written_beside_those_of_scenes(tmp_path, monkeypatch):
     own = tmp_path / "fitted.yaml"
     own.write_text(FITTED.read_text())
-    monkeypatch.setattr(fit, "FITTED", own)
+    monkeypatch.setattr("edit3r_judge.signals.FITTED", own)
     fit.write_limits(dict.fromkeys(SIGNALS, 0.123))
     was, now = (read_yaml(path) for path in (FITTED, own))
     assert now["edit"] == dict.fromkeys(SIGNALS, 0.123)
