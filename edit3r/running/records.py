@@ -8,6 +8,7 @@ Views that a reconstructor does not take, or cannot place, leave the records by 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import TypeGuard
 
 import torch
 from jaxtyping import Bool, Float
@@ -25,7 +26,7 @@ Masks = Float[Tensor, "batch view height width"]
 """In [0, 1]; 1: may change."""
 
 
-def is_confined(masks: Masks | None) -> bool:
+def is_confined(masks: Masks | None) -> TypeGuard[Masks]:
     """Whether masks leave some pixels as they are."""
     return masks is not None and not bool((masks > 0).all())
 

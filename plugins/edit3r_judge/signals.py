@@ -281,7 +281,10 @@ def rim(found: Pictures) -> float | None:
     if not found.confined:
         return None
     shares = []
-    beside = _grown(found.core & (found.change > SEEN), 2 * BAND)
+    did = found.core & (found.change > SEEN)
+    # of what lies next to a place most changed: a gleam that did is no painted thing
+    most = 2 * _blurred(did.float()) > _blurred(found.core.float())
+    beside = most & _grown(did, 2 * BAND)
     for view, inside in enumerate(found.inside):
         band = ~found.core[view] & beside[view] & found.could_change[view]
         if int(band.sum()) < FEW:

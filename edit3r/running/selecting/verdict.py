@@ -38,10 +38,8 @@ def verdict_on_selection(
 
 
 def _confidence(one: Selected) -> float | None:
-    # Somebody looked at the candidates and took one.
-    if one.taken > 1:
-        return None
-    return one.confidence
+    """None for what somebody took after a look at the candidates, too."""
+    return None if one.taken > 1 else one.confidence
 
 
 def _said(one: Selected) -> str:

@@ -86,7 +86,7 @@ def _beside(
     transient: Bool[Tensor, "batch view height width"] | None, masks: Masks | None
 ) -> Bool[Tensor, "batch view height width"] | None:
     """What passed while the photos were taken, but for what the user selected."""
-    if transient is not None and masks is not None and is_confined(masks):
+    if transient is not None and is_confined(masks):
         transient = transient & (masks <= 0)
     return transient if transient is not None and bool(transient.any()) else None
 

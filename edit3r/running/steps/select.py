@@ -90,16 +90,20 @@ def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
     marked_alone = any(one.thing.scope == "marked" for one in instructions)
     if inputs.marked is None and marked_alone and not parts.config.prompt:
         raise InputError(f"nothing says which object is meant; {ASK}.")
-    hints = "".join(parts.reader.hint(one) for one in instructions)
+
+    def hints() -> str:
+        return "".join(parts.reader.hint(one) for one in instructions)
+
     try:
         found = [
             _finder(index, inputs, parts).find(instructions or (MARKED,))
             for index in range(len(views.images))
         ]
     except InputError as error:
-        raise InputError(f"{error}{hints}") from None
-    if hints and any("guess" in one.how for scene in found for one in scene.selected):
-        warn(hints.strip())
+        raise InputError(f"{error}{hints()}") from None
+    is_guess = any("guess" in one.how for scene in found for one in scene.selected)
+    if is_guess and (told := hints().strip()):
+        warn(told)
     regions = torch.stack([one.masks for one in found], dim=1)
     masks = regions.amax(0)
     if not regional and inputs.marked is None:  # words are less exact than marks

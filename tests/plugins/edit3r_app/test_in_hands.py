@@ -114,6 +114,14 @@ def test_messages_can_be_read_whole(server, page):
     all_can_be_read(page)
 
 
+def make_grey(page, server):
+    """A first edit of the photos that are dropped, begun."""
+    drop(page, server)
+    say(page, "make everything grey")
+    page.get_by_text("Understood").wait_for()
+    page.get_by_role("button", name="Go", exact=True).click()
+
+
 def test_words_that_fail_lead_to_pointing_at_once(server, page_once):
     page = page_once
     drop(page, server)
@@ -200,10 +208,7 @@ def test_photos_that_cannot_be_placed_are_told_first(server, page_once, tmp_path
 
 def test_a_scene_reopens_where_it_was_left(server, page_once):
     page = page_once
-    drop(page, server)
-    say(page, "make everything grey")
-    page.get_by_text("Understood").wait_for()
-    page.get_by_role("button", name="Go", exact=True).click()
+    make_grey(page, server)
     viewer = page.frame_locator(".stage iframe")
     viewer.locator("body[data-drawn]").wait_for()
     page.get_by_text("Scene: ").wait_for()  # both verdicts stand over it
@@ -234,10 +239,7 @@ def test_a_scene_reopens_where_it_was_left(server, page_once):
 
 def test_what_is_drawn_in_3d_is_chosen_removed_and_taken_back(server, page_once):
     page = page_once
-    drop(page, server)
-    say(page, "make everything grey")
-    page.get_by_text("Understood").wait_for()
-    page.get_by_role("button", name="Go", exact=True).click()
+    make_grey(page, server)
     viewer = page.frame_locator(".stage iframe")
     viewer.locator("body[data-drawn].pointing").wait_for()
     made = page.url
@@ -288,10 +290,7 @@ def test_what_is_drawn_in_3d_is_chosen_removed_and_taken_back(server, page_once)
 
 def test_clean_is_a_step_or_says_that_nothing_is_to_do(server, page_once):
     page = page_once
-    drop(page, server)
-    say(page, "make everything grey")
-    page.get_by_text("Understood").wait_for()
-    page.get_by_role("button", name="Go", exact=True).click()
+    make_grey(page, server)
     page.frame_locator(".stage iframe").locator("body[data-drawn].pointing").wait_for()
     made = page.url
     page.get_by_role("button", name="take out floaters").click()

@@ -185,3 +185,17 @@ def test_what_has_another_colour_may_stay_and_what_looks_as_asked_need_not_chang
 def test_faults_of_the_editors_pictures_are_said(good):
     verdict = LimitsCritic(None).judge_edit(replace(good, faults=("it is black",)))
     assert verdict.label == "doubtful" and verdict.reason == "it is black"
+
+
+def test_a_gleam_that_took_the_colour_makes_no_rim_of_what_is_black_beside_it(good):
+    """A motorcycle painted blue: its black parts stay, though a gleam on them is blue now."""
+    black = good.masks[0].clone()
+    for mask, left in zip(black, LEFTS):
+        mask[:, : left + SIDE // 2] = 0
+    gleam = torch.zeros(SIZE, SIZE)
+    gleam[::2, ::4] = 1
+    before = over(good.before.images[0], (0.1, 0.1, 0.1), black)
+    after = over(good.after.images[0], (0.1, 0.1, 0.1), black)
+    after = over(after, RED, black * gleam * torch.stack([square(x, 3) for x in LEFTS]))
+    edit = judged(good, before=views(before), after=views(after))
+    assert measured(edit)["rim"] < limits_of_edits()["rim"]
