@@ -242,7 +242,6 @@ def refreshed(page: str) -> str:
         "claims": claims_part,
         "parts": parts_part,
         "writers": writers_part,
-        "seconds": seconds_part,
     }
     return MARKED.sub(lambda m: m[1] + makers[m[2]](m[3], m[4]) + m[5], page)
 
@@ -288,7 +287,7 @@ def claims_part(kind: str, _: str | None) -> str:
     return "\n" + "\n".join(rows) + "\n\n"
 
 
-# ---- the tables of docs/combinations.md and docs/notes/combinations.md ----
+# ---- the tables of docs/combinations.md and docs/files.md ----
 
 
 def own_components(kind: str) -> list[Component]:
@@ -309,23 +308,37 @@ def measured() -> dict:
 
 
 def parts_part(kind: str, _: str | None) -> str:
-    """Licences, weights and what was tried, of every component of a kind."""
-    rows = [
-        "| name | what it does | code | weights: MB, licence, commercial use | run with |",
-        "| --- | --- | --- | --- | --- |",
-    ]
+    """Weights and what was tried, of every component of a kind; what a run costs where measured."""
+    costs = seconds_of(kind)
+    heads = ["name", "what it does", "weights: MB, licence, commercial use", "run with"]
+    heads += ["CPU s"] if costs else []
+    rows = [_row(heads), _row(["---"] * len(heads))]
     for component in own_components(kind):
         weights = [
             f"`{one.name}`: {one.size / 1e6:,.0f}, {one.licence}, **{one.commercial}**"
             for one in component.weights
         ]
-        elsewhere = (
-            "by the name you give, or a service" if component.needs_network else "none"
-        )
-        cells = (f"`{component.name}`", component.summary, component.licence.partition(";")[0],
-                 "<br>".join(weights) or elsewhere, tried(kind, component))  # fmt: skip
-        rows.append("| " + " | ".join(cells) + " |")
+        elsewhere = "by the name you give, or a service" * component.needs_network
+        cells = [f"`{component.name}`", component.summary, "<br>".join(weights) or elsewhere,
+                 tried(kind, component)]  # fmt: skip
+        rows.append(_row(cells + [costs.get(component.name, "")] * bool(costs)))
     return "\n" + "\n".join(rows) + "\n\n"
+
+
+def _row(cells: list[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def seconds_of(kind: str) -> dict[str, str]:
+    """CPU seconds of a whole run with each reconstructor; nothing for other kinds."""
+    if kind != "reconstructor":
+        return {}
+    rows = [row for row in measured()["rows"] if row.get("matcher") == "classical"]
+    return {
+        row["recon"]: f"{row['edit'] + row['rest']:.1f}"
+        for row in rows
+        if row["editor"] == "looks"
+    }
 
 
 def writers_part(kind: str, _: str | None) -> str:
@@ -353,50 +366,6 @@ def tried(kind: str, component: Component) -> str:
     return "a fake service" if component.needs_network else "tests"
 
 
-def seconds_part(what: str, _: str | None) -> str:
-    """CPU seconds and memory of editor x reconstructor, matcher x reconstructor, or of
-    segmenters.
-    """
-    found = measured()
-    if what == "segmenter":
-        lines = [
-            f"| `{row['segmenter']}` | {row['seconds']} |"
-            for row in found["rows"]
-            if "segmenter" in row
-        ]
-        return (
-            "\n"
-            + "\n".join(["| segmenter | CPU s |", "| --- | --: |", *lines])
-            + "\n\n"
-        )
-    rows = [
-        row
-        for row in found["rows"]
-        if what in row and (row["matcher"] == "classical" or what == "matcher")
-    ]
-    rows = [row for row in rows if what == "editor" or row["editor"] == "none"]
-    cells = {(row[what], row["recon"]): _cell(row) for row in rows}
-    recons = sorted({recon for _, recon in cells})
-    lines = [
-        f"| {what} | " + " | ".join(f"`{recon}`" for recon in recons) + " |",
-        "| --- " * (len(recons) + 1) + "|",
-    ]
-    for name in dict.fromkeys(name for name, _ in cells):
-        lines.append(
-            f"| `{name}` | "
-            + " | ".join(cells.get((name, recon), "–") for recon in recons)
-            + " |"
-        )
-    return "\n" + "\n".join(lines) + "\n\nAll others, and –, were not measured.\n\n"
-
-
-def _cell(row: dict) -> str:
-    return (
-        row.get("error")
-        or f"{row['edit']} + {row['rest']} s, {row['mb']} MB, {row['verdict']}"
-    )
-
-
 def on_files(files, config):
     """mkdocs asks for the site's files: add the reference."""
     from mkdocs.structure.files import File
@@ -410,8 +379,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("reference", nargs="?", type=Path, help="folder of its pages")
     reference = parser.parse_args().reference
-    tables = [DOCS / "combinations.md", DOCS / "notes" / "combinations.md"]
-    tables.append(DOCS / "files.md")
+    tables = [DOCS / "combinations.md", DOCS / "files.md"]
     for path in (*sorted((DOCS / "plugins").glob("*.md")), *tables):
         text = path.read_text(encoding="utf-8")
         path.write_text(refreshed(text), encoding="utf-8")
