@@ -1,11 +1,11 @@
 """The pages that are made from the code: the reference, and the examples on the plugin pages.
 
-The reference (hooks, components with their settings, commands, Python) is built with the site and
-never checked in: mkdocs calls `on_files`. The examples stand in the pages, between markers, so that
-they can be read anywhere:
+The reference (hooks, components with their settings, commands, Python) and, at the end of each
+plugin's page, its example and what its contract asks are built with the site and never checked in:
+mkdocs calls `on_files` and `on_page_markdown`. Tables stand in their pages, between markers:
 
-    # rewrite the marked parts: of docs/plugins/*.md from plugins/edit3r_develop/templates, of
-    # docs/combinations.md and docs/files.md from what components declare and a benchmark measured
+    # rewrite the marked parts of docs/combinations.md, docs/files.md and docs/plugins/testing.md
+    # from what components declare and a benchmark measured
     python docs/generate.py
     python docs/generate.py DIR        also write the reference pages into DIR
 """
@@ -27,9 +27,7 @@ from edit3r.loading.describe import metadata_lines, settings_lines, yaml_example
 from edit3r.loading.registry import Registry, default_registry
 
 DOCS = Path(__file__).parent
-MARKED = re.compile(
-    r"(<!-- begin: (\w+) ([\w-]+)(?: ([\w-]+))? -->\n).*?(<!-- end -->)", re.DOTALL
-)
+MARKED = re.compile(r"(<!-- begin: (\w+) ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 PYTHON_MODULES = (
     "edit3r.contract.types",
     "edit3r.contract.interfaces",
@@ -234,21 +232,39 @@ def _described(module: str, name: str, value: object) -> str:
 
 
 def refreshed(page: str) -> str:
-    """The page with its marked parts made anew: `begin: example KIND NAME`, `begin: claims KIND`,
-    and tables.
-    """
+    """The page with its marked parts made anew: `begin: claims KIND`, and tables."""
     makers = {
-        "example": example_part,
         "claims": claims_part,
         "parts": parts_part,
         "writers": writers_part,
     }
-    return MARKED.sub(lambda m: m[1] + makers[m[2]](m[3], m[4]) + m[5], page)
+    return MARKED.sub(lambda m: m[1] + makers[m[2]](m[3]) + m[4], page)
+
+
+EXAMPLE = re.compile(
+    r"`edit3r new-plugin (\w+) ([\w-]+)` writes a\s\[complete example\]\(([^)]*)\)"
+)
+
+
+def completed(page: str) -> str:
+    """A plugin's page with its example, how to try it, and what its contract asks."""
+    found = EXAMPLE.search(page)
+    if not found:
+        return page
+    kind, name, link = found.groups()
+    sections = [
+        page.replace(link, "#a-complete-example").rstrip(),
+        f"## A complete example\n{example_part(kind, name)}",
+        "## What the contract asks",
+        "Beside [what all contracts ask](testing.md#what-all-contracts-ask):",
+        claims_part(kind),
+    ]
+    return "\n\n".join(sections)
 
 
 def example_part(kind: str, name: str) -> str:
-    """The modules of a new plugin, as `edit3r new-plugin KIND NAME` writes them."""
-    from edit3r_develop.new_plugin import package_files
+    """The modules of a new plugin, as `edit3r new-plugin KIND NAME` writes them, and how to use it."""
+    from edit3r_develop.new_plugin import next_steps, package_files
 
     files = {
         path: text
@@ -259,10 +275,11 @@ def example_part(kind: str, name: str) -> str:
         f'```python title="edit3r-{name}/{path}"\n{text}```'
         for path, text in files.items()
     ]
-    return "\n" + "\n\n".join(blocks) + "\n\n"
+    steps = "\n".join(next_steps(kind, name, Path(f"edit3r-{name}")))
+    return "\n" + "\n\n".join([*blocks, f"```console\n{steps}\n```"]) + "\n"
 
 
-def claims_part(kind: str, _: str | None) -> str:
+def claims_part(kind: str) -> str:
     """What the contract of a kind asks beside what all ask, or (`common`) what all ask."""
     from edit3r_testing import CONTRACTS, Contract, claims
 
@@ -307,7 +324,7 @@ def measured() -> dict:
     )
 
 
-def parts_part(kind: str, _: str | None) -> str:
+def parts_part(kind: str) -> str:
     """Weights and what was tried, of every component of a kind; what a run costs where measured."""
     costs = seconds_of(kind)
     heads = ["name", "what it does", "weights: MB, licence, commercial use", "run with"]
@@ -341,7 +358,7 @@ def seconds_of(kind: str) -> dict[str, str]:
     }
 
 
-def writers_part(kind: str, _: str | None) -> str:
+def writers_part(kind: str) -> str:
     """What each writer leaves in the folder of a run, and what of the scene is in it."""
     rows = ["| name | writes | what for | keeps | loses |"]
     rows.append("| --- | --- | --- | --- | --- |")
@@ -366,6 +383,11 @@ def tried(kind: str, component: Component) -> str:
     return "a fake service" if component.needs_network else "tests"
 
 
+def on_page_markdown(markdown, page, config, files):
+    """mkdocs hands over the text of a page: complete that of a plugin."""
+    return completed(markdown)
+
+
 def on_files(files, config):
     """mkdocs asks for the site's files: add the reference."""
     from mkdocs.structure.files import File
@@ -379,8 +401,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("reference", nargs="?", type=Path, help="folder of its pages")
     reference = parser.parse_args().reference
-    tables = [DOCS / "combinations.md", DOCS / "files.md"]
-    for path in (*sorted((DOCS / "plugins").glob("*.md")), *tables):
+    for page in ("combinations", "files", "plugins/testing"):
+        path = DOCS / f"{page}.md"
         text = path.read_text(encoding="utf-8")
         path.write_text(refreshed(text), encoding="utf-8")
     if reference:
