@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS
-from edit3r.kit.command.console import printable
 from edit3r.kit.command.flags import add_plugin_option
+from edit3r.kit.files.text import printable
 
 LONGEST = 400  # characters of a cell: texts of plugins are strangers'
 COLUMNS = ("kind", "name", "plugin", "version", "licence", "summary")

@@ -7,11 +7,13 @@ import re
 import sys
 import traceback
 from collections.abc import Sequence
+from itertools import takewhile
 from typing import TYPE_CHECKING, NoReturn
 
 from edit3r.cli.commands import COMMANDS
 from edit3r.contract.errors import Edit3rError, as_known, suggest
-from edit3r.kit.command.console import printable
+from edit3r.kit.files.names import require_there
+from edit3r.kit.files.text import printable
 from edit3r.version import __version__
 
 if TYPE_CHECKING:
@@ -91,6 +93,9 @@ def _dispatch(argv: list[str]) -> int:
         print(f"edit3r {__version__}")
         return 0
     name, *rest = argv
+    if name == "run":  # before pydantic and torch are imported
+        for photo in takewhile(lambda one: not one.startswith("-"), rest):
+            require_there(photo)
     command = find_command(name)
     parser = Parser(prog=f"edit3r {name}", description=command.__doc__)
     command.add_arguments(parser)

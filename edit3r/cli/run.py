@@ -11,7 +11,7 @@ from edit3r.contract.errors import InputError, RunError
 from edit3r.kit.command.flags import add_trust_flag
 from edit3r.kit.command.results import add_common
 from edit3r.kit.files.names import require_there
-from edit3r.running.config import DEFAULTS, PART_KEYS, JobInputs, RunConfig
+from edit3r.running.config import PART_KEYS, JobInputs, RunConfig
 from edit3r.running.flags import INPUTS, add_flags, add_mark_flags, given_flags
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class RunCommand(Command):
 
         # As usual, half a second goes into looking through what modules made.
         gc.set_threshold(100_000, 50, 100)
-        as_text = StageConsole(args.quiet, DEFAULTS["usual_shares"])
+        as_text = StageConsole(args.quiet)
         as_json = nullcontext(print_json)
         with as_text if args.progress == "text" else as_json as console:
             report = Report(on_event=console)
