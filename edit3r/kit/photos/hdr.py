@@ -7,7 +7,7 @@ The transfer functions are those of ITU-R BT.2100, the numbers those of ITU-T H.
 import re
 import struct
 from dataclasses import dataclass
-from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from PIL import Image
@@ -45,10 +45,9 @@ class Coding:
         return {PQ: "PQ", HLG: "HLG"}.get(self.transfer, "")
 
 
-def coding_of(path: Path) -> Coding | None:
+def read_coding(file: BinaryIO) -> Coding | None:
     """The numbers in the head of a PNG, HEIC or AVIF."""
-    with path.open("rb") as file:
-        head = file.read(_HEAD)
+    head = file.read(_HEAD)
     if head.startswith(b"\x89PNG"):
         at = 8
         while at + 12 <= len(head):

@@ -1,17 +1,15 @@
 """What among image files is not a photo of the scene: masks, our own sheets, and photos twice."""
 
 import re
-import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image
 
 from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.reporting import say
-from edit3r.kit.photos.decode import FORMATS, decode, image_size
+from edit3r.kit.photos.decode import decode, image_size, read_header
 
 MADE_HERE = "edit3r, no photo"
 """What sheets, previews and masks of ours carry as their software."""
@@ -64,17 +62,9 @@ def _is_none(file: Path, stems: Mapping[str, int]) -> bool:
 def _made_here(file: Path) -> bool:
     """Whether the file says of itself that it was made here."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of many pixels, which nobody decodes here
-            image = Image.open(file, formats=FORMATS)
-        with image:
-            # Of a PNG, Exif is asked for after all pixels; ours say it before.
-            if image.format == "PNG":
-                return image.info.get("Software") == MADE_HERE
-            software = image.getexif().get(ExifTags.Base.Software)
-    except Exception:  # told where it is read
+        return read_header(file).software == MADE_HERE
+    except (InputError, MissingDependencyError):  # told where it is read
         return False
-    return software == MADE_HERE
 
 
 def _without_doubles(files: Sequence[Path]) -> list[Path]:
