@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from itertools import takewhile
 from typing import TYPE_CHECKING, NoReturn
 
-from edit3r.cli.commands import COMMANDS
+from edit3r.contract.component import Component
 from edit3r.contract.errors import Edit3rError, as_known, suggest
 from edit3r.kit.files.names import require_there
 from edit3r.kit.files.text import printable
@@ -18,6 +18,30 @@ from edit3r.version import __version__
 
 if TYPE_CHECKING:
     from edit3r.contract.command import Command
+
+COMMANDS = (
+    Component(
+        "run",
+        "edit3r.cli.run:RunCommand",
+        "edit photos of a scene and reconstruct them in 3D",
+    ),
+    Component(
+        "list-plugins",
+        "edit3r.cli.list_plugins:ListPluginsCommand",
+        "list installed plugins and their components, what they lack, and which failed and why",
+    ),
+    Component(
+        "describe",
+        "edit3r.cli.describe:DescribeCommand",
+        "show a component's settings, licence and needs, and YAML to paste into a configuration",
+    ),
+    Component(
+        "weights",
+        "edit3r.cli.weights:WeightsCommand",
+        "learned weights that components can load: list them with licences, fetch them, find them",
+    ),
+)
+"""The core's own commands; all others come from plugins."""
 
 SETTING = re.compile(r"[\w.-]+")  # --out, or editor.path of --set
 MAX_SENTENCE = 4000  # characters of an error: what was given may be megabytes

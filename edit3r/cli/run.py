@@ -17,7 +17,7 @@ from edit3r.running.flags import INPUTS, add_flags, add_mark_flags, given_flags
 if TYPE_CHECKING:
     from edit3r.contract.reporting import Report
     from edit3r.running.job import RunJob
-    from edit3r.running.loop import RunResult
+    from edit3r.running.write import RunResult
 
 
 PREVIEW = "edit3r-preview.png"

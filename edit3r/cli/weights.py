@@ -58,7 +58,7 @@ class WeightsCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.kit.weights.fetch import fetch
         from edit3r.kit.weights.find import find
-        from edit3r.loading.weights import declared, named
+        from edit3r.loading.registry import declared, named
 
         known = declared(tuple(args.plugin))
         if args.step == "list":

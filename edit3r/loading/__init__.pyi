@@ -8,6 +8,6 @@ from .describe import (
 from .load import load_plugins as load_plugins
 from .registry import (
     absent_device as absent_device,
+    declared as declared,
     install_hint as install_hint,
 )
-from .weights import declared as declared

@@ -18,6 +18,7 @@ from typing import Any
 from edit3r.contract.component import KINDS, Component, Offer
 from edit3r.contract.errors import (
     Edit3rError,
+    InputError,
     MissingDependencyError,
     PluginError,
     UnknownComponentError,
@@ -27,6 +28,7 @@ from edit3r.contract.errors import (
 from edit3r.contract.reporting import warn
 from edit3r.contract.settings import PartChoice, Settings, make_settings
 from edit3r.contract.torch_state import in_usual_torch
+from edit3r.contract.weights import Weights
 from edit3r.kit.weights.find import at_hand
 from edit3r.loading.load import LoadedPlugins, PluginFailure, load_plugins
 
@@ -334,3 +336,25 @@ def build(
 def components(kind: str | None = None) -> list[Offer]:
     """What is available of one kind, or of all, without importing any of it."""
     return default_registry().offers(kind)
+
+
+def declared(local_files: tuple[str, ...] = ()) -> dict[str, Weights]:
+    """All weights that installed components name, by name; those of plugins in local files too."""
+
+    found: dict[str, Weights] = {}
+    for offer in default_registry(local_files).offers():
+        for weights in offer.component.weights:
+            found.setdefault(weights.name, weights)
+    return dict(sorted(found.items()))
+
+
+def named(name: str, known: Mapping[str, Weights] | None = None) -> Weights:
+    """The weights called `name`; raises InputError for a name that no installed component
+    declares.
+    """
+    known = declared() if known is None else known
+    if name not in known:
+        raise InputError(
+            f"no weights named {name!r}.{suggest(name, known)} See: edit3r weights list"
+        )
+    return known[name]

@@ -17,6 +17,10 @@ from .earlier import (
     read_earlier_run as read_earlier_run,
     read_views_of_run as read_views_of_run,
 )
+from .editors import (
+    instructions_for as instructions_for,
+    usual_reader as usual_reader,
+)
 from .flags import (
     add_flags as add_flags,
     add_mark_flags as add_mark_flags,
@@ -33,7 +37,6 @@ from .job import (
     job_from as job_from,
 )
 from .loop import (
-    RunResult as RunResult,
     preview as preview,
     preview_photo as preview_photo,
     run as run,
@@ -46,10 +49,6 @@ from .quality import (
     Quality as Quality,
     write_quality as write_quality,
 )
-from .reading import (
-    instructions_for as instructions_for,
-    usual_reader as usual_reader,
-)
 from .records import Preview as Preview
 from .saved import (
     SavedScene as SavedScene,
@@ -60,4 +59,7 @@ from .selecting.call import (
     usual_selector as usual_selector,
 )
 from .selecting.marks import MarkTexts as MarkTexts
-from .write import write_result as write_result
+from .write import (
+    RunResult as RunResult,
+    write_result as write_result,
+)

@@ -17,7 +17,7 @@ from edit3r.contract.settings import (
     make_settings,
     merge,
 )
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import read_yaml
 from edit3r.loading.registry import Registry
 from edit3r.running.quality import read_quality, with_quality
 

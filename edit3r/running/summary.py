@@ -6,8 +6,8 @@ from pathlib import Path
 from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.run_folder import RunFolder
 from edit3r.running.config import RunConfig, make_run_config
-from edit3r.running.loop import RunResult
 from edit3r.running.records import SelectedRegions
+from edit3r.running.write import RunResult
 
 MAKES_NO_OTHER_SCENE = {
     "prompt",

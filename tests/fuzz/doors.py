@@ -31,9 +31,8 @@ from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.kit.cache import Cache
 from edit3r.kit.files.atomic import atomic_folder
-from edit3r.kit.files.configs import parse_assignments
+from edit3r.kit.files.configs import parse_assignments, read_yaml
 from edit3r.kit.files.names import unique_names
-from edit3r.kit.files.yaml import read_yaml
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.cameras import (
     posed_cameras,

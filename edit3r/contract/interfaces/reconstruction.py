@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from edit3r.contract.interfaces.base import Configured
+from edit3r.contract.component import Configured
 from edit3r.contract.types import (
     EditRequest,
     Features,

@@ -8,8 +8,8 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.component import Configured
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces.base import Configured
 from edit3r.contract.interfaces.reconstruction import Geometry
 from edit3r.contract.interfaces.selecting import Marks
 from edit3r.contract.types import Views

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils import data
 
-from edit3r.contract.interfaces.base import Configured
+from edit3r.contract.component import Configured
 from edit3r.contract.interfaces.reconstruction import (
     Geometry,
     Matcher,

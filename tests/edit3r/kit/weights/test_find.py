@@ -7,8 +7,7 @@ from edit3r.contract.component import KINDS
 from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.weights import Weights
 from edit3r.kit.weights.find import find, folder
-from edit3r.loading.registry import default_registry
-from edit3r.loading.weights import declared, named
+from edit3r.loading.registry import declared, default_registry, named
 
 HASH = "0" * 64
 
