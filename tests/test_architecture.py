@@ -62,7 +62,16 @@ ORDINARY_WORDS = {
         "simplify",
         "train",
     ),
-    *("export", "convert", "mask", "points", "batch", "looks", "uncertainty"),
+    *(
+        "export",
+        "convert",
+        "mask",
+        "points",
+        "batch",
+        "looks",
+        "uncertainty",
+        "weights",
+    ),
     # formats that the core itself reads or writes, and things that it speaks of
     *("ply", "spz", "sog", "splat", "glb", "nerfstudio", "colmap", "video", "mp4"),
     *("viewer", "sheet", "mesh", "render"),

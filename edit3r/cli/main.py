@@ -35,11 +35,6 @@ COMMANDS = (
         "edit3r.cli.describe:DescribeCommand",
         "show a component's settings, licence and needs, and YAML to paste into a configuration",
     ),
-    Component(
-        "weights",
-        "edit3r.cli.weights:WeightsCommand",
-        "learned weights that components can load: list them with licences, fetch them, find them",
-    ),
 )
 """The core's own commands; all others come from plugins."""
 
@@ -117,7 +112,8 @@ def _dispatch(argv: list[str]) -> int:
         print(f"edit3r {__version__}")
         return 0
     name, *rest = argv
-    if name == "run":  # before pydantic and torch are imported
+    # before pydantic and torch are imported; a preview's own file is asked about first
+    if name == "run" and "--preview" not in rest:
         for photo in takewhile(lambda one: not one.startswith("-"), rest):
             require_there(photo)
     command = find_command(name)

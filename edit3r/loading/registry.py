@@ -18,7 +18,6 @@ from typing import Any
 from edit3r.contract.component import KINDS, Component, Offer
 from edit3r.contract.errors import (
     Edit3rError,
-    InputError,
     MissingDependencyError,
     PluginError,
     UnknownComponentError,
@@ -346,15 +345,3 @@ def declared(local_files: tuple[str, ...] = ()) -> dict[str, Weights]:
         for weights in offer.component.weights:
             found.setdefault(weights.name, weights)
     return dict(sorted(found.items()))
-
-
-def named(name: str, known: Mapping[str, Weights] | None = None) -> Weights:
-    """The weights called `name`; raises InputError for a name that no installed component
-    declares.
-    """
-    known = declared() if known is None else known
-    if name not in known:
-        raise InputError(
-            f"no weights named {name!r}.{suggest(name, known)} See: edit3r weights list"
-        )
-    return known[name]

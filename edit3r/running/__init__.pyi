@@ -50,10 +50,6 @@ from .quality import (
     write_quality as write_quality,
 )
 from .records import Preview as Preview
-from .saved import (
-    SavedScene as SavedScene,
-    write_saved as write_saved,
-)
 from .selecting.call import (
     select_with as select_with,
     usual_selector as usual_selector,
@@ -62,4 +58,5 @@ from .selecting.marks import MarkTexts as MarkTexts
 from .write import (
     RunResult as RunResult,
     write_result as write_result,
+    write_scene as write_scene,
 )

@@ -1,11 +1,12 @@
 """What a run says while it works: a line per finished stage, a progress bar inside one, warnings as
-they come.
+they come; and tables.
 """
 
 import json
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from edit3r.kit.files.text import printable
@@ -13,6 +14,8 @@ from edit3r.kit.files.text import printable
 if TYPE_CHECKING:
     from rich.console import Console
 
+LONGEST = 400  # characters of a cell: texts of plugins are strangers'
+PIPED_WIDTH = 400  # piped output is not wrapped, so that grep finds what it looks for
 EVERY = 15.0  # seconds between lines where no bar can be drawn
 
 
@@ -160,3 +163,21 @@ def print_json(event: str, text: str, done: int, total: int) -> None:
         "at": round(time.time(), 3),
     }
     print(json.dumps(line), file=sys.stderr, flush=True)
+
+
+def print_table(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], whole: Sequence[str] = ()
+) -> None:
+    """Print a table; columns in `whole` are not wrapped, and nothing is where output is piped."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(
+        highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH
+    )
+    shown = Table(box=None, header_style="bold", pad_edge=False)
+    for column in columns:
+        shown.add_column(column, overflow="fold", no_wrap=column in whole)
+    for row in rows:
+        shown.add_row(*(printable(cell)[:LONGEST] for cell in row))
+    console.print(shown, markup=False)

@@ -26,7 +26,13 @@ from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.geometry.harmonics import DC
 from edit3r.kit.scenes.axes import SHORTEST_QUAT, sound
 
-__all__ = ["SMALLEST_SCALE", "VIEWER_DEGREE", "load_ply", "save_ply"]
+__all__ = [
+    "MOST_HEADER_BYTES",
+    "SMALLEST_SCALE",
+    "VIEWER_DEGREE",
+    "load_ply",
+    "save_ply",
+]
 
 OPACITY_MARGIN = 1e-7  # keeps the logits of 0 and 1 finite, within +-16.2
 SMALLEST_SCALE = float(np.finfo(np.float32).tiny)  # keeps the logarithm of 0 finite
