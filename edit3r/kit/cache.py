@@ -172,11 +172,7 @@ def identity(component: Any) -> str:
     of the plugin, without a new version, goes unnoticed.
     """
     cls: Any = type(component)
-    known: list[Any] = [
-        __version__,
-        cls.__qualname__,
-        _source_digest(cls),
-    ]
+    known: list[Any] = [__version__, cls.__qualname__, _source_digest(cls)]
     offer = getattr(component, "offer", None)
     if offer is not None:
         weights = [one.name for one in offer.component.weights if at_hand(one)]

@@ -94,11 +94,7 @@ def _local(
                 f"--plugin {file}: no such file; expected a Python module with edit3r hooks, or "
                 "a package's folder."
             )
-        yield (
-            path.stem,
-            "",
-            partial(_import_file, path.stem, source),
-        )
+        yield (path.stem, "", partial(_import_file, path.stem, source))
 
 
 def _import_file(name: str, path: Path) -> ModuleType:

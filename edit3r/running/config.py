@@ -10,13 +10,7 @@ from pydantic import Field, field_validator, model_validator
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import SettingsError, UnknownComponentError
-from edit3r.contract.settings import (
-    PartChoice,
-    Settings,
-    Share,
-    make_settings,
-    merge,
-)
+from edit3r.contract.settings import PartChoice, Settings, Share, make_settings, merge
 from edit3r.kit.files.configs import read_yaml
 from edit3r.loading.registry import Registry
 from edit3r.running.quality import read_quality, with_quality
@@ -191,9 +185,7 @@ class RunConfig(Settings):
         "docs/simplify.md)",
     )
     max_gaussians: int | None = Field(
-        None,
-        ge=1,
-        description="never leave more Gaussians than this",
+        None, ge=1, description="never leave more Gaussians than this"
     )
     refine: int = Field(
         12,
@@ -370,14 +362,7 @@ class JobInputs(Settings):
     )
 
     @field_validator(
-        "photos",
-        "mask",
-        "point",
-        "not_point",
-        "box",
-        "stroke",
-        "region",
-        mode="before",
+        "photos", "mask", "point", "not_point", "box", "stroke", "region", mode="before"
     )
     @classmethod
     def _one_is_a_list(cls, value: Any) -> Any:

@@ -9,14 +9,7 @@ from edit3r.running.config import RunConfig, make_run_config
 from edit3r.running.records import SelectedRegions
 from edit3r.running.write import RunResult
 
-MAKES_NO_OTHER_SCENE = {
-    "prompt",
-    "seed",
-    "frames",
-    "outputs",
-    "export",
-    "sure",
-}
+MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "sure"}
 """Settings that may differ from the defaults without the run being another kind of run."""
 
 BEST_COSTS, LARGE_COSTS = "half as long again", "four to five times as long"  # dial.py

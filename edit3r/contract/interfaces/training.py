@@ -11,11 +11,7 @@ from torch import Tensor
 from torch.utils import data
 
 from edit3r.contract.component import Configured
-from edit3r.contract.interfaces.reconstruction import (
-    Geometry,
-    Matcher,
-    Reconstructor,
-)
+from edit3r.contract.interfaces.reconstruction import Geometry, Matcher, Reconstructor
 from edit3r.contract.interfaces.rendering import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians, Rendering
 

@@ -65,16 +65,12 @@ def _mixed(
 def srgb_to_linear(images: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     """Light that sRGB in [0, 1] stands for."""
     return torch.where(
-        images > 0.04045,
-        ((images + 0.055) / 1.055).pow(2.4),
-        images / 12.92,
+        images > 0.04045, ((images + 0.055) / 1.055).pow(2.4), images / 12.92
     )
 
 
 def linear_to_srgb(linear: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     """sRGB in [0, 1] that stands for light, the inverse of `srgb_to_linear`."""
     return torch.where(
-        linear > 0.0031308,
-        1.055 * linear.pow(1 / 2.4) - 0.055,
-        12.92 * linear,
+        linear > 0.0031308, 1.055 * linear.pow(1 / 2.4) - 0.055, 12.92 * linear
     ).clamp(0, 1)

@@ -11,13 +11,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
-__all__ = [
-    "Conv2d",
-    "GroupNorm",
-    "bilinear",
-    "one_thread",
-    "weighted_smooth",
-]
+__all__ = ["Conv2d", "GroupNorm", "bilinear", "one_thread", "weighted_smooth"]
 
 SMALL = 1 << 16  # values; ATen has 20480
 

@@ -19,10 +19,7 @@ __all__ = ["between_and_around", "interpolate_poses"]
 # how far the path leaves the straight way between two views, in distances between views
 SIDE_STEP = 0.25
 # but at least and at most this, in distances to the scene
-SIDE_STEP_IN_DEPTHS = (
-    0.01,
-    0.08,
-)
+SIDE_STEP_IN_DEPTHS = (0.01, 0.08)
 
 
 def between_and_around(

@@ -144,9 +144,7 @@ def contradicted(
     return torch.where(guessed, through + confirmed > 0, through > confirmed)
 
 
-def _better_measured(
-    geometry: Geometry,
-) -> Bool[Tensor, "batch view view"]:
+def _better_measured(geometry: Geometry) -> Bool[Tensor, "batch view view"]:
     """For each view that is mostly guessed the others of which clearly more was measured; none of
     two: what one of them guesses, nobody else shows.
     """
