@@ -43,9 +43,7 @@ def hook_name(kind: str) -> str:
 
 @dataclass(frozen=True)
 class Component:
-    """One component on offer: its name, where its class lives, and what a user should know before
-    building it.
-    """
+    """One component on offer: its name, where its class lives, what to know before building it."""
 
     name: str  # kebab-case, unique within its kind
     target: str  # "module:Class"; imported only when the component is built

@@ -32,9 +32,7 @@ class StageRecord:
 
 @dataclass
 class Report:
-    """What one run collected. `on_event` is told (event, text, done, total) as things happen, for
-    progress bars.
-    """
+    """What one run collected. `on_event` hears (event, text, done, total) as things happen."""
 
     stages: list[StageRecord] = field(default_factory=list)
     notes: dict[str, Any] = field(default_factory=dict)

@@ -228,9 +228,7 @@ def _weight_sums(component: Any) -> list[tuple[str, float, float]]:
 
 
 def _pack(value: Any, tensors: dict[str, Tensor]) -> Any:
-    """Turn an answer into JSON data; its tensors go into `tensors`, by a number each, as copies on
-    the CPU.
-    """
+    """Turn an answer into JSON data; copies of its tensors go into `tensors`, by a number each."""
     if isinstance(value, Tensor):
         number = str(len(tensors))
         tensors[number] = value.detach().to("cpu", copy=True)

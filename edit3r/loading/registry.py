@@ -62,9 +62,7 @@ class Registry:
         )
 
     def clashes(self) -> list[str]:
-        """A sentence for each kind and name that several plugins offer: it must be asked for as
-        `plugin:name`.
-        """
+        """A sentence for each kind and name that several plugins offer: ask for `plugin:name`."""
         groups: dict[tuple[str, str], list[Offer]] = {}
         for offer in self.offers():
             groups.setdefault((offer.kind, offer.component.name), []).append(offer)
@@ -128,9 +126,7 @@ class Registry:
         )
 
     def load_class(self, offer: Offer) -> type:
-        """Import the component's class; raises MissingDependencyError or PluginError with the way
-        out.
-        """
+        """Import the component's class; raises MissingDependencyError or PluginError."""
         missing = self.missing(offer)
         absent = absent_device(offer.component) if missing else ""
         if absent:
@@ -202,9 +198,7 @@ class Registry:
         )
 
     def check(self, kind: str, choice: PartChoice) -> Settings:
-        """The settings; raises what building the component would raise about its name, its packages
-        and them.
-        """
+        """The settings; raises what building the component would raise about its name and them."""
         offer = self.find(kind, choice.name)
         return self._settings(offer, choice.settings, _key(kind, choice.name))
 
@@ -224,9 +218,7 @@ class Registry:
         built: dict[str, Any],
         where: str,
     ) -> Any:
-        """`where` is the key of this component in a configuration, such as
-        'reconstructor.backbone'.
-        """
+        """`where` is this component's key in a configuration, such as 'reconstructor.backbone'."""
         offer = self.find(kind, name)
         cls, settings = self.load_class(offer), self._settings(offer, values, where)
         siblings = dict(built)

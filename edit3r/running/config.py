@@ -1,6 +1,4 @@
-"""What one run is asked to do, merged from a preset, a YAML file, `--set` and the command line's
-own flags.
-"""
+"""What one run is asked to do, merged from a preset, a YAML file, `--set` and flags."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -41,9 +39,7 @@ PART_KEYS = (
 
 
 class RunConfig(Settings):
-    """Settings of a run, outside those of the components themselves. Each is also a flag of `edit3r
-    run`.
-    """
+    """Settings of a run itself. Each is also a flag of `edit3r run`."""
 
     prompt: str = Field(
         "",
@@ -233,9 +229,7 @@ class RunConfig(Settings):
     @field_validator("outputs", "export", mode="before")
     @classmethod
     def _read_list(cls, value: Any) -> Any:
-        """Accept names in one text with commas. Whether there are such is asked when a run
-        begins.
-        """
+        """Accept names in one text with commas; whether there are such is asked later."""
         if isinstance(value, str):
             value = [name.strip() for name in value.split(",") if name.strip()]
         return (*USUAL_OUTPUTS, "frames") if value == ["all"] else value

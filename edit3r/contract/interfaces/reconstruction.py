@@ -241,6 +241,4 @@ class MatchesLevelled(ABC):
 
     @abstractmethod
     def match_levelled(self, views: Views, levelled: Views) -> Geometry:
-        """As `match` of `views`, with depth measured on `levelled`, the same photos in one
-        exposure.
-        """
+        """As `match` of `views`, with depth measured on `levelled`: the same in one exposure."""

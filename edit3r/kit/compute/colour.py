@@ -26,9 +26,7 @@ _TO_OKLAB = (
 def rgb_to_lab(
     images: Float[Tensor, "*batch 3 height width"],
 ) -> Float[Tensor, "*batch 3 height width"]:
-    """CIE Lab under D65 of sRGB in [0, 1], without the quarter of a second that kornia takes to
-    load.
-    """
+    """CIE Lab under D65 of sRGB in [0, 1]; kornia's takes a quarter of a second to load."""
     xyz = _mixed(_TO_XYZ, srgb_to_linear(images))
     xyz = xyz / images.new_tensor(_WHITE)[:, None, None]
     x, y, z = torch.where(xyz > 0.008856, xyz.pow(1 / 3), 7.787 * xyz + 4 / 29).unbind(

@@ -79,9 +79,7 @@ def one_thread() -> Iterator[None]:
 def bilinear(
     x: Float[Tensor, "batch channel height width"], size: tuple[int, int]
 ) -> Float[Tensor, "batch channel height2 width2"]:
-    """Resize between pixel centres; torch's own rounds otherwise where its threads share a
-    picture.
-    """
+    """Resize between pixel centres; torch's own rounds otherwise where threads share a picture."""
     return F.interpolate(x, size, mode="bilinear", align_corners=False)
 
 

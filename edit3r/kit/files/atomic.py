@@ -189,9 +189,7 @@ def check_replaceable(out: Path, overwrite: bool = False) -> None:
 
 
 def remove_abandoned(*finals: Path) -> None:
-    """Delete the workspaces that killed writers of `finals`, in one folder, left, and nothing
-    else.
-    """
+    """Delete the workspaces that killed writers of `finals`, all in one folder, left."""
     from filelock import FileLock, Timeout
 
     names = {final.name: final for final in finals}

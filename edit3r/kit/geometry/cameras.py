@@ -157,9 +157,7 @@ def pixel_scales(
     intrinsics: Float[Tensor, "batch view 3 3"],
     footprint: float,
 ) -> Float[Tensor, "batch view height width"]:
-    """How long `footprint` pixels are at the pixels' depths [unit of `depths`]; `intrinsics` are
-    normalised.
-    """
+    """How long `footprint` pixels are at the pixels' depths [unit of `depths`]."""
     focal = intrinsics[..., 0, 0] * depths.shape[-1]  # [pixels]
     return footprint * depths / focal[..., None, None]
 

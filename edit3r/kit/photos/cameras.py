@@ -135,9 +135,7 @@ def posed_cameras(cameras: Cameras, files: Sequence[str]) -> list[PosedCamera]:
 
 
 def write_cameras(path: str | Path, cameras: Sequence[PosedCamera]) -> None:
-    """Write `cameras.json`, one camera a line, numbers to 9 significant digits (float32 survives
-    exactly).
-    """
+    """Write `cameras.json`, one camera a line; 9 significant digits keep float32 exactly."""
     lines = []
     for camera in cameras:
         entry = {"file": camera.file, "width": camera.width, "height": camera.height}

@@ -1,6 +1,4 @@
-"""JPEGs that are damaged inside: libjpeg fills what it cannot read with grey, and only prints a
-remark.
-"""
+"""Damaged JPEGs: libjpeg fills what it cannot read with grey, and only prints a remark."""
 
 import os
 import re

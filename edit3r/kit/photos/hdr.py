@@ -66,9 +66,7 @@ def read_coding(file: BinaryIO) -> Coding | None:
 
 
 def as_srgb(image: Image.Image, coding: Coding) -> Image.Image:
-    """The picture as a screen without HDR shows it: up to white as it is, brighter light pressed
-    into what is left.
-    """
+    """The picture as a screen without HDR shows it: light above white pressed into what is left."""
     coded = np.asarray(image.convert("RGB"))
     levels = np.arange(256) / 255
     light = _pq(levels) if coding.transfer == PQ else _hlg(levels)

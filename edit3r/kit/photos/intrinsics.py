@@ -1,6 +1,4 @@
-"""Where each photo's intrinsics come from: a camera file, else `--fov`, else EXIF, else a stated
-default.
-"""
+"""Where a photo's intrinsics come from: a camera file, else `--fov`, EXIF, a stated default."""
 
 import math
 import re
@@ -166,9 +164,7 @@ class IntrinsicsFinder:
     def _camera(
         self, camera_file: "_CameraFile", file: Path, size: Size
     ) -> PosedCamera | None:
-        """What a camera file says of a photo; of a file that was not given, a fault is a
-        warning.
-        """
+        """What a camera file says of a photo; a fault in a file that was not given is a warning."""
         try:
             return camera_file.find(file, camera_file is self.given, size)
         except InputError as error:
@@ -270,9 +266,7 @@ class _CameraFile:
 
 
 def _key(name: str) -> str:
-    """Equal for two names that some system takes for one: by case, or by how accents are
-    written.
-    """
+    """Equal for two names that some system takes for one: by case, or how accents are written."""
     return unicodedata.normalize("NFC", name.rpartition("/")[2]).casefold()
 
 

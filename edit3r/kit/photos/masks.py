@@ -149,9 +149,7 @@ def _is_shade(colour: np.ndarray, label: np.ndarray, reach: int) -> bool:
 
 
 def read_mask(path: Path, frame: Frame) -> Float[Tensor, "height width"]:
-    """One mask file, of the photo's shape or the view's size, on the view that `frame` cuts from
-    the photo.
-    """
+    """One mask file, of the photo's shape or the view's size, on the view that `frame` cuts."""
     decoded = decode(path)
     image, (height, width) = _grey(decoded, path), frame.source
     if image.size != frame.target[::-1]:

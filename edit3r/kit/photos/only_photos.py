@@ -31,9 +31,7 @@ _SMALL = (32, 32)  # their size [pixels]
 
 
 def only_photos(files: Sequence[Path]) -> list[Path]:
-    """The files without masks, sheets of ours and photos in a second format; says what was left
-    out.
-    """
+    """The files without masks, sheets of ours and second formats; says what was left out."""
     stems = Counter(file.stem.casefold() for file in files)
     kept = _without_doubles([file for file in files if not _is_none(file, stems)])
     photos = set(kept)
@@ -49,9 +47,7 @@ def only_photos(files: Sequence[Path]) -> list[Path]:
 
 
 def _is_none(file: Path, stems: Mapping[str, int]) -> bool:
-    """Whether a file is a mask or another map of a photo, or a sheet that was made here; `stems`
-    are those of all files.
-    """
+    """Whether a file is a mask or map of a photo (`stems` are all files'), or a sheet made here."""
     stem = file.stem.casefold()
     without = _SUFFIX.sub("", _MAP_SIGN.sub("", stem))
     return (
@@ -68,9 +64,7 @@ def _made_here(file: Path) -> bool:
 
 
 def _without_doubles(files: Sequence[Path]) -> list[Path]:
-    """Of files of one stem, or named as its copies, that show the same, the one with most pixels
-    alone.
-    """
+    """Of files of one stem, or named as its copies, that show the same, only the largest."""
     stems = {file.stem.casefold() for file in files}
     by_stem: dict[str, list[Path]] = {}
     for file in files:
