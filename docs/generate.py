@@ -19,8 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import edit3r
-from edit3r.cli.commands import COMMANDS
-from edit3r.cli.main import find_command
+from edit3r.cli.main import COMMANDS, find_command
 from edit3r.contract.component import KINDS, Component, Offer, hook_name
 from edit3r.contract.errors import Edit3rError
 from edit3r.loading.describe import metadata_lines, settings_lines, yaml_example
