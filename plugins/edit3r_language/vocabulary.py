@@ -41,14 +41,13 @@ def _phrases() -> list[tuple[re.Pattern, str]]:
         return re.sub(r"<([A-Z_]+)>", lambda part: parts[part[1]], pattern)
 
     for line in _lines("phrases.txt"):
-        pattern, arrow, instead = line.partition(" =>")
+        pattern, arrow, words = line.partition(" =>")
         if arrow:
-            found.append(
-                (re.compile(filled(pattern)), f" {instead} ".replace(" ,", ","))
-            )
+            instead = f" {words.strip()} ".replace(" ,", ",")
+            found.append((re.compile(filled(pattern)), instead))
         else:
-            name, _, pattern = line.partition(" = ")
-            parts[name] = filled(pattern)
+            name, _, part = line.partition(" = ")
+            parts[name] = filled(part)
     return found
 
 
