@@ -15,6 +15,11 @@ def words_of(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
+def pairs_of(text: str) -> dict[str, str]:
+    """What each word of `word=other` stands for."""
+    return dict(pair.split("=") for pair in text.split())
+
+
 def _lines(name: str) -> list[str]:
     """The lines of a table beside this file, without comments."""
     text = files("edit3r_language").joinpath(name).read_text("utf-8")
@@ -55,6 +60,11 @@ _WORDS = _word_sets()
 PHRASES = _phrases()
 
 
+def words_in(names: str) -> frozenset[str]:
+    """All words of the sets of these names."""
+    return frozenset().union(*(_WORDS[name] for name in names.split()))
+
+
 def __getattr__(name: str) -> frozenset[str]:
     if name not in _WORDS:
         raise AttributeError(f"vocabulary.txt has no words {name!r}")
@@ -68,10 +78,8 @@ _ADJUSTMENTS: dict[tuple[ChangeKind, float], str] = {
     ("brightness", -1.0): "darker dimmer darken dim dark",
     ("warmth", 1.0): "warm warmer",
     ("warmth", -1.0): "cold colder cool cooler",
-    (
-        "saturation",
-        1.0,
-    ): "saturated saturate vivid vibrant colourful colorful livelier punchier deeper richer",
+    ("saturation", 1.0): "saturated saturate vivid vibrant colourful colorful livelier "
+    "punchier deeper richer",
     ("saturation", -1.0): "desaturated desaturate muted faded dull duller unsaturated",
     ("contrast", 1.0): "contrasty crisper",
     ("contrast", -1.0): "flat flatter",
@@ -94,14 +102,9 @@ PROPERTIES: dict[str, ChangeKind] = {
 }
 """Nouns that "more" and "less" can stand before."""
 
-TINTS = {
-    "redder": "red",
-    "greener": "green",
-    "bluer": "blue",
-    "yellower": "yellow",
-    "pinker": "pink",
-    "browner": "brown",
-}
+TINTS = pairs_of(
+    "redder=red greener=green bluer=blue yellower=yellow pinker=pink browner=brown"
+)
 TINT_SHARE = 0.35
 
 INSTEAD = {
@@ -120,24 +123,9 @@ INSTEAD = {
 }
 """What to say for words that ask for something else than what can be done."""
 
-SPELLINGS = {
-    "color": "colour",
-    "colors": "colours",
-    "colored": "coloured",
-    "recolor": "recolour",
-    "recolored": "recoloured",
-    "gray": "grey",
-    "grayish": "greyish",
-    "watercolor": "watercolour",
-    "center": "centre",
-    "rear": "back",
-    "blacken": "black",
-    "whiten": "white",
-    "watercolours": "watercolour",
-    "watercolors": "watercolour",
-    "repaint": "paint",
-    "teh": "the",
-    "plz": "please",
-    "pls": "please",
-}
+SPELLINGS = pairs_of(
+    "color=colour colors=colours colored=coloured recolor=recolour recolored=recoloured gray=grey "
+    "grayish=greyish watercolor=watercolour watercolours=watercolour watercolors=watercolour "
+    "center=centre rear=back blacken=black whiten=white repaint=paint teh=the plz=please pls=please"
+)
 """Words that mean another one."""
