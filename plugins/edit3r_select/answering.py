@@ -66,7 +66,7 @@ def answered(segmenter: Segmenter, image: Image, marks: Marks) -> Answered:
         return Answered(segmenter.readings(image, marks), None)
     if marks.larger:
         stepped = chosen.stepped(marks.larger)
-        return Answered((_as_proposal(image, stepped, chosen.confidence),), None)
+        return Answered((_as_proposal(image, stepped, 1.0),), None)
     pairs = zip(chosen.candidates, _shares(chosen))
     found = tuple(_as_proposal(image, one, share) for one, share in pairs)
     return Answered(found, chosen.confidence)
@@ -87,7 +87,7 @@ def _chosen(ask: AnswersMarks, size: Size, marks: Marks) -> Chosen | None:
         return selected(size, asked_by(marks, size), ask)
     if marks.prior is not None and waiting:
         expected = MaskCandidate(_as_logits(marks.prior, size), 0.0, 1.0)
-        chosen = Chosen((expected,), 1.0)
+        chosen = Chosen((expected,), None)
     elif marks.stroke or marks.box:
         chosen = selected(size, Asked((), marks.stroke, marks.box), ask)
     clicks: tuple[Click, ...] = ()
@@ -187,11 +187,12 @@ def _obeyed(chosen: Chosen | None, size: Size, click: Click) -> bool:
 
 def _shares(chosen: Chosen) -> Iterator[float]:
     """How likely each candidate is what is meant; they add up to 1."""
-    yield chosen.confidence
+    first = 1.0 if chosen.confidence is None else chosen.confidence
+    yield first
     scores = np.array([one.score for one in chosen.candidates[1:]])
     if len(scores):
         parts = np.exp(scores - scores.max())
-        yield from ((1 - chosen.confidence) * parts / parts.sum()).tolist()
+        yield from ((1 - first) * parts / parts.sum()).tolist()
 
 
 def _as_logits(mask: Tensor, size: Size) -> np.ndarray:

@@ -64,9 +64,8 @@ class Chosen:
 
     # the one that is taken first, then by their sums
     candidates: tuple[MaskCandidate, ...]
-    confidence: (
-        float  # in [0, 1]: how likely the first has an IoU of 0.7 with what is meant
-    )
+    # in [0, 1]: how likely the first has an IoU of 0.7 with what is meant; None: nothing was asked
+    confidence: float | None
 
     @property
     def best(self) -> MaskCandidate:

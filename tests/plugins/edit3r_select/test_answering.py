@@ -79,12 +79,11 @@ def test_a_click_takes_the_mask_that_the_sum_prefers_and_shows_the_others(image)
     assert sum(one.confidence for one in found) == pytest.approx(1)
 
 
-def test_a_selection_is_as_sure_as_its_least_sure_mark_and_exact_ones_say_nothing(
-    image,
-):
+def test_a_selection_is_as_sure_as_its_marks_and_exact_ones_say_nothing(image):
     disc, box = torch.from_numpy(DISC).float(), (0.3, 0.25, 0.4, 0.5)
     less = answered(Discs(), image, Marks(positive=(CENTRE,))).confidence
-    assert less < answered(Discs(), image, Marks(box=box)).confidence
+    more = answered(Discs(), image, Marks(box=box)).confidence
+    assert less < more
 
     def confidence(segmenter, photos=1, **marks):
         views = image.repeat(photos, 1, 1, 1)
@@ -92,8 +91,10 @@ def test_a_selection_is_as_sure_as_its_least_sure_mark_and_exact_ones_say_nothin
 
     click = ((0, *CENTRE),)
     assert confidence(Discs(), positive=click) == less
-    assert confidence(Discs(), 2, positive=click, boxes={1: box}) == less
+    assert confidence(Discs(), 2, positive=click, boxes={1: box}) == more
     assert confidence(Discs(), masks={0: disc}) is None
+    confirmed = {"positive": click, "masks": {1: disc}}
+    assert confidence(Discs(), 2, **confirmed) is None
     assert confidence(Discs(), positive=click, larger=1) is None  # somebody looked
     assert confidence(Plain(), positive=click) is None  # it cannot tell
 
