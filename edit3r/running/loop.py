@@ -1,5 +1,6 @@
 """One run from photos to Gaussians: its steps, and its result."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,9 +83,16 @@ class RunResult(RunRecord):
 
 @in_usual_torch
 def run(
-    job: RunJob, registry: Registry | None = None, report: Report | None = None
+    job: RunJob,
+    registry: Registry | None = None,
+    report: Report | None = None,
+    *,
+    on_edited: Callable[[Views], None] | None = None,
 ) -> RunResult:
     """Do what the job asks for. The same job and seed give the same result.
+
+    `on_edited` is handed the edited photos as soon as they are there, so that they outlive a later
+    step that fails.
 
     Where a mask is 0, pixels stay bit-equal, whatever the editor does. Raises InputError for photos
     or masks that cannot be used, SettingsError and UnknownComponentError for wrong settings before
@@ -96,12 +104,14 @@ def run(
         inputs, factor, parts = _begin(job, registry or default_registry())
         parts.rasterizer.prepare(torch.device(job.config.device).type)
         inputs = load(inputs, parts)
-        records = _made(inputs, parts)
+        records = _made(inputs, parts, on_edited)
     records = to_given_scale(records, factor, job.refine_poses)
     return RunResult(records, parts, report, cache)
 
 
-def _made(inputs: Inputs, parts: Parts) -> Records:
+def _made(
+    inputs: Inputs, parts: Parts, on_edited: Callable[[Views], None] | None
+) -> Records:
     """All steps, one after the other."""
     inputs, located = locate(inputs, parts)
     selection = select(inputs, parts)
@@ -109,6 +119,9 @@ def _made(inputs: Inputs, parts: Parts) -> Records:
     inputs, located = inputs.select(used), located.select(used)
     selection = selection.select(used)
     edited = edit(inputs, selection, parts)
+    changed = not torch.equal(edited.views.images, inputs.start.images)
+    if on_edited is not None and changed:
+        on_edited(edited.views)
     made = reconstruct(inputs, located, selection, edited, parts)
     placed = made.used
     inputs, located = inputs.select(placed), located.select(placed)

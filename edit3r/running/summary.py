@@ -80,7 +80,7 @@ def _named_settings(result: RunResult) -> str:
         return (
             f"{asked.quality} (but {', '.join(changed)})" if changed else asked.quality
         )
-    return f"own ({', '.join(changed)})" if changed else "default"
+    return f"custom ({', '.join(changed)})" if changed else "default"
 
 
 def _field_of_view(result: RunResult) -> str:
