@@ -42,6 +42,10 @@ class Expected(Settings):
     )
     psnr: float = Field(description="novel view [dB]")
     ssim: float = Field(description="novel view")
+    lpips: float | None = Field(
+        None,
+        description="novel view, by the weights that `measured` names; None: not measured",
+    )
 
 
 class MeasuredPoint(Settings):
