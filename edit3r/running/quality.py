@@ -47,6 +47,13 @@ class Expected(Settings):
         description="novel view, by the weights that `measured` names; None: not measured",
     )
 
+    @property
+    def accuracy(self) -> float:
+        """What points are ranked by, more is better: LPIPS turned round, since PSNR hardly tells
+        sharp from blurred; PSNR where LPIPS was not measured.
+        """
+        return self.psnr if self.lpips is None else -self.lpips
+
 
 class MeasuredPoint(Settings):
     """One choice of run settings, and what it took and gave."""
@@ -63,8 +70,8 @@ class MeasuredPoint(Settings):
 
     @property
     def accuracy(self) -> float:
-        """PSNR [dB], mean over the kinds of scene."""
-        return sum(e.psnr for e in self.expected.values()) / len(self.expected)
+        """Mean over the kinds of scene."""
+        return sum(e.accuracy for e in self.expected.values()) / len(self.expected)
 
 
 class Quality(Settings):

@@ -251,6 +251,15 @@ def test_presets_by_hand():
     assert labels_of(points) == ["b", "c", "e"]
 
 
+def test_lpips_decides_where_it_was_measured():
+    """The dearest looks best, and PSNR prefers the blur."""
+    points = [rated("a", 1, 22), rated("b", 2, 21), rated("c", 4, 20)]
+    for point, distance in zip(points, (0.3, 0.2, 0.1)):
+        for name, own in point.expected.items():
+            point.expected[name] = own.model_copy(update={"lpips": distance})
+    assert labels_of(points) == ["a", "b", "c"]
+
+
 def test_presets_must_lie_apart_on_both_kinds():
     points = [rated("a", 1, 10), rated("b", 2, 12, other=(3, 12)), rated("c", 4, 14)]
     assert labels_of(points) == []
