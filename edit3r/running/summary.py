@@ -54,10 +54,9 @@ def _sharper(result: RunResult) -> list[str]:
     best = min(longest, make_run_config({"quality": "best"}).size)
     if best <= usual.size:
         return [f"  sharper      --quality best takes {BEST_COSTS}"]
-    return [
-        f"  sharper      --quality best, which shows {best} of the photos' {longest} pixels, "
-        f"takes {LARGE_COSTS}"
-    ]
+    scaled = f"scales photos to {best} pixels and not {usual.size}"
+    shown = "shows photos at their full size" if best == longest else scaled
+    return [f"  sharper      --quality best {shown}, and takes {LARGE_COSTS}"]
 
 
 def _named_settings(result: RunResult) -> str:
