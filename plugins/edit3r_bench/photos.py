@@ -95,11 +95,8 @@ def _photo_folder(path: Path, views: int) -> PhotoFolder | None:
         return None
     cameras = next((name for name in CAMERA_FILES if (path / name).is_file()), "")
     known = read_cameras(path / cameras) if cameras else []
-    posed = [
-        (own.file, own.c2w)
-        for own in known
-        if own.c2w is not None and own.file in files
-    ]
+    there = [own for own in known if own.file in files]
+    posed = [(own.file, own.c2w) for own in there if own.c2w is not None]
     inputs = evenly(range(len(files)), views)
     held_back: tuple[int, ...] = ()
     if triples := choose_triples([c2w for _, c2w in posed], 3):
@@ -251,8 +248,9 @@ class PhotoBuild:
             "the language model was shown no photo": blind,
             f"{unvetted} edits are kept by no person": unvetted > 0,
             f"{unmasked} local edits have no masks": unmasked > 0,
-            f"{unmasked_adds} edits that add something have no masks": unmasked_adds
-            > 0,
+            f"{unmasked_adds} edits that add something have no masks": bool(
+                unmasked_adds
+            ),
             "scenes are drawn without a balance of indoor and outdoor": True,
         }
         return [sentence for sentence, holds in said.items() if holds]
@@ -270,15 +268,11 @@ class PhotoBuild:
         return proposals.find_objects(photos, self.parts["detector"], words)
 
     def _record(self, scene: PhotoFolder) -> SceneRecord:
-        frames = [
-            FrameRecord(file=file, sha256=hash_of_file(scene.path / file))
-            for file in scene.files
-        ]
+        hashes = [(file, hash_of_file(scene.path / file)) for file in scene.files]
+        frames = tuple(FrameRecord(file=file, sha256=sha) for file, sha in hashes)
+        folder = self._relative(scene.path)
         return SceneRecord(
-            id=scene.id,
-            folder=self._relative(scene.path),
-            cameras=scene.cameras,
-            frames=tuple(frames),
+            id=scene.id, folder=folder, cameras=scene.cameras, frames=frames
         )
 
     def _items(
@@ -360,10 +354,8 @@ class PhotoBuild:
         return self._records(files)
 
     def _records(self, files: Sequence[Path]) -> tuple[FrameRecord, ...]:
-        return tuple(
-            FrameRecord(file=self._relative(file), sha256=hash_of_file(file))
-            for file in files
-        )
+        hashes = [(self._relative(file), hash_of_file(file)) for file in files]
+        return tuple(FrameRecord(file=name, sha256=sha) for name, sha in hashes)
 
     def _relative(self, path: Path) -> str:
         return Path(os.path.relpath(path, self.out.parent)).as_posix()
