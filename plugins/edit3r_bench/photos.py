@@ -21,6 +21,7 @@ from edit3r.kit.command.results import make_folder
 from edit3r.kit.photos.cameras import CAMERA_FILES, read_cameras
 from edit3r.kit.photos.images import evenly, find_photos, load_photos, save_image
 from edit3r.kit.photos.triples import choose_triples
+from edit3r.kit.service import ChatModel
 from edit3r.running import RunJob, make_run_config, preview
 from edit3r_bench import proposals
 from edit3r_bench.manifest import (
@@ -35,7 +36,6 @@ from edit3r_bench.options import BuildOptions
 from edit3r_bench.proposals import (
     LOCAL,
     Boxes,
-    LanguageModel,
     ProposedEdit,
     choose_edits,
 )
@@ -132,13 +132,15 @@ class PhotoBuild:
         return Path(self.options.vetting or beside)
 
     @cached_property
-    def model(self) -> LanguageModel | None:
+    def model(self) -> ChatModel | None:
         options = self.options
         if bool(options.llm) != bool(options.llm_model):
             raise SettingsError(
                 "--llm and --llm-model go together: an address and the model's name there."
             )
-        return LanguageModel(options.llm, options.llm_model) if options.llm else None
+        advice = "one that takes no images needs --llm-photos 0"
+        asked = ChatModel(options.llm_model, options.llm, 120, advice)
+        return asked if options.llm else None
 
     @cached_property
     def parts(self) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import cv2
@@ -28,6 +29,7 @@ from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.reporting import say
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.compute.layers import one_thread
+from edit3r.kit.files.yaml import read_yaml
 
 Images = Float[Tensor, "view 3 height width"]
 Grey = Float[Tensor, "view 1 height width"]
@@ -122,18 +124,18 @@ def _colour(images: Images, *rgb: float) -> Float[Tensor, "3 1 1"]:
     return images.new_tensor(rgb)[:, None, None]
 
 
-def wood(images: Images) -> Images:
+def wood(images: Images, colours: tuple) -> Images:
     """Brown in the photo's shades; soft rings run along lines of equal light, as marble's veins."""
     phase, slope = _shades(images, 12, 0.01)
     clear = _step(slope, 0.004, 0.02) * (1 - _step(slope, 0.08, 0.2))
     rings = 0.375 * (1 + torch.cos(2 * math.pi * phase)) * clear
     light = 0.35 + 0.75 * _step(grey(_flattened(images, 10, 0.1)), 0, 0.85)
-    return light * _between(images, rings, _WOOD)
+    return light * _between(images, rings, colours)
 
 
-def snow(images: Images) -> Images:
+def snow(images: Images, colours: tuple) -> Images:
     """White in light and pale blue in shade."""
-    return _between(images, _step(grey(_flattened(images, 10, 0.1)), 0, 0.9), _SNOW)
+    return _between(images, _step(grey(_flattened(images, 10, 0.1)), 0, 0.9), colours)
 
 
 def _between(
@@ -203,51 +205,27 @@ def _by_opencv(images: Images, draw: Callable[[np.ndarray], np.ndarray]) -> Imag
 class Look(NamedTuple):
     """What a prompt calls a look, what it does, and how."""
 
-    words: str
+    words: tuple[str, ...]
     does: str
     draw: Callable[[Images], Images]
 
 
-_SUNNED = (1.02, 1, 0.94)
-_BLUE, _WARM, _FADED = (0.34, 0.42, 0.64), (1.18, 0.93, 0.66), (1.05, 0.97, 0.8)
-_WOOD = ((0.72, 0.5, 0.3), (0.45, 0.27, 0.14))
-_SNOW = ((0.42, 0.55, 0.76), (1, 1, 1))
-_STEEL = ((0.2, 0.22, 0.26), (0.58, 0.62, 0.68), (1, 1, 1))
-_GOLD = ((0.34, 0.19, 0.03), (0.86, 0.6, 0.14), (1, 0.97, 0.75))
-_BRONZE = ((0.24, 0.13, 0.07), (0.62, 0.38, 0.2), (0.98, 0.85, 0.68))
+def _looks() -> dict[str, Look]:
+    """The looks of `looks.yaml`: words, what it does, and a filter of this file with numbers."""
+    drawn = autumn, winter, sketch, cartoon, watercolour, marble, wood, snow, metal
+    filters = {one.__name__: one for one in (graded, *drawn)}
+    looks = {}
+    for name, look in read_yaml(Path(__file__).with_name("looks.yaml")).items():
+        draw = partial(filters[look.pop("draw", "graded")], **look.pop("with", {}))
+        looks[name] = Look(tuple(look["words"].split()), look["does"], draw)
+    return looks
 
-LOOKS = {
-    "night": Look("night midnight moonlight", "dark, pale and blue; lamps do not go on",
-                  partial(graded, gamma=1.7, saturation=0.4, gain=_BLUE, lift=0.01)),
-    "sunset": Look("sunset dusk", "warm light",
-                   partial(graded, saturation=1.25, contrast=1.08, gain=_WARM)),
-    "autumn": Look("autumn autumnal fall", "green turns orange and red; no leaf falls", autumn),
-    "winter": Look("winter wintry frost frosty", "green turns to frost, the rest pale and cold; "
-                                                 "no snow falls", winter),
-    "vintage": Look("vintage retro", "a faded print",
-                    partial(graded, saturation=0.55, contrast=0.85, gain=_FADED, lift=0.07)),
-    "weathered": Look("weathered worn aged", "paler and greyer, as by years of sun; no crack and "
-                                             "no stain appears",
-                      partial(graded, saturation=0.45, contrast=0.8, gain=_SUNNED, lift=0.1)),
-    "sepia": Look("sepia", "brown tones", partial(graded, saturation=0, gain=(1.08, 0.94, 0.74))),
-    "greyscale": Look("greyscale grayscale monochrome", "no colour", partial(graded, saturation=0)),
-    "noir": Look("noir", "no colour, hard contrast", partial(graded, saturation=0, contrast=1.5)),
-    "sketch": Look("sketch sketched pencil", "pencil lines on paper", sketch),
-    "cartoon": Look("cartoon comic comics", "flat strong colours and ink lines", cartoon),
-    "watercolour": Look("watercolour watercolor aquarelle", "pale washes with darker "
-                                                            "rims", watercolour),
-    "marble": Look("marble", "like marble: white stone, veins along lines of equal light", marble),
-    "wood": Look("wood wooden", "like wood: brown, soft rings along lines of equal light", wood),
-    "snow": Look("snow snowy", "as if made of snow; none falls", snow),
-    "steel": Look("steel metal metallic chrome "
-                  "silver", "like polished steel", partial(metal, colours=_STEEL)),
-    "gold": Look("gold golden gilded", "like polished gold", partial(metal, colours=_GOLD)),
-    "bronze": Look("bronze copper", "like polished bronze", partial(metal, colours=_BRONZE)),
-}  # fmt: skip
+
+LOOKS = _looks()
 """Every look by its name."""
 
 _NAMES = ("", *LOOKS)
-BY_WORD = {word: name for name, look in LOOKS.items() for word in look.words.split()}
+BY_WORD = {word: name for name, look in LOOKS.items() for word in look.words}
 
 
 class LooksEditor(Editor, EditsRegions):
