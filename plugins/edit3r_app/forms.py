@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 from edit3r import Registry
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.settings import is_user_only
-from edit3r.kit.files.configs import parse_assignments
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import parse_assignments, read_yaml
 from edit3r.loading import SettingLine, settings_lines
 from edit3r.running import RunConfig, check_components, make_run_config
 from edit3r_app.draft import Draft

@@ -19,7 +19,7 @@ from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS, hook_name
 from edit3r.contract.errors import InputError, suggest
 from edit3r.contract.hookspecs import API_VERSION
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import read_yaml
 
 TEMPLATES = Path(__file__).parent / "templates"
 STARTERS: dict[str, dict[str, Any]] = read_yaml(TEMPLATES / "starters.yaml")

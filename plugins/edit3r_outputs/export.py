@@ -37,7 +37,7 @@ class ExportCommand(Command):
         from edit3r import default_registry
         from edit3r.contract.errors import InputError
         from edit3r.kit.files.atomic import check_new_file
-        from edit3r.running import SavedScene, write_saved
+        from edit3r_outputs.saved import SavedScene, write_saved
 
         if args.out and len(args.to) > 1:
             raise InputError(
