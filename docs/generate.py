@@ -263,7 +263,7 @@ def completed(page: str) -> str:
 
 
 def example_part(kind: str, name: str) -> str:
-    """The modules of a new plugin, as `edit3r new-plugin KIND NAME` writes them, and how to use it."""
+    """The modules of a new plugin, as `edit3r new-plugin` writes them, and how to use it."""
     from edit3r_develop.new_plugin import next_steps, package_files
 
     files = {
@@ -327,7 +327,7 @@ def measured() -> dict:
 def parts_part(kind: str) -> str:
     """Weights and what was tried, of every component of a kind; what a run costs where measured."""
     costs = seconds_of(kind)
-    heads = ["name", "what it does", "weights: MB, licence, commercial use", "run with"]
+    heads = ["name", "weights: MB, licence, commercial use", "run with"]
     heads += ["CPU s"] if costs else []
     rows = [_row(heads), _row(["---"] * len(heads))]
     for component in own_components(kind):
@@ -336,8 +336,8 @@ def parts_part(kind: str) -> str:
             for one in component.weights
         ]
         elsewhere = "by the name you give, or a service" * component.needs_network
-        cells = [f"`{component.name}`", component.summary, "<br>".join(weights) or elsewhere,
-                 tried(kind, component)]  # fmt: skip
+        name = f"`{component.name}`"
+        cells = [name, "<br>".join(weights) or elsewhere, tried(kind, component)]
         rows.append(_row(cells + [costs.get(component.name, "")] * bool(costs)))
     return "\n" + "\n".join(rows) + "\n\n"
 
