@@ -19,8 +19,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import edit3r
-from edit3r.cli.commands import COMMANDS
-from edit3r.cli.main import find_command
+from edit3r.cli.main import COMMANDS, find_command
 from edit3r.contract.component import KINDS, Component, Offer, hook_name
 from edit3r.contract.errors import Edit3rError
 from edit3r.loading.describe import metadata_lines, settings_lines, yaml_example
@@ -359,13 +358,10 @@ def seconds_of(kind: str) -> dict[str, str]:
 
 
 def writers_part(kind: str) -> str:
-    """What each writer leaves in the folder of a run, and what of the scene is in it."""
-    rows = ["| name | writes | what for | keeps | loses |"]
-    rows.append("| --- | --- | --- | --- | --- |")
+    """What each writer leaves in the folder of a run, and what for."""
+    rows = [_row(["name", "writes", "what for"]), _row(["---"] * 3)]
     for one in own_components(kind):
-        name, file = f"`{one.name}`", f"`{one.file_name()}`"
-        cells = (name, file, one.summary, one.keeps, one.loses)
-        rows.append("| " + " | ".join(cells) + " |")
+        rows.append(_row([f"`{one.name}`", f"`{one.file_name()}`", one.summary]))
     return "\n" + "\n".join(rows) + "\n\n"
 
 

@@ -212,10 +212,10 @@ def test_the_camera_path_begins_at_the_first_photo_however_ill_it_fits(
             {"quality": "best", "exposure": "own"},
             "best (but exposure) settings, 32x24:",
         ),
-        ({"size": 192, "refine": 0}, "own (refine, size) settings, 32x24:"),
+        ({"size": 192, "refine": 0}, "custom (refine, size) settings, 32x24:"),
         (
             {"reconstructor": {"name": "edit3r", "weights": "x"}},
-            "own (reconstructor) settings",
+            "custom (reconstructor) settings",
         ),
     ],
 )
@@ -245,9 +245,10 @@ def test_the_last_line_says_how_to_get_a_default_run_sharper(result, tmp_path):
 
     assert last().endswith("--quality best takes half as long again")
     assert last(longest=4032).endswith(
-        "best, which shows 1024 of the photos' 4032 pixels, takes four to five times as long"
+        "best scales photos to 1024 pixels and not 512, and takes four to five times as long"
     )
-    assert "shows 800 of" in last(longest=800) and "shows" not in last(longest=512)
+    assert "best shows photos at their full size, and" in last(longest=800)
+    assert "half as long again" in last(longest=512)
     for kept in ({"quality": "best"}, {"size": 1024}, {"label": "poor"}):
         assert "sharper" not in last(longest=4032, **kept)
 

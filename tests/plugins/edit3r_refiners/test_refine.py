@@ -217,3 +217,14 @@ def test_what_photos_show_that_the_scene_leaves_out_pulls_at_nothing(rasterizer,
     )
     assert torch.equal(kept.harmonics, clean.harmonics)
     assert not torch.allclose(ghost.harmonics, clean.harmonics, atol=0.01)
+
+
+def test_a_gaussian_grows_by_so_much_at_most(rasterizer, scene):
+    small, cameras, images = scene
+    small = replace(small, scales=small.scales * 0.3)  # gaps, which growing would fill
+    grown = [
+        refine(small, cameras, images, rasterizer, 20, RefineSettings(growth=growth))
+        for growth in (1.1, 1000)
+    ]
+    limited, free = (one.gaussians.scales / small.scales for one in grown)
+    assert limited.max() == pytest.approx(1.1) and free.max() > 1.5
