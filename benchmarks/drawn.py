@@ -15,14 +15,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
+from edit3r_objects.drawn import Drawn, choose_drawn
+from edit3r_objects.lifting import lift
 
 from edit3r import Cameras, build
 from edit3r.contract.interfaces import Selection
 from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.rendering import render_numbers
-from edit3r.kit.scenes.drawn import Drawn, choose_drawn
-from edit3r.kit.scenes.lifting import lift
 from edit3r.running import read_earlier_run, usual_selector
 
 AREAS = 0.01, 0.35  # of a thing on its photo

@@ -32,8 +32,7 @@ from edit3r.contract.interfaces import Editor, EditToJudge, Selection
 from edit3r.kit.compute.colour import rgb_to_lab
 from edit3r.kit.sheet import draw_sheet
 from edit3r.running import usual_reader
-from edit3r.running.editors import edit_to_judge
-from edit3r.running.reading import read
+from edit3r.running.editors import edit_to_judge, read
 
 SIZE = 256
 COLOURS = ("red", "blue", "green")

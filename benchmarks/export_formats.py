@@ -13,13 +13,13 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from edit3r_outputs.api import load_scene
 
 from edit3r import build
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Gaussians
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.rendering import render_each
-from edit3r.kit.scenes.read import load_scene
 
 FORMATS = ("spz", "spz4", "sog", "splat", "compressed-ply", "glb", "ply")
 

@@ -37,7 +37,7 @@ def run_once(folder: str, photos: int, size: int) -> dict[str, float]:
     import torch
 
     import edit3r
-    from edit3r.contract.memory import peak_memory_mb
+    from edit3r.contract.reporting import peak_memory_mb
     from edit3r.kit.photos.posed_folder import read_posed_folder
     from edit3r.kit.rendering import path_around, render_one
 
@@ -73,7 +73,7 @@ def draw_once(count: int) -> dict[str, float]:
     import torch
 
     import edit3r
-    from edit3r.contract.memory import peak_memory_mb
+    from edit3r.contract.reporting import peak_memory_mb
     from edit3r_testing.scenes import cameras_around, gaussian_cloud
 
     torch.set_num_threads(1)

@@ -19,6 +19,7 @@ import cv2
 import numpy as np
 import torch
 from clicks import filled
+from edit3r_objects.lifting import lift
 from edit3r_objects.run import read_run
 from PIL import Image
 from torch import Tensor
@@ -29,7 +30,6 @@ from edit3r.cli.main import main as program
 from edit3r.contract.errors import Edit3rError, InputError
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc
-from edit3r.kit.scenes.lifting import lift
 
 EDITS = (
     "remove thing",

@@ -45,11 +45,12 @@ from edit3r_select.answering import asked_by, gathered
 from edit3r_select.carrying import expected_on
 from edit3r_select.cues import CUES, Asked, table
 from edit3r_select.photos import OnPhoto, Photos
-from edit3r_select.sum import FITTED, CueWeights, choose, lead
+from edit3r_select.sum import CERTAINTY, FITTED, CueWeights, choose, confidence, lead
 from PIL import Image
 from scipy.optimize import minimize
 
 from edit3r import build
+from edit3r.contract.interfaces import SURE
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
 from edit3r.kit.segmenting import HeldSegmenter
 
@@ -58,6 +59,7 @@ NAMES = tuple(CUES)
 SOFTNESS = 0.15  # of the goal: softmax of IoU over the masks
 PENALTY = 10.0  # of standardised weights
 RIGHT = 0.7  # IoU from which the confidence calls a mask right
+BINS, HIGH = 5, 0.8  # of confidences that are compared with what is right
 STROKES = 3
 PARTS = 0.2  # how much a part's click counts beside a thing's in the fit
 
@@ -115,9 +117,11 @@ def main() -> None:
     fits = folds(things, (*FIRST, CARRIED))
     fits |= corrections(things, bench, fits, args.rounds)
     print(report([one for one in things if not one.never_fitted], fits))
+    print(calibration([one for one in things if not one.never_fitted], fits))
     if args.never_fitted:
         print("never fitted on")
         print(report([one for one in things if one.never_fitted], fits))
+        print(calibration([one for one in things if one.never_fitted], fits))
     if args.write:
         content = entries(fits, None)
         FITTED.write_text(HEAD + yaml.safe_dump(content, sort_keys=False))
@@ -341,24 +345,30 @@ def fitted_without(things: list[Thing], kind: str, scene: str | None) -> CueWeig
     fit = Fit.of(rows)
     weights = fit.weights()
     sums = np.where(fit.there, fit.cues @ weights.values, -np.inf)
-    best = sums.argmax(1)
-    right = fit.ious[np.arange(len(best)), best] >= RIGHT
-    size = -np.sqrt(fit.cues[:, :, NAMES.index("square_of_log_area")])
-    leads = np.array([lead(*pair) for pair in zip(sums, np.exp(size))])
-    return replace(weights, **logistic(leads, right, fit.share))
+    right = fit.ious[np.arange(len(sums)), sums.argmax(1)] >= RIGHT
+    told = np.array([seen(*pair) for pair in zip(fit.cues, sums)])
+    return replace(weights, certainty=logistic(told, right))
 
 
-def logistic(
-    leads: np.ndarray, right: np.ndarray, share: np.ndarray
-) -> dict[str, float]:
-    """How the lead of the first mask tells whether it is right."""
+def seen(cues: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    """`sum.evidence` of a row."""
+    best, of = sums.argmax(), NAMES.index
+    areas = np.exp(-np.sqrt(cues[:, of("square_of_log_area")]))
+    told = cues[best, [of("quality"), of("stability")]]
+    return np.array([lead(sums, areas), *told, 1.0])
+
+
+def logistic(told: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """How `CERTAINTY` tells whether the first mask is right; parts count as much as things."""
+    spread = np.array([*(told[:, :-1].std(0) + 1e-6), 1.0])
+    scaled, sign = told / spread, np.where(right, 1, -1)
 
     def loss(values: np.ndarray) -> float:
-        margin = (values[0] * leads + values[1]) * np.where(right, 1, -1)
-        return float((share * np.logaddexp(0, -margin)).sum() + 0.1 * values[0] ** 2)
+        off = np.logaddexp(0, -(scaled @ values) * sign).sum()
+        return float(off + 0.5 * (values[:-1] ** 2).sum())
 
-    margin, constant = minimize(loss, np.zeros(2), method="L-BFGS-B").x
-    return {"margin": float(margin), "constant": float(constant)}
+    found = minimize(loss, np.zeros(len(spread)), method="L-BFGS-B").x
+    return found / spread
 
 
 def folds(things: list[Thing], kinds: Sequence[str]) -> Fits:
@@ -416,6 +426,34 @@ def report(things: list[Thing], fits: Fits) -> str:
     return "\n".join(told)
 
 
+def calibration(things: list[Thing], fits: Fits) -> str:
+    """How often masks are right that are called so with a confidence, by kind of marks."""
+    found: dict[str, list] = defaultdict(list)
+    for thing in things:
+        for row in thing.rows:
+            weights = fits[row.kind, thing.scene]
+            sums = row.cues @ weights.values
+            sure = confidence(seen(row.cues, sums), weights)
+            right = row.ious[sums.argmax()] >= RIGHT
+            for group in (row.kind, "all", "parts" if thing.part else "things"):
+                found[group].append((sure, right))
+    told = []
+    for group, pairs in found.items():
+        sure, right = np.array(pairs, dtype=float).T
+        bins = np.minimum((sure * BINS).astype(int), BINS - 1)
+        off = [
+            abs((sure - right)[bins == number].sum()) / len(sure)
+            for number in range(BINS)
+        ]
+        high = sure >= HIGH
+        told.append(
+            f"{group:8s} {len(sure):5d}  error of confidence {sum(off):.3f}  "
+            f"at {HIGH:.0%} and more {high.mean():.0%}, right {right[high].mean():.1%}  "
+            f"below {SURE:.0%} {(sure < SURE).mean():.0%}, right {right[sure < SURE].mean():.1%}"
+        )
+    return "\n".join(told)
+
+
 def entries(fits: Fits, scene: str | None) -> dict[str, dict]:
     """The weights that were fitted without a scene, as `fitted.yaml` has them."""
     found = {kind: fits[kind, scene] for kind in (*FIRST, CARRIED, "more")}
@@ -426,16 +464,15 @@ def entries(fits: Fits, scene: str | None) -> dict[str, dict]:
                 for n, v in zip(one.cues, one.values)
                 if abs(v) > 1e-6
             },
-            "margin": round(one.margin, 3),
-            "constant": round(one.constant, 3),
+            "confidence": dict(zip(CERTAINTY, one.certainty.round(3).tolist())),
         }
         for kind, one in found.items()
     }
 
 
 HEAD = """\
-# What multiplies each cue of `cues.py`, by the kind of marks; and how much the
-# lead of the first mask tells of whether it is right. Fitted by
+# What multiplies each cue of `cues.py`, by the kind of marks; and what tells, as
+# the exponent of a logistic, whether the first mask is right. Fitted by
 #     python benchmarks/select_sum.py DATA ELSEWHERE --kept ROWS.pkl --write
 """
 

@@ -6,8 +6,8 @@ import argparse
 
 from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS
-from edit3r.kit.command.console import printable
 from edit3r.kit.command.flags import add_plugin_option
+from edit3r.kit.files.text import printable
 
 
 class DescribeCommand(Command):

@@ -2,22 +2,24 @@
 
 import argparse
 import gc
-from contextlib import nullcontext
+import shlex
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edit3r.contract.command import Command
-from edit3r.contract.errors import InputError, RunError
+from edit3r.contract.errors import Edit3rError, InputError, RunError, as_known
 from edit3r.kit.command.flags import add_trust_flag
 from edit3r.kit.command.results import add_common
 from edit3r.kit.files.names import require_there
-from edit3r.running.config import DEFAULTS, PART_KEYS, JobInputs, RunConfig
+from edit3r.running.config import PART_KEYS, JobInputs, RunConfig
 from edit3r.running.flags import INPUTS, add_flags, add_mark_flags, given_flags
 
 if TYPE_CHECKING:
     from edit3r.contract.reporting import Report
+    from edit3r.contract.types import Views
     from edit3r.running.job import RunJob
-    from edit3r.running.loop import RunResult
+    from edit3r.running.write import RunResult
 
 
 PREVIEW = "edit3r-preview.png"
@@ -84,7 +86,7 @@ class RunCommand(Command):
 
         # As usual, half a second goes into looking through what modules made.
         gc.set_threshold(100_000, 50, 100)
-        as_text = StageConsole(args.quiet, DEFAULTS["usual_shares"])
+        as_text = StageConsole(args.quiet)
         as_json = nullcontext(print_json)
         with as_text if args.progress == "text" else as_json as console:
             report = Report(on_event=console)
@@ -144,10 +146,33 @@ class RunCommand(Command):
             check_apart(args.out, *map(Path, (*args.photos, *args.mask)))
             job = _job(args)
             registry = default_registry(tuple(args.plugin))
-        with atomic_folder(args.out, args.overwrite) as folder:
-            result = run(job, registry, report)
-            write_result(folder, result)
+        edited: list[Views] = []
+        try:
+            with atomic_folder(args.out, args.overwrite) as folder:
+                result = run(job, registry, report, on_edited=edited.append)
+                write_result(folder, result)
+        except Exception as error:
+            if not edited:
+                raise
+            raise _with_edits_kept(error, Path(args.out), edited[0]) from error
         return result
+
+
+def _with_edits_kept(error: Exception, out: Path, edited: "Views") -> Edit3rError:
+    """The error, once the edited photos are beside `out`: an editor may take minutes, or money."""
+    from edit3r.kit.files.atomic import atomic_folder
+    from edit3r.kit.photos.images import save_image
+
+    known, kept = as_known(error), out.with_name(f"{out.name}-edits")
+    with suppress(Edit3rError, OSError):
+        with atomic_folder(kept) as folder:
+            for name, image in zip(edited.names, edited.images[0]):
+                save_image(image, folder / f"{name}.png")
+        again = f"--editor folder --set editor.path={shlex.quote(str(kept))}"
+        return type(known)(
+            f"{known} The edited photos are in {kept}; go on from them with {again}."
+        )
+    return known
 
 
 def _check_preview(file: Path, photos: list[str]) -> None:

@@ -1,10 +1,17 @@
-"""What a plugin says about each thing it offers, readable without importing the thing itself."""
+"""What a plugin says about each thing it offers, readable without importing the thing itself, and
+what all of these have in common once they are built.
+"""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from edit3r.contract.weights import NAME, Weights
+
+if (
+    TYPE_CHECKING
+):  # it takes a tenth of a second to import, and declarations need none of it
+    from edit3r.contract.settings import Settings
 
 KINDS = (
     "reader",
@@ -36,9 +43,7 @@ def hook_name(kind: str) -> str:
 
 @dataclass(frozen=True)
 class Component:
-    """One component on offer: its name, where its class lives, and what a user should know before
-    building it.
-    """
+    """One component on offer: its name, where its class lives, what to know before building it."""
 
     name: str  # kebab-case, unique within its kind
     target: str  # "module:Class"; imported only when the component is built
@@ -160,3 +165,19 @@ def component_name(component: Any) -> str:
     """The name it was asked for by, or its class's for an object that no plugin offers."""
     offer = getattr(component, "offer", None)
     return offer.component.name if offer is not None else type(component).__name__
+
+
+class Configured:
+    """A component: its settings, where it comes from, and the parts it was built with.
+
+    The registry constructs it as `Class(settings, **parts)` and then sets the three attributes.
+    """
+
+    settings: "Settings"
+    offer: Offer
+    parts: Mapping[str, Any]  # by kind
+
+    def __init__(self, settings: "Settings | None" = None) -> None:
+        super().__init__()
+        if settings is not None:  # a network calls this without any, and sets its own
+            self.settings = settings

@@ -34,10 +34,7 @@ class Settings(BaseModel):
     """Base of every component's settings: frozen, unknown keys refused."""
 
     model_config = ConfigDict(
-        frozen=True,
-        extra="forbid",
-        arbitrary_types_allowed=True,
-        allow_inf_nan=False,
+        frozen=True, extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False
     )
 
     @model_validator(mode="before")

@@ -299,9 +299,7 @@ def check_refinement(refiner: Refiner, given: Gaussians, answer: Gaussians) -> N
 def check_gaussians(
     component: Any, gaussians: Gaussians, scenes: int, dtype: torch.dtype
 ) -> None:
-    """Raise PluginError unless these are finite Gaussians of so many scenes, scales and opacities
-    in range.
-    """
+    """Raise PluginError unless these are finite Gaussians of so many scenes, all in range."""
     given = gaussians.means.shape[0]
     sizes = f"gave it {scenes} scenes, got back {given}"
     _require(

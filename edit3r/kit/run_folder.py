@@ -1,6 +1,4 @@
-"""The folder that a run leaves: where each result lies in it, and `run.json`, which says how the
-run was made.
-"""
+"""The folder that a run leaves: where each result lies in it; and `run.json`, how it was made."""
 
 import dataclasses
 import importlib.metadata
@@ -130,9 +128,7 @@ class RunManifest:
 
 
 def write_manifest(path: str | Path, manifest: RunManifest) -> None:
-    """Write as JSON: fields in the order of the class, mappings sorted, secrets blanked, not finite
-    as null.
-    """
+    """Write as JSON: the class's order, mappings sorted, secrets blanked, not finite as null."""
     content = {
         item.name: recorded(getattr(manifest, item.name))
         for item in dataclasses.fields(manifest)

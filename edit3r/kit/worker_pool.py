@@ -1,6 +1,4 @@
-"""Who does the jobs of `edit3r.kit.workers`: processes of this machine, or actors of a Ray
-cluster.
-"""
+"""Who does the jobs of `edit3r.kit.workers`: processes of this machine, or actors on Ray."""
 
 import logging
 import multiprocessing
@@ -101,9 +99,7 @@ def pool_of(task: Task, workers: Workers) -> WorkerPool:
 
 
 class InProcesses:
-    """Workers as new processes of this machine; forking one that has used torch's threads can
-    hang.
-    """
+    """Workers as new processes: forking one that has used torch's threads can hang."""
 
     tries = 1  # what a job did to one process, it does to the next one on this machine
 
@@ -178,9 +174,7 @@ class _Actor:
 
 
 class OnRay:
-    """Workers as actors of the Ray cluster that RAY_ADDRESS names, else one here; all nodes must
-    see the same paths.
-    """
+    """Workers as actors of the Ray cluster of RAY_ADDRESS, else one here; nodes share all paths."""
 
     tries = 2  # a node may have gone away, which is not the job's fault
 

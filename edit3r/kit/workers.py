@@ -61,9 +61,7 @@ class Progress:
     seconds_left: float
 
     def said(self, what: str, of: str = "") -> str:
-        """One line about the job, in front what it is `of`, with what came of it and the time
-        left.
-        """
+        """One line about the job, with what it is `of`, what came of it and the time left."""
         left = self.seconds_left
         size, unit = (
             (1, "s") if left < 120 else (60, "min") if left < 7200 else (3600, "h")
@@ -123,9 +121,7 @@ def run_resumable(
 
 
 def append_row(path: Path, row: Row) -> dict[str, Any]:
-    """Add one line, have it on disk before returning, and return the row as it will be read
-    back.
-    """
+    """Add one line, have it on disk, and return the row as it will be read back."""
     line = _line(row)
     with path.open("a", encoding="utf-8") as file:
         file.write(line)
@@ -171,9 +167,7 @@ def repair(path: Path) -> None:
 
 
 def _line(row: Row) -> str:
-    """Return the row as a line of JSON, with null in the place of every number that JSON does not
-    have.
-    """
+    """The row as a line of JSON, with null for every number that JSON does not have."""
     return (
         json.dumps(json.loads(to_json(row, inf_nan_mode="null")), ensure_ascii=False)
         + "\n"

@@ -1,6 +1,4 @@
-"""Does a component keep what its declaration promises? Asked by `list-plugins --check`, `doctor`
-and contract tests.
-"""
+"""Does a component keep what its declaration promises? For `--check`, `doctor`, contract tests."""
 
 import inspect
 from typing import Any
@@ -140,9 +138,7 @@ def _check_parts(offer: Offer, cls: type, settings: type[Settings]) -> str:
 
 
 def _check_view_limits(offer: Offer, cls: Any) -> str:
-    """A reconstructor says its limits twice: in the declaration, and on the class the pipeline
-    asks.
-    """
+    """A reconstructor says its limits twice: in its declaration, and on the class a run asks."""
     if offer.kind != "reconstructor":
         return ""
     declared = (offer.component.min_views, offer.component.max_views)

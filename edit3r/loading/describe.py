@@ -72,9 +72,7 @@ def settings_lines(cls: type[Settings]) -> tuple[SettingLine, ...]:
 
 
 def yaml_example(offer: Offer, cls: type[Settings]) -> str:
-    """The component with its defaults as a configuration's YAML, each setting explained in a
-    comment.
-    """
+    """The component with its defaults as YAML, each setting explained in a comment."""
     rows = [(f"  name: {offer.component.name}", "")]
     for line in settings_lines(cls):
         comment = f"{line.sentence} ({line.allowed})" if line.sentence else line.allowed
@@ -177,9 +175,7 @@ def _flow(value: Any) -> str:
 
 
 def _under_its_key(kind: str, body: list[str]) -> list[str]:
-    """Indent below the key where a configuration chooses this kind; a run has a list of
-    refiners.
-    """
+    """Indent below the key where a configuration chooses this kind; refiners are a list."""
     if kind == "refiner":
         return [
             "refiners:",

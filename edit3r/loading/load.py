@@ -94,11 +94,7 @@ def _local(
                 f"--plugin {file}: no such file; expected a Python module with edit3r hooks, or "
                 "a package's folder."
             )
-        yield (
-            path.stem,
-            "",
-            partial(_import_file, path.stem, source),
-        )
+        yield (path.stem, "", partial(_import_file, path.stem, source))
 
 
 def _import_file(name: str, path: Path) -> ModuleType:
@@ -128,9 +124,7 @@ def _import_file(name: str, path: Path) -> ModuleType:
 def _offers(
     manager: pluggy.PluginManager, name: str, version: str, module: ModuleType
 ) -> list[Offer]:
-    """Register one plugin and collect what it offers; raises with the reason when anything is
-    off.
-    """
+    """Register one plugin and collect what it offers; raises with the reason where it is off."""
     if manager.is_registered(module):  # a local file that is installed too
         return []
     _check_api(getattr(module, "EDIT3R_API", hookspecs.API_VERSION))

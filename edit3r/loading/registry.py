@@ -27,6 +27,7 @@ from edit3r.contract.errors import (
 from edit3r.contract.reporting import warn
 from edit3r.contract.settings import PartChoice, Settings, make_settings
 from edit3r.contract.torch_state import in_usual_torch
+from edit3r.contract.weights import Weights
 from edit3r.kit.weights.find import at_hand
 from edit3r.loading.load import LoadedPlugins, PluginFailure, load_plugins
 
@@ -61,9 +62,7 @@ class Registry:
         )
 
     def clashes(self) -> list[str]:
-        """A sentence for each kind and name that several plugins offer: it must be asked for as
-        `plugin:name`.
-        """
+        """A sentence for each kind and name that several plugins offer: ask for `plugin:name`."""
         groups: dict[tuple[str, str], list[Offer]] = {}
         for offer in self.offers():
             groups.setdefault((offer.kind, offer.component.name), []).append(offer)
@@ -127,9 +126,7 @@ class Registry:
         )
 
     def load_class(self, offer: Offer) -> type:
-        """Import the component's class; raises MissingDependencyError or PluginError with the way
-        out.
-        """
+        """Import the component's class; raises MissingDependencyError or PluginError."""
         missing = self.missing(offer)
         absent = absent_device(offer.component) if missing else ""
         if absent:
@@ -201,9 +198,7 @@ class Registry:
         )
 
     def check(self, kind: str, choice: PartChoice) -> Settings:
-        """The settings; raises what building the component would raise about its name, its packages
-        and them.
-        """
+        """The settings; raises what building the component would raise about its name and them."""
         offer = self.find(kind, choice.name)
         return self._settings(offer, choice.settings, _key(kind, choice.name))
 
@@ -223,9 +218,7 @@ class Registry:
         built: dict[str, Any],
         where: str,
     ) -> Any:
-        """`where` is the key of this component in a configuration, such as
-        'reconstructor.backbone'.
-        """
+        """`where` is this component's key in a configuration, such as 'reconstructor.backbone'."""
         offer = self.find(kind, name)
         cls, settings = self.load_class(offer), self._settings(offer, values, where)
         siblings = dict(built)
@@ -334,3 +327,13 @@ def build(
 def components(kind: str | None = None) -> list[Offer]:
     """What is available of one kind, or of all, without importing any of it."""
     return default_registry().offers(kind)
+
+
+def declared(local_files: tuple[str, ...] = ()) -> dict[str, Weights]:
+    """All weights that installed components name, by name; those of plugins in local files too."""
+
+    found: dict[str, Weights] = {}
+    for offer in default_registry(local_files).offers():
+        for weights in offer.component.weights:
+            found.setdefault(weights.name, weights)
+    return dict(sorted(found.items()))

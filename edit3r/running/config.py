@@ -1,6 +1,4 @@
-"""What one run is asked to do, merged from a preset, a YAML file, `--set` and the command line's
-own flags.
-"""
+"""What one run is asked to do, merged from a preset, a YAML file, `--set` and flags."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,14 +8,8 @@ from pydantic import Field, field_validator, model_validator
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import SettingsError, UnknownComponentError
-from edit3r.contract.settings import (
-    PartChoice,
-    Settings,
-    Share,
-    make_settings,
-    merge,
-)
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.contract.settings import PartChoice, Settings, Share, make_settings, merge
+from edit3r.kit.files.configs import read_yaml
 from edit3r.loading.registry import Registry
 from edit3r.running.quality import read_quality, with_quality
 
@@ -47,9 +39,7 @@ PART_KEYS = (
 
 
 class RunConfig(Settings):
-    """Settings of a run, outside those of the components themselves. Each is also a flag of `edit3r
-    run`.
-    """
+    """Settings of a run itself. Each is also a flag of `edit3r run`."""
 
     prompt: str = Field(
         "",
@@ -191,9 +181,7 @@ class RunConfig(Settings):
         "docs/simplify.md)",
     )
     max_gaussians: int | None = Field(
-        None,
-        ge=1,
-        description="never leave more Gaussians than this",
+        None, ge=1, description="never leave more Gaussians than this"
     )
     refine: int = Field(
         12,
@@ -241,9 +229,7 @@ class RunConfig(Settings):
     @field_validator("outputs", "export", mode="before")
     @classmethod
     def _read_list(cls, value: Any) -> Any:
-        """Accept names in one text with commas. Whether there are such is asked when a run
-        begins.
-        """
+        """Accept names in one text with commas; whether there are such is asked later."""
         if isinstance(value, str):
             value = [name.strip() for name in value.split(",") if name.strip()]
         return (*USUAL_OUTPUTS, "frames") if value == ["all"] else value
@@ -370,14 +356,7 @@ class JobInputs(Settings):
     )
 
     @field_validator(
-        "photos",
-        "mask",
-        "point",
-        "not_point",
-        "box",
-        "stroke",
-        "region",
-        mode="before",
+        "photos", "mask", "point", "not_point", "box", "stroke", "region", mode="before"
     )
     @classmethod
     def _one_is_a_list(cls, value: Any) -> Any:

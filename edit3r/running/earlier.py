@@ -68,9 +68,7 @@ class EarlierRun:
 
 
 def note_views(views: Views) -> None:
-    """Note for run.json what `read_earlier_run` needs beside the images; numbers survive
-    exactly.
-    """
+    """Note for run.json what `read_earlier_run` needs beside the images; numbers stay exact."""
     c2w = None if views.c2w is None else views.c2w[0].tolist()
     facts = {
         "names": list(views.names),
@@ -96,9 +94,7 @@ def read_earlier_run(root: str | Path, trusted: bool = False) -> EarlierRun:
 
 
 def read_views_of_run(root: str | Path) -> tuple[Views, Views]:
-    """The unedited and the edited views of a run folder, without its scene; errors are those of
-    `read_earlier_run`.
-    """
+    """The unedited and the edited views of a run folder, without its scene."""
     return _read(root, _views_of_run)
 
 

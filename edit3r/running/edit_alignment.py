@@ -414,9 +414,7 @@ def _undone(
     photo: Float[Tensor, "3 height width"],
     edit: Float[Tensor, "3 height width"],
 ) -> Float[Tensor, "3 height width"]:
-    """The edit where its photo is; what left the picture is the photo, changed as what is next to
-    it was.
-    """
+    """The edit where its photo is; what left the picture is the photo, changed as beside it."""
     before, after = (
         one.movedim(0, -1).numpy(force=True).astype(np.float32) for one in (photo, edit)
     )

@@ -282,7 +282,5 @@ def undone(job: RunJob) -> RunJob:
     if not rest:
         changed["editor"] = PartChoice(name="none")
     return replace(
-        job,
-        config=job.config.model_copy(update=changed),
-        earlier=job.earlier.undone(),
+        job, config=job.config.model_copy(update=changed), earlier=job.earlier.undone()
     )

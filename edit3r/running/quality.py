@@ -14,7 +14,7 @@ from pydantic import Field
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.reporting import note
 from edit3r.contract.settings import Settings, make_settings, merge
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import read_yaml
 
 PRESETS = ("fast", "balanced", "best")  # quickest first
 

@@ -6,17 +6,10 @@ from pathlib import Path
 from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.run_folder import RunFolder
 from edit3r.running.config import RunConfig, make_run_config
-from edit3r.running.loop import RunResult
 from edit3r.running.records import SelectedRegions
+from edit3r.running.write import RunResult
 
-MAKES_NO_OTHER_SCENE = {
-    "prompt",
-    "seed",
-    "frames",
-    "outputs",
-    "export",
-    "sure",
-}
+MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "sure"}
 """Settings that may differ from the defaults without the run being another kind of run."""
 
 BEST_COSTS, LARGE_COSTS = "half as long again", "four to five times as long"  # dial.py
@@ -79,7 +72,7 @@ def _named_settings(result: RunResult) -> str:
         return (
             f"{asked.quality} (but {', '.join(changed)})" if changed else asked.quality
         )
-    return f"own ({', '.join(changed)})" if changed else "default"
+    return f"custom ({', '.join(changed)})" if changed else "default"
 
 
 def _field_of_view(result: RunResult) -> str:

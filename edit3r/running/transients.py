@@ -163,9 +163,7 @@ class _Scene:
         return same & (_beyond(self.images[one], least, most) < ALIKE)
 
     def _passing_in(self, view: int, sure: dict[int, Mask]) -> Mask:
-        """What passed in one view; `sure` are the pixels of others that some third view agrees
-        with.
-        """
+        """What passed in one view; `sure` are pixels of others that some third view agrees with."""
         tell = torch.zeros_like(self.measured[view], dtype=torch.int32)
         alike = torch.zeros_like(self.measured[view])
         surface = torch.full_like(self.depths[view], torch.inf)
@@ -187,9 +185,7 @@ class _Scene:
         return _grown(found, ~self.measured[view], told)
 
     def _drawn(self, other: int, mask: Mask, view: int) -> tuple[Tensor, Tensor]:
-        """Depth (infinite: none) and colour of what `other` shows, drawn into `view` point by
-        point.
-        """
+        """Depth (infinite: none) and colour of what `other` shows, drawn into `view` by points."""
         height, width = mask.shape
         grid, z = self._seen(self.points[other][mask], view)
         inside = (z > 0) & ((grid > 0) & (grid < 1)).all(-1)
@@ -208,9 +204,7 @@ class _Scene:
     def _could_stand_nowhere(
         self, view: int, piece: Mask, surface: Tensor, sure: dict[int, Mask]
     ) -> float:
-        """Share of a piece's rays on which some other view sees through every place before the
-        surface.
-        """
+        """Share of a piece's rays on which another view sees through all before the surface."""
         far = 1 / surface[piece]
         near = self.depths[self.measured].quantile(0.02) * NEAREST
         centre = self.c2w[view, :3, 3]

@@ -19,7 +19,7 @@ from edit3r.contract.interfaces import LossInputs
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras
 from edit3r.kit.compute.metrics import psnr, ssim
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import read_yaml
 from edit3r_bench import metrics
 from edit3r_bench.features import (
     ClipSimilarity,

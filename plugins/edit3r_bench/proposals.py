@@ -30,7 +30,7 @@ from edit3r.contract.errors import InputError, MissingDependencyError, RunError
 from edit3r.contract.interfaces import Detection, Detector, Segmenter
 from edit3r.contract.settings import Settings, make_settings
 from edit3r.kit.command.results import write_text
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import read_yaml
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.kit.photos.images import to_bytes
 from edit3r_bench.manifest import EDIT_TYPES, EDITS_PER_SCENE, EditType

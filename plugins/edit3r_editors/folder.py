@@ -20,7 +20,7 @@ from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.files.names import expanded
 from edit3r.kit.photos.framing import frame_for
 from edit3r.kit.photos.images import find_photos, read_image, to_bytes
-from edit3r.kit.photos.mask_files import photo_named
+from edit3r.kit.photos.masks import photo_named
 
 LEAST_CROPPED = 0.01  # share of a picture whose loss is said
 COMPARED = 64  # sides of the copies of picture and photo that are compared [pixels]

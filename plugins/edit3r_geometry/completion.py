@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from edit3r.kit.compute.compiling import compiled
-from edit3r.kit.compute.smoothing import weighted_smooth
+from edit3r.kit.compute.layers import weighted_smooth
 from edit3r_geometry.cameras import CalibratedImage, pixel_rays, project
 from edit3r_geometry.plane_sweep import Neighbour, RawDepth
 

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
-from edit3r.kit.geometry.gravity import up_direction
+from edit3r.kit.geometry.cameras import up_direction
 from edit3r_geometry.cameras import CalibratedImage, Pose, pixel_rays
 from edit3r_geometry.plane_sweep import RawDepth
 

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import EditToJudge
 from edit3r.kit.compute.colour import rgb_to_lab
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import read_yaml
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.geometry.warping import shared_surface, warp
 

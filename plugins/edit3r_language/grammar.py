@@ -102,7 +102,7 @@ def clauses_of(prompt: str) -> Iterator[list[str]]:
     """The words of each clause, lower-case, with spellings and set phrases brought to one form."""
     text = _RGB.sub(_hex_of, prompt.lower().replace("’", "'"))
     for pattern, instead in words.PHRASES:
-        text = " ".join(re.sub(pattern, instead, text).split())
+        text = " ".join(pattern.sub(instead, text).split())
     text, begins = _exceptions(text), True
     for part in _SEPARATORS.split(text):
         tokens = [words.SPELLINGS.get(token, token) for token in _TOKEN.findall(part)]

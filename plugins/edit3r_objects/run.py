@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from edit3r_outputs.api import load_scene
 from jaxtyping import Bool
 from torch import Tensor
 
@@ -24,12 +25,9 @@ from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import LoadedPhotos, save_image
 from edit3r.kit.rendering import render_each
 from edit3r.kit.run_folder import RunFolder, continue_run
-from edit3r.kit.scenes.drawn import choose_drawn, read_drawn
 from edit3r.kit.scenes.files import scene_file
-from edit3r.kit.scenes.lifting import lift, lift_all
 from edit3r.kit.scenes.look import look_at
 from edit3r.kit.scenes.ply import save_ply
-from edit3r.kit.scenes.read import load_scene
 from edit3r.kit.sheet import draw_sheet
 from edit3r.running import (
     MarkTexts,
@@ -38,7 +36,9 @@ from edit3r.running import (
     select_with,
     usual_selector,
 )
+from edit3r_objects.drawn import choose_drawn, read_drawn
 from edit3r_objects.finding import find_things, usual_tools
+from edit3r_objects.lifting import lift, lift_all
 
 MAX_NAME = 80
 SMALLEST = 2e-4  # share of a view from which an object shows in it
@@ -182,7 +182,7 @@ def what_is_drawn(
     """The Gaussians that a file of strokes chooses. Raises InputError where that are none, or all.
 
     The file is JSON: `{"strokes": [...], "grown": 0}`, each stroke with the fields of
-    `edit3r.kit.scenes.drawn.Drawn`.
+    `edit3r_objects.drawn.Drawn`.
     """
     try:
         content = read_json(file)

@@ -134,14 +134,8 @@ def _webm(frames: Sequence[bytes], size: tuple[int, int], fps: float) -> bytes:
 
 
 def _header() -> bytes:
-    versions = (
-        (0x4286, 1),
-        (0x42F7, 1),
-        (0x42F2, 4),
-        (0x42F3, 8),
-        (0x4287, 2),
-        (0x4285, 2),
-    )
+    names = 0x4286, 0x42F7, 0x42F2, 0x42F3, 0x4287, 0x4285
+    versions = zip(names, (1, 1, 4, 8, 2, 2))
     parts = [_unsigned(name, value) for name, value in versions]
     parts.insert(4, _element(0x4282, b"webm"))
     return _element(_EBML, *parts)

@@ -4,7 +4,7 @@ A segmenter whose `ask` has no masks reads marks itself.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import zip_longest
 from typing import Protocol
@@ -40,22 +40,36 @@ class AnswersMarks(Protocol):
         """
 
 
-def readings(segmenter: Segmenter, image: Image, marks: Marks) -> tuple[Proposal, ...]:
-    """All that the marks may mean, the answer first: as sure as the sum is, the others share the
-    rest. With `marks.larger` the answer, that many steps from the likeliest, is alone.
+@dataclass(frozen=True)
+class Answered:
+    """All that marks may mean, the answer first; as sure as the sum is, the others share the rest.
+
+    With `marks.larger` the answer, that many steps from the likeliest, is alone.
     """
+
+    readings: tuple[Proposal, ...]
+    confidence: float | None  # that the first is meant; None: nobody can tell
+
+    @property
+    def mask(self) -> Float[Tensor, "height width"]:
+        return self.readings[0].soft_mask
+
+
+def answered(segmenter: Segmenter, image: Image, marks: Marks) -> Answered:
+    """What the marks mean on one photo."""
     scale = min(1.0, LONGER / max(image.shape[-2:]))
     height, width = (max(1, round(side * scale)) for side in image.shape[-2:])
     chosen = _chosen(partial(segmenter.ask, image), (height, width), marks)
     if chosen is None:
         if marks.larger or marks.prior is not None:
-            return (segmenter.segment_marks(image, marks),)
-        return segmenter.readings(image, marks)
+            return Answered((segmenter.segment_marks(image, marks),), None)
+        return Answered(segmenter.readings(image, marks), None)
     if marks.larger:
         stepped = chosen.stepped(marks.larger)
-        return (_as_proposal(image, stepped, chosen.confidence),)
+        return Answered((_as_proposal(image, stepped, 1.0),), None)
     pairs = zip(chosen.candidates, _shares(chosen))
-    return tuple(_as_proposal(image, one, share) for one, share in pairs)
+    found = tuple(_as_proposal(image, one, share) for one, share in pairs)
+    return Answered(found, chosen.confidence)
 
 
 def _chosen(ask: AnswersMarks, size: Size, marks: Marks) -> Chosen | None:
@@ -73,7 +87,7 @@ def _chosen(ask: AnswersMarks, size: Size, marks: Marks) -> Chosen | None:
         return selected(size, asked_by(marks, size), ask)
     if marks.prior is not None and waiting:
         expected = MaskCandidate(_as_logits(marks.prior, size), 0.0, 1.0)
-        chosen = Chosen((expected,), 1.0)
+        chosen = Chosen((expected,), None)
     elif marks.stroke or marks.box:
         chosen = selected(size, Asked((), marks.stroke, marks.box), ask)
     clicks: tuple[Click, ...] = ()
@@ -173,11 +187,12 @@ def _obeyed(chosen: Chosen | None, size: Size, click: Click) -> bool:
 
 def _shares(chosen: Chosen) -> Iterator[float]:
     """How likely each candidate is what is meant; they add up to 1."""
-    yield chosen.confidence
+    first = 1.0 if chosen.confidence is None else chosen.confidence
+    yield first
     scores = np.array([one.score for one in chosen.candidates[1:]])
     if len(scores):
         parts = np.exp(scores - scores.max())
-        yield from ((1 - chosen.confidence) * parts / parts.sum()).tolist()
+        yield from ((1 - first) * parts / parts.sum()).tolist()
 
 
 def _as_logits(mask: Tensor, size: Size) -> np.ndarray:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Marks
 from edit3r.kit.geometry.warping import nearest_views, warp
-from edit3r_select.answering import readings
+from edit3r_select.answering import answered
 from edit3r_select.obeying import MEASURED
 from edit3r_select.photos import Found, Mask, OnPhoto, Photos, clean
 
@@ -38,7 +38,7 @@ def carried(photos: Photos, found: Found, missing: Iterable[int]) -> dict[int, O
             continue
         marks = expected_on(photos, known, view)
         if marks is not None:
-            mask = readings(photos.segmenter, photos.images[view], marks)[0].soft_mask
+            mask = answered(photos.segmenter, photos.images[view], marks).mask
             known[view] = OnPhoto(clean(mask, photos.images), "geometry")
     lost = [view for view in wanted if view not in known]
     for source in {nearest[view] for view in lost}:

@@ -19,7 +19,7 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import say
 from edit3r.kit.geometry.warping import warp
-from edit3r_select.answering import readings
+from edit3r_select.answering import answered
 from edit3r_select.photos import Mask, Named, OnPhoto, Photos, overlap
 from edit3r_select.sum import SAME
 from edit3r_select.which import pick
@@ -243,7 +243,7 @@ def _options(
     options += [(one.soft_mask, one.confidence) for one in found]
     if any(picked[0].box[2:]):
         box = Marks(box=_share_of(photos, picked[0]))
-        boxed = readings(photos.segmenter, photos.images[view], box)
+        boxed = answered(photos.segmenter, photos.images[view], box).readings
         options += [(one.soft_mask, one.confidence * confidence) for one in boxed]
     return options
 
@@ -260,7 +260,7 @@ def _stepped(photos: Photos, view: int, one: Proposal, larger: int) -> Mask:
     if not larger:
         return one.soft_mask
     marks = Marks(box=_share_of(photos, one), larger=larger)
-    return readings(photos.segmenter, photos.images[view], marks)[0].soft_mask
+    return answered(photos.segmenter, photos.images[view], marks).mask
 
 
 def _also(found: Proposals) -> Proposals:
@@ -314,7 +314,7 @@ def _standing_out(
     # as if another photo had shown it: the sum draws its outline
     whole = torch.ones_like(likeliest.soft_mask, dtype=torch.bool)
     shown = Marks(prior=likeliest.soft_mask, known=whole)
-    first = readings(photos.segmenter, photos.images[view], shown)[:1]
+    first = answered(photos.segmenter, photos.images[view], shown).readings[:1]
     options = numbered(
         view, ((one.soft_mask, GUESSED / 2**n) for n, one in enumerate((*first, *some)))
     )

@@ -9,7 +9,7 @@ import torch
 
 from edit3r.contract.interfaces import Marks, Segmenter
 from edit3r.kit.geometry.cameras import pixel_grid, project, unproject
-from edit3r_select.answering import Image, readings
+from edit3r_select.answering import Image, answered
 from edit3r_select.photos import SAME_SURFACE, Mask, Photos
 
 DOT = 0.006  # radius of what a mark is worth where nothing follows it [longer sides]
@@ -81,7 +81,7 @@ def obeyed(
             inside = (point.place,) if point.wanted else ()
             outside = () if point.wanted else (point.place,)
             marks = Marks(inside, outside, prior=mask)
-            found = readings(segmenter, image, marks)[0].soft_mask
+            found = answered(segmenter, image, marks).mask
             mask = joined_change(mask, found.to(mask), point)
     for point in points:
         if not point.is_obeyed(mask):

@@ -22,6 +22,7 @@ from edit3r.contract.interfaces import (
     Box,
     Geometry,
     Marks,
+    Proposal,
     Reading,
     Segmenter,
     Selected,
@@ -33,7 +34,7 @@ from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.maps import shown
 from edit3r.kit.segmenting import HeldSegmenter
-from edit3r_select.answering import readings
+from edit3r_select.answering import answered
 from edit3r_select.carrying import agreed, carried
 from edit3r_select.naming import (
     MAX_READINGS,
@@ -97,10 +98,11 @@ def select_masks(
         view: replace(one, mask=1 - one.mask) if all_else else one
         for view, one in named.found.items()
     }
+    sure, options = [named.confidence], named.readings
     for view in selection.views:
-        found[view], options = _marked(photos, selection, found, view)
-        if not named.readings:  # a photo that was marked before says which
-            named = replace(named, readings=options)
+        found[view], there, confidence = _marked(photos, selection, found, view)
+        options = options or there  # a photo that was marked before says which
+        sure.append(confidence)
     found |= carried(photos, found, set(range(len(images))) - set(found))
     for view in [view for view, one in found.items() if one.how == "not found"]:
         again = named_again(photos, selection, named, view)
@@ -124,14 +126,19 @@ def select_masks(
     )
     grow = -selection.grow if all_else else selection.grow
     final, warnings = grown(torch.stack(masks)[:, None], grow), [*named.warnings]
-    warnings += _told(selection, named, how)
+    warnings += _told(selection, len(options), how)
     if selection.inverted != all_else:
         warnings += _told_empty(final, how)
         final = (1 - final) * shown(final)
     for text in warnings:
         warn(text)
     return Selected(
-        final, how, tuple(warnings), named.confidence, named.readings, selection.reading
+        final,
+        how,
+        tuple(warnings),
+        min((one for one in sure if one is not None), default=None),
+        options,
+        selection.reading,
     )
 
 
@@ -178,14 +185,14 @@ def _check(selection: Selection, count: int) -> None:
 
 def _marked(
     photos: Photos, selection: Selection, found: Found, view: int
-) -> tuple[OnPhoto, tuple[Reading, ...]]:
-    """What is selected on a photo that carries marks, and what else they may mean there; what other
-    photos showed so far is where it is expected.
+) -> tuple[OnPhoto, tuple[Reading, ...], float | None]:
+    """What is selected on a photo that carries marks, what else they may mean there, and how sure
+    the first is; what other photos showed so far is where it is expected.
     """
     image, nothing = photos.images[view], torch.zeros_like(photos.images[view, 0])
     if view in selection.masks:
         given = clean(selection.masks[view], image)
-        return OnPhoto(_painted(selection, given, view), "given"), ()
+        return OnPhoto(_painted(selection, given, view), "given"), (), None
     before = found.get(view)
     if before is None and found:
         before = carried(photos, found, {view})[view]
@@ -195,39 +202,44 @@ def _marked(
     marks = replace(selection.marks_on(view), prior=prior, larger=selection.larger)
     mask, how = nothing if prior is None else prior, "marked"
     options: tuple[Reading, ...] = ()
+    confidence = None
     if marks.inside or marks.box is not None or (marks.negative and prior is not None):
-        mask, options = _described(photos, selection, view, marks)
+        mask, options, confidence = _described(photos, selection, view, marks)
     elif prior is None and view in {on for on, _ in selection.regions}:
         how = "region"
     elif prior is None and view not in selection.added:
         raise InputError(
             f"photo {view + 1} is only told what is not the object; {ASK} on it."
         )
-    return OnPhoto(_painted(selection, clean(mask, image), view), how), options
+    painted = _painted(selection, clean(mask, image), view)
+    return OnPhoto(painted, how), options, confidence
 
 
 def _described(
     photos: Photos, selection: Selection, view: int, marks: Marks
-) -> tuple[Mask, tuple[Reading, ...]]:
-    """The object that marks describe, and what else they may mean.
+) -> tuple[Mask, tuple[Reading, ...], float | None]:
+    """The object that marks describe, what else they may mean, and how sure it is.
 
     A click says where, and words say how far: a click on a wheel beside the word "bike" means the
     bike. What they name is a reading too, and comes before a larger one: a fox before the fox with
     its plaque.
     """
     image = photos.images[view]
-    told = readings(photos.segmenter, image, marks)
+    told = answered(photos.segmenter, image, marks)
     if marks.larger or marks.prior is not None:
-        return told[0].soft_mask, ()
-    named = _named_at(photos, selection, view, marks)
-    pairs = [(one.soft_mask, one.confidence) for one in told[:MAX_READINGS]]
-    if named is not None:
-        pairs = _with_named(pairs, named)
-    options = numbered(view, pairs)
+        return told.mask, (), told.confidence
+    pairs = [(one.soft_mask, one.confidence) for one in told.readings[:MAX_READINGS]]
+    by_name = _named_at(photos, selection, view, marks)
+    if by_name is None:
+        options = numbered(view, pairs)
+        return taken_of(options, selection.reading).mask, options, told.confidence
+    named = by_name.soft_mask
+    options = numbered(view, _with_named(pairs, named))
     found = taken_of(options, selection.reading).mask
-    agree = named is None or overlap(found, named) >= SAME_THING
-    if named is None or agree or selection.reading > 1:
-        return found, options
+    if overlap(found, named) >= SAME_THING or selection.reading > 1:
+        is_own = overlap(found, told.mask) >= SAME
+        sure = told.confidence if is_own else by_name.confidence
+        return found, options, sure
     say("selection.clicked", f"what is clicked on is {selection.words}")
     height, width = named.shape
     points = points_of(marks)
@@ -235,14 +247,14 @@ def _described(
         bool(named[point.pixel((height, width))] > 0.5) == point.wanted
         for point in points
     ):
-        return named, ()
-    corrected = readings(photos.segmenter, image, replace(marks, prior=named))
-    return corrected[0].soft_mask, ()
+        return named, (), by_name.confidence
+    corrected = answered(photos.segmenter, image, replace(marks, prior=named))
+    return corrected.mask, (), corrected.confidence
 
 
 def _named_at(
     photos: Photos, selection: Selection, view: int, marks: Marks
-) -> Mask | None:
+) -> Proposal | None:
     """What the words name where the first click lies; None without words, or where a box says
     more.
     """
@@ -253,7 +265,7 @@ def _named_at(
     for one in photos.segmenter.segment_text(image, selection.words) or ():
         clicked = one.soft_mask[place.pixel(one.soft_mask.shape)] > 0.5
         if clicked and one.confidence >= CLICKED_SURE:
-            return one.soft_mask
+            return one
     return None
 
 
@@ -297,9 +309,9 @@ def _final(photos: Photos, selection: Selection, mask: Mask, view: int) -> Mask:
     return _painted(selection, held, view)
 
 
-def _told(selection: Selection, named: Named, how: Sequence[str]) -> list[str]:
-    """What went otherwise than was asked."""
-    told, count = [], len(named.readings)
+def _told(selection: Selection, count: int, how: Sequence[str]) -> list[str]:
+    """What went otherwise than was asked, where there are `count` readings."""
+    told = []
     if count and selection.reading > count:
         told.append(
             f"--reading {selection.reading}: there are {count}; the last one is taken."

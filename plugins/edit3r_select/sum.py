@@ -1,7 +1,7 @@
 """Which mask is meant: a sum of cues with fitted weights, the largest first."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import yaml
 
-from edit3r_select.cues import Pool, pixel, table
+from edit3r_select.cues import Pool, pixel, quality, stability, table
 
 FITTED = Path(__file__).with_name("fitted.yaml")
 SAME = 0.85
@@ -23,6 +23,8 @@ SURE = 4.0
 """Its logit."""
 NOTICED = 1.15
 """Ratio of two areas from which one mask is larger than the other."""
+CERTAINTY = ("lead", "quality", "stability", "constant")
+"""What tells whether the first mask is right."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,15 +33,16 @@ class CueWeights:
 
     cues: tuple[str, ...]  # names in `cues.CUES`
     values: np.ndarray  # [cue], of cues as they are
-    margin: float = 1.0  # how much the lead of the first mask tells, and what is added
-    constant: float = 0.0
+    # of lead, quality and stability of the first mask, and a constant: whether it is right
+    certainty: np.ndarray = field(default_factory=lambda: np.array([1.0, 0, 0, 0]))
 
     @classmethod
     def of(cls, entry: Mapping[str, Any]) -> "CueWeights":
         """The weights of an entry of `fitted.yaml`."""
         told = entry["weights"]
         values = np.array([told[name] for name in told], dtype=float)
-        return cls(tuple(told), values, entry["margin"], entry["constant"])
+        certainty = [entry["confidence"][name] for name in CERTAINTY]
+        return cls(tuple(told), values, np.array(certainty))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,9 +64,8 @@ class Chosen:
 
     # the one that is taken first, then by their sums
     candidates: tuple[MaskCandidate, ...]
-    confidence: (
-        float  # in [0, 1]: how likely the first has an IoU of 0.7 with what is meant
-    )
+    # in [0, 1]: how likely the first has an IoU of 0.7 with what is meant; None: nothing was asked
+    confidence: float | None
 
     @property
     def best(self) -> MaskCandidate:
@@ -104,7 +106,7 @@ def choose(pool: Pool, weights: CueWeights) -> Chosen:
         )
         for one in order
     )
-    return Chosen(candidates, confidence(lead(values, pool.areas), weights))
+    return Chosen(candidates, confidence(evidence(pool, values), weights))
 
 
 def obeying(pool: Pool, logits: np.ndarray) -> np.ndarray:
@@ -118,9 +120,16 @@ def obeying(pool: Pool, logits: np.ndarray) -> np.ndarray:
     return obeyed
 
 
-def confidence(ahead: float, weights: CueWeights) -> float:
-    """How likely the first mask is meant, by how far it is ahead."""
-    return float(1 / (1 + np.exp(-(weights.margin * ahead + weights.constant))))
+def evidence(pool: Pool, values: np.ndarray) -> np.ndarray:
+    """What tells whether the mask with the largest sum is right: `CERTAINTY`."""
+    best = int(values.argmax())
+    told = quality(pool)[best], stability(pool)[best]
+    return np.array([lead(values, pool.areas), *told, 1.0])
+
+
+def confidence(told: np.ndarray, weights: CueWeights) -> float:
+    """How likely the first mask has an IoU of 0.7 with what is meant."""
+    return float(1 / (1 + np.exp(-(weights.certainty @ told))))
 
 
 def lead(values: np.ndarray, areas: np.ndarray) -> float:

@@ -17,15 +17,7 @@ from edit3r.contract.errors import InputError
 from edit3r.kit.weights.files import whole_file
 
 LAST = "last.pt"
-_PARTS = {
-    "network",
-    "optimizer",
-    "average",
-    "step",
-    "skipped",
-    "best",
-    "config",
-}
+_PARTS = {"network", "optimizer", "average", "step", "skipped", "best", "config"}
 
 
 @dataclass

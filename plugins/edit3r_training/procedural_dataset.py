@@ -27,12 +27,8 @@ from edit3r_training.raycaster import CastImage, cast
 from edit3r_training.spans import CountSpan, Span
 
 EIGHT_BITS = (
-    "context",
-    "target",
-    "context_masks",
-    "target_masks",
-    "edited_context",
-    "edited_target",
+    *("context", "context_masks", "edited_context"),
+    *("target", "target_masks", "edited_target"),
 )
 """Images and masks of a sample: kept in 8 bits, as photos are."""
 EDITS = ("recolor", "add", "remove", "global")

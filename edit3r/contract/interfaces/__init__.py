@@ -7,7 +7,7 @@ the manifest and warnings go through `edit3r.contract.reporting` (`track`, `note
 """
 
 from edit3r.contract.command import Command
-from edit3r.contract.interfaces.base import Configured
+from edit3r.contract.component import Configured
 from edit3r.contract.interfaces.editing import (
     ChangesShape,
     ConditionedOnDepth,

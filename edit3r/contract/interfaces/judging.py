@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.contract.component import Configured
 from edit3r.contract.instructions import Instruction
-from edit3r.contract.interfaces.base import Configured
 from edit3r.contract.interfaces.reconstruction import Geometry
 from edit3r.contract.interfaces.selection import Selected
 from edit3r.contract.types import Cameras, Rendering, Views

@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.contract.component import Configured
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces.base import Configured
 from edit3r.contract.torch_state import Function, in_usual_torch
 from edit3r.contract.types import DC, Cameras, Gaussians, Rendering, Views
 

@@ -8,15 +8,15 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.component import Configured
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces.base import Configured
 from edit3r.contract.interfaces.reconstruction import Geometry
 from edit3r.contract.interfaces.selecting import Marks
 from edit3r.contract.types import Views
 
 Box = tuple[float, float, float, float]
 """x, y, width, height [shares of a view's sides]."""
-SURE = 0.63  # confidence under which what words found is a question
+SURE = 0.63  # confidence under which what was found is a question
 MOST_GROWN = 100_000  # pixels that an outline may move
 BACKGROUND = "background"  # words for all but what stands out
 WAYS = ("given", "region", "marked", "words", "guess", "geometry", "pictures")
@@ -28,9 +28,7 @@ ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
 
 @dataclass(frozen=True)
 class Selection:
-    """Everything a user marked; places are x and y in [0, 1] of a view, x to the right and y
-    down.
-    """
+    """Everything a user marked; places are x (right) and y (down) in [0, 1] of a view."""
 
     # clicks on the object: view, x, y
     positive: tuple[tuple[int, float, float], ...] = ()
@@ -180,7 +178,8 @@ class Selected:
     how: tuple[str, ...]
     # sentences for the user, also sent to `edit3r.contract.reporting`
     warnings: tuple[str, ...] = ()
-    confidence: float | None = None  # of what words named, in [0, 1]
+    # in [0, 1]: how likely it is what was meant; None: marked exactly, or nobody can tell
+    confidence: float | None = None
     # what else may be meant: the most likely first, the one that was taken among them
     readings: tuple[Reading, ...] = ()
     taken: int = 1  # the number of that one
@@ -188,7 +187,7 @@ class Selected:
 
     @property
     def is_sure(self) -> bool:
-        """Whether it was marked, or found by its name surely enough."""
+        """Whether it was marked exactly, or found surely enough."""
         return self.confidence is None or self.confidence >= SURE
 
 

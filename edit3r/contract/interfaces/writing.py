@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from edit3r.contract.interfaces.base import Configured
+from edit3r.contract.component import Configured
 from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
 
 Frame = UInt8[np.ndarray, "height width 3"]

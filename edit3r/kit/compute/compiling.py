@@ -119,9 +119,7 @@ def _whole(locator: type) -> type:
 
 
 class _NoCache(numba.core.caching.NullCache):
-    """Keeps nothing, and says so when something is compiled: while modules load, nobody would hear
-    it.
-    """
+    """Keeps nothing, and says so when something is compiled: nobody hears it while modules load."""
 
     def save_overload(self, sig: Any, data: Any) -> None:
         warn(

@@ -20,6 +20,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from edit3r.contract.errors import InputError, RunError
 from edit3r.kit.files.names import expanded
@@ -32,6 +33,7 @@ __all__ = [
     "check_apart",
     "check_new_file",
     "check_replaceable",
+    "digest_of",
     "remove_abandoned",
     "scratch_folder",
     "sha256_of",
@@ -187,9 +189,7 @@ def check_replaceable(out: Path, overwrite: bool = False) -> None:
 
 
 def remove_abandoned(*finals: Path) -> None:
-    """Delete the workspaces that killed writers of `finals`, in one folder, left, and nothing
-    else.
-    """
+    """Delete the workspaces that killed writers of `finals`, all in one folder, left."""
     from filelock import FileLock, Timeout
 
     names = {final.name: final for final in finals}
@@ -221,10 +221,15 @@ def scratch_folder(name: str) -> Iterator[Path]:
 
 def sha256_of(path: Path) -> str:
     """The SHA-256 of a file of any size."""
-    digest = hashlib.sha256()
     with path.open("rb") as file:
-        while block := file.read(1 << 22):
-            digest.update(block)
+        return digest_of(file)
+
+
+def digest_of(file: BinaryIO) -> str:
+    """The SHA-256 of what is left to read of an open file."""
+    digest = hashlib.sha256()
+    while block := file.read(1 << 22):
+        digest.update(block)
     return digest.hexdigest()
 
 

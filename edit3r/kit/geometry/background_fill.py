@@ -146,9 +146,7 @@ def _hidden_layer(
     colours: Float[Tensor, "batch view 3 rows columns"],
     needed: Bool[Tensor, "batch view rows columns"],
 ) -> Gaussians:
-    """A Gaussian for each block that is `needed` and stands before nothing that a registered view
-    shows.
-    """
+    """A Gaussian for each block that is `needed` and hides nothing that a registered view shows."""
     placed = geometry.registered[..., None, None]
     points = unproject(depths, views.intrinsics, geometry.c2w)
     hiding = stands_before_others(

@@ -1,6 +1,4 @@
-"""Real spherical harmonics up to degree 4 in the basis of 3D Gaussian Splatting (Condon-Shortley
-signs).
-"""
+"""Real spherical harmonics up to degree 4 in 3DGS's basis (Condon-Shortley signs)."""
 
 from math import pi, sqrt
 

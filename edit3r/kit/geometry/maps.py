@@ -53,9 +53,7 @@ def dilate(
 def dilate_softly(
     masks: Float[Tensor, "view height width"],
 ) -> Float[Tensor, "view height width"]:
-    """0/1 masks with a soft margin outside: exactly 1 on the object, exactly 0 beyond the
-    margin.
-    """
+    """0/1 masks with a soft margin outside: 1 on the object, 0 beyond the margin, exactly."""
     radius = max(1, round(MARGIN * max(masks.shape[-2:])))
     wide = dilate(masks, radius)[:, None]
     soft = F.avg_pool2d(

@@ -19,10 +19,7 @@ __all__ = ["between_and_around", "interpolate_poses"]
 # how far the path leaves the straight way between two views, in distances between views
 SIDE_STEP = 0.25
 # but at least and at most this, in distances to the scene
-SIDE_STEP_IN_DEPTHS = (
-    0.01,
-    0.08,
-)
+SIDE_STEP_IN_DEPTHS = (0.01, 0.08)
 
 
 def between_and_around(
@@ -130,9 +127,7 @@ def _swing(step: float, depth: float | None) -> float:
 def _side_step(
     offsets: Float[Tensor, "frame 2"], depth: float | None
 ) -> Float[Tensor, "frame 4 4"]:
-    """Camera-frame motions by (x, y) that keep the point straight ahead at `depth` in the middle of
-    the image.
-    """
+    """Camera-frame motions by (x, y) that keep the point ahead at `depth` in the image's middle."""
     motion = torch.eye(4, dtype=offsets.dtype, device=offsets.device).repeat(
         len(offsets), 1, 1
     )

@@ -78,9 +78,7 @@ def covariances(
 def rotation_angle(
     a: Float[Tensor, "*batch 3 3"], b: Float[Tensor, "*batch 3 3"]
 ) -> Float[Tensor, "*batch"]:
-    """Angle between two rotations [radians], accurate for small angles too (from the chord, not the
-    trace).
-    """
+    """Angle between two rotations [radians]; by the chord, so accurate for small angles too."""
     chord = (a - b).flatten(-2).norm(dim=-1) / (2 * 2**0.5)
     return 2 * torch.asin(chord.clamp(max=1))
 

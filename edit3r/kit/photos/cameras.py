@@ -8,6 +8,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,12 +22,10 @@ from edit3r.kit.photos.camera_entries import (
     OPENGL_TO_OPENCV,
     CameraEntry,
     NoSizeError,
-    ending_of,
-    json_entries,
-)
-from edit3r.kit.photos.camera_values import (
     PosedCamera,
+    ending_of,
     intrinsics_from_outside,
+    json_entries,
     pose_from_outside,
 )
 
@@ -136,9 +135,7 @@ def posed_cameras(cameras: Cameras, files: Sequence[str]) -> list[PosedCamera]:
 
 
 def write_cameras(path: str | Path, cameras: Sequence[PosedCamera]) -> None:
-    """Write `cameras.json`, one camera a line, numbers to 9 significant digits (float32 survives
-    exactly).
-    """
+    """Write `cameras.json`, one camera a line; 9 significant digits keep float32 exactly."""
     lines = []
     for camera in cameras:
         entry = {"file": camera.file, "width": camera.width, "height": camera.height}

@@ -13,14 +13,12 @@ from edit3r.kit.geometry.quiet_pycolmap import pycolmap
 from edit3r.kit.photos.camera_entries import (
     MODEL_PARTS,
     CameraEntry,
+    PosedCamera,
     Size,
     ending_of,
-    lens_numbers,
-)
-from edit3r.kit.photos.camera_values import (
-    PosedCamera,
     file_name,
     intrinsics_from_outside,
+    lens_numbers,
     pose_from_outside,
     require,
     size_from_outside,

@@ -12,7 +12,7 @@ from PIL import Image
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.kit.photos.coverage import folder_for_frames, frame_origins
+from edit3r.kit.photos.coverage import taken_photos
 
 EXPECTED = (
     "files, arrays [height, width, 3] of bytes or of floats in [0, 1], tensors [3, height, width], "
@@ -39,10 +39,10 @@ def as_files(photos: Any, name: str = "photos") -> list[str | Path]:
             files.append(item)
             continue
         told = f"{name}: number {number}"
-        folder = folder or folder_for_frames("edit3r-photos")
+        folder = folder or taken_photos().new_folder("edit3r-photos")
         file = folder / f"photo-{number}.png"
         _write(item, file, told)
-        frame_origins[file] = file.name
+        taken_photos().origins[file] = file.name
         files.append(file)
     return files
 

@@ -1,6 +1,4 @@
-"""Where each photo's intrinsics come from: a camera file, else `--fov`, else EXIF, else a stated
-default.
-"""
+"""Where a photo's intrinsics come from: a camera file, else `--fov`, EXIF, a stated default."""
 
 import math
 import re
@@ -18,10 +16,9 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say, warn
 from edit3r.kit.geometry.cameras import from_pixels, intrinsics_from_fov
-from edit3r.kit.photos.camera_entries import CameraEntry, Size
-from edit3r.kit.photos.camera_values import PosedCamera
+from edit3r.kit.photos.camera_entries import CameraEntry, PosedCamera, Size
 from edit3r.kit.photos.cameras import SPLITS, camera_entries, camera_files_in
-from edit3r.kit.photos.decode import DecodedImage
+from edit3r.kit.photos.decode import ImageHeader
 
 DEFAULT_FOV = 60.0
 """Field of view across the longer side [degrees] when nothing is known: a 31 mm lens, between a
@@ -62,22 +59,20 @@ def known_poses(found: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | No
 
 def as_others_of_its_size(
     found: Sequence[Intrinsics], sizes: Sequence[Size], index: int
-) -> Intrinsics | None:
-    """What other photos of a photo's size know of their lens, where nobody knows that of its own
-    and they agree: one camera took them. None otherwise.
+) -> Intrinsics:
+    """A photo's intrinsics; where nobody knows them, those of other photos of its size if they
+    agree: one camera took them.
     """
-    known = [
-        one
-        for one, size in zip(found, sizes)
-        if size == sizes[index] and not one.assumed
-    ]
-    if not found[index].assumed or not known:
-        return None
+    own = found[index]
+    alike = [one for one, size in zip(found, sizes) if size == sizes[index]]
+    known = [one for one in alike if not one.assumed]
+    if not own.assumed or not known:
+        return own
     first, *others = known
     for other in others:
         off = (other.normalised / first.normalised - 1).diagonal().abs().max()
         if off > SHAPE_TOLERANCE or other.lens != first.lens:
-            return None
+            return own
     source = f"{first.source}, of other photos of its size"
     return Intrinsics(first.normalised, source, lens=first.lens)
 
@@ -96,7 +91,7 @@ class IntrinsicsFinder:
         self._files_in: dict[Path, list[Path]] = {}
         self._found: dict[Path, _CameraFile | None] = {}
 
-    def find(self, file: Path, image: DecodedImage) -> Intrinsics:
+    def find(self, file: Path, image: ImageHeader) -> Intrinsics:
         """Intrinsics of the upright image `file`."""
         size = height, width = image.size
         for camera_file in self._camera_files(file):
@@ -169,9 +164,7 @@ class IntrinsicsFinder:
     def _camera(
         self, camera_file: "_CameraFile", file: Path, size: Size
     ) -> PosedCamera | None:
-        """What a camera file says of a photo; of a file that was not given, a fault is a
-        warning.
-        """
+        """What a camera file says of a photo; a fault in a file that was not given is a warning."""
         try:
             return camera_file.find(file, camera_file is self.given, size)
         except InputError as error:
@@ -273,9 +266,7 @@ class _CameraFile:
 
 
 def _key(name: str) -> str:
-    """Equal for two names that some system takes for one: by case, or by how accents are
-    written.
-    """
+    """Equal for two names that some system takes for one: by case, or how accents are written."""
     return unicodedata.normalize("NFC", name.rpartition("/")[2]).casefold()
 
 

@@ -1,6 +1,4 @@
-"""A folder of photos with known cameras (`cameras.json`, or nerfstudio's `transforms.json`), as
-evaluation uses it.
-"""
+"""A folder of photos with known cameras, as evaluation uses it."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,9 +31,7 @@ class PosedPhoto:
 
 @dataclass(frozen=True)
 class PosedFolder:
-    """A scene: the photos of a camera file that have both a pose and intrinsics, in the file's
-    order.
-    """
+    """A scene: the photos of a camera file that have a pose and intrinsics, in the file's order."""
 
     name: str
     path: Path

@@ -68,9 +68,7 @@ def look_at(
 
 
 def from_outside(gaussians: Gaussians, sides: int = 4) -> Cameras:
-    """Cameras at the first of `SIDES`, outside of the middle of a scene (batch 1), that look at
-    it.
-    """
+    """Cameras at the first of `SIDES` that look at the middle of a scene (batch 1)."""
     drawn = gaussians.means[0, gaussians.opacities[0] >= LEAST_OPACITY].double()
     drawn = drawn[:: len(drawn) // MOST + 1].cpu()
     share = torch.tensor([(1 - CORE) / 2, 0.5, (1 + CORE) / 2]).double()

@@ -26,7 +26,13 @@ from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.geometry.harmonics import DC
 from edit3r.kit.scenes.axes import SHORTEST_QUAT, sound
 
-__all__ = ["SMALLEST_SCALE", "VIEWER_DEGREE", "load_ply", "save_ply"]
+__all__ = [
+    "MOST_HEADER_BYTES",
+    "SMALLEST_SCALE",
+    "VIEWER_DEGREE",
+    "load_ply",
+    "save_ply",
+]
 
 OPACITY_MARGIN = 1e-7  # keeps the logits of 0 and 1 finite, within +-16.2
 SMALLEST_SCALE = float(np.finfo(np.float32).tiny)  # keeps the logarithm of 0 finite
@@ -161,9 +167,7 @@ def _tell_coarse(path: Path, gaussians: Gaussians) -> None:
 
 
 def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
-    """Structured array of the vertex element; logits and logarithms are taken in double
-    precision.
-    """
+    """Structured array of the vertex element; logits and logarithms in double precision."""
     coefficients = (degree + 1) ** 2
     quats = gaussians.quats[0].detach().double()
     without = quats.norm(dim=-1, keepdim=True) <= SHORTEST_QUAT
@@ -253,9 +257,7 @@ def _view_runs(view_index: np.ndarray) -> list[str]:
 
 
 def _read_view_runs(header: "PlyHeader") -> Int64[np.ndarray, "gaussian"]:
-    """`view_index` from the header's comment, -1 where it says nothing that fits the number of
-    Gaussians.
-    """
+    """`view_index` from the header's comment; -1 where it does not fit the number of Gaussians."""
     for comment in header.comments:
         if comment.startswith(_VIEWS):
             runs = [_RUN.fullmatch(run) for run in comment.removeprefix(_VIEWS).split()]
@@ -346,9 +348,7 @@ def _read_uncertainty(
 
 
 def _unit(quats: np.ndarray) -> np.ndarray:
-    """Quaternions [gaussian, 4] of unit length; those that have it already keep their bits, so
-    files can go round.
-    """
+    """Unit quaternions [gaussian, 4]; those that are keep their bits, so files can go round."""
     norms = np.linalg.norm(quats, axis=-1, keepdims=True)
     return np.where(np.abs(norms - 1) < 1e-6, quats, quats / np.maximum(norms, 1e-12))
 
@@ -426,9 +426,7 @@ class PlyHeader:
 
 
 def read_header(path: Path) -> PlyHeader:
-    """Read up to `end_header`. The vertex element must come first and hold no lists. Raises
-    InputError.
-    """
+    """Read up to `end_header`; vertices come first and hold no lists. Raises InputError."""
     if not path.is_file():
         raise InputError(f"{path}: no such file.")
     try:

@@ -123,9 +123,7 @@ def load_whole_network(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
 
 
 def require_at_hand(weights: ChosenWeights) -> None:
-    """Raise MissingDependencyError, with licence and the command that fetches them, for declared
-    weights not here.
-    """
+    """Raise MissingDependencyError for declared weights that are not here, with the way to them."""
     if declared := _declared(weights):
         find(declared)
 
@@ -138,9 +136,7 @@ def sized(large: Weights, small: Weights) -> str:
 
 
 def identity(weights: ChosenWeights) -> dict[str, str]:
-    """What to note in a run's manifest: model, revision asked for, and for a downloaded one the
-    commit it is at.
-    """
+    """What run.json says of them: model, revision asked for, and the commit of a download."""
     told = {"model": weights.model, "revision": weights.revision or "newest"}
     if declared := _declared(weights):
         fetched = record_of(find(declared)).get("revision", declared.revision)
@@ -160,9 +156,7 @@ def identity(weights: ChosenWeights) -> dict[str, str]:
 
 
 def _declared(weights: ChosenWeights) -> Weights | None:
-    """The declared weights that are meant; None for a folder, and for another revision or variant
-    of them.
-    """
+    """The declared weights that are meant; None for a folder, another revision or variant."""
     if weights.variant or expanded(weights.model).is_dir():
         return None
     source = f"hub:{weights.model}"
@@ -227,9 +221,7 @@ def out_of_memory_told(doing: str, advice: str) -> Iterator[None]:
 
 @contextmanager
 def quiet() -> Iterator[None]:
-    """Hold back the libraries' own loading bars and warnings (about torchvision, and failures we
-    tell better).
-    """
+    """Hold back the libraries' own loading bars and warnings, which we tell better."""
     imported = [name for name in LIBRARIES if f"{name}.utils.logging" in sys.modules]
     loggers = [logging.getLogger(name) for name in imported]
     levels = [logger.level for logger in loggers]

@@ -39,7 +39,8 @@ class Selecting:
     views: Views  # the photos
     masks: Float[Tensor, "batch view height width"]  # soft, in [0, 1]
     readings: tuple[Reading, ...]  # what may be meant, smallest first
-    confidence: float | None  # of what words named, in [0, 1]; None: it was marked
+    # in [0, 1]: that it is what was meant; None: marked exactly, or nobody can tell
+    confidence: float | None
     is_sure: bool
     why: str  # how it was found on each photo, in one sentence
     how: tuple[str, ...]  # the same as one word for each photo

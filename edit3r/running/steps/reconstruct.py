@@ -18,7 +18,7 @@ from edit3r.contract.reporting import note, stage, warn
 from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.cache import recall
 from edit3r.kit.checks import check_reconstruction, errors_named_after
-from edit3r.kit.geometry.gravity import quarter_turns
+from edit3r.kit.geometry.cameras import quarter_turns
 from edit3r.kit.geometry.pose import estimate_cameras
 from edit3r.running.editors import request_of
 from edit3r.running.parts import Parts

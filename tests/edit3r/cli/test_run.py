@@ -11,8 +11,10 @@ from PIL import Image
 
 import edit3r
 from edit3r.cli.main import main
+from edit3r.contract.errors import RunError
 from edit3r.kit.photos.cameras import posed_cameras, read_cameras, write_cameras
 from edit3r.kit.photos.images import save_image
+from edit3r.running import loop
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +117,38 @@ def test_a_wrong_file_name_is_said_before_torch_is_imported(tmp_path):
     done = subprocess.run(asked, capture_output=True, text=True, check=False)
     assert done.stdout.split() == ["2", "False"]
     assert "nope.jpg: no such file or folder" in done.stderr
+
+
+def test_edits_outlive_a_step_that_fails_after_them(tmp_path, capsys, monkeypatch):
+    """An editor may take minutes or money: its pictures are kept, and lead to the same scene."""
+    asked = ["run", "--size", "128", "--outputs", "images", "--refine", "0"]
+
+    def broken(*_):
+        raise RunError("the card is gone.")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loop, "reconstruct", broken)
+        options = ["--prompt", "make everything grey", "--out", str(tmp_path / "out")]
+        assert main([*asked, *options]) == 1
+    kept = tmp_path / "out-edits"
+    said = capsys.readouterr().err
+    assert f"the card is gone. The edited photos are in {kept}" in said
+    assert [path.name for path in tmp_path.iterdir()] == ["out-edits"]
+    # The command that the message gives, and the scene is grey.
+    options = ["--editor", "folder", "--set", f"editor.path={kept}"]
+    assert main([*asked, *options, "--out", str(tmp_path / "again")]) == 0
+    edited = np.asarray(Image.open(next((tmp_path / "again/edited").iterdir())))
+    assert np.ptp(edited.astype(int), axis=-1).max() <= 1
+
+
+def test_nothing_is_kept_of_a_run_that_edited_nothing(tmp_path, monkeypatch):
+    def broken(*_):
+        raise RunError("the card is gone.")
+
+    monkeypatch.setattr(loop, "reconstruct", broken)
+    asked = ["run", "--size", "128", "--editor", "none"]
+    assert main([*asked, "--out", str(tmp_path / "out")]) == 1
+    assert not list(tmp_path.iterdir())
 
 
 def test_refine_poses_without_poses_is_an_error(posed_photos, tmp_path, capsys):

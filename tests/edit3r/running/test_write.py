@@ -212,10 +212,10 @@ def test_the_camera_path_begins_at_the_first_photo_however_ill_it_fits(
             {"quality": "best", "exposure": "own"},
             "best (but exposure) settings, 32x24:",
         ),
-        ({"size": 192, "refine": 0}, "own (refine, size) settings, 32x24:"),
+        ({"size": 192, "refine": 0}, "custom (refine, size) settings, 32x24:"),
         (
             {"reconstructor": {"name": "edit3r", "weights": "x"}},
-            "own (reconstructor) settings",
+            "custom (reconstructor) settings",
         ),
     ],
 )

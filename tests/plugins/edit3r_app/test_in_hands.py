@@ -16,8 +16,10 @@ pytest.importorskip("playwright.sync_api", reason="needs playwright")
 
 AXE_FILE = os.environ.get("EDIT3R_AXE", "")  # axe.min.js of the npm package axe-core
 WIDE, PHONE = (1440, 900), (390, 844)
-LOOKS = [(WIDE, "dark"), (PHONE, "light")]
 EVERY_LOOK = [(size, theme) for size in (WIDE, PHONE) for theme in ("dark", "light")]
+LOOKS = [(WIDE, "dark"), (PHONE, "light")]
+if os.environ.get("EDIT3R_EVERY_LOOK"):
+    LOOKS = EVERY_LOOK
 MESSAGES = (
     ".line",
     ".toast",
@@ -55,7 +57,7 @@ def page(request, tab):
 
 @pytest.fixture(params=LOOKS, ids=lambda look: f"{look[0][0]}-{look[1]}")
 def page_once(request, tab):
-    """In half of the looks, for what takes long."""
+    """For what takes long: in half of the looks, or in all with EDIT3R_EVERY_LOOK=1."""
     return open_tab(tab, *request.param)
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from edit3r_select.answering import readings
+from edit3r_select.answering import answered
 from edit3r_select.select import select_masks
 
 from edit3r.contract.interfaces import (
@@ -54,6 +54,14 @@ class Discs(Plain):
         logits = np.stack([radius - away for radius in (12.0, 5.0, 12.0, 20.0)])
         return logits.astype(np.float32), np.array([0.9, 0.6, 0.9, 0.2])
 
+    def track(self, images, masks):
+        seen = torch.ones(len(images), len(masks), dtype=torch.bool)
+        return Tracks((8 * masks - 4).repeat(len(images), 1, 1, 1), seen)
+
+
+def readings(segmenter, image, marks):
+    return answered(segmenter, image, marks).readings
+
 
 def inside(found):
     return found.soft_mask.numpy() > 0.5
@@ -69,6 +77,26 @@ def test_a_click_takes_the_mask_that_the_sum_prefers_and_shows_the_others(image)
     assert overlap(inside(found[0]), DISC) > 0.9
     assert len(found) == 3  # of the two that are alike only one
     assert sum(one.confidence for one in found) == pytest.approx(1)
+
+
+def test_a_selection_is_as_sure_as_its_marks_and_exact_ones_say_nothing(image):
+    disc, box = torch.from_numpy(DISC).float(), (0.3, 0.25, 0.4, 0.5)
+    less = answered(Discs(), image, Marks(positive=(CENTRE,))).confidence
+    more = answered(Discs(), image, Marks(box=box)).confidence
+    assert less < more
+
+    def confidence(segmenter, photos=1, **marks):
+        views = image.repeat(photos, 1, 1, 1)
+        return select_masks(views, Selection(**marks), segmenter).confidence
+
+    click = ((0, *CENTRE),)
+    assert confidence(Discs(), positive=click) == less
+    assert confidence(Discs(), 2, positive=click, boxes={1: box}) == more
+    assert confidence(Discs(), masks={0: disc}) is None
+    confirmed = {"positive": click, "masks": {1: disc}}
+    assert confidence(Discs(), 2, **confirmed) is None
+    assert confidence(Discs(), positive=click, larger=1) is None  # somebody looked
+    assert confidence(Plain(), positive=click) is None  # it cannot tell
 
 
 def test_steps_go_through_the_candidates_by_size(image):

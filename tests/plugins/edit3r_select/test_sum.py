@@ -21,7 +21,9 @@ def as_logits(*masks):
 
 SIZE = SIDE, SIDE
 CLICK = ((0.5, 0.5), True)
-BY_QUALITY = CueWeights(("quality",), np.array([10.0]), margin=2.0, constant=-1.0)
+BY_QUALITY = CueWeights(
+    ("quality",), np.array([10.0]), certainty=np.array([2.0, 1.0, 1.0, -1.0])
+)
 
 
 def pool(masks, quality, clicks=(CLICK,)):
@@ -42,6 +44,13 @@ def test_a_longer_lead_is_a_higher_confidence():
     close = choose(pool(masks, [0.85, 0.9]), BY_QUALITY).confidence
     far = choose(pool(masks, [0.4, 0.9]), BY_QUALITY).confidence
     assert 0 < close < far < 1
+
+
+def test_a_mask_that_the_network_doubts_is_less_sure():
+    masks, weights = [square(10), square(30)], fitted("click")
+    alike = [choose(pool(masks, [0.2, one]), weights) for one in (0.5, 0.9)]
+    assert alike[0].best.mask.sum() == alike[1].best.mask.sum()
+    assert alike[0].confidence < alike[1].confidence
 
 
 def test_the_lead_is_over_a_mask_of_another_size():
@@ -95,7 +104,7 @@ def test_selecting_uses_the_fitted_weights():
 @pytest.mark.parametrize("kind", ["click", "stroke", "box", "carried", "more"])
 def test_fitted_weights_are_of_known_cues(kind):
     assert set(fitted(kind).cues) <= set(CUES)
-    assert fitted(kind).margin > 0  # a lead never speaks against the first
+    assert fitted(kind).certainty[0] > 0  # a lead never speaks against the first
 
 
 def test_the_file_says_how_it_was_made():

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from edit3r import Registry
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Rasterizer, SceneToWrite, Writer
 from edit3r.contract.reporting import warn
@@ -19,10 +20,8 @@ from edit3r.kit.photos.cameras import PosedCamera, read_cameras, read_scene_came
 from edit3r.kit.photos.images import read_image
 from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.kit.scenes.look import camera_file_of, look_at
-from edit3r.kit.scenes.read import load_scene
-from edit3r.loading.registry import Registry
-from edit3r.running.config import RunConfig
-from edit3r.running.write import write_scene
+from edit3r.running import RunConfig, write_scene
+from edit3r_outputs.reading import load_scene
 
 
 class SavedScene:

@@ -62,6 +62,11 @@ def answer(monkeypatch, text: str) -> list[str]:
     return asked
 
 
+def test_a_name_that_nobody_declares_is_an_error_with_the_near_miss(weights, capsys):
+    assert weights("path", "strang") == 2
+    assert "Did you mean 'strange'" in capsys.readouterr().err
+
+
 @pytest.mark.slow
 def test_get_shows_the_licence_asks_once_and_path_then_finds_the_file(
     weights, monkeypatch, capsys, tmp_path

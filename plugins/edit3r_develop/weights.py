@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from edit3r.contract.command import Command
@@ -56,16 +57,16 @@ class WeightsCommand(Command):
             add_plugin_option(step)
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r.kit.weights.fetch import fetch
         from edit3r.kit.weights.find import find
-        from edit3r.loading.weights import declared, named
+        from edit3r.loading import declared
+        from edit3r_develop.fetch import fetch
 
         known = declared(tuple(args.plugin))
         if args.step == "list":
             _list(known.values(), args)
             return 0
         names = dict.fromkeys(args.names)
-        chosen = [named(name, known) for name in names if name not in BUNDLES]
+        chosen = [_named(name, known) for name in names if name not in BUNDLES]
         bundled = [one for one in known.values() if one.bundle in names]
         # a machine without the client npm gets all the others first
         chosen += sorted(bundled, key=lambda one: one.source.startswith("npm:"))
@@ -79,13 +80,26 @@ class WeightsCommand(Command):
         return 0
 
 
+def _named(name: str, known: Mapping[str, "Weights"]) -> "Weights":
+    """The weights called `name`; raises InputError for a name that no installed component
+    declares.
+    """
+    from edit3r.contract.errors import InputError, suggest
+
+    if name not in known:
+        raise InputError(
+            f"no weights named {name!r}.{suggest(name, known)} See: edit3r weights list"
+        )
+    return known[name]
+
+
 def _accept(chosen: list["Weights"], args: argparse.Namespace) -> None:
     """Show licences of what is not here and ask once; raises InputError where the user does not
     accept them.
     """
     from edit3r.contract.errors import InputError
-    from edit3r.kit.weights.fetch import unfinished
     from edit3r.kit.weights.find import at_hand
+    from edit3r_develop.fetch import unfinished
 
     if args.offline:
         return
@@ -116,8 +130,8 @@ def _accept(chosen: list["Weights"], args: argparse.Namespace) -> None:
 
 
 def _list(known, args: argparse.Namespace) -> None:
-    from edit3r.cli.list_plugins import table
     from edit3r.contract.errors import InputError
+    from edit3r.kit.command.console import print_table
     from edit3r.kit.weights.find import at_hand, folder
 
     places = {weights.name: at_hand(weights, args.folder) for weights in known}
@@ -158,7 +172,7 @@ def _list(known, args: argparse.Namespace) -> None:
         )
         for weights in known
     ]
-    table(columns, lines)
+    print_table(columns, lines)
     try:
         place = f"Folder: {folder(args.folder)}."
     except InputError as error:

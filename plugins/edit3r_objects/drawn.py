@@ -17,7 +17,7 @@ from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians, Rendering
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.warping import warp
-from edit3r.kit.scenes.lifting import lift
+from edit3r_objects.lifting import lift
 
 __all__ = ["Drawn", "choose_drawn", "read_drawn"]
 

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_objects.drawn import Drawn, choose_drawn, read_drawn
 
 from edit3r import build
 from edit3r.contract.errors import InputError
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.kit.scenes.drawn import Drawn, choose_drawn, read_drawn
 
 SIZE = 24, 36
 VIEW = {

@@ -15,6 +15,8 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import SimpleNamespace
 
 import pytest
+from edit3r_develop import fetch as fetching
+from edit3r_develop.fetch import fetch, unfinished
 
 from edit3r.contract.errors import (
     InputError,
@@ -23,8 +25,6 @@ from edit3r.contract.errors import (
     as_known,
 )
 from edit3r.contract.weights import Weights
-from edit3r.kit.weights import fetch as fetching
-from edit3r.kit.weights.fetch import fetch, unfinished
 from edit3r.kit.weights.find import at_hand, find
 
 pytest.importorskip("huggingface_hub")
