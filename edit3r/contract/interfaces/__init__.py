@@ -16,7 +16,12 @@ from edit3r.contract.interfaces.editing import (
     GivesAttention,
     StartsFromImages,
 )
-from edit3r.contract.interfaces.judging import Critic, EditToJudge, SceneToJudge
+from edit3r.contract.interfaces.judging import (
+    Critic,
+    EditToJudge,
+    HalfWay,
+    SceneToJudge,
+)
 from edit3r.contract.interfaces.reading import Reader
 from edit3r.contract.interfaces.reconstruction import (
     Backbone,
@@ -116,6 +121,7 @@ __all__ = [
     "GaussianHead",
     "Geometry",
     "GivesAttention",
+    "HalfWay",
     "Loss",
     "LossInputs",
     "Marks",
