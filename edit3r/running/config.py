@@ -309,6 +309,10 @@ class RunConfig(Settings):
         return {name for name in given if getattr(self, name) != preset.get(name)}
 
 
+PLACES = ("mask", "point", "not_point", "box", "stroke", "region")
+"""Inputs that say where on the photos, of which there may be several."""
+
+
 class JobInputs(Settings):
     """What a run works on, in words: flags of `edit3r run`, keys of a line of `edit3r batch`."""
 
@@ -355,9 +359,7 @@ class JobInputs(Settings):
         "", description="the object in words, such as 'the left cup', instead of marks"
     )
 
-    @field_validator(
-        "photos", "mask", "point", "not_point", "box", "stroke", "region", mode="before"
-    )
+    @field_validator("photos", *PLACES, mode="before")
     @classmethod
     def _one_is_a_list(cls, value: Any) -> Any:
         return [value] if isinstance(value, str) else value

@@ -292,7 +292,7 @@ def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None
         for caption, scene in (("before", before), ("after", run))
     }
     for view, image in zip(run.views, images["after"]):
-        save_image(image, folder.renders / f"{view}.png")
+        save_image(image, folder.made("renders") / f"{view}.png")
     draw_sheet(images, names=run.views, title=run.edits[-1]).save(folder.before_after)
     scene = SceneToWrite(
         run.gaussians,
