@@ -74,9 +74,7 @@ class Registry:
         ]
 
     def find(self, kind: str, name: str) -> Offer:
-        """The offer called `name` or `plugin:name`; raises UnknownComponentError with what to
-        do.
-        """
+        """The offer called `name` or `plugin:name`; else UnknownComponentError."""
         offers = self.offers(kind)
         called_so = [
             offer
@@ -117,9 +115,7 @@ class Registry:
         )
 
     def ready(self, kind: str, name: str, *weights: str) -> bool:
-        """Whether a component can be used here and now: installed, and any of its weights called
-        so at hand.
-        """
+        """Whether a component is installed, with any of its weights called so at hand."""
         offer = self.find(kind, name)
         return not self.missing(offer) and any(
             at_hand(w) for w in offer.component.weights if w.name in weights

@@ -210,9 +210,7 @@ class RunConfig(Settings):
     @model_validator(mode="before")
     @classmethod
     def _read_settings_of_outputs(cls, values: Any) -> Any:
-        """Accept outputs with their settings, `{name: video, fps: 30}`; those in `writer` are over
-        them.
-        """
+        """Accept outputs with settings, `{name: video, fps: 30}`; those in `writer` win."""
         settings: dict[str, Any] = {}
         changed = dict(values)
         for key in ("outputs", "export"):

@@ -110,8 +110,7 @@ def guided_upsample(
     radius: int = 1,
     eps: float = 1e-4,
 ) -> Float[Tensor, "batch channel height2 width2"]:
-    """Maps at the guide's size, locally linear in the guide's grey value (fast guided filter, He
-    and Sun 2015).
+    """Maps at the guide's size, locally linear in its grey value (fast guided filter, 2015).
 
     The coefficients are found on the coarse grid, in windows of `radius` [coarse pixels]; `eps` is
     the variance of the guide below which it counts as flat. Maps already at the guide's size come

@@ -118,13 +118,12 @@ def save_ply(
 
 @in_usual_torch
 def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
-    """Read a 3DGS PLY (binary or text, any number type, extra properties ignored) as one scene on
-    the CPU.
+    """Read a 3DGS PLY (binary or text, any number type) as one scene on the CPU.
 
-    Degree 0 to 4, or colours alone; two scales are those of flat discs, one that of balls.
-    Quaternions come back normalised; Gaussians with values that are not finite are
-    left out with a warning. Raises InputError for a file that is no such PLY, or is cut off; with
-    `visible` also for a scene in which nothing can be drawn.
+    Degree 0 to 4, or colours alone; two scales are those of flat discs, one that of balls; further
+    properties are passed over. Quaternions come back normalised; Gaussians with values that are
+    not finite are left out with a warning. Raises InputError for a file that is no such PLY, or is
+    cut off; with `visible` also for a scene in which nothing can be drawn.
     """
     path = Path(path)
     header = read_header(path)
