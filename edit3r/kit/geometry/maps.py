@@ -16,6 +16,7 @@ __all__ = [
     "dilate_softly",
     "feathered",
     "guided_upsample",
+    "resampled",
     "resize",
     "shown",
     "size_of",
@@ -102,6 +103,19 @@ def resize(
     return (
         F.interpolate(flat, size, mode="area") if shrinks else bilinear(flat, size)
     ).unflatten(0, images.shape[:-3])
+
+
+def resampled(
+    images: Float[Tensor, "*batch channel height width"], size: tuple[int, int]
+) -> Float[Tensor, "*batch channel height2 width2"]:
+    """Images in [0, 1] at `size` (height, width), bicubic without aliasing; the same tensor where
+    that is their size.
+    """
+    if tuple(images.shape[-2:]) == tuple(size):
+        return images
+    flat = images.flatten(0, -4)
+    sized = F.interpolate(flat, size, mode="bicubic", antialias=True).clamp(0, 1)
+    return sized.unflatten(0, images.shape[:-3])
 
 
 def guided_upsample(
