@@ -38,12 +38,10 @@ class LineInputs(JobInputs):
     Files are named from the folder of the jobs file.
     """
 
-    id: str = Field(
-        "", description="name of the job's folder; default: by the line's number"
-    )
-    photos: tuple[str, ...] = Field(
-        min_length=1, description="photos, folders or videos"
-    )
+    id: str = ""
+    """name of the job's folder; default: by the line's number"""
+    photos: tuple[str, ...] = Field(min_length=1)
+    """photos, folders or videos"""
 
 
 KEYS = [name for name in LineInputs.model_fields if name != "earlier"]

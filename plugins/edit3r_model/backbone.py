@@ -51,41 +51,30 @@ class AsymmetricViT(Backbone):
     """
 
     class Settings(edit3r.Settings):
-        width: int = Field(1024, ge=4, description="encoder channels")
-        depth: Count = Field(24, description="encoder blocks")
-        heads: int | None = Field(
-            None, ge=1, description="encoder attention heads; default: width / 64"
-        )
-        mlp_width: int | None = Field(
-            None,
-            ge=1,
-            description="hidden channels of the encoder's MLPs; default: 4 width",
-        )
-        decoder_width: int = Field(768, ge=4, description="decoder channels")
-        decoder_depth: int = Field(
-            12,
-            ge=3,
-            description="blocks of each decoder, which the heads read at four levels",
-        )
-        decoder_heads: int | None = Field(
-            None, ge=1, description="decoder attention heads; default: width / 64"
-        )
-        decoder_mlp_width: int | None = Field(
-            None,
-            ge=1,
-            description="hidden channels of the decoders' MLPs; default: 4 decoder_width",
-        )
-        patch_size: Count = Field(
-            16, description="height and width of a patch [pixels]"
-        )
-        rope_base: float = Field(
-            100.0, gt=1, description="base of the rotary frequencies"
-        )
-        seed: int | None = Field(
-            0,
-            description="of the initial weights; none leaves them empty (no memory), to be "
-            "filled from a checkpoint",
-        )
+        width: int = Field(1024, ge=4)
+        """encoder channels"""
+        depth: Count = 24
+        """encoder blocks"""
+        heads: int | None = Field(None, ge=1)
+        """encoder attention heads; default: width / 64"""
+        mlp_width: int | None = Field(None, ge=1)
+        """hidden channels of the encoder's MLPs; default: 4 width"""
+        decoder_width: int = Field(768, ge=4)
+        """decoder channels"""
+        decoder_depth: int = Field(12, ge=3)
+        """blocks of each decoder, which the heads read at four levels"""
+        decoder_heads: int | None = Field(None, ge=1)
+        """decoder attention heads; default: width / 64"""
+        decoder_mlp_width: int | None = Field(None, ge=1)
+        """hidden channels of the decoders' MLPs; default: 4 decoder_width"""
+        patch_size: Count = 16
+        """height and width of a patch [pixels]"""
+        rope_base: float = Field(100.0, gt=1)
+        """base of the rotary frequencies"""
+        seed: int | None = 0
+        """of the initial weights; none leaves them empty (no memory), to be filled from a
+        checkpoint
+        """
 
     settings: Settings
 

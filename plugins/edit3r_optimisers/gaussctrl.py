@@ -60,12 +60,8 @@ class GaussCtrlReconstructor(FittingMethod):
     """
 
     class Settings(MethodSettings):
-        together: int = Field(
-            12,
-            ge=2,
-            description="most views edited in one call, the reference views among them; more "
-            "need more memory",
-        )
+        together: int = Field(12, ge=2)
+        """most views edited in one call, the reference views among them; more need more memory"""
 
     settings: Settings
 
