@@ -114,19 +114,12 @@ class AsymmetricViT(Backbone):
         return nn.ModuleList(blocks)
 
     def forward(
-        self,
-        images: Images,
-        intrinsics: Intrinsics,
-        geometry: Geometry | None = None,
+        self, images: Images, intrinsics: Intrinsics, geometry: Geometry | None = None
     ) -> Features:
         """Return the four levels that the heads read, see `hook_levels`."""
         return self._features(images, intrinsics, self.hooks)
 
-    def forward_levels(
-        self,
-        images: Images,
-        intrinsics: Intrinsics,
-    ) -> Features:
+    def forward_levels(self, images: Images, intrinsics: Intrinsics) -> Features:
         """Return all levels: 0 the normalised encoder output, then one per decoder block, the last
         normalised.
         """
@@ -135,10 +128,7 @@ class AsymmetricViT(Backbone):
         )
 
     def _features(
-        self,
-        images: Images,
-        intrinsics: Intrinsics,
-        wanted: tuple[int, ...],
+        self, images: Images, intrinsics: Intrinsics, wanted: tuple[int, ...]
     ) -> Features:
         """Encode, decode, and keep the `wanted` levels without the intrinsics token."""
         grid, chosen = self._grid(images), self.settings
@@ -168,10 +158,7 @@ class AsymmetricViT(Backbone):
         return torch.cat((tokens, extra), 1)
 
     def _decode(
-        self,
-        encoded: Tokens,
-        rotation: Rotation,
-        wanted: tuple[int, ...],
+        self, encoded: Tokens, rotation: Rotation, wanted: tuple[int, ...]
     ) -> list[Tokens]:
         """The `wanted` levels, 0 being `encoded` itself."""
         kept = [encoded] if 0 in wanted else []
@@ -240,10 +227,7 @@ def hook_levels(depth: int) -> tuple[int, int, int, int]:
 
 @lru_cache(maxsize=16)
 def _cached_rotation(
-    grid: tuple[int, int],
-    head_width: int,
-    base: float,
-    device: torch.device,
+    grid: tuple[int, int], head_width: int, base: float, device: torch.device
 ) -> Rotation:
     with torch.inference_mode(False):  # a cached table may later be used with gradients
         return make_rotation(patch_positions(grid), head_width, base, device)

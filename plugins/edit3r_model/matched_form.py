@@ -112,11 +112,7 @@ class MatchedForm:
         return head(features, views.images, source, prior)
 
     def _with_background_fill(
-        self,
-        made: Reconstruction,
-        views: Views,
-        source: Views,
-        geometry: Geometry,
+        self, made: Reconstruction, views: Views, source: Views, geometry: Geometry
     ) -> Reconstruction:
         """Continue the fused images beyond their borders and behind their surfaces; say what
         fusing added.

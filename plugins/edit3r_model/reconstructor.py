@@ -7,12 +7,7 @@ import torch
 from pydantic import model_validator
 
 from edit3r.contract.errors import MissingDependencyError, SettingsError
-from edit3r.contract.interfaces import (
-    Backbone,
-    GaussianHead,
-    Geometry,
-    Reconstructor,
-)
+from edit3r.contract.interfaces import Backbone, GaussianHead, Geometry, Reconstructor
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Reconstruction, Views
 from edit3r.kit.checks import require_geometry
@@ -51,10 +46,7 @@ class NetworkReconstructor(Reconstructor):
     settings: NetworkSettings
 
     def __init__(
-        self,
-        settings: NetworkSettings,
-        backbone: Backbone,
-        head: GaussianHead,
+        self, settings: NetworkSettings, backbone: Backbone, head: GaussianHead
     ) -> None:
         self.settings = settings
         self.uses_geometry = head.uses_geometry

@@ -10,12 +10,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract.component import component_name
-from edit3r.contract.interfaces import (
-    ConditionedOnDepth,
-    Editor,
-    Geometry,
-    Matcher,
-)
+from edit3r.contract.interfaces import ConditionedOnDepth, Editor, Geometry, Matcher
 from edit3r.contract.reporting import note, warn
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_optimisers.fitting import TargetImages

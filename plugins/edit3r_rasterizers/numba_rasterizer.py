@@ -281,10 +281,7 @@ def project_scene(
 
 
 def draw(
-    threads: int,
-    frame: ProjectedScene,
-    background: np.ndarray,
-    images: CameraImages,
+    threads: int, frame: ProjectedScene, background: np.ndarray, images: CameraImages
 ) -> None:
     """Fill `images` over a background colour [3]."""
     run_slices(

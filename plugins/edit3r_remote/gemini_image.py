@@ -94,9 +94,7 @@ class GeminiImages(ImageService):
         content = types.UserContent(parts=[prompt, photo])
         try:
             response = self.client.models.generate_content(
-                model=self.settings.model,
-                contents=content,
-                config=config,
+                model=self.settings.model, contents=content, config=config
             )
         except errors.APIError as error:
             words = error.message or error.status

@@ -24,12 +24,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract.errors import SettingsError
-from edit3r.contract.interfaces import (
-    LossInputs,
-    SceneSample,
-    Trainer,
-    TrainingJob,
-)
+from edit3r.contract.interfaces import LossInputs, SceneSample, Trainer, TrainingJob
 from edit3r.contract.settings import Index, NonNegative, Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering
 from edit3r.kit.reconstructing import WithMatcher
