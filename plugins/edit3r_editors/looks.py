@@ -238,9 +238,8 @@ class LooksEditor(Editor, EditsRegions):
         look: Literal[_NAMES] = Field(  # type: ignore[valid-type]  # of LOOKS
             "", description="the look; empty: the one that the prompt names"
         )
-        strength: float = Field(
-            1.0, ge=0, le=1, description="share of the look; 0 returns the photo"
-        )
+        strength: float = Field(1.0, ge=0, le=1)
+        """share of the look; 0 returns the photo"""
 
     settings: Settings
 
