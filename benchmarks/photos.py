@@ -207,10 +207,10 @@ def occluders() -> None:
 
     A folder holds photos, and nobody knows their cameras: those of all photos together are read
     first. Sets of the given photos are then reconstructed without and with `matcher.sky`. Each
-    held-out photo is rendered from its place beside the nearest given photo. Its pose is then drawn to the photo by gradient descent, since the two readings
-    differ by some pixels, and its light is fitted (gain and offset of each channel). Printed are
-    the verdict and the PSNR [dB] of the given photos, and of each held-out photo: of all, of its
-    sky, of the rest.
+    held-out photo is rendered from its place beside the nearest given photo. Its pose is then drawn
+    to the photo by gradient descent, since the two readings differ by some pixels, and its light is
+    fitted (gain and offset of each channel). Printed are the verdict and the PSNR [dB] of the given
+    photos, and of each held-out photo: of all, of its sky, of the rest.
     """
     parser = argparse.ArgumentParser(
         description=occluders.__doc__,
