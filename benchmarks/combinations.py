@@ -10,7 +10,8 @@ Every run is `edit3r run` on the packaged pair at 256 pixels, in a process of it
 thread. Results go into `benchmarks/combinations.json`, from which `python docs/generate.py` makes
 the tables of docs/combinations.md: CPU seconds of the edit and of all else, peak memory of the
 process, the run's verdict, or the sentence that it ended with. Weights that are at hand are used
-and noted."""
+and noted.
+"""
 
 import argparse
 import json

@@ -51,8 +51,7 @@ class RunConfig(Settings):
     """reconstructor and its settings"""
     matcher: PartChoice = PartChoice.model_validate(DEFAULTS["matcher"])
     """reads poses and depths from the photos where somebody needs them; where --cameras has all
-    poses, they are used as they are unless a matcher is chosen
-    """
+    poses, they are used as they are unless a matcher is chosen"""
     rasterizer: PartChoice = PartChoice(name=DEFAULTS["rasterizer"])
     """rasterizer and its settings"""
     selector: PartChoice = PartChoice(name=DEFAULTS["selector"])
@@ -76,20 +75,18 @@ class RunConfig(Settings):
     )
     """steps after reconstruction, in order; --gaussians and --refine add theirs before them"""
     edit_views: Literal["all", "first"] = "all"
-    """edit every view, or the first only (as in training) and let the reconstructor carry it over
-    """
+    """edit every view, or the first only (as in training) and let the reconstructor carry it
+    over"""
     strength: Share = 1.0
     """how much of the 2D edit is taken: 0 leaves the photos as they are, 1 takes all of it"""
     feather: float = Field(0.0, ge=0, le=MAX_GROWTH)
     """how far inside the outline of what is selected the edit fades in [pixels]"""
     moved_edits: Literal["undo", "keep"] = "undo"
     """undo: an edited picture that is shifted, zoomed, turned or mirrored against its photo is
-    moved back; keep: it is taken as it is
-    """
+    moved back; keep: it is taken as it is"""
     transients: Literal["leave-out", "keep"] = "leave-out"
     """leave-out: what one photo alone shows where two others see through its place, such as a
-    walker, is left out of the scene; keep: it is drawn
-    """
+    walker, is left out of the scene; keep: it is drawn"""
     seed: int = Field(0, ge=0, lt=2**31)
     """one seed for all views"""
     size: int = Field(512, ge=8, le=8192)
@@ -97,8 +94,8 @@ class RunConfig(Settings):
     fov: float | None = Field(None, gt=1, lt=170)
     """horizontal field of view [degrees] of photos that do not tell their own"""
     views: int | None = Field(None, ge=2)
-    """most photos that are used: those that together show most; default: all (of a video, 8 frames)
-    """
+    """most photos that are used: those that together show most; default: all (of a video, 8
+    frames)"""
     device: str = "cpu"
     """torch device of the learned parts, such as cpu or cuda"""
     frames: int = Field(36, ge=2, le=2000)
@@ -112,8 +109,7 @@ class RunConfig(Settings):
     """what is written as well, by any writer, such as spz,glb"""
     writer: dict[str, dict[str, Any]] = Field({})
     """settings of writers by their names, such as writer.video.fps=30; in a list of outputs also
-    {name: video, fps: 30}
-    """
+    {name: video, fps: 30}"""
     gaussians: int | Literal["all", "auto"] = "auto"
     """all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"""
     max_gaussians: int | None = Field(None, ge=1)
@@ -122,21 +118,17 @@ class RunConfig(Settings):
     """most photometric steps, each towards one edited view"""
     grid: float = Field(0.67, gt=0, le=1)
     """share of the photos' sides at which Gaussians are made, one a pixel, where --refine follows,
-    which brings the detail of the photos themselves; 1: at the photos' own
-    """
+    which brings the detail of the photos themselves; 1: at the photos' own"""
     exposure: Literal["one", "own"] = "one"
     """one: photos of other exposure or white balance are brought to the exposure of the first; own:
-    each is taken as it is
-    """
+    each is taken as it is"""
     quality: Literal["fast", "balanced", "best"] | None = None
     """measured preset that lies under all other settings (see docs/tradeoff.md)"""
 
     @model_validator(mode="before")
     @classmethod
     def _read_settings_of_outputs(cls, values: Any) -> Any:
-        """Accept outputs with their settings, `{name: video, fps: 30}`; those in `writer` are over
-        them.
-        """
+        """Accept outputs with settings, `{name: video, fps: 30}`; those in `writer` win."""
         settings: dict[str, Any] = {}
         changed = dict(values)
         for key in ("outputs", "export"):
@@ -233,6 +225,10 @@ class RunConfig(Settings):
         return {name for name in given if getattr(self, name) != preset.get(name)}
 
 
+PLACES = ("mask", "point", "not_point", "box", "stroke", "region")
+"""Inputs that say where on the photos, of which there may be several."""
+
+
 class JobInputs(Settings):
     """What a run works on, in words: flags of `edit3r run`, keys of a line of `edit3r batch`."""
 
@@ -242,14 +238,12 @@ class JobInputs(Settings):
     """edit the scene of an earlier run again (its --out folder)"""
     cameras: str | None = None
     """cameras.json or transforms.json with the photos' intrinsics; 'none': not even one that lies
-    beside the photos
-    """
+    beside the photos"""
     refine_poses: bool = False
     """refine the given poses by bundle adjustment"""
     mask: tuple[str, ...] = ()
     """a mask for each photo, or a folder of them, named after the photos; or for one, which is
-    carried to the rest; white is the object
-    """
+    carried to the rest; white is the object"""
     point: tuple[str, ...] = ()
     """a point on the object, on the first photo or photo N; repeatable"""
     not_point: tuple[str, ...] = ()
@@ -264,9 +258,7 @@ class JobInputs(Settings):
     thing: str = ""
     """the object in words, such as 'the left cup', instead of marks"""
 
-    @field_validator(
-        "photos", "mask", "point", "not_point", "box", "stroke", "region", mode="before"
-    )
+    @field_validator("photos", *PLACES, mode="before")
     @classmethod
     def _one_is_a_list(cls, value: Any) -> Any:
         return [value] if isinstance(value, str) else value

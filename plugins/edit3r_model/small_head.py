@@ -24,7 +24,7 @@ from edit3r.contract.settings import Index, Share
 from edit3r.contract.types import Cameras, Features, Gaussians, Views
 from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.kit.geometry.maps import guided_upsample, resize, size_of
+from edit3r.kit.geometry.maps import resize, size_of
 from edit3r.kit.geometry.warping import contradicted, find_correspondences, warp
 from edit3r_model.colour_maps import CHANNELS, blur_maps, change_of, fit_colour_maps
 from edit3r_model.disagreement import (
@@ -37,6 +37,7 @@ from edit3r_model.edit_fusion import CANDIDATES, EditFusion, EditTransport, Fuse
 from edit3r_model.edited_views import EditedViews, Exposure, Images, Maps, find_exposure
 from edit3r_model.small_backbone import STRIDE, averaged, zero_conv
 from edit3r_model.surface import discs
+from edit3r_model.upsampling import guided_upsample
 
 KEY_STRIDE = 4
 """Pixels of the backbone's images per side of what the reference offers to attention."""

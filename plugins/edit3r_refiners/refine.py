@@ -42,7 +42,7 @@ class RefineSettings(Settings):
     """step of the opacities' logits"""
     scale: float = Field(0.2, ge=0, le=1)
     """step of the scales' logarithms"""
-    growth: float = Field(1.0, ge=1, le=1000)
+    growth: float = Field(1.15, ge=1, le=1000)
     """most times as large as it was that a Gaussian may become: what grows over a depth edge at the
     photos stands before others' surfaces between them
     """
