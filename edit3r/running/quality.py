@@ -29,7 +29,8 @@ class Expected(Settings):
 
     seconds: float = Field(gt=0)
     """processor time of a run without an editor, in a process that has done one before; the
-    quickest of several, mean of the scenes"""
+    quickest of several, mean of the scenes
+    """
     seconds_first: float = Field(gt=0)
     """of the first run of a process, as a run of the command is; mean of scenes"""
     memory_mb: float = Field(gt=0)

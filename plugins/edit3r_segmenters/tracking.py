@@ -124,10 +124,7 @@ def _view(image: np.ndarray, size: int) -> _View:
 
 
 def _found_again(
-    views: list[_View],
-    found: list[list[np.ndarray | None]],
-    index: int,
-    number: int,
+    views: list[_View], found: list[list[np.ndarray | None]], index: int, number: int
 ) -> np.ndarray | None:
     """An object in one view by the last one that showed it; None when it is lost."""
     shown = [view for view, row in enumerate(found) if row[number] is not None]
