@@ -262,7 +262,7 @@ def completed(page: str) -> str:
 
 
 def example_part(kind: str, name: str) -> str:
-    """The modules of a new plugin, as `edit3r new-plugin` writes them, and how to use it."""
+    """The modules that `edit3r new-plugin KIND NAME` writes, and how to use them."""
     from edit3r_develop.new_plugin import next_steps, package_files
 
     files = {

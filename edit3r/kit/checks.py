@@ -176,8 +176,8 @@ def check_geometry(matcher: Any, views: Views, answer: Geometry) -> None:
     promise = "place view 0 and another one, or raise MatchingError"
     _require(matcher, bool(joined.all()), promise)
     _require_poses(matcher, answer.c2w, placed)
-    own = answer.c2w[:, 0].double()
-    is_own = torch.allclose(own, torch.eye(4).to(own).expand_as(own), atol=1e-3)
+    first = answer.c2w[:, 0].double()
+    is_own = torch.allclose(first, torch.eye(4).to(first).expand_as(first), atol=1e-3)
     _require(matcher, is_own, "return c2w in the frame of view 0, its own the identity")
     reach = float(answer.depths.median()) * FARTHEST
     away = float(answer.c2w[placed][:, :3, 3].abs().amax())

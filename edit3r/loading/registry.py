@@ -78,17 +78,17 @@ class Registry:
         do.
         """
         offers = self.offers(kind)
-        found = [
+        called_so = [
             offer
             for offer in offers
             if name in (offer.component.name, offer.qualified_name)
         ]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            ways = " or ".join(repr(offer.qualified_name) for offer in found)
+        if len(called_so) == 1:
+            return called_so[0]
+        if called_so:
+            ways = " or ".join(repr(offer.qualified_name) for offer in called_so)
             raise UnknownComponentError(
-                f"{kind} {name!r} is offered by {len(found)} plugins; ask for {ways}."
+                f"{kind} {name!r} is offered by {len(called_so)} plugins; ask for {ways}."
             )
         known = [offer.component.name for offer in offers]
         if not known:
@@ -332,8 +332,8 @@ def components(kind: str | None = None) -> list[Offer]:
 def declared(local_files: tuple[str, ...] = ()) -> dict[str, Weights]:
     """All weights that installed components name, by name; those of plugins in local files too."""
 
-    found: dict[str, Weights] = {}
+    by_name: dict[str, Weights] = {}
     for offer in default_registry(local_files).offers():
         for weights in offer.component.weights:
-            found.setdefault(weights.name, weights)
-    return dict(sorted(found.items()))
+            by_name.setdefault(weights.name, weights)
+    return dict(sorted(by_name.items()))

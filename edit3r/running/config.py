@@ -213,7 +213,7 @@ class RunConfig(Settings):
         """Accept outputs with their settings, `{name: video, fps: 30}`; those in `writer` are over
         them.
         """
-        found: dict[str, Any] = {}
+        settings: dict[str, Any] = {}
         changed = dict(values)
         for key in ("outputs", "export"):
             given = values.get(key)
@@ -221,9 +221,9 @@ class RunConfig(Settings):
                 continue
             choices = [PartChoice.model_validate(one) for one in given]
             changed[key] = [one.name for one in choices]
-            found |= {one.name: one.settings for one in choices if one.settings}
-        if found:
-            changed["writer"] = merge(found, values.get("writer", {}))
+            settings |= {one.name: one.settings for one in choices if one.settings}
+        if settings:
+            changed["writer"] = merge(settings, values.get("writer", {}))
         return changed
 
     @field_validator("outputs", "export", mode="before")
@@ -448,9 +448,9 @@ def _check_outputs(config: RunConfig, registry: Registry) -> None:
         try:
             registry.check("writer", config.writer_choice(name))
         except UnknownComponentError as error:
-            own = ", ".join(OWN_OUTPUTS)
+            of_runs = ", ".join(OWN_OUTPUTS)
             raise UnknownComponentError(
-                f"outputs: {error} The run itself writes {own}."
+                f"outputs: {error} The run itself writes {of_runs}."
             ) from None
         file = registry.find("writer", name).component.file_name()
         if file in taken:

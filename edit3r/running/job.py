@@ -84,8 +84,8 @@ def _answers(inputs: JobInputs) -> Cache | None:
     folders = [Path(inputs.earlier)] if inputs.earlier else []
     masks = [Path(mask) for mask in inputs.mask[:1]]
     folders += [mask if mask.is_dir() else mask.parent for mask in masks]
-    kept = [folder / CACHE for folder in folders if (folder / CACHE).is_dir()]
-    return Cache(kept[0]) if kept else None
+    caches = [folder / CACHE for folder in folders if (folder / CACHE).is_dir()]
+    return Cache(caches[0]) if caches else None
 
 
 def _takes_usual_editor(layers: Sequence[Mapping[str, Any]]) -> bool:
@@ -119,7 +119,7 @@ def _names_another(kind: str, name: str, layers: Sequence[Mapping[str, Any]]) ->
 def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:
     """The packaged pair, with masks of its subject where only the prompt names it."""
     photos, cameras = packaged_pair()
-    found: dict[str, Any] = {
+    pair: dict[str, Any] = {
         "photos": tuple(photos),
         "cameras": inputs.cameras or str(cameras),
     }
@@ -130,10 +130,10 @@ def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:
     if usual and not marked and subject in config.prompt.lower():
         note("selection.mask", f"the packaged pair brings masks of its {subject}")
         folder = Path(cameras).parent
-        found["mask"] = tuple(
+        pair["mask"] = tuple(
             str(folder / f"motorcycle_mask{side}.png") for side in ("", "_right")
         )
-    return inputs.model_copy(update=found)
+    return inputs.model_copy(update=pair)
 
 
 def with_cameras(views: Views, cameras: Cameras) -> Views:

@@ -418,7 +418,7 @@ def _other_readings(
     things: Sequence[Selected], photos: Views, placed: Sequence[bool]
 ) -> tuple[OtherReadings, ...]:
     """What else words may mean, for those that were unsure and on one of the placed `photos`."""
-    found = []
+    readings = []
     for selected in things:
         shown = [one for one in selected.readings if placed[one.view]]
         if selected.is_sure or len(shown) < 2:
@@ -426,8 +426,8 @@ def _other_readings(
         view = sum(placed[: shown[0].view])
         masks = {_chosen_by(one, selected): one.mask for one in shown}
         photo = images_of(photos)[view]
-        found.append(OtherReadings(photo, photos.names[view], masks))
-    return tuple(found)
+        readings.append(OtherReadings(photo, photos.names[view], masks))
+    return tuple(readings)
 
 
 def _chosen_by(reading: Reading, selected: Selected) -> str:

@@ -60,16 +60,9 @@ class Studio:
             photos = list(self.folder.photos(name))
             history = self.folder.history(name)
             at = self._left_at(name)
-            found.append(
-                {
-                    "name": name,
-                    "photos": photos[:1],
-                    "count": len(photos),
-                    "edits": len(history),
-                    "at": at,
-                    "shown": self._rendered(at),
-                }
-            )
+            counts = {"count": len(photos), "edits": len(history)}
+            shown = {"photos": photos[:1], "at": at, "shown": self._rendered(at)}
+            found.append({"name": name, **counts, **shown})
         return found
 
     def _rendered(self, name: str) -> list[str]:

@@ -31,9 +31,6 @@ from edit3r_geometry.registration import Registration
 from edit3r_geometry.semi_global import aggregate, best_plane
 from edit3r_geometry.sky import coloured_like_sky, find_skies
 
-__all__ = ["DepthSettings", "inverse_depth_range", "measure_depths", "sweep_depth"]
-
-
 # Views whose sky is not to be hidden: those of a video say the same.
 MAX_OTHERS = 8
 

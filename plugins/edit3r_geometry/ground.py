@@ -16,8 +16,6 @@ from edit3r.kit.geometry.cameras import up_direction
 from edit3r_geometry.cameras import CalibratedImage, Pose, pixel_rays
 from edit3r_geometry.plane_sweep import RawDepth
 
-__all__ = ["Ground", "above_ground", "find_ground"]
-
 MIN_BELOW = 0.05  # of a photo is free below what was measured [its height]
 # Share of all columns that end so: 0.74 to 0.97 before houses, 0.57 at the trunk of a tree
 MIN_SHARE = 0.6

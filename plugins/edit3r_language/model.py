@@ -1,19 +1,18 @@
 """Readers that ask a language model: behind an address, or on this machine."""
 
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
 from pydantic import Field
 
-from edit3r.contract.errors import Edit3rError, MissingDependencyError, RunError
+from edit3r.contract.errors import MissingDependencyError, RunError
 from edit3r.contract.instructions import Instruction, Thing
 from edit3r.contract.interfaces import Reader
 from edit3r.contract.reporting import note
 from edit3r.contract.settings import USER_ONLY, Settings
 from edit3r.contract.torch_state import require_device
-from edit3r.kit.service import bounded_client, within
+from edit3r.kit.service import CHAT_KEY, ChatModel, quoted
 from edit3r.kit.weights.load import (
     ChosenWeights,
     foreign,
@@ -22,9 +21,6 @@ from edit3r.kit.weights.load import (
     out_of_memory_told,
 )
 from edit3r_language.answers import instructions_of_answer, system_prompt
-
-KEY_VARIABLE = "OPENAI_API_KEY"
-MAX_QUOTE = 300  # characters of a model's words that an error repeats
 
 Message = dict[str, str]
 
@@ -69,13 +65,10 @@ class AskingReader(Reader, ABC):
                 why = str(error)
             messages += [
                 {"role": "assistant", "content": answer},
-                {
-                    "role": "user",
-                    "content": f"That cannot be used: {why}. Answer again.",
-                },
+                {"role": "user", "content": f"That cannot be used: {why}. Try again."},
             ]
         raise RunError(
-            f"{self.who} gave no instructions for {prompt[:80]!r}: {why} ({_quoted(answer)}); say "
+            f"{self.who} gave no instructions for {prompt[:80]!r}: {why} ({quoted(answer)}); say "
             "it otherwise, or leave --reader out."
         )
 
@@ -104,52 +97,21 @@ class ServiceReader(AskingReader):
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
         self.who = f"language model {settings.model!r}"
-        self._key = os.environ.get(KEY_VARIABLE, "").strip()
-        if not self._key and not settings.base_url:
+        self._model = ChatModel(
+            settings.model,
+            settings.base_url,
+            settings.timeout_s,
+            "try later, raise reader.timeout_s, or leave --reader out",
+        )
+        if not self._model.key and not settings.base_url:
             raise MissingDependencyError(
-                f"reader 'model' needs an API key; set the environment variable {KEY_VARIABLE}, or "
+                f"reader 'model' needs an API key; set the environment variable {CHAT_KEY}, or "
                 "give a server that wants none: --set reader.base_url=http://localhost:8000/v1."
             )
 
     def ask(self, messages: Sequence[Message]) -> str:
-        seconds = self.settings.timeout_s
-        try:
-            answer = within(2 * seconds, lambda: self._answer(messages))
-        except Edit3rError:
-            raise
-        # an SDK and its HTTP library raise dozens of types; their texts may hold the key
-        except Exception as error:
-            raise RunError(
-                f"{self.who} gave no answer ({type(error).__name__}: {self._told(error)}); try "
-                "later, raise reader.timeout_s, or leave --reader out."
-            ) from None
-        if not answer:
-            raise RunError(f"{self.who} gave an empty answer; try again.")
-        return answer
-
-    def _answer(self, messages: Sequence[Message]) -> str:
-        import openai
-
-        client = openai.OpenAI(
-            api_key=self._key or "none",
-            base_url=self.settings.base_url or None,
-            http_client=bounded_client(self.settings.timeout_s),
-            timeout=self.settings.timeout_s,
-            max_retries=1,
-        )
         note("reader.model", self.settings.model)
-        given: Any = list(messages)
-        answer = client.chat.completions.create(
-            model=self.settings.model,
-            messages=given,
-            temperature=0,
-            response_format={"type": "json_object"},
-        )
-        text = answer.choices[0].message.content if answer.choices else None
-        return (text or "").replace(self._key or "\0", "***")
-
-    def _told(self, error: Exception) -> str:
-        return _quoted(str(error).replace(self._key or "\0", "***"))
+        return self._model.ask(messages, response_format={"type": "json_object"})
 
 
 class LocalReader(AskingReader):
@@ -201,12 +163,9 @@ class LocalReader(AskingReader):
                 local_files_only=chosen.local_files_only,
             )
             device = require_device(chosen.device, "reader.device")
-            network = load_pretrained(
-                foreign("transformers", "AutoModelForCausalLM"), weights
-            )
-            tokenizer = load_pretrained(
-                foreign("transformers", "AutoTokenizer"), weights
-            )
+            names = ("AutoModelForCausalLM", "AutoTokenizer")
+            classes = (foreign("transformers", name) for name in names)
+            network, tokenizer = (load_pretrained(one, weights) for one in classes)
             self._loaded = network.to(device).eval(), tokenizer
             note("reader.weights", identity(weights))
         return self._loaded
@@ -220,9 +179,3 @@ def _as_text(tokenizer: Any, messages: Sequence[Message]) -> str:
         )
     said = [f"{one['role']}: {one['content']}" for one in messages]
     return "\n".join((*said, "assistant: "))
-
-
-def _quoted(text: str) -> str:
-    """A stranger's words on one line, shortened."""
-    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
-    return line if len(line) <= MAX_QUOTE else f"{line[:MAX_QUOTE]}..."

@@ -107,9 +107,8 @@ class DptGaussianHead(GaussianHead):
     def _build(self) -> None:
         sizes = self.token_widths, self.patch_size, self.settings
         self.centres = nn.ModuleList(CentrePredictor(*sizes) for _ in range(ROLES))
-        self.attributes = nn.ModuleList(
-            AttributePredictor(*sizes) for _ in range(ROLES)
-        )
+        attributes = (AttributePredictor(*sizes) for _ in range(ROLES))
+        self.attributes = nn.ModuleList(attributes)
 
     def forward(
         self,
@@ -151,10 +150,8 @@ class DptGaussianHead(GaussianHead):
         # [batch, view, height, width, channel], as the Gaussians are ordered.
         maps: Tensor | None = None
         for scene, view in product(range(batch), range(views)):
-            given = [
-                level[scene, view].T.unflatten(1, features.grid)[None]
-                for level in levels
-            ]
+            rows = [level[scene, view].T for level in levels]
+            given = [row.unflatten(1, features.grid)[None] for row in rows]
             extra = () if pixels is None else (pixels[scene, view, None],)
             predictor = predictors[min(view, ROLES - 1)]
             result = predictor(given, *extra)[0].movedim(0, -1)

@@ -90,10 +90,8 @@ class NetworkReconstructor(Reconstructor):
     def weights_metadata(self) -> dict[str, str]:
         """Which parts the network's weights are for, and the size they were trained at."""
         about = {}
-        for kind, part in (
-            ("backbone", self.network.backbone),
-            ("head", self.network.head),
-        ):
+        parts = {"backbone": self.network.backbone, "head": self.network.head}
+        for kind, part in parts.items():
             # The correction of depth counts in training only.
             kept = part.settings.model_dump(exclude={"depth_repair"})
             choice = PartChoice(name=part.offer.component.name, settings=kept)

@@ -133,9 +133,8 @@ class EditFusionHead(GaussianHead):
         given, width = backbone.feature_widths[-1], settings.width
         with torch.random.fork_rng():
             torch.manual_seed(settings.seed)
-            self.project = (
-                nn.Identity() if given == width else nn.Conv2d(given, width, 1)
-            )
+            fits = given == width
+            self.project = nn.Identity() if fits else nn.Conv2d(given, width, 1)
             self.corrections = zero_conv(width, 3 * STRIDE**2)
             self.transport = EditTransport(width)
             self.fusion = EditFusion(width)
@@ -196,10 +195,9 @@ class EditFusionHead(GaussianHead):
         exposure = find_exposure(before, matches, geometry.confidence >= MEASURED)
         views = EditedViews.of(after, before, exposure, matches)
         size = before.shape[-2:]
-        none = FusedEdit(
-            before.new_zeros(len(before), CHANNELS, *size),
-            before.new_zeros(len(before), CANDIDATES, *size),
-        )
+        counts = CHANNELS, CANDIDATES
+        zeros = (before.new_zeros(len(before), count, *size) for count in counts)
+        none = FusedEdit(*zeros)
         others = range(1, before.shape[1])
         fused = [none, *(self._fuse(views, tokens, view) for view in others)]
         return Choices(
@@ -272,10 +270,8 @@ def assemble(
     fine = _at_image_size(decisions, source.images)
     depth, opacity, scale = fine.corrections.unbind(2)
     depths = geometry.depths * (settings.depth_repair * depth).exp()
-    opacity = torch.sigmoid(
-        math.log(settings.opacity / (1 - settings.opacity))
-        + settings.opacity_repair * opacity
-    )
+    usual = math.log(settings.opacity / (1 - settings.opacity))
+    opacity = torch.sigmoid(usual + settings.opacity_repair * opacity)
     scales = pixel_scales(depths, source.intrinsics, settings.footprint)
     scales = scales * (settings.opacity_repair * scale).exp()
 

@@ -33,15 +33,11 @@ class RefitReconstructor(FittingMethod):
     def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
         if self.settings.edit == "renders":
-            views = edited(
-                self.editor,
-                rendered(gaussians, cameras, scene.photos, self.rasterizer),
-                scene.request,
-            )
+            shown = rendered(gaussians, cameras, scene.photos, self.rasterizer)
+            views = edited(self.editor, shown, scene.request)
         elif scene.is_edited:
             views = scene.edited
         else:
             return gaussians, cameras
-        return self._fit(
-            "edits", gaussians, cameras, TargetImages(views.images[0])
-        ), cameras
+        targets = TargetImages(views.images[0])
+        return self._fit("edits", gaussians, cameras, targets), cameras

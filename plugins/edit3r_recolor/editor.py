@@ -74,11 +74,8 @@ class RecolorEditor(Editor, EditsRegions):
                 )
         generator = torch.Generator().manual_seed(request.seed)
         parameters = sample_parameters(generator, self.settings.ranges)
-        if any(
-            change.kind == "random"
-            for instruction in instructions
-            for change in instruction.changes
-        ):
+        changes = [change for one in instructions for change in one.changes]
+        if any(change.kind == "random" for change in changes):
             reporting.note("editor.parameters", asdict(parameters))
         scenes = []
         for index, images in enumerate(views.images):
@@ -99,11 +96,8 @@ class RecolorEditor(Editor, EditsRegions):
     ) -> Float[Tensor, "view 3 height width"]:
         settings = self.settings
         everywhere = instruction.thing.scope in ("whole", "region")
-        flood = (
-            everywhere
-            or "whole" in instruction.thing.which
-            or instruction.thing.name in WHOLE
-        )
+        thing = instruction.thing
+        flood = everywhere or "whole" in thing.which or thing.name in WHOLE
         changed = images
         for change in instruction.changes:
             if change.kind == "paint":

@@ -291,14 +291,11 @@ def perturbed(
     """Shift an edit's palette a little: factors times 1 +- `amount`, hue by at most amount / 4
     turns.
     """
-    brightness, contrast, saturation, gamma, hue = rng.uniform(
-        -amount, amount, 5
-    ).tolist()
-    return replace(
-        parameters,
-        brightness=parameters.brightness * (1 + brightness),
-        contrast=parameters.contrast * (1 + contrast),
-        saturation=parameters.saturation * (1 + saturation),
-        gamma=parameters.gamma * (1 + gamma),
-        hue=parameters.hue + hue / 4,
-    )
+    *shifts, hue = rng.uniform(-amount, amount, 5).tolist()
+    factors = {
+        name: getattr(parameters, name) * (1 + shift)
+        for name, shift in zip(
+            ("brightness", "contrast", "saturation", "gamma"), shifts
+        )
+    }
+    return replace(parameters, hue=parameters.hue + hue / 4, **factors)

@@ -73,14 +73,9 @@ def kept_proposals(
     they fail).
     """
     objections = [criteria.objection(proposal, image_size) for proposal in proposals]
-    kept = [
-        proposal
-        for proposal, objection in zip(proposals, objections)
-        if objection is None
-    ]
-    return kept, dict(
-        Counter(objection for objection in objections if objection is not None)
-    )
+    kept = [one for one, objection in zip(proposals, objections) if objection is None]
+    failed = [objection for objection in objections if objection is not None]
+    return kept, dict(Counter(failed))
 
 
 def active_objects(tracks: Tracks) -> Bool[Tensor, "view object"]:

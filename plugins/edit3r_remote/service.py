@@ -8,9 +8,9 @@ from pydantic import Field
 
 from edit3r.contract.errors import Edit3rError, MissingDependencyError, RunError
 from edit3r.contract.settings import USER_ONLY, Settings
+from edit3r.kit.service import quoted
 
 MAX_TOKENS = 10**12
-MAX_QUOTE = 300  # characters of a service's words that an error repeats
 
 
 class RemoteSettings(Settings):
@@ -110,8 +110,7 @@ class ImageService(ABC):
 
     def quote(self, words: object) -> str:
         """Put the service's words on one line, shortened, without the key."""
-        line = " ".join(str(words).split()).replace(self.key, "***")
-        return line if len(line) <= MAX_QUOTE else f"{line[:MAX_QUOTE]}..."
+        return quoted(str(words).replace(self.key, "***"))
 
     def failure(self, status: int, words: object, request: Request) -> Edit3rError:
         """The error for an HTTP status that further attempts did not cure."""

@@ -136,11 +136,8 @@ def _own_edits(sample: SceneSample, photos: Images, rng: np.random.Generator) ->
     seeds = rng.integers(2**31, size=len(photos) + 1)
     first, *others = (torch.Generator().manual_seed(int(seed)) for seed in seeds)
     shared = torch.rand(6, generator=first)
-    edits = [
-        with_look(image[None], shared, own, DISAGREEMENT)
-        for image, own in zip(photos, others)
-    ]
-    return torch.cat(edits)
+    pairs = zip(photos[:, None], others)
+    return torch.cat([with_look(x, shared, own, DISAGREEMENT) for x, own in pairs])
 
 
 def _regions(

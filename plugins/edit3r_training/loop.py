@@ -292,14 +292,9 @@ class _Loop:
 
     def _log(self, total: Tensor, terms: Mapping[str, Tensor], norm: Tensor) -> None:
         own = {name: float(term) for name, term in terms.items()}
-        values = self.processes.means([own])
+        values = {"loss": float(total), **self.processes.means([own])}
         if self.journal is not None:
-            line = {
-                "loss": float(total),
-                **values,
-                "norm": float(norm),
-                "skipped": self.state.skipped,
-            }
+            line = {**values, "norm": float(norm), "skipped": self.state.skipped}
             self.journal.write(self.state.step, line)
 
     def _validate(self) -> None:
@@ -329,9 +324,8 @@ def parameter_groups(
 
     Raises SettingsError for a beginning in `settings.pretrained` that no weight's name has.
     """
-    named = {
-        name: value for name, value in network.named_parameters() if value.requires_grad
-    }
+    every = network.named_parameters()
+    named = {name: value for name, value in every if value.requires_grad}
     for beginning in settings.pretrained:
         if not any(name.startswith(beginning) for name in named):
             groups = {name.rsplit(".", 1)[0].split(".0", 1)[0] for name in named}

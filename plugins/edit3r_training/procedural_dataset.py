@@ -204,11 +204,7 @@ def _packed(sample: SceneSample) -> SceneSample:
     assert context is not None and target is not None  # every scene here has them
     seen = context.amax((1, 2, 3)) > 0
     seen |= target.flatten(1).sum(1) > 0
-    kept = replace(
-        sample,
-        context_masks=context[seen],
-        target_masks=target[seen],
-    )
+    kept = replace(sample, context_masks=context[seen], target_masks=target[seen])
     return _with_images(kept, lambda x: (x * 255).round().to(torch.uint8))
 
 
@@ -217,9 +213,8 @@ def _with_images(
 ) -> SceneSample:
     """The sample with `function` of all its images and masks."""
     images = {name: getattr(sample, name) for name in EIGHT_BITS}
-    changed: dict[str, Any] = {
-        name: function(x) for name, x in images.items() if x is not None
-    }
+    known = {name: image for name, image in images.items() if image is not None}
+    changed: dict[str, Any] = {name: function(image) for name, image in known.items()}
     return replace(sample, **changed)
 
 

@@ -10,9 +10,8 @@ NoPoSplat's training.
 """
 
 import copy
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextvars import Context, copy_context
+from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -150,31 +149,22 @@ class RecolorRecipe(Recipe):
         sheet = self.job.out / "sheets" / f"{step:07d}.png"
         chosen, data = self.settings, self.job.validation_data
         assert data is not None  # the loop has asked
-        batches = held_out_batches(
-            data, chosen.regimes, chosen.batch, chosen.unit, self._match
-        )
-        return held_out_measures(
-            self.job,
-            processes,
-            batches,
-            rendered=chosen.score == "renderings",
-            sheet=sheet if processes.writes else None,
-        )
+        how = chosen.regimes, chosen.batch, chosen.unit, self._match
+        batches, rendered = held_out_batches(data, *how), chosen.score == "renderings"
+        shown = sheet if processes.writes else None
+        return held_out_measures(self.job, processes, batches, rendered, shown)
 
     def _batch(self, step: int, processes: Processes) -> TrainingBatch:
         """This process's share of the step's scenes; sample and random numbers do not depend on who
         draws them.
         """
         chosen = self.settings
-        slots = range(
-            processes.rank * chosen.batch, (processes.rank + 1) * chosen.batch
-        )
+        first = processes.rank * chosen.batch
+        slots = range(first, first + chosen.batch)
         generators = [step_generator(chosen.seed, step, slot) for slot in slots]
         samples = self._samples(step, processes)
-        batch = make_batch(
-            samples, chosen.regimes, generators, chosen.unit, self._match
-        )
-        return batch.to(self.device)
+        how = chosen.regimes, generators, chosen.unit, self._match
+        return make_batch(samples, *how).to(self.device)
 
     def _match(self, sample: SceneSample, rng: np.random.Generator) -> SimulatedMatch:
         """What is said of a sample's geometry: now and then what the matcher itself says, where it
@@ -195,9 +185,7 @@ class RecolorRecipe(Recipe):
             if near not in self._ahead:
                 # What a worker warns of is collected as if it were loaded here.
                 self._ahead[near] = [
-                    self._loader.submit(
-                        partial(_run, copy_context(), self._sample, one)
-                    )
+                    self._loader.submit(partial(copy_context().run, self._sample, *one))
                     for one in self._wanted(near, processes)
                 ]
         return [future.result() for future in self._ahead.pop(step)]
@@ -237,11 +225,8 @@ class RecolorRecipe(Recipe):
         if not any(weights.values()):
             return {}
         maps = pixel_maps(reconstruction, batch.context_cameras)
-        return {
-            name: weight * errors[name](maps, batch)
-            for name, weight in weights.items()
-            if weight
-        }
+        counted = {name: weight for name, weight in weights.items() if weight}
+        return {name: w * errors[name](maps, batch) for name, w in counted.items()}
 
     def _rendered_terms(
         self, batch: TrainingBatch, made: Reconstruction, step: int
@@ -274,10 +259,8 @@ class RecolorRecipe(Recipe):
             render=render,
             geometry=batch.geometry,
         )
-        return {
-            name: weight * loss(inputs)
-            for name, (weight, loss) in self.job.losses.items()
-        }
+        losses = self.job.losses
+        return {name: weight * loss(inputs) for name, (weight, loss) in losses.items()}
 
 
 def _supervised_views(
@@ -306,12 +289,6 @@ def _supervised_views(
         known = known * ~batch.reshaped[:, first:]
     depths[:, : known.shape[1]] = known
     return cameras, wished, depths
-
-
-def _run(
-    context: Context, load: Callable[[int, int], SceneSample], one: tuple[int, int]
-) -> SceneSample:
-    return context.run(load, *one)
 
 
 class GeometricReference:

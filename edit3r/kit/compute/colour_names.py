@@ -149,9 +149,9 @@ def read_colour(words: list[str]) -> tuple[Colour, int] | None:
 
 def read_colour_of(words: list[str]) -> tuple[Colour, int] | None:
     """The colour after "the colour of", where "brick" and "grass" are colours too."""
-    found = read_colour(words)
-    if found is not None or not words or words[0] not in _STUFF:
-        return found
+    colour = read_colour(words)
+    if colour is not None or not words or words[0] not in _STUFF:
+        return colour
     rgb = _rgb(_listed()[words[0]])
     assert rgb is not None
     return Colour(words[0], rgb), 1

@@ -16,6 +16,7 @@ __all__ = [
     "dilate_softly",
     "feathered",
     "guided_upsample",
+    "resampled",
     "resize",
     "shown",
     "size_of",
@@ -41,13 +42,13 @@ def dilate(
 
     Pixels outside the image do not count. The erosion of a map is `-dilate(-maps, radius)`.
     """
-    found = maps.reshape(-1, 1, *maps.shape[-2:])
+    widest = maps.reshape(-1, 1, *maps.shape[-2:])
     for kernel, padding in (
         ((2 * radius + 1, 1), (radius, 0)),
         ((1, 2 * radius + 1), (0, radius)),
     ):  # columns, rows
-        found = F.max_pool2d(found, kernel, stride=1, padding=padding)
-    return found.reshape(maps.shape)
+        widest = F.max_pool2d(widest, kernel, stride=1, padding=padding)
+    return widest.reshape(maps.shape)
 
 
 def dilate_softly(
@@ -69,14 +70,14 @@ def feathered(
     it, and are 0 outside; the border of the image is no outline.
     """
     inside = (masks.reshape(-1, *masks.shape[-2:]) > 0.5).numpy(force=True)
-    found = np.zeros(inside.shape, np.float32)
-    for weight, mask in zip(found, inside):
+    depths = np.zeros(inside.shape, np.float32)
+    for weight, mask in zip(depths, inside):
         if mask.all():
             weight[:] = 1
         elif mask.any():
             weight[:] = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 5)
             weight /= pixels
-    share = torch.from_numpy(found.clip(0, 1)).to(masks).reshape(masks.shape)
+    share = torch.from_numpy(depths.clip(0, 1)).to(masks).reshape(masks.shape)
     return share * share * (3 - 2 * share)
 
 
@@ -102,6 +103,19 @@ def resize(
     return (
         F.interpolate(flat, size, mode="area") if shrinks else bilinear(flat, size)
     ).unflatten(0, images.shape[:-3])
+
+
+def resampled(
+    images: Float[Tensor, "*batch channel height width"], size: tuple[int, int]
+) -> Float[Tensor, "*batch channel height2 width2"]:
+    """Images in [0, 1] at `size` (height, width), bicubic without aliasing; the same tensor where
+    that is their size.
+    """
+    if tuple(images.shape[-2:]) == tuple(size):
+        return images
+    flat = images.flatten(0, -4)
+    sized = F.interpolate(flat, size, mode="bicubic", antialias=True).clamp(0, 1)
+    return sized.unflatten(0, images.shape[:-3])
 
 
 def guided_upsample(

@@ -45,34 +45,34 @@ class Intrinsics:
     mask: Path | None = None  # of the photo, as its camera file says
 
 
-def known_poses(found: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | None:
+def known_poses(intrinsics: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | None:
     """The photos' poses where one file knows all of them: those of two files have no frame in
     common, but for the parts of a data set.
     """
-    poses = [one.c2w for one in found if one.c2w is not None]
+    poses = [one.c2w for one in intrinsics if one.c2w is not None]
     complete = (
-        len(poses) == len(found)
-        and len({one.frame or one.source for one in found}) == 1
+        len(poses) == len(intrinsics)
+        and len({one.frame or one.source for one in intrinsics}) == 1
     )
     return torch.stack(poses) if complete else None
 
 
 def as_others_of_its_size(
-    found: Sequence[Intrinsics], sizes: Sequence[Size], index: int
+    intrinsics: Sequence[Intrinsics], sizes: Sequence[Size], index: int
 ) -> Intrinsics:
     """A photo's intrinsics; where nobody knows them, those of other photos of its size if they
     agree: one camera took them.
     """
-    own = found[index]
-    alike = [one for one, size in zip(found, sizes) if size == sizes[index]]
+    of_photo = intrinsics[index]
+    alike = [one for one, size in zip(intrinsics, sizes) if size == sizes[index]]
     known = [one for one in alike if not one.assumed]
-    if not own.assumed or not known:
-        return own
+    if not of_photo.assumed or not known:
+        return of_photo
     first, *others = known
     for other in others:
         off = (other.normalised / first.normalised - 1).diagonal().abs().max()
         if off > SHAPE_TOLERANCE or other.lens != first.lens:
-            return own
+            return of_photo
     source = f"{first.source}, of other photos of its size"
     return Intrinsics(first.normalised, source, lens=first.lens)
 
@@ -147,9 +147,9 @@ class IntrinsicsFinder:
             if folder not in self._files_in:
                 self._files_in[folder] = camera_files_in(folder)
             for path in self._files_in[folder]:
-                found = self._beside(path)
-                if found is not None:
-                    yield found
+                camera_file = self._beside(path)
+                if camera_file is not None:
+                    yield camera_file
 
     def _beside(self, path: Path) -> "_CameraFile | None":
         if path not in self._found:

@@ -111,8 +111,8 @@ def load_whole_network(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
     """A network of transformers by `load_pretrained`, refused where weights that it needs are not
     in the files.
     """
-    network, told = load_pretrained(cls, weights, output_loading_info=True, **given)
-    lacking = sorted(told["missing_keys"] or told["mismatched_keys"])
+    network, report = load_pretrained(cls, weights, output_loading_info=True, **given)
+    lacking = sorted(report["missing_keys"] or report["mismatched_keys"])
     if lacking:
         raise InputError(
             f"{weights.key}: {weights.model!r} lacks {len(lacking)} weights of {cls.__name__}, "
@@ -137,22 +137,22 @@ def sized(large: Weights, small: Weights) -> str:
 
 def identity(weights: ChosenWeights) -> dict[str, str]:
     """What run.json says of them: model, revision asked for, and the commit of a download."""
-    told = {"model": weights.model, "revision": weights.revision or "newest"}
+    known = {"model": weights.model, "revision": weights.revision or "newest"}
     if declared := _declared(weights):
         fetched = record_of(find(declared)).get("revision", declared.revision)
-        return {**told, "revision": fetched or "newest", "name": declared.name}
+        return {**known, "revision": fetched or "newest", "name": declared.name}
     if not expanded(weights.model).is_dir() and importlib.util.find_spec(
         "huggingface_hub"
     ):
         from huggingface_hub import try_to_load_from_cache
 
         for file in ("model_index.json", "config.json"):
-            found = try_to_load_from_cache(
+            cached = try_to_load_from_cache(
                 weights.model, file, revision=weights.revision or None
             )
-            if isinstance(found, str):
-                return {**told, "commit": Path(found).parent.name}
-    return told
+            if isinstance(cached, str):
+                return {**known, "commit": Path(cached).parent.name}
+    return known
 
 
 def _declared(weights: ChosenWeights) -> Weights | None:
