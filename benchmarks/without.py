@@ -81,7 +81,8 @@ def take_out(name: str) -> None:
         )
 
 
-def figures(words: list[str], without: str = "") -> dict[str, float]:
+@functools.cache
+def figures(words: tuple[str, ...], without: str = "") -> dict[str, float]:
     """Means of each column of the script's table, made in a process of its own."""
     with tempfile.TemporaryDirectory() as place:
         record = Path(place) / "rows.json"
@@ -107,7 +108,7 @@ def main(
     for name in parts:
         if name not in PARTS:
             raise SystemExit(f"{name}: no such part. Parts: {', '.join(PARTS)}")
-        words = (script or PARTS[name].figure.format(data=data)).split()
+        words = tuple((script or PARTS[name].figure.format(data=data)).split())
         whole, less = figures(words), figures(words, name)
         for title, value in whole.items():
             other = less.get(title, float("nan"))

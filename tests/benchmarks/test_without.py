@@ -36,7 +36,7 @@ def test_a_row_for_each_column_with_and_without_the_part(
 
     monkeypatch.setattr(without, "figures", figures)
     (row,) = without.main(["rim"], script="figure.py DATA")
-    assert made == [(["figure.py", "DATA"], ""), (["figure.py", "DATA"], "rim")]
+    assert made == [(("figure.py", "DATA"), ""), (("figure.py", "DATA"), "rim")]
     assert row["with"][0] == 5 and row["without"][0] == 3 and row["brings"][0] == 2
     with pytest.raises(SystemExit, match="no such part"):
         next(without.main(["nothing"]))
@@ -45,13 +45,13 @@ def test_a_row_for_each_column_with_and_without_the_part(
 def test_means_are_those_of_the_scripts_rows(without, tmp_path):
     script = tmp_path / "figure.py"
     script.write_text(SCRIPT)
-    assert without.figures([str(script)]) == {
+    assert without.figures((str(script),)) == {
         "value": 1.5,
         "pair (1)": 6,
         "pair (2)": 2,
     }
     with pytest.raises(SystemExit, match="ended with"):
-        without.figures([str(tmp_path / "none.py")])
+        without.figures((str(tmp_path / "none.py"),))
 
 
 def test_settings_of_a_part_reach_every_run(without, monkeypatch):
