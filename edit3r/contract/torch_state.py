@@ -95,9 +95,7 @@ def _normal(value: Any) -> Any:
 
 
 def require_device(name: str, key: str = "--device") -> "torch.device":
-    """The device called `name`, such as cpu or cuda:0; SettingsError, naming `key`, where torch
-    cannot use it.
-    """
+    """The device called `name`; SettingsError, naming `key`, where torch cannot use it."""
     import torch
 
     try:

@@ -1,5 +1,4 @@
-"""One resumable runner for any list of jobs: in this process, in several processes, or on a Ray
-cluster.
+"""One resumable runner for any list of jobs: here, in several processes, or on Ray.
 
 A job is a key with something that can be pickled; a function turns it into a row of JSON data. Each
 row is one line of a file and is on disk before the next row is taken: a run that was killed at any
@@ -82,8 +81,7 @@ def run_resumable(
     group: Callable[[Any], Hashable] = lambda job: None,
     on_done: Callable[[Progress], None] = lambda progress: None,
 ) -> dict[str, dict[str, Any]]:
-    """Do the jobs that have no row in `path` yet, and return the rows of all of them by key, in the
-    order of `jobs`.
+    """Do the jobs that have no row in `path` yet; returns the rows of all, in their order.
 
     A row is `{key_name: key, **function(jobs[key])}`. NaN and infinity become null (None), at once
     and when read back. `function` is pickled to each worker once, so an object may keep what it

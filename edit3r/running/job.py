@@ -53,7 +53,8 @@ def job_from(
     cache = _answers(inputs)
     if earlier is not None:
         layers = (inherited(earlier, layers), *layers)
-    elif not inputs.photos and _takes_usual_editor(layers):
+    elif not inputs.photos and not _names_another("editor", DEFAULTS["editor"], layers):
+        # what another editor does, its own settings say
         layers = ({"prompt": DEFAULTS["prompt"]}, *layers)
     config = make_run_config(*layers)
     if earlier is None and not inputs.photos:
@@ -86,13 +87,6 @@ def _answers(inputs: JobInputs) -> Cache | None:
     folders += [mask if mask.is_dir() else mask.parent for mask in masks]
     caches = [folder / CACHE for folder in folders if (folder / CACHE).is_dir()]
     return Cache(caches[0]) if caches else None
-
-
-def _takes_usual_editor(layers: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether no other editor is asked for: what another does, its own settings say."""
-    choices = [layer["editor"] for layer in layers if layer.get("editor")]
-    names = {one.get("name") if isinstance(one, Mapping) else one for one in choices}
-    return names <= {None, DEFAULTS["editor"]}
 
 
 def inherited(

@@ -53,10 +53,7 @@ EXPERT = (
     *("device", "outputs", "export", "max_gaussians"),
 )
 """Settings of the run that name parts of edit3r; `reading` has its place beside the outline."""
-COSTS = {
-    "": "a good middle",
-    "best": "finer depth and more polishing; takes longer",
-}
+COSTS = {"": "a good middle", "best": "finer depth and more polishing; takes longer"}
 """Of the presets; the others differ in the photos' size, which is the app's own."""
 CHOICES = {
     ("exposure", "one"): "alike, as in the first",

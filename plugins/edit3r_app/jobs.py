@@ -164,11 +164,7 @@ class JobsFolder:
         if drawn is not None:
             shutil.copyfile(drawn, self.beside(name) / ASKED)
         job = replace(
-            job,
-            name=name,
-            masks=count,
-            drawn=drawn is not None,
-            made=time.time(),
+            job, name=name, masks=count, drawn=drawn is not None, made=time.time()
         )
         self.write(job)
         return job

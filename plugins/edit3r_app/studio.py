@@ -383,11 +383,7 @@ _WAYS = {
 }
 
 
-ANSWERS = {
-    "selected": "selection_verdict",
-    "edit": "edit_verdict",
-    "scene": "verdict",
-}
+ANSWERS = {"selected": "selection_verdict", "edit": "edit_verdict", "scene": "verdict"}
 """How a run's three answers are called, and where its run.json has them."""
 
 

@@ -33,12 +33,7 @@ from edit3r_bench.manifest import (
     hash_of_file,
 )
 from edit3r_bench.options import BuildOptions
-from edit3r_bench.proposals import (
-    LOCAL,
-    Boxes,
-    ProposedEdit,
-    choose_edits,
-)
+from edit3r_bench.proposals import LOCAL, Boxes, ProposedEdit, choose_edits
 
 PAPER_SCENES = 20
 MAX_SHOWN_SIDE = 512  # longer side of what the language model is shown [pixels]

@@ -20,13 +20,7 @@ from edit3r_bench.manifest import EDIT_TYPES
 from edit3r_bench.measures import BY_REGION, METRICS
 from edit3r_bench.method import Method
 from edit3r_bench.page import write_page
-from edit3r_bench.run import (
-    RESULTS,
-    RUN,
-    ItemResult,
-    read_results,
-    read_run,
-)
+from edit3r_bench.run import RESULTS, RUN, ItemResult, read_results, read_run
 
 MEASURES = METRICS | BY_REGION
 WALL = ("editor", "scene", "rendering")  # parts of the time of an edit

@@ -35,54 +35,28 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
     """
 
     class Settings(DiffusionSettings):
-        model: str = Field(
-            "stable-diffusion-v1-5/stable-diffusion-v1-5",
-            description="model id, or a saved folder",
-        )
-        controlnet: str = Field(
-            "lllyasviel/control_v11f1p_sd15_depth",
-            description="depth ControlNet for that model",
-        )
-        matcher: PartChoice = Field(
-            PartChoice(name="classical"), description="measures depth from the photos"
-        )
-        source_prompt: str = Field(
-            "", description="what the photos show; guides the inversion"
-        )
-        guidance: float = Field(
-            7.5, ge=1, le=50, description="how strongly the description is followed"
-        )
-        control_scale: float = Field(
-            1.0, ge=0, le=2, description="how strongly depth holds the geometry; 0: not"
-        )
-        strength: float = Field(
-            1.0,
-            gt=0,
-            le=1,
-            description="share of the steps that are redrawn; lower keeps more",
-        )
-        invert: bool = Field(
-            True,
-            description="start from the photos' own noise (DDIM inversion) instead of random",
-        )
-        eta: float = Field(
-            0.1,
-            ge=0,
-            le=1,
-            description="fresh noise per step; at 0 an inverted edit ignores the seed",
-        )
-        cross_view: float = Field(
-            0.4,
-            ge=0,
-            le=1,
-            description="weight of the reference views in self-attention",
-        )
-        references: int = Field(
-            4,
-            ge=1,
-            le=64,
-            description="how many views, from the first, the others look at",
-        )
+        model: str = "stable-diffusion-v1-5/stable-diffusion-v1-5"
+        """model id, or a saved folder"""
+        controlnet: str = "lllyasviel/control_v11f1p_sd15_depth"
+        """depth ControlNet for that model"""
+        matcher: PartChoice = PartChoice(name="classical")
+        """measures depth from the photos"""
+        source_prompt: str = ""
+        """what the photos show; guides the inversion"""
+        guidance: float = Field(7.5, ge=1, le=50)
+        """how strongly the description is followed"""
+        control_scale: float = Field(1.0, ge=0, le=2)
+        """how strongly depth holds the geometry; 0: not"""
+        strength: float = Field(1.0, gt=0, le=1)
+        """share of the steps that are redrawn; lower keeps more"""
+        invert: bool = True
+        """start from the photos' own noise (DDIM inversion) instead of random"""
+        eta: float = Field(0.1, ge=0, le=1)
+        """fresh noise per step; at 0 an inverted edit ignores the seed"""
+        cross_view: float = Field(0.4, ge=0, le=1)
+        """weight of the reference views in self-attention"""
+        references: int = Field(4, ge=1, le=64)
+        """how many views, from the first, the others look at"""
 
     settings: Settings
 

@@ -54,38 +54,24 @@ class PipelineEditor(Editor):
     """
 
     class Settings(DiffusionSettings):
-        model: str = Field("", description="model id on the hub, or a saved folder")
-        pipeline: str = Field(
-            "", description="class of diffusers, such as FluxKontextPipeline"
-        )
-        masked_pipeline: str = Field(
-            "",
-            description="class for edits with a mask, of the same parts; empty: none",
-        )
-        guidance: float | None = Field(
-            None, ge=0, le=50, description="guidance_scale; default: the class's own"
-        )
-        true_guidance: float | None = Field(
-            None,
-            ge=1,
-            le=50,
-            description="true_cfg_scale, away from negative_prompt; 1: off, faster",
-        )
-        strength: float = Field(
-            1.0,
-            gt=0,
-            le=1,
-            description="below 1 starts from the noised photo: keeps more of it",
-        )
-        arguments: dict[str, Any] = Field(
-            {}, description="further arguments of the class's call, by name"
-        )
-        consistency: Consistency = Field(
-            "independent",
-            description="independent: each view alone; reference-first: view 0, then each other "
-            "view beside photo and "
-            "edit of view 0; grid: all views as one picture",
-        )
+        model: str = ""
+        """model id on the hub, or a saved folder"""
+        pipeline: str = ""
+        """class of diffusers, such as FluxKontextPipeline"""
+        masked_pipeline: str = ""
+        """class for edits with a mask, of the same parts; empty: none"""
+        guidance: float | None = Field(None, ge=0, le=50)
+        """guidance_scale; default: the class's own"""
+        true_guidance: float | None = Field(None, ge=1, le=50)
+        """true_cfg_scale, away from negative_prompt; 1: off, faster"""
+        strength: float = Field(1.0, gt=0, le=1)
+        """below 1 starts from the noised photo: keeps more of it"""
+        arguments: dict[str, Any] = Field({})
+        """further arguments of the class's call, by name"""
+        consistency: Consistency = "independent"
+        """independent: each view alone; reference-first: view 0, then each other view beside photo
+        and edit of view 0; grid: all views as one picture
+        """
 
         @model_validator(mode="after")
         def _negative_prompt_needs_guidance(self):

@@ -42,14 +42,10 @@ class CommandEditor(Editor):
     """Runs `editor.command` per view, or once for all views when it names folders."""
 
     class Settings(edit3r.Settings):
-        command: str = Field(
-            "",
-            description="program with arguments; {input} {output} {mask} {prompt} {seed}, or *_dir",
-            json_schema_extra=USER_ONLY,
-        )
-        timeout: float = Field(
-            600, gt=0, description="time limit of one call [seconds]"
-        )
+        command: str = Field("", json_schema_extra=USER_ONLY)
+        """program with arguments; {input} {output} {mask} {prompt} {seed}, or *_dir"""
+        timeout: float = Field(600, gt=0)
+        """time limit of one call [seconds]"""
 
     settings: Settings
 

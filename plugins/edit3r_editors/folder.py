@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from PIL import Image
-from pydantic import Field
 from torch import Tensor
 
 import edit3r
@@ -35,10 +34,8 @@ class FolderEditor(Editor):
     """
 
     class Settings(edit3r.Settings):
-        path: str = Field(
-            "",
-            description="folder with one edited picture per view, named as the photos are",
-        )
+        path: str = ""
+        """folder with one edited picture per view, named as the photos are"""
 
     settings: Settings
 

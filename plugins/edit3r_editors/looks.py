@@ -29,7 +29,7 @@ from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.reporting import say
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.compute.layers import one_thread
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import read_yaml
 
 Images = Float[Tensor, "view 3 height width"]
 Grey = Float[Tensor, "view 1 height width"]
@@ -238,9 +238,8 @@ class LooksEditor(Editor, EditsRegions):
         look: Literal[_NAMES] = Field(  # type: ignore[valid-type]  # of LOOKS
             "", description="the look; empty: the one that the prompt names"
         )
-        strength: float = Field(
-            1.0, ge=0, le=1, description="share of the look; 0 returns the photo"
-        )
+        strength: float = Field(1.0, ge=0, le=1)
+        """share of the look; 0 returns the photo"""
 
     settings: Settings
 

@@ -39,24 +39,12 @@ class MockDiffusionEditor(Editor):
     """Deterministic stand-in for a diffusion editor; says so on every run."""
 
     class Settings(edit3r.Settings):
-        steps: int = Field(
-            20,
-            ge=1,
-            le=1000,
-            description="sampler steps; fewer than about 10 leave noise",
-        )
-        strength: float = Field(
-            0.8,
-            ge=0,
-            le=1,
-            description="share of the change that is applied; 0 returns the photo",
-        )
-        disagreement: float = Field(
-            0.3,
-            ge=0,
-            le=1,
-            description="how much the views differ in colour, texture and structure; 0: not at all",
-        )
+        steps: int = Field(20, ge=1, le=1000)
+        """sampler steps; fewer than about 10 leave noise"""
+        strength: float = Field(0.8, ge=0, le=1)
+        """share of the change that is applied; 0 returns the photo"""
+        disagreement: float = Field(0.3, ge=0, le=1)
+        """how much the views differ in colour, texture and structure; 0: not at all"""
 
     settings: Settings
 

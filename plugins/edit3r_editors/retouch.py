@@ -52,28 +52,14 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
     """Removes what `request.masks` cover; the prompt only says to the segmenter what that is."""
 
     class Settings(edit3r.Settings):
-        matcher: PartChoice = Field(
-            PartChoice(name="classical"),
-            description="measures poses and depth of the photos",
-        )
-        margin: int = Field(
-            1,
-            ge=0,
-            le=20,
-            description="pixels around what is removed that are not trusted as background",
-        )
-        rim: float = Field(
-            0.008,
-            ge=0,
-            le=0.1,
-            description="how much beyond the mask is removed too [longer sides]",
-        )
-        shadow: float = Field(
-            0.03,
-            ge=0,
-            le=0.3,
-            description="how far from the thing its shadow is removed too [longer sides]",
-        )
+        matcher: PartChoice = PartChoice(name="classical")
+        """measures poses and depth of the photos"""
+        margin: int = Field(1, ge=0, le=20)
+        """pixels around what is removed that are not trusted as background"""
+        rim: float = Field(0.008, ge=0, le=0.1)
+        """how much beyond the mask is removed too [longer sides]"""
+        shadow: float = Field(0.03, ge=0, le=0.3)
+        """how far from the thing its shadow is removed too [longer sides]"""
 
     settings: Settings
 

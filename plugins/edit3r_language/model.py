@@ -28,12 +28,8 @@ Message = dict[str, str]
 class ModelSettings(Settings):
     """How often a model may try."""
 
-    attempts: int = Field(
-        2,
-        ge=1,
-        le=10,
-        description="answers of another form that are sent back, at most",
-    )
+    attempts: int = Field(2, ge=1, le=10)
+    """answers of another form that are sent back, at most"""
 
 
 class AskingReader(Reader, ABC):
@@ -80,17 +76,12 @@ class ServiceReader(AskingReader):
     """A model of OpenAI's, or of any server that speaks its chat completions."""
 
     class Settings(ModelSettings):
-        model: str = Field(
-            "gpt-4.1-mini", description="the service's name of the model"
-        )
-        base_url: str = Field(
-            "",
-            description="address of a compatible service, which may want no key; empty: OpenAI's",
-            json_schema_extra=USER_ONLY,
-        )
-        timeout_s: float = Field(
-            60.0, gt=0, le=3600, description="time limit of one answer [s]"
-        )
+        model: str = "gpt-4.1-mini"
+        """the service's name of the model"""
+        base_url: str = Field("", json_schema_extra=USER_ONLY)
+        """address of a compatible service, which may want no key; empty: OpenAI's"""
+        timeout_s: float = Field(60.0, gt=0, le=3600)
+        """time limit of one answer [s]"""
 
     settings: Settings
 
@@ -118,17 +109,16 @@ class LocalReader(AskingReader):
     """A model on this machine, through transformers; the most likely answer, so no chance."""
 
     class Settings(ModelSettings):
-        model: str = Field(
-            description="id of a chat model on the hub, or a saved folder"
-        )
-        revision: str = Field(
-            "", description="branch, tag or commit of the model; empty: the newest"
-        )
-        local_files_only: bool = Field(False, description="never download")
-        device: str = Field("cpu", description="where it runs: cpu, cuda, ...")
-        max_tokens: int = Field(
-            1000, ge=1, le=20000, description="tokens of an answer, at most"
-        )
+        model: str
+        """id of a chat model on the hub, or a saved folder"""
+        revision: str = ""
+        """branch, tag or commit of the model; empty: the newest"""
+        local_files_only: bool = False
+        """never download"""
+        device: str = "cpu"
+        """where it runs: cpu, cuda, ..."""
+        max_tokens: int = Field(1000, ge=1, le=20000)
+        """tokens of an answer, at most"""
 
     settings: Settings
 

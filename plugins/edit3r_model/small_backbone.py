@@ -48,10 +48,10 @@ class MatchedUNet(Backbone):
     uses_geometry = True
 
     class Settings(edit3r.Settings):
-        width: int = Field(
-            32, ge=8, le=512, multiple_of=8, description="channels of its features"
-        )
-        seed: Index = Field(0, description="of the initial weights")
+        width: int = Field(32, ge=8, le=512, multiple_of=8)
+        """channels of its features"""
+        seed: Index = 0
+        """of the initial weights"""
 
     settings: Settings
 

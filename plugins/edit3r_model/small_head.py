@@ -24,7 +24,7 @@ from edit3r.contract.settings import Index, Share
 from edit3r.contract.types import Cameras, Features, Gaussians, Views
 from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.kit.geometry.maps import guided_upsample, resize, size_of
+from edit3r.kit.geometry.maps import resize, size_of
 from edit3r.kit.geometry.warping import contradicted, find_correspondences, warp
 from edit3r_model.colour_maps import CHANNELS, blur_maps, change_of, fit_colour_maps
 from edit3r_model.disagreement import (
@@ -37,6 +37,7 @@ from edit3r_model.edit_fusion import CANDIDATES, EditFusion, EditTransport, Fuse
 from edit3r_model.edited_views import EditedViews, Exposure, Images, Maps, find_exposure
 from edit3r_model.small_backbone import STRIDE, averaged, zero_conv
 from edit3r_model.surface import discs
+from edit3r_model.upsampling import guided_upsample
 
 KEY_STRIDE = 4
 """Pixels of the backbone's images per side of what the reference offers to attention."""
@@ -83,43 +84,27 @@ class EditFusionHead(GaussianHead):
     uses_geometry = True
 
     class Settings(edit3r.Settings):
-        width: int = Field(
-            32,
-            ge=8,
-            le=512,
-            multiple_of=8,
-            description="channels; features of others are projected",
-        )
-        fuse_edits: bool = Field(
-            True,
-            description="false: each view keeps its own edited colours (plain reconstruction)",
-        )
-        depth_repair: Share = Field(
-            0.0,
-            description="share of the network's depth correction that counts; images are "
-            "better without, training sets 1, so that losses on the centres move something",
-        )
-        opacity_repair: Share = Field(
-            1.0, description="share of its corrections of opacity and size"
-        )
-        opacity: float = Field(0.6, gt=0, lt=1, description="before correction")
-        conflict_opacity: float = Field(
-            CONFLICT_OPACITY,
-            gt=0,
-            le=1,
-            description="share of its opacity that a view keeps where its edit contradicts the "
-            "reference's; 1: all",
-        )
-        thickness: float = Field(
-            0.3,
-            gt=0,
-            le=1,
-            description="of a Gaussian across the surface, over its size along it; 1: round",
-        )
-        footprint: float = Field(
-            0.35, ge=0.2, le=1.5, description="Gaussian size before correction [pixels]"
-        )
-        seed: Index = Field(0, description="of the initial weights")
+        width: int = Field(32, ge=8, le=512, multiple_of=8)
+        """channels; features of others are projected"""
+        fuse_edits: bool = True
+        """false: each view keeps its own edited colours (plain reconstruction)"""
+        depth_repair: Share = 0.0
+        """share of the network's depth correction that counts; images are better without, training
+        sets 1, so that losses on the centres move something
+        """
+        opacity_repair: Share = 1.0
+        """share of its corrections of opacity and size"""
+        opacity: float = Field(0.6, gt=0, lt=1)
+        """before correction"""
+        conflict_opacity: float = Field(CONFLICT_OPACITY, gt=0, le=1)
+        """share of its opacity that a view keeps where its edit contradicts the reference's; 1: all
+        """
+        thickness: float = Field(0.3, gt=0, le=1)
+        """of a Gaussian across the surface, over its size along it; 1: round"""
+        footprint: float = Field(0.35, ge=0.2, le=1.5)
+        """Gaussian size before correction [pixels]"""
+        seed: Index = 0
+        """of the initial weights"""
 
     settings: Settings
 

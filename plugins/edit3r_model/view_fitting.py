@@ -41,10 +41,7 @@ class FittedViews:
 
 
 def fit_views(
-    views: Views,
-    patch: int,
-    resolution: int,
-    mode: Literal["resize", "pad"],
+    views: Views, patch: int, resolution: int, mode: Literal["resize", "pad"]
 ) -> FittedViews:
     """Scale images down to at most `resolution`^2 pixels and to sides that are multiples of
     `patch`.

@@ -72,8 +72,7 @@ def usual_tools() -> Finders:
     registry = default_registry()
     names = registry.ready("detector", "coco", "nanodet")
     return Finders(
-        usual_selector(),
-        registry.build("detector", "coco") if names else None,
+        usual_selector(), registry.build("detector", "coco") if names else None
     )
 
 
@@ -210,10 +209,7 @@ def _expected(
 
 
 def _seen_again(
-    photo: Views,
-    expected: Mask,
-    known: Mask,
-    selector: Selector,
+    photo: Views, expected: Mask, known: Mask, selector: Selector
 ) -> Mask | None:
     """The thing at the innermost expected place; None where it is another one."""
     if expected.mean() < SMALLEST * SEEN:

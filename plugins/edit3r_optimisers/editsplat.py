@@ -45,27 +45,14 @@ class EditSplatReconstructor(FittingMethod):
     """
 
     class Settings(MethodSettings):
-        neighbours: int = Field(
-            5, ge=1, le=64, description="nearest views fused into each (paper: 5)"
-        )
-        guidance: float = Field(
-            0.5,
-            ge=0,
-            le=1,
-            description="share of the fused picture that an edit redraws; 0 takes it as it is",
-        )
-        trim: float = Field(
-            0.15,
-            ge=0,
-            le=1,
-            description="share of the attended Gaussians that is removed",
-        )
-        attended: float = Field(
-            0.5,
-            ge=0,
-            le=1,
-            description="attention from which a Gaussian counts as attended; the most is 1",
-        )
+        neighbours: int = Field(5, ge=1, le=64)
+        """nearest views fused into each (paper: 5)"""
+        guidance: float = Field(0.5, ge=0, le=1)
+        """share of the fused picture that an edit redraws; 0 takes it as it is"""
+        trim: float = Field(0.15, ge=0, le=1)
+        """share of the attended Gaussians that is removed"""
+        attended: float = Field(0.5, ge=0, le=1)
+        """attention from which a Gaussian counts as attended; the most is 1"""
 
     settings: Settings
 

@@ -35,24 +35,12 @@ class FitSettings(Settings):
     the scene.
     """
 
-    ssim: float = Field(
-        0.2,
-        ge=0,
-        le=1,
-        description="weight of D-SSIM; the rest is the absolute difference",
-    )
-    colour_rate: float = Field(
-        0.02,
-        ge=0,
-        le=1,
-        description="step of the colours; published 0.0025, for 30000 steps",
-    )
-    seed: int = Field(
-        0,
-        ge=0,
-        lt=2**31,
-        description="of the edits, in a run the run's own; and of the order of views",
-    )
+    ssim: float = Field(0.2, ge=0, le=1)
+    """weight of D-SSIM; the rest is the absolute difference"""
+    colour_rate: float = Field(0.02, ge=0, le=1)
+    """step of the colours; published 0.0025, for 30000 steps"""
+    seed: int = Field(0, ge=0, lt=2**31)
+    """of the edits, in a run the run's own; and of the order of views"""
 
 
 class TargetImages:

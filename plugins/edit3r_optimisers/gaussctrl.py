@@ -10,12 +10,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract.component import component_name
-from edit3r.contract.interfaces import (
-    ConditionedOnDepth,
-    Editor,
-    Geometry,
-    Matcher,
-)
+from edit3r.contract.interfaces import ConditionedOnDepth, Editor, Geometry, Matcher
 from edit3r.contract.reporting import note, warn
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_optimisers.fitting import TargetImages
@@ -60,12 +55,8 @@ class GaussCtrlReconstructor(FittingMethod):
     """
 
     class Settings(MethodSettings):
-        together: int = Field(
-            12,
-            ge=2,
-            description="most views edited in one call, the reference views among them; more "
-            "need more memory",
-        )
+        together: int = Field(12, ge=2)
+        """most views edited in one call, the reference views among them; more need more memory"""
 
     settings: Settings
 

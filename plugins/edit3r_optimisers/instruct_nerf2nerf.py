@@ -28,13 +28,12 @@ class InstructNerf2NerfReconstructor(FittingMethod):
     """
 
     class Settings(MethodSettings):
-        every: int = Field(10, ge=1, description="steps between edits (paper: 10)")
-        least_strength: float = Field(
-            0.5, ge=0, le=1, description="least share of a render that an edit redraws"
-        )
-        most_strength: float = Field(
-            0.98, ge=0, le=1, description="most share of a render that an edit redraws"
-        )
+        every: int = Field(10, ge=1)
+        """steps between edits (paper: 10)"""
+        least_strength: float = Field(0.5, ge=0, le=1)
+        """least share of a render that an edit redraws"""
+        most_strength: float = Field(0.98, ge=0, le=1)
+        """most share of a render that an edit redraws"""
 
         @model_validator(mode="after")
         def _ordered(self) -> "InstructNerf2NerfReconstructor.Settings":

@@ -35,31 +35,20 @@ VISIBLE_OPACITY = 0.05
 class MethodSettings(FitSettings):
     """A fit of the photos, edits, and a fit of the edits."""
 
-    reconstructor: PartChoice = Field(
-        PartChoice(name="classical"),
-        description="where the first Gaussians come from",
-    )
-    editor: PartChoice = Field(
-        PartChoice(name="recolor"),
-        description="edits; in a run, the run's own takes its place",
-    )
-    rasterizer: PartChoice = Field(
-        PartChoice(name="auto"), description="renders while fitting"
-    )
-    prompt: str = Field(
-        "", description="what to change; in a run, the run's own takes its place"
-    )
-    points: int = Field(
-        10_000,
-        ge=1,
-        description="most Gaussians to begin with; a reconstruction is thinned to them",
-    )
-    steps: int = Field(
-        300, ge=1, le=1_000_000, description="steps of the fit to the photos"
-    )
-    edit_steps: int = Field(
-        300, ge=1, le=1_000_000, description="steps of the fit to the edits"
-    )
+    reconstructor: PartChoice = PartChoice(name="classical")
+    """where the first Gaussians come from"""
+    editor: PartChoice = PartChoice(name="recolor")
+    """edits; in a run, the run's own takes its place"""
+    rasterizer: PartChoice = PartChoice(name="auto")
+    """renders while fitting"""
+    prompt: str = ""
+    """what to change; in a run, the run's own takes its place"""
+    points: int = Field(10_000, ge=1)
+    """most Gaussians to begin with; a reconstruction is thinned to them"""
+    steps: int = Field(300, ge=1, le=1_000_000)
+    """steps of the fit to the photos"""
+    edit_steps: int = Field(300, ge=1, le=1_000_000)
+    """steps of the fit to the edits"""
 
 
 @dataclass(frozen=True)

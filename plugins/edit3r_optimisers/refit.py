@@ -2,8 +2,6 @@
 
 from typing import Literal
 
-from pydantic import Field
-
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r_optimisers.fitting import TargetImages
 from edit3r_optimisers.method import (
@@ -23,10 +21,8 @@ class RefitReconstructor(FittingMethod):
     """
 
     class Settings(MethodSettings):
-        edit: Literal["given", "renders"] = Field(
-            "given",
-            description="fit the edited photos it is given, or edit renders of the fitted scene",
-        )
+        edit: Literal["given", "renders"] = "given"
+        """fit the edited photos it is given, or edit renders of the fitted scene"""
 
     settings: Settings
 

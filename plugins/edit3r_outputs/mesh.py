@@ -58,12 +58,8 @@ class MeshWriter(Writer):
     needs = ("cameras", "render")
 
     class Settings(edit3r.Settings):
-        detail: float = Field(
-            1.0,
-            gt=0.05,
-            le=4,
-            description="how many times as fine as usual the grid is",
-        )
+        detail: float = Field(1.0, gt=0.05, le=4)
+        """how many times as fine as usual the grid is"""
 
     settings: Settings
 

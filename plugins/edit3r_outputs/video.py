@@ -46,7 +46,8 @@ class VideoWriter(Writer):
     needs = ("frames",)
 
     class Settings(edit3r.Settings):
-        fps: float = Field(18, gt=0, le=1000, description="frames per second")
+        fps: float = Field(18, gt=0, le=1000)
+        """frames per second"""
 
     settings: Settings
 

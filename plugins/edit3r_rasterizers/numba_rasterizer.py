@@ -62,12 +62,8 @@ MAX_WAIT = 120  # for kernels that another process compiles [s]
 class NumbaSettings(RasterizerSettings):
     """The shared settings, and the number of threads."""
 
-    threads: int = Field(
-        0,
-        ge=0,
-        le=256,
-        description="CPU threads; 0: as many as torch and numba are set to use.",
-    )
+    threads: int = Field(0, ge=0, le=256)
+    """CPU threads; 0: as many as torch and numba are set to use."""
 
 
 class NumbaRasterizer(Rasterizer):
@@ -285,10 +281,7 @@ def project_scene(
 
 
 def draw(
-    threads: int,
-    frame: ProjectedScene,
-    background: np.ndarray,
-    images: CameraImages,
+    threads: int, frame: ProjectedScene, background: np.ndarray, images: CameraImages
 ) -> None:
     """Fill `images` over a background colour [3]."""
     run_slices(

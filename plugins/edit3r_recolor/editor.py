@@ -44,19 +44,12 @@ class RecolorEditor(Editor, EditsRegions):
     """Colour edits without a model, blended softly by each instruction's region (section 3.2)."""
 
     class Settings(edit3r.Settings):
-        strength: float = Field(
-            1.0, ge=0, le=1, description="share of the new colour; 0 returns the photo"
-        )
-        tolerance: float = Field(
-            18,
-            gt=0,
-            le=90,
-            description="how far hues of a thing's one paint are apart [degrees]",
-        )
-        ranges: RecolorRanges = Field(
-            RecolorRanges(),
-            description="how strongly a recolouring without a named colour is sampled",
-        )
+        strength: float = Field(1.0, ge=0, le=1)
+        """share of the new colour; 0 returns the photo"""
+        tolerance: float = Field(18, gt=0, le=90)
+        """how far hues of a thing's one paint are apart [degrees]"""
+        ranges: RecolorRanges = RecolorRanges()
+        """how strongly a recolouring without a named colour is sampled"""
 
     settings: Settings
 

@@ -45,39 +45,20 @@ Masks = Float[Tensor, "object view height width"]
 class RecoloringSettings(Settings):
     """How scenes are recoloured."""
 
-    filter: ProposalFilter = Field(
-        ProposalFilter(), description="which proposals become regions"
-    )
-    max_objects: int = Field(
-        8, ge=1, le=200, description="how many regions at most, the most salient ones"
-    )
-    least_overlap: float = Field(
-        0.5,
-        ge=0,
-        le=1,
-        description="a view whose objects overlap less with the last used view's is left out",
-    )
-    ranges: RecolorRanges = Field(
-        RecolorRanges(), description="how strongly colours change"
-    )
-    least_change: float = Field(
-        0.08,
-        ge=0,
-        le=1,
-        description="least mean change of a region, where it can be had",
-    )
-    mask_jitter: float = Field(
-        0.5,
-        ge=0,
-        le=1,
-        description="augmented: share of outlines grown, shrunk or leaking",
-    )
-    palette_jitter: float = Field(
-        0.5,
-        ge=0,
-        le=1,
-        description="augmented: share of regions with colours a bit off",
-    )
+    filter: ProposalFilter = ProposalFilter()
+    """which proposals become regions"""
+    max_objects: int = Field(8, ge=1, le=200)
+    """how many regions at most, the most salient ones"""
+    least_overlap: float = Field(0.5, ge=0, le=1)
+    """a view whose objects overlap less with the last used view's is left out"""
+    ranges: RecolorRanges = RecolorRanges()
+    """how strongly colours change"""
+    least_change: float = Field(0.08, ge=0, le=1)
+    """least mean change of a region, where it can be had"""
+    mask_jitter: float = Field(0.5, ge=0, le=1)
+    """augmented: share of outlines grown, shrunk or leaking"""
+    palette_jitter: float = Field(0.5, ge=0, le=1)
+    """augmented: share of regions with colours a bit off"""
 
 
 @dataclass(frozen=True)

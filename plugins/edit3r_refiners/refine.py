@@ -42,7 +42,7 @@ class RefineSettings(Settings):
     )
     scale: float = Field(0.2, ge=0, le=1, description="step of the scales' logarithms")
     growth: float = Field(
-        1.0,
+        1.15,
         ge=1,
         le=1000,
         description="most times as large as it was that a Gaussian may become: what grows over a "

@@ -77,7 +77,7 @@ def register_trainers() -> list[Component]:
             target="edit3r_training.recolor_trainer:RecolorTrainer",
             summary="recoloured reference, original others, truth recoloured everywhere; resumes "
             "exactly",
-        ),
+        )
     ]
 
 
@@ -88,5 +88,5 @@ def register_commands() -> list[Component]:
             "train",
             "edit3r_training.command:TrainCommand",
             "train a reconstructor from one configuration file",
-        ),
+        )
     ]

@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from PIL import Image
-from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
@@ -36,7 +35,8 @@ class Re10kDataset(PhotoDataset):
     name = "re10k"
 
     class Settings(PhotoSettings):
-        root: str = Field(description="folder with .torch chunks")
+        root: str
+        """folder with .torch chunks"""
 
     settings: Settings
 

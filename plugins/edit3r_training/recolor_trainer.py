@@ -24,12 +24,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract.errors import SettingsError
-from edit3r.contract.interfaces import (
-    LossInputs,
-    SceneSample,
-    Trainer,
-    TrainingJob,
-)
+from edit3r.contract.interfaces import LossInputs, SceneSample, Trainer, TrainingJob
 from edit3r.contract.settings import Index, NonNegative, Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering
 from edit3r.kit.reconstructing import WithMatcher
@@ -58,56 +53,34 @@ class RecolorTrainer(Trainer):
     """
 
     class Settings(LoopSettings):
-        batch: int = Field(8, ge=1, le=256, description="scenes a step and process")
-        regimes: RegimeShares = Field(
-            RegimeShares(), description="what is edited, how often"
-        )
-        colour: NonNegative = Field(
-            1.0, description="weight of the pixel-by-pixel colour error"
-        )
-        depth: NonNegative = Field(
-            1.0, description="weight of the pixel-by-pixel depth error"
-        )
-        opacity: NonNegative = Field(
-            0.1, description="weight of the pixel-by-pixel opacity error"
-        )
-        render_every: Index = Field(
-            1,
-            description="every n-th step also renders, for the job's losses; 0: never",
-        )
-        render_context: bool = Field(
-            True, description="also render the input views; false: novel views alone"
-        )
-        drop_first: Share = Field(
-            0.5,
-            description="how often the reference's Gaussians are left out",
-        )
-        unit: Unit = Field(
-            "matcher",
-            description="unit of length: any, as in a simulated matching; baseline: first to "
-            "last input camera, which "
-            "a network that sees images alone can tell",
-        )
-        matched: Share = Field(
-            0.0,
-            description="share of the geometry that is matched, not simulated",
-        )
-        precision: Literal["float32", "bfloat16"] = Field(
-            "float32",
-            description="of the network's products; weights, renderings and losses stay float32",
-        )
-        workers: int = Field(
-            0,
-            ge=0,
-            le=64,
-            description="threads that load the next batch's samples meanwhile; 0: when they are "
-            "needed",
-        )
-        score: Literal["pixels", "renderings"] = Field(
-            "pixels",
-            description="what makes the best weights: errors pixel by pixel, or of rendered "
-            "novel views",
-        )
+        batch: int = Field(8, ge=1, le=256)
+        """scenes a step and process"""
+        regimes: RegimeShares = RegimeShares()
+        """what is edited, how often"""
+        colour: NonNegative = 1.0
+        """weight of the pixel-by-pixel colour error"""
+        depth: NonNegative = 1.0
+        """weight of the pixel-by-pixel depth error"""
+        opacity: NonNegative = 0.1
+        """weight of the pixel-by-pixel opacity error"""
+        render_every: Index = 1
+        """every n-th step also renders, for the job's losses; 0: never"""
+        render_context: bool = True
+        """also render the input views; false: novel views alone"""
+        drop_first: Share = 0.5
+        """how often the reference's Gaussians are left out"""
+        unit: Unit = "matcher"
+        """unit of length: any, as in a simulated matching; baseline: first to last input camera,
+        which a network that sees images alone can tell
+        """
+        matched: Share = 0.0
+        """share of the geometry that is matched, not simulated"""
+        precision: Literal["float32", "bfloat16"] = "float32"
+        """of the network's products; weights, renderings and losses stay float32"""
+        workers: int = Field(0, ge=0, le=64)
+        """threads that load the next batch's samples meanwhile; 0: when they are needed"""
+        score: Literal["pixels", "renderings"] = "pixels"
+        """what makes the best weights: errors pixel by pixel, or of rendered novel views"""
 
     settings: Settings
 

@@ -23,6 +23,7 @@ from edit3r.contract.interfaces.editing import (
 from edit3r.contract.interfaces.judging import (
     Critic as Critic,
     EditToJudge as EditToJudge,
+    HalfWay as HalfWay,
     SceneToJudge as SceneToJudge,
 )
 from edit3r.contract.interfaces.reading import (

@@ -24,28 +24,9 @@ def _words_of(text: str) -> frozenset[str]:
 
 
 BASIC_COLOURS = (
-    "red",
-    "orange",
-    "yellow",
-    "green",
-    "blue",
-    "purple",
-    "pink",
-    "brown",
-    "black",
-    "white",
-    "grey",
-    "turquoise",
-    "cyan",
-    "magenta",
-    "gold",
-    "silver",
-    "beige",
-    "navy",
-    "teal",
-    "olive",
-    "maroon",
-    "violet",
+    *("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "black"),
+    *("white", "grey", "turquoise", "cyan", "magenta", "gold", "silver", "beige"),
+    *("navy", "teal", "olive", "maroon", "violet"),
 )
 """The colours that messages suggest first, and that "more" may stand before."""
 

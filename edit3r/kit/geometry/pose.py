@@ -1,5 +1,4 @@
-"""Poses of the input views from predicted Gaussians: the centres a view contributed against the
-pixels they came from.
+"""Poses of the input views from predicted Gaussians: their centres against their pixels.
 
 For reconstructors that predict no cameras. PnP with RANSAC, after the evaluation of pose-free
 splatting (Ye et al., NoPoSplat, ICLR 2025).

@@ -267,9 +267,7 @@ def _register_heic(path: Path) -> None:
 
 
 def _check_tiff(image: Image.Image, path: Path) -> None:
-    """Raise InputError for a raw file, whose thumbnail would be read, and for what Pillow reads
-    wrongly without a word.
-    """
+    """Raise InputError for a raw file (a thumbnail is in front) and what Pillow misreads."""
     tags = image.tag_v2  # type: ignore[attr-defined]
     reduced = tags.get(_NEW_SUBFILE_TYPE, 0)
     named = path.suffix.lower() in RAW_SUFFIXES

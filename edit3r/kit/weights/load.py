@@ -1,5 +1,4 @@
-"""Weights in the layout of `save_pretrained`, and where they run: for every plugin that loads a
-foreign network.
+"""Weights in the layout of `save_pretrained`, for plugins that load foreign networks.
 
 Nothing here imports a foreign library; the plugin brings the class. Whatever goes wrong is one
 sentence that names the setting and the way out.
@@ -49,8 +48,7 @@ class ChosenWeights:
 
 
 def foreign(library: str, name: str) -> Any:
-    """A class of an optional library. Raises MissingDependencyError where the library is there but
-    does not import.
+    """A class of an optional library; MissingDependencyError where that does not import.
 
     Most often a torchvision that was built for another torch is to blame: its mere presence breaks
     both libraries.
@@ -76,8 +74,7 @@ def foreign(library: str, name: str) -> Any:
 
 
 def load_pretrained(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
-    """`cls.from_pretrained`. Raises InputError for a folder that does not hold it, else
-    MissingDependencyError.
+    """`cls.from_pretrained`; InputError for a wrong folder, else MissingDependencyError.
 
     Weights that a component declares are read from where `edit3r weights get` puts them and never
     downloaded here.
@@ -108,9 +105,7 @@ def load_pretrained(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
 
 
 def load_whole_network(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
-    """A network of transformers by `load_pretrained`, refused where weights that it needs are not
-    in the files.
-    """
+    """A network by `load_pretrained`, refused where the files lack weights of it."""
     network, report = load_pretrained(cls, weights, output_loading_info=True, **given)
     lacking = sorted(report["missing_keys"] or report["mismatched_keys"])
     if lacking:
@@ -200,9 +195,7 @@ def loading_error(error: Exception, cls: type, weights: ChosenWeights) -> Edit3r
 
 
 def pick_device(name: str, photos_on: torch.device, key: str) -> torch.device:
-    """The device called `name`, 'auto' being where the photos are. Raises SettingsError when it is
-    not there.
-    """
+    """The device called `name`, 'auto' being the photos'; SettingsError where it is not."""
     return photos_on if name == "auto" else require_device(name, key)
 
 
