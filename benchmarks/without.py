@@ -48,7 +48,6 @@ PARTS = {
     "background-layer": Part(
         "views between photos", settings={"reconstructor": {"background_layer": 0}}
     ),
-    "ground": Part("lawns before a house", settings={"matcher": {"ground": False}}),
     "sky": Part("branches before the sky", settings={"matcher": {"sky": False}}),
     "one-light": Part("photos of other exposure", settings={"exposure": "own"}),
     "walkers": Part("what passed by", settings={"transients": "keep"}),
