@@ -27,7 +27,7 @@ from harness import Row, run_benchmark
 
 HERE = Path(__file__).parent
 PAIRS = (
-    "default_run.py {data}/monstree:4,6 {data}/bear:20,22 {data}/dinosaur:31,33 "
+    "default_run.py {data}/monstree:4,6 {data}/bear:20,22 {data}/bear:30,32 "
     "{data}/7scenes_rgbd:12,14 --settings 384"
 )
 
