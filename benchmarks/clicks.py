@@ -1,33 +1,16 @@
-"""How well a click finds the thing: objects of real photos whose outlines were drawn by hand
-(`clicks.json`).
+"""What a person marks or names: how well it is found, how long that takes, and what words find.
 
-    python benchmarks/clicks.py DATA [--segmenter classical] [--set size=256] [--only bear mug]
-[--objects outlines.json] [--kept rows.jsonl] [--cache FOLDER] [--sheet OUT.png] [--strokes]
-
-DATA is a folder of photo sets; an object whose photos are not there is left out with a sentence.
-The first click is the object's innermost point, each further one the innermost point of the largest
-wrong region, positive or negative: the usual protocol of interactive segmentation. The mask after
-the last click is carried to the second photo twice, by the pictures and by the geometry that a
-matcher reads from the pair.
-
-People do not click on the innermost point. So six more first clicks lie uniformly random on the
-object, at its rim too, and with --named the same six come with the object's name beside them. Three
-strokes lie on it too. The clicked photo has the depth that it gets beside one or two photos of its
-folder, where these can be placed. All clicks together are given to the pair as well: each must be
-obeyed on both photos.
-
-The whole takes long. With --kept each object's row goes to a file as soon as it is measured, and
-what stands there is not measured again: a command that was stopped goes on. With --cache depth and
-what the encoder read are kept, so that a second measurement is quicker. --strokes measures strokes
-alone, in a fifth of the time. With --left-out each object is measured by weights that saw nothing
-of its scene (`select_sum.py --left-out`).
+python benchmarks/clicks.py marks|seconds|words --help
 """
 
 import argparse
+import cProfile
 import json
+import pstats
+import resource
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,16 +23,19 @@ from edit3r_select.obeying import points_of, seen_elsewhere
 from edit3r_select.photos import Photos
 from edit3r_select.select import select_masks
 from edit3r_select.sum import CueWeights
+from harness import run_benchmark
 from PIL import Image, ImageDraw
 
-from edit3r import Views, build
-from edit3r.contract.errors import Edit3rError
-from edit3r.contract.interfaces import Selection
+from edit3r import Views, build, default_registry, load_views
+from edit3r.contract.errors import Edit3rError, InputError
+from edit3r.contract.interfaces import SURE, Marks, Selection
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
-from edit3r.running import usual_reader
+from edit3r.running import default_matcher, geometry_of as geometry_read, usual_reader
 from edit3r.running.geometry import GeometryOfRun
+
+# ---- marks ----
 
 CLICKS = 3
 ANYWHERE = 6  # first clicks a photo
@@ -75,7 +61,32 @@ SAID = {
 """The word that a person would say for an object, where it is not the object's name."""
 
 
-def main() -> None:
+def marks() -> None:
+    """How well a click finds the thing: objects of real photos whose outlines were drawn by hand
+    (`clicks.json`).
+
+        python benchmarks/clicks.py marks DATA [--segmenter classical] [--set size=256]
+    [--only bear mug] [--objects outlines.json] [--kept rows.jsonl] [--cache FOLDER]
+    [--sheet OUT.png] [--strokes]
+
+    DATA is a folder of photo sets; an object whose photos are not there is left out with a
+    sentence. The first click is the object's innermost point, each further one the innermost point
+    of the largest wrong region, positive or negative: the usual protocol of interactive
+    segmentation. The mask after the last click is carried to the second photo twice, by the
+    pictures and by the geometry that a matcher reads from the pair.
+
+    People do not click on the innermost point. So six more first clicks lie uniformly random on the
+    object, at its rim too, and with --named the same six come with the object's name beside them.
+    Three strokes lie on it too. The clicked photo has the depth that it gets beside one or two
+    photos of its folder, where these can be placed. All clicks together are given to the pair as
+    well: each must be obeyed on both photos.
+
+    The whole takes long. With --kept each object's row goes to a file as soon as it is measured,
+    and what stands there is not measured again: a command that was stopped goes on. With --cache
+    depth and what the encoder read are kept, so that a second measurement is quicker. --strokes
+    measures strokes alone, in a fifth of the time. With --left-out each object is measured by
+    weights that saw nothing of its scene (`select_sum.py --left-out`).
+    """
     args = parsed()
     segmenter = build("segmenter", args.segmenter, **parse_assignments(args.set))
     matcher = build("matcher", args.matcher) if args.matcher else None
@@ -107,7 +118,7 @@ def main() -> None:
 
 
 def parsed() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=marks.__doc__.splitlines()[0])
     parser.add_argument(
         "data",
         type=Path,
@@ -562,5 +573,202 @@ def contact_sheet(tiles: list, width: int = 260, columns: int = 8) -> Image.Imag
     return sheet
 
 
+# ---- seconds ----
+
+ELSEWHERE = (0, 0.1, 0.85)  # photo, x and y of the click that warms up
+ASIDE = 0.004  # the second click's distance from the first, whose answer is remembered
+WORDS = ("dog",)  # of the detector `coco`
+
+
+def seconds() -> None:
+    """How long a click takes until the object is marked on both photos of a pair, and how much
+    memory all small networks need together.
+
+        python benchmarks/clicks.py seconds DATA [--size 512] [--segmenter auto] [--profile]
+
+    DATA is a folder of photo sets, as for `benchmarks/clicks.py`. A first click elsewhere warms up
+    what is read once for each photo. Then the object's own click is timed: seconds of the clock and
+    of the processor until the mask of the clicked photo is there, which the app shows first, and
+    until those of both photos are, carried by pictures and by geometry. The last line is the
+    process's peak memory after all networks of `edit3r weights get essentials` were used.
+    """
+    parser = argparse.ArgumentParser(description=seconds.__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path, help="folder of photo sets")
+    parser.add_argument("--size", type=int, default=512, help="longer side [pixels]")
+    parser.add_argument("--segmenter", default="auto")
+    parser.add_argument("--matcher", default="classical")
+    parser.add_argument("--only", nargs="*", default=[], help="names of the objects")
+    parser.add_argument(
+        "--profile", action="store_true", help="show where the seconds go"
+    )
+    args = parser.parse_args()
+    objects = json.loads(Path(__file__).with_name("clicks.json").read_text())
+    segmenter = build("segmenter", args.segmenter)
+    matcher = build("matcher", args.matcher)
+    geometries: dict = {}
+    profile = cProfile.Profile(time.process_time)
+    rows = []
+    for name, polygons in objects.items():
+        files = tuple(args.data / file for file in polygons)
+        if len(files) < 2 or (args.only and name not in args.only):
+            continue
+        views = load_views(files, size=args.size)
+        images = views.images[0]
+        if files not in geometries:
+            geometries[files] = geometry_read(matcher, views)
+            select_masks(images, Selection(positive=(ELSEWHERE,)), segmenter)
+            segmenter.segment_marks(images[1], Marks(positive=(ELSEWHERE[1:],)))
+        x, y = place_in(next(iter(polygons.values())), files[0])
+        row = []
+        asked = (
+            (images[:1], None, 2 * ASIDE),
+            (images, None, 0.0),
+            (images, geometries[files], ASIDE),
+        )
+        for shown, geometry, aside in asked:
+            clicked = Selection(positive=((0, x + aside, y),))
+            clock, processor = time.perf_counter(), time.process_time()
+            if args.profile:
+                profile.enable()
+            lenses = views.intrinsics[:, : len(shown)]
+            found = select_masks(shown, clicked, segmenter, geometry, lenses)
+            profile.disable()
+            row += [time.perf_counter() - clock, time.process_time() - processor]
+        rows.append(row)
+        print(f"{name:16s} {told_of_seconds(row)}  ({found.how[1]})", flush=True)
+    print(f"{'median':16s} {told_of_seconds(np.median(rows, axis=0))}")
+    for word in WORDS:
+        with suppress(
+            InputError
+        ):  # what is not there: the networks are asked all the same
+            select_masks(images, Selection(words=word), segmenter)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    print(f"peak memory {peak:.2f} GB, {torch.get_num_threads()} threads")
+    if args.profile:
+        pstats.Stats(profile).sort_stats("tottime").print_stats(20)
+
+
+def place_in(polygons: list, file: Path) -> tuple[float, float]:
+    """The object's innermost point, x and y in [0, 1]."""
+    width, height = Image.open(file).size
+    truth = filled(polygons, (height, width))
+    return next_click(np.zeros_like(truth), truth)[1]
+
+
+def told_of_seconds(row) -> str:
+    """Seconds for one photo, by pictures and by geometry, of the clock and of the processor."""
+    heads = ("clicked photo", "CPU", "pictures", "CPU", "geometry", "CPU")
+    return "  ".join(f"{head} {value:.2f} s" for head, value in zip(heads, row))
+
+
+# ---- words ----
+
+MATCHER = default_matcher(default_registry())
+
+ABSENT = (
+    "car",
+    "dog",
+    "horse",
+    "bicycle",
+    "sheep",
+    "bus",
+    "umbrella",
+    "pizza",
+    "guitar",
+    "banana",
+    "elephant",
+    "train",
+)
+SEEN_BESIDE = {
+    "berlin": {"bicycle", "car", "bus"},
+    "dinosaur": {"car", "umbrella"},
+    "british_museum": {"car", "bus", "umbrella"},
+}
+"""Words of ABSENT that may be on photos of a set after all."""
+
+
+def words() -> None:
+    """How well a word finds the thing, and how surely: objects of real photos whose outlines were
+    drawn by hand (`clicks.json`), and words for things that the photos do not show.
+
+        python benchmarks/clicks.py words DATA [--segmenter auto] [--only bear fox] [--beside]
+
+    DATA is a folder of photo sets, as for `benchmarks/clicks.py`. An answer is right where its
+    overlap with the outline is above one half; what is called sure is what a run takes unasked.
+    With --beside another photo of the folder, two steps on, comes before the outlined one.
+    """
+    parser = argparse.ArgumentParser(description=words.__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path, help="folder of photo sets")
+    parser.add_argument("--segmenter", default="auto")
+    parser.add_argument("--only", nargs="*", default=[], help="names of the objects")
+    parser.add_argument(
+        "--beside", action="store_true", help="begin with another photo of the folder"
+    )
+    args = parser.parse_args()
+    objects = json.loads(Path(__file__).with_name("clicks.json").read_text())
+    segmenter = build("segmenter", args.segmenter)
+    rows, absent, photos = [], [], set()
+    for name, polygons in objects.items():
+        file = next(iter(polygons))
+        if (args.only and name not in args.only) or not (args.data / file).is_file():
+            continue
+        image = np.asarray(Image.open(args.data / file).convert("RGB"))
+        truth = filled(polygons[file], image.shape[:2])
+        tensor = torch.from_numpy(image.copy()).permute(2, 0, 1).float()[None] / 255
+        if args.beside:
+            tensor = torch.cat((beside(args.data / file, image.shape[1::-1]), tensor))
+        rows.append((name, *answer(tensor, SAID.get(name, name), segmenter, truth)))
+        print(
+            "{:14} overlap {:.2f}  confidence {!s:.4}  {:.1f} s".format(*rows[-1]),
+            flush=True,
+        )
+        if file in photos:
+            continue
+        photos.add(file)
+        for word in set(ABSENT) - SEEN_BESIDE.get(file.split("/")[0], set()):
+            _, confidence, _ = answer(tensor, word, segmenter, truth)
+            absent.append(confidence)
+            if (confidence or 0) >= SURE:
+                print(f"  {word!r}, which is not there: {confidence:.2f} sure")
+    told_of_words(rows, absent)
+
+
+def beside(file: Path, size: tuple[int, int]) -> torch.Tensor:
+    """The photo two steps on in the folder, in the other one's size."""
+    files = sorted(file.parent.iterdir())
+    place = files.index(file)
+    other = files[place + 2 if place + 2 < len(files) else place - 2]
+    image = np.asarray(Image.open(other).convert("RGB").resize(size))
+    return torch.from_numpy(image.copy()).permute(2, 0, 1).float()[None] / 255
+
+
+def answer(tensor, text, segmenter, truth) -> tuple[float, float | None, float]:
+    """Overlap, confidence (None: not found) and seconds."""
+    thing = usual_reader().read_thing(text)
+    asked = Selection(words=thing.name, which=thing.which)
+    start = time.perf_counter()
+    try:
+        lens = intrinsics_from_fov(FOV, tensor.shape[-2:]).expand(1, len(tensor), 3, 3)
+        geometry = geometry_read(MATCHER, Views(tensor[None], lens))
+        found = select_masks(tensor, asked, segmenter, geometry, lens)
+    except InputError:
+        return 0.0, None, time.perf_counter() - start
+    seconds = time.perf_counter() - start
+    if "guess" in found.how:
+        return 0.0, None, seconds
+    return iou(found.masks[-1, 0].numpy() > 0.5, truth), found.confidence, seconds
+
+
+def told_of_words(rows, absent) -> None:
+    right = [row for row in rows if row[1] > 0.5]
+    sure = [row for row in rows if (row[2] or 0) >= SURE]
+    wrong = [row for row in sure if row[1] <= 0.5]
+    unasked = sum((confidence or 0) >= SURE for confidence in absent)
+    print(
+        f"right: {len(right)} of {len(rows)}; sure: {len(sure)}, of these wrong: {len(wrong)}"
+    )
+    print(f"words of absent things: {len(absent)}, taken as sure: {unasked}")
+
+
 if __name__ == "__main__":
-    main()
+    run_benchmark(marks, seconds, words)

@@ -21,8 +21,8 @@ import torch
 import torch.nn.functional as F
 from edit3r_measure.protocol import align
 from harness import Row, run_benchmark
-from lenses import MATCHER
 from likeness import TITLE, Likeness, likeness, mean
+from poses import MATCHER
 from verdict import between, unseen_camera
 
 import edit3r

@@ -15,10 +15,9 @@ from pathlib import Path
 
 import torch
 from edit3r_refiners.api import find_floaters
-from harness import Row, run_benchmark
+from harness import Row, for_tuning, run_benchmark
 from jaxtyping import Float
-from lenses import MATCHER
-from scenes import for_tuning
+from poses import MATCHER
 from torch import Tensor
 
 import edit3r

@@ -15,9 +15,8 @@ from itertools import combinations
 from pathlib import Path
 
 from dial import as_numpy, at_the_photos, drawn
-from harness import Row, run_benchmark
+from harness import HELD_OUT, Row, run_benchmark
 from likeness import TITLE, likeness
-from scenes import HELD_OUT
 from verdict import unseen_camera
 
 import edit3r

@@ -3,20 +3,26 @@
     python benchmarks/outlines.py DATA show PHOTO [--zoom 3] [--part X,Y,W,H] --out grid.png
     python benchmarks/outlines.py DATA add NAME PHOTO "x,y x,y ..." [--hole "..."]
     python benchmarks/outlines.py DATA check NAME|PHOTO [--zoom 3] [--part X,Y,W,H] --out check.png
+    python benchmarks/outlines.py FOLDER fetch [--clones CLONES]
 
-DATA is a folder of photo sets, PHOTO a file in it such as fern/images/000.jpg. Coordinates are
-pixels of the stored photo, whole numbers at the centres of pixels. A pixel belongs to the object
-where it lies inside an odd number of its polygons.
+`fetch` brings the photos of `elsewhere.json` from their public repositories into FOLDER, or from
+clones OWNER+NAME in CLONES. DATA is a folder of photo sets, PHOTO a file in it such as
+fern/images/000.jpg. Coordinates are pixels of the stored photo, whole numbers at the centres of
+pixels. A pixel belongs to the object where it lies inside an odd number of its polygons.
 """
 
 import argparse
 import json
+import subprocess
+import urllib.request
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw
 
 FILE = Path(__file__).with_name("outlines.json")
+ELSEWHERE = Path(__file__).with_name("elsewhere.json")
+RAW = "https://raw.githubusercontent.com/{repository}/{commit}/{path}"
 GRID = 10  # pixels of the photo between two lines; every second one is labelled
 MARGIN = 12  # pixels of the photo shown around an object
 
@@ -24,15 +30,20 @@ MARGIN = 12  # pixels of the photo shown around an object
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path, help="folder of photo sets")
-    parser.add_argument("job", choices=("show", "add", "check"))
-    parser.add_argument("names", nargs="+", help="see above")
+    parser.add_argument("job", choices=("show", "add", "check", "fetch"))
+    parser.add_argument("names", nargs="*", help="see above")
     parser.add_argument("--hole", action="append", default=[], help="to cut out")
     parser.add_argument("--word", help="what a person would call the object")
     parser.add_argument("--more", action="store_true", help="keep the photo's polygons")
     parser.add_argument("--zoom", type=int, default=3)
     parser.add_argument("--part", help="X,Y,W,H of the photo to show")
     parser.add_argument("--out", type=Path, default=Path("outlines.png"))
+    parser.add_argument("--clones", type=Path, help="folder of clones, OWNER+NAME")
     args = parser.parse_args()
+    if args.job == "fetch":
+        return fetch(args.data, args.clones)
+    if not args.names:
+        parser.error(f"{args.job} needs a name")
     objects = json.loads(FILE.read_text()) if FILE.exists() else {}
     part = [int(number) for number in args.part.split(",")] if args.part else None
     if args.job == "show":
@@ -42,6 +53,28 @@ def main() -> None:
         save(objects)
     else:
         check(objects, args.names[0], args.data, part, args.zoom).save(args.out)
+
+
+def fetch(folder: Path, clones: Path | None) -> None:
+    """Bring the photos of `elsewhere.json`."""
+    for name, source in json.loads(ELSEWHERE.read_text())["photos"].items():
+        file = folder / name
+        if file.is_file():
+            continue
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_bytes(content(source, clones))
+        print(f"{name}: {source['repository']}, {source['licence']}")
+
+
+def content(source: dict, clones: Path | None) -> bytes:
+    """The photo's bytes, from a clone or from the network."""
+    if clones is None:
+        with urllib.request.urlopen(RAW.format(**source)) as answer:
+            return answer.read()
+    clone = clones / source["repository"].replace("/", "+")
+    place = f"{source['commit']}:{source['path']}"
+    command = ["git", "-C", str(clone), "show", place]
+    return subprocess.run(command, check=True, capture_output=True).stdout
 
 
 def add(objects: dict, args: argparse.Namespace) -> None:

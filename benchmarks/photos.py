@@ -18,8 +18,7 @@ import numpy as np
 import torch
 import verdict
 from edit3r_geometry.sky import find_skies
-from harness import Row, run_benchmark
-from scenes import for_tuning
+from harness import Row, for_tuning, run_benchmark
 from skimage.io import imread, imsave
 from skimage.transform import resize
 

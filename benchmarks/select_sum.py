@@ -1,6 +1,6 @@
 """Fits the weights of `edit3r_select` and measures them on scenes left out.
 
-    python benchmarks/elsewhere.py ELSEWHERE
+    python benchmarks/outlines.py ELSEWHERE fetch
     python benchmarks/select_sum.py DATA ELSEWHERE --kept ROWS.pkl [--write] [--never-fitted]
         [--left-out FITS.json] [--cache FOLDER]
 
@@ -135,7 +135,7 @@ def main() -> None:
 def parsed() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("data", type=Path, help="folder of photo sets")
-    parser.add_argument("elsewhere", type=Path, help="folder of elsewhere.py")
+    parser.add_argument("elsewhere", type=Path, help="photos of elsewhere.json")
     parser.add_argument("--kept", type=Path, required=True, help="rows so far")
     parser.add_argument("--cache", type=Path, help="folder for what the encoder read")
     parser.add_argument("--rounds", type=int, default=2, help="of corrected clicks")

@@ -27,8 +27,8 @@ from edit3r_measure.scene_sources import (
     SceneSource,
     find_scenes,
 )
+from harness import for_tuning
 from likeness import likeness
-from scenes import for_tuning
 
 import edit3r
 from edit3r import default_registry

@@ -35,7 +35,7 @@ from edit3r_uncertainty.signals import (
     probability,
     signals_of,
 )
-from scenes import HELD_OUT
+from harness import HELD_OUT
 from scipy.stats import spearmanr
 from torch import Tensor
 from verdict import between

@@ -23,7 +23,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scenes import for_tuning
+from harness import for_tuning
 
 import edit3r
 from edit3r.contract.errors import Edit3rError

@@ -37,7 +37,7 @@ TABLES = {
     "formats": Table("docs/files.md", "python benchmarks/files.py formats", 1),
     "poses": Table(
         "docs/classical.md",
-        "python benchmarks/poses.py photos/bear photos/fern photos/fox photos/monstree "
+        "python benchmarks/poses.py pairs photos/bear photos/fern photos/fox photos/monstree "
         "--size 512 --matches sift",
         4,
     ),

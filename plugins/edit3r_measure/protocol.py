@@ -87,7 +87,7 @@ def read_index(path: Path) -> list[tuple[str, IndexEntry]]:
     """
     if not path.is_file():
         raise InputError(
-            f"{path}: no such index file; benchmarks/overlap_index.py makes one."
+            f"{path}: no such index file; benchmarks/poses.py index makes one."
         )
     index = make_settings(_IndexFile, {"pairs": read_json(path)}, where=path.name)
     found = []

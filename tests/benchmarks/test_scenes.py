@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-held_out = runpy.run_path(str(ROOT / "benchmarks/scenes.py"))
+held_out = runpy.run_path(str(ROOT / "benchmarks/harness.py"))
 
 
 @pytest.mark.parametrize("scene", held_out["HELD_OUT"])

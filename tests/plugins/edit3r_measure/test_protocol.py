@@ -3,6 +3,7 @@ of errors.
 """
 
 import json
+import sys
 from dataclasses import replace
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
@@ -33,8 +34,15 @@ from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
 from edit3r.kit.photos.posed_folder import PosedPhoto
 from edit3r.loading.registry import build
 
-SCRIPT = Path(__file__).parents[3] / "benchmarks" / "overlap_index.py"
-indexing = SourceFileLoader("overlap_index_script", str(SCRIPT)).load_module()
+BENCHMARKS = Path(__file__).parents[3] / "benchmarks"
+
+
+@pytest.fixture
+def indexing(monkeypatch):
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    path = str(BENCHMARKS / "poses.py")
+    return SourceFileLoader("poses_script", path).load_module()
+
 
 # ---- index files ----
 
@@ -124,14 +132,14 @@ def straight(x, size=40):
 
 
 @pytest.mark.parametrize("share", [0.25, 0.5, 1.0])
-def test_overlap_is_the_share_of_the_wall_that_both_photos_show(share):
+def test_overlap_is_the_share_of_the_wall_that_both_photos_show(share, indexing):
     wall = np.full((40, 40), 2.0)  # seen 2 wide
     assert indexing.overlap(
         [straight(0), straight(2 * (1 - share))], [wall, wall]
     ) == pytest.approx(share, abs=0.03)
 
 
-def test_what_something_hides_in_the_other_photo_is_no_overlap():
+def test_what_something_hides_in_the_other_photo_is_no_overlap(indexing):
     wall, board = np.full((40, 40), 2.0), np.full((40, 40), 2.0)
     board[:, 20:] = (
         1.0  # hides half of the wall from the second photo, which the first does not show
@@ -141,14 +149,18 @@ def test_what_something_hides_in_the_other_photo_is_no_overlap():
     )
 
 
-def test_an_index_is_made_of_a_folder_and_can_be_read_again(wall, tmp_path):
+def test_an_index_is_made_of_a_folder_and_can_be_read_again(
+    wall, tmp_path, indexing, monkeypatch
+):
     (tmp_path / "straight").mkdir()
     entries = wall.written(
         tmp_path / "straight", [wall.camera(0.6 * i, 0, f"{i}.png") for i in range(3)]
     )
     (tmp_path / "straight" / "cameras.json").write_text(json.dumps(entries))
     out = tmp_path / "index.json"
-    indexing.main([str(tmp_path / "straight"), "--size", "96", "--out", str(out)])
+    words = [str(tmp_path / "straight"), "--size", "96", "--out", str(out)]
+    monkeypatch.setattr(sys, "argv", ["poses.py", *words])
+    indexing.index()
     # the squares show 3.2 of the wall each, 1.2 apart
     ((scene, entry),) = read_index(out)
     assert (scene, entry.context, entry.targets, entry.overlap_class) == (
