@@ -67,8 +67,14 @@ class _HalfWay:
             seen = {*pair, *self.near[pair[0]], *self.near[pair[1]]}
             colours, measured = self._drawn(sorted(seen), pose, pair[0])
             shares[pair] = float((~measured & _patterned(colours)).float().mean())
+        centres = self.c2w[:, :3, 3]
         return [
-            max(share for pair, share in shares.items() if view in pair)
+            shares[
+                min(
+                    (pair for pair in self.pairs if view in pair),
+                    key=lambda pair: float(torch.dist(*centres[list(pair)])),
+                )
+            ]
             for view in range(len(self.c2w))
         ]
 
