@@ -197,19 +197,21 @@ def cases(masks: Masks, seed: int) -> Iterator[Case]:
     yield Case("shine", remove, masks, shine)
 
 
+def masks_of(photos: dict, files: list[Path], size: tuple[int, int]) -> Masks:
+    """The outlined object on the views, whose width and height are `size` [pixels]."""
+    masks = []
+    for file, polygons in zip(files, photos.values()):
+        full = filled(polygons, np.asarray(Image.open(file)).shape[:2])
+        small = cv2.resize(full.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        masks.append(small > 0.5)
+    return masks
+
+
 def edits_of(photos: dict, data: Path, seed: int) -> dict[str, EditToJudge]:
     """The edits of one object by kind; those that no run takes are left out."""
     files = [data / file for file in photos][:2]
     views = edit3r.load_views(files, size=SIZE)
-    masks = []
-    for file, polygons in zip(files, photos.values()):
-        full = filled(polygons, np.asarray(Image.open(file)).shape[:2])
-        small = cv2.resize(
-            full.astype(np.float32),
-            views.image_size[::-1],
-            interpolation=cv2.INTER_AREA,
-        )
-        masks.append(small > 0.5)
+    masks = masks_of(photos, files, views.image_size[::-1])
     if min(int(one.sum()) for one in masks) < FEW:
         return {}
     asked = {"size": SIZE, "outputs": [], "cache": edit3r.Cache()}

@@ -94,7 +94,8 @@ def write_limits(limits: Mapping[str, Limits]) -> None:
     """Put limits into the package; comments and all that is not in `limits` stay."""
     from edit3r_judge.signals import FITTED
 
-    lines, path = FITTED.read_text().splitlines(keepends=True), []
+    lines = FITTED.read_text().splitlines(keepends=True)
+    path: list[str] = []
     for number, line in enumerate(lines):
         name, _, value = line.strip().partition(":")
         if line.startswith("#") or not name:

@@ -42,11 +42,11 @@ class RefineSettings(Settings):
     )
     scale: float = Field(0.2, ge=0, le=1, description="step of the scales' logarithms")
     growth: float = Field(
-        1.3,
+        1.15,
         ge=1,
         le=1000,
-        description="most that a Gaussian may become larger [times]: what grows over a depth edge "
-        "at the photos stands before others' surfaces between them",
+        description="most times as large as it was that a Gaussian may become: what grows over a "
+        "depth edge at the photos stands before others' surfaces between them",
     )
     centre: float = Field(
         0.15,

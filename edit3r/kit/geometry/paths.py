@@ -51,8 +51,7 @@ def interpolate_poses(
     end: Float[Tensor, "*batch 4 4"],
     share: Float[Tensor, "*batch"],
 ) -> Float[Tensor, "*batch 4 4"]:
-    """Poses at `share` in [0, 1] of the screw motion from `start` to `end`: start exp(share
-    log(start^-1 end)).
+    """Poses at `share` of the screw motion between two: start exp(share log(start^-1 end)).
 
     The logarithm of (R, t) is (w, V(w)^-1 t), where w is the rotation vector and V(w), the integral
     of exp(s [w]x) over s in [0, 1], is the upper right block of exp([[[w]x, I], [0, 0]]).
