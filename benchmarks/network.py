@@ -135,7 +135,7 @@ def _measure(args: argparse.Namespace) -> dict:
     """Runs in the fresh process."""
     import torch
 
-    from edit3r.contract.memory import peak_memory_mb
+    from edit3r.contract.reporting import peak_memory_mb
 
     torch.set_num_threads(args.threads)
     mode = args.modes[0]

@@ -1,11 +1,11 @@
 """The pages that are made from the code: the reference, and the examples on the plugin pages.
 
-The reference (hooks, components with their settings, commands, Python) is built with the site and
-never checked in: mkdocs calls `on_files`. The examples stand in the pages, between markers, so that
-they can be read anywhere:
+The reference (hooks, components with their settings, commands, Python) and, at the end of each
+plugin's page, its example and what its contract asks are built with the site and never checked in:
+mkdocs calls `on_files` and `on_page_markdown`. Tables stand in their pages, between markers:
 
-    # rewrite the marked parts: of docs/plugins/*.md from plugins/edit3r_develop/templates, of
-    # docs/combinations.md and docs/files.md from what components declare and a benchmark measured
+    # rewrite the marked parts of docs/combinations.md, docs/files.md and docs/plugins/testing.md
+    # from what components declare and a benchmark measured
     python docs/generate.py
     python docs/generate.py DIR        also write the reference pages into DIR
 """
@@ -19,17 +19,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import edit3r
-from edit3r.cli.commands import COMMANDS
-from edit3r.cli.main import find_command
+from edit3r.cli.main import COMMANDS, find_command
 from edit3r.contract.component import KINDS, Component, Offer, hook_name
 from edit3r.contract.errors import Edit3rError
 from edit3r.loading.describe import metadata_lines, settings_lines, yaml_example
 from edit3r.loading.registry import Registry, default_registry
 
 DOCS = Path(__file__).parent
-MARKED = re.compile(
-    r"(<!-- begin: (\w+) ([\w-]+)(?: ([\w-]+))? -->\n).*?(<!-- end -->)", re.DOTALL
-)
+MARKED = re.compile(r"(<!-- begin: (\w+) ([\w-]+) -->\n).*?(<!-- end -->)", re.DOTALL)
 PYTHON_MODULES = (
     "edit3r.contract.types",
     "edit3r.contract.interfaces",
@@ -234,22 +231,39 @@ def _described(module: str, name: str, value: object) -> str:
 
 
 def refreshed(page: str) -> str:
-    """The page with its marked parts made anew: `begin: example KIND NAME`, `begin: claims KIND`,
-    and tables.
-    """
+    """The page with its marked parts made anew: `begin: claims KIND`, and tables."""
     makers = {
-        "example": example_part,
         "claims": claims_part,
         "parts": parts_part,
         "writers": writers_part,
-        "seconds": seconds_part,
     }
-    return MARKED.sub(lambda m: m[1] + makers[m[2]](m[3], m[4]) + m[5], page)
+    return MARKED.sub(lambda m: m[1] + makers[m[2]](m[3]) + m[4], page)
+
+
+EXAMPLE = re.compile(
+    r"`edit3r new-plugin (\w+) ([\w-]+)` writes a\s\[complete example\]\(([^)]*)\)"
+)
+
+
+def completed(page: str) -> str:
+    """A plugin's page with its example, how to try it, and what its contract asks."""
+    found = EXAMPLE.search(page)
+    if not found:
+        return page
+    kind, name, link = found.groups()
+    sections = [
+        page.replace(link, "#a-complete-example").rstrip(),
+        f"## A complete example\n{example_part(kind, name)}",
+        "## What the contract asks",
+        "Beside [what all contracts ask](testing.md#what-all-contracts-ask):",
+        claims_part(kind),
+    ]
+    return "\n\n".join(sections)
 
 
 def example_part(kind: str, name: str) -> str:
-    """The modules of a new plugin, as `edit3r new-plugin KIND NAME` writes them."""
-    from edit3r_develop.new_plugin import package_files
+    """The modules that `edit3r new-plugin KIND NAME` writes, and how to use them."""
+    from edit3r_develop.new_plugin import next_steps, package_files
 
     files = {
         path: text
@@ -260,10 +274,11 @@ def example_part(kind: str, name: str) -> str:
         f'```python title="edit3r-{name}/{path}"\n{text}```'
         for path, text in files.items()
     ]
-    return "\n" + "\n\n".join(blocks) + "\n\n"
+    steps = "\n".join(next_steps(kind, name, Path(f"edit3r-{name}")))
+    return "\n" + "\n\n".join([*blocks, f"```console\n{steps}\n```"]) + "\n"
 
 
-def claims_part(kind: str, _: str | None) -> str:
+def claims_part(kind: str) -> str:
     """What the contract of a kind asks beside what all ask, or (`common`) what all ask."""
     from edit3r_testing import CONTRACTS, Contract, claims
 
@@ -288,7 +303,7 @@ def claims_part(kind: str, _: str | None) -> str:
     return "\n" + "\n".join(rows) + "\n\n"
 
 
-# ---- the tables of docs/combinations.md and docs/notes/combinations.md ----
+# ---- the tables of docs/combinations.md and docs/files.md ----
 
 
 def own_components(kind: str) -> list[Component]:
@@ -308,34 +323,45 @@ def measured() -> dict:
     )
 
 
-def parts_part(kind: str, _: str | None) -> str:
-    """Licences, weights and what was tried, of every component of a kind."""
-    rows = [
-        "| name | what it does | code | weights: MB, licence, commercial use | run with |",
-        "| --- | --- | --- | --- | --- |",
-    ]
+def parts_part(kind: str) -> str:
+    """Weights and what was tried, of every component of a kind; what a run costs where measured."""
+    costs = seconds_of(kind)
+    heads = ["name", "weights: MB, licence, commercial use", "run with"]
+    heads += ["CPU s"] if costs else []
+    rows = [_row(heads), _row(["---"] * len(heads))]
     for component in own_components(kind):
         weights = [
             f"`{one.name}`: {one.size / 1e6:,.0f}, {one.licence}, **{one.commercial}**"
             for one in component.weights
         ]
-        elsewhere = (
-            "by the name you give, or a service" if component.needs_network else "none"
-        )
-        cells = (f"`{component.name}`", component.summary, component.licence.partition(";")[0],
-                 "<br>".join(weights) or elsewhere, tried(kind, component))  # fmt: skip
-        rows.append("| " + " | ".join(cells) + " |")
+        elsewhere = "by the name you give, or a service" * component.needs_network
+        name = f"`{component.name}`"
+        cells = [name, "<br>".join(weights) or elsewhere, tried(kind, component)]
+        rows.append(_row(cells + [costs.get(component.name, "")] * bool(costs)))
     return "\n" + "\n".join(rows) + "\n\n"
 
 
-def writers_part(kind: str, _: str | None) -> str:
-    """What each writer leaves in the folder of a run, and what of the scene is in it."""
-    rows = ["| name | writes | what for | keeps | loses |"]
-    rows.append("| --- | --- | --- | --- | --- |")
+def _row(cells: list[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def seconds_of(kind: str) -> dict[str, str]:
+    """CPU seconds of a whole run with each reconstructor; nothing for other kinds."""
+    if kind != "reconstructor":
+        return {}
+    rows = [row for row in measured()["rows"] if row.get("matcher") == "classical"]
+    return {
+        row["recon"]: f"{row['edit'] + row['rest']:.1f}"
+        for row in rows
+        if row["editor"] == "looks"
+    }
+
+
+def writers_part(kind: str) -> str:
+    """What each writer leaves in the folder of a run, and what for."""
+    rows = [_row(["name", "writes", "what for"]), _row(["---"] * 3)]
     for one in own_components(kind):
-        name, file = f"`{one.name}`", f"`{one.file_name()}`"
-        cells = (name, file, one.summary, one.keeps, one.loses)
-        rows.append("| " + " | ".join(cells) + " |")
+        rows.append(_row([f"`{one.name}`", f"`{one.file_name()}`", one.summary]))
     return "\n" + "\n".join(rows) + "\n\n"
 
 
@@ -353,48 +379,9 @@ def tried(kind: str, component: Component) -> str:
     return "a fake service" if component.needs_network else "tests"
 
 
-def seconds_part(what: str, _: str | None) -> str:
-    """CPU seconds and memory of editor x reconstructor, matcher x reconstructor, or of
-    segmenters.
-    """
-    found = measured()
-    if what == "segmenter":
-        lines = [
-            f"| `{row['segmenter']}` | {row['seconds']} |"
-            for row in found["rows"]
-            if "segmenter" in row
-        ]
-        return (
-            "\n"
-            + "\n".join(["| segmenter | CPU s |", "| --- | --: |", *lines])
-            + "\n\n"
-        )
-    rows = [
-        row
-        for row in found["rows"]
-        if what in row and (row["matcher"] == "classical" or what == "matcher")
-    ]
-    rows = [row for row in rows if what == "editor" or row["editor"] == "none"]
-    cells = {(row[what], row["recon"]): _cell(row) for row in rows}
-    recons = sorted({recon for _, recon in cells})
-    lines = [
-        f"| {what} | " + " | ".join(f"`{recon}`" for recon in recons) + " |",
-        "| --- " * (len(recons) + 1) + "|",
-    ]
-    for name in dict.fromkeys(name for name, _ in cells):
-        lines.append(
-            f"| `{name}` | "
-            + " | ".join(cells.get((name, recon), "–") for recon in recons)
-            + " |"
-        )
-    return "\n" + "\n".join(lines) + "\n\nAll others, and –, were not measured.\n\n"
-
-
-def _cell(row: dict) -> str:
-    return (
-        row.get("error")
-        or f"{row['edit']} + {row['rest']} s, {row['mb']} MB, {row['verdict']}"
-    )
+def on_page_markdown(markdown, page, config, files):
+    """mkdocs hands over the text of a page: complete that of a plugin."""
+    return completed(markdown)
 
 
 def on_files(files, config):
@@ -410,9 +397,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("reference", nargs="?", type=Path, help="folder of its pages")
     reference = parser.parse_args().reference
-    tables = [DOCS / "combinations.md", DOCS / "notes" / "combinations.md"]
-    tables.append(DOCS / "files.md")
-    for path in (*sorted((DOCS / "plugins").glob("*.md")), *tables):
+    for page in ("combinations", "files", "plugins/testing"):
+        path = DOCS / f"{page}.md"
         text = path.read_text(encoding="utf-8")
         path.write_text(refreshed(text), encoding="utf-8")
     if reference:

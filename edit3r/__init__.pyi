@@ -6,10 +6,7 @@ from .contract.component import Component as Component
 from .contract.errors import Edit3rError as Edit3rError
 from .contract.hookspecs import hookimpl as hookimpl
 from .contract.interfaces import Selection as Selection
-from .contract.settings import (
-    PartChoice as PartChoice,
-    Settings as Settings,
-)
+from .contract.settings import PartChoice as PartChoice, Settings as Settings
 from .contract.types import (
     Cameras as Cameras,
     EditRequest as EditRequest,
@@ -21,10 +18,7 @@ from .contract.types import (
 )
 from .kit.cache import Cache as Cache
 from .kit.photos.images import load_views as load_views
-from .kit.scenes.ply import (
-    load_ply as load_ply,
-    save_ply as save_ply,
-)
+from .kit.scenes.ply import load_ply as load_ply, save_ply as save_ply
 from .loading.registry import (
     Registry as Registry,
     build as build,
@@ -32,6 +26,6 @@ from .loading.registry import (
     default_registry as default_registry,
 )
 from .running.config import RunConfig as RunConfig
-from .running.loop import RunResult as RunResult
 from .running.selecting.call import select as select
+from .running.write import RunResult as RunResult
 from .version import __version__ as __version__

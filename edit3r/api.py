@@ -26,9 +26,10 @@ from edit3r.running.config import PART_KEYS, make_run_config
 from edit3r.running.earlier import EarlierRun, read_earlier_run
 from edit3r.running.given import check_cameras, check_views, checked_masks
 from edit3r.running.job import RunJob, inherited, with_cameras
-from edit3r.running.loop import RunResult, run as run_job
+from edit3r.running.loop import run as run_job
 from edit3r.running.selecting.marks import MarkTexts
 from edit3r.running.settings import Choice, RunSettings
+from edit3r.running.write import RunResult
 
 Files = str | Path | Sequence[str | Path]
 

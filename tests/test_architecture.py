@@ -10,6 +10,7 @@ import re
 import runpy
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -24,7 +25,7 @@ CORE = "edit3r"
 TESTING = "edit3r_testing"  # part of the house: it may look behind the promised names
 
 MAX_PARAMETERS = 8
-MAX_FILES_OF_A_RUN = 177  # 20 of them plugins that say what they offer
+MAX_FILES_OF_A_RUN = 167  # 20 of them plugins that say what they offer
 
 MANY_PARAMETERS = {
     "edit3r.api.run",  # the settings of a run stand in its signature
@@ -61,7 +62,16 @@ ORDINARY_WORDS = {
         "simplify",
         "train",
     ),
-    *("export", "convert", "mask", "points", "batch", "looks", "uncertainty"),
+    *(
+        "export",
+        "convert",
+        "mask",
+        "points",
+        "batch",
+        "looks",
+        "uncertainty",
+        "weights",
+    ),
     # formats that the core itself reads or writes, and things that it speaks of
     *("ply", "spz", "sog", "splat", "glb", "nerfstudio", "colmap", "video", "mp4"),
     *("viewer", "sheet", "mesh", "render"),
@@ -421,8 +431,15 @@ def _parameters(node: ast.FunctionDef) -> int:
 # ---- what a run goes through ----
 
 ENTERED = """
-import inspect, sys, threading
-files = set()
+import inspect, os, pathlib, sys, threading
+import skimage
+files, opened = set(), []
+data = pathlib.Path(skimage.__file__).parent / "data"
+photos = {str(one) for one in data.glob("motorcycle_*t.png")}
+
+def hear(event, arguments):
+    if event == "open" and str(arguments[0]) in photos:
+        opened.append(os.path.basename(str(arguments[0])))
 
 def note(frame, event, _):
     code = frame.f_code
@@ -431,18 +448,21 @@ def note(frame, event, _):
         files.add(code.co_filename)
 
 from edit3r.cli.main import main
+sys.addaudithook(hear)
 threading.setprofile(note)
 sys.setprofile(note)
 failed = main(["run", "--size", "64", "--frames", "2", "--quiet", "--out", sys.argv[1]])
 sys.setprofile(None)
-print(*sorted(files), sep="\\n")
+print(*sorted(files), *opened, sep="\\n")
 sys.exit(failed)
 """
 
 
 @pytest.mark.slow
-def test_the_default_run_enters_few_files(tmp_path):
-    """Files of the project in which a function is called, on the photos that are packaged."""
+def test_the_default_run_enters_few_files_and_opens_each_photo_twice(tmp_path):
+    """Files of the project in which a function is called, on the photos that are packaged: their
+    headers are read first, then their pixels.
+    """
     done = subprocess.run(
         [sys.executable, "-c", ENTERED, str(tmp_path / "out")],
         capture_output=True,
@@ -455,3 +475,5 @@ def test_the_default_run_enters_few_files(tmp_path):
     assert 20 < len(entered) <= MAX_FILES_OF_A_RUN, (
         f"{len(entered)} files:\n" + "\n".join(entered)
     )
+    opened = Counter(line for line in done.stdout.splitlines() if "/" not in line)
+    assert opened == {"motorcycle_left.png": 2, "motorcycle_right.png": 2}

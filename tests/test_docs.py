@@ -40,6 +40,7 @@ def load_generator():
 
 
 generate = load_generator()
+PAGES = {name: generate.completed(text) for name, text in PAGES.items()}
 REFERENCE = generate.reference_pages(default_registry())
 
 

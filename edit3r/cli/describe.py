@@ -1,13 +1,11 @@
-"""`edit3r describe`: one component's settings and what to know before using it, with YAML ready to
-paste.
-"""
+"""`edit3r describe`: a component's settings, what to know before using it, and YAML to paste."""
 
 import argparse
 
 from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS
-from edit3r.kit.command.console import printable
 from edit3r.kit.command.flags import add_plugin_option
+from edit3r.kit.files.text import printable
 
 
 class DescribeCommand(Command):

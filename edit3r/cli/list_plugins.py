@@ -2,17 +2,14 @@
 
 import argparse
 import json
-import sys
-from collections.abc import Sequence
 
 from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS
-from edit3r.kit.command.console import printable
+from edit3r.kit.command.console import LONGEST, print_table
 from edit3r.kit.command.flags import add_plugin_option
+from edit3r.kit.files.text import printable
 
-LONGEST = 400  # characters of a cell: texts of plugins are strangers'
 COLUMNS = ("kind", "name", "plugin", "version", "licence", "summary")
-PIPED_WIDTH = 400  # piped output is not wrapped, so that grep finds what it looks for
 
 
 class ListPluginsCommand(Command):
@@ -88,26 +85,6 @@ def _row(registry, offer, problem: str) -> dict[str, str]:
     }
 
 
-def table(
-    columns: Sequence[str], rows: Sequence[Sequence[str]], whole: Sequence[str] = ()
-) -> None:
-    """Print a table; columns in `whole` are not wrapped, and nothing is where the output is
-    piped.
-    """
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(
-        highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH
-    )
-    shown = Table(box=None, header_style="bold", pad_edge=False)
-    for column in columns:
-        shown.add_column(column, overflow="fold", no_wrap=column in whole)
-    for row in rows:
-        shown.add_row(*(printable(cell)[:LONGEST] for cell in row))
-    console.print(shown, markup=False)
-
-
 def _print_table(
     rows: list[dict[str, str]], failures: list[dict[str, str]], remarks: list[str]
 ) -> None:
@@ -115,7 +92,7 @@ def _print_table(
     marked = [
         {**row, "name": row["name"] + ("*" if row["missing"] else "")} for row in rows
     ]
-    table(
+    print_table(
         COLUMNS,
         [[row[column] for column in COLUMNS] for row in marked],
         ("kind", "name", "plugin", "version"),

@@ -7,15 +7,36 @@ import re
 import sys
 import traceback
 from collections.abc import Sequence
+from itertools import takewhile
 from typing import TYPE_CHECKING, NoReturn
 
-from edit3r.cli.commands import COMMANDS
+from edit3r.contract.component import Component
 from edit3r.contract.errors import Edit3rError, as_known, suggest
-from edit3r.kit.command.console import printable
+from edit3r.kit.files.names import require_there
+from edit3r.kit.files.text import printable
 from edit3r.version import __version__
 
 if TYPE_CHECKING:
     from edit3r.contract.command import Command
+
+COMMANDS = (
+    Component(
+        "run",
+        "edit3r.cli.run:RunCommand",
+        "edit photos of a scene and reconstruct them in 3D",
+    ),
+    Component(
+        "list-plugins",
+        "edit3r.cli.list_plugins:ListPluginsCommand",
+        "list installed plugins and their components, what they lack, and which failed and why",
+    ),
+    Component(
+        "describe",
+        "edit3r.cli.describe:DescribeCommand",
+        "show a component's settings, licence and needs, and YAML to paste into a configuration",
+    ),
+)
+"""The core's own commands; all others come from plugins."""
 
 SETTING = re.compile(r"[\w.-]+")  # --out, or editor.path of --set
 MAX_SENTENCE = 4000  # characters of an error: what was given may be megabytes
@@ -91,6 +112,10 @@ def _dispatch(argv: list[str]) -> int:
         print(f"edit3r {__version__}")
         return 0
     name, *rest = argv
+    # before pydantic and torch are imported; a preview's own file is asked about first
+    if name == "run" and "--preview" not in rest:
+        for photo in takewhile(lambda one: not one.startswith("-"), rest):
+            require_there(photo)
     command = find_command(name)
     parser = Parser(prog=f"edit3r {name}", description=command.__doc__)
     command.add_arguments(parser)
@@ -105,12 +130,12 @@ def find_command(name: str) -> "Command":
     from edit3r.contract.settings import Settings
     from edit3r.loading.registry import default_registry
 
-    own = {component.name: component for component in COMMANDS}
-    if name in own:
-        module, _, attribute = own[name].target.partition(":")
+    commands = {component.name: component for component in COMMANDS}
+    if name in commands:
+        module, _, attribute = commands[name].target.partition(":")
         return getattr(importlib.import_module(module), attribute)(Settings())
     registry = default_registry()
-    known = [*own, *(offer.component.name for offer in registry.offers("command"))]
+    known = [*commands, *(offer.component.name for offer in registry.offers("command"))]
     if name not in known and ":" not in name:
         raise UsageError(
             f"no command {name!r}.{suggest(name, known)} Commands: "

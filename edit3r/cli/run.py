@@ -12,14 +12,14 @@ from edit3r.contract.errors import Edit3rError, InputError, RunError, as_known
 from edit3r.kit.command.flags import add_trust_flag
 from edit3r.kit.command.results import add_common
 from edit3r.kit.files.names import require_there
-from edit3r.running.config import DEFAULTS, PART_KEYS, JobInputs, RunConfig
+from edit3r.running.config import PART_KEYS, JobInputs, RunConfig
 from edit3r.running.flags import INPUTS, add_flags, add_mark_flags, given_flags
 
 if TYPE_CHECKING:
     from edit3r.contract.reporting import Report
     from edit3r.contract.types import Views
     from edit3r.running.job import RunJob
-    from edit3r.running.loop import RunResult
+    from edit3r.running.write import RunResult
 
 
 PREVIEW = "edit3r-preview.png"
@@ -86,7 +86,7 @@ class RunCommand(Command):
 
         # As usual, half a second goes into looking through what modules made.
         gc.set_threshold(100_000, 50, 100)
-        as_text = StageConsole(args.quiet, DEFAULTS["usual_shares"])
+        as_text = StageConsole(args.quiet)
         as_json = nullcontext(print_json)
         with as_text if args.progress == "text" else as_json as console:
             report = Report(on_event=console)

@@ -1,10 +1,17 @@
-"""What a plugin says about each thing it offers, readable without importing the thing itself."""
+"""What a plugin says about each thing it offers, readable without importing the thing itself, and
+what all of these have in common once they are built.
+"""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from edit3r.contract.weights import NAME, Weights
+
+if (
+    TYPE_CHECKING
+):  # it takes a tenth of a second to import, and declarations need none of it
+    from edit3r.contract.settings import Settings
 
 KINDS = (
     "reader",
@@ -36,9 +43,7 @@ def hook_name(kind: str) -> str:
 
 @dataclass(frozen=True)
 class Component:
-    """One component on offer: its name, where its class lives, and what a user should know before
-    building it.
-    """
+    """One component on offer: its name, where its class lives, what to know before building it."""
 
     name: str  # kebab-case, unique within its kind
     target: str  # "module:Class"; imported only when the component is built
@@ -114,9 +119,7 @@ class Component:
         return "." not in self.suffix
 
     def file_name(self, scene: str = "scene") -> str:
-        """The name of a writer's file or folder beside that of a scene, whose name without its
-        suffix is given.
-        """
+        """The name of a writer's file or folder beside that of a scene (without its suffix)."""
         if not self.stem:
             return f"{scene}{self.suffix}"
         begin = self.stem if scene == "scene" else f"{scene}-{self.stem}"
@@ -127,9 +130,7 @@ _OF_WRITERS = ("suffix", "stem", "keeps", "loses")
 
 
 def _texts(who: str, field: str, value: object) -> tuple[str, ...]:
-    """A tuple of texts from any sequence of them; a lone text is refused, it would be read letter
-    by letter.
-    """
+    """A tuple of texts from any sequence of them; a lone text would be read letter by letter."""
     if (
         isinstance(value, str)
         or not isinstance(value, Sequence)
@@ -160,3 +161,19 @@ def component_name(component: Any) -> str:
     """The name it was asked for by, or its class's for an object that no plugin offers."""
     offer = getattr(component, "offer", None)
     return offer.component.name if offer is not None else type(component).__name__
+
+
+class Configured:
+    """A component: its settings, where it comes from, and the parts it was built with.
+
+    The registry constructs it as `Class(settings, **parts)` and then sets the three attributes.
+    """
+
+    settings: "Settings"
+    offer: Offer
+    parts: Mapping[str, Any]  # by kind
+
+    def __init__(self, settings: "Settings | None" = None) -> None:
+        super().__init__()
+        if settings is not None:  # a network calls this without any, and sets its own
+            self.settings = settings

@@ -1,5 +1,5 @@
 """How stages say what they are doing without knowing who listens: progress, facts for `run.json`,
-warnings.
+warnings; and what memory there is and was taken.
 
 A component calls `track`, `note` or `warn`; the pipeline installs a `Report` around each run and
 the command line shows it. Outside a run nothing is kept, so a component used on its own needs no
@@ -12,18 +12,15 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, TypeVar
-
-from edit3r.contract.memory import peak_memory_mb
 
 Item = TypeVar("Item")
 
 
 @dataclass
 class StageRecord:
-    """One finished stage: its name, wall and CPU seconds, and the process's peak memory when it
-    ended.
-    """
+    """One finished stage: its name, wall and CPU seconds, and the process's peak memory then."""
 
     name: str
     seconds: float
@@ -33,9 +30,7 @@ class StageRecord:
 
 @dataclass
 class Report:
-    """What one run collected. `on_event` is told (event, text, done, total) as things happen, for
-    progress bars.
-    """
+    """What one run collected. `on_event` hears (event, text, done, total) as things happen."""
 
     stages: list[StageRecord] = field(default_factory=list)
     notes: dict[str, Any] = field(default_factory=dict)
@@ -95,9 +90,7 @@ def note(key: str, value: Any) -> None:
 
 
 def say(key: str, text: str) -> None:
-    """Note a choice that was made for the user under `key`, such as 'matcher.picked', and show it;
-    once per text.
-    """
+    """Note a choice that was made for the user under `key`, and show it; once per text."""
     report = _current.get()
     if report is not None and report.notes.get(key) != text:
         note(key, text)
@@ -133,3 +126,35 @@ def progress(text: str, done: int, total: int) -> None:
     report = _current.get()
     if report is not None:
         report.emit("progress", text, done, total)
+
+
+def available_memory() -> int | None:
+    """Memory that programs may still take [bytes]; None where the system does not tell."""
+    table = Path("/proc/meminfo")
+    lines = table.read_text(encoding="ascii").splitlines() if table.is_file() else []
+    return next(
+        (
+            int(line.split()[1]) * 1024
+            for line in lines
+            if line.startswith("MemAvailable:")
+        ),
+        None,
+    )
+
+
+def peak_memory_mb() -> float:
+    """Peak resident memory of this process so far [MiB]; 0 where the platform does not tell."""
+    status = Path("/proc/self/status")
+    if (
+        status.is_file()
+    ):  # Linux's getrusage counts what the parent process had when it started this one
+        for line in status.read_text(encoding="utf-8").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) / 1024
+    try:
+        import resource
+        import sys
+    except ImportError:  # Windows
+        return 0.0
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (1024 * 1024 if sys.platform == "darwin" else 1024)

@@ -58,8 +58,8 @@ class Cache:
             entry = _pack(answer, tensors), tensors
             self.computed.append(name)
         else:
-            tree, kept = entry
-            answer = _unpack(tree, {n: value.to(device) for n, value in kept.items()})
+            tree, stored = entry
+            answer = _unpack(tree, {n: value.to(device) for n, value in stored.items()})
             self.reused.append(name)
         self._entries[file_name] = entry
         note("cache.reused", list(self.reused))
@@ -172,11 +172,7 @@ def identity(component: Any) -> str:
     of the plugin, without a new version, goes unnoticed.
     """
     cls: Any = type(component)
-    known: list[Any] = [
-        __version__,
-        cls.__qualname__,
-        _source_digest(cls),
-    ]
+    known: list[Any] = [__version__, cls.__qualname__, _source_digest(cls)]
     offer = getattr(component, "offer", None)
     if offer is not None:
         weights = [one.name for one in offer.component.weights if at_hand(one)]
@@ -232,9 +228,7 @@ def _weight_sums(component: Any) -> list[tuple[str, float, float]]:
 
 
 def _pack(value: Any, tensors: dict[str, Tensor]) -> Any:
-    """Turn an answer into JSON data; its tensors go into `tensors`, by a number each, as copies on
-    the CPU.
-    """
+    """Turn an answer into JSON data; copies of its tensors go into `tensors`, by a number each."""
     if isinstance(value, Tensor):
         number = str(len(tensors))
         tensors[number] = value.detach().to("cpu", copy=True)

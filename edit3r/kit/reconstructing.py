@@ -2,12 +2,7 @@
 
 from dataclasses import dataclass
 
-from edit3r.contract.interfaces import (
-    FindsGeometry,
-    Geometry,
-    Matcher,
-    Reconstructor,
-)
+from edit3r.contract.interfaces import FindsGeometry, Geometry, Matcher, Reconstructor
 from edit3r.contract.types import Reconstruction, Views
 
 

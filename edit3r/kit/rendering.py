@@ -75,9 +75,7 @@ def render_uncertainty(
 
 
 def path_around(cameras: Cameras, rendered: Rendering, frames: int) -> Cameras:
-    """A camera path between and around `cameras`, whose swing is bounded by the depth of what they
-    show.
-    """
+    """A camera path around `cameras`, whose swing is bounded by the depth of what they show."""
     # Indexing by a mask makes five whole numbers of each pixel first.
     seen = torch.masked_select(rendered.depths, rendered.alphas > 0.5)
     return between_and_around(

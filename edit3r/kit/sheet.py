@@ -1,12 +1,15 @@
 """A sheet to look at: the images of each view side by side, with captions.
 
-Such as photo, 2D edit and 3D result.
+Such as photo, 2D edit and 3D result; and outlines of masks drawn on images.
 """
 
 import math
 import textwrap
 from collections.abc import Mapping, Sequence
 
+import cv2
+import numpy as np
+import torch
 from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
@@ -14,9 +17,15 @@ from torch import Tensor
 from edit3r.contract.interfaces import OtherReadings
 from edit3r.contract.types import Rendering, Views
 from edit3r.kit.photos.images import to_bytes
-from edit3r.kit.photos.outline import outlined
 
-__all__ = ["draw_sheet", "images_of", "with_readings"]
+__all__ = [
+    "draw_outline",
+    "draw_sheet",
+    "images_of",
+    "outlined",
+    "outlined_views",
+    "with_readings",
+]
 
 _PAPER = (250, 249, 247)
 _INK = (28, 28, 30)
@@ -165,3 +174,39 @@ def _wrap(text: str, size: int, room: float, max_lines: int = 3) -> list[str]:
     per_character = max(1.0, _font(size).getlength(beginning)) / len(beginning)
     fitting = max(2, int(0.95 * room / per_character))
     return textwrap.wrap(text, fitting, max_lines=max_lines, placeholder="…")
+
+
+INSIDE, AROUND = 255, 0
+"""A white line in a black one is seen on every photo."""
+
+
+def outlined(
+    image: Float[Tensor, "3 height width"], mask: Float[Tensor, "height width"]
+) -> Float[Tensor, "3 height width"]:
+    """The image with the outline of what is above 0.5 in the mask."""
+    pixels = (image.movedim(0, -1).clamp(0, 1) * 255).round().byte().cpu().numpy()
+    pixels = np.ascontiguousarray(pixels)
+    draw_outline(pixels, (mask > 0.5).cpu().numpy())
+    return torch.from_numpy(pixels).movedim(-1, 0).to(image) / 255
+
+
+def draw_outline(pixels: np.ndarray, inside: np.ndarray) -> None:
+    """Draw the outline of a mask of booleans into bytes: [height, width, 3] of RGB, or
+    [height, width, 2] of grey and opacity.
+    """
+    mask = inside.astype(np.uint8)
+    contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    width = max(1, round(max(inside.shape) / 400))  # [pixels]
+    for shade, times in ((AROUND, 3), (INSIDE, 1)):
+        colour = (shade, 255) if pixels.shape[-1] == 2 else (shade,) * 3
+        cv2.drawContours(pixels, contours, -1, colour, times * width, cv2.LINE_AA)
+
+
+def outlined_views(
+    images: Float[Tensor, "view 3 height width"],
+    masks: Float[Tensor, "view height width"] | None,
+) -> Float[Tensor, "view 3 height width"]:
+    """The images with the outlines of their masks, where there are any."""
+    if masks is None:
+        return images
+    return torch.stack([outlined(*pair) for pair in zip(images, masks)])

@@ -1,6 +1,4 @@
-"""Who does the jobs of `edit3r.kit.workers`: processes of this machine, or actors of a Ray
-cluster.
-"""
+"""Who does the jobs of `edit3r.kit.workers`: processes of this machine, or actors on Ray."""
 
 import logging
 import multiprocessing
@@ -101,9 +99,7 @@ def pool_of(task: Task, workers: Workers) -> WorkerPool:
 
 
 class InProcesses:
-    """Workers as new processes of this machine; forking one that has used torch's threads can
-    hang.
-    """
+    """Workers as new processes: forking one that has used torch's threads can hang."""
 
     tries = 1  # what a job did to one process, it does to the next one on this machine
 
@@ -178,9 +174,7 @@ class _Actor:
 
 
 class OnRay:
-    """Workers as actors of the Ray cluster that RAY_ADDRESS names, else one here; all nodes must
-    see the same paths.
-    """
+    """Workers as actors of the Ray cluster of RAY_ADDRESS, else one here; nodes share all paths."""
 
     tries = 2  # a node may have gone away, which is not the job's fault
 
@@ -218,9 +212,9 @@ class OnRay:
     def first(self, tickets: list[Any], any_ready: bool) -> Any:
         """Raises RunError where the cluster has no room for one worker in `MOST_WAIT` seconds."""
         timeout = None if any_ready else MOST_WAIT
-        found, _ = self._ray.wait(tickets, num_returns=1, timeout=timeout)
-        if found:
-            return found[0]
+        ready, _ = self._ray.wait(tickets, num_returns=1, timeout=timeout)
+        if ready:
+            return ready[0]
         has = {
             name: round(amount, 2)
             for name, amount in self._ray.cluster_resources().items()

@@ -1,6 +1,4 @@
-"""Does a component keep what its declaration promises? Asked by `list-plugins --check`, `doctor`
-and contract tests.
-"""
+"""Does a component keep what its declaration promises? For `--check`, `doctor`, contract tests."""
 
 import inspect
 from typing import Any
@@ -19,8 +17,7 @@ choose them.
 
 
 def check_offer(registry: Registry, offer: Offer) -> str:
-    """Import the component's class and check it against its interface; '' or what is wrong in one
-    sentence.
+    """Check a component's class against its interface; '' or what is wrong in one sentence.
 
     A component whose requirements are not installed is not checked: `Registry.missing` tells of
     that.
@@ -140,9 +137,7 @@ def _check_parts(offer: Offer, cls: type, settings: type[Settings]) -> str:
 
 
 def _check_view_limits(offer: Offer, cls: Any) -> str:
-    """A reconstructor says its limits twice: in the declaration, and on the class the pipeline
-    asks.
-    """
+    """A reconstructor says its limits twice: in its declaration, and on the class a run asks."""
     if offer.kind != "reconstructor":
         return ""
     declared = (offer.component.min_views, offer.component.max_views)

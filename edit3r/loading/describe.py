@@ -72,9 +72,7 @@ def settings_lines(cls: type[Settings]) -> tuple[SettingLine, ...]:
 
 
 def yaml_example(offer: Offer, cls: type[Settings]) -> str:
-    """The component with its defaults as a configuration's YAML, each setting explained in a
-    comment.
-    """
+    """The component with its defaults as YAML, each setting explained in a comment."""
     rows = [(f"  name: {offer.component.name}", "")]
     for line in settings_lines(cls):
         comment = f"{line.sentence} ({line.allowed})" if line.sentence else line.allowed
@@ -143,12 +141,12 @@ def type_in_words(annotation: Any) -> str:
 
 def _range(field: FieldInfo) -> str:
     """Bounds from pydantic's constraints."""
-    found = [
+    bounds = [
         (sign, getattr(bound, name, None))
         for name, sign in BOUNDS
         for bound in field.metadata
     ]
-    return ", ".join(f"{sign} {bound:g}" for sign, bound in found if bound is not None)
+    return ", ".join(f"{sign} {bound:g}" for sign, bound in bounds if bound is not None)
 
 
 def _plain(value: Any) -> Any:
@@ -177,9 +175,7 @@ def _flow(value: Any) -> str:
 
 
 def _under_its_key(kind: str, body: list[str]) -> list[str]:
-    """Indent below the key where a configuration chooses this kind; a run has a list of
-    refiners.
-    """
+    """Indent below the key where a configuration chooses this kind; refiners are a list."""
     if kind == "refiner":
         return [
             "refiners:",

@@ -41,9 +41,7 @@ class LoadedPlugins:
 
 
 def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
-    """Load every installed plugin and the named local files or package folders (`--plugin
-    path/to/file.py`).
-    """
+    """Load every installed plugin, and local files or folders (`--plugin path/to/file.py`)."""
     manager = pluggy.PluginManager(ENTRY_POINT_GROUP)
     manager.add_hookspecs(hookspecs)
     offers: list[Offer] = []
@@ -94,11 +92,7 @@ def _local(
                 f"--plugin {file}: no such file; expected a Python module with edit3r hooks, or "
                 "a package's folder."
             )
-        yield (
-            path.stem,
-            "",
-            partial(_import_file, path.stem, source),
-        )
+        yield (path.stem, "", partial(_import_file, path.stem, source))
 
 
 def _import_file(name: str, path: Path) -> ModuleType:
@@ -128,9 +122,7 @@ def _import_file(name: str, path: Path) -> ModuleType:
 def _offers(
     manager: pluggy.PluginManager, name: str, version: str, module: ModuleType
 ) -> list[Offer]:
-    """Register one plugin and collect what it offers; raises with the reason when anything is
-    off.
-    """
+    """Register one plugin and collect what it offers; raises with the reason where it is off."""
     if manager.is_registered(module):  # a local file that is installed too
         return []
     _check_api(getattr(module, "EDIT3R_API", hookspecs.API_VERSION))

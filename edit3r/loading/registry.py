@@ -27,6 +27,7 @@ from edit3r.contract.errors import (
 from edit3r.contract.reporting import warn
 from edit3r.contract.settings import PartChoice, Settings, make_settings
 from edit3r.contract.torch_state import in_usual_torch
+from edit3r.contract.weights import Weights
 from edit3r.kit.weights.find import at_hand
 from edit3r.loading.load import LoadedPlugins, PluginFailure, load_plugins
 
@@ -61,9 +62,7 @@ class Registry:
         )
 
     def clashes(self) -> list[str]:
-        """A sentence for each kind and name that several plugins offer: it must be asked for as
-        `plugin:name`.
-        """
+        """A sentence for each kind and name that several plugins offer: ask for `plugin:name`."""
         groups: dict[tuple[str, str], list[Offer]] = {}
         for offer in self.offers():
             groups.setdefault((offer.kind, offer.component.name), []).append(offer)
@@ -75,21 +74,19 @@ class Registry:
         ]
 
     def find(self, kind: str, name: str) -> Offer:
-        """The offer called `name` or `plugin:name`; raises UnknownComponentError with what to
-        do.
-        """
+        """The offer called `name` or `plugin:name`; else UnknownComponentError."""
         offers = self.offers(kind)
-        found = [
+        called_so = [
             offer
             for offer in offers
             if name in (offer.component.name, offer.qualified_name)
         ]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            ways = " or ".join(repr(offer.qualified_name) for offer in found)
+        if len(called_so) == 1:
+            return called_so[0]
+        if called_so:
+            ways = " or ".join(repr(offer.qualified_name) for offer in called_so)
             raise UnknownComponentError(
-                f"{kind} {name!r} is offered by {len(found)} plugins; ask for {ways}."
+                f"{kind} {name!r} is offered by {len(called_so)} plugins; ask for {ways}."
             )
         known = [offer.component.name for offer in offers]
         if not known:
@@ -118,18 +115,14 @@ class Registry:
         )
 
     def ready(self, kind: str, name: str, *weights: str) -> bool:
-        """Whether a component can be used here and now: installed, and any of its weights called
-        so at hand.
-        """
+        """Whether a component is installed, with any of its weights called so at hand."""
         offer = self.find(kind, name)
         return not self.missing(offer) and any(
             at_hand(w) for w in offer.component.weights if w.name in weights
         )
 
     def load_class(self, offer: Offer) -> type:
-        """Import the component's class; raises MissingDependencyError or PluginError with the way
-        out.
-        """
+        """Import the component's class; raises MissingDependencyError or PluginError."""
         missing = self.missing(offer)
         absent = absent_device(offer.component) if missing else ""
         if absent:
@@ -183,51 +176,33 @@ class Registry:
         the settings'. The result carries what it was built from as `.settings`, `.offer` and
         `.parts`.
         """
-        return self._build(
-            kind, name, settings, dict(parts or {}), built={}, where=kind
-        )
+        choice = PartChoice(name=name, settings=settings)
+        return self._build(kind, choice, parts or {}, {}, where=kind)
 
     def build_choice(
         self, kind: str, choice: PartChoice, parts: Mapping[str, Any] | None = None
     ) -> Any:
         """Build the component that a configuration chose; its settings may have any names."""
-        return self._build(
-            kind,
-            choice.name,
-            dict(choice.settings),
-            dict(parts or {}),
-            built={},
-            where=_key(kind, choice.name),
-        )
+        return self._build(kind, choice, parts or {}, {}, _key(kind, choice.name))
 
     def check(self, kind: str, choice: PartChoice) -> Settings:
-        """The settings; raises what building the component would raise about its name, its packages
-        and them.
-        """
-        offer = self.find(kind, choice.name)
-        return self._settings(offer, choice.settings, _key(kind, choice.name))
-
-    def _settings(
-        self, offer: Offer, values: Mapping[str, Any], where: str
-    ) -> Settings:
-        cls = self.settings_class(offer)
-        return make_settings(cls, values, where)
+        """The settings; raises what building the component would raise about its name and them."""
+        cls = self.settings_class(self.find(kind, choice.name))
+        return make_settings(cls, choice.settings, _key(kind, choice.name))
 
     @in_usual_torch
     def _build(
         self,
         kind: str,
-        name: str,
-        values: dict,
-        given: dict,
-        built: dict[str, Any],
+        choice: PartChoice,
+        given: Mapping[str, Any],
+        built: Mapping[str, Any],
         where: str,
     ) -> Any:
-        """`where` is the key of this component in a configuration, such as
-        'reconstructor.backbone'.
-        """
-        offer = self.find(kind, name)
-        cls, settings = self.load_class(offer), self._settings(offer, values, where)
+        """`where` is this component's key in a configuration, such as 'reconstructor.backbone'."""
+        offer = self.find(kind, choice.name)
+        cls = self.load_class(offer)
+        settings = make_settings(self.settings_class(offer), choice.settings, where)
         siblings = dict(built)
         parts: dict[str, Any] = {}
         for part in offer.component.parts:
@@ -255,8 +230,8 @@ class Registry:
         offer: Offer,
         settings: Settings,
         part: str,
-        given: dict,
-        siblings: dict[str, Any],
+        given: Mapping[str, Any],
+        siblings: Mapping[str, Any],
         where: str,
     ) -> Any:
         choice = given.get(part, siblings.get(part, getattr(settings, part, None)))
@@ -269,9 +244,7 @@ class Registry:
             choice = PartChoice.model_validate(choice)
         if not isinstance(choice, PartChoice):
             return choice
-        return self._build(
-            part, choice.name, dict(choice.settings), given, siblings, where
-        )
+        return self._build(part, choice, given, siblings, where)
 
 
 def absent_device(component: Component) -> str:
@@ -334,3 +307,13 @@ def build(
 def components(kind: str | None = None) -> list[Offer]:
     """What is available of one kind, or of all, without importing any of it."""
     return default_registry().offers(kind)
+
+
+def declared(local_files: tuple[str, ...] = ()) -> dict[str, Weights]:
+    """All weights that installed components name, by name; those of plugins in local files too."""
+
+    by_name: dict[str, Weights] = {}
+    for offer in default_registry(local_files).offers():
+        for weights in offer.component.weights:
+            by_name.setdefault(weights.name, weights)
+    return dict(sorted(by_name.items()))

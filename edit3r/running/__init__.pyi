@@ -17,6 +17,7 @@ from .earlier import (
     read_earlier_run as read_earlier_run,
     read_views_of_run as read_views_of_run,
 )
+from .editors import instructions_for as instructions_for, usual_reader as usual_reader
 from .flags import (
     add_flags as add_flags,
     add_mark_flags as add_mark_flags,
@@ -28,16 +29,8 @@ from .geometry import (
     geometry_answer as geometry_answer,
     geometry_of as geometry_of,
 )
-from .job import (
-    RunJob as RunJob,
-    job_from as job_from,
-)
-from .loop import (
-    RunResult as RunResult,
-    preview as preview,
-    preview_photo as preview_photo,
-    run as run,
-)
+from .job import RunJob as RunJob, job_from as job_from
+from .loop import preview as preview, preview_photo as preview_photo, run as run
 from .parts import Parts as Parts
 from .quality import (
     PRESETS as PRESETS,
@@ -46,18 +39,11 @@ from .quality import (
     Quality as Quality,
     write_quality as write_quality,
 )
-from .reading import (
-    instructions_for as instructions_for,
-    usual_reader as usual_reader,
-)
 from .records import Preview as Preview
-from .saved import (
-    SavedScene as SavedScene,
-    write_saved as write_saved,
-)
-from .selecting.call import (
-    select_with as select_with,
-    usual_selector as usual_selector,
-)
+from .selecting.call import select_with as select_with, usual_selector as usual_selector
 from .selecting.marks import MarkTexts as MarkTexts
-from .write import write_result as write_result
+from .write import (
+    RunResult as RunResult,
+    write_result as write_result,
+    write_scene as write_scene,
+)

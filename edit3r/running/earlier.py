@@ -1,5 +1,4 @@
-"""The folder of an earlier run, read so that a further edit can go on from its scene (`edit3r run
---from DIR`).
+"""The folder of an earlier run, read so that a further edit can go on from its scene.
 
 Everything comes from the files that people see: `inputs/`, `edited/`, `scene.ply`, `cameras.json`
 and `run.json`. Undo is `--from` of the run before. The folder may come from a stranger: names are
@@ -68,9 +67,7 @@ class EarlierRun:
 
 
 def note_views(views: Views) -> None:
-    """Note for run.json what `read_earlier_run` needs beside the images; numbers survive
-    exactly.
-    """
+    """Note for run.json what `read_earlier_run` needs beside the images; numbers stay exact."""
     c2w = None if views.c2w is None else views.c2w[0].tolist()
     facts = {
         "names": list(views.names),
@@ -96,9 +93,7 @@ def read_earlier_run(root: str | Path, trusted: bool = False) -> EarlierRun:
 
 
 def read_views_of_run(root: str | Path) -> tuple[Views, Views]:
-    """The unedited and the edited views of a run folder, without its scene; errors are those of
-    `read_earlier_run`.
-    """
+    """The unedited and the edited views of a run folder, without its scene."""
     return _read(root, _views_of_run)
 
 

@@ -1,7 +1,8 @@
-"""Which editor carries out which instruction of the prompt."""
+"""The sentence of a run, read once into instructions, and which editor carries out which."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from itertools import groupby
 
 from edit3r.contract.component import Offer, component_name
@@ -11,9 +12,10 @@ from edit3r.contract.interfaces import Editor, EditsRegions, EditToJudge, Reader
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import EditRequest
+from edit3r.kit.checks import check_instructions, errors_named_after
 from edit3r.kit.weights.find import at_hand
-from edit3r.loading.registry import Registry
-from edit3r.running.reading import instructions_for, read
+from edit3r.loading.registry import Registry, default_registry
+from edit3r.running.config import DEFAULTS
 from edit3r.running.records import EditedPhotos, Inputs, SelectedRegions
 
 
@@ -187,3 +189,51 @@ def _nobody(instruction: Instruction, reader: Reader, registry: Registry) -> str
             "list-plugins --kind editor says what each needs)."
         )
     return f"{reason}.{reader.hint(instruction)} {reader.abilities}{more}"
+
+
+@cache
+def usual_reader() -> Reader:
+    """The reader that a run takes where none is named."""
+    return default_registry().build_choice(
+        "reader", PartChoice(name=DEFAULTS["reader"])
+    )
+
+
+def read(prompt: str, reader: Reader | None = None) -> tuple[Instruction, ...]:
+    """The instructions of a sentence, by `reader` or the usual one.
+
+    Raises PromptError for one that asks for nothing.
+    """
+    reader = reader or usual_reader()
+    if not prompt.strip():
+        raise PromptError(
+            "nothing is asked for; say it with --prompt, or take --editor none for the photos as "
+            f"they are. {reader.abilities}"
+        )
+    with errors_named_after(reader):
+        instructions = reader.read(prompt)
+    check_instructions(reader, instructions)
+    return instructions
+
+
+def instructions_for(
+    editor: Editor, prompt: str, reader: Reader | None = None
+) -> tuple[Instruction, ...]:
+    """What a chosen editor is asked, by `reader` or the usual one.
+
+    () where the sentence cannot be read and the editor takes any; the others raise PromptError.
+    """
+    regional = isinstance(editor, EditsRegions)
+    if not prompt.strip():
+        instruction = (
+            editor.instruction_of_nothing()
+            if isinstance(editor, EditsRegions)
+            else None
+        )
+        return () if instruction is None else (instruction,)
+    try:
+        return read(prompt, reader)
+    except PromptError:
+        if regional:
+            raise
+        return ()

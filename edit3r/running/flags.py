@@ -19,9 +19,7 @@ OUTLINE = ("larger", "grow", "invert", "reading")
 
 
 def add_flags(parser: argparse.ArgumentParser, cls: type[Settings]) -> None:
-    """Add the flags of a settings class; none of them has a default, so that it can be told what
-    was said.
-    """
+    """Add the flags of a settings class; none has a default, to tell what was said."""
     for name, field in cls.model_fields.items():
         form = _form(field)
         if form is None or name in OUTLINE:

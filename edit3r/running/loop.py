@@ -1,26 +1,20 @@
-"""One run from photos to Gaussians: its steps, and its result."""
+"""One run from photos to Gaussians: its steps."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 from jaxtyping import Float
-from PIL import Image
 from torch import Tensor
 
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.torch_state import in_usual_torch, require_device
-from edit3r.contract.types import Reconstruction, Views
+from edit3r.contract.types import Views
 from edit3r.kit.cache import Cache, using
-from edit3r.kit.files.atomic import atomic_folder
 from edit3r.loading.registry import Registry, default_registry
 from edit3r.running.config import check_components
-from edit3r.running.earlier import EarlierRun
 from edit3r.running.job import RunJob
 from edit3r.running.parts import Parts, undone, with_reader
 from edit3r.running.quality import note_quality
-from edit3r.running.record import RunRecord
 from edit3r.running.records import Inputs, Preview, Records
 from edit3r.running.scale import to_given_scale, to_working_scale
 from edit3r.running.steps.edit import edit, edit_alone
@@ -30,55 +24,7 @@ from edit3r.running.steps.read import read
 from edit3r.running.steps.reconstruct import reconstruct
 from edit3r.running.steps.refine import refine
 from edit3r.running.steps.select import as_many_as_fit, load, select
-from edit3r.running.write import as_html, comparison, open_viewer, write_result
-
-
-@dataclass(frozen=True, repr=False)
-class RunResult(RunRecord):
-    """What a run made, in memory. In a notebook it shows the sheet and the viewer."""
-
-    @in_usual_torch
-    def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
-        """Write what `edit3r run` leaves into `folder`, which appears whole or not at all."""
-        with atomic_folder(folder, overwrite) as root:
-            write_result(root, self)
-        return Path(folder)
-
-    def as_earlier(self) -> EarlierRun:
-        """This run as what a further edit starts from."""
-        choice, matcher = self.config.reconstructor, self.config.matcher
-        return EarlierRun(
-            photos=self.photos,
-            edited=self.edited,
-            scene=Reconstruction(self.gaussians, self.cameras),
-            prompts=self.records.inputs.prompts,
-            records=self.records.inputs.files,
-            reconstructor={"name": choice.name, **choice.settings},
-            matcher={"name": matcher.name, **matcher.settings},
-            frames=self.config.frames,
-            things=self.records.selection.things,
-        )
-
-    @in_usual_torch
-    def view(self) -> Path:
-        """Open the scene in the browser; returns the page, a temporary file."""
-        return open_viewer(self)
-
-    @in_usual_torch
-    def compare(self, other: "RunResult") -> Image.Image:
-        """A sheet of the photos, this scene and an `other` of the same photos.
-
-        Raises InputError for a result of other photos.
-        """
-        return comparison(self, other)
-
-    def __repr__(self) -> str:
-        made = f"{self.gaussians.count:,} Gaussians from {self.photos.count} photos"
-        return f"RunResult({self.verdict.label}: {made}, {self.config.prompt!r})"
-
-    @in_usual_torch
-    def _repr_html_(self) -> str:
-        return as_html(self)
+from edit3r.running.write import RunResult
 
 
 @in_usual_torch

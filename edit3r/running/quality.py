@@ -14,7 +14,7 @@ from pydantic import Field
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.reporting import note
 from edit3r.contract.settings import Settings, make_settings, merge
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import read_yaml
 
 PRESETS = ("fast", "balanced", "best")  # quickest first
 
@@ -42,6 +42,17 @@ class Expected(Settings):
     )
     psnr: float = Field(description="novel view [dB]")
     ssim: float = Field(description="novel view")
+    lpips: float | None = Field(
+        None,
+        description="novel view, by the weights that `measured` names; None: not measured",
+    )
+
+    @property
+    def accuracy(self) -> float:
+        """What points are ranked by, more is better: LPIPS turned round, since PSNR hardly tells
+        sharp from blurred; PSNR where LPIPS was not measured.
+        """
+        return self.psnr if self.lpips is None else -self.lpips
 
 
 class MeasuredPoint(Settings):
@@ -59,8 +70,8 @@ class MeasuredPoint(Settings):
 
     @property
     def accuracy(self) -> float:
-        """PSNR [dB], mean over the kinds of scene."""
-        return sum(e.psnr for e in self.expected.values()) / len(self.expected)
+        """Mean over the kinds of scene."""
+        return sum(e.accuracy for e in self.expected.values()) / len(self.expected)
 
 
 class Quality(Settings):

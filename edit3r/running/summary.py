@@ -6,17 +6,10 @@ from pathlib import Path
 from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.run_folder import RunFolder
 from edit3r.running.config import RunConfig, make_run_config
-from edit3r.running.loop import RunResult
 from edit3r.running.records import SelectedRegions
+from edit3r.running.write import RunResult
 
-MAKES_NO_OTHER_SCENE = {
-    "prompt",
-    "seed",
-    "frames",
-    "outputs",
-    "export",
-    "sure",
-}
+MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "sure"}
 """Settings that may differ from the defaults without the run being another kind of run."""
 
 BEST_COSTS, LARGE_COSTS = "half as long again", "four to five times as long"  # dial.py
@@ -61,10 +54,9 @@ def _sharper(result: RunResult) -> list[str]:
     best = min(longest, make_run_config({"quality": "best"}).size)
     if best <= usual.size:
         return [f"  sharper      --quality best takes {BEST_COSTS}"]
-    return [
-        f"  sharper      --quality best, which shows {best} of the photos' {longest} pixels, "
-        f"takes {LARGE_COSTS}"
-    ]
+    scaled = f"scales photos to {best} pixels and not {usual.size}"
+    shown = "shows photos at their full size" if best == longest else scaled
+    return [f"  sharper      --quality best {shown}, and takes {LARGE_COSTS}"]
 
 
 def _named_settings(result: RunResult) -> str:

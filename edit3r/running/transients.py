@@ -163,9 +163,7 @@ class _Scene:
         return same & (_beyond(self.images[one], least, most) < ALIKE)
 
     def _passing_in(self, view: int, sure: dict[int, Mask]) -> Mask:
-        """What passed in one view; `sure` are the pixels of others that some third view agrees
-        with.
-        """
+        """What passed in one view; `sure` are pixels of others that some third view agrees with."""
         tell = torch.zeros_like(self.measured[view], dtype=torch.int32)
         alike = torch.zeros_like(self.measured[view])
         surface = torch.full_like(self.depths[view], torch.inf)
@@ -187,9 +185,7 @@ class _Scene:
         return _grown(found, ~self.measured[view], told)
 
     def _drawn(self, other: int, mask: Mask, view: int) -> tuple[Tensor, Tensor]:
-        """Depth (infinite: none) and colour of what `other` shows, drawn into `view` point by
-        point.
-        """
+        """Depth (infinite: none) and colour of what `other` shows, drawn into `view` by points."""
         height, width = mask.shape
         grid, z = self._seen(self.points[other][mask], view)
         inside = (z > 0) & ((grid > 0) & (grid < 1)).all(-1)
@@ -208,9 +204,7 @@ class _Scene:
     def _could_stand_nowhere(
         self, view: int, piece: Mask, surface: Tensor, sure: dict[int, Mask]
     ) -> float:
-        """Share of a piece's rays on which some other view sees through every place before the
-        surface.
-        """
+        """Share of a piece's rays on which another view sees through all before the surface."""
         far = 1 / surface[piece]
         near = self.depths[self.measured].quantile(0.02) * NEAREST
         centre = self.c2w[view, :3, 3]
@@ -233,22 +227,22 @@ def _beyond(colours: Tensor, least: Tensor, most: Tensor) -> Tensor:
     return ((colours - most).clamp(min=0) + (least - colours).clamp(min=0)).mean(0)
 
 
-def _grown(found: Mask, unmeasured: Mask, told: Mask) -> Mask:
+def _grown(seeds: Mask, unmeasured: Mask, known_behind: Mask) -> Mask:
     """What was `found`, and the unmeasured pieces that much of was found: the rest of a thing may
     look like what others show behind it. Where others show nothing behind, a piece is no thing's
     rest, and nothing of one that is too large is a thing.
     """
     _, labels = cv2.connectedComponents(_opened(unmeasured))
-    behind = dilate(told[None].float(), 2)[0] > 0
-    area, known, shown = (
+    behind = dilate(known_behind[None].float(), 2)[0] > 0
+    area, seeded, shown = (
         np.bincount(labels[mask], minlength=labels.max() + 1)
-        for mask in (np.ones_like(labels, bool), found.numpy(), behind.numpy())
+        for mask in (np.ones_like(labels, bool), seeds.numpy(), behind.numpy())
     )
-    grown = (known * MOST_GROWTH >= area) & (shown >= BEHIND * area)
+    grown = (seeded * MOST_GROWTH >= area) & (shown >= BEHIND * area)
     grown[0] = False
     large = area > LARGEST * labels.size
-    kept = found.numpy() & ~(grown & large)[labels]
-    return torch.from_numpy(kept | (grown & ~large)[labels])
+    remaining = seeds.numpy() & ~(grown & large)[labels]
+    return torch.from_numpy(remaining | (grown & ~large)[labels])
 
 
 def _opened(mask: Mask) -> np.ndarray:

@@ -1,5 +1,5 @@
-"""What a run leaves behind: one folder of files people can open. The names of its own are those of
-`edit3r.kit.run_folder`; all others are made by writers.
+"""What a run leaves behind: its result in memory, and one folder of files people can open. The
+names of its own are those of `edit3r.kit.run_folder`; all others are made by writers.
 """
 
 import base64
@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
+from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,20 +22,25 @@ from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
     DRAWING,
+    Editor,
     OtherReadings,
+    Rasterizer,
     Reading,
+    Reconstructor,
     SceneToWrite,
     SecondLook,
     Selected,
     Writer,
 )
-from edit3r.contract.reporting import collecting, note, warn
-from edit3r.contract.types import Views
-from edit3r.contract.verdicts import EditVerdict
+from edit3r.contract.reporting import Report, collecting, note, warn
+from edit3r.contract.torch_state import in_usual_torch
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
+from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
+from edit3r.kit.cache import Cache
 from edit3r.kit.checks import check_needs, check_written, errors_named_after
+from edit3r.kit.files.atomic import atomic_folder
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image, save_pixels, to_bytes
-from edit3r.kit.photos.outline import outlined_views
 from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.kit.run_folder import (
     PluginRecord,
@@ -44,18 +50,135 @@ from edit3r.kit.run_folder import (
     write_manifest,
 )
 from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
-from edit3r.kit.sheet import draw_sheet, images_of, with_readings
+from edit3r.kit.sheet import draw_sheet, images_of, outlined_views, with_readings
 from edit3r.running.before import colours_before
-from edit3r.running.config import DEFAULTS
-from edit3r.running.earlier import CACHE, THINGS, note_views
-from edit3r.running.record import RunRecord
-from edit3r.running.records import Preview, SelectedRegions
+from edit3r.running.config import DEFAULTS, RunConfig
+from edit3r.running.earlier import CACHE, THINGS, EarlierRun, note_views
+from edit3r.running.parts import Parts
+from edit3r.running.records import Masks, Preview, Records, SelectedRegions
 
 FITS = 15.0
 """PSNR [dB] of a photo in the scene from which the camera path comes near it."""
 
 
-def write_result(root: Path, result: RunRecord) -> None:
+@dataclass(frozen=True, repr=False)
+class RunResult:
+    """A finished run in memory: the records of its steps, and what made them.
+
+    In a notebook it shows the sheet and the viewer.
+    """
+
+    records: Records = field(repr=False)
+    parts: Parts
+    report: Report
+    cache: Cache  # answers that a further run on the same photos need not compute again
+
+    @property
+    def config(self) -> RunConfig:
+        return self.parts.config
+
+    @property
+    def photos(self) -> Views:
+        """The views that were used and placed, unedited."""
+        return self.records.inputs.photos
+
+    @property
+    def edited(self) -> Views:
+        """The views after the 2D editor and the composite with the masks."""
+        return self.records.edit.views
+
+    @property
+    def masks(self) -> Masks | None:
+        """Where pixels might change; None: everywhere."""
+        return self.records.made.masks
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The edited scene, in the frame of view 0."""
+        return self.records.gaussians
+
+    @property
+    def cameras(self) -> Cameras:
+        """Poses of the input views in that frame, at the views' size."""
+        return self.records.made.cameras.at(self.photos.image_size)
+
+    @property
+    def rendered(self) -> Rendering:
+        """The scene from the input views."""
+        return self.records.judged.rendered
+
+    @property
+    def verdict(self) -> Verdict:
+        """Whether the scene holds."""
+        return self.records.judged.verdict
+
+    @property
+    def edit_verdict(self) -> EditVerdict | None:
+        """How the edit was carried out on what was selected; None where none was asked for."""
+        return self.records.judged.edit_verdict
+
+    @property
+    def selection_verdict(self) -> SelectionVerdict | None:
+        """What was selected and how likely it is what was meant; None: nothing was looked for."""
+        return self.records.selection.verdict
+
+    @property
+    def editor(self) -> Editor:
+        return self.parts.editor
+
+    @property
+    def reconstructor(self) -> Reconstructor:
+        return self.parts.reconstructor
+
+    @property
+    def rasterizer(self) -> Rasterizer:
+        return self.parts.rasterizer
+
+    @in_usual_torch
+    def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
+        """Write what `edit3r run` leaves into `folder`, which appears whole or not at all."""
+        with atomic_folder(folder, overwrite) as root:
+            write_result(root, self)
+        return Path(folder)
+
+    def as_earlier(self) -> EarlierRun:
+        """This run as what a further edit starts from."""
+        choice, matcher = self.config.reconstructor, self.config.matcher
+        return EarlierRun(
+            photos=self.photos,
+            edited=self.edited,
+            scene=Reconstruction(self.gaussians, self.cameras),
+            prompts=self.records.inputs.prompts,
+            records=self.records.inputs.files,
+            reconstructor={"name": choice.name, **choice.settings},
+            matcher={"name": matcher.name, **matcher.settings},
+            frames=self.config.frames,
+            things=self.records.selection.things,
+        )
+
+    @in_usual_torch
+    def view(self) -> Path:
+        """Open the scene in the browser; returns the page, a temporary file."""
+        return open_viewer(self)
+
+    @in_usual_torch
+    def compare(self, other: "RunResult") -> Image.Image:
+        """A sheet of the photos, this scene and an `other` of the same photos.
+
+        Raises InputError for a result of other photos.
+        """
+        return comparison(self, other)
+
+    def __repr__(self) -> str:
+        made = f"{self.gaussians.count:,} Gaussians from {self.photos.count} photos"
+        return f"RunResult({self.verdict.label}: {made}, {self.config.prompt!r})"
+
+    @in_usual_torch
+    def _repr_html_(self) -> str:
+        return as_html(self)
+
+
+def write_result(root: Path, result: RunResult) -> None:
     """Render and write what the run's `outputs` and `export` ask for into the existing folder
     `root`, and `run.json`.
     """
@@ -90,7 +213,7 @@ def write_scene(writer: Writer, path: Path, scene: SceneToWrite) -> None:
     check_written(writer, path)
 
 
-def as_html(result: RunRecord) -> str:
+def as_html(result: RunResult) -> str:
     """The sheet and the viewer as one piece of HTML that needs no other file, for notebooks."""
     with tempfile.TemporaryDirectory() as folder:
         picture, page = (
@@ -107,7 +230,7 @@ def as_html(result: RunRecord) -> str:
     )
 
 
-def open_viewer(result: RunRecord) -> Path:
+def open_viewer(result: RunResult) -> Path:
     """Write the viewer's page to a temporary file and open it in the browser."""
     import webbrowser
 
@@ -116,7 +239,7 @@ def open_viewer(result: RunRecord) -> Path:
     return page
 
 
-def _shown(result: RunRecord, what: str, folder: Path) -> Path:
+def _shown(result: RunResult, what: str, folder: Path) -> Path:
     """The file in `folder` that the writer of the picture, or of the page, made."""
     writer = result.parts.writer(DEFAULTS["shown"][what])
     _write_by([writer], folder, _scene(result))
@@ -128,7 +251,7 @@ def _write_by(writers: Iterable[Writer], root: Path, scene: SceneToWrite) -> Non
         write_scene(writer, root / writer.offer.component.file_name(), scene)
 
 
-def _scene(result: RunRecord, flight: Flight | None = None) -> SceneToWrite:
+def _scene(result: RunResult, flight: Flight | None = None) -> SceneToWrite:
     """What is known of the scene; with `flight`, for writers that draw."""
     masks, render = result.masks, None
     if flight is not None:
@@ -154,7 +277,7 @@ def _scene(result: RunRecord, flight: Flight | None = None) -> SceneToWrite:
     )
 
 
-def _look_before(result: RunRecord) -> SecondLook:
+def _look_before(result: RunResult) -> SecondLook:
     in_one_exposure = result.records.located.in_one_exposure
     photos, edited = map(in_one_exposure, (result.photos, result.edited))
     colours = colours_before(
@@ -163,17 +286,17 @@ def _look_before(result: RunRecord) -> SecondLook:
     return SecondLook(colours)
 
 
-def _flight(folder: RunFolder, result: RunRecord) -> Flight:
+def _flight(folder: RunFolder, result: RunResult) -> Flight:
     path = path_around(
         result.cameras.select(_good_views(result)),
         result.rendered,
         result.config.frames,
     )
-    pictures = folder.renders if "frames" in result.config.written else None
+    pictures = folder.made("renders") if "frames" in result.config.written else None
     return Flight(result.rasterizer, result.gaussians, path, pictures)
 
 
-def _good_views(result: RunRecord) -> list[int]:
+def _good_views(result: RunResult) -> list[int]:
     """View 0 and the views whose photos fit the others; the camera path stays near these."""
     agreement = [psnr for psnr in result.verdict.agreement if psnr is not None]
     good = [view for view, psnr in enumerate(agreement) if view == 0 or psnr >= FITS]
@@ -181,7 +304,7 @@ def _good_views(result: RunRecord) -> list[int]:
 
 
 @torch.no_grad()
-def _write_rest(folder: RunFolder, result: RunRecord, writers: list[Writer]) -> None:
+def _write_rest(folder: RunFolder, result: RunResult, writers: list[Writer]) -> None:
     """Write all that is not drawn."""
     wanted = result.config.written
     if "cache" in wanted:
@@ -194,7 +317,7 @@ def _write_rest(folder: RunFolder, result: RunRecord, writers: list[Writer]) -> 
     _write_by(writers, folder.root, _scene(result))
 
 
-def _write_scene(folder: RunFolder, result: RunRecord) -> None:
+def _write_scene(folder: RunFolder, result: RunResult) -> None:
     """`scene.ply` is for viewers, and common ones refuse harmonics above degree 3."""
     if result.gaussians.degree > VIEWER_DEGREE:
         was = result.gaussians.degree
@@ -213,12 +336,12 @@ def _write_scene(folder: RunFolder, result: RunRecord) -> None:
     write_cameras(folder.cameras, posed_cameras(result.cameras, names))
 
 
-def _write_images(folder: RunFolder, result: RunRecord) -> None:
+def _write_images(folder: RunFolder, result: RunResult) -> None:
     """Write photos, 2D edits and the scene from the photos' places."""
     shown = {
-        folder.inputs: images_of(result.photos),
-        folder.edited: images_of(result.edited),
-        folder.renders: images_of(result.rendered),
+        folder.made("inputs"): images_of(result.photos),
+        folder.made("edited"): images_of(result.edited),
+        folder.made("renders"): images_of(result.rendered),
     }
     jobs = [
         (picture, directory / f"{name}.png")
@@ -229,11 +352,11 @@ def _write_images(folder: RunFolder, result: RunRecord) -> None:
         list(pool.map(lambda job: save_image(*job), jobs))
 
 
-def _write_masks(folder: RunFolder, result: RunRecord) -> None:
+def _write_masks(folder: RunFolder, result: RunResult) -> None:
     """Masks of what was named, which a further edit knows by these names."""
     things = result.records.selection.things
     for place, masks in enumerate(things.values()):
-        masks_folder = folder.masks / str(place)
+        masks_folder = folder.made("masks") / str(place)
         masks_folder.mkdir()
         for name, mask in zip(result.photos.names, masks):
             save_pixels(to_bytes(mask.expand(3, -1, -1)), masks_folder / f"{name}.png")
@@ -241,7 +364,7 @@ def _write_masks(folder: RunFolder, result: RunRecord) -> None:
         note(THINGS, list(things))
 
 
-def _about(result: RunRecord) -> str:
+def _about(result: RunResult) -> str:
     """Who made the scene, and the verdicts, in one line."""
     line = (
         f"editor {result.parts.editor_names}, "
@@ -255,7 +378,7 @@ def _about(result: RunRecord) -> str:
     return line
 
 
-def comparison(result: RunRecord, other: RunRecord) -> Image.Image:
+def comparison(result: RunResult, other: RunResult) -> Image.Image:
     """The sheet of two results of the same photos: photo, the one scene, the other scene."""
     names = result.photos.names
     if other.photos.names != names:
@@ -295,7 +418,7 @@ def _other_readings(
     things: Sequence[Selected], photos: Views, placed: Sequence[bool]
 ) -> tuple[OtherReadings, ...]:
     """What else words may mean, for those that were unsure and on one of the placed `photos`."""
-    found = []
+    readings = []
     for selected in things:
         shown = [one for one in selected.readings if placed[one.view]]
         if selected.is_sure or len(shown) < 2:
@@ -303,8 +426,8 @@ def _other_readings(
         view = sum(placed[: shown[0].view])
         masks = {_chosen_by(one, selected): one.mask for one in shown}
         photo = images_of(photos)[view]
-        found.append(OtherReadings(photo, photos.names[view], masks))
-    return tuple(found)
+        readings.append(OtherReadings(photo, photos.names[view], masks))
+    return tuple(readings)
 
 
 def _chosen_by(reading: Reading, selected: Selected) -> str:
@@ -324,7 +447,7 @@ def _answers(selection: SelectedRegions, edit: EditVerdict | None) -> str:
     return line if edit is None else f"{line}; edit: {edit.label}"
 
 
-def _manifest(result: RunRecord) -> RunManifest:
+def _manifest(result: RunResult) -> RunManifest:
     report, config = result.report, result.config
     components = {
         "editor": result.editor,

@@ -21,41 +21,18 @@ class AppCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add(
-            "photos",
-            nargs="*",
-            metavar="PHOTO|FOLDER",
-            help="photos to begin with; more can be dropped in the browser",
-        )
-        add(
-            "--jobs",
-            default="edit3r-jobs",
-            metavar="FOLDER",
-            help="where everything is kept (default edit3r-jobs)",
-        )
-        add(
-            "--host",
-            default=LOCAL[0],
-            help="address to listen on; any but this machine's own asks for a token",
-        )
-        add(
-            "--port",
-            type=int,
-            metavar="N",
-            help="port to listen on; default: 8090, or the next that is free",
-        )
-        add(
-            "--no-browser",
-            action="store_true",
-            help="print the address and open nothing",
-        )
-        add(
-            "--size",
-            type=int,
-            default=512,
-            metavar="N",
-            help="longer side that photos are reduced to (default 512)",
-        )
+        about = "photos to begin with; more can be dropped in the browser"
+        add("photos", nargs="*", metavar="PHOTO|FOLDER", help=about)
+        about = "where everything is kept (default edit3r-jobs)"
+        add("--jobs", default="edit3r-jobs", metavar="FOLDER", help=about)
+        about = "address to listen on; any but this machine's own asks for a token"
+        add("--host", default=LOCAL[0], help=about)
+        about = "port to listen on; default: 8090, or the next that is free"
+        add("--port", type=int, metavar="N", help=about)
+        about = "print the address and open nothing"
+        add("--no-browser", action="store_true", help=about)
+        about = "longer side that photos are reduced to (default 512)"
+        add("--size", type=int, default=512, metavar="N", help=about)
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.kit.photos.images import find_photos

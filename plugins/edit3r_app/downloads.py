@@ -6,11 +6,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from edit3r_outputs.api import SavedScene, write_saved
+
 from edit3r import default_registry
 from edit3r.contract.component import Offer
 from edit3r.contract.errors import InputError
 from edit3r.kit.files.atomic import atomic_write
-from edit3r.running import SavedScene, write_saved
 from edit3r_app.jobs import PREVIEW, JobsFolder
 
 ARCHIVE = "all.zip"

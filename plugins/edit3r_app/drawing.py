@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from edit3r_objects.api import Drawn, choose_drawn, read_drawn
 from jaxtyping import Bool
 from torch import Tensor
 
@@ -18,7 +19,6 @@ from edit3r.contract.types import Gaussians
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.files.text import read_json
 from edit3r.kit.scenes.axes import LEAST_OPACITY
-from edit3r.kit.scenes.drawn import Drawn, choose_drawn, read_drawn
 from edit3r.kit.scenes.ply import load_ply
 from edit3r_app.jobs import JobsFolder
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import torch
+from edit3r_outputs.api import SavedScene
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from edit3r import Registry
@@ -13,7 +14,6 @@ from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.rendering import Flight
-from edit3r.running import SavedScene
 from edit3r_app.downloads import FILM
 from edit3r_app.jobs import JobsFolder
 

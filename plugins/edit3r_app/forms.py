@@ -2,12 +2,13 @@
 
 import math
 import re
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from edit3r import Registry
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.settings import is_user_only
-from edit3r.kit.files.configs import parse_assignments
+from edit3r.kit.files.configs import parse_assignments, read_yaml
 from edit3r.loading import SettingLine, settings_lines
 from edit3r.running import RunConfig, check_components, make_run_config
 from edit3r_app.draft import Draft
@@ -31,85 +32,28 @@ RUNS_PROGRAMS = "command"
 """An editor that starts a program of the user's choice: not for a page that others may reach."""
 MAX_TYPED = 2000  # characters of one setting
 
-EXPLAINED = {
-    "exposure": (
-        "Light of the photos",
-        "Photos of other brightness or tint are brought to the light of the first.",
-        "",
-    ),
-    "gaussians": (
-        "Detail of the scene",
-        "auto keeps what the scene needs, all keeps everything (a larger file); or the most points "
-        "there may be, such as 50000.",
-        "points",
-    ),
-    "refine": (
-        "Polishing steps",
-        "Each brings the scene closer to the photos; twice as many take twice as long.",
-        "steps",
-    ),
-    "grid": (
-        "Points for each pixel side",
-        "1 makes a point for every pixel: finer, slower, and a larger file.",
-        "",
-    ),
-    "views": (
-        "Most photos to use",
-        "Those that show most together. Fewer are quicker: time grows with their number.",
-        "photos",
-    ),
-    "fov": (
-        "Width of the lens",
-        "Only for photos that do not tell it; a phone's main camera has about 65.",
-        "degrees",
-    ),
-    "frames": (
-        "Length of the flight video",
-        "Each picture is drawn: twice as many take twice as long.",
-        "pictures",
-    ),
-    "edit_views": (
-        "Photos that are edited",
-        "All, or the first alone, whose edit is carried to the others.",
-        "",
-    ),
-    "moved_edits": (
-        "Edits that moved",
-        "Move a picture back that the editor shifted, zoomed or turned, or keep it as it is.",
-        "",
-    ),
-    "transients": (
-        "What passed by",
-        "Leave out what one photo alone shows and others see through, such as a walker, or draw "
-        "it.",
-        "",
-    ),
-    "seed": ("Variant", "Another number gives another variant of the same.", ""),
-    "sure": (
-        "Ask before guessing",
-        "Refuse words that were found unsurely, instead of calling the edit doubtful.",
-        "",
-    ),
-}
-"""Settings of the run in words: their label, what they do and cost, and their unit."""
+
+class Explained(NamedTuple):
+    """A setting in words."""
+
+    label: str
+    about: str
+    unit: str = ""
+
+
+def _explained() -> dict[str, Explained]:
+    content = read_yaml(Path(__file__).with_name("forms.yaml"))
+    return {name: Explained(**words) for name, words in content.items()}
+
+
+EXPLAINED = _explained()
+"""Settings of the run in words, in the order of the form."""
 EXPERT = (
-    "selector",
-    "critic",
-    "matcher",
-    "rasterizer",
-    "reader",
-    "segmenter",
-    "refiners",
-    "device",
-    "outputs",
-    "export",
-    "max_gaussians",
+    *("selector", "critic", "matcher", "rasterizer", "reader", "segmenter", "refiners"),
+    *("device", "outputs", "export", "max_gaussians"),
 )
 """Settings of the run that name parts of edit3r; `reading` has its place beside the outline."""
-COSTS = {
-    "": "a good middle",
-    "best": "finer depth and more polishing; takes longer",
-}
+COSTS = {"": "a good middle", "best": "finer depth and more polishing; takes longer"}
 """Of the presets; the others differ in the photos' size, which is the app's own."""
 CHOICES = {
     ("exposure", "one"): "alike, as in the first",
@@ -203,15 +147,13 @@ def _field(line: SettingLine, typed: dict[str, Any]) -> dict[str, Any]:
         return {**made, "kind": "text"}
     step = 1.0 if kind == "int" else 0.01
     limits = {"min": low, "max": high, "step": step}
+    steps = math.inf
     if default and low is not None and high is not None:
         steps = (high - low) / step
-    else:
-        steps = math.inf
     if steps <= LARGEST_SLIDER:
         return {**made, "kind": "slider", **limits}
-    if (
-        high is not None and high > MOST_SAID
-    ):  # a limit of the machine, not of the thing
+    # a limit of the machine, not of the thing
+    if high is not None and high > MOST_SAID:
         limits["max"] = None
     return {**made, "kind": "number", **limits}
 

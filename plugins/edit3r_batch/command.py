@@ -3,7 +3,6 @@
 """
 
 import argparse
-import json
 import sys
 from collections import Counter
 from collections.abc import Mapping
@@ -13,6 +12,14 @@ from typing import TYPE_CHECKING, Any
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError, RunError, SettingsError
 from edit3r.kit.command.flags import add_trust_flag
+from edit3r.kit.command.results import (
+    add_common,
+    alone_in,
+    markdown_table,
+    shown_stages,
+    write_json,
+    write_text,
+)
 from edit3r.kit.files.names import expanded
 
 if TYPE_CHECKING:
@@ -33,86 +40,36 @@ class BatchCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add(
-            "jobs",
-            metavar="JOBS.jsonl",
-            help='lines such as {"id": "bike", "photos": ["a.jpg", "b.jpg"], "seed": 1}',
+        about = 'lines such as {"id": "bike", "photos": ["a.jpg", "b.jpg"], "seed": 1}'
+        add("jobs", metavar="JOBS.jsonl", help=about)
+        about = "folder for the results, with the folder of a run for each job"
+        add("--out", required=True, metavar="DIR", help=about)
+        about = "processes (default 1); the results are the same"
+        add("--workers", type=int, default=1, metavar="N", help=about)
+        about = "spread the workers with Ray instead, here or over RAY_ADDRESS"
+        add("--ray", action="store_true", help=about)
+        about = "threads of each worker (default 1)"
+        add("--threads", type=int, default=1, metavar="N", help=about)
+        about = (
+            "GPUs that each worker asks Ray for, such as 1, or 0.25 for four workers on a GPU "
+            "(default 0); the workers' device is then cuda"
         )
-        add(
-            "--out",
-            required=True,
-            metavar="DIR",
-            help="folder for the results, with the folder of a run for each job",
-        )
-        add(
-            "--workers",
-            type=int,
-            default=1,
-            metavar="N",
-            help="processes (default 1); the results are the same",
-        )
-        add(
-            "--ray",
-            action="store_true",
-            help="spread the workers with Ray instead, here or over RAY_ADDRESS",
-        )
-        add(
-            "--threads",
-            type=int,
-            default=1,
-            metavar="N",
-            help="threads of each worker (default 1)",
-        )
-        add(
-            "--gpus-per-worker",
-            type=float,
-            default=0,
-            metavar="PART",
-            help="GPUs that each worker asks Ray for, such as 1, or 0.25 for four workers on a "
-            "GPU (default 0); the workers' device is then cuda",
-        )
-        add(
-            "--memory-per-worker",
-            type=float,
-            default=0,
-            metavar="GB",
-            help="memory that each worker asks Ray for (default: it does not ask)",
-        )
-        add(
-            "--config",
-            metavar="FILE",
-            help="YAML file of run settings, for jobs that do not say otherwise",
-        )
+        add("--gpus-per-worker", type=float, default=0, metavar="PART", help=about)
+        about = "memory that each worker asks Ray for (default: it does not ask)"
+        add("--memory-per-worker", type=float, default=0, metavar="GB", help=about)
+        about = "YAML file of run settings, for jobs that do not say otherwise"
+        add("--config", metavar="FILE", help=about)
         add_trust_flag(parser)
-        add(
-            "--set",
-            action="append",
-            default=[],
-            metavar="KEY=VALUE",
-            help="one such setting, such as size=256",
+        add_common(
+            parser,
+            settings="one such setting, such as size=256",
+            overwrite="do jobs again that were done with other settings",
         )
-        add(
-            "--plugin",
-            action="append",
-            default=[],
-            metavar="FILE",
-            help="also load this local plugin file",
-        )
-        add(
-            "--overwrite",
-            action="store_true",
-            help="do jobs again that were done with other settings",
-        )
-        add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
-        from filelock import FileLock, Timeout
-
         from edit3r import default_registry
-        from edit3r.contract.reporting import Report, collecting
         from edit3r.contract.settings import merge
         from edit3r.contract.verdicts import LABELS
-        from edit3r.kit.command.console import StageConsole
         from edit3r.kit.files.configs import parse_assignments, read_config
         from edit3r_batch.jobs import read_jobs
 
@@ -125,34 +82,21 @@ class BatchCommand(Command):
         if workers.gpus:
             defaults = merge({"device": "cuda"}, defaults)
         registry = default_registry(args.plugin)
-        with StageConsole(args.quiet) as console, collecting(Report(on_event=console)):
+        with shown_stages(args.quiet):
             jobs = read_jobs(Path(args.jobs), defaults, registry, args.trust_config)
         out = expanded(args.out).resolve()
         done = _done(jobs, out, args)
-        try:
-            out.mkdir(parents=True, exist_ok=True)
-            with FileLock(out / ".batch.lock", blocking=False):
-                rows = _run(jobs, done, out, args, workers)
-        except Timeout:
-            raise InputError(
-                f"{out}: another batch is at work there; wait for it, or give --out another."
-            ) from None
+        with alone_in(out):
+            rows = _run(jobs, done, out, args, workers)
         counts = Counter(row["verdict"] for row in rows)
         _write_summary(out, rows, counts)
         if not args.quiet:
             worst = [NO_RESULT, *reversed(LABELS)]
-            print(
-                _table(
-                    sorted(
-                        rows,
-                        key=lambda row: (
-                            worst.index(row["verdict"]),
-                            row.get("edit") != "doubtful",
-                        ),
-                    )[:MOST_SHOWN],
-                    longest=80,
-                )
-            )
+
+            def badness(row: dict[str, Any]) -> tuple[int, bool]:
+                return worst.index(row["verdict"]), row.get("edit") != "doubtful"
+
+            print(_table(sorted(rows, key=badness)[:MOST_SHOWN], longest=80))
             print(f"{_counted(counts)}; {out / 'summary.md'}")
         if counts[NO_RESULT]:
             raise RunError(
@@ -239,18 +183,18 @@ def _run(
 
     path = out / "results.jsonl"
     before = read_rows(path, "id", _known_row)
-    if any(
-        id in jobs and (id not in done or "failure" in row)
+    again = [
+        id
         for id, row in before.items()
-    ):
-        write_rows(
-            path, [row for id, row in before.items() if id in done or id not in jobs]
-        )
+        if id in jobs and (id not in done or "failure" in row)
+    ]
+    if again:
+        kept = [row for id, row in before.items() if id in done or id not in jobs]
+        write_rows(path, kept)
     tell = (lambda progress: None) if args.quiet else _print_progress
-    function = SceneRunner(out, args.plugin, args.overwrite)
     rows = run_resumable(
         jobs,
-        function,
+        SceneRunner(out, args.plugin, args.overwrite),
         path,
         workers=workers,
         key_name="id",
@@ -302,36 +246,28 @@ def _table(rows: list[dict[str, Any]], longest: int | None = None) -> str:
     """A Markdown table with a line for each job: its three answers, and why, cut to `longest`
     characters.
     """
-    lines = [
-        "| job | selected | edit | scene | input views [dB] | Gaussians | why |",
-        "| --- | --- | --- | --- | --: | --: | --- |",
-    ]
+    lines = []
     for row in rows:
-        figures = (
-            f"{row['psnr']:.1f} | {row['gaussians']:,}" if "psnr" in row else " | "
-        )
         why = row["reason"]
         if row.get("edit") == "doubtful":
             why = f"edit: {row['edit_reason']}; scene: {why}"
-        why = why[:longest].replace("|", "\\|")
-        labels = f"{row.get('selected', '')} | {row.get('edit', '')} | {row['verdict']}"
-        lines.append(f"| {row['id']} | {labels} | {figures} | {why} |")
-    return "\n".join(lines)
+        has_scene = "psnr" in row
+        line = {
+            "job": row["id"],
+            "selected": row.get("selected", ""),
+            "edit": row.get("edit", ""),
+            "scene": row["verdict"],
+            "why": why[:longest].replace("|", "\\|"),
+            "input views [dB]": f"{row['psnr']:.1f}" if has_scene else "",
+            "Gaussians": f"{row['gaussians']:,}" if has_scene else "",
+        }
+        lines.append(line)
+    return markdown_table(lines, left=5)
 
 
 def _write_summary(out: Path, rows: list[dict[str, Any]], counts: Counter) -> None:
     """Write `summary.json` and `summary.md`, the same whoever did the jobs."""
-    from edit3r.kit.files.atomic import atomic_write
-
-    content = {
-        "jobs": len(rows),
-        "verdicts": dict(sorted(counts.items())),
-        "rows": rows,
-    }
-    texts = {
-        "json": json.dumps(content, indent=1, ensure_ascii=False),
-        "md": f"# {_counted(counts)}\n\n{_table(rows)}",
-    }
-    for suffix, text in texts.items():
-        with atomic_write(out / f"summary.{suffix}") as partial:
-            partial.write_text(text + "\n", encoding="utf-8")
+    verdicts = dict(sorted(counts.items()))
+    content = {"jobs": len(rows), "verdicts": verdicts, "rows": rows}
+    write_json(out / "summary.json", content)
+    write_text(out / "summary.md", f"# {_counted(counts)}\n\n{_table(rows)}\n")

@@ -19,7 +19,7 @@ from edit3r.contract.interfaces import LossInputs
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras
 from edit3r.kit.compute.metrics import psnr, ssim
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import read_yaml
 from edit3r_bench import metrics
 from edit3r_bench.features import (
     ClipSimilarity,
@@ -286,9 +286,7 @@ def _by_clip(item: LoadedItem, output: MethodOutput, clip: ClipSimilarity) -> Fo
 
 
 def _against_truth(
-    item: LoadedItem,
-    shown: Images,
-    distances: Mapping[str, Any],
+    item: LoadedItem, shown: Images, distances: Mapping[str, Any]
 ) -> Found:
     """Return means over the held-back frames, of which the method was given no image, and by region
     over the inputs.

@@ -1,4 +1,4 @@
-"""Commands for those who develop: the state of this machine, and a plugin to start from."""
+"""What is on this machine, and a plugin to start from: `doctor`, `weights`, `new-plugin`."""
 
 from edit3r import Component, hookimpl
 
@@ -12,6 +12,12 @@ def register_commands() -> list[Component]:
             "doctor",
             "edit3r_develop.doctor:DoctorCommand",
             "check versions, devices, memory, plugins and rasterizers, and run a tiny job",
+        ),
+        Component(
+            "weights",
+            "edit3r_develop.weights:WeightsCommand",
+            "learned weights that components can load: list them with licences, fetch them, find "
+            "them",
         ),
         Component(
             "new-plugin",

@@ -20,8 +20,7 @@ from edit3r import Registry, __version__, default_registry
 from edit3r.contract.command import Command
 from edit3r.contract.component import Offer
 from edit3r.contract.hookspecs import API_VERSION
-from edit3r.contract.memory import available_memory
-from edit3r.contract.reporting import Report
+from edit3r.contract.reporting import Report, available_memory
 from edit3r.kit.command.flags import add_plugin_option
 from edit3r.loading import absent_device, check_offer, install_hint
 

@@ -19,7 +19,7 @@ from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS, hook_name
 from edit3r.contract.errors import InputError, suggest
 from edit3r.contract.hookspecs import API_VERSION
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import read_yaml
 
 TEMPLATES = Path(__file__).parent / "templates"
 STARTERS: dict[str, dict[str, Any]] = read_yaml(TEMPLATES / "starters.yaml")
@@ -32,15 +32,10 @@ class NewPluginCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("kind", choices=KINDS, help="kind of component")
-        parser.add_argument(
-            "name", help="name of the component, such as sepia or warm-light"
-        )
-        parser.add_argument(
-            "--path",
-            metavar="DIR",
-            default=".",
-            help="folder to write edit3r-NAME into (default: here)",
-        )
+        about = "name of the component, such as sepia or warm-light"
+        parser.add_argument("name", help=about)
+        about = "folder to write edit3r-NAME into (default: here)"
+        parser.add_argument("--path", metavar="DIR", default=".", help=about)
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r import default_registry

@@ -26,8 +26,6 @@ from edit3r_geometry.cameras import (
 )
 from edit3r_geometry.pairs import MIN_PARALLAX
 
-__all__ = ["adjust"]
-
 ROUNDS = 2
 """Adjustments, each on the points that agree with the poses so far."""
 LOOSE = 4.0

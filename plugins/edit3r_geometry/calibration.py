@@ -25,13 +25,6 @@ from edit3r_geometry.relative_pose import (
     sharp_support,
 )
 
-__all__ = [
-    "LensReading",
-    "PointPairs",
-    "calibrate",
-    "contradiction",
-]
-
 FIELDS_OF_VIEW = (
     *(20.0, 25.0, 31.0, 38.0, 46.0, 55.0, 65.0),
     *(75.0, 85.0, 95.0, 104.0, 112.0, 119.0, 125.0),

@@ -11,18 +11,6 @@ from jaxtyping import Float
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.cameras import to_pixels
 
-__all__ = [
-    "CalibratedImage",
-    "Pose",
-    "calibrated_images",
-    "cross_matrix",
-    "parallax_degrees",
-    "pixel_rays",
-    "project",
-    "rays_through",
-    "triangulate",
-]
-
 
 @dataclass(frozen=True)
 class CalibratedImage:

@@ -9,18 +9,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from edit3r.kit.compute.compiling import compiled
-from edit3r.kit.compute.smoothing import weighted_smooth
+from edit3r.kit.compute.layers import weighted_smooth
 from edit3r_geometry.cameras import CalibratedImage, pixel_rays, project
 from edit3r_geometry.plane_sweep import Neighbour, RawDepth
-
-__all__ = [
-    "confirmed",
-    "fill",
-    "main_plane",
-    "pull_forward",
-    "push_back",
-    "without_speckles",
-]
 
 AGREEMENT = 1.5  # planes by which two measurements of one surface may differ
 CLEARANCE = 2.0  # planes by which a guess may stand before a neighbour's surface

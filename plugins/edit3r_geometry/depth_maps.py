@@ -11,7 +11,6 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 
 from edit3r.contract import reporting, settings as config
-from edit3r.kit.geometry.maps import upsample_depth
 from edit3r_geometry.cameras import CalibratedImage
 from edit3r_geometry.completion import (
     confirmed,
@@ -20,7 +19,6 @@ from edit3r_geometry.completion import (
     push_back,
     without_speckles,
 )
-from edit3r_geometry.ground import above_ground, find_ground
 from edit3r_geometry.plane_sweep import (
     Neighbour,
     RawDepth,
@@ -30,9 +28,7 @@ from edit3r_geometry.plane_sweep import (
 from edit3r_geometry.registration import Registration
 from edit3r_geometry.semi_global import aggregate, best_plane
 from edit3r_geometry.sky import coloured_like_sky, find_skies
-
-__all__ = ["DepthSettings", "inverse_depth_range", "measure_depths", "sweep_depth"]
-
+from edit3r_geometry.upsampling import upsample_depth
 
 # Views whose sky is not to be hidden: those of a video say the same.
 MAX_OTHERS = 8
@@ -64,10 +60,6 @@ class DepthSettings(config.Settings):
         True,
         description="find the sky: what hides it in one photo alone is near that camera",
     )
-    ground: bool = Field(
-        True,
-        description="find the ground: no guess lies below it",
-    )
 
 
 def measure_depths(
@@ -97,18 +89,10 @@ def measure_depths(
         for image in images
     ]
     skies = find_skies([image.pixels for image in small]) if settings.sky else None
-    ground = (
-        find_ground(small, registration.poses, raw, measured)
-        if settings.ground
-        else None
-    )
     for view in reporting.track(raw, "filling depth"):
         inverse = fill(
             raw[view].inverse, measured[view], raw[view].step, small[view].pixels
         )
-        if ground is not None:
-            pose = registration.poses[view]
-            inverse = above_ground(inverse, measured[view], small[view], pose, ground)
         inverse = _without_hiding(
             inverse, small[view], around[view], view, raw, measured
         )

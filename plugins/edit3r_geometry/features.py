@@ -24,20 +24,6 @@ from edit3r_geometry.keypoints import Keypoints
 from edit3r_geometry.relative_pose import Matches
 from edit3r_geometry.standing import without_standing
 
-__all__ = [
-    "ENOUGH_MATCHES",
-    "FeatureSettings",
-    "FoundFeatures",
-    "detect",
-    "detect_tilted",
-    "find_features",
-    "likely_pairs",
-    "match",
-    "match_tilted",
-    "shortened",
-    "with_tilted",
-]
-
 LEARNED = "ALIKED + LightGlue"
 """What the learned matches are called."""
 LEARNED_NOISE = 4.0

@@ -36,8 +36,6 @@ from edit3r_geometry.features import (
 from edit3r_geometry.pairs import NEARLY_ALL, agreeing_pairs, on_a_plane
 from edit3r_geometry.registration import Registration, register
 
-__all__ = ["AutoMatcher", "ClassicalMatcher", "PosedMatcher"]
-
 MIN_SIZE = 32
 """Images with a shorter side than this show too little to match [pixels]."""
 LEAST_DISTORTION = 0.03

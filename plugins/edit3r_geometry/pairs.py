@@ -24,15 +24,6 @@ from edit3r_geometry.relative_pose import (
     log_false_alarms,
 )
 
-__all__ = [
-    "MIN_LOG_EVIDENCE",
-    "MIN_PARALLAX",
-    "PairView",
-    "agreeing_pairs",
-    "cells",
-    "on_a_plane",
-]
-
 MIN_LOG_EVIDENCE = 6.0
 """A pose counts when random matches would agree as well less than once in 10^6 tries."""
 MIN_PARALLAX = 0.4

@@ -16,8 +16,6 @@ from jaxtyping import Float, UInt8
 from edit3r.kit.compute.compiling import compiled
 from edit3r_geometry.cameras import CalibratedImage, Pose, pixel_rays, project
 
-__all__ = ["Neighbour", "RawDepth", "matching_cost", "plane_inverse_depths"]
-
 SMALL, LARGE = 1, 3  # radii of the correlation windows [pixels]
 SMALL_WEIGHT, LARGE_WEIGHT, COLOUR_WEIGHT = 0.25, 0.45, 0.3
 COLOUR_LIMIT = (

@@ -11,8 +11,6 @@ from edit3r.kit.geometry.background_fill import background_layer, rim
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.warping import contradicted, seen_by_others
 
-__all__ = ["ClassicalReconstructor"]
-
 
 class ClassicalReconstructor(Reconstructor):
     """Geometry from the unedited photos, colours from the edited ones.

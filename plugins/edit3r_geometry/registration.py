@@ -24,8 +24,6 @@ from edit3r_geometry.pairs import (
 )
 from edit3r_geometry.relative_pose import MIN_INLIERS, log_chance, support
 
-__all__ = ["Registration", "register"]
-
 NEAR = 0.1
 """Points of two pairs within this share of the image's long side tell the scale between them."""
 MIN_NEAR = 3

@@ -15,21 +15,6 @@ from jaxtyping import Bool, Float
 from edit3r.kit.geometry.quiet_pycolmap import pycolmap
 from edit3r_geometry.cameras import Pose, cross_matrix, triangulate
 
-__all__ = [
-    "Matches",
-    "TwoViewPose",
-    "agreeing",
-    "estimate_pose",
-    "log_chance",
-    "log_false_alarms",
-    "quick_pose",
-    "refine",
-    "rough_pose",
-    "sharp_support",
-    "signed_support",
-    "support",
-]
-
 MIN_INLIERS = 12
 LEAST_SHARE = 0.3
 """Share of the matches that must agree on a motion which the estimate without the lens does not

@@ -11,8 +11,6 @@ from jaxtyping import Float
 
 from edit3r.kit.compute.compiling import compiled
 
-__all__ = ["aggregate", "best_plane"]
-
 SMALL_STEP = 0.08
 LEAST_JUMP = 1.5 * SMALL_STEP
 JUMP = 0.6  # more than the least, in flat regions

@@ -9,8 +9,6 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-__all__ = ["coloured_like_sky", "find_skies"]
-
 # Share of all photos that must look like sky before any of it counts: ceilings and lamps do too.
 MIN_SHARE = 0.08
 MIN_TOP = 0.2  # share of a photo's top row that must be sky

@@ -87,9 +87,8 @@ class GrammarReader(Reader):
             if word in words.INSTEAD:
                 hints.append(f" {words.INSTEAD[word]}")
             elif not is_known(word):
-                hints.append(
-                    _near(word) or _beside_colour(word, instruction.text.split())
-                )
+                said = instruction.text.split()
+                hints.append(_near(word) or _beside_colour(word, said))
         named = [] if instruction.unread else instruction.thing.name.split()
         hints += [_did_you_mean(near_nouns(word)) for word in named]
         return "".join(hints)
@@ -102,7 +101,7 @@ def clauses_of(prompt: str) -> Iterator[list[str]]:
     """The words of each clause, lower-case, with spellings and set phrases brought to one form."""
     text = _RGB.sub(_hex_of, prompt.lower().replace("’", "'"))
     for pattern, instead in words.PHRASES:
-        text = " ".join(re.sub(pattern, instead, text).split())
+        text = " ".join(pattern.sub(instead, text).split())
     text, begins = _exceptions(text), True
     for part in _SEPARATORS.split(text):
         tokens = [words.SPELLINGS.get(token, token) for token in _TOKEN.findall(part)]

@@ -4,24 +4,12 @@ from dataclasses import dataclass, replace
 
 from edit3r.contract.instructions import Change, Colour, Finish
 from edit3r.kit.compute.colour_names import COMPARED, read_colour
-from edit3r_language.vocabulary import words_of
+from edit3r_language.vocabulary import pairs_of, words_of
 
-MATERIALS = {
-    "gold": "gold",
-    "golden": "gold",
-    "gilded": "gold",
-    "silver": "silver",
-    "silvery": "silver",
-    "bronze": "bronze",
-    "copper": "copper",
-    "chrome": "chrome",
-    "steel": "steel",
-    "marble": "marble",
-    "wood": "wood",
-    "wooden": "wood",
-    "snow": "snow",
-    "snowy": "snow",
-}
+MATERIALS = pairs_of(
+    "gold=gold golden=gold gilded=gold silver=silver silvery=silver bronze=bronze copper=copper "
+    "chrome=chrome steel=steel marble=marble wood=wood wooden=wood snow=snow snowy=snow"
+)
 """Words for what a thing may look as if it were made of."""
 
 _MATERIAL_COLOURS = {"gilded": "gold", "wooden": "wood"}

@@ -13,15 +13,14 @@ _SIDES = frozenset((*_DOWN, *_ACROSS)) | _MIDDLE
 _COUNTS = frozenset(("two", "three"))
 
 _PARTS = {
-    "half": 1 / 2,
-    "third": 1 / 3,
-    "thirds": 2 / 3,
-    "quarter": 1 / 4,
-    "quarters": 3 / 4,
-    "side": 1 / 2,
-    "part": 1 / 3,
-    "area": 1 / 3,
-    "corner": 1 / 3,
+    **{
+        "half": 1 / 2,
+        "side": 1 / 2,
+        "quarter": 1 / 4,
+        "quarters": 3 / 4,
+        "thirds": 2 / 3,
+    },
+    **dict.fromkeys(("third", "part", "area", "corner"), 1 / 3),
 }
 _ANY = _SIDES | set(_PARTS) | words.BACKGROUND | {"foreground"}
 _NAMES = {"side": "half", "part": "third", "area": "third", "": "third"}
@@ -124,7 +123,5 @@ def _inside(tokens: list[str]) -> tuple[list[str], bool]:
 
 def _plain(tokens: list[str]) -> list[str]:
     ignored = words.FILLERS | words.DETERMINERS | words.WEAK | words.STRONG
-    return [t for t in tokens if (t not in ignored or t in _SIDES) and t not in _ALL]
-
-
-_ALL = frozenset(("everything", "all"))
+    ignored = (ignored - _SIDES) | {"everything", "all"}
+    return [t for t in tokens if t not in ignored]

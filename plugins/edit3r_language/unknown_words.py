@@ -28,9 +28,8 @@ def unknown_words(named: Sequence[str], before_change: bool) -> tuple[str, ...]:
     zorbic green" (`before_change`). Before "the" no unknown word is: "pant the wall".
     """
     content = [place for place, word in enumerate(named) if _is_content(word)]
-    determined = next(
-        (i for i, word in enumerate(named) if word in words.DETERMINERS), len(named)
-    )
+    articles = [i for i, word in enumerate(named) if word in words.DETERMINERS]
+    determined = min(articles, default=len(named))
     last = _last(named, content) if before_change else -1
     found = []
     for place in content:
@@ -75,36 +74,9 @@ def _is_content(word: str) -> bool:
 @cache
 def _grammar() -> frozenset[str]:
     """Every word that the grammar gives a meaning."""
-    sets = (
-        words.FILLERS,
-        words.WEAK,
-        words.STRONG,
-        words.RANDOM,
-        words.PAINT,
-        words.NICE,
-        words.DETERMINERS,
-        words.PLACES,
-        words.SIZES,
-        EVERY,
-        words.PARTS,
-        words.SHARES,
-        words.WHOLE,
-        words.BACKGROUND,
-        words.REST,
-        words.OBJECT,
-        FLOOD,
-        words.MORE,
-        words.LESS,
-        words.LOOKS,
-        words.IMPERATIVES,
-        words.DESCRIBING,
-        words.JOINING,
-        words.ADJUSTMENTS,
-        words.PROPERTIES,
-        words.TINTS,
-        LIGHT_WORDS,
-        MATERIALS,
-        TONES,
-        NEON,
+    sets = words.words_in(
+        "FILLERS WEAK STRONG RANDOM PAINT NICE DETERMINERS PLACES SIZES PARTS SHARES WHOLE "
+        "BACKGROUND REST OBJECT MORE LESS LOOKS IMPERATIVES DESCRIBING JOINING"
     )
-    return frozenset().union(*sets)
+    changes = (words.ADJUSTMENTS, words.PROPERTIES, words.TINTS, LIGHT_WORDS, MATERIALS)
+    return sets.union(EVERY, FLOOD, *changes, TONES, NEON)

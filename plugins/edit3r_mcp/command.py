@@ -11,24 +11,15 @@ class McpCommand(Command):
     """Serve the Model Context Protocol, until the assistant's program closes the connection."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument(
-            "--folder",
-            required=True,
-            metavar="DIR",
-            help="all that the tools write goes here; relative names of photos begin here",
+        add = parser.add_argument
+        about = (
+            "all that the tools write goes here; relative names of photos begin here"
         )
-        parser.add_argument(
-            "--config",
-            metavar="FILE",
-            help="YAML file of settings for every edit, or the name of a shipped one",
-        )
-        parser.add_argument(
-            "--limit",
-            type=float,
-            default=1200.0,
-            metavar="SECONDS",
-            help="a call that takes longer is ended (default: %(default)g)",
-        )
+        add("--folder", required=True, metavar="DIR", help=about)
+        about = "YAML file of settings for every edit, or the name of a shipped one"
+        add("--config", metavar="FILE", help=about)
+        about = "a call that takes longer is ended (default: %(default)g)"
+        add("--limit", type=float, default=1200.0, metavar="SECONDS", help=about)
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r_mcp.tools import server

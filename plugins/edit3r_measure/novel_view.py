@@ -23,6 +23,7 @@ from edit3r.kit.geometry.cameras import project
 from edit3r.kit.photos.posed_folder import PosedPhoto
 from edit3r.kit.photos.triples import Pose, rotation_degrees
 from edit3r.kit.reconstructing import WithMatcher
+from edit3r_measure.lpips import lpips, lpips_weights
 from edit3r_measure.scene_sources import EvaluationScene
 
 # Standard deviations tried for the best-blurred copy [pixels]
@@ -164,8 +165,9 @@ def novel_view(
     one.
 
     `blurred` figures are of the better input photo at its best blur, `covered` ones over the pixels
-    that the scene covers. PSNR [dB], errors of rotation and of the baseline's direction between
-    the inputs [degrees], CPU time of the reconstruction [seconds].
+    that the scene covers. PSNR [dB], `lpips` NaN where its weights are not installed, errors of
+    rotation and of the baseline's direction between the inputs [degrees], CPU time of the
+    reconstruction [seconds].
     """
     inputs = [scene.inputs[0], scene.inputs[-1]]
     target = scene.target.image
@@ -187,6 +189,7 @@ def novel_view(
         "covered_blurred_psnr": covered_blurred_psnr,
         "ssim": ssim(shown.image, target),
         "blurred_ssim": blurred_ssim,
+        "lpips": lpips(shown.image, target) if lpips_weights() else np.nan,
         "coverage": float(shown.covered.mean()),
         "rotation_error": rotation_error,
         "direction_error": direction_error,

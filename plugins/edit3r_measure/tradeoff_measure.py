@@ -7,6 +7,7 @@ between the inputs and that no run is given.
 
 import hashlib
 import json
+import math
 import multiprocessing
 import os
 import tempfile
@@ -28,6 +29,7 @@ from edit3r.kit.children import SAFE_PATH, environment, restore_path, safe_path
 from edit3r.kit.run_folder import installed_versions
 from edit3r.kit.workers import run_resumable
 from edit3r.running import RunJob, RunResult, make_run_config, run
+from edit3r_measure.lpips import lpips_weights
 from edit3r_measure.novel_view import novel_view
 from edit3r_measure.scene_sources import EvaluationScene, SceneSource
 
@@ -50,6 +52,7 @@ class PointJob:
         """A hash of all that a measurement depends on."""
         versions = installed_versions()
         effort = [self.repeats, self.threads, versions["edit3r"], versions["torch"]]
+        effort.append(lpips_weights())
         text = json.dumps([self.settings, effort], sort_keys=True)
         digest = hashlib.sha256(text.encode())
         for photo in (*self.scene.inputs, self.scene.target):
@@ -140,4 +143,5 @@ def figures_of(job: PointJob) -> dict[str, Any]:
         "gaussians": runs[-1].gaussians.count,
         "psnr": figures["psnr"],
         "ssim": figures["ssim"],
+        "lpips": None if math.isnan(figures["lpips"]) else figures["lpips"],
     }

@@ -8,7 +8,7 @@ from pydantic import Field
 
 from edit3r.contract.errors import SettingsError, suggest
 from edit3r.contract.settings import Settings, make_settings, merge, of_file
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import read_yaml
 
 SHIPPED = Path(__file__).with_name("tradeoff_plan.yaml")
 

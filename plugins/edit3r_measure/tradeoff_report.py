@@ -14,8 +14,10 @@ from edit3r.contract.errors import Edit3rError, RunError
 from edit3r.kit.command.results import grouped
 from edit3r.kit.run_folder import installed_versions
 from edit3r.running import PRESETS, Expected, MeasuredPoint, Quality, write_quality
+from edit3r_measure.lpips import lpips_weights
 
-APART = 1.25  # how many times as quick each preset is as the next, at least
+# How many times as quick each preset is as the next, at least: the default lies between two.
+APART = 1.5
 
 Rows = Sequence[Mapping[str, Any]]
 """Lines of `measurements.jsonl`, with the labels of their points."""
@@ -43,6 +45,7 @@ def summarize(rows: Rows, effort: Mapping[str, Any]) -> Quality:
         "cores": os.cpu_count(),
         "day": max(row["day"] for row in rows),
         "versions": {name: versions[name] for name in ("edit3r", "python", "torch")},
+        "lpips": lpips_weights() or "not measured",
     }
     return Quality(measured={**machine, **effort}, points=points)
 
@@ -73,6 +76,7 @@ def measured_points(rows: Rows) -> list[MeasuredPoint]:
 def _expected(rows: Rows) -> Expected:
     """Return the figures of a point on one kind of scene, as they are written to the file."""
     quickest = fmean(min(row["seconds"]) for row in rows)
+    distances = [row["lpips"] for row in rows if row["lpips"] is not None]
     return Expected(
         seconds=round(quickest, 3),
         seconds_first=round(fmean(row["seconds_first"] for row in rows), 3),
@@ -80,6 +84,7 @@ def _expected(rows: Rows) -> Expected:
         gaussians=max(row["gaussians"] for row in rows),
         psnr=round(fmean(row["psnr"] for row in rows), 2),
         ssim=round(fmean(row["ssim"] for row in rows), 4),
+        lpips=round(fmean(distances), 4) if distances else None,
     )
 
 
@@ -102,9 +107,9 @@ def front(costs: Sequence[float], accuracies: Sequence[float]) -> list[bool]:
 
 
 def on_front(points: Sequence[MeasuredPoint], kind: str) -> list[bool]:
-    """Return for each point whether it is on the front of time and PSNR for a kind of scene."""
+    """Return for each point whether it is on the front of time and accuracy for a kind of scene."""
     figures = [point.expected[kind] for point in points]
-    return front([own.seconds for own in figures], [own.psnr for own in figures])
+    return front([own.seconds for own in figures], [own.accuracy for own in figures])
 
 
 def choose_presets(
@@ -160,8 +165,9 @@ def write_presets(quality: Quality) -> Path:
 
 
 HEAD = """\
-| setting | preset | front | processor s | first run | peak MiB | Gaussians | PSNR dB | SSIM |
-| --- | --- | --- | --: | --: | --: | --: | --: | --: |"""
+| setting | preset | front | processor s | first run | peak MiB | Gaussians | PSNR dB | SSIM \
+| LPIPS |
+| --- | --- | --- | --: | --: | --: | --: | --: | --: | --: |"""
 
 
 def report(quality: Quality, rows: Rows) -> str:
@@ -170,7 +176,7 @@ def report(quality: Quality, rows: Rows) -> str:
     parts = [
         f"```yaml\n{yaml.safe_dump(quality.measured, sort_keys=False)}```\n\n"
         "Processor time of the quickest run after the first of a process; the front is that of "
-        "PSNR and this time."
+        "this time and LPIPS, or PSNR where LPIPS was not measured."
     ]
     for kind in points[0].expected:
         scenes = dict.fromkeys(row["scene"] for row in rows if row["kind"] == kind)
@@ -180,7 +186,8 @@ def report(quality: Quality, rows: Rows) -> str:
             lines.append(
                 f"| {point.label} | {point.preset or ''} | {'yes' if flag else ''} "
                 f"| {own.seconds:.2f} | {own.seconds_first:.2f} | {own.memory_mb:.0f} "
-                f"| {own.gaussians:,} | {own.psnr:.2f} | {own.ssim:.3f} |"
+                f"| {own.gaussians:,} | {own.psnr:.2f} | {own.ssim:.3f} "
+                f"| {'not measured' if own.lpips is None else f'{own.lpips:.3f}'} |"
             )
         parts.append("\n".join(lines))
     for row in rows:

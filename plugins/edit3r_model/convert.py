@@ -14,61 +14,28 @@ class ConvertCommand(Command):
     """Convert a NoPoSplat or MASt3R checkpoint to safetensors with a readable config beside it."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument(
-            "source",
-            metavar="CHECKPOINT",
-            help=".ckpt, .pth, .safetensors, a folder, or a hub id",
-        )
-        parser.add_argument(
-            "out",
-            type=Path,
-            metavar="FOLDER",
-            help="folder to write model.safetensors and config.json to",
-        )
-        parser.add_argument(
-            "--dtype",
-            choices=DTYPES,
-            default="float32",
-            help="number format of the file (float32)",
-        )
-        parser.add_argument(
-            "--resolution",
-            type=int,
-            metavar="PIXELS",
-            help="side the network was trained at (256)",
-        )
-        parser.add_argument(
-            "--heads", type=int, help="encoder attention heads, if not 64 channels each"
-        )
-        parser.add_argument(
-            "--decoder-heads",
-            type=int,
-            help="decoder attention heads, if not 64 channels each",
-        )
-        parser.add_argument(
-            "--licence",
-            help="licence of the weights, where you know it better than the file says",
-        )
-        parser.add_argument(
-            "--seed",
-            type=int,
-            default=0,
-            help="of parts that a MASt3R file does not hold (0)",
-        )
+        add = parser.add_argument
+        about = ".ckpt, .pth, .safetensors, a folder, or a hub id"
+        add("source", metavar="CHECKPOINT", help=about)
+        about = "folder to write model.safetensors and config.json to"
+        add("out", type=Path, metavar="FOLDER", help=about)
+        about = "number format of the file (float32)"
+        add("--dtype", choices=DTYPES, default="float32", help=about)
+        about = "side the network was trained at (256)"
+        add("--resolution", type=int, metavar="PIXELS", help=about)
+        about = "attention heads, if not 64 channels each"
+        add("--heads", type=int, help=f"encoder {about}")
+        add("--decoder-heads", type=int, help=f"decoder {about}")
+        about = "licence of the weights, where you know it better than the file says"
+        add("--licence", help=about)
+        about = "of parts that a MASt3R file does not hold (0)"
+        add("--seed", type=int, default=0, help=about)
 
     def main(self, args: argparse.Namespace) -> int:
         heads = {"heads": args.heads, "decoder_heads": args.decoder_heads}
-        print(
-            convert(
-                args.source,
-                args.out,
-                dtype=args.dtype,
-                resolution=args.resolution,
-                heads={name: value for name, value in heads.items() if value},
-                licence=args.licence,
-                seed=args.seed,
-            )
-        )
+        heads = {name: value for name, value in heads.items() if value}
+        how = {name: getattr(args, name) for name in ("dtype", "resolution", "licence")}
+        print(convert(args.source, args.out, heads=heads, seed=args.seed, **how))
         return 0
 
 

@@ -23,13 +23,7 @@ overflows.
 
 _int8_ops = torch.ops.onednn
 # Scale and zero point of a float are 1 and 0; nothing follows.
-_FLOAT_OUTPUT: tuple[float, int, torch.dtype, str, list[float]] = (
-    1.0,
-    0,
-    torch.float32,
-    "none",
-    [],
-)
+_FLOAT_OUTPUT: tuple = (1.0, 0, torch.float32, "none", [])
 
 
 class _Int8Layer(nn.Module):

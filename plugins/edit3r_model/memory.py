@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from edit3r.contract.errors import RunError
 from edit3r.contract.interfaces import Backbone
-from edit3r.contract.memory import available_memory
+from edit3r.contract.reporting import available_memory
 
 ADVICE = (
     "lower reconstructor.resolution, use fewer views, or set reconstructor.precision to bfloat16 "

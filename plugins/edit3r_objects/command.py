@@ -16,15 +16,12 @@ if TYPE_CHECKING:
     from edit3r.contract.types import Gaussians
     from edit3r_objects.run import Run
 
+DRAWN = ("cut", "crop")
+"""Actions on what is drawn: away with it, or with all else."""
+NAMELESS = ("list", "find", "clean", *DRAWN)
+"""Actions that take no name."""
 VALUES = {
-    "list": "",
-    "find": "",
-    "add": "",
-    "remove": "",
-    "isolate": "",
-    "clean": "",
-    "cut": "",
-    "crop": "",
+    **dict.fromkeys((*NAMELESS, "add", "remove", "isolate"), ""),
     "rename": "NEW_NAME",
     "recolor": "COLOUR",
     "move": "RIGHT UP NEARER",
@@ -33,10 +30,6 @@ VALUES = {
     "copy": "NEW_NAME RIGHT UP NEARER",
 }
 """What follows the name of the object."""
-DRAWN = ("cut", "crop")
-"""Actions on what is drawn: away with it, or with all else."""
-NAMELESS = ("list", "find", "clean", *DRAWN)
-"""Actions that take no name."""
 OPENS = ("remove", "move", "turn", "scale")
 """Actions after which the place behind the object is seen."""
 MAX_NUMBER = 1000  # of a step, an angle or a factor
@@ -50,26 +43,17 @@ class ObjectsCommand(Command):
         add(
             "run", type=Path, metavar="RUN", help="folder of a run, or its scene's file"
         )
-        add(
-            "action",
-            nargs="?",
-            choices=VALUES,
-            default="list",
-            help="what to do (default list); find: look for the things of the scene; clean: take "
-            "out floaters",
+        about = (
+            "what to do (default list); find: look for the things of the scene; clean: take out "
+            "floaters"
         )
+        add("action", nargs="?", choices=VALUES, default="list", help=about)
         add("name", nargs="?", default="", metavar="NAME", help="of the object")
-        after = "; ".join(
-            f"{name}: {values}" for name, values in VALUES.items() if values
-        )
-        add("values", nargs="*", metavar="VALUE", help=after)
+        takes = (f"{name}: {values}" for name, values in VALUES.items() if values)
+        add("values", nargs="*", metavar="VALUE", help="; ".join(takes))
         add_mark_flags(parser)
-        add(
-            "--drawn",
-            metavar="FILE",
-            help="for cut, crop and add: what was drawn over the scene, as JSON (see "
-            "docs/objects.md)",
-        )
+        about = "for cut, crop and add: what was drawn over the scene, as JSON (docs/objects.md)"
+        add("--drawn", metavar="FILE", help=about)
         add("--out", metavar="DIR", help="folder for the new run; RUN is never changed")
         add_output_flags(parser)
 

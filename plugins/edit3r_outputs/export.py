@@ -17,29 +17,15 @@ class ExportCommand(Command):
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         from edit3r import default_registry
 
-        writers = [
-            offer.component.name for offer in default_registry().offers("writer")
-        ]
+        offers = default_registry().offers("writer")
+        writers = ", ".join(offer.component.name for offer in offers)
         add = parser.add_argument
-        add(
-            "scene",
-            type=scene_file,
-            metavar="SCENE",
-            help="folder of a run, or a scene's file: .ply, .compressed.ply, .spz, .sog, .splat or "
-            ".glb",
-        )
-        add(
-            "--to",
-            required=True,
-            nargs="+",
-            metavar="WRITER",
-            help=f"{', '.join(writers)} (see edit3r list-plugins --kind writer)",
-        )
-        add(
-            "--out",
-            metavar="PATH",
-            help="the file or folder to write, for one writer; default: beside the scene",
-        )
+        about = "folder of a run, or a scene's .ply, .compressed.ply, .spz, .sog, .splat or .glb"
+        add("scene", type=scene_file, metavar="SCENE", help=about)
+        about = f"{writers} (see edit3r list-plugins --kind writer)"
+        add("--to", required=True, nargs="+", metavar="WRITER", help=about)
+        about = "the file or folder to write, for one writer; default: beside the scene"
+        add("--out", metavar="PATH", help=about)
         add_common(
             parser,
             settings="a setting of a writer, such as writer.video.fps=30",
@@ -51,7 +37,7 @@ class ExportCommand(Command):
         from edit3r import default_registry
         from edit3r.contract.errors import InputError
         from edit3r.kit.files.atomic import check_new_file
-        from edit3r.running import SavedScene, write_saved
+        from edit3r_outputs.saved import SavedScene, write_saved
 
         if args.out and len(args.to) > 1:
             raise InputError(

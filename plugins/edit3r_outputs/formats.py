@@ -14,15 +14,15 @@ from edit3r.contract.interfaces import SceneToWrite, Writer
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.types import Gaussians
 from edit3r.kit.scenes.axes import LEAST_OPACITY, UP_AND_BACK, flipped
-from edit3r.kit.scenes.placement import (
+from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
+from edit3r_outputs.placement import (
     PLACED,
     FilePlacement,
     fitting,
     placed,
     with_placement,
 )
-from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
-from edit3r.kit.scenes.read import convert
+from edit3r_outputs.reading import convert
 
 CHUNK = 256  # Gaussians of a compressed PLY that share a box
 STEPS = 1024  # of an axis of a box
@@ -155,10 +155,8 @@ def _tell_of_clipping(gaussians: Gaussians, form: str) -> None:
             f"{form}: {large:,} Gaussians are larger than it can say ({most.size:.3g} in the "
             "file's unit) and become that large."
         )
-    plain, further = gaussians.harmonics[0, drawn].abs().tensor_split((1,), 1)
-    beyond = (plain > most.plain).flatten(1).any(1) | (further > most.further).flatten(
-        1
-    ).any(1)
+    sizes = gaussians.harmonics[0, drawn].abs().flatten(1)
+    beyond = (sizes[:, :3] > most.plain).any(1) | (sizes[:, 3:] > most.further).any(1)
     if beyond.float().sum() > MANY_CLIPPED * len(beyond):
         warn(
             f"{form}: the colours of {int(beyond.sum()):,} Gaussians go beyond what it can say "

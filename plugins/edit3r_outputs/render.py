@@ -26,56 +26,27 @@ class RenderCommand(Command):
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
-        add(
-            "scene",
-            type=scene_file,
-            metavar="SCENE",
-            help="folder of a run, or a scene's file: .ply, .compressed.ply, .spz, .sog, .splat or "
-            ".glb",
+        about = "folder of a run, or a scene's .ply, .compressed.ply, .spz, .sog, .splat or .glb"
+        add("scene", type=scene_file, metavar="SCENE", help=about)
+        about = (
+            "cameras.json, transforms.json or a COLMAP model; default: what lies beside the scene, "
+            "else looks from outside"
         )
-        add(
-            "--cameras",
-            metavar="FILE",
-            help="cameras.json, transforms.json or a COLMAP model; default: what lies beside the "
-            "scene, else looks from outside",
+        add("--cameras", metavar="FILE", help=about)
+        about = "what to write (default: all three)"
+        add("--make", nargs="+", choices=MADE, default=list(MADE), help=about)
+        about = "only the Gaussians that come from photo I; the first is 0"
+        add("--only-view", type=int, metavar="I", help=about)
+        about = (
+            "longer side of the images (default: as in the camera file, at most 2048)"
         )
-        add(
-            "--make",
-            nargs="+",
-            choices=MADE,
-            default=list(MADE),
-            help="what to write (default: all three)",
-        )
-        add(
-            "--only-view",
-            type=int,
-            metavar="I",
-            help="only the Gaussians that come from photo I; the first is 0",
-        )
-        add(
-            "--size",
-            type=int,
-            metavar="PIXELS",
-            help="longer side of the images (default: as in the camera file, at most 2048)",
-        )
-        add(
-            "--frames",
-            type=int,
-            default=36,
-            metavar="N",
-            help="frames of the video's camera path (default 36)",
-        )
-        add(
-            "--rasterizer",
-            metavar="NAME",
-            help="rasterizer (default: that of edit3r run)",
-        )
-        add(
-            "--out",
-            metavar="DIR",
-            default="edit3r-render",
-            help="folder for the results (default edit3r-render)",
-        )
+        add("--size", type=int, metavar="PIXELS", help=about)
+        about = "frames of the video's camera path (default 36)"
+        add("--frames", type=int, default=36, metavar="N", help=about)
+        about = "rasterizer (default: that of edit3r run)"
+        add("--rasterizer", metavar="NAME", help=about)
+        about = "folder for the results (default edit3r-render)"
+        add("--out", metavar="DIR", default="edit3r-render", help=about)
         add_common(
             parser,
             settings="such as rasterizer.background=[1,1,1]",
@@ -119,7 +90,7 @@ def _render(
         gaussians = _gaussians(args)
         cameras, names = _cameras(args, gaussians)
     with stage("render input views"):
-        files = [folder.renders / f"{name}.png" for name in names]
+        files = [folder.made("renders") / f"{name}.png" for name in names]
         files = files if "pictures" in args.make else []
         views = _views(rasterizer, gaussians, cameras, files)
         if not views.alphas.any():
@@ -189,7 +160,7 @@ def _rasterizer(args: argparse.Namespace) -> "Rasterizer":
 
 def _gaussians(args: argparse.Namespace) -> "Gaussians":
     """The file's Gaussians, those of one view alone where that is asked for."""
-    from edit3r.kit.scenes.read import load_scene
+    from edit3r_outputs.reading import load_scene
 
     gaussians = load_scene(args.scene)
     if args.only_view is None:

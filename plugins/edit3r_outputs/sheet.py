@@ -6,8 +6,7 @@ import numpy as np
 
 from edit3r.contract.interfaces import SceneToWrite, Writer
 from edit3r.kit.photos.images import save_pixels
-from edit3r.kit.photos.outline import outlined_views
-from edit3r.kit.sheet import draw_sheet, images_of, with_readings
+from edit3r.kit.sheet import draw_sheet, images_of, outlined_views, with_readings
 
 
 class SheetWriter(Writer):

@@ -23,8 +23,7 @@ from torch import Tensor
 from edit3r.contract.interfaces import NamedObjects, SceneToWrite, Writer
 from edit3r.contract.reporting import warn
 from edit3r.contract.types import Cameras, Gaussians
-from edit3r.kit.geometry.cameras import to_pixels
-from edit3r.kit.geometry.gravity import up_direction
+from edit3r.kit.geometry.cameras import to_pixels, up_direction
 from edit3r.kit.geometry.harmonics import C1, C2, C3, C4, dc_to_colour
 from edit3r.kit.geometry.rotations import normalise_quats
 from edit3r.kit.scenes.axes import LEAST_OPACITY

@@ -7,22 +7,11 @@ loses each splat's share as it is passed, so that d loss / d alpha = T * (colour
 own place and added up per splat afterwards: no two threads write to one number.
 """
 
-import numpy as np
-
 from edit3r_rasterizers.kernels import inlined, kernel
 from edit3r_rasterizers.layout import BLOCK, LOOKAHEAD, RECORD, SUMS, TILE
 from edit3r_rasterizers.settings import MIN_TOTAL_ALPHA
-from edit3r_rasterizers.simd import (
-    broadcast,
-    exp2,
-    flag_negative,
-    lowest_bit,
-    magnitude,
-    maximum,
-    minimum,
-    select,
-)
-from edit3r_rasterizers.simd_memory import flat, load, prefetch, store, store_sums
+from edit3r_rasterizers.simd import broadcast, lowest_bit, magnitude, maximum, select
+from edit3r_rasterizers.simd_memory import add, flat, load, prefetch, store, store_sums
 from edit3r_rasterizers.tiles import (
     BATCH,
     BLOCKS,
@@ -36,9 +25,9 @@ from edit3r_rasterizers.tiles import (
     find_touched_blocks,
     live_blocks,
     open_tile,
+    pass_splat,
     place_splat,
     read_block,
-    splat_exponent,
     write_block,
 )
 
@@ -58,51 +47,25 @@ BACKWARD_SCRATCH = int(BLOCKS * BACKWARD_STRIDE)
 
 @kernel
 def shade_tiles(
-    first_tile,
-    last_tile,
-    columns,
-    offsets,
-    entries,
-    records,
-    max_alpha,
-    min_alpha,
-    min_transmittance,
-    touched,
-    background,
-    scratch,
-    images,
-    alphas,
-    depths,
-    transmittances,
+    first_tile, last_tile, columns, lists, limits, background, scratch, images, left
 ):
-    """Render the tiles [first_tile, last_tile) of one image into images [3, H, W] and three of [H,
-    W].
+    """Render the tiles [first_tile, last_tile) of one image into `images` (see
+    `layout.CameraImages`) and the transmittance `left` [H, W].
 
-    `touched[e]` becomes the blocks that entry e reaches, as bits; the backward pass reads it.
+    `lists` are offsets, entries, records and touched: `touched[e]` becomes the blocks that entry e
+    reaches, as bits; the backward pass reads it. `limits` are those of `pass_splat`.
     """
-    height, width = alphas.shape
-    offsets = flat(offsets)
-    entries = flat(entries)
-    records = flat(records)
-    scratch = flat(scratch)
-    touched, background = flat(touched), flat(background)
+    height, width = left.shape
+    offsets, entries, records, touched = flat(lists)
+    scratch, background, left = flat((scratch, background, left))
     images = flat(images)
-    alphas = flat(alphas)
-    depths = flat(depths)
-    transmittances = flat(transmittances)
-    zero = broadcast(F(0))
-    threshold, limit, least = F(np.log2(min_alpha)), F(max_alpha), F(min_transmittance)
     for tile in range(first_tile, last_tile):
         tile_x, tile_y = (tile % columns) * TILE, (tile // columns) * TILE
-        live = open_tile(
-            scratch,
-            FORWARD_STRIDE,
-            min(TILE, width - tile_x),
-            min(TILE, height - tile_y),
-        )
+        inside = min(TILE, width - tile_x), min(TILE, height - tile_y)
+        live = open_tile(scratch, FORWARD_STRIDE, inside[0], inside[1])
         for block in range(BLOCKS):
             for plane in range(FIRST_FREE, FORWARD_STRIDE, LANES):
-                store(scratch, block * FORWARD_STRIDE + plane, zero)
+                store(scratch, block * FORWARD_STRIDE + plane, broadcast(F(0)))
         first, end = U(offsets[U(tile)]), U(offsets[U(tile) + U(1)])
         while first < end and live != U(0):
             last = min(first + BATCH, end)
@@ -116,97 +79,43 @@ def shade_tiles(
                 while todo != U(0):
                     place = lowest_bit(todo) * FORWARD_STRIDE
                     todo &= todo - U(1)
-                    _, _, exponent = splat_exponent(scratch, place, ellipse)
-                    alpha = minimum(exp2(exponent), limit)
-                    before = load(scratch, place + TRANSMITTANCE)
-                    weight = alpha * before
-                    after = before - weight
-                    covered = exponent >= threshold
-                    shown = covered & (after > least)
-                    weight = select(shown, weight, zero)
-                    store(
-                        scratch,
-                        place + TRANSMITTANCE,
-                        select(shown, after, flag_negative(covered, before)),
+                    _, _, _, _, _, weight, _ = pass_splat(
+                        scratch, place, ellipse, limits
                     )
-                    store(
-                        scratch,
-                        place + _RED,
-                        load(scratch, place + _RED) + weight * red,
-                    )
-                    store(
-                        scratch,
-                        place + _GREEN,
-                        load(scratch, place + _GREEN) + weight * green,
-                    )
-                    store(
-                        scratch,
-                        place + _BLUE,
-                        load(scratch, place + _BLUE) + weight * blue,
-                    )
-                    store(
-                        scratch,
-                        place + _DEPTH,
-                        load(scratch, place + _DEPTH) + weight * depth,
-                    )
+                    add(scratch, place + _RED, weight * red)
+                    add(scratch, place + _GREEN, weight * green)
+                    add(scratch, place + _BLUE, weight * blue)
+                    add(scratch, place + _DEPTH, weight * depth)
             live &= live_blocks(scratch, FORWARD_STRIDE)
             first = last
-        _write_tile(
-            scratch,
-            U(tile_x),
-            U(tile_y),
-            U(width),
-            U(height),
-            background,
-            images,
-            alphas,
-            depths,
-            transmittances,
-        )
+        corner, size = (U(tile_x), U(tile_y)), (U(width), U(height))
+        _write_tile(scratch, corner, size, background, images, left)
 
 
 @inlined
-def _write_tile(
-    scratch,
-    tile_x,
-    tile_y,
-    width,
-    height,
-    background,
-    images,
-    alphas,
-    depths,
-    transmittances,
-):
+def _write_tile(scratch, corner, size, background, images, left):
     """Composite the background in place and copy a tile's pixels to the images."""
-    plane = width * height
+    width, height = size
     for block in range(BLOCKS):
-        x = tile_x + (block % BLOCKS_PER_ROW) * U(BLOCK)
-        y = tile_y + (block // BLOCKS_PER_ROW) * U(BLOCK)
+        x = corner[0] + (block % BLOCKS_PER_ROW) * U(BLOCK)
+        y = corner[1] + (block // BLOCKS_PER_ROW) * U(BLOCK)
         if x >= width or y >= height:
             continue
         place, target = block * FORWARD_STRIDE, y * width + x
-        columns, rows = min(U(BLOCK), width - x), min(U(BLOCK), height - y)
-        left = magnitude(load(scratch, place + TRANSMITTANCE))
-        alpha = broadcast(F(1)) - left
-        store(scratch, place + TRANSMITTANCE, left)
+        shape = width, min(U(BLOCK), width - x), min(U(BLOCK), height - y)
+        through = magnitude(load(scratch, place + TRANSMITTANCE))
+        alpha = broadcast(F(1)) - through
+        depth = load(scratch, place + _DEPTH) / maximum(alpha, F(MIN_TOTAL_ALPHA))
+        store(scratch, place + TRANSMITTANCE, through)
         store(scratch, place + PIXEL_X, alpha)
-        store(
-            scratch,
-            place + _DEPTH,
-            load(scratch, place + _DEPTH) / maximum(alpha, F(MIN_TOTAL_ALPHA)),
-        )
-        write_block(
-            scratch, place + TRANSMITTANCE, transmittances, target, width, columns, rows
-        )
-        write_block(scratch, place + PIXEL_X, alphas, target, width, columns, rows)
-        write_block(scratch, place + _DEPTH, depths, target, width, columns, rows)
+        store(scratch, place + _DEPTH, depth)
+        write_block(scratch, place + TRANSMITTANCE, left, target, shape)
+        write_block(scratch, place + PIXEL_X, images.alpha, target, shape)
+        write_block(scratch, place + _DEPTH, images.depth, target, shape)
         for channel in range(U(3)):
-            colour = place + _RED + channel * LANES
-            store(scratch, colour, load(scratch, colour) + left * background[channel])
-            write_block(
-                scratch, colour, images, target + channel * plane, width, columns, rows
-            )
+            colour, plane = place + _RED + channel * LANES, channel * width * height
+            add(scratch, colour, through * background[channel])
+            write_block(scratch, colour, images.image, target + plane, shape)
 
 
 @kernel
@@ -214,66 +123,35 @@ def differentiate_tiles(
     first_tile,
     last_tile,
     columns,
-    offsets,
-    entries,
-    records,
-    max_alpha,
-    min_alpha,
-    min_transmittance,
-    touched,
+    lists,
+    limits,
     shapes,
     scratch,
     images,
-    depths,
-    transmittances,
-    image_gradients,
-    alpha_gradients,
-    depth_gradients,
+    left,
+    gradients,
     sums,
 ):
     """Fill `sums[e]` (see `layout`) for every entry of the tiles [first_tile, last_tile); without
-    `shapes`, colours.
+    `shapes`, colours. `gradients` are those by `images`.
     """
-    height, width = depths.shape
-    offsets = flat(offsets)
-    entries = flat(entries)
-    records = flat(records)
-    scratch = flat(scratch)
-    touched, sums = flat(touched), flat(sums)
-    images, depths, transmittances = flat(images), flat(depths), flat(transmittances)
-    image_gradients, alpha_gradients = flat(image_gradients), flat(alpha_gradients)
-    depth_gradients = flat(depth_gradients)
-    zero = broadcast(F(0))
-    threshold, limit, least = F(np.log2(min_alpha)), F(max_alpha), F(min_transmittance)
-    plane = U(width) * U(height)
+    height, width = left.shape
+    offsets, entries, records, touched = flat(lists)
+    scratch, sums, left = flat((scratch, sums, left))
+    images, gradients = flat(images), flat(gradients)
+    zero, one = broadcast(F(0)), broadcast(F(1))
     for tile in range(first_tile, last_tile):
         tile_x, tile_y = (tile % columns) * TILE, (tile // columns) * TILE
-        live = open_tile(
-            scratch,
-            BACKWARD_STRIDE,
-            min(TILE, width - tile_x),
-            min(TILE, height - tile_y),
-        )
+        inside = min(TILE, width - tile_x), min(TILE, height - tile_y)
+        live = open_tile(scratch, BACKWARD_STRIDE, inside[0], inside[1])
         for block in range(BLOCKS):
             x = U(tile_x) + (block % BLOCKS_PER_ROW) * U(BLOCK)
             y = U(tile_y) + (block // BLOCKS_PER_ROW) * U(BLOCK)
             if x < U(width) and y < U(height):
-                place, corner = block * BACKWARD_STRIDE, y * U(width) + x
-                shape = U(width), U(width) - x, U(height) - y
-                _read_planes(
-                    scratch, place, images, depths, transmittances, corner, plane, shape
-                )
+                place, size = block * BACKWARD_STRIDE, (U(width), U(height))
+                _read_planes(scratch, place, images, left, x, y, size)
                 seen = _load_planes(scratch, place)
-                _read_planes(
-                    scratch,
-                    place,
-                    image_gradients,
-                    depth_gradients,
-                    alpha_gradients,
-                    corner,
-                    plane,
-                    shape,
-                )
+                _read_planes(scratch, place, gradients, gradients.alpha, x, y, size)
                 _start_rest(scratch, place, seen)
         first, end = U(offsets[U(tile)]), U(offsets[U(tile) + U(1)])
         while first < end and live != U(0):
@@ -285,51 +163,30 @@ def differentiate_tiles(
                 ellipse, red, green, blue, depth = place_splat(
                     records, start, tile_x, tile_y
                 )
-                sum_v = zero
-                sum_vs = zero
-                sum_vt = zero
-                sum_vss = zero
-                sum_vst = zero
-                sum_vtt = zero
+                sum_v, sum_vs, sum_vt = zero, zero, zero
+                sum_vss, sum_vst, sum_vtt = zero, zero, zero
                 sum_red, sum_green, sum_blue, sum_depth = zero, zero, zero, zero
                 while todo != U(0):
                     place = lowest_bit(todo) * BACKWARD_STRIDE
                     todo &= todo - U(1)
-                    across, down, exponent = splat_exponent(scratch, place, ellipse)
-                    full_alpha = exp2(exponent)
-                    alpha = minimum(full_alpha, limit)
-                    before = load(scratch, place + TRANSMITTANCE)
-                    weight = alpha * before
-                    after = before - weight
-                    covered = exponent >= threshold
-                    shown = covered & (after > least)
-                    weight = select(shown, weight, zero)
-                    store(
-                        scratch,
-                        place + TRANSMITTANCE,
-                        select(shown, after, flag_negative(covered, before)),
+                    across, down, full_alpha, alpha, before, weight, shown = pass_splat(
+                        scratch, place, ellipse, limits
                     )
-                    by_red = load(scratch, place + _RED)
-                    by_green = load(scratch, place + _GREEN)
-                    by_blue = load(scratch, place + _BLUE)
-                    by_depth = load(scratch, place + _DEPTH)
+                    by_red, by_green, by_blue, by_depth, rest = _load_planes(
+                        scratch, place
+                    )
                     sum_red += weight * by_red
                     sum_green += weight * by_green
                     sum_blue += weight * by_blue
                     sum_depth += weight * by_depth
                     if shapes:
-                        value = (
-                            by_red * red
-                            + by_green * green
-                            + by_blue * blue
-                            + by_depth * depth
-                        )
-                        rest = load(scratch, place + _REST) - weight * value
+                        colour = by_red * red + by_green * green + by_blue * blue
+                        value = colour + by_depth * depth
+                        rest = rest - weight * value
                         store(scratch, place + _REST, rest)
-                        by_alpha = before * value - rest / (broadcast(F(1)) - alpha)
-                        v = select(
-                            shown & (full_alpha <= limit), alpha * by_alpha, zero
-                        )
+                        by_alpha = before * value - rest / (one - alpha)
+                        free = shown & (full_alpha <= limits[1])
+                        v = select(free, alpha * by_alpha, zero)
                         vs, vt = v * across, v * down
                         sum_v += v
                         sum_vs += vs
@@ -337,22 +194,9 @@ def differentiate_tiles(
                         sum_vss += vs * across
                         sum_vst += vs * down
                         sum_vtt += vt * down
-                store_sums(
-                    sums,
-                    entry * U(SUMS),
-                    (
-                        sum_v,
-                        sum_vs,
-                        sum_vt,
-                        sum_vss,
-                        sum_vst,
-                        sum_vtt,
-                        sum_red,
-                        sum_green,
-                        sum_blue,
-                        sum_depth,
-                    ),
-                )
+                of_shape = sum_v, sum_vs, sum_vt, sum_vss, sum_vst, sum_vtt
+                of_colour = sum_red, sum_green, sum_blue, sum_depth
+                store_sums(sums, entry * U(SUMS), of_shape + of_colour)
             live &= live_blocks(scratch, BACKWARD_STRIDE)
             first = last
         for place in range(first * U(SUMS), end * U(SUMS)):
@@ -360,18 +204,18 @@ def differentiate_tiles(
 
 
 @inlined
-def _read_planes(scratch, place, images, depths, alphas, corner, plane, shape):
+def _read_planes(scratch, place, images, last, x, y, size):
     """Copy a block of three colours, depth and a last image to the planes that `_start_rest` works
     on.
     """
-    width, columns, rows = shape[0], min(U(BLOCK), shape[1]), min(U(BLOCK), shape[2])
-    read_block(scratch, place + _RED, images, corner, width, columns, rows)
-    read_block(scratch, place + _GREEN, images, corner + plane, width, columns, rows)
-    read_block(
-        scratch, place + _BLUE, images, corner + U(2) * plane, width, columns, rows
-    )
-    read_block(scratch, place + _DEPTH, depths, corner, width, columns, rows)
-    read_block(scratch, place + _REST, alphas, corner, width, columns, rows)
+    width, height = size
+    shape = width, min(U(BLOCK), width - x), min(U(BLOCK), height - y)
+    corner = y * width + x
+    for channel in range(U(3)):
+        source = corner + channel * width * height
+        read_block(scratch, place + _RED + channel * LANES, images.image, source, shape)
+    read_block(scratch, place + _DEPTH, images.depth, corner, shape)
+    read_block(scratch, place + _REST, last, corner, shape)
 
 
 @inlined
@@ -390,12 +234,6 @@ def _start_rest(scratch, place, seen):
     red, green, blue, depth, left = seen
     by_red, by_green, by_blue, by_depth, by_alpha = _load_planes(scratch, place)
     by_depth = by_depth / maximum(broadcast(F(1)) - left, F(MIN_TOTAL_ALPHA))
-    rest = (
-        red * by_red
-        + green * by_green
-        + blue * by_blue
-        + depth * by_depth
-        - left * by_alpha
-    )
+    colour = red * by_red + green * by_green + blue * by_blue
     store(scratch, place + _DEPTH, by_depth)
-    store(scratch, place + _REST, rest)
+    store(scratch, place + _REST, colour + depth * by_depth - left * by_alpha)

@@ -1,5 +1,7 @@
 """Memory layouts that the numba kernels share: sizes, and what stands in which column."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 TILE = 16
@@ -41,3 +43,23 @@ POSE = 16  # the first columns, by which the backward pass gives gradients
 SUMS = 10
 SUM_V, SUM_VS, SUM_VT, SUM_VSS, SUM_VST, SUM_VTT = _COLUMNS[:6]
 SUM_RED, SUM_GREEN, SUM_BLUE, SUM_DEPTH = _COLUMNS[6:SUMS]
+
+
+class GaussianArrays(NamedTuple):
+    """One scene's Gaussians, or their gradients, as the kernels read them: contiguous float32
+    arrays.
+    """
+
+    means: np.ndarray  # [G, 3]
+    scales: np.ndarray  # [G, 3]
+    quats: np.ndarray  # [G, 4]
+    opacities: np.ndarray  # [G]
+    harmonics: np.ndarray  # [G, K, 3]
+
+
+class CameraImages(NamedTuple):
+    """The images of one camera, or the gradients by them, as contiguous float32 arrays."""
+
+    image: np.ndarray  # [3, H, W]
+    alpha: np.ndarray  # [H, W]
+    depth: np.ndarray  # [H, W]

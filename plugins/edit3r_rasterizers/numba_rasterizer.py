@@ -3,6 +3,7 @@
 import subprocess
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import product
 from subprocess import DEVNULL
 
 import numpy as np
@@ -30,7 +31,14 @@ from edit3r_rasterizers.kernels import (
     scratch,
     thread_count,
 )
-from edit3r_rasterizers.layout import CAMERA, POSE, RECORD, SUMS
+from edit3r_rasterizers.layout import (
+    CAMERA,
+    POSE,
+    RECORD,
+    SUMS,
+    CameraImages,
+    GaussianArrays,
+)
 from edit3r_rasterizers.projection import PROJECTION_SCRATCH, pack_cameras, project
 from edit3r_rasterizers.projection_backward import (
     PROJECTION_BACKWARD_SCRATCH,
@@ -54,12 +62,8 @@ MAX_WAIT = 120  # for kernels that another process compiles [s]
 class NumbaSettings(RasterizerSettings):
     """The shared settings, and the number of threads."""
 
-    threads: int = Field(
-        0,
-        ge=0,
-        le=256,
-        description="CPU threads; 0: as many as torch and numba are set to use.",
-    )
+    threads: int = Field(0, ge=0, le=256)
+    """CPU threads; 0: as many as torch and numba are set to use."""
 
 
 class NumbaRasterizer(Rasterizer):
@@ -95,20 +99,13 @@ class NumbaRasterizer(Rasterizer):
         backgrounds = resolve_background(
             background, self.settings.background, single, cameras
         )
-        fields = (
-            single.means,
-            single.scales,
-            single.quats,
-            single.opacities,
-            single.harmonics,
-        )
         outputs = _Rasterize.apply(
             self.settings,
             self.settings.near_planes(single),
             cameras.image_size,
             backgrounds,
             pack_cameras(cameras),
-            *fields,
+            *(getattr(single, name) for name in GaussianArrays._fields),
         )
         return Rendering(*outputs).to(gaussians.means.dtype)
 
@@ -121,9 +118,8 @@ class _CompilingAhead:
     def start(self) -> None:
         if self.process is not None or is_kept(differentiate_tiles):
             return
-        say(
-            "compiling", "the rasterizer, once after an install, beside the other steps"
-        )
+        told = "the rasterizer, once after an install, beside the other steps"
+        say("compiling", told)
         command = [*PYTHON, "-m", "edit3r_rasterizers.compile_ahead"]
         self.process = subprocess.Popen(
             command, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL
@@ -150,32 +146,6 @@ def _check_device(gaussians: Gaussians) -> None:
 
 
 @dataclass(frozen=True)
-class GaussianArrays:
-    """One scene's Gaussians, or their gradients, as the kernels read them: contiguous float32
-    arrays.
-    """
-
-    means: np.ndarray  # [G, 3]
-    scales: np.ndarray  # [G, 3]
-    quats: np.ndarray  # [G, 4]
-    opacities: np.ndarray  # [G]
-    harmonics: np.ndarray  # [G, K, 3]
-
-    @property
-    def arrays(self) -> tuple[np.ndarray, ...]:
-        return self.means, self.scales, self.quats, self.opacities, self.harmonics
-
-
-@dataclass(frozen=True)
-class CameraImages:
-    """The images of one camera, or the gradients by them, as contiguous float32 arrays."""
-
-    image: np.ndarray  # [3, H, W]
-    alpha: np.ndarray  # [H, W]
-    depth: np.ndarray  # [H, W]
-
-
-@dataclass(frozen=True)
 class ProjectedScene:
     """What `project_scene` prepares for drawing, and the forward pass leaves for the backward
     pass.
@@ -189,6 +159,14 @@ class ProjectedScene:
     transmittances: np.ndarray  # [H, W], filled by `draw`
     touched: np.ndarray  # [E], blocks that each entry reaches, filled by `draw`
 
+    @property
+    def tiles(self) -> tuple:
+        """What the kernels of tiles are given of it: columns, lists and limits."""
+        lists = self.lists.offsets, self.lists.entries, self.records, self.touched
+        chosen = self.settings
+        limits = np.log2(chosen.min_alpha), chosen.max_alpha, chosen.min_transmittance
+        return self.grid.columns, lists, tuple(map(np.float32, limits))
+
 
 class _Rasterize(torch.autograd.Function):
     """Renders B scenes with C cameras each, one after the other, and differentiates that."""
@@ -196,36 +174,26 @@ class _Rasterize(torch.autograd.Function):
     @staticmethod
     def forward(ctx, settings, nears, image_size, backgrounds, cameras, *fields):
         batch, count = cameras.shape[:2]
-        grid = TileGrid(*image_size)
+        grid, learns = TileGrid(*image_size), any(ctx.needs_input_grad)
+        size = batch, count, 1, grid.height, grid.width
         images = torch.empty(batch, count, 3, grid.height, grid.width)
-        alphas, depths = (
-            torch.empty(batch, count, 1, grid.height, grid.width) for _ in range(2)
-        )
+        alphas, depths = torch.empty(size), torch.empty(size)
         threads, frames = thread_count(settings.threads), []
         scenes = [
             GaussianArrays(*(_array(field[b]) for field in fields))
             for b in range(batch)
         ]
-        for b in range(batch):
-            in_scene = settings.model_copy(update={"near": nears[b]})
-            for c in range(count):
-                frame = project_scene(
-                    in_scene,
-                    threads,
-                    scenes[b],
-                    _array(cameras[b, c]),
-                    grid,
-                    any(ctx.needs_input_grad),
-                )
-                if frame is None:
-                    check_finite(Gaussians(*(field.detach() for field in fields)))
-                draw(
-                    threads,
-                    frame,
-                    _array(backgrounds[b, c]),
-                    _images_of((images, alphas, depths), b, c),
-                )
-                frames += [frame] if any(ctx.needs_input_grad) else []
+        for b, c in product(range(batch), range(count)):
+            near = settings.model_copy(update={"near": nears[b]})
+            camera, shown = (
+                _array(cameras[b, c]),
+                _images_of((images, alphas, depths), b, c),
+            )
+            frame = project_scene(near, threads, scenes[b], camera, grid, learns)
+            if frame is None:
+                check_finite(Gaussians(*(field.detach() for field in fields)))
+            draw(threads, frame, _array(backgrounds[b, c]), shown)
+            frames += [frame] if learns else []
         ctx.scenes, ctx.frames = scenes, frames
         ctx.save_for_backward(images, alphas, depths)
         return images, alphas, depths
@@ -235,36 +203,26 @@ class _Rasterize(torch.autograd.Function):
         outputs = ctx.saved_tensors
         batch, count = outputs[0].shape[:2]
         by_background, *by_shapes, by_colours = ctx.needs_input_grad[3:]
-        by_scenes = [
-            GaussianArrays(*map(np.zeros_like, scene.arrays)) for scene in ctx.scenes
-        ]
+        by_scenes = [GaussianArrays(*map(np.zeros_like, scene)) for scene in ctx.scenes]
         by_backgrounds = torch.zeros(batch, count, 3) if by_background else None
         by_cameras = torch.zeros(batch, count, CAMERA, dtype=torch.float64)
         for index, frame in enumerate(ctx.frames):
             b, c = divmod(index, count)
             seen, by_seen = _images_of(outputs, b, c), _images_of(gradients, b, c)
             if any(by_shapes) or by_colours:
-                differentiate(
-                    ctx.scenes[b],
-                    frame,
-                    seen,
-                    by_seen,
+                wanted = (
                     by_scenes[b],
                     by_cameras[b, c].numpy() if by_shapes[0] else None,
-                    shapes=any(by_shapes),
                 )
+                shapes = any(by_shapes)
+                differentiate(ctx.scenes[b], frame, seen, by_seen, *wanted, shapes)
             if by_background:
-                left = torch.from_numpy(frame.transmittances)
-                by_backgrounds[b, c] = torch.einsum(
-                    "chw,hw->c", gradients[0][b, c].double(), left.double()
-                )
-        stacked = [
-            _stack(arrays) for arrays in zip(*(scene.arrays for scene in by_scenes))
-        ] or [None] * 5
-        by_fields = [
-            field if wanted else None
-            for field, wanted in zip(stacked, ctx.needs_input_grad[5:])
-        ]
+                left = torch.from_numpy(frame.transmittances).double()
+                by_image = gradients[0][b, c].double()
+                by_backgrounds[b, c] = torch.einsum("chw,hw->c", by_image, left)
+        stacked = [_stack(arrays) for arrays in zip(*by_scenes)] or [None] * 5
+        pairs = zip(stacked, ctx.needs_input_grad[5:])
+        by_fields = [field if wanted else None for field, wanted in pairs]
         return None, None, None, by_backgrounds, by_cameras, *by_fields
 
 
@@ -300,23 +258,16 @@ def project_scene(
     count = len(scene.means)
     records = aligned_empty((count, RECORD))
     boxes, keys = np.empty((count, 4), np.uint16), np.empty(count, np.float32)
-    limits = (
-        float(grid.width),
-        float(grid.height),
-        settings.near,
-        settings.far,
-        settings.eps2d,
-        settings.min_alpha,
-    )
-    work = scratch(PROJECTION_SCRATCH, np.float64)
+    size = float(grid.width), float(grid.height)
+    depths = settings.near, settings.far
     sound = run_slices(
         project,
         even_bounds(count, threads),
         threads,
-        *scene.arrays,
+        scene,
         camera,
-        *limits,
-        work,
+        (*size, *depths, settings.eps2d, settings.min_alpha),
+        scratch(PROJECTION_SCRATCH, np.float64),
         records,
         boxes,
         keys,
@@ -325,34 +276,22 @@ def project_scene(
         return None
     lists = list_tiles(threads, grid, records, boxes, keys, by_splat)
     touched = np.empty(len(lists.entries), np.uint16)
-    return ProjectedScene(
-        settings,
-        grid,
-        camera,
-        records,
-        lists,
-        np.empty((grid.height, grid.width), np.float32),
-        touched,
-    )
+    left = np.empty((grid.height, grid.width), np.float32)
+    return ProjectedScene(settings, grid, camera, records, lists, left, touched)
 
 
 def draw(
-    threads: int,
-    frame: ProjectedScene,
-    background: np.ndarray,
-    images: CameraImages,
+    threads: int, frame: ProjectedScene, background: np.ndarray, images: CameraImages
 ) -> None:
     """Fill `images` over a background colour [3]."""
     run_slices(
         shade_tiles,
         _tile_bounds(frame, threads),
         threads,
-        *_tile_arguments(frame),
+        *frame.tiles,
         background,
         scratch(FORWARD_SCRATCH, np.float32),
-        images.image,
-        images.alpha,
-        images.depth,
+        images,
         frame.transmittances,
     )
 
@@ -364,7 +303,6 @@ def differentiate(
     image_gradients: CameraImages,
     by_scene: GaussianArrays,
     by_camera: np.ndarray | None,
-    *,
     shapes: bool,
 ) -> None:
     """Add the gradients of one camera's images to those of the scene.
@@ -378,49 +316,32 @@ def differentiate(
         differentiate_tiles,
         _tile_bounds(frame, threads),
         threads,
-        *_tile_arguments(frame),
+        *frame.tiles,
         shapes,
         scratch(BACKWARD_SCRATCH, np.float32),
-        images.image,
-        images.depth,
+        images,
         frame.transmittances,
-        image_gradients.image,
-        image_gradients.alpha,
-        image_gradients.depth,
+        image_gradients,
         sums,
     )
     parts = run_slices(
         project_backward,
         even_bounds(len(scene.means), threads if by_camera is None else SHARES),
         threads,
-        *scene.arrays,
+        scene,
         frame.camera,
         frame.settings.eps2d,
         frame.records,
-        frame.lists.splat_offsets,
-        frame.lists.positions,
+        (frame.lists.splat_offsets, frame.lists.positions),
         sums,
         shapes,
         scratch(PROJECTION_BACKWARD_SCRATCH, np.float64),
         scratch(8, np.uint64),
         None if by_camera is None else lambda: np.zeros((POSE, 8)),
-        *by_scene.arrays,
+        by_scene,
     )
     if by_camera is not None:
         by_camera[:POSE] = sum(part.sum(1) for part in parts)
-
-
-def _tile_arguments(frame: ProjectedScene) -> tuple:
-    settings = frame.settings
-    limits = settings.max_alpha, settings.min_alpha, settings.min_transmittance
-    return (
-        frame.grid.columns,
-        frame.lists.offsets,
-        frame.lists.entries,
-        frame.records,
-        *limits,
-        frame.touched,
-    )
 
 
 def _tile_bounds(frame: ProjectedScene, threads: int) -> list[int]:

@@ -10,14 +10,7 @@ from torch import Tensor
 from edit3r.contract.types import DC, Cameras
 from edit3r_rasterizers import layout, projection_maths as maths
 from edit3r_rasterizers.kernels import inlined, kernel
-from edit3r_rasterizers.projection_maths import (
-    GROUP,
-    INPUTS,
-    OPACITY,
-    SCALE,
-    U,
-    staged_row,
-)
+from edit3r_rasterizers.projection_maths import GROUP, INPUTS, OPACITY, U, staged_row
 from edit3r_rasterizers.settings import BORDER, MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import evaluate_basis
 from edit3r_rasterizers.simd import (
@@ -68,56 +61,23 @@ def pack_cameras(cameras: Cameras) -> Float[Tensor, "batch camera column"]:
 
 
 @kernel
-def project(
-    first,
-    last,
-    means,
-    scales,
-    quats,
-    opacities,
-    harmonics,
-    camera,
-    width,
-    height,
-    near,
-    far,
-    eps2d,
-    min_alpha,
-    scratch,
-    records,
-    boxes,
-    keys,
-):
+def project(first, last, gaussians, camera, limits, scratch, records, boxes, keys):
     """Fill `records`, `boxes` (first and last tile column and row) and `keys` (sort by these) for
     [first, last).
 
-    A Gaussian that covers no pixel centre gets an empty box. Returns whether all values read were
-    finite.
+    `limits` are width, height, near, far, eps2d and min_alpha. A Gaussian that covers no pixel
+    centre gets an empty box. Returns whether all values read were finite.
     """
-    count = U(harmonics.shape[1])
-    means, scales, quats = flat(means), flat(scales), flat(quats)
-    opacities, harmonics = flat(opacities), flat(harmonics)
-    camera = flat(camera)
-    scratch = flat(scratch)
-    records = flat(records)
-    boxes = flat(boxes)
-    keys = flat(keys)
+    count = U(gaussians.harmonics.shape[1])
+    gaussians, camera, scratch = flat(gaussians), flat(camera), flat(scratch)
+    records, boxes, keys = flat((records, boxes, keys))
+    harmonics = gaussians.harmonics
     sound = True
     for start in range(U(first), U(last), GROUP):
         end = min(start + GROUP, U(last))
         for lane in range(GROUP):  # a short group repeats its last Gaussian
-            maths.stage(
-                scratch,
-                lane,
-                min(start + lane, end - U(1)),
-                means,
-                scales,
-                quats,
-                opacities,
-            )
-        visible, finite = _project_group(
-            scratch, camera, width, height, near, far, eps2d, min_alpha
-        )
+            maths.stage(scratch, lane, min(start + lane, end - U(1)), gaussians)
+        visible, finite = _project_group(scratch, camera, limits)
         for i in range(start, end):
             lane = i - start
             sound = sound and (finite >> lane) & U(1) != U(0)
@@ -125,18 +85,18 @@ def project(
                 keys[i] = scratch[_DEPTH * GROUP + lane]
                 _write_box(boxes, i, scratch, lane)
                 _write_geometry(records, i, scratch, lane)
-                sound = (
-                    _write_colour(records, i, scratch, lane, harmonics, count) and sound
-                )
+                known = _write_colour(records, i, scratch, lane, harmonics, count)
             else:
-                _write_empty_box(boxes, i)
-                sound = _all_finite(harmonics, i, count) and sound
+                _write_box_of(boxes, i, 1, 1, 0, 0)
+                known = _all_finite(harmonics, i, count)
+            sound = known and sound
     return sound
 
 
 @inlined
-def _project_group(staged, camera, width, height, near, far, eps2d, min_alpha):
+def _project_group(staged, camera, limits):
     """Project eight staged Gaussians; returns which are visible and which are finite, as bits."""
+    width, height, near, far, eps2d, min_alpha = limits
     total = broadcast(0.0)
     for row in range(INPUTS):
         total += staged_row(staged, row) * 0.0  # stays 0 unless something is not finite
@@ -149,14 +109,11 @@ def _project_group(staged, camera, width, height, near, far, eps2d, min_alpha):
     per_z = 1.0 / z
     u, v = x * per_z, y * per_z
     a, b, c, d, _ = maths.unit_quats(staged)
-    r0, r1, r2, r3, r4, r5, r6, r7, r8 = maths.rotation_matrix(a, b, c, d)
-    j0, j1, j2, k0, k1, k2 = maths.image_rows(camera, u, v, per_z)
-    s0 = staged_row(staged, SCALE)
-    s1 = staged_row(staged, SCALE + U(1))
-    s2 = staged_row(staged, SCALE + U(2))
-    a0, b0 = (j0 * r0 + j1 * r3 + j2 * r6) * s0, (k0 * r0 + k1 * r3 + k2 * r6) * s0
-    a1, b1 = (j0 * r1 + j1 * r4 + j2 * r7) * s1, (k0 * r1 + k1 * r4 + k2 * r7) * s1
-    a2, b2 = (j0 * r2 + j1 * r5 + j2 * r8) * s2, (k0 * r2 + k1 * r5 + k2 * r8) * s2
+    rotation = maths.rotation_matrix(a, b, c, d)
+    rows = maths.image_rows(camera, u, v, per_z)
+    s0, s1, s2 = maths.staged_scales(staged)
+    m0, m1, m2, n0, n1, n2 = maths.covariance_rows(rows, rotation)
+    a0, a1, a2, b0, b1, b2 = m0 * s0, m1 * s1, m2 * s2, n0 * s0, n1 * s1, n2 * s2
     x_per_y, inv_std_x, inv_std_y, variance_x, variance_y = maths.factorised_conic(
         a0, a1, a2, b0, b1, b2, eps2d
     )
@@ -212,22 +169,20 @@ def _write_box(boxes, i, results, lane):
     right = math.floor(results[_RIGHT * GROUP + lane])
     bottom = math.floor(results[_BOTTOM * GROUP + lane])
     if left > right or top > bottom:
-        _write_empty_box(boxes, i)
+        _write_box_of(boxes, i, 1, 1, 0, 0)
         return
-    boxes[U(4) * i] = U(left) // U(layout.TILE)
-    boxes[U(4) * i + U(1)] = U(top) // U(layout.TILE)
-    boxes[U(4) * i + U(2)] = U(right) // U(layout.TILE)
-    boxes[U(4) * i + U(3)] = U(bottom) // U(layout.TILE)
+    tile = U(layout.TILE)
+    first_column, last_column = U(left) // tile, U(right) // tile
+    _write_box_of(
+        boxes, i, first_column, U(top) // tile, last_column, U(bottom) // tile
+    )
 
 
 @inlined
-def _write_empty_box(boxes, i):
-    (
-        boxes[U(4) * i],
-        boxes[U(4) * i + U(1)],
-        boxes[U(4) * i + U(2)],
-        boxes[U(4) * i + U(3)],
-    ) = 1, 1, 0, 0
+def _write_box_of(boxes, i, left, top, right, bottom):
+    place = U(4) * i
+    boxes[place], boxes[place + U(1)] = left, top
+    boxes[place + U(2)], boxes[place + U(3)] = right, bottom
 
 
 @inlined
@@ -236,11 +191,8 @@ def _write_geometry(records, i, results, lane):
     x = results[_X * GROUP + lane]
     y = results[_Y * GROUP + lane]
     x_per_y = results[_X_PER_Y * GROUP + lane]
-    (
-        records[record + layout.X],
-        records[record + layout.Y],
-        records[record + layout.X_PER_Y],
-    ) = x, y, x_per_y
+    records[record + layout.X], records[record + layout.Y] = x, y
+    records[record + layout.X_PER_Y] = x_per_y
     records[record + layout.X_REST] = x - np.float64(np.float32(x))
     records[record + layout.Y_REST] = y - np.float64(np.float32(y))
     records[record + layout.X_PER_Y_REST] = x_per_y - np.float64(np.float32(x_per_y))

@@ -10,18 +10,11 @@ from edit3r.contract.types import DC
 from edit3r_rasterizers import layout, projection_maths as maths
 from edit3r_rasterizers.kernels import inlined, kernel
 from edit3r_rasterizers.projection import UNIT
-from edit3r_rasterizers.projection_maths import (
-    GROUP,
-    INPUTS,
-    OPACITY,
-    SCALE,
-    U,
-    staged_row,
-)
+from edit3r_rasterizers.projection_maths import GROUP, INPUTS, OPACITY, U, staged_row
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import basis_gradient, evaluate_basis
 from edit3r_rasterizers.simd import select
-from edit3r_rasterizers.simd_memory import flat, load, prefetch, shifted, store
+from edit3r_rasterizers.simd_memory import add, flat, prefetch, shifted, store
 
 F = np.float32
 _PER_UNIT = 1.0 / UNIT
@@ -41,98 +34,67 @@ PROJECTION_BACKWARD_SCRATCH = int((_WEIGHTS + U(4)) * GROUP)
 def project_backward(
     first,
     last,
-    means,
-    scales,
-    quats,
-    opacities,
-    harmonics,
+    gaussians,
     camera,
     eps2d,
     records,
-    splat_offsets,
-    positions,
+    entries,
     sums,
     shapes,
     scratch,
     group,
     camera_sums,
-    mean_gradients,
-    scale_gradients,
-    quat_gradients,
-    opacity_gradients,
-    harmonic_gradients,
+    gradients,
 ):
-    """Add the gradients of the Gaussians [first, last) for one camera to the five gradient arrays.
+    """Add the gradients of the Gaussians [first, last) for one camera to the five arrays
+    `gradients`.
 
-    Without `shapes` only those by the harmonics, as colours.
-    `positions[splat_offsets[i] : splat_offsets[i + 1]]` are the rows of `sums` that belong to
-    Gaussian i. `scratch` and `group` (eight indices): work space.
+    Without `shapes` only those by the harmonics, as colours. `entries` are splat_offsets and
+    positions: `positions[splat_offsets[i] : splat_offsets[i + 1]]` are the rows of `sums` that
+    belong to Gaussian i. `scratch` and `group` (eight indices): work space.
 
     To `camera_sums` [POSE, GROUP], which are returned, are added the gradients by the camera in
     eight parts; for None another kernel is compiled, that does not know of them.
     """
     by_pose = flat(camera_sums)
-    count = U(harmonics.shape[1])
-    means, scales, quats = flat(means), flat(scales), flat(quats)
-    opacities, harmonics = flat(opacities), flat(harmonics)
-    camera, records, splat_offsets = flat(camera), flat(records), flat(splat_offsets)
-    positions, sums = flat(positions), flat(sums)
-    scratch, group = flat(scratch), flat(group)
-    mean_gradients, scale_gradients = flat(mean_gradients), flat(scale_gradients)
-    quat_gradients = flat(quat_gradients)
-    opacity_gradients = flat(opacity_gradients)
-    harmonic_gradients = flat(harmonic_gradients)
+    count = U(gaussians.harmonics.shape[1])
+    gaussians, gradients = flat(gaussians), flat(gradients)
+    camera, records, sums = flat((camera, records, sums))
+    splat_offsets, positions = flat(entries)
+    scratch, group = flat((scratch, group))
     found = U(0)
     for i in range(U(first), U(last)):
-        if splat_offsets[i] < splat_offsets[i + U(1)]:
+        start, end = splat_offsets[i], splat_offsets[i + U(1)]
+        if start < end:
             group[found] = i
-            maths.stage(scratch, found, i, means, scales, quats, opacities)
-            _add_up(
-                scratch,
-                found,
-                splat_offsets[i],
-                splat_offsets[i + U(1)],
-                positions,
-                sums,
-            )
+            maths.stage(scratch, found, i, gaussians)
+            _add_up(scratch, found, start, end, positions, sums)
             found += U(1)
         if found == GROUP or (i + U(1) == U(last) and found > U(0)):
             # lanes of a short group hold some sound Gaussian that no pixel shows
             for lane in range(found, GROUP):
-                maths.stage(scratch, lane, group[U(0)], means, scales, quats, opacities)
+                maths.stage(scratch, lane, group[U(0)], gaussians)
                 _add_up(scratch, lane, 0, 0, positions, sums)
             if shapes:
                 _differentiate_group(scratch, camera, eps2d, by_pose)
             for lane in range(found):
                 k = group[lane]
                 if shapes:
-                    for axis in range(U(3)):
-                        mean_gradients[U(3) * k + axis] += scratch[
-                            (_MEAN + axis) * GROUP + lane
-                        ]
-                        scale_gradients[U(3) * k + axis] += scratch[
-                            (_SCALE + axis) * GROUP + lane
-                        ]
-                    for axis in range(U(4)):
-                        quat_gradients[U(4) * k + axis] += scratch[
-                            (_QUAT + axis) * GROUP + lane
-                        ]
-                    opacity_gradients[k] += scratch[_OPACITY * GROUP + lane]
-                _differentiate_colour(
-                    k,
-                    lane,
-                    count,
-                    scratch,
-                    records,
-                    means,
-                    camera,
-                    harmonics,
-                    mean_gradients,
-                    harmonic_gradients,
-                    by_pose,
-                )
+                    _take(gradients.means, k, U(3), scratch, _MEAN, lane)
+                    _take(gradients.scales, k, U(3), scratch, _SCALE, lane)
+                    _take(gradients.quats, k, U(4), scratch, _QUAT, lane)
+                    _take(gradients.opacities, k, U(1), scratch, _OPACITY, lane)
+                seen = records, camera, gaussians.means, gaussians.harmonics
+                _differentiate_colour(k, lane, count, scratch, seen, gradients, by_pose)
             found = U(0)
     return camera_sums
+
+
+@inlined
+def _take(gradients, k, columns, staged, row, lane):
+    """Add one lane of the staged results to the gradients of Gaussian `k`."""
+    for axis in range(columns):
+        gradients[columns * k + axis] += staged[(row + axis) * GROUP + lane]
 
 
 @inlined
@@ -157,15 +119,12 @@ def _differentiate_group(staged, camera, eps2d, by_pose):
     per_z = 1.0 / z
     u, v = x * per_z, y * per_z
     a, b, c, d, inverse = maths.unit_quats(staged)
-    r0, r1, r2, r3, r4, r5, r6, r7, r8 = maths.rotation_matrix(a, b, c, d)
-    j0, j1, j2, k0, k1, k2 = maths.image_rows(camera, u, v, per_z)
-    s0 = staged_row(staged, SCALE)
-    s1 = staged_row(staged, SCALE + U(1))
-    s2 = staged_row(staged, SCALE + U(2))
+    rotation = maths.rotation_matrix(a, b, c, d)
+    rows = maths.image_rows(camera, u, v, per_z)
+    j0, j1, j2, k0, k1, k2 = rows
+    s0, s1, s2 = maths.staged_scales(staged)
     # Rows of the covariance's factor J R diag(s): before scaling m and n, after it a and b.
-    m0, n0 = j0 * r0 + j1 * r3 + j2 * r6, k0 * r0 + k1 * r3 + k2 * r6
-    m1, n1 = j0 * r1 + j1 * r4 + j2 * r7, k0 * r1 + k1 * r4 + k2 * r7
-    m2, n2 = j0 * r2 + j1 * r5 + j2 * r8, k0 * r2 + k1 * r5 + k2 * r8
+    m0, m1, m2, n0, n1, n2 = maths.covariance_rows(rows, rotation)
     a0, a1, a2, b0, b1, b2 = m0 * s0, m1 * s1, m2 * s2, n0 * s0, n1 * s1, n2 * s2
     x_per_y, inv_std_x, inv_std_y, _, _ = maths.factorised_conic(
         a0, a1, a2, b0, b1, b2, eps2d
@@ -192,28 +151,16 @@ def _differentiate_group(staged, camera, eps2d, by_pose):
     f0, f1, f2, g0, g1, g2 = f0 * s0, f1 * s1, f2 * s2, g0 * s0, g1 * s1, g2 * s2
 
     # by the rotation matrix
-    h0, h1, h2 = (
-        j0 * f0 + k0 * g0,
-        j0 * f1 + k0 * g1,
-        j0 * f2 + k0 * g2,
-    )
+    h0, h1, h2 = j0 * f0 + k0 * g0, j0 * f1 + k0 * g1, j0 * f2 + k0 * g2
     h3, h4, h5 = j1 * f0 + k1 * g0, j1 * f1 + k1 * g1, j1 * f2 + k1 * g2
     h6, h7, h8 = j2 * f0 + k2 * g0, j2 * f1 + k2 * g1, j2 * f2 + k2 * g2
     _store_quat_gradients(
-        staged, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8
+        staged, (a, b, c, d), inverse, (h0, h1, h2, h3, h4, h5, h6, h7, h8)
     )
 
     # By the rows of the Jacobian in world axes, and through its tangents and 1 / z.
-    f0, f1, f2 = (
-        f0 * r0 + f1 * r1 + f2 * r2,
-        f0 * r3 + f1 * r4 + f2 * r5,
-        f0 * r6 + f1 * r7 + f2 * r8,
-    )
-    g0, g1, g2 = (
-        g0 * r0 + g1 * r1 + g2 * r2,
-        g0 * r3 + g1 * r4 + g2 * r5,
-        g0 * r6 + g1 * r7 + g2 * r8,
-    )
+    f0, f1, f2 = _turned(rotation, f0, f1, f2)
+    g0, g1, g2 = _turned(rotation, g0, g1, g2)
     by_x = inv_std_x * staged_row(staged, _TOTALS + layout.SUM_VS) * _PER_UNIT
     by_y = (
         inv_std_y * staged_row(staged, _TOTALS + layout.SUM_VT) * _PER_UNIT
@@ -252,10 +199,10 @@ def _differentiate_group(staged, camera, eps2d, by_pose):
         g0, g1, g2 = g0 * per_z * focal_y, g1 * per_z * focal_y, g2 * per_z * focal_y
         fx, _, fz = maths.camera_position(camera, f0, f1, f2)
         _, hy, hz = maths.camera_position(camera, g0, g1, g2)
-        _add(by_pose, layout.FOCAL_X, (tilt_u * u + fx) / focal_x)
-        _add(by_pose, layout.FOCAL_Y, (tilt_v * v + hy) / focal_y)
-        _add(by_pose, layout.CENTRE_X, (tilt_u + fz) / focal_x)
-        _add(by_pose, layout.CENTRE_Y, (tilt_v + hz) / focal_y)
+        add(by_pose, U(layout.FOCAL_X) * GROUP, (tilt_u * u + fx) / focal_x)
+        add(by_pose, U(layout.FOCAL_Y) * GROUP, (tilt_v * v + hy) / focal_y)
+        add(by_pose, U(layout.CENTRE_X) * GROUP, (tilt_u + fz) / focal_x)
+        add(by_pose, U(layout.CENTRE_Y) * GROUP, (tilt_v + hz) / focal_y)
         u, v = maths.clamped_tangents(camera, u, v)
         _add_axis(staged, by_pose, 0, gx, gy, gz, dx, f0, g0, u, v)
         _add_axis(staged, by_pose, 1, gx, gy, gz, dy, f1, g1, u, v)
@@ -263,27 +210,36 @@ def _differentiate_group(staged, camera, eps2d, by_pose):
 
 
 @inlined
+def _turned(rotation, f0, f1, f2):
+    """The rotation matrix times a vector."""
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = rotation
+    return (
+        f0 * r0 + f1 * r1 + f2 * r2,
+        f0 * r3 + f1 * r4 + f2 * r5,
+        f0 * r6 + f1 * r7 + f2 * r8,
+    )
+
+
+@inlined
 def _add_axis(staged, by_pose, axis, gx, gy, gz, offset, f, g, u, v):
     """Add the gradients by one row of the rotation, and by one coordinate of the centre."""
-    _add(by_pose, 3 * axis, offset * gx + f)
-    _add(by_pose, 3 * axis + 1, offset * gy + g)
-    _add(by_pose, 3 * axis + 2, offset * gz - f * u - g * v)
-    _add(by_pose, layout.CENTRE + axis, 0.0 - staged_row(staged, _MEAN + U(axis)))
+    add(by_pose, U(3 * axis) * GROUP, offset * gx + f)
+    add(by_pose, U(3 * axis + 1) * GROUP, offset * gy + g)
+    add(by_pose, U(3 * axis + 2) * GROUP, offset * gz - f * u - g * v)
+    add(
+        by_pose,
+        U(layout.CENTRE + axis) * GROUP,
+        0.0 - staged_row(staged, _MEAN + U(axis)),
+    )
 
 
 @inlined
-def _add(by_pose, column, gradient):
-    place = U(column) * GROUP
-    store(by_pose, place, load(by_pose, place) + gradient)
-
-
-@inlined
-def _store_quat_gradients(
-    staged, a, b, c, d, inverse, h0, h1, h2, h3, h4, h5, h6, h7, h8
-):
+def _store_quat_gradients(staged, quat, inverse, by_rotation):
     """Apply the chain rule from the rotation matrix to a quaternion of any norm; zero for one taken
     as the identity.
     """
+    a, b, c, d = quat
+    h0, h1, h2, h3, h4, h5, h6, h7, h8 = by_rotation
     ga = 2.0 * (d * (h3 - h1) + c * (h2 - h6) + b * (h7 - h5))
     gb = 2.0 * (c * (h1 + h3) + d * (h2 + h6) + a * (h7 - h5) - 2.0 * b * (h4 + h8))
     gc = 2.0 * (b * (h1 + h3) + d * (h5 + h7) + a * (h2 - h6) - 2.0 * c * (h0 + h8))
@@ -296,33 +252,19 @@ def _store_quat_gradients(
 
 
 @inlined
-def _differentiate_colour(
-    i,
-    lane,
-    count,
-    scratch,
-    records,
-    means,
-    camera,
-    harmonics,
-    mean_gradients,
-    harmonic_gradients,
-    by_pose,
-):
-    """Add the gradients by the harmonics, and by mean and camera through the direction seen."""
+def _differentiate_colour(i, lane, count, scratch, seen, gradients, by_pose):
+    """Add the gradients by the harmonics, and by mean and camera through the direction `seen`:
+    records, camera, means and harmonics.
+    """
+    records, camera, means, harmonics = seen
+    mean_gradients, harmonic_gradients = gradients.means, gradients.harmonics
     record, first = i * U(layout.RECORD), U(3) * count * i
-    red = _unless_clamped(
-        records[record + layout.RED],
-        scratch[(_TOTALS + layout.SUM_RED) * GROUP + lane],
-    )
-    green = _unless_clamped(
-        records[record + layout.GREEN],
-        scratch[(_TOTALS + layout.SUM_GREEN) * GROUP + lane],
-    )
-    blue = _unless_clamped(
-        records[record + layout.BLUE],
-        scratch[(_TOTALS + layout.SUM_BLUE) * GROUP + lane],
-    )
+    by_red = scratch[(_TOTALS + layout.SUM_RED) * GROUP + lane]
+    by_green = scratch[(_TOTALS + layout.SUM_GREEN) * GROUP + lane]
+    by_blue = scratch[(_TOTALS + layout.SUM_BLUE) * GROUP + lane]
+    red = _unless_clamped(records[record + layout.RED], by_red)
+    green = _unless_clamped(records[record + layout.GREEN], by_green)
+    blue = _unless_clamped(records[record + layout.BLUE], by_blue)
     harmonic_gradients[first] += DC * red
     harmonic_gradients[first + U(1)] += DC * green
     harmonic_gradients[first + U(2)] += DC * blue
@@ -341,9 +283,8 @@ def _differentiate_colour(
         harmonic_gradients[place] += basis[k] * red
         harmonic_gradients[place + U(1)] += basis[k] * green
         harmonic_gradients[place + U(2)] += basis[k] * blue
-        weight = red * np.float64(harmonics[place]) + green * np.float64(
-            harmonics[place + U(1)]
-        )
+        of_red, of_green = np.float64(harmonics[place]), harmonics[place + U(1)]
+        weight = red * of_red + green * np.float64(of_green)
         weights[k] = weight + blue * np.float64(harmonics[place + U(2)])
     gx, gy, gz = basis_gradient(x, y, z, weights, count)
     along = gx * x + gy * y + gz * z

@@ -22,14 +22,14 @@ MEAN, SCALE, QUAT, OPACITY, INPUTS = U(0), U(3), U(6), U(10), U(11)
 
 
 @inlined
-def stage(staged, lane, i, means, scales, quats, opacities):
+def stage(staged, lane, i, gaussians):
     """Copy the geometry of Gaussian `i` to one lane of the staged inputs."""
     for k in range(U(3)):
-        staged[(MEAN + k) * GROUP + lane] = means[U(3) * i + k]
-        staged[(SCALE + k) * GROUP + lane] = scales[U(3) * i + k]
+        staged[(MEAN + k) * GROUP + lane] = gaussians.means[U(3) * i + k]
+        staged[(SCALE + k) * GROUP + lane] = gaussians.scales[U(3) * i + k]
     for k in range(U(4)):
-        staged[(QUAT + k) * GROUP + lane] = quats[U(4) * i + k]
-    staged[OPACITY * GROUP + lane] = opacities[i]
+        staged[(QUAT + k) * GROUP + lane] = gaussians.quats[U(4) * i + k]
+    staged[OPACITY * GROUP + lane] = gaussians.opacities[i]
 
 
 @inlined
@@ -99,6 +99,27 @@ def unit_quats(staged):
         d * inverse,
         inverse,
     )
+
+
+@inlined
+def staged_scales(staged):
+    """Return the three rows of scales."""
+    return (
+        staged_row(staged, SCALE),
+        staged_row(staged, SCALE + U(1)),
+        staged_row(staged, SCALE + U(2)),
+    )
+
+
+@inlined
+def covariance_rows(rows, rotation):
+    """Return the rows of J R: the Jacobian's two `rows` times the rotation matrix."""
+    j0, j1, j2, k0, k1, k2 = rows
+    r0, r1, r2, r3, r4, r5, r6, r7, r8 = rotation
+    m0, n0 = j0 * r0 + j1 * r3 + j2 * r6, k0 * r0 + k1 * r3 + k2 * r6
+    m1, n1 = j0 * r1 + j1 * r4 + j2 * r7, k0 * r1 + k1 * r4 + k2 * r7
+    m2, n2 = j0 * r2 + j1 * r5 + j2 * r8, k0 * r2 + k1 * r5 + k2 * r8
+    return m0, m1, m2, n0, n1, n2
 
 
 @inlined

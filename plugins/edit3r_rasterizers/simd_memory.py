@@ -9,6 +9,7 @@ be freed too early: scratch memory is an argument too.
 from llvmlite import ir
 
 from edit3r.kit.compute.compiling import numba
+from edit3r_rasterizers.kernels import inlined
 from edit3r_rasterizers.simd import DOUBLES, FLOATS, INT32, INT64, constant
 
 types = numba.types
@@ -28,18 +29,35 @@ def _align(kind) -> int:
 
 
 @intrinsic
-def flat(typing, array):
-    """Pointer to the first element of a contiguous array; index it by flat element index.
+def flat(typing, arrays):
+    """Pointer to the first element of a contiguous array, or of each in a tuple of them; index it
+    by flat element index.
 
     None stays None, so that a kernel may go without an array.
     """
-    if array is types.none:
-        return array(array), lambda context, builder, signature, values: values[0]
+    if arrays is types.none:
+        return arrays(arrays), lambda context, builder, signature, values: values[0]
+
+    def pointer(context, builder, kind, array):
+        return context.make_array(kind)(context, builder, array).data
+
+    if not isinstance(arrays, types.BaseTuple):
+        return types.CPointer(arrays.dtype)(arrays), (
+            lambda context, builder, signature, values: pointer(
+                context, builder, arrays, values[0]
+            )
+        )
+    pointers = types.BaseTuple.from_types(
+        [types.CPointer(one.dtype) for one in arrays],
+        getattr(arrays, "instance_class", None),
+    )
 
     def emit(context, builder, signature, values):
-        return context.make_array(array)(context, builder, values[0]).data
+        parts = cgutils.unpack_tuple(builder, values[0], len(arrays))
+        found = [pointer(context, builder, *one) for one in zip(arrays, parts)]
+        return context.make_tuple(builder, pointers, found)
 
-    return types.CPointer(array.dtype)(array), emit
+    return pointers(arrays), emit
 
 
 @intrinsic
@@ -73,6 +91,12 @@ def store(typing, pointer, offset, value):
         return context.get_dummy_value()
 
     return types.void(pointer, types.uint64, kind), emit
+
+
+@inlined
+def add(pointer, offset, value):
+    """Add a vector to what lies at consecutive addresses."""
+    store(pointer, offset, load(pointer, offset) + value)
 
 
 @intrinsic

@@ -70,7 +70,7 @@ def list_tiles(
     order = _sort(keys, boxes)
     chunks = np.array(even_bounds(len(order), threads), np.int64)
     slices = list(range(len(chunks)))
-    shared = chunks, order, boxes, records, grid.columns
+    shared = grid.columns, (chunks, order, boxes, records)
     counts = np.empty((len(chunks) - 1, grid.count), np.int64)
     splat_offsets = np.zeros(len(records) + 1 if by_splat else 1, np.int64)
     run_slices(count_entries, slices, threads, *shared, counts, splat_offsets[1:])
@@ -84,16 +84,8 @@ def list_tiles(
     entries = np.empty(total + layout.LOOKAHEAD, np.int32)
     positions = np.empty(len(entries) if by_splat else 0, np.int32)
     entries[-layout.LOOKAHEAD :] = positions[-layout.LOOKAHEAD :] = 0
-    run_slices(
-        list_entries,
-        slices,
-        threads,
-        *shared,
-        cursors,
-        splat_offsets,
-        entries,
-        positions,
-    )
+    lists = splat_offsets, entries, positions
+    run_slices(list_entries, slices, threads, *shared, cursors, lists)
     return TileLists(offsets, entries, positions, splat_offsets)
 
 
@@ -129,9 +121,9 @@ def sort_by_depth(keys, boxes, index, values, other_index, other_values, counts)
     share is left out.
     """
     size = U(len(keys))
-    keys, boxes, counts = flat(keys), flat(boxes), flat(counts)
-    index, values = flat(index), flat(values)
-    other_index, other_values = flat(other_index), flat(other_values)
+    keys, boxes, counts = flat((keys, boxes, counts))
+    index, values = flat((index, values))
+    other_index, other_values = flat((other_index, other_values))
     for bucket in range(_PASSES * _BUCKETS):
         counts[bucket] = 0
     n = U(0)
@@ -184,18 +176,16 @@ def _exponent(record, x, y):
 
 
 @kernel
-def count_entries(first, last, bounds, order, boxes, records, columns, counts, numbers):
+def count_entries(first, last, columns, splats, counts, numbers):
     """Count for the chunks [first, last) the splats on each tile, and the tiles of each splat.
 
-    Chunk c has the ranks [bounds[c], bounds[c + 1]) in depth `order`. Fills rows of `counts`
-    [chunks, tiles] and `numbers` [splats], which may be empty.
+    `splats` are bounds, order, boxes and records: chunk c has the ranks [bounds[c], bounds[c + 1])
+    in depth `order`. Fills rows of `counts` [chunks, tiles] and `numbers` [splats], which may be
+    empty.
     """
     tiles, columns, by_splat = U(counts.shape[1]), U(columns), len(numbers) > 0
-    bounds = flat(bounds)
-    order = flat(order)
-    boxes = flat(boxes)
-    records = flat(records)
-    counts, numbers = flat(counts), flat(numbers)
+    bounds, order, boxes, records = flat(splats)
+    counts, numbers = flat((counts, numbers))
     for chunk in range(U(first), U(last)):
         table = shifted(counts, chunk * tiles)
         for tile in range(tiles):
@@ -205,8 +195,7 @@ def count_entries(first, last, bounds, order, boxes, records, columns, counts, n
             prefetch(boxes, U(4) * U(order[min(rank + _AHEAD, end - U(1))]))
             i = U(order[rank])
             record = shifted(records, i * U(layout.RECORD))
-            left, top, right, bottom = _box(boxes, i)
-            exact = (right - left + U(1)) * (bottom - top + U(1)) > _EXACT_ABOVE
+            left, top, right, bottom, exact = _box(boxes, i)
             number = 0
             for row in range(top, bottom + U(1)):
                 for column in range(left, right + U(1)):
@@ -218,44 +207,26 @@ def count_entries(first, last, bounds, order, boxes, records, columns, counts, n
 
 
 @kernel
-def list_entries(
-    first,
-    last,
-    bounds,
-    order,
-    boxes,
-    records,
-    columns,
-    cursors,
-    splat_offsets,
-    entries,
-    positions,
-):
-    """Put each splat of the chunks [first, last) at the end of its tiles' lists.
+def list_entries(first, last, columns, splats, cursors, lists):
+    """Put each splat of the chunks [first, last) at the end of its tiles' lists; `splats` as above.
 
-    `cursors` [chunks, tiles]: where the chunk's part of each list begins; used up. `entries[e]`:
-    splat of entry e, entries grouped by tile, front to back. `positions[splat_offsets[i] :
-    splat_offsets[i + 1]]`: the entries of splat i; not where it is empty.
+    `cursors` [chunks, tiles]: where the chunk's part of each list begins; used up. `lists` are
+    splat_offsets, entries and positions. `entries[e]`: splat of entry e, entries grouped by tile,
+    front to back. `positions[splat_offsets[i] : splat_offsets[i + 1]]`: the entries of splat i; not
+    where it is empty.
     """
-    tiles, columns, by_splat = U(cursors.shape[1]), U(columns), len(positions) > 0
-    bounds = flat(bounds)
-    order = flat(order)
-    boxes = flat(boxes)
-    records = flat(records)
+    tiles, columns, by_splat = U(cursors.shape[1]), U(columns), len(lists[2]) > 0
+    bounds, order, boxes, records = flat(splats)
+    splat_offsets, entries, positions = flat(lists)
     cursors = flat(cursors)
-    splat_offsets = flat(splat_offsets)
-    entries = flat(entries)
-    positions = flat(positions)
     for chunk in range(U(first), U(last)):
         table = shifted(cursors, chunk * tiles)
         end = U(bounds[chunk + U(1)])
         for rank in range(U(bounds[chunk]), end):
-            coming = U(order[min(rank + _AHEAD, end - U(1))])
-            prefetch(boxes, U(4) * coming)
+            prefetch(boxes, U(4) * U(order[min(rank + _AHEAD, end - U(1))]))
             i = U(order[rank])
             record = shifted(records, i * U(layout.RECORD))
-            left, top, right, bottom = _box(boxes, i)
-            exact = (right - left + U(1)) * (bottom - top + U(1)) > _EXACT_ABOVE
+            left, top, right, bottom, exact = _box(boxes, i)
             done = U(splat_offsets[i]) if by_splat else U(0)
             for row in range(top, bottom + U(1)):
                 for column in range(left, right + U(1)):
@@ -271,9 +242,9 @@ def list_entries(
 
 @inlined
 def _box(boxes, i):
-    return (
-        U(boxes[U(4) * i]),
-        U(boxes[U(4) * i + U(1)]),
-        U(boxes[U(4) * i + U(2)]),
-        U(boxes[U(4) * i + U(3)]),
-    )
+    """Read the box of a splat, and whether it is so large that its tiles are tested one by one."""
+    place = U(4) * i
+    left, top = U(boxes[place]), U(boxes[place + U(1)])
+    right, bottom = U(boxes[place + U(2)]), U(boxes[place + U(3)])
+    count = (right - left + U(1)) * (bottom - top + U(1))
+    return left, top, right, bottom, count > _EXACT_ABOVE

@@ -12,6 +12,8 @@ from edit3r_rasterizers import layout
 from edit3r_rasterizers.kernels import inlined
 from edit3r_rasterizers.simd import (
     broadcast,
+    exp2,
+    flag_negative,
     lane_columns,
     lane_rows,
     mask_bits,
@@ -127,6 +129,30 @@ def splat_exponent(scratch, place, ellipse):
 
 
 @inlined
+def pass_splat(scratch, place, ellipse, limits):
+    """Let the light of the block at `place` pass a splat, which lowers its transmittance and ends
+    pixels.
+
+    `limits` are log2 of the least alpha, the largest alpha and the least transmittance. Returns
+    the two terms of `splat_exponent`, alpha before and after the limit, the transmittance before,
+    the splat's weight, and where it is shown.
+    """
+    threshold, limit, least = limits
+    across, down, exponent = splat_exponent(scratch, place, ellipse)
+    full_alpha = exp2(exponent)
+    alpha = minimum(full_alpha, limit)
+    before = load(scratch, place + TRANSMITTANCE)
+    weight = alpha * before
+    after = before - weight
+    covered = exponent >= threshold
+    shown = covered & (after > least)
+    left = select(shown, after, flag_negative(covered, before))
+    store(scratch, place + TRANSMITTANCE, left)
+    weight = select(shown, weight, broadcast(F(0)))
+    return across, down, full_alpha, alpha, before, weight, shown
+
+
+@inlined
 def find_touched_blocks(first, last, entries, records, tile_x, tile_y, touched):
     """Write for each entry of [first, last) the blocks whose pixel centres its ellipse reaches, as
     bits in `touched`.
@@ -165,29 +191,29 @@ def _squares(across, down, inv_std_x, inv_std_y):
 
 
 @inlined
-def write_block(scratch, place, image, target, width, columns, rows):
-    """Copy columns x rows pixels of a plane to flat index `target` of an image `width` wide."""
+def write_block(scratch, place, image, target, shape):
+    """Copy a plane to flat index `target` of an image; `shape` is the image's width, and the
+    columns and rows that are copied.
+    """
+    width, columns, rows = shape
     if columns == U(layout.BLOCK) and rows == U(layout.BLOCK):
         store_block(image, target, width, load(scratch, place))
         return
     for row in range(rows):
         for column in range(columns):
-            image[target + row * width + column] = scratch[
-                place + row * U(layout.BLOCK) + column
-            ]
+            pixel = scratch[place + row * U(layout.BLOCK) + column]
+            image[target + row * width + column] = pixel
 
 
 @inlined
-def read_block(scratch, place, image, source, width, columns, rows):
-    """Copy columns x rows pixels of an image `width` wide from flat index `source` to a plane, zero
-    elsewhere.
-    """
+def read_block(scratch, place, image, source, shape):
+    """Copy the other way; zero beyond the columns and rows that are copied."""
+    width, columns, rows = shape
     if columns == U(layout.BLOCK) and rows == U(layout.BLOCK):
         store(scratch, place, load_block(image, source, width))
         return
     store(scratch, place, broadcast(F(0)))
     for row in range(rows):
         for column in range(columns):
-            scratch[place + row * U(layout.BLOCK) + column] = image[
-                source + row * width + column
-            ]
+            pixel = image[source + row * width + column]
+            scratch[place + row * U(layout.BLOCK) + column] = pixel

@@ -41,6 +41,13 @@ class RefineSettings(Settings):
         0.55, ge=0, le=1, description="step of the opacities' logits"
     )
     scale: float = Field(0.2, ge=0, le=1, description="step of the scales' logarithms")
+    growth: float = Field(
+        1.15,
+        ge=1,
+        le=1000,
+        description="most times as large as it was that a Gaussian may become: what grows over a "
+        "depth edge at the photos stands before others' surfaces between them",
+    )
     centre: float = Field(
         0.15,
         ge=0,
@@ -234,6 +241,7 @@ class _Variables:
         self.values = {
             name: value.clone().requires_grad_(True) for name, value in values.items()
         }
+        self.largest = values["scale"] + math.log(settings.growth)
         self.optimizer = Adam(
             list(self.values.values()),
             [getattr(settings, name) for name in self.values],
@@ -252,6 +260,8 @@ class _Variables:
         self.optimizer.step(
             torch.autograd.grad(loss, list(self.values.values())), length
         )
+        with torch.no_grad():
+            self.values["scale"].clamp_(max=self.largest)
 
 
 def _held_back(

@@ -14,24 +14,17 @@ class TrainCommand(Command):
     """Train a reconstructor as one configuration file says."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        parser.add_argument(
-            "config",
-            help="a YAML file, or the name of a shipped one such as training/edit3r-small",
+        about = (
+            "a YAML file, or the name of a shipped one such as training/edit3r-small"
         )
+        parser.add_argument("config", help=about)
         earlier = parser.add_mutually_exclusive_group()
-        earlier.add_argument(
-            "--resume",
-            action="store_true",
-            help="go on from the last checkpoint in the output folder",
-        )
-        earlier.add_argument(
-            "--overwrite",
-            action="store_true",
-            help="begin anew although the output folder holds another training",
-        )
-        parser.add_argument(
-            "--out", help="output folder, instead of the configuration's"
-        )
+        about = "go on from the last checkpoint in the output folder"
+        earlier.add_argument("--resume", action="store_true", help=about)
+        about = "begin anew although the output folder holds another training"
+        earlier.add_argument("--overwrite", action="store_true", help=about)
+        about = "output folder, instead of the configuration's"
+        parser.add_argument("--out", help=about)
         add_common(parser, "change a setting, e.g. trainer.steps=100")
         add_trust_flag(parser)
 

@@ -22,24 +22,10 @@ TILE = 128
 
 LEVELS = 6
 
-TEXTURE_PHOTOS = [
-    "astronaut",
-    "brick",
-    "camera",
-    "cat",
-    "coffee",
-    "coins",
-    "grass",
-    "gravel",
-    "hubble_deep_field",
-    "immunohistochemistry",
-    "logo",
-    "moon",
-    "page",
-    "retina",
-    "rocket",
-    "text",
-]
+TEXTURE_PHOTOS = """
+astronaut brick camera cat coffee coins grass gravel hubble_deep_field immunohistochemistry logo
+moon page retina rocket text
+"""
 
 Vectors = NDArray[np.float64]
 Image = UInt8[np.ndarray, "height width 3"]
@@ -121,10 +107,7 @@ def random_scene(
 
 
 def _room(
-    rng: np.random.Generator,
-    texture_count: int,
-    avoid: Vectors,
-    outdoor: bool,
+    rng: np.random.Generator, texture_count: int, avoid: Vectors, outdoor: bool
 ) -> _Object:
     """The enclosing box; it holds all cameras."""
     reach = np.abs(avoid).max(0) + 0.3
@@ -230,7 +213,7 @@ def _photos() -> list[Image]:
     from skimage import data
 
     photos = []
-    for name in TEXTURE_PHOTOS:
+    for name in TEXTURE_PHOTOS.split():
         photo = np.atleast_3d(getattr(data, name)())[..., :3].astype(np.uint8)
         photos.append(np.broadcast_to(photo, (*photo.shape[:2], 3)))
     return photos

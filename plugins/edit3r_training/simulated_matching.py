@@ -19,7 +19,7 @@ from torch import Tensor
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import Geometry, Matcher, SceneSample
 from edit3r.contract.types import Views
-from edit3r.kit.compute.smoothing import weighted_smooth
+from edit3r.kit.compute.layers import weighted_smooth
 from edit3r.kit.geometry.cameras import project, unproject
 
 Map = Float[np.ndarray, "height width"]

@@ -2,8 +2,7 @@
 
 import pytest
 
-from edit3r.cli.commands import COMMANDS
-from edit3r.cli.main import find_command
+from edit3r.cli.main import COMMANDS, find_command
 from edit3r.contract.command import Command
 from edit3r_testing import CommandContract
 

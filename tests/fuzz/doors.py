@@ -23,6 +23,7 @@ from unittest import mock
 import cv2
 import numpy as np
 import torch
+from edit3r_outputs.reading import load_scene
 from edit3r_training.checkpoint import TrainingState, copied_weights
 from mangling import TEXTS, json_bytes, mangled_bytes, mangled_text, nasty
 from PIL import Image
@@ -31,9 +32,8 @@ from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.kit.cache import Cache
 from edit3r.kit.files.atomic import atomic_folder
-from edit3r.kit.files.configs import parse_assignments
+from edit3r.kit.files.configs import parse_assignments, read_yaml
 from edit3r.kit.files.names import unique_names
-from edit3r.kit.files.yaml import read_yaml
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.cameras import (
     posed_cameras,
@@ -46,7 +46,6 @@ from edit3r.kit.photos.images import load_photos, save_image
 from edit3r.kit.photos.masks import load_masks
 from edit3r.kit.run_folder import recorded
 from edit3r.kit.scenes.ply import load_ply, save_ply
-from edit3r.kit.scenes.read import load_scene
 from edit3r.kit.weights.files import load_weights as load_trained
 from edit3r.loading.registry import build, default_registry
 from edit3r.running.config import make_run_config

@@ -15,6 +15,7 @@ import torch
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.runner import Runner
 from edit3r_app.uploads import receive
+from edit3r_develop.fetch import fetch
 from edit3r_training.loop import LoopSettings, Recipe, StepLoss, train
 
 from edit3r.cli.main import main
@@ -22,7 +23,6 @@ from edit3r.contract.weights import Weights
 from edit3r.kit.cache import Cache
 from edit3r.kit.files import atomic
 from edit3r.kit.photos.images import packaged_pair
-from edit3r.kit.weights.fetch import fetch
 from edit3r.kit.weights.find import find
 from edit3r.kit.workers import run_resumable
 from edit3r_testing.training import tiny_job

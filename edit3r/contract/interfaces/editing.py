@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.component import Configured
 from edit3r.contract.instructions import Instruction
-from edit3r.contract.interfaces.base import Configured
 from edit3r.contract.types import EditRequest, Views
 
 if TYPE_CHECKING:

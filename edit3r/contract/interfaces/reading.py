@@ -3,8 +3,8 @@
 from abc import ABC, abstractmethod
 from typing import ClassVar
 
+from edit3r.contract.component import Configured
 from edit3r.contract.instructions import Instruction, Thing
-from edit3r.contract.interfaces.base import Configured
 
 
 class Reader(Configured, ABC):

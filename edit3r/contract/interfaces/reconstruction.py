@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.functional import interpolate
 
-from edit3r.contract.interfaces.base import Configured
+from edit3r.contract.component import Configured
 from edit3r.contract.types import (
     EditRequest,
     Features,
@@ -241,6 +241,4 @@ class MatchesLevelled(ABC):
 
     @abstractmethod
     def match_levelled(self, views: Views, levelled: Views) -> Geometry:
-        """As `match` of `views`, with depth measured on `levelled`, the same photos in one
-        exposure.
-        """
+        """As `match` of `views`, with depth measured on `levelled`: the same in one exposure."""

@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from edit3r.contract.component import Configured
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces.base import Configured
 from edit3r.contract.torch_state import Function, in_usual_torch
 from edit3r.contract.types import DC, Cameras, Gaussians, Rendering, Views
 
@@ -49,10 +49,10 @@ def _check_cameras(cameras: Cameras) -> None:
         - pose.new_tensor((0, 0, 0, 1)),
         "the axes of c2w are no rotation": axes.mT @ axes - torch.eye(3).to(axes),
     }
-    for told, values in off.items():
+    for fault, values in off.items():
         if not (values.abs() <= OFF).all():
             raise InputError(
-                f"Cameras: {told}; expected a pinhole camera, and where it stands."
+                f"Cameras: {fault}; expected a pinhole camera, and where it stands."
             )
 
 

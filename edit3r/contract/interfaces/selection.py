@@ -8,8 +8,8 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.component import Configured
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces.base import Configured
 from edit3r.contract.interfaces.reconstruction import Geometry
 from edit3r.contract.interfaces.selecting import Marks
 from edit3r.contract.types import Views
@@ -28,9 +28,7 @@ ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
 
 @dataclass(frozen=True)
 class Selection:
-    """Everything a user marked; places are x and y in [0, 1] of a view, x to the right and y
-    down.
-    """
+    """Everything a user marked; places are x (right) and y (down) in [0, 1] of a view."""
 
     # clicks on the object: view, x, y
     positive: tuple[tuple[int, float, float], ...] = ()

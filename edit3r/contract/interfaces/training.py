@@ -10,12 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.utils import data
 
-from edit3r.contract.interfaces.base import Configured
-from edit3r.contract.interfaces.reconstruction import (
-    Geometry,
-    Matcher,
-    Reconstructor,
-)
+from edit3r.contract.component import Configured
+from edit3r.contract.interfaces.reconstruction import Geometry, Matcher, Reconstructor
 from edit3r.contract.interfaces.rendering import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians, Rendering
 

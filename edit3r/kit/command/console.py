@@ -1,37 +1,39 @@
 """What a run says while it works: a line per finished stage, a progress bar inside one, warnings as
-they come.
+they come; and tables.
 """
 
 import json
 import sys
 import threading
 import time
-from collections.abc import Mapping
-from types import TracebackType
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskID,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from edit3r.kit.files.text import printable
 
+if TYPE_CHECKING:
+    from rich.console import Console
+
+LONGEST = 400  # characters of a cell: texts of plugins are strangers'
+PIPED_WIDTH = 400  # piped output is not wrapped, so that grep finds what it looks for
 EVERY = 15.0  # seconds between lines where no bar can be drawn
-_TOLD_FROM = 0.1  # share of a run from which its first part tells how long all takes
 
 
 class StageConsole:
-    """Listener for `Report.on_event`; use as a context manager around the run.
+    """Listener for `Report.on_event`; use as a context manager around the run."""
 
-    `shares` are those of a run's usual time that its steps take, in their order; see `_WholeRun`.
-    """
+    def __init__(self, quiet: bool = False) -> None:
+        # rich takes a fifth of a second to import
+        from rich.console import Console
+        from rich.progress import (
+            BarColumn,
+            Progress,
+            TaskID,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
 
-    def __init__(
-        self, quiet: bool = False, shares: Mapping[str, float] | None = None
-    ) -> None:
         self.console = Console(
             stderr=True, quiet=quiet, highlight=False, soft_wrap=True
         )
@@ -47,9 +49,7 @@ class StageConsole:
         self.progress = Progress(
             *columns, console=self.console, transient=True, disable=not has_bars
         )
-        self.lines = (
-            None if has_bars or quiet else ProgressLines(self.console, shares or {})
-        )
+        self.lines = None if has_bars or quiet else ProgressLines(self.console)
         self.tasks: dict[str, TaskID] = {}
         self.started: dict[str, float] = {}
 
@@ -59,12 +59,7 @@ class StageConsole:
             self.lines.start()
         return self
 
-    def __exit__(
-        self,
-        kind: type | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.progress.stop()
         if self.lines is not None:
             self.lines.stop()
@@ -99,16 +94,10 @@ class StageConsole:
 class ProgressLines:
     """What is being done, as a line every `EVERY` seconds, for outputs that are no terminal."""
 
-    def __init__(
-        self,
-        console: Console,
-        shares: Mapping[str, float],
-        every: float = EVERY,
-    ) -> None:
+    def __init__(self, console: "Console", every: float = EVERY) -> None:
         self.console = console
         self.every = every
-        self.whole = _WholeRun(shares)
-        self.doing: dict[str, float] = {}  # when stages began; the inner ones come last
+        self.stages: dict[str, float] = {}  # when they began; the inner ones come last
         # text, done, total, begun
         self.counted: tuple[str, int, int, float] | None = None
         self.over = threading.Event()
@@ -122,11 +111,10 @@ class ProgressLines:
         self.thread.join()
 
     def hear(self, event: str, text: str, done: int, total: int) -> None:
-        self.whole.hear(event, text, done, total)
         if event == "start":
-            self.doing[text] = time.perf_counter()
+            self.stages[text] = time.perf_counter()
         elif event == "end":
-            self.doing.pop(text, None)
+            self.stages.pop(text, None)
             self.counted = None
         elif event == "progress":
             known = self.counted
@@ -136,26 +124,18 @@ class ProgressLines:
 
     def line(self) -> str:
         """What to say now; "" where nothing is being done."""
-        told, left = self._doing()
-        whole = self.whole.left()
-        if told and whole is not None:
-            return f"{told}, about {duration(whole)} left for all"
-        return told if left is None else f"{told}, about {duration(left)} left"
-
-    def _doing(self) -> tuple[str, float | None]:
-        """What is being done, "" where nothing is, and the seconds that it still takes."""
-        counted = self.counted
+        now, counted = time.perf_counter(), self.counted
         if counted is None or counted[1] >= counted[2]:
-            doing = list(self.doing.items())  # at once: the run goes on meanwhile
-            if not doing:
-                return "", None
-            stage, begun = doing[-1]
-            return f"{stage}: {duration(time.perf_counter() - begun)} so far", None
+            stages = list(self.stages.items())  # at once: the run goes on meanwhile
+            if not stages:
+                return ""
+            stage, begun = stages[-1]
+            return f"{stage}: {_duration(now - begun)} so far"
         text, done, total, begun = counted
-        told = f"{text}: {done} of {total}"
+        line = f"{text}: {done} of {total}"
         if not done:
-            return told, None
-        return told, (time.perf_counter() - begun) / done * (total - done)
+            return line
+        return f"{line}, about {_duration((now - begun) / done * (total - done))} left"
 
     def _speak(self) -> None:
         while not self.over.wait(self.every):
@@ -164,73 +144,13 @@ class ProgressLines:
                 self.console.print(f"  {line}", style="dim", markup=False)
 
 
-class _WholeRun:
-    """How long a run still takes, by the shares of its time that its steps usually take.
-
-    Steps are stages, without what stands in brackets, and what counts within them, in their order:
-    what begins has all before it done, or left out. Other stages, such as edits, tell nothing of
-    what follows, nor does what is counted once more or only now and then: their time does not
-    count. A step that is well under way tells itself how long it takes.
-    """
-
-    def __init__(self, shares: Mapping[str, float]) -> None:
-        self.shares = dict(shares)
-        self.ends: dict[str, float] = {}
-        over = 0.0
-        for name, share in self.shares.items():
-            over += share
-            self.ends[name] = over
-        self.total = over
-        # share of the time that is over, when that was, and how long it took until then [s]
-        self.over, self.at, self.spent = 0.0, 0.0, 0.0
-        self.step = ""  # the one that runs or waits; "": none that is known
-        self.begun = 0.0  # when it began
-        self.waits = False  # for what is not known
-
-    def hear(self, event: str, text: str, done: int, total: int) -> None:
-        name = text.partition(" (")[0]
-        known = name in self.shares and self.ends[name] > self.over
-        if event == "start" and not known:
-            self._reach(self.over, "")
-        elif known and event in ("start", "end", "progress"):
-            part = {"start": 0.0, "end": 1.0}.get(event, done / max(total, 1))
-            begin = self.ends[name] - self.shares[name]
-            self._reach(max(self.over, begin + part * self.shares[name]), name)
-        elif event == "progress" and name != self.step:
-            self._reach(self.over, self.step, waits=True)
-
-    def _reach(self, over: float, step: str, waits: bool = False) -> None:
-        now = time.perf_counter()
-        if self.step and not self.waits:
-            self.spent += now - self.at
-        if step != self.step:
-            self.begun = now
-        self.over, self.at, self.step, self.waits = over, now, step, waits
-
-    def left(self) -> float | None:
-        """Seconds; None before a tenth of the run, and while nothing known is done."""
-        if not self.step or self.over < _TOLD_FROM * self.total:
-            return None
-        pace = self.spent / self.over
-        if self.waits:
-            return pace * (self.total - self.over)
-        end, share = self.ends[self.step], self.shares[self.step]
-        part = 1 - (end - self.over) / share
-        own = pace * (end - self.over)
-        if _TOLD_FROM < part < 1:
-            own = (self.at - self.begun) * (1 - part) / part
-        since = time.perf_counter() - self.at
-        return pace * (self.total - end) + max(0.0, own - since)
-
-
-def duration(seconds: float) -> str:
+def _duration(seconds: float) -> str:
     """A time as people say it, such as "40 s" or "3 min"."""
     return f"{seconds:.0f} s" if seconds < 90 else f"{seconds / 60:.0f} min"
 
 
 def print_json(event: str, text: str, done: int, total: int) -> None:
-    """Listener that writes each event as one line of JSON to standard error, for programs that
-    watch a run.
+    """Listener that writes each event as one line of JSON to standard error.
 
     Keys: event (start, end, say, warn or progress), text, done, total, and at [seconds since 1970].
     """
@@ -244,6 +164,19 @@ def print_json(event: str, text: str, done: int, total: int) -> None:
     print(json.dumps(line), file=sys.stderr, flush=True)
 
 
-def printable(text: str) -> str:
-    """The text for a terminal: names in it may be no UTF-8, or hold commands for the terminal."""
-    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)
+def print_table(
+    columns: Sequence[str], rows: Sequence[Sequence[str]], whole: Sequence[str] = ()
+) -> None:
+    """Print a table; columns in `whole` are not wrapped, and nothing is where output is piped."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(
+        highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH
+    )
+    shown = Table(box=None, header_style="bold", pad_edge=False)
+    for column in columns:
+        shown.add_column(column, overflow="fold", no_wrap=column in whole)
+    for row in rows:
+        shown.add_row(*(printable(cell)[:LONGEST] for cell in row))
+    console.print(shown, markup=False)

@@ -19,10 +19,7 @@ def add_output_flags(parser: argparse.ArgumentParser) -> None:
 def add_plugin_option(parser: argparse.ArgumentParser) -> None:
     """Add `--plugin FILE`, whose values a registry takes as local files."""
     parser.add_argument(
-        "--plugin",
-        metavar="FILE",
-        help="also load this local plugin file",
-        **REPEATED,
+        "--plugin", metavar="FILE", help="also load this local plugin file", **REPEATED
     )
 
 

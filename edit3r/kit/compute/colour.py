@@ -26,9 +26,7 @@ _TO_OKLAB = (
 def rgb_to_lab(
     images: Float[Tensor, "*batch 3 height width"],
 ) -> Float[Tensor, "*batch 3 height width"]:
-    """CIE Lab under D65 of sRGB in [0, 1], without the quarter of a second that kornia takes to
-    load.
-    """
+    """CIE Lab under D65 of sRGB in [0, 1]; kornia's takes a quarter of a second to load."""
     xyz = _mixed(_TO_XYZ, srgb_to_linear(images))
     xyz = xyz / images.new_tensor(_WHITE)[:, None, None]
     x, y, z = torch.where(xyz > 0.008856, xyz.pow(1 / 3), 7.787 * xyz + 4 / 29).unbind(
@@ -65,16 +63,12 @@ def _mixed(
 def srgb_to_linear(images: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     """Light that sRGB in [0, 1] stands for."""
     return torch.where(
-        images > 0.04045,
-        ((images + 0.055) / 1.055).pow(2.4),
-        images / 12.92,
+        images > 0.04045, ((images + 0.055) / 1.055).pow(2.4), images / 12.92
     )
 
 
 def linear_to_srgb(linear: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     """sRGB in [0, 1] that stands for light, the inverse of `srgb_to_linear`."""
     return torch.where(
-        linear > 0.0031308,
-        1.055 * linear.pow(1 / 2.4) - 0.055,
-        12.92 * linear,
+        linear > 0.0031308, 1.055 * linear.pow(1 / 2.4) - 0.055, 12.92 * linear
     ).clamp(0, 1)

@@ -20,6 +20,7 @@ import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 from edit3r.contract.errors import InputError, RunError
 from edit3r.kit.files.names import expanded
@@ -32,6 +33,7 @@ __all__ = [
     "check_apart",
     "check_new_file",
     "check_replaceable",
+    "digest_of",
     "remove_abandoned",
     "scratch_folder",
     "sha256_of",
@@ -187,16 +189,14 @@ def check_replaceable(out: Path, overwrite: bool = False) -> None:
 
 
 def remove_abandoned(*finals: Path) -> None:
-    """Delete the workspaces that killed writers of `finals`, in one folder, left, and nothing
-    else.
-    """
+    """Delete the workspaces that killed writers of `finals`, all in one folder, left."""
     from filelock import FileLock, Timeout
 
     names = {final.name: final for final in finals}
     with suppress(PermissionError):
         for name in os.listdir(finals[0].parent):
-            found = _WORKSPACE.fullmatch(name)
-            final = names.get(found[1]) if found else None
+            workspace_name = _WORKSPACE.fullmatch(name)
+            final = names.get(workspace_name[1]) if workspace_name else None
             workspace = finals[0].with_name(name)
             if final is None or workspace.is_symlink():
                 continue
@@ -221,10 +221,15 @@ def scratch_folder(name: str) -> Iterator[Path]:
 
 def sha256_of(path: Path) -> str:
     """The SHA-256 of a file of any size."""
-    digest = hashlib.sha256()
     with path.open("rb") as file:
-        while block := file.read(1 << 22):
-            digest.update(block)
+        return digest_of(file)
+
+
+def digest_of(file: BinaryIO) -> str:
+    """The SHA-256 of what is left to read of an open file."""
+    digest = hashlib.sha256()
+    while block := file.read(1 << 22):
+        digest.update(block)
     return digest.hexdigest()
 
 
@@ -309,12 +314,12 @@ def _aside(new: Path) -> Path:
 
 def _keep(new: Path, final: Path) -> str:
     """Put the finished folder where nobody removes it, and say where."""
-    kept = final.with_name(f"{final.name}-finished-{secrets.token_hex(4)}")
+    rescued = final.with_name(f"{final.name}-finished-{secrets.token_hex(4)}")
     try:
-        os.rename(new, kept)
+        os.rename(new, rescued)
     except OSError:
         return f" The results are lost: another program took {new} away."
-    return f" The finished results are in {kept}."
+    return f" The finished results are in {rescued}."
 
 
 # What a finished folder holds
@@ -346,14 +351,14 @@ def _contents(folder: Path) -> dict[str, str | None]:
     """All inside but the marker by their path in the folder: the SHA-256 of files, None of folders,
     of links where they lead.
     """
-    found: dict[str, str | None] = {}
+    contents: dict[str, str | None] = {}
     for place, folders, files in os.walk(folder):
         for name in folders + files:
             path = Path(place, name)
             with suppress(FileNotFoundError):
-                found[path.relative_to(folder).as_posix()] = _content(path)
-    found.pop(MARKER, None)
-    return dict(sorted(found.items()))
+                contents[path.relative_to(folder).as_posix()] = _content(path)
+    contents.pop(MARKER, None)
+    return dict(sorted(contents.items()))
 
 
 def _content(path: Path) -> str | None:

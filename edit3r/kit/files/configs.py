@@ -1,12 +1,15 @@
-"""Files of settings, and settings given as `KEY=VALUE`."""
+"""Files of settings, and settings given as `KEY=VALUE`. YAML may come from anybody: it is read
+within bounds, and runs no code.
+"""
 
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from edit3r.contract.errors import InputError, SettingsError, suggest
-from edit3r.contract.settings import merge, of_file
-from edit3r.kit.files.yaml import parse_yaml, read_yaml
+from edit3r.contract.settings import merge, of_file, shortened
 
 
 def read_config(name: str, trusted: bool) -> dict[str, Any]:
@@ -59,3 +62,73 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
             value = {part: value}
         result = merge(result, value)
     return result
+
+
+MAX_VALUES = 100_000
+"""Values in a YAML document, those that aliases repeat counted each time."""
+
+
+_TEXT = "tag:yaml.org,2002:str"
+
+
+_MERGE = "tag:yaml.org,2002:merge"
+
+
+def read_yaml(path: str | Path) -> dict[str, Any]:
+    """Read a YAML mapping; an empty file is an empty mapping."""
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: no such configuration file.")
+    try:
+        content = parse_yaml(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise InputError(f"{path}: not valid YAML ({error}).") from None
+    if content is None:
+        return {}
+    if not isinstance(content, dict):
+        raise InputError(
+            f"{path}: expected a mapping of settings at the top, got {type(content).__name__}."
+        )
+    return content
+
+
+def parse_yaml(text: str) -> Any:
+    """Read YAML that may come from anybody: numbers, texts, lists and mappings with text as keys.
+
+    Raises ValueError with the reason for anything else: what is no YAML, dates that do not exist,
+    numbers and nestings that Python refuses, keys that are no text, more than `MAX_VALUES` values.
+    """
+    try:
+        loader = yaml.SafeLoader(text)
+        document = loader.get_single_node()
+        if document is None:
+            return None
+        _check_node(document, {})
+        return loader.construct_document(document)
+    except RecursionError:
+        raise ValueError("it is nested too deeply") from None
+    except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:
+        raise ValueError(" ".join(str(error).split())) from None
+
+
+def _check_node(node: yaml.Node, counts: dict[yaml.Node, int]) -> int:
+    """Count the values of a node, each alias as what it stands for; refuse keys that are no text.
+
+    A node that several aliases name is visited once. `counts` holds what was visited.
+    """
+    if isinstance(node, yaml.ScalarNode):
+        return 1
+    if node not in counts:
+        counts[node] = MAX_VALUES  # as long as it is not known: it may hold itself
+        children = node.value
+        if isinstance(node, yaml.MappingNode):
+            for key, _ in node.value:
+                if key.tag not in (_TEXT, _MERGE):
+                    raise ValueError(
+                        f"the key {shortened(key.value)} is no text; put it in quotes"
+                    )
+            children = [value for _, value in node.value]
+        counts[node] = 1 + sum(_check_node(child, counts) for child in children)
+    if counts[node] > MAX_VALUES:
+        raise ValueError(f"it holds more than {MAX_VALUES} values")
+    return counts[node]

@@ -58,3 +58,8 @@ def read_plain(path: Path) -> str:
     if not path.is_file():
         raise FileNotFoundError(errno.ENOENT, "no such file", str(path))
     return path.read_text(encoding="utf-8")
+
+
+def printable(text: str) -> str:
+    """The text for a terminal: names in it may be no UTF-8, or hold commands for the terminal."""
+    return "".join(one if one.isprintable() else ascii(one)[1:-1] for one in text)

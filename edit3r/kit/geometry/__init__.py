@@ -1,3 +1,1 @@
-"""Geometry as pure functions of tensors, for the core and every plugin. Conventions:
-`edit3r.contract.types`.
-"""
+"""Geometry as pure functions of tensors. Conventions: `edit3r.contract.types`."""

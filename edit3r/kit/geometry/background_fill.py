@@ -146,9 +146,7 @@ def _hidden_layer(
     colours: Float[Tensor, "batch view 3 rows columns"],
     needed: Bool[Tensor, "batch view rows columns"],
 ) -> Gaussians:
-    """A Gaussian for each block that is `needed` and stands before nothing that a registered view
-    shows.
-    """
+    """A Gaussian for each block that is `needed` and hides nothing that a registered view shows."""
     placed = geometry.registered[..., None, None]
     points = unproject(depths, views.intrinsics, geometry.c2w)
     hiding = stands_before_others(
@@ -235,9 +233,7 @@ def _beyond(
 def _fading(
     image_size: tuple[int, int], pad: int, blocks: tuple[int, int]
 ) -> Float[Tensor, "rows columns"]:
-    """How much of the rim is left in each block: 1 near the image, falling to 0 in the outer
-    share `FADING`.
-    """
+    """How much of the rim is left in each block: 1 near the image, 0 in the outer `FADING`."""
     beyond = []
     for side, count in zip(image_size, blocks):
         wide = side + 2 * pad

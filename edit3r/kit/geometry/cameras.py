@@ -1,5 +1,5 @@
-"""Pinhole cameras: pixel rays, projection, poses, intrinsics, and pixels with depths as points or
-Gaussians.
+"""Pinhole cameras: pixel rays, projection, poses, intrinsics, which way is up, pixels with depths
+as points or Gaussians.
 
 Intrinsics are normalised (fx, cx in image widths, fy, cy in heights); points and vectors are kept
 apart by name.
@@ -8,7 +8,7 @@ apart by name.
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from edit3r.contract.types import Cameras, Gaussians, Views
@@ -92,9 +92,7 @@ def project(
     intrinsics: Float[Tensor, "*batch 3 3"],
     c2w: Float[Tensor, "*batch 4 4"],
 ) -> tuple[Float[Tensor, "*batch point 2"], Float[Tensor, "*batch point"]]:
-    """Normalised image coordinates and camera z of world points; coordinates mean nothing where z
-    <= 0.
-    """
+    """Normalised image coordinates and camera z of world points; only z > 0 means anything."""
     w2c = invert_rigid(c2w)
     camera = (
         torch.einsum("...ij,...nj->...ni", w2c[..., :3, :3], points)
@@ -131,9 +129,7 @@ def relative_to_first(
 def scale_poses(
     c2w: Float[Tensor, "*batch 4 4"], factor: float | Float[Tensor, "*factors"]
 ) -> Float[Tensor, "*batch 4 4"]:
-    """The same poses in another unit of length: camera centres times `factor`, one or broadcast
-    over the batch.
-    """
+    """The same poses in another unit: centres times `factor`, one or one for each scene."""
     scaled = c2w.clone()
     scaled[..., :3, 3] *= factor[..., None] if isinstance(factor, Tensor) else factor
     return scaled
@@ -142,8 +138,7 @@ def scale_poses(
 def median_scale(
     source: Float[Tensor, "point 3"], target: Float[Tensor, "point 3"]
 ) -> Float[Tensor, ""]:
-    """The factor by which `source` becomes as large as `target`: the median ratio of distances from
-    the origin.
+    """How many times as large `target` is as `source`: median ratio of distances from 0.
 
     Both hold the same points (or camera centres) in frames with one origin; 1 for no points.
     """
@@ -157,9 +152,7 @@ def pixel_scales(
     intrinsics: Float[Tensor, "batch view 3 3"],
     footprint: float,
 ) -> Float[Tensor, "batch view height width"]:
-    """How long `footprint` pixels are at the pixels' depths [unit of `depths`]; `intrinsics` are
-    normalised.
-    """
+    """How long `footprint` pixels are at the pixels' depths [unit of `depths`]."""
     focal = intrinsics[..., 0, 0] * depths.shape[-1]  # [pixels]
     return footprint * depths / focal[..., None, None]
 
@@ -193,3 +186,39 @@ def pixels_to_gaussians(
             height * width
         ),
     )
+
+
+TRUST_IN_MEAN = 0.03
+"""How much the mean of the cameras' own ups counts beside their horizons. Chosen on sets of seven
+scenes (docs/notes/scenes.md); it decides alone where all cameras face the same way."""
+
+
+def quarter_turns(c2w: Float[Tensor, "view 4 4"]) -> Int[Tensor, "view"]:
+    """Quarter turns, 0 to 3 anticlockwise, that bring each image the way round of most others."""
+    ups = _ups_of_turned(c2w)
+    agree = (ups[:, 0] @ ups[:, 0].T) > math.cos(math.radians(45))
+    most = ups[agree.sum(1).argmax(), 0]
+    return (ups @ most).argmax(1)
+
+
+def up_direction(c2w: Float[Tensor, "view 4 4"]) -> Float[Tensor, "3"]:
+    """The unit vector that points up, in the frame of the poses.
+
+    People tilt a camera up and down but seldom to its side, so up is across the x axes of all
+    images (Brown and Lowe, Automatic Panoramic Image Stitching, IJCV 2007, section 5). One image
+    that was turned by a quarter does not tilt the scene.
+    """
+    views = torch.arange(len(c2w), device=c2w.device)
+    turns = quarter_turns(c2w)
+    ups = _ups_of_turned(c2w)[views, turns]
+    across = torch.linalg.cross(ups, c2w[:, :3, 2])
+    mean = torch.nn.functional.normalize(ups.mean(0), dim=0)
+    spread = across.T @ across / len(c2w) - TRUST_IN_MEAN * torch.outer(mean, mean)
+    up = torch.linalg.eigh(spread).eigenvectors[:, 0]
+    return up if up @ mean > 0 else -up
+
+
+def _ups_of_turned(c2w: Float[Tensor, "view 4 4"]) -> Float[Tensor, "view 4 3"]:
+    """What is up in the scene once an image was turned by 0, 1, 2 and 3 quarters anticlockwise."""
+    x, y = c2w[:, :3, 0], c2w[:, :3, 1]
+    return torch.stack((-y, x, y, -x), 1)

@@ -1,6 +1,4 @@
-"""Real spherical harmonics up to degree 4 in the basis of 3D Gaussian Splatting (Condon-Shortley
-signs).
-"""
+"""Real spherical harmonics up to degree 4 in 3DGS's basis (Condon-Shortley signs)."""
 
 from math import pi, sqrt
 
@@ -16,31 +14,11 @@ C2 = tuple(
     a * sqrt(b / pi)
     for a, b in ((0.5, 15), (-0.5, 15), (0.25, 5), (-0.5, 15), (0.25, 15))
 )
-C3 = tuple(
-    a * sqrt(b / pi)
-    for a, b in (
-        (-0.25, 17.5),
-        (0.5, 105),
-        (-0.25, 10.5),
-        (0.25, 7),
-        (-0.25, 10.5),
-        (0.25, 105),
-        (-0.25, 17.5),
-    )
-)
+_OF_3 = ((-0.25, 17.5), (0.5, 105), (-0.25, 10.5), (0.25, 7))
+C3 = tuple(a * sqrt(b / pi) for a, b in (*_OF_3, _OF_3[2], (0.25, 105), _OF_3[0]))
+_OF_4 = ((12, 35), (-12, 17.5), (12, 5), (-12, 2.5), (3, 1))
 C4 = tuple(
-    a * sqrt(b / pi) / 16
-    for a, b in (
-        (12, 35),
-        (-12, 17.5),
-        (12, 5),
-        (-12, 2.5),
-        (3, 1),
-        (-12, 2.5),
-        (6, 5),
-        (-12, 17.5),
-        (3, 35),
-    )
+    a * sqrt(b / pi) / 16 for a, b in (*_OF_4, _OF_4[3], (6, 5), _OF_4[1], (3, 35))
 )
 
 

@@ -38,9 +38,7 @@ def quats_to_matrices(quats: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch
 def matrices_to_quats(
     matrices: Float[Tensor, "*batch 3 3"],
 ) -> Float[Tensor, "*batch 4"]:
-    """Unit wxyz quaternions with w >= 0 of rotation matrices; the largest component is computed
-    first (Shepperd).
-    """
+    """Unit wxyz quaternions, w >= 0, of rotation matrices; by the largest component (Shepperd)."""
     m = matrices
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     squared = torch.stack(
@@ -78,9 +76,7 @@ def covariances(
 def rotation_angle(
     a: Float[Tensor, "*batch 3 3"], b: Float[Tensor, "*batch 3 3"]
 ) -> Float[Tensor, "*batch"]:
-    """Angle between two rotations [radians], accurate for small angles too (from the chord, not the
-    trace).
-    """
+    """Angle between two rotations [radians]; by the chord, so accurate for small angles too."""
     chord = (a - b).flatten(-2).norm(dim=-1) / (2 * 2**0.5)
     return 2 * torch.asin(chord.clamp(max=1))
 

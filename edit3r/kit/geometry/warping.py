@@ -1,6 +1,4 @@
-"""Where the points of a view lie in the other views: correspondences, warped images, and what hides
-what.
-"""
+"""Where points of a view lie in other views: correspondences, warped images, what hides what."""
 
 from dataclasses import dataclass
 from itertools import permutations
@@ -58,9 +56,7 @@ class Correspondences:
 
 
 def partner_views(views: int) -> list[int]:
-    """The view that each of `views` views is compared with: view 0, and view 1 for view 0
-    itself.
-    """
+    """The view that each of `views` views is compared with: view 0, and view 1 for view 0."""
     return [1] + [0] * (views - 1)
 
 
@@ -69,9 +65,7 @@ def find_correspondences(
     intrinsics: Float[Tensor, "batch view 3 3"],
     c2w: Float[Tensor, "batch view 4 4"],
 ) -> Correspondences:
-    """Project each view's depth map into the view's partner; `depths` are camera z, `intrinsics`
-    normalised.
-    """
+    """Project each view's depth map into its partner; `depths` are camera z."""
     batch, views, height, width = depths.shape
     partners = partner_views(views)
     points = unproject(depths, intrinsics, c2w).reshape(batch, views, height * width, 3)
@@ -144,9 +138,7 @@ def contradicted(
     return torch.where(guessed, through + confirmed > 0, through > confirmed)
 
 
-def _better_measured(
-    geometry: Geometry,
-) -> Bool[Tensor, "batch view view"]:
+def _better_measured(geometry: Geometry) -> Bool[Tensor, "batch view view"]:
     """For each view that is mostly guessed the others of which clearly more was measured; none of
     two: what one of them guesses, nobody else shows.
     """
@@ -167,9 +159,7 @@ def nearest_views(
     depths: Float[Tensor, "batch view height width"],
     most: int,
 ) -> list[list[int]]:
-    """For each view at most `most` others, in order: those whose camera, and what it looks at,
-    are nearest.
-    """
+    """For each view the at most `most` others whose cameras, and what they look at, are nearest."""
     count = c2w.shape[1]
     if count - 1 <= most:
         return [
@@ -189,8 +179,7 @@ def stands_before_others(
     intrinsics: Float[Tensor, "batch view 3 3"],
     c2w: Float[Tensor, "batch view 4 4"],
 ) -> Bool[Tensor, "batch view rows columns"]:
-    """World points of each view that would hide what another view shows; a view shows nothing where
-    its camera z is 0.
+    """World points of each view that would hide what another view shows (0: nothing).
 
     `surfaces` are the camera z of what each view shows.
     """
@@ -248,9 +237,7 @@ def _seen_there(
 def seen_by_others(
     geometry: Geometry, intrinsics: Float[Tensor, "batch view 3 3"]
 ) -> Bool[Tensor, "batch view height width"]:
-    """Pixels whose point lies within the image of another registered view, whether hidden there or
-    not.
-    """
+    """Pixels whose point lies within the image of another registered view, hidden there or not."""
     points = unproject(geometry.depths, intrinsics, geometry.c2w).flatten(2, 3)
     seen = torch.zeros(points.shape[:3], dtype=torch.bool, device=points.device)
     for view, other in permutations(range(points.shape[1]), 2):
@@ -264,9 +251,7 @@ def seen_by(
     intrinsics: Float[Tensor, "batch view 3 3"],
     view: int,
 ) -> Bool[Tensor, "batch point"]:
-    """World points that lie within the image of `view`, whether hidden there or not; none if it is
-    not registered.
-    """
+    """World points within the image of `view`, hidden or not; none if not registered."""
     coordinates, depth = project(points, intrinsics[:, view], geometry.c2w[:, view])
     return (
         ((coordinates > 0) & (coordinates < 1)).all(-1)

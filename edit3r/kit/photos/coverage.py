@@ -8,6 +8,7 @@ Krause and Golovin 2014, section 1).
 import atexit
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,33 +33,44 @@ MIN_SHARED = 0.04  # share of features that two neighbours have in common
 SECONDS = 4  # of a core, that a frame's part of a scene usually takes
 MIN_MOTION = 0.01  # of features between frames that are kept [image widths]
 
-frame_origins: dict[Path, str] = {}
-"""For each frame that was taken from a video: the video and the frame's number."""
 
-_frame_folders: list[ExitStack] = []
-"""Where frames of videos lie, each removed when it is closed."""
+class TakenPhotos:
+    """Photos that are files for a while: frames of videos, pictures from memory."""
+
+    def __init__(self) -> None:
+        self.folders = ExitStack()  # closed, it removes them
+        self.origins: dict[Path, str] = {}  # what each is of, as people know it
+
+    def new_folder(self, name: str) -> Path:
+        """A new folder that lasts as long as these photos do."""
+        return self.folders.enter_context(scratch_folder(name))
 
 
-@atexit.register
-def _remove_frames(but: int = 0) -> None:
-    """Remove the frames of all videos `but` the first ones."""
-    while len(_frame_folders) > but:
-        _frame_folders.pop().close()
+_OF_PROCESS = TakenPhotos()
+atexit.register(_OF_PROCESS.folders.close)
+_taken: ContextVar[TakenPhotos] = ContextVar("edit3r_photos", default=_OF_PROCESS)
+
+
+def taken_photos() -> TakenPhotos:
+    """Those of the block of `frames_kept_for`, else of the process."""
+    return _taken.get()
 
 
 @contextmanager
 def frames_kept_for() -> Iterator[None]:
-    """Remove frames taken from videos inside the block when it ends, not when the process does."""
-    before = len(_frame_folders)
+    """Remove photos that are made inside the block when it ends, not when the process does."""
+    taken = TakenPhotos()
+    token = _taken.set(taken)
     try:
-        yield
+        with taken.folders:
+            yield
     finally:
-        _remove_frames(before)
+        _taken.reset(token)
 
 
 def origin(file: Path) -> str:
     """The file as people know it: for a frame of a video, the video and the frame's number."""
-    return frame_origins.get(file, str(file))
+    return taken_photos().origins.get(file, str(file))
 
 
 @dataclass(frozen=True)
@@ -127,8 +139,8 @@ def features_of(pixels: UInt8[np.ndarray, "height width 3"]) -> ImageFeatures:
     small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)
     orb = cv2.ORB.create(FEATURES, fastThreshold=7)
-    found, descriptors = orb.detectAndCompute(grey, None)  # None: no mask
-    points = cv2.KeyPoint.convert(found)
+    keypoints, descriptors = orb.detectAndCompute(grey, None)  # None: no mask
+    points = cv2.KeyPoint.convert(keypoints)
     points = np.reshape(points, (-1, 2)).astype(np.float64) / grey.shape[1]
     return ImageFeatures(points, descriptors, cv2.Laplacian(grey, cv2.CV_64F).var())
 
@@ -219,23 +231,16 @@ def _frame_count(video: Path) -> int:
     return count
 
 
-def folder_for_frames(name: str) -> Path:
-    """A new folder that is removed when the process or the block of `frames_kept_for` ends."""
-    held = ExitStack()
-    folder = held.enter_context(scratch_folder(name))
-    _frame_folders.append(held)
-    return folder
-
-
 def _write(frames: Sequence[VideoFrame], video: Path) -> list[Path]:
     """Write frames as PNG into a new folder."""
-    folder = folder_for_frames("edit3r-video")
+    taken = taken_photos()
+    folder = taken.new_folder("edit3r-video")
     files = []
     for frame in frames:
         name = f"{video.stem}_{frame.number:05d}.png"
         file = folder / name
         if not cv2.imwrite(str(file), frame.pixels):
             raise InputError(f"{video}: a frame of it could not be written to {file}.")
-        frame_origins[file] = f"{video}, frame {frame.number}"
+        taken.origins[file] = f"{video}, frame {frame.number}"
         files.append(file)
     return files

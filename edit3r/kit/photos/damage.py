@@ -1,6 +1,4 @@
-"""JPEGs that are damaged inside: libjpeg fills what it cannot read with grey, and only prints a
-remark.
-"""
+"""Damaged JPEGs: libjpeg fills what it cannot read with grey, and only prints a remark."""
 
 import os
 import re
@@ -8,8 +6,7 @@ import sys
 import tempfile
 import threading
 from contextlib import suppress
-from functools import lru_cache
-from pathlib import Path
+from typing import BinaryIO
 
 import cv2
 import numpy as np
@@ -20,16 +17,9 @@ FEW_STRAY = 32  # bytes between parts that some cameras leave; nothing is lost b
 _LISTENING = threading.Lock()
 
 
-def damage_of(path: Path) -> str:
-    """What libjpeg says of the inside of a JPEG; empty for a whole one. Each file is read once."""
-    status = path.stat()
-    return _damage_of(path, status.st_mtime_ns, status.st_size)
-
-
-@lru_cache(maxsize=1024)
-def _damage_of(path: Path, changed: int, size: int) -> str:
-    coded = np.fromfile(path, np.uint8)
-    remarks = _printed_about(coded)
+def damage_of(file: BinaryIO) -> str:
+    """What libjpeg says of the inside of a JPEG; empty for a whole one."""
+    remarks = _printed_about(np.frombuffer(file.read(), np.uint8))
     stray = _STRAY.match(remarks)
     if stray and int(stray[1]) <= FEW_STRAY:
         return ""
@@ -57,7 +47,7 @@ def _printed_about(coded: np.ndarray) -> bytes:
             os.close(outside)
         heard.seek(0)
         printed = heard.read()
-        found = _REMARK.search(printed)
+        remark = _REMARK.search(printed)
         with suppress(OSError):
             os.write(2, _REMARK.sub(b"", printed))
-    return found[1] if found else b""
+    return remark[1] if remark else b""

@@ -1,7 +1,6 @@
 """Read one image file of any usual format as upright 8-bit sRGB pixels.
 
-With the focal length that its EXIF data state. Whatever is wrong with a file becomes one sentence
-that names it.
+Whatever is wrong with a file becomes one sentence that names it.
 """
 
 import contextlib
@@ -10,10 +9,11 @@ import math
 import re
 import threading
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 import cv2
 import numpy as np
@@ -21,8 +21,11 @@ from PIL import ExifTags, Image, ImageCms, ImageOps, UnidentifiedImageError
 
 from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.reporting import warn
+from edit3r.kit.files.atomic import digest_of
 from edit3r.kit.photos.damage import damage_of
-from edit3r.kit.photos.hdr import as_srgb, coding_of
+from edit3r.kit.photos.hdr import Coding, as_srgb, read_coding
+
+Answer = TypeVar("Answer")
 
 MAX_PIXELS = 1 << 27
 """Largest image that is read whole, 134 megapixels: it takes half a gigabyte."""
@@ -80,15 +83,70 @@ _HEIC_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b
 
 
 @dataclass(frozen=True)
-class DecodedImage:
-    """A decoded file: pixels as a viewer would show them, and the focal length its EXIF states."""
+class ImageHeader:
+    """What an image file says before its pixels are decoded."""
 
-    pixels: Image.Image  # mode RGB, upright, sRGB; smaller where less was enough
-    size: tuple[int, int]  # (height, width) of the upright image in the file
+    size: tuple[int, int]  # (height, width) of the upright image
     focal: float | None  # [pixels of that], same in x and y; None: EXIF has none
     # such as "EXIF 35 mm equivalent (26 mm)"; "" without a focal length
     focal_source: str
+    software: str  # that made the file; "" where it does not say
+    remarks: tuple[str, ...]  # why what EXIF says of the lens is not believed
+
+
+@dataclass(frozen=True)
+class DecodedImage:
+    """The pixels of an image file as a viewer would show them."""
+
+    pixels: Image.Image  # mode RGB, upright, sRGB; smaller where less was enough
+    sha256: str  # of the file
     alpha: Image.Image | None = None  # mode L, where some of it is see-through
+
+
+def read_header(path: str | Path) -> ImageHeader:
+    """What the file says of its image, which is read once for each state of the file.
+
+    Raises InputError, or MissingDependencyError for HEIC without the extra.
+    """
+    path = Path(path)
+    _check_is_file(path)
+    status = path.stat()
+    return _header_of(path, status.st_mtime_ns, status.st_size)
+
+
+@lru_cache(maxsize=4096)
+def _header_of(path: Path, changed: int, length: int) -> ImageHeader:
+    with _opened(path) as (image, _):
+        turned = _orientation(image, path) in (5, 6, 7, 8)
+        stored = image.size
+        if image.format == "TIFF":  # which Pillow may have turned already
+            tags = image.tag_v2  # type: ignore[attr-defined]
+            stored = tags[ExifTags.Base.ImageWidth], tags[_IMAGE_LENGTH]
+        focal, source, remark = _exif_focal(image, stored, path)
+        software = _software(image)
+    return ImageHeader(
+        size=stored if turned else stored[::-1],
+        focal=focal,
+        focal_source=source,
+        software=software,
+        remarks=(remark,) if remark else (),
+    )
+
+
+def _software(image: Image.Image) -> str:
+    """The program that says it made the file."""
+    try:
+        # Of a PNG, Exif is asked for after all pixels; ours say it before.
+        if image.format == "PNG":
+            return str(image.info.get("Software", ""))
+        return str(image.getexif().get(ExifTags.Base.Software, ""))
+    except Exception:  # see _orientation
+        return ""
+
+
+def image_size(path: str | Path) -> tuple[int, int]:
+    """(height, width) of the upright image from its header, without decoding the pixels."""
+    return read_header(path).size
 
 
 def decode(path: str | Path, enough: int | None = None) -> DecodedImage:
@@ -96,21 +154,21 @@ def decode(path: str | Path, enough: int | None = None) -> DecodedImage:
     pixels (None: all of it).
 
     EXIF orientation is applied, a colour profile converted to sRGB, alpha laid over white, 16 bits
-    cut to 8, and of several images the first is taken. Raises InputError, or MissingDependencyError
-    for HEIC without the extra.
+    cut to 8, and of several images the first is taken. The file is opened once. Raises InputError,
+    or MissingDependencyError for HEIC without the extra.
     """
     path = Path(path)
-    with _opened(path) as image:
+    with _opened(path) as (image, file):
         _check_size(image, path)
         _check_whole(image, path)
         _check_flat(image, path)
-        _tell_damage(image, path)
-        stored_size = image.size
+        _tell_damage(image, file, path)
+        digest, coding = _from_start(file, digest_of), _from_start(file, read_coding)
         try:
             _draft(image, enough)
-            stored = _loaded(image, path)
+            stored = _loaded(image, file, path)
             turn = _orientation(image, path)
-            pixels, alpha = _to_srgb(stored, path)
+            pixels, alpha = _to_srgb(stored, coding, path)
             upright = _upright(pixels, turn)
             alpha = None if alpha is None else _upright(alpha, turn)
         except InputError:
@@ -119,13 +177,7 @@ def decode(path: str | Path, enough: int | None = None) -> DecodedImage:
             raise InputError(
                 f"{path}: the image is damaged or cut off ({_reason(error)}); copy it again."
             ) from None
-        if (
-            image.format not in _JPEG
-        ):  # only these are decoded in part, and Pillow turns TIFFs
-            stored_size = stored.size
-        focal, source = _exif_focal(image, stored_size, path)
-    width, height = stored_size[::-1] if turn in (5, 6, 7, 8) else stored_size
-    return DecodedImage(upright, (height, width), focal, source, alpha)
+    return DecodedImage(upright, digest, alpha)
 
 
 def read_image(path: str | Path, enough: int | None = None) -> Image.Image:
@@ -133,24 +185,12 @@ def read_image(path: str | Path, enough: int | None = None) -> Image.Image:
     return decode(path, enough).pixels
 
 
-def image_size(path: str | Path) -> tuple[int, int]:
-    """(height, width) of the upright image from its header, without decoding the pixels."""
-    path = Path(path)
-    with _opened(path) as image:
-        turned = _orientation(image, path) in (5, 6, 7, 8)
-        width, height = image.size
-        if image.format == "TIFF":  # which Pillow may have turned already
-            tags = image.tag_v2  # type: ignore[attr-defined]
-            width, height = tags[ExifTags.Base.ImageWidth], tags[_IMAGE_LENGTH]
-        return (width, height) if turned else (height, width)
-
-
 # Opening
 
 
 @contextlib.contextmanager
-def _opened(path: Path) -> Iterator[Image.Image]:
-    """The image with its header read. Raises InputError."""
+def _opened(path: Path) -> Iterator[tuple[Image.Image, BinaryIO]]:
+    """The image with its header read, and its file. Raises InputError."""
     _check_is_file(path)
     with warnings.catch_warnings(), contextlib.ExitStack() as stack:
         # Pillow's own remarks; what matters is raised or said by the callers.
@@ -158,7 +198,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         try:
             # By its name, Pillow maps grey TIFFs into memory and turns them wrongly.
             file = stack.enter_context(path.open("rb"))
-            image = _without_bomb_check(file, _formats(path))
+            image = _without_bomb_check(file, _formats(file, path))
         except UnidentifiedImageError:
             if path.suffix.lower() in RAW_SUFFIXES:
                 raise InputError(f"{path}: a raw file; {DEVELOP}") from None
@@ -176,7 +216,17 @@ def _opened(path: Path) -> Iterator[Image.Image]:
         with image:
             if image.format == "TIFF":
                 _check_tiff(image, path)
-            yield image
+            yield image, file
+
+
+def _from_start(file: BinaryIO, read: Callable[[BinaryIO], Answer]) -> Answer:
+    """What `read` makes of the whole file; Pillow then goes on where it was."""
+    place = file.tell()
+    file.seek(0)
+    try:
+        return read(file)
+    finally:
+        file.seek(place)
 
 
 def _check_is_file(path: Path) -> None:
@@ -190,13 +240,12 @@ def _check_is_file(path: Path) -> None:
         raise InputError(f"{path}: the file is empty (0 bytes).")
 
 
-def _formats(path: Path) -> tuple[str, ...]:
+def _formats(file: BinaryIO, path: Path) -> tuple[str, ...]:
     """What Pillow may take the file for; never one that starts another program.
 
     EPS is such a one, whatever the file is called.
     """
-    with path.open("rb") as file:
-        head = file.read(12)
+    head = _from_start(file, lambda file: file.read(12))
     if head[4:8] != b"ftyp":
         return FORMATS
     if head[8:12] in _HEIC_BRANDS:
@@ -218,9 +267,7 @@ def _register_heic(path: Path) -> None:
 
 
 def _check_tiff(image: Image.Image, path: Path) -> None:
-    """Raise InputError for a raw file, whose thumbnail would be read, and for what Pillow reads
-    wrongly without a word.
-    """
+    """Raise InputError for a raw file (a thumbnail is in front) and what Pillow misreads."""
     tags = image.tag_v2  # type: ignore[attr-defined]
     reduced = tags.get(_NEW_SUBFILE_TYPE, 0)
     named = path.suffix.lower() in RAW_SUFFIXES
@@ -233,8 +280,8 @@ def _check_tiff(image: Image.Image, path: Path) -> None:
         "of 16 bits, each channel by itself": bits[0] == 16 and planar,
         "of 16 bits, with 0 as white": bits[0] == 16 and tags.get(_PHOTOMETRIC) == 0,
     }
-    for kind, found in kinds.items():
-        if found:
+    for kind, is_that in kinds.items():
+        if is_that:
             raise InputError(
                 f"{path}: a TIFF {kind}, which is not read; save it as PNG, or as TIFF of 8 bits."
             )
@@ -277,10 +324,10 @@ def _check_size(image: Image.Image, path: Path) -> None:
         )
 
 
-def _too_large(path: Path, found: str, most: int) -> InputError:
+def _too_large(path: Path, given: str, most: int) -> InputError:
     kind = "images" if most == MAX_PIXELS else "JPEGs"
     return InputError(
-        f"{path}: {found}; {kind} of at most {most // 10**6} megapixels are read. Scale it down "
+        f"{path}: {given}; {kind} of at most {most // 10**6} megapixels are read. Scale it down "
         "first."
     )
 
@@ -308,8 +355,8 @@ def _check_flat(image: Image.Image, path: Path) -> None:
         )
 
 
-def _tell_damage(image: Image.Image, path: Path) -> None:
-    if image.format in _JPEG and (damage := damage_of(path)):
+def _tell_damage(image: Image.Image, file: BinaryIO, path: Path) -> None:
+    if image.format in _JPEG and (damage := _from_start(file, damage_of)):
         warn(
             f"{path}: damaged inside ({damage}), so parts of it may be grey or shifted; copy it "
             "again from where it comes."
@@ -333,7 +380,7 @@ def _reason(error: Exception) -> str:
 # Pixels
 
 
-def _loaded(image: Image.Image, path: Path) -> Image.Image:
+def _loaded(image: Image.Image, file: BinaryIO, path: Path) -> Image.Image:
     """The first image of the file, decoded, with 8 bits per channel."""
     # MPO: phones keep a preview behind the photo. The number of images is not asked for, because
     # counting those of a TIFF can take minutes.
@@ -347,7 +394,7 @@ def _loaded(image: Image.Image, path: Path) -> Image.Image:
     if is_16_bit:
         highest = int(np.asarray(image.convert("RGB")).max())
         bits = _bits_used(256 * highest + 255, path)
-        return image if bits == 16 else _low_bits(path, bits)
+        return image if bits == 16 else _low_bits(file, bits)
     return image
 
 
@@ -370,9 +417,9 @@ def _from_deep_grey(image: Image.Image, path: Path) -> Image.Image:
     return Image.fromarray(values.astype(np.uint8))
 
 
-def _low_bits(path: Path, bits: int) -> Image.Image:
+def _low_bits(file: BinaryIO, bits: int) -> Image.Image:
     """16-bit colour by so many low bits, without its colour profile."""
-    coded = np.fromfile(path, np.uint8)
+    coded = np.frombuffer(_from_start(file, lambda file: file.read()), np.uint8)
     pixels = np.asarray(cv2.imdecode(coded, cv2.IMREAD_UNCHANGED))
     pixels = (pixels >> (bits - 8)).clip(0, 255).astype(np.uint8)
     channels = [2, 1, 0, 3][: pixels.shape[2]]  # OpenCV's order is BGR
@@ -390,17 +437,17 @@ def _bits_used(highest: int, path: Path) -> int:
     return bits
 
 
-def _to_srgb(image: Image.Image, path: Path) -> tuple[Image.Image, Image.Image | None]:
+def _to_srgb(
+    image: Image.Image, coding: Coding | None, path: Path
+) -> tuple[Image.Image, Image.Image | None]:
     """Any Pillow mode of 8 bits to RGB in sRGB, and its alpha where some of it is see-through."""
     profile = image.info.get("icc_profile")
-    coding = coding_of(path)
     if coding is not None and coding.name:
         warn(
             f"{path}: coded for bright screens ({coding.name}); it is shown as others show it, "
             "with what is brighter than white pressed together."
         )
-        opaque = as_srgb(image, coding)
-        return opaque, None
+        return as_srgb(image, coding), None
     if not profile and "srgb" not in image.info:
         image = _through_gamma(image)
     if not image.has_transparency_data:
@@ -479,11 +526,11 @@ def _upright(pixels: Image.Image, orientation: int) -> Image.Image:
 
 def _exif_focal(
     image: Image.Image, size: tuple[int, int], path: Path
-) -> tuple[float | None, str]:
-    """Focal length [pixels of the stored image] and who says so; (None, "") when nobody does.
+) -> tuple[float | None, str, str]:
+    """Focal length [pixels of the stored image], who says so, and why it is not believed.
 
-    From the 35 mm equivalent, else from focal length and sensor resolution (whose unit may be
-    inches or metric).
+    (None, "", "") where EXIF says nothing. From the 35 mm equivalent, else from focal length and
+    sensor resolution (whose unit may be inches or metric).
     """
     try:
         tags = image.getexif().get_ifd(ExifTags.IFD.Exif)
@@ -494,7 +541,7 @@ def _exif_focal(
         recorded = _positive(tags.get(ExifTags.Base.ExifImageWidth)) or size[0]
         height = _positive(tags.get(ExifTags.Base.ExifImageHeight))
     except Exception:  # see _orientation
-        return None, ""
+        return None, "", ""
     if equivalent:
         focal = equivalent * math.hypot(*size) / _FULL_FRAME_DIAGONAL
         source = f"EXIF 35 mm equivalent ({equivalent:g} mm)"
@@ -502,23 +549,21 @@ def _exif_focal(
         focal = millimetres * density / unit * size[0] / recorded
         source = f"EXIF focal length and sensor resolution ({millimetres:g} mm)"
     else:
-        return None, ""
+        return None, "", ""
+    doubt = ""
     if height and not _same_shape((recorded, height), size):
-        warn(
-            f"{path}: EXIF tells of {recorded:g}x{height:g} pixels, so the photo was cropped, and "
-            "what EXIF says of the lens is not believed; --fov tells it."
+        doubt = (
+            f"EXIF tells of {recorded:g}x{height:g} pixels, so the photo was cropped, and what "
+            "EXIF says of the lens is not believed; --fov tells it."
         )
-        return None, ""
-    if max(size) > WIDEST * min(size):
-        warn(
-            f"{path}: as wide as panoramas are, whose EXIF tells of the lens that swept, which "
-            "is not believed; --fov tells it."
+    elif max(size) > WIDEST * min(size):
+        doubt = (
+            "as wide as panoramas are, whose EXIF tells of the lens that swept, which is not "
+            "believed; --fov tells it."
         )
-        return None, ""
-    if not 0.1 < focal / max(size) < 50:
-        warn(f"{path}: EXIF states an impossible focal length; it is ignored.")
-        return None, ""
-    return focal, source
+    elif not 0.1 < focal / max(size) < 50:
+        doubt = "EXIF states an impossible focal length; it is ignored."
+    return (None, "", f"{path}: {doubt}") if doubt else (focal, source, "")
 
 
 def _same_shape(first: tuple[float, float], second: tuple[float, float]) -> bool:

@@ -7,7 +7,7 @@ The transfer functions are those of ITU-R BT.2100, the numbers those of ITU-T H.
 import re
 import struct
 from dataclasses import dataclass
-from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 from PIL import Image
@@ -45,10 +45,9 @@ class Coding:
         return {PQ: "PQ", HLG: "HLG"}.get(self.transfer, "")
 
 
-def coding_of(path: Path) -> Coding | None:
+def read_coding(file: BinaryIO) -> Coding | None:
     """The numbers in the head of a PNG, HEIC or AVIF."""
-    with path.open("rb") as file:
-        head = file.read(_HEAD)
+    head = file.read(_HEAD)
     if head.startswith(b"\x89PNG"):
         at = 8
         while at + 12 <= len(head):
@@ -60,16 +59,16 @@ def coding_of(path: Path) -> Coding | None:
                 return None
             at += 12 + length
     elif head[4:8] == b"ftyp":
-        found = re.search(rb"colrnclx(..)(..)", head, re.DOTALL)
-        if found:
-            return Coding(*(int.from_bytes(number, "big") for number in found.groups()))
+        numbers = re.search(rb"colrnclx(..)(..)", head, re.DOTALL)
+        if numbers:
+            return Coding(
+                *(int.from_bytes(number, "big") for number in numbers.groups())
+            )
     return None
 
 
 def as_srgb(image: Image.Image, coding: Coding) -> Image.Image:
-    """The picture as a screen without HDR shows it: up to white as it is, brighter light pressed
-    into what is left.
-    """
+    """The picture as a screen without HDR shows it: light above white pressed into what is left."""
     coded = np.asarray(image.convert("RGB"))
     levels = np.arange(256) / 255
     light = _pq(levels) if coding.transfer == PQ else _hlg(levels)

@@ -25,7 +25,7 @@ from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say, track, warn
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Views
-from edit3r.kit.files.atomic import atomic_write, sha256_of
+from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.files.names import natural, refuse_elsewhere, unique_names
 from edit3r.kit.photos.coverage import (
     USUAL_FRAMES,
@@ -38,9 +38,8 @@ from edit3r.kit.photos.decode import (
     DEVELOP,
     RAW_SUFFIXES,
     SUFFIXES,
-    DecodedImage,
     decode,
-    image_size,
+    read_header,
     read_image,
 )
 from edit3r.kit.photos.framing import Frame, common_size, frame_for
@@ -145,29 +144,30 @@ def load_photos(
     finder.check_all_used(files)
     names = _names(files, names)
     # Headers first, so that no more than one photo is ever in memory at full size.
-    sizes = [image_size(file) for file in files]
+    headers = [read_header(file) for file in files]
+    for remark in (remark for header in headers for remark in header.remarks):
+        warn(remark)
+    sizes = [header.size for header in headers]
     _check_shapes(files, sizes)
     target = common_size(sizes, size)
-    images, photos, found = [], [], []
-    for name, file in track(list(zip(names, files)), "read photos"):
-        decoded = decode(file, ENOUGH * max(target))
-        intrinsics = finder.find(file, decoded)
-        image, photo = _as_view(name, file, decoded, intrinsics, target)
+    known_lenses = [finder.find(*pair) for pair in zip(files, headers)]
+    known_lenses = [
+        as_others_of_its_size(known_lenses, sizes, view) for view in range(len(files))
+    ]
+    images, photos = [], []
+    for name, file, header, known in track(
+        list(zip(names, files, headers, known_lenses)), "read photos"
+    ):
+        image, photo = _as_view(name, file, header.size, known, target)
         images.append(image)
         photos.append(photo)
-        found.append(intrinsics)
-    for view, (name, file) in enumerate(zip(names, files)):
-        if told := as_others_of_its_size(found, sizes, view):
-            decoded = decode(file, ENOUGH * max(target))
-            images[view], photos[view] = _as_view(name, file, decoded, told, target)
-            found[view] = told
-    assumed = tuple(intrinsics.assumed for intrinsics in found)
+    assumed = tuple(intrinsics.assumed for intrinsics in known_lenses)
     _warn_of_losses(photos)
     normalised = [
         photo.frame.follow(intrinsics.normalised)
-        for photo, intrinsics in zip(photos, found)
+        for photo, intrinsics in zip(photos, known_lenses)
     ]
-    poses = known_poses(found)
+    poses = known_poses(known_lenses)
     views = Views(
         images=torch.stack(images)[None],
         intrinsics=torch.stack(normalised)[None].float(),
@@ -335,26 +335,26 @@ def expand(path: str | Path) -> list[Path]:
     folder, name = os.path.split(text)
     if Path(folder).is_dir():  # "holiday [2024]" has signs of its own
         text = os.path.join(glob.escape(folder), name)
-    found = sorted(map(Path, glob.glob(text)), key=natural)
-    if not found:
+    files = sorted(map(Path, glob.glob(text)), key=natural)
+    if not files:
         raise InputError(f"{path}: no such file or folder.")
-    return found
+    return files
 
 
 def images_of_folder(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
     """The images that lie in the folder itself, in natural order."""
-    found = []
+    images = []
     for path in folder.iterdir() if folder.is_dir() else ():
         hidden = path.name.startswith(".")  # such as macOS's ._IMG_0001.jpg
         if path.suffix.lower() in suffixes and not hidden and path.is_file():
-            found.append(path)
-    return sorted(found, key=natural)
+            images.append(path)
+    return sorted(images, key=natural)
 
 
 def _images_in(folder: Path) -> list[Path]:
     for place in (folder, folder / "images"):
-        if found := images_of_folder(place):
-            return found
+        if images := images_of_folder(place):
+            return images
     raise InputError(f"{folder}: {_what_else(folder)}")
 
 
@@ -399,18 +399,19 @@ def _names(files: Sequence[Path], names: Sequence[str] | None) -> tuple[str, ...
 def _as_view(
     name: str,
     file: Path,
-    image: DecodedImage,
+    size: tuple[int, int],
     intrinsics: Intrinsics,
     target: tuple[int, int],
 ) -> tuple[Float[Tensor, "3 height width"], Photo]:
     """The part of a photo that is used, at the views' size, and the record of it."""
-    height, width = image.size
-    frame = frame_for(image.size, target).through(intrinsics.lens)
+    height, width = size
+    frame = frame_for(size, target).through(intrinsics.lens)
     fx, fy = intrinsics.normalised.diagonal()[:2].tolist()
+    image = decode(file, ENOUGH * max(target))
     return _to_tensor(frame.cut(image.pixels)), Photo(
         name=name,
         file=origin(file),
-        sha256=sha256_of(file),
+        sha256=image.sha256,
         size=frame.source,
         frame=frame,
         intrinsics_source=intrinsics.source,

@@ -1,17 +1,15 @@
 """What among image files is not a photo of the scene: masks, our own sheets, and photos twice."""
 
 import re
-import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from PIL import ExifTags, Image
 
 from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.reporting import say
-from edit3r.kit.photos.decode import FORMATS, decode, image_size
+from edit3r.kit.photos.decode import decode, image_size, read_header
 
 MADE_HERE = "edit3r, no photo"
 """What sheets, previews and masks of ours carry as their software."""
@@ -33,27 +31,25 @@ _SMALL = (32, 32)  # their size [pixels]
 
 
 def only_photos(files: Sequence[Path]) -> list[Path]:
-    """The files without masks, sheets of ours and photos in a second format; says what was left
-    out.
-    """
+    """The files without masks, sheets of ours and second formats; says what was left out."""
     stems = Counter(file.stem.casefold() for file in files)
-    kept = _without_doubles([file for file in files if not _is_none(file, stems)])
-    photos = set(kept)
+    photos_once = _without_doubles(
+        [file for file in files if not _is_none(file, stems)]
+    )
+    photos = set(photos_once)
     left_out = [file.name for file in files if file not in photos]
-    if not kept or not left_out:
+    if not photos_once or not left_out:
         return list(files)
     listed = ", ".join(left_out[:6]) + (", ..." if len(left_out) > 6 else "")
     say(
         "photos.left_out",
         f"{listed}: no photo of its own (a mask, a sheet, or a photo twice)",
     )
-    return kept
+    return photos_once
 
 
 def _is_none(file: Path, stems: Mapping[str, int]) -> bool:
-    """Whether a file is a mask or another map of a photo, or a sheet that was made here; `stems`
-    are those of all files.
-    """
+    """Whether a file is a mask or map of a photo (`stems` are all files'), or a sheet made here."""
     stem = file.stem.casefold()
     without = _SUFFIX.sub("", _MAP_SIGN.sub("", stem))
     return (
@@ -64,32 +60,23 @@ def _is_none(file: Path, stems: Mapping[str, int]) -> bool:
 def _made_here(file: Path) -> bool:
     """Whether the file says of itself that it was made here."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of many pixels, which nobody decodes here
-            image = Image.open(file, formats=FORMATS)
-        with image:
-            # Of a PNG, Exif is asked for after all pixels; ours say it before.
-            if image.format == "PNG":
-                return image.info.get("Software") == MADE_HERE
-            software = image.getexif().get(ExifTags.Base.Software)
-    except Exception:  # told where it is read
+        return read_header(file).software == MADE_HERE
+    except (InputError, MissingDependencyError):  # told where it is read
         return False
-    return software == MADE_HERE
 
 
 def _without_doubles(files: Sequence[Path]) -> list[Path]:
-    """Of files of one stem, or named as its copies, that show the same, the one with most pixels
-    alone.
-    """
+    """Of files of one stem, or named as its copies, that show the same, only the largest."""
     stems = {file.stem.casefold() for file in files}
     by_stem: dict[str, list[Path]] = {}
     for file in files:
         by_stem.setdefault(_copied_from(file.stem.casefold(), stems), []).append(file)
     left_out: set[Path] = set()
     for stem, twins in by_stem.items():
-        own = [file for file in twins if file.stem.casefold() == stem]
+        originals = [file for file in twins if file.stem.casefold() == stem]
         copies = [file for file in twins if file.stem.casefold() != stem]
-        best, *others = own + copies  # the original, where no copy has more pixels
+        # the original, where no copy has more pixels
+        best, *others = originals + copies
         for twin in others:
             renamed = best.stem.casefold() != twin.stem.casefold()
             if best.suffix == twin.suffix and not renamed:

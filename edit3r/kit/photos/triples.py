@@ -17,9 +17,7 @@ MAX_OFF_MIDDLE = 0.4
 
 
 def rotation_degrees(a: Float[np.ndarray, "n n"], b: Float[np.ndarray, "n n"]) -> float:
-    """Return the angle between two rotation matrices or poses [degrees], accurate for small
-    angles.
-    """
+    """Return the angle between two rotations or poses [degrees], accurate for small angles."""
     rotations = (torch.from_numpy(matrix[:3, :3]) for matrix in (a, b))
     return float(torch.rad2deg(rotation_angle(*rotations)))
 
@@ -39,9 +37,7 @@ def choose_triples(
 
 
 def photos_between(poses: Sequence[Pose], first: int, second: int) -> list[int]:
-    """Return the photos near the middle of the baseline that look the same way, nearest to it
-    first.
-    """
+    """Return the photos near the baseline's middle that look the same way, nearest to it first."""
     ends = [poses[first], poses[second]]
     angle = rotation_degrees(*ends)
     start, end = (pose[:3, 3] for pose in ends)

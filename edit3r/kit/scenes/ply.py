@@ -26,7 +26,13 @@ from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.geometry.harmonics import DC
 from edit3r.kit.scenes.axes import SHORTEST_QUAT, sound
 
-__all__ = ["SMALLEST_SCALE", "VIEWER_DEGREE", "load_ply", "save_ply"]
+__all__ = [
+    "MOST_HEADER_BYTES",
+    "SMALLEST_SCALE",
+    "VIEWER_DEGREE",
+    "load_ply",
+    "save_ply",
+]
 
 OPACITY_MARGIN = 1e-7  # keeps the logits of 0 and 1 finite, within +-16.2
 SMALLEST_SCALE = float(np.finfo(np.float32).tiny)  # keeps the logarithm of 0 finite
@@ -52,25 +58,14 @@ MOST_HEADER_BYTES = 1 << 20
 MOST_COMMENT = 1000
 COARSE = 0.5  # of a Gaussian's size: steps between places that spoil a scene
 _TYPES = {
-    **{
-        "char": "i1",
-        "int8": "i1",
-        "uchar": "u1",
-        "uint8": "u1",
-        "short": "i2",
-        "int16": "i2",
-        "ushort": "u2",
-    },
-    **{
-        "uint16": "u2",
-        "int": "i4",
-        "int32": "i4",
-        "uint": "u4",
-        "uint32": "u4",
-        "float": "f4",
-        "float32": "f4",
-    },
-    **{"double": "f8", "float64": "f8"},
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
 }
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _ASCII = "ascii"
@@ -123,13 +118,12 @@ def save_ply(
 
 @in_usual_torch
 def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
-    """Read a 3DGS PLY (binary or text, any number type, extra properties ignored) as one scene on
-    the CPU.
+    """Read a 3DGS PLY (binary or text, any number type) as one scene on the CPU.
 
-    Degree 0 to 4, or colours alone; two scales are those of flat discs, one that of balls.
-    Quaternions come back normalised; Gaussians with values that are not finite are
-    left out with a warning. Raises InputError for a file that is no such PLY, or is cut off; with
-    `visible` also for a scene in which nothing can be drawn.
+    Degree 0 to 4, or colours alone; two scales are those of flat discs, one that of balls; further
+    properties are passed over. Quaternions come back normalised; Gaussians with values that are
+    not finite are left out with a warning. Raises InputError for a file that is no such PLY, or is
+    cut off; with `visible` also for a scene in which nothing can be drawn.
     """
     path = Path(path)
     header = read_header(path)
@@ -161,9 +155,7 @@ def _tell_coarse(path: Path, gaussians: Gaussians) -> None:
 
 
 def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
-    """Structured array of the vertex element; logits and logarithms are taken in double
-    precision.
-    """
+    """Structured array of the vertex element; logits and logarithms in double precision."""
     coefficients = (degree + 1) ** 2
     quats = gaussians.quats[0].detach().double()
     without = quats.norm(dim=-1, keepdim=True) <= SHORTEST_QUAT
@@ -200,16 +192,9 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
     names = [
         *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"),
         *(f"f_rest_{i}" for i in range(3 * (coefficients - 1))),
-        *(
-            "opacity",
-            "scale_0",
-            "scale_1",
-            "scale_2",
-            "rot_0",
-            "rot_1",
-            "rot_2",
-            "rot_3",
-        ),
+        "opacity",
+        *(f"scale_{axis}" for axis in range(3)),
+        *(f"rot_{part}" for part in range(4)),
     ]
     names += further
     return (
@@ -253,9 +238,7 @@ def _view_runs(view_index: np.ndarray) -> list[str]:
 
 
 def _read_view_runs(header: "PlyHeader") -> Int64[np.ndarray, "gaussian"]:
-    """`view_index` from the header's comment, -1 where it says nothing that fits the number of
-    Gaussians.
-    """
+    """`view_index` from the header's comment; -1 where it does not fit the number of Gaussians."""
     for comment in header.comments:
         if comment.startswith(_VIEWS):
             runs = [_RUN.fullmatch(run) for run in comment.removeprefix(_VIEWS).split()]
@@ -346,9 +329,7 @@ def _read_uncertainty(
 
 
 def _unit(quats: np.ndarray) -> np.ndarray:
-    """Quaternions [gaussian, 4] of unit length; those that have it already keep their bits, so
-    files can go round.
-    """
+    """Unit quaternions [gaussian, 4]; those that are keep their bits, so files can go round."""
     norms = np.linalg.norm(quats, axis=-1, keepdims=True)
     return np.where(np.abs(norms - 1) < 1e-6, quats, quats / np.maximum(norms, 1e-12))
 
@@ -426,9 +407,7 @@ class PlyHeader:
 
 
 def read_header(path: Path) -> PlyHeader:
-    """Read up to `end_header`. The vertex element must come first and hold no lists. Raises
-    InputError.
-    """
+    """Read up to `end_header`; vertices come first and hold no lists. Raises InputError."""
     if not path.is_file():
         raise InputError(f"{path}: no such file.")
     try:

@@ -1,5 +1,4 @@
-"""Learned weights that components can use: what each plugin declares, and where the files lie on
-this machine.
+"""Learned weights that components can use: where the files lie on this machine.
 
 A component names its weights in `Component.weights`. `edit3r weights get NAME` puts them into
 `folder()`; nothing else does, and nothing is downloaded by `find`. Imports no torch and no foreign
@@ -86,9 +85,7 @@ def matches(path: str, pattern: str) -> bool:
 
 
 def record_of(place: Path) -> dict[str, Any]:
-    """What was noted beside fetched weights (see RECORD); nothing for files that were put there by
-    other means.
-    """
+    """What was noted beside fetched weights (see RECORD); nothing for others."""
     with suppress(OSError, ValueError):
         record = read_json(place / RECORD)
         return record if isinstance(record, dict) else {}
@@ -96,9 +93,7 @@ def record_of(place: Path) -> dict[str, Any]:
 
 
 def _in_hub_cache(weights: Weights) -> Path | None:
-    """The folder of the declared revision in the cache of the hub's client, found without loading
-    the client.
-    """
+    """The folder of the declared revision in the hub client's cache, found without the client."""
     if not weights.source.startswith("hub:"):
         return None
     home = os.environ.get("HF_HOME") or (user_cache() or Path()) / "huggingface"

@@ -14,10 +14,9 @@ from edit3r.contract.interfaces import Box, Reader, Selection
 from edit3r.contract.lens import Lens
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import LoadedPhotos
-from edit3r.kit.photos.mask_files import masks_by_photo
-from edit3r.kit.photos.masks import load_masks, read_mask
+from edit3r.kit.photos.masks import load_masks, masks_by_photo, read_mask
 from edit3r.running.config import MAX_PROMPT
-from edit3r.running.reading import usual_reader
+from edit3r.running.editors import usual_reader
 
 
 @dataclass(frozen=True)

@@ -10,18 +10,11 @@ from edit3r.kit.checks import check_refinement, errors_named_after
 from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.maps import composite
 from edit3r.running.parts import Parts
-from edit3r.running.records import (
-    EditedPhotos,
-    Located,
-    Reconstructed,
-)
+from edit3r.running.records import EditedPhotos, Located, Reconstructed
 
 
 def refine(
-    located: Located,
-    edit: EditedPhotos,
-    made: Reconstructed,
-    parts: Parts,
+    located: Located, edit: EditedPhotos, made: Reconstructed, parts: Parts
 ) -> Gaussians:
     """Apply the refiners.
 

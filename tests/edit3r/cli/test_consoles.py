@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 from edit3r.cli.program import SteadyText
-from edit3r.kit.command.console import ProgressLines, StageConsole, _WholeRun
+from edit3r.kit.command.console import ProgressLines, StageConsole
 
 SPEAKS = r"""
 import sys, edit3r.cli.main as m
@@ -83,8 +83,7 @@ def test_what_nobody_reads_is_written_without_an_error():
 
 
 def lines(**more):
-    shares = more.pop("shares", {})
-    return ProgressLines(Console(file=io.StringIO(), soft_wrap=True), shares, **more)
+    return ProgressLines(Console(file=io.StringIO(), soft_wrap=True), **more)
 
 
 def test_a_line_says_what_is_done_and_how_long_it_takes_yet(monkeypatch):
@@ -103,59 +102,6 @@ def test_a_line_says_what_is_done_and_how_long_it_takes_yet(monkeypatch):
     assert said.line() == "edit photos: 30 s so far"
     said.hear("end", "edit photos", 0, 0)
     assert said.line() == ""
-
-
-def test_the_time_left_for_all_follows_from_the_usual_shares_of_steps(monkeypatch):
-    now = [0.0]
-    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
-    said = lines(shares={"match": 20, "depth": 20, "reconstruct": 40, "refine": 20})
-
-    def at(seconds, *event):
-        now[0] = seconds
-        said.hear(*event)
-        return said.line()
-
-    at(0, "start", "geometry", 0, 0)
-    at(0, "progress", "match", 0, 10)
-    assert (
-        at(10, "progress", "match", 5, 10) == "match: 5 of 10, about 2 min left for all"
-    )
-    at(20, "progress", "depth", 0, 10)
-    at(40, "end", "geometry", 0, 0)
-    at(40, "start", "edit (slow)", 0, 0)
-    now[0] = 500  # what an edit takes says nothing of the rest
-    assert said.line() == "edit (slow): 8 min so far"
-    at(600, "end", "edit (slow)", 0, 0)
-    # Depth did not say that it was done, and is: what follows it began.
-    at(600, "start", "reconstruct (edit3r)", 0, 0)
-    now[0] = 610
-    assert "about 50 s left for all" in said.line()
-    now[0] = 9999  # longer than usual: what follows is still to come
-    assert "about 20 s left for all" in said.line()
-
-
-@pytest.mark.parametrize(
-    ("events", "left"),
-    [
-        # a step twice as slow as usual tells its own rest, and all so far what follows
-        ([(20, "refine", 0), (60, "refine", 5)], 40 + 30),
-        # what is done between two steps and is not usual
-        ([(20, "tilt", 0), (500, "tilt", 9)], 60),
-        ([(20, "tilt", 0), (500, "tilt", 9), (500, "refine", 0)], 60),
-        # what was counted before, once more
-        ([(20, "refine", 0), (20, "match", 3), (90, "match", 9)], 60),
-    ],
-)
-def test_time_of_what_is_not_usual_tells_nothing_of_what_follows(
-    monkeypatch, events, left
-):
-    now = [0.0]
-    monkeypatch.setattr(time, "perf_counter", lambda: now[0])
-    whole = _WholeRun({"match": 20, "refine": 40, "render": 20})
-    for second, name, done in [(0, "match", 0), (20, "match", 10), *events]:
-        now[0] = second
-        whole.hear("progress", name, done, 10)
-    assert whole.left() == pytest.approx(left)
 
 
 def test_lines_come_again_and_again_and_stop():

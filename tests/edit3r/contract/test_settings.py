@@ -4,8 +4,7 @@ from pydantic import Field
 
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
-from edit3r.kit.files.configs import find_config, parse_assignments
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import find_config, parse_assignments, read_yaml
 
 
 def test_assignments_nest_by_dots_and_values_are_yaml():

@@ -9,8 +9,7 @@ from edit3r.contract.interfaces import Editor
 from edit3r.contract.reporting import Report, collecting
 from edit3r.loading.load import LoadedPlugins
 from edit3r.loading.registry import Registry, default_registry
-from edit3r.running.editors import tasks_for_editor, tasks_without_editor
-from edit3r.running.reading import usual_reader
+from edit3r.running.editors import tasks_for_editor, tasks_without_editor, usual_reader
 
 
 def chosen(prompt, registry=None):

@@ -16,8 +16,8 @@ from edit3r.loading.load import LoadedPlugins, PluginFailure
 from edit3r.loading.registry import Registry
 from edit3r.running import MarkTexts, preview
 from edit3r.running.config import JobInputs
+from edit3r.running.editors import instructions_for, read
 from edit3r.running.job import RunJob, job_from
-from edit3r.running.reading import instructions_for, read
 
 RED = Change("paint", Colour("rouge", (0.9, 0.1, 0.1)))
 ALL_RED = Instruction("paint", Thing("whole"), (RED,), text="rouge")

@@ -245,9 +245,10 @@ def test_the_last_line_says_how_to_get_a_default_run_sharper(result, tmp_path):
 
     assert last().endswith("--quality best takes half as long again")
     assert last(longest=4032).endswith(
-        "best, which shows 1024 of the photos' 4032 pixels, takes four to five times as long"
+        "best scales photos to 1024 pixels and not 512, and takes four to five times as long"
     )
-    assert "shows 800 of" in last(longest=800) and "shows" not in last(longest=512)
+    assert "best shows photos at their full size, and" in last(longest=800)
+    assert "half as long again" in last(longest=512)
     for kept in ({"quality": "best"}, {"size": 1024}, {"label": "poor"}):
         assert "sharper" not in last(longest=4032, **kept)
 

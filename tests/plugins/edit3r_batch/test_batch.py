@@ -238,9 +238,9 @@ def test_two_batches_in_one_folder_are_refused(place, capsys):
     from filelock import FileLock
 
     (place / "out").mkdir()
-    with FileLock(place / "out" / ".batch.lock"):
+    with FileLock(place / "out" / ".edit3r.lock"):
         assert batch(jobs_file(place, "a"), place / "out") == 2
-    assert "another batch is at work there" in capsys.readouterr().err
+    assert "another run writes its results there" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

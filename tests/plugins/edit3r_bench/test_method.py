@@ -8,7 +8,7 @@ from edit3r_bench.oracle import ORACLE, OracleSettings
 
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.settings import PartChoice, make_settings
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import read_yaml
 from edit3r.loading.registry import default_registry
 
 SHIPPED = sorted((Path(__file__).parents[3] / "configs" / "bench").glob("*.yaml"))

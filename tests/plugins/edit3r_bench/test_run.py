@@ -28,8 +28,7 @@ import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, StageRecord
 from edit3r.kit.command.results import alone_in
-from edit3r.kit.files.configs import find_config
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import find_config, read_yaml
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.weights.files import WEIGHTS, save_weights
 from edit3r.kit.workers import run_resumable

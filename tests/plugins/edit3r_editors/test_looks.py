@@ -14,7 +14,7 @@ from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.loading.registry import build
-from edit3r.running.reading import read
+from edit3r.running.editors import read
 
 PHOTO = torch.from_numpy(
     data.astronaut()[:256, 100:420].astype(np.float32) / 255

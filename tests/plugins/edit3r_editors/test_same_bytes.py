@@ -5,7 +5,7 @@ import torch
 
 from edit3r.contract.types import EditRequest, Views
 from edit3r.loading.registry import build
-from edit3r.running.reading import read
+from edit3r.running.editors import read
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from edit3r_judge.fit import JudgeCommand, between, limits_of, read_rows
 from edit3r_judge.signals import FITTED, SIGNALS
 
 from edit3r.contract.errors import InputError
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import read_yaml
 
 CLEAN = {name: 1.0 if one.at_least else 0.0 for name, one in SIGNALS.items()}
 

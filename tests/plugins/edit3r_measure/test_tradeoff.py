@@ -6,10 +6,17 @@ from itertools import pairwise
 import pytest
 import yaml
 from edit3r_measure import tradeoff_measure
+from edit3r_measure.lpips import lpips_weights
 from edit3r_measure.scene_sources import EvaluationScene, SceneSource
 from edit3r_measure.tradeoff_measure import measure_points
 from edit3r_measure.tradeoff_plan import read_plan
-from edit3r_measure.tradeoff_report import choose_presets, front, measured_points
+from edit3r_measure.tradeoff_report import (
+    choose_presets,
+    front,
+    measured_points,
+    report,
+    summarize,
+)
 from hypothesis import given, strategies as st
 
 from edit3r.cli.main import main
@@ -141,6 +148,7 @@ def test_the_command_measures_runs_and_says_which_failed(
     base, wrong = read_rows(out / "measurements.jsonl").values()
     assert wrong["failure"].startswith("no reconstructor named 'nobody'.")
     assert base["psnr"] > 15
+    assert (base["lpips"] is None) == (lpips_weights() == "")
     assert base["gaussians"] > 100
     assert base["memory_mb"] > 50
     assert base["seconds_first"] > 0
@@ -160,6 +168,7 @@ def test_the_command_measures_runs_and_says_which_failed(
 
 def row(label="base", scene="s", **others):
     figures = {"memory_mb": 500.0, "gaussians": 100, "psnr": 20.0, "ssim": 0.5}
+    figures |= {"lpips": None}
     times = {"seconds": [1.0, 2.0], "seconds_first": 9.0}
     about = {"label": label, "scene": scene, "kind": "photos", "settings": {"size": 8}}
     return {**about, **figures, **times, **others}
@@ -170,6 +179,19 @@ def test_a_point_has_the_quickest_repeats_and_means_over_the_scenes():
     (point,) = measured_points(rows)
     figures = point.expected["photos"]
     assert (figures.seconds, figures.seconds_first, figures.psnr) == (2.0, 9.0, 20.0)
+
+
+def test_lpips_is_in_the_table_or_said_to_be_not_measured():
+    def cells(*rows):
+        last = report(summarize(rows, {}), rows).splitlines()[-1]
+        return last.strip("| ").split(" | ")[-2:]
+
+    about = {"day": "2026-11-28"}
+    assert cells(row(**about)) == ["0.500", "not measured"]
+    assert cells(row(lpips=0.1, **about), row(scene="t", lpips=0.3, **about)) == [
+        "0.500",
+        "0.200",
+    ]
 
 
 def test_a_point_that_failed_or_lacks_a_scene_is_left_out():
@@ -227,6 +249,15 @@ def test_presets_by_hand():
     points = [rated("a", 1, 10), rated("b", 1.5, 11), rated("c", 3.5, 14)]
     points += [rated("d", 6, 15), rated("e", 8, 16)]
     assert labels_of(points) == ["b", "c", "e"]
+
+
+def test_lpips_decides_where_it_was_measured():
+    """The dearest looks best, and PSNR prefers the blur."""
+    points = [rated("a", 1, 22), rated("b", 2, 21), rated("c", 4, 20)]
+    for point, distance in zip(points, (0.3, 0.2, 0.1)):
+        for name, own in point.expected.items():
+            point.expected[name] = own.model_copy(update={"lpips": distance})
+    assert labels_of(points) == ["a", "b", "c"]
 
 
 def test_presets_must_lie_apart_on_both_kinds():

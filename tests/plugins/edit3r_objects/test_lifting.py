@@ -2,9 +2,9 @@
 
 import pytest
 import torch
+from edit3r_objects.lifting import lift
 
 from edit3r import Cameras, Gaussians, build
-from edit3r.kit.scenes.lifting import lift
 
 pytestmark = pytest.mark.slow
 

@@ -7,7 +7,7 @@ from edit3r_recolor.editor import RecolorEditor
 from edit3r.contract.errors import PromptError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import EditRequest, Views
-from edit3r.running.reading import read
+from edit3r.running.editors import read
 
 HEIGHT, WIDTH = 12, 16
 

@@ -217,3 +217,13 @@ def test_what_photos_show_that_the_scene_leaves_out_pulls_at_nothing(rasterizer,
     )
     assert torch.equal(kept.harmonics, clean.harmonics)
     assert not torch.allclose(ghost.harmonics, clean.harmonics, atol=0.01)
+
+
+@pytest.mark.parametrize("growth", [1.0, 1.2])
+def test_no_gaussian_grows_by_more_than_it_may(rasterizer, scene, growth):
+    small, cameras, images = scene
+    small = replace(small, scales=small.scales * 0.3)  # gaps, which growing would fill
+    settings = RefineSettings(growth=growth)
+    refined = refine(small, cameras, images, rasterizer, 20, settings)
+    change = refined.gaussians.scales / small.scales
+    assert refined.steps > 0 and change.max() == pytest.approx(growth)

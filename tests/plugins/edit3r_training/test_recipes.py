@@ -21,8 +21,7 @@ from PIL import Image
 
 from edit3r.cli.main import main
 from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
-from edit3r.kit.files.configs import find_config, parse_assignments
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import find_config, parse_assignments, read_yaml
 from edit3r.loading.registry import build, default_registry
 
 pytestmark = pytest.mark.slow

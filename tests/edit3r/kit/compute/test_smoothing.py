@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 
-from edit3r.kit.compute.smoothing import weighted_smooth
+from edit3r.kit.compute.layers import weighted_smooth
 
 
 @pytest.fixture

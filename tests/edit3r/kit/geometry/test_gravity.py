@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from edit3r.kit.geometry.gravity import quarter_turns, up_direction
+from edit3r.kit.geometry.cameras import quarter_turns, up_direction
 
 
 def camera(pan, tilt, roll=0.0):

@@ -4,7 +4,7 @@ import pytest
 from PIL import Image
 
 from edit3r.contract.errors import InputError
-from edit3r.kit.photos.mask_files import masks_by_photo
+from edit3r.kit.photos.masks import masks_by_photo
 
 PHOTOS = [("img2.jpg",), ("img10.jpg",)]
 

@@ -191,13 +191,12 @@ def test_colours_of_a_wide_space_become_stronger(tmp_path):
 @pytest.mark.parametrize("kind", ["heic", "avif"])
 def test_heic_and_avif_say_it_in_their_own_way(tmp_path, kind):
     """In their box colr, of which every reader of the head finds the numbers."""
-    from edit3r.kit.photos.hdr import Coding, coding_of
+    from edit3r.kit.photos.hdr import Coding, read_coding
 
     head = struct.pack(">I4s4s", 24, b"ftyp", kind.encode()) + bytes(20)
     box = struct.pack(">I4s4sHHHB", 19, b"colr", b"nclx", 9, 16, 9, 128)
-    (tmp_path / "a").write_bytes(head + box + bytes(100))
-    assert coding_of(tmp_path / "a") == Coding(9, 16)
-    assert coding_of(tmp_path / "a").name == "PQ"
+    coding = read_coding(io.BytesIO(head + box + bytes(100)))
+    assert coding == Coding(9, 16) and coding.name == "PQ"
 
 
 # Damaged inside

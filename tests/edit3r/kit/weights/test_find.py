@@ -4,11 +4,10 @@ import pytest
 
 from edit3r import Component
 from edit3r.contract.component import KINDS
-from edit3r.contract.errors import InputError, MissingDependencyError
+from edit3r.contract.errors import MissingDependencyError
 from edit3r.contract.weights import Weights
 from edit3r.kit.weights.find import find, folder
-from edit3r.loading.registry import default_registry
-from edit3r.loading.weights import declared, named
+from edit3r.loading.registry import declared, default_registry
 
 HASH = "0" * 64
 
@@ -81,11 +80,6 @@ def test_the_folder_is_in_the_users_cache_unless_said_otherwise(monkeypatch, tmp
     monkeypatch.delenv("EDIT3R_WEIGHTS", raising=False)
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     assert folder() == tmp_path / "edit3r" / "weights"
-
-
-def test_a_name_that_nobody_declares_is_an_error_with_the_near_miss():
-    with pytest.raises(InputError, match="Did you mean 'u2netp'"):
-        named("u2net")
 
 
 def test_one_name_means_the_same_files_whoever_declares_it():

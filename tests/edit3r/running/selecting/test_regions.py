@@ -10,7 +10,7 @@ from edit3r.contract.interfaces import Proposal, Segmenter, Selection, Tracks
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
 from edit3r.running import usual_selector
-from edit3r.running.reading import read
+from edit3r.running.editors import read
 from edit3r.running.selecting.regions import RegionFinder, _without_rims
 
 HEIGHT, WIDTH = 12, 16

@@ -1,0 +1,191 @@
+"""Gaussians chosen by what is drawn over a scene from anywhere: strokes of a brush, lassos."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from pydantic import Field, TypeAdapter, ValidationError
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from edit3r.contract.errors import InputError
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.types import Cameras, Gaussians, Rendering
+from edit3r.kit.geometry.cameras import project
+from edit3r.kit.geometry.warping import warp
+from edit3r_objects.lifting import lift
+
+__all__ = ["Drawn", "choose_drawn", "read_drawn"]
+
+LOOKED_AT = 384  # longer side of the picture in which a stroke is read [pixels]
+BEHIND = 0.4  # relative difference of depth from which a Gaussian is behind a surface
+RIM = 0.018  # of a lasso, where a hand strays from the thing [longer sides]
+REACH = 0.01  # how far a step of growing goes [share of the middle distance from the camera]
+NEXT = 1.5  # the same at least, so that a coarse scene grows [distances to the next Gaussian]
+SAMPLED = 2000  # Gaussians of which that distance is taken
+MOST = 200  # strokes
+MOST_PLACES = 2000  # of one of them
+
+Number = Annotated[float, Field(ge=-1e9, le=1e9, allow_inf_nan=False)]
+Share = Annotated[float, Field(ge=-1, le=2)]
+Vector = tuple[Number, Number, Number]
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One stroke or lasso, on a picture of the scene from a camera of one's own.
+
+    Shares are of the picture's width and height; (0, 0) is its top left corner.
+    """
+
+    kind: Literal["lasso", "brush"]
+    places: Annotated[
+        list[tuple[Share, Share]], Field(min_length=1, max_length=MOST_PLACES)
+    ]
+    right: Vector  # the camera's axes and its centre in the world
+    down: Vector
+    forward: Vector
+    centre: Vector
+    lens: tuple[Number, Number, Number, Number]  # fx, fy, cx, cy as shares
+    aspect: Annotated[float, Field(ge=0.1, le=10)]  # width / height of the picture
+    radius: Annotated[float, Field(ge=0, le=0.5)] = 0.02  # of a brush [longer sides]
+    minus: bool = False  # takes away from what was drawn before
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the picture [pixels]."""
+        height = LOOKED_AT / max(self.aspect, 1)
+        return max(8, round(height)), max(8, round(height * self.aspect))
+
+    @property
+    def camera(self) -> Cameras:
+        """Raises InputError for axes that do not stand at right angles."""
+        axes = torch.tensor(
+            [self.right, self.down, self.forward], dtype=torch.float64
+        ).T
+        square = torch.allclose(
+            axes.T @ axes, torch.eye(3, dtype=torch.float64), atol=1e-2
+        )
+        if not square or torch.det(axes) < 0 or min(self.lens[:2]) <= 0:
+            raise InputError("drawn: not a camera that could see the scene.")
+        c2w, intrinsics = torch.eye(4), torch.eye(3)
+        c2w[:3, :3] = axes.float()
+        c2w[:3, 3] = torch.tensor(self.centre)
+        fx, fy, cx, cy = self.lens
+        intrinsics[0, 0], intrinsics[1, 1] = fx, fy
+        intrinsics[0, 2], intrinsics[1, 2] = cx, cy
+        return Cameras(c2w[None, None], intrinsics[None, None], self.size)
+
+    @property
+    def mask(self) -> Float[Tensor, "height width"]:
+        """1 under the brush, or inside the lasso."""
+        height, width = self.size
+        mask = np.zeros(self.size, np.float32)
+        line = [*self.places, self.places[-1]]  # one place alone is a dot
+        places = np.rint(np.multiply(line, (width, height))).astype(np.int32)
+        if self.kind == "lasso":
+            cv2.fillPoly(mask, [places], 1)
+        else:
+            thick = max(1, round(2 * self.radius * max(self.size)))
+            cv2.polylines(mask, [places], False, 1, thick)
+        return torch.from_numpy(mask)
+
+
+_DRAWN = TypeAdapter(list[Drawn])
+
+
+def read_drawn(content: Any) -> tuple[Drawn, ...]:
+    """Strokes from plain data, as JSON holds them; raises InputError for what is none."""
+    try:
+        found = _DRAWN.validate_python(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(map(str, first["loc"]))
+        raise InputError(f"drawn: {place}: {first['msg']}.") from None
+    if not 0 < len(found) <= MOST:
+        raise InputError(f"drawn: expected 1 to {MOST} strokes, got {len(found)}.")
+    return tuple(found)
+
+
+def choose_drawn(
+    gaussians: Gaussians,
+    strokes: Sequence[Drawn],
+    rasterizer: Rasterizer,
+    grown: int = 0,
+) -> Bool[Tensor, "gaussian"]:
+    """The Gaussians of one scene (batch 1) that show what was drawn, not what lies behind it.
+
+    Strokes count in their order. `grown` steps take in what lies around, and where negative leave
+    out what lies at the rim.
+    """
+    chosen = torch.zeros(gaussians.count, dtype=torch.bool)
+    for stroke in strokes:
+        mask, camera = stroke.mask, stroke.camera
+        shown = rasterizer.render(gaussians, camera)
+        if stroke.kind == "lasso":
+            mask = _on_the_thing(mask, shown)
+        own = lift(gaussians, camera, mask[None], rasterizer)
+        own &= ~_behind(gaussians, camera, shown)
+        chosen = chosen & ~own if stroke.minus else chosen | own
+    if grown and chosen.any() and not chosen.all():
+        chosen = _grown(gaussians, chosen, grown, strokes[-1])
+    return chosen
+
+
+def _behind(
+    gaussians: Gaussians, camera: Cameras, shown: Rendering
+) -> Bool[Tensor, "gaussian"]:
+    """Which Gaussians lie clearly behind the surface that the picture shows at their place."""
+    places, depth = project(
+        gaussians.means[0], camera.intrinsics[0, 0], camera.c2w[0, 0]
+    )
+    surface = warp(shown.depths[0, :, 0][None], places[None, None], mode="nearest")
+    return depth > (1 + BEHIND) * surface[0, 0, 0]
+
+
+def _on_the_thing(
+    mask: Float[Tensor, "height width"], shown: Rendering
+) -> Float[Tensor, "height width"]:
+    """A lasso without what its rim holds of other things.
+
+    Nobody draws along an outline exactly: colours say where in the rim the thing ends (GrabCut,
+    Rother et al. 2004).
+    """
+    inside = cv2.distanceTransform(mask.numpy().astype(np.uint8), cv2.DIST_L2, 5)
+    width = min(RIM * max(mask.shape), 0.5 * float(inside.max()))
+    core = inside > width
+    if not core.any():
+        return mask
+    image = shown.images[0, 0].clamp(0, 1)
+    pixels = np.ascontiguousarray(
+        (image * 255).byte().permute(1, 2, 0).numpy(force=True)
+    )
+    labels = np.full(core.shape, cv2.GC_BGD, np.uint8)
+    labels[inside > 0] = cv2.GC_PR_FGD
+    labels[core] = cv2.GC_FGD
+    cv2.setRNGSeed(0)
+    behind, thing = np.zeros((1, 65)), np.zeros((1, 65))  # models of their colours
+    nowhere = [0, 0, 1, 1]  # not read where labels are given
+    cv2.grabCut(pixels, labels, nowhere, behind, thing, 3, cv2.GC_INIT_WITH_MASK)
+    kept = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
+    return mask * torch.from_numpy(kept)
+
+
+def _grown(
+    gaussians: Gaussians, chosen: Bool[Tensor, "gaussian"], steps: int, seen: Drawn
+) -> Bool[Tensor, "gaussian"]:
+    points = gaussians.means[0].numpy(force=True)
+    here = chosen.numpy()
+    far = (points[here] - np.array(seen.centre)) @ np.array(seen.forward)
+    apart = cKDTree(points).query(points[here][:SAMPLED], 2)[0][:, 1]
+    step = max(REACH * float(np.median(far)), NEXT * float(np.median(apart)), 1e-9)
+    reach = abs(steps) * step
+    source, rest = (here, ~here) if steps > 0 else (~here, here)
+    gaps = cKDTree(points[source]).query(points[rest], distance_upper_bound=reach)[0]
+    near = np.zeros_like(here)
+    near[rest] = np.isfinite(gaps)
+    return torch.from_numpy(here | near if steps > 0 else here & ~near)
