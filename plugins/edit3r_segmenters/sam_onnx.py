@@ -35,8 +35,9 @@ MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 STD = np.array([58.395, 57.12, 57.375], np.float32)
 MASK_SIDE = 256  # of a mask that is told with clicks [pixels]
 SURELY_OUT = 10.0  # logit of what lies beside the image, below zero
-# answers that stay in memory: a click is asked for its photo, then for all, then with steps
-MAX_ANSWERS = 32
+# answers that stay in memory: a click is asked for its photo, then for all, then with steps; what
+# stands out is asked with 36 clicks
+MAX_ANSWERS = 64
 MAX_KEPT = 8  # images whose embeddings stay in memory: clicks follow each other on one
 OUT, IN, CORNERS, PADDING = 0.0, 1.0, (2.0, 3.0), -1.0  # labels of points
 FLOAT_TENSOR = b"\x0a\x02\x08\x01"  # ONNX TypeProto: a tensor of float32
