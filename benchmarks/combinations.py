@@ -6,10 +6,11 @@ from elsewhere.
     # and single ones, added to those before
     python benchmarks/combinations.py --editors looks --recons refit
 
-Every run is `edit3r run` on the packaged pair at 256 pixels, alone in a process, on one thread.
-Results go into `benchmarks/combinations.json`, of which `python docs/generate.py` makes tables
-of docs/combinations.md: CPU seconds of the edit and of all else, peak memory of the process, the
-run's verdict, or the sentence that it ended with. Weights that are at hand are used and noted.
+Every run is `edit3r run` on the packaged pair at 256 pixels, in a process of its own on one
+thread. Results go into `benchmarks/combinations.json`, from which `python docs/generate.py` makes
+the tables of docs/combinations.md: CPU seconds of the edit and of all else, peak memory of the
+process, the run's verdict, or the sentence that it ended with. Weights that are at hand are used
+and noted.
 """
 
 import argparse

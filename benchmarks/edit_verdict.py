@@ -17,6 +17,7 @@ import argparse
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import cv2
@@ -29,10 +30,13 @@ from PIL import Image
 import edit3r
 from edit3r.contract.errors import Edit3rError
 from edit3r.contract.interfaces import Editor, EditToJudge, Selection
+from edit3r.contract.types import Gaussians
 from edit3r.kit.compute.colour import rgb_to_lab
+from edit3r.kit.geometry.cameras import project
 from edit3r.kit.sheet import draw_sheet
 from edit3r.running import usual_reader
 from edit3r.running.editors import edit_to_judge, read
+from edit3r.running.steps.judge import seen_half_way
 
 SIZE = 256
 COLOURS = ("red", "blue", "green")
@@ -159,6 +163,8 @@ FAULTS = {
     "undone half paint": "missed",
     "undone bw": "missed",
     "undone half bw": "missed",
+    "torn": "missed",
+    "dissolved": "missed",
 }
 """The signal that shall name each way of editing badly."""
 
@@ -191,19 +197,21 @@ def cases(masks: Masks, seed: int) -> Iterator[Case]:
     yield Case("shine", remove, masks, shine)
 
 
+def masks_of(photos: dict, files: list[Path], size: tuple[int, int]) -> Masks:
+    """The outlined object on the views, whose width and height are `size` [pixels]."""
+    masks = []
+    for file, polygons in zip(files, photos.values()):
+        full = filled(polygons, np.asarray(Image.open(file)).shape[:2])
+        small = cv2.resize(full.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        masks.append(small > 0.5)
+    return masks
+
+
 def edits_of(photos: dict, data: Path, seed: int) -> dict[str, EditToJudge]:
     """The edits of one object by kind; those that no run takes are left out."""
     files = [data / file for file in photos][:2]
     views = edit3r.load_views(files, size=SIZE)
-    masks = []
-    for file, polygons in zip(files, photos.values()):
-        full = filled(polygons, np.asarray(Image.open(file)).shape[:2])
-        small = cv2.resize(
-            full.astype(np.float32),
-            views.image_size[::-1],
-            interpolation=cv2.INTER_AREA,
-        )
-        masks.append(small > 0.5)
+    masks = masks_of(photos, files, views.image_size[::-1])
     if min(int(one.sum()) for one in masks) < FEW:
         return {}
     asked = {"size": SIZE, "outputs": [], "cache": edit3r.Cache()}
@@ -222,11 +230,22 @@ def edits_of(photos: dict, data: Path, seed: int) -> dict[str, EditToJudge]:
             continue
         records, tasks = made.records, made.parts.tasks
         edit = edit_to_judge(records.inputs, records.selection, records.edit, tasks, 2)
-        edit = replace(edit, rendered=made.rendered, cameras=made.cameras, in_2d=None)
+        seen = partial(seen_half_way, made.rasterizer, cameras=made.cameras)
+        edit = replace(
+            edit,
+            rendered=made.rendered,
+            cameras=made.cameras,
+            in_2d=None,
+            half_way=seen(made.gaussians) if made.cameras.count > 1 else None,
+        )
         if case.judged is not None:
             own = torch.from_numpy(np.stack(case.judged)).float()[None]
             edit = replace(edit, masks=own, regions=own[None])
         found[case.kind] = edit
+        if case.kind == "paint" and edit.half_way is not None:
+            for kind in ("torn", "dissolved"):
+                broken = displaced(made, masks, kind, np.random.default_rng(seed))
+                found[kind] = replace(edit, half_way=seen(broken))
     for kind in ("paint", "bw"):
         if kind in found:
             edit, shown = found[kind], found[kind].rendered
@@ -238,6 +257,40 @@ def edits_of(photos: dict, data: Path, seed: int) -> dict[str, EditToJudge]:
     return found
 
 
+def displaced(
+    made: edit3r.RunResult, masks: Masks, kind: str, rng: np.random.Generator
+) -> Gaussians:
+    """The scene with what is selected moved along the rays of the photos that it comes from: half
+    of it by a fifth of its size half-way between the photos, or each Gaussian by chance.
+    """
+    cameras, means = made.cameras, made.gaussians.means.clone()
+    apart = float(torch.dist(*cameras.c2w[0, :2, :3, 3]))
+    for view, mask in enumerate(masks):
+        height, width = mask.shape
+        places, away = project(means, cameras.intrinsics[:, view], cameras.c2w[:, view])
+        column, row = (places[0] * torch.tensor([width, height])).long().T
+        which = torch.from_numpy(half(mask) if kind == "torn" else mask)
+        inside = ((places[0] > 0) & (places[0] < 1)).all(-1)
+        inside &= made.gaussians.view_index == view
+        moved = torch.zeros_like(inside)
+        moved[inside] = which[row[inside], column[inside]]
+        if not moved.any():
+            continue
+        depth = away[0, moved]
+        rows, columns = np.nonzero(mask)
+        size = max(np.ptp(rows) / height, np.ptp(columns) / width)
+        focal = float(cameras.intrinsics[0, view, 0, 0])
+        step = np.full(len(depth), 0.2)
+        if kind == "dissolved":
+            step = 0.12 * rng.standard_normal(len(depth))
+        inverse = 1 / depth + torch.from_numpy(step).float() * size * 2 / focal / apart
+        middle = float(depth.median())
+        now = 1 / inverse.clamp(0.2 / middle, 5 / middle)
+        centre = cameras.c2w[0, view, :3, 3]
+        means[0, moved] = centre + (means[0, moved] - centre) * (now / depth)[:, None]
+    return replace(made.gaussians, means=means)
+
+
 def is_seen(kind: str, found: dict[str, EditToJudge]) -> bool:
     """Whether enough of what is selected looks other than in the good edit."""
     if kind not in FAULTS:
@@ -247,13 +300,15 @@ def is_seen(kind: str, found: dict[str, EditToJudge]) -> bool:
     if like not in found:
         return False
     good, inside = found[like], edit.masks[0] > 0.5
-    pictures = (
-        (good.after, edit.after)
-        if "undone" not in kind
-        else (good.rendered, edit.rendered)
-    )
+    pictures = (good.after, edit.after)
+    if "undone" in kind:
+        pictures = good.rendered, edit.rendered
+    elif kind in ("torn", "dissolved"):
+        pictures = good.half_way.rendered, edit.half_way.rendered
     old, new = (rgb_to_lab(one.images[0].clamp(0, 1)) for one in pictures)
     other = (new - old).norm(dim=1) > SEEN
+    if kind in ("torn", "dissolved"):
+        return float(other.sum() / inside[:1].sum().clamp(min=1)) >= LEAST
     where = ~inside if kind in ("leak", "other place") else inside
     return float((other & where).sum() / inside.sum().clamp(min=1)) >= LEAST
 

@@ -8,6 +8,7 @@ A script is a docstring that says what it measures, and a function that yields r
     if __name__ == "__main__":
         run_benchmark(main)
 
+Several functions make a script with a subcommand for each: `run_benchmark(exposure, walkers)`.
 Its parameters are the arguments of the command line: those before the `*` by their place, the
 others as flags. A row is cells by title: text, or a number with the form it is printed in. Rows are
 printed as they come; `--json FILE` keeps them with the arguments, and numbers as they are.
@@ -16,31 +17,47 @@ printed as they come; `--json FILE` keeps them with the arguments, and numbers a
 import argparse
 import inspect
 import json
+import sys
 import typing
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import NoneType
+from typing import Any
 
 Cell = str | tuple[float, str]  # a number and its form, such as (2.5, ".1f")
 Row = Mapping[str, Cell]
 
 
-def run_benchmark(
-    main: Callable[..., Iterator[Row]], line: list[str] | None = None
-) -> None:
-    """Read `main`'s parameters from the command line, and print the rows that it yields."""
-    about = inspect.getmodule(main)
+def run_benchmark(*mains: Callable[..., Any], line: list[str] | None = None) -> None:
+    """Read a function's parameters from the command line, and print the rows that it yields.
+
+    Of several functions the first word names one; a function without parameters reads the rest of
+    the line itself.
+    """
+    line = sys.argv[1:] if line is None else line
+    program, main = Path(sys.argv[0]).name, mains[0]
+    if len(mains) > 1:
+        choice = argparse.ArgumentParser(prog=program)
+        named = {main.__name__.replace("_", "-"): main for main in mains}
+        choice.add_argument("what", choices=named, help="each has its own --help")
+        name = choice.parse_args(line[:1]).what
+        program, main, line = f"{program} {name}", named[name], line[1:]
+    parameters = inspect.signature(main).parameters.values()
+    if not parameters:
+        sys.argv, main.__doc__ = [program, *line], inspect.getdoc(main)
+        raise SystemExit(main())
+    about = main.__doc__ or inspect.getmodule(main).__doc__
     parser = argparse.ArgumentParser(
-        description=about and about.__doc__,
+        prog=program,
+        description=inspect.cleandoc(about),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    for parameter in inspect.signature(main).parameters.values():
+    for parameter in parameters:
         _declare(parser, parameter)
     parser.add_argument("--json", type=Path, metavar="FILE", help="keep the rows there")
     given = vars(parser.parse_args(line))
     record = given.pop("json")
-    by_place = inspect.signature(main).parameters.values()
-    places = [given.pop(p.name) for p in by_place if p.kind != p.KEYWORD_ONLY]
+    places = [given.pop(p.name) for p in parameters if p.kind != p.KEYWORD_ONLY]
     rows = list(_printed(main(*places, **given)))
     if record:
         plain = [{title: _value(cell) for title, cell in row.items()} for row in rows]

@@ -44,6 +44,7 @@ from clicks import (
 from edit3r_select.answering import asked_by, gathered
 from edit3r_select.carrying import expected_on
 from edit3r_select.cues import CUES, Asked, table
+from edit3r_select.held import HeldSegmenter
 from edit3r_select.photos import OnPhoto, Photos
 from edit3r_select.sum import CERTAINTY, FITTED, CueWeights, choose, confidence, lead
 from PIL import Image
@@ -52,7 +53,6 @@ from scipy.optimize import minimize
 from edit3r import build
 from edit3r.contract.interfaces import SURE
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
-from edit3r.kit.segmenting import HeldSegmenter
 
 HERE = Path(__file__).parent
 NAMES = tuple(CUES)

@@ -34,7 +34,7 @@ class Table:
 
 
 TABLES = {
-    "formats": Table("docs/files.md", "python benchmarks/export_formats.py", 1),
+    "formats": Table("docs/files.md", "python benchmarks/files.py formats", 1),
     "poses": Table(
         "docs/classical.md",
         "python benchmarks/poses.py photos/bear photos/fern photos/fox photos/monstree "

@@ -262,7 +262,7 @@ def completed(page: str) -> str:
 
 
 def example_part(kind: str, name: str) -> str:
-    """The modules of a new plugin, as `edit3r new-plugin KIND NAME` writes them, and how to use it."""
+    """The modules that `edit3r new-plugin KIND NAME` writes, and how to use them."""
     from edit3r_develop.new_plugin import next_steps, package_files
 
     files = {
@@ -326,7 +326,7 @@ def measured() -> dict:
 def parts_part(kind: str) -> str:
     """Weights and what was tried, of every component of a kind; what a run costs where measured."""
     costs = seconds_of(kind)
-    heads = ["name", "what it does", "weights: MB, licence, commercial use", "run with"]
+    heads = ["name", "weights: MB, licence, commercial use", "run with"]
     heads += ["CPU s"] if costs else []
     rows = [_row(heads), _row(["---"] * len(heads))]
     for component in own_components(kind):
@@ -335,8 +335,8 @@ def parts_part(kind: str) -> str:
             for one in component.weights
         ]
         elsewhere = "by the name you give, or a service" * component.needs_network
-        cells = [f"`{component.name}`", component.summary, "<br>".join(weights) or elsewhere,
-                 tried(kind, component)]  # fmt: skip
+        name = f"`{component.name}`"
+        cells = [name, "<br>".join(weights) or elsewhere, tried(kind, component)]
         rows.append(_row(cells + [costs.get(component.name, "")] * bool(costs)))
     return "\n" + "\n".join(rows) + "\n\n"
 
@@ -358,13 +358,10 @@ def seconds_of(kind: str) -> dict[str, str]:
 
 
 def writers_part(kind: str) -> str:
-    """What each writer leaves in the folder of a run, and what of the scene is in it."""
-    rows = ["| name | writes | what for | keeps | loses |"]
-    rows.append("| --- | --- | --- | --- | --- |")
+    """What each writer leaves in the folder of a run, and what for."""
+    rows = [_row(["name", "writes", "what for"]), _row(["---"] * 3)]
     for one in own_components(kind):
-        name, file = f"`{one.name}`", f"`{one.file_name()}`"
-        cells = (name, file, one.summary, one.keeps, one.loses)
-        rows.append("| " + " | ".join(cells) + " |")
+        rows.append(_row([f"`{one.name}`", f"`{one.file_name()}`", one.summary]))
     return "\n" + "\n".join(rows) + "\n\n"
 
 

@@ -1,6 +1,4 @@
-"""`edit3r describe`: one component's settings and what to know before using it, with YAML ready to
-paste.
-"""
+"""`edit3r describe`: a component's settings, what to know before using it, and YAML to paste."""
 
 import argparse
 

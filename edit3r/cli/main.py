@@ -130,12 +130,12 @@ def find_command(name: str) -> "Command":
     from edit3r.contract.settings import Settings
     from edit3r.loading.registry import default_registry
 
-    own = {component.name: component for component in COMMANDS}
-    if name in own:
-        module, _, attribute = own[name].target.partition(":")
+    commands = {component.name: component for component in COMMANDS}
+    if name in commands:
+        module, _, attribute = commands[name].target.partition(":")
         return getattr(importlib.import_module(module), attribute)(Settings())
     registry = default_registry()
-    known = [*own, *(offer.component.name for offer in registry.offers("command"))]
+    known = [*commands, *(offer.component.name for offer in registry.offers("command"))]
     if name not in known and ":" not in name:
         raise UsageError(
             f"no command {name!r}.{suggest(name, known)} Commands: "

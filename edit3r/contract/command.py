@@ -21,6 +21,4 @@ class Command(ABC):
 
     @abstractmethod
     def main(self, args: argparse.Namespace) -> int | None:
-        """Do the work and return the exit code; None means 0. What the user can mend is raised from
-        `edit3r.contract.errors`.
-        """
+        """Do the work; returns the exit code, None for 0. What users can mend is an Edit3rError."""

@@ -119,9 +119,7 @@ class Component:
         return "." not in self.suffix
 
     def file_name(self, scene: str = "scene") -> str:
-        """The name of a writer's file or folder beside that of a scene, whose name without its
-        suffix is given.
-        """
+        """The name of a writer's file or folder beside that of a scene (without its suffix)."""
         if not self.stem:
             return f"{scene}{self.suffix}"
         begin = self.stem if scene == "scene" else f"{scene}-{self.stem}"
@@ -132,9 +130,7 @@ _OF_WRITERS = ("suffix", "stem", "keeps", "loses")
 
 
 def _texts(who: str, field: str, value: object) -> tuple[str, ...]:
-    """A tuple of texts from any sequence of them; a lone text is refused, it would be read letter
-    by letter.
-    """
+    """A tuple of texts from any sequence of them; a lone text would be read letter by letter."""
     if (
         isinstance(value, str)
         or not isinstance(value, Sequence)

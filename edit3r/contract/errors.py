@@ -60,8 +60,8 @@ def suggest(given: str, known: Iterable[str]) -> str:
 def is_out_of_memory(error: BaseException) -> bool:
     """Whether memory ran out; torch raises several types for it."""
     text = str(error).lower()
-    told = ("out of memory", "can't allocate", "not enough memory")
-    return isinstance(error, MemoryError) or any(words in text for words in told)
+    signs = ("out of memory", "can't allocate", "not enough memory")
+    return isinstance(error, MemoryError) or any(words in text for words in signs)
 
 
 _DISK_FULL = {

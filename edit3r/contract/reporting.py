@@ -20,9 +20,7 @@ Item = TypeVar("Item")
 
 @dataclass
 class StageRecord:
-    """One finished stage: its name, wall and CPU seconds, and the process's peak memory when it
-    ended.
-    """
+    """One finished stage: its name, wall and CPU seconds, and the process's peak memory then."""
 
     name: str
     seconds: float
@@ -92,9 +90,7 @@ def note(key: str, value: Any) -> None:
 
 
 def say(key: str, text: str) -> None:
-    """Note a choice that was made for the user under `key`, such as 'matcher.picked', and show it;
-    once per text.
-    """
+    """Note a choice that was made for the user under `key`, and show it; once per text."""
     report = _current.get()
     if report is not None and report.notes.get(key) != text:
         note(key, text)

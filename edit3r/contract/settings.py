@@ -31,11 +31,24 @@ Index = Annotated[int, Field(ge=0)]
 
 
 class Settings(BaseModel):
-    """Base of every component's settings: frozen, unknown keys refused."""
+    """Base of every component's settings: frozen, unknown keys refused.
+
+    The docstring below a field, or the `description` of its `Field`, says what it is.
+    """
 
     model_config = ConfigDict(
-        frozen=True, extra="forbid", arbitrary_types_allowed=True, allow_inf_nan=False
+        frozen=True,
+        extra="forbid",
+        arbitrary_types_allowed=True,
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
     )
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        for field in cls.model_fields.values():
+            if field.description:  # on one line, whatever its docstring takes
+                field.description = " ".join(field.description.split())
 
     @model_validator(mode="before")
     @classmethod

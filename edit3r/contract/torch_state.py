@@ -31,8 +31,8 @@ def in_usual_torch(function: Function) -> Function:
         if "torch" not in sys.modules:  # a state that nobody can have changed
             return function(*args, **kwargs)
         with usual_torch():
-            own = {name: _normal(value) for name, value in kwargs.items()}
-            return function(*map(_normal, args), **own)
+            normal = {name: _normal(value) for name, value in kwargs.items()}
+            return function(*map(_normal, args), **normal)
 
     return called  # type: ignore[return-value]
 
@@ -81,21 +81,21 @@ def _normal(value: Any) -> Any:
     ):
         return type(value)(map(_normal, value))
     if is_dataclass(value) and not isinstance(value, type):
-        own = {
+        values = {
             field.name: getattr(value, field.name)
             for field in fields(value)
             if field.init
         }
-        changed = {name: _normal(one) for name, one in own.items()}
-        changed = {name: one for name, one in changed.items() if one is not own[name]}
+        changed = {name: _normal(one) for name, one in values.items()}
+        changed = {
+            name: one for name, one in changed.items() if one is not values[name]
+        }
         return replace(value, **changed) if changed else value
     return value
 
 
 def require_device(name: str, key: str = "--device") -> "torch.device":
-    """The device called `name`, such as cpu or cuda:0; SettingsError, naming `key`, where torch
-    cannot use it.
-    """
+    """The device called `name`; SettingsError, naming `key`, where torch cannot use it."""
     import torch
 
     try:

@@ -324,13 +324,13 @@ class Gaussians(Tensors):
         if index.dtype == torch.bool:
             index = index.nonzero()[:, 0]
         # A third of the time of indexing with [:, index].
-        own = {
+        selected = {
             name: getattr(self, name).index_select(1, index) for name in PER_GAUSSIAN
         }
         objects = self.object_index
         unsure = self.uncertainty
         return Gaussians(
-            **own,
+            **selected,
             view_index=self.view_index.index_select(0, index),
             object_index=None if objects is None else objects.index_select(0, index),
             uncertainty=None if unsure is None else unsure.index_select(1, index),

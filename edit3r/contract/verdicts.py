@@ -38,9 +38,7 @@ class SelectionVerdict:
 
 @dataclass(frozen=True)
 class Verdict:
-    """The label of a run, why, and the figures behind it; the lists have one entry for each photo
-    used, in order.
-    """
+    """The label of a run, why, and the figures behind it; lists have one entry a photo."""
 
     label: Label
     reason: str  # one sentence that says what was found and what to do

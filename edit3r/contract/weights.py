@@ -91,9 +91,7 @@ class Weights:
         return not self.source.startswith("hub:")
 
     def stored(self, path: str) -> str:
-        """Where a file of the source lies in the folder of these weights; files of a package lie
-        side by side.
-        """
+        """Where a file of the source lies here; files of a package lie side by side."""
         return PurePosixPath(path).name if self.packed else path
 
     @property

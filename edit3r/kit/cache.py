@@ -58,8 +58,8 @@ class Cache:
             entry = _pack(answer, tensors), tensors
             self.computed.append(name)
         else:
-            tree, kept = entry
-            answer = _unpack(tree, {n: value.to(device) for n, value in kept.items()})
+            tree, stored = entry
+            answer = _unpack(tree, {n: value.to(device) for n, value in stored.items()})
             self.reused.append(name)
         self._entries[file_name] = entry
         note("cache.reused", list(self.reused))

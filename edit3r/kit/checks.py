@@ -4,7 +4,7 @@ Called by the pipeline after each stage. A component that raises, or returns ano
 range than its interface promises, ends the run with one sentence that names it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from math import isfinite
 from numbers import Real
@@ -144,22 +144,24 @@ def check_selected(selector: Selector, views: Views, answer: Selected) -> None:
 def check_edit_verdict(critic: Critic, answer: EditVerdict) -> None:
     """A known label and a sentence."""
     _require_type(critic, answer, EditVerdict)
-    known = get_args(EditLabel)
-    _require(critic, answer.label in known, f"label an edit {' or '.join(known)}")
-    _require(critic, bool(answer.reason), "say why, in one sentence")
+    _require_reasoned(critic, answer, "an edit", get_args(EditLabel))
 
 
 def check_verdict(critic: Critic, answer: Verdict) -> None:
     """A known label and a sentence."""
     _require_type(critic, answer, Verdict)
-    _require(critic, answer.label in LABELS, f"label a scene {', '.join(LABELS)}")
+    _require_reasoned(critic, answer, "a scene", LABELS)
+
+
+def _require_reasoned(
+    critic: Critic, answer: EditVerdict | Verdict, what: str, labels: Sequence[str]
+) -> None:
+    _require(critic, answer.label in labels, f"label {what} {' or '.join(labels)}")
     _require(critic, bool(answer.reason), "say why, in one sentence")
 
 
 def check_geometry(matcher: Any, views: Views, answer: Geometry) -> None:
-    """Shapes, dtypes and finiteness of what a matcher found, cameras that are some, and depths
-    above 0.
-    """
+    """Shapes, dtypes and finiteness of what a matcher found, real cameras, depths above 0."""
     _require_type(matcher, answer, Geometry)
     dtype, views_of = views.images.dtype, list(views.images.shape[:2])
     sides = list(getattr(answer.depths, "shape", ()))[2:]
@@ -176,8 +178,8 @@ def check_geometry(matcher: Any, views: Views, answer: Geometry) -> None:
     promise = "place view 0 and another one, or raise MatchingError"
     _require(matcher, bool(joined.all()), promise)
     _require_poses(matcher, answer.c2w, placed)
-    own = answer.c2w[:, 0].double()
-    is_own = torch.allclose(own, torch.eye(4).to(own).expand_as(own), atol=1e-3)
+    first = answer.c2w[:, 0].double()
+    is_own = torch.allclose(first, torch.eye(4).to(first).expand_as(first), atol=1e-3)
     _require(matcher, is_own, "return c2w in the frame of view 0, its own the identity")
     reach = float(answer.depths.median()) * FARTHEST
     away = float(answer.c2w[placed][:, :3, 3].abs().amax())
@@ -422,9 +424,7 @@ def _require_range(component: Any, what: str, tensor: torch.Tensor) -> None:
 
 
 def require_matchable(views: Views, least_size: int) -> None:
-    """For matchers: raise MatchingError for fewer than two photos, or a side shorter than
-    `least_size` [pixels].
-    """
+    """For matchers: raise MatchingError for one photo, or sides below `least_size` [pixels]."""
     if views.count < 2:
         raise MatchingError(
             f"matching needs at least two photos of the scene, got {views.count}."

@@ -10,7 +10,7 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from edit3r.contract.reporting import StageRecord
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
@@ -22,16 +22,8 @@ FORMAT = 1
 """Version of the layout of `run.json`; raised when a field changes its meaning or goes."""
 
 _PACKAGES = (
-    "torch",
-    "numpy",
-    "pillow",
-    "opencv-contrib-python-headless",
-    "kornia",
-    "scikit-image",
-    "scipy",
-    "pycolmap",
-    "numba",
-    "llvmlite",
+    *("torch", "numpy", "pillow", "opencv-contrib-python-headless", "kornia"),
+    *("scikit-image", "scipy", "pycolmap", "numba", "llvmlite"),
 )
 _SECRET = re.compile(
     r"(^|_)(api_?key|key|token|secret|password|passwd|credentials?|authorization)$",
@@ -52,27 +44,10 @@ class RunFolder:
         self.cameras = root / "cameras.json"  # intrinsics and poses of the input views
         self.manifest = root / "run.json"  # how the run was made
 
-    @property
-    def inputs(self) -> Path:
-        """Folder of the photos as the run used them; made when asked for, like the two below."""
-        return self._made("inputs")
-
-    @property
-    def edited(self) -> Path:
-        """Folder of the 2D edits."""
-        return self._made("edited")
-
-    @property
-    def renders(self) -> Path:
-        """Folder of the images of the scene."""
-        return self._made("renders")
-
-    @property
-    def masks(self) -> Path:
-        """Folder of the masks of what was named, a folder for each."""
-        return self._made("masks")
-
-    def _made(self, name: str) -> Path:
+    def made(self, name: Literal["inputs", "edited", "renders", "masks"]) -> Path:
+        """The folder of photos as they were used, 2D edits, images of the scene, or masks of what
+        was named (a folder for each); made when asked for.
+        """
         folder = self.root / name
         folder.mkdir(exist_ok=True)
         return folder

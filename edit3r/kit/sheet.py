@@ -194,8 +194,8 @@ def draw_outline(pixels: np.ndarray, inside: np.ndarray) -> None:
     """Draw the outline of a mask of booleans into bytes: [height, width, 3] of RGB, or
     [height, width, 2] of grey and opacity.
     """
-    found = inside.astype(np.uint8)
-    contours, _ = cv2.findContours(found, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
+    mask = inside.astype(np.uint8)
+    contours, _ = cv2.findContours(mask, cv2.RETR_LIST, cv2.CHAIN_APPROX_NONE)
     width = max(1, round(max(inside.shape) / 400))  # [pixels]
     for shade, times in ((AROUND, 3), (INSIDE, 1)):
         colour = (shade, 255) if pixels.shape[-1] == 2 else (shade,) * 3

@@ -212,9 +212,9 @@ class OnRay:
     def first(self, tickets: list[Any], any_ready: bool) -> Any:
         """Raises RunError where the cluster has no room for one worker in `MOST_WAIT` seconds."""
         timeout = None if any_ready else MOST_WAIT
-        found, _ = self._ray.wait(tickets, num_returns=1, timeout=timeout)
-        if found:
-            return found[0]
+        ready, _ = self._ray.wait(tickets, num_returns=1, timeout=timeout)
+        if ready:
+            return ready[0]
         has = {
             name: round(amount, 2)
             for name, amount in self._ray.cluster_resources().items()

@@ -1,5 +1,4 @@
-"""One resumable runner for any list of jobs: in this process, in several processes, or on a Ray
-cluster.
+"""One resumable runner for any list of jobs: here, in several processes, or on Ray.
 
 A job is a key with something that can be pickled; a function turns it into a row of JSON data. Each
 row is one line of a file and is on disk before the next row is taken: a run that was killed at any
@@ -82,8 +81,7 @@ def run_resumable(
     group: Callable[[Any], Hashable] = lambda job: None,
     on_done: Callable[[Progress], None] = lambda progress: None,
 ) -> dict[str, dict[str, Any]]:
-    """Do the jobs that have no row in `path` yet, and return the rows of all of them by key, in the
-    order of `jobs`.
+    """Do the jobs that have no row in `path` yet; returns the rows of all, in their order.
 
     A row is `{key_name: key, **function(jobs[key])}`. NaN and infinity become null (None), at once
     and when read back. `function` is pickled to each worker once, so an object may keep what it
@@ -94,8 +92,8 @@ def run_resumable(
     rows in order, then rows of other keys, however the work was spread and interrupted.
     """
     repair(path)
-    found = read_rows(path, key_name)
-    left = {key: job for key, job in jobs.items() if key not in found}
+    rows_by_key = read_rows(path, key_name)
+    left = {key: job for key, job in jobs.items() if key not in rows_by_key}
     already, start = len(jobs) - len(left), time.monotonic()
     task = Task(function, workers.threads)
     alone = workers.spread == "processes" and workers.count == 1 and not workers.may_die
@@ -103,20 +101,20 @@ def run_resumable(
     made = _alone(task, todo) if alone else _spread(task, todo, workers, group)
     with closing(made) as rows:
         for count, (key, row) in enumerate(rows, start=1):
-            found[key] = append_row(path, {key_name: key, **row})
+            rows_by_key[key] = append_row(path, {key_name: key, **row})
             rate = (time.monotonic() - start) / count
             on_done(
                 Progress(
                     key,
-                    found[key],
+                    rows_by_key[key],
                     already + count,
                     len(jobs),
                     rate * (len(left) - count),
                 )
             )
-    ordered = {key: found[key] for key in jobs}
-    if found:
-        write_rows(path, {**ordered, **found}.values())
+    ordered = {key: rows_by_key[key] for key in jobs}
+    if rows_by_key:
+        write_rows(path, {**ordered, **rows_by_key}.values())
     return ordered
 
 
@@ -138,17 +136,17 @@ def read_rows(
     """
     if not path.is_file():
         return {}
-    found = {}
+    rows = {}
     lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
     for number, line in enumerate(lines[:-1], start=1):
         try:
             row = parse_json(line)
-            found[row[key_name]] = read(row)
+            rows[row[key_name]] = read(row)
         except (ValueError, TypeError, KeyError, AttributeError):
             raise InputError(
                 f"{path}, line {number}: not a result; delete the line to measure it anew."
             ) from None
-    return found
+    return rows
 
 
 def write_rows(path: Path, rows: Iterable[Row]) -> None:

@@ -17,8 +17,7 @@ choose them.
 
 
 def check_offer(registry: Registry, offer: Offer) -> str:
-    """Import the component's class and check it against its interface; '' or what is wrong in one
-    sentence.
+    """Check a component's class against its interface; '' or what is wrong in one sentence.
 
     A component whose requirements are not installed is not checked: `Registry.missing` tells of
     that.

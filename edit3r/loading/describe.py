@@ -141,12 +141,12 @@ def type_in_words(annotation: Any) -> str:
 
 def _range(field: FieldInfo) -> str:
     """Bounds from pydantic's constraints."""
-    found = [
+    bounds = [
         (sign, getattr(bound, name, None))
         for name, sign in BOUNDS
         for bound in field.metadata
     ]
-    return ", ".join(f"{sign} {bound:g}" for sign, bound in found if bound is not None)
+    return ", ".join(f"{sign} {bound:g}" for sign, bound in bounds if bound is not None)
 
 
 def _plain(value: Any) -> Any:

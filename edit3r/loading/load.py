@@ -41,9 +41,7 @@ class LoadedPlugins:
 
 
 def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
-    """Load every installed plugin and the named local files or package folders (`--plugin
-    path/to/file.py`).
-    """
+    """Load every installed plugin, and local files or folders (`--plugin path/to/file.py`)."""
     manager = pluggy.PluginManager(ENTRY_POINT_GROUP)
     manager.add_hookspecs(hookspecs)
     offers: list[Offer] = []

@@ -74,21 +74,19 @@ class Registry:
         ]
 
     def find(self, kind: str, name: str) -> Offer:
-        """The offer called `name` or `plugin:name`; raises UnknownComponentError with what to
-        do.
-        """
+        """The offer called `name` or `plugin:name`; else UnknownComponentError."""
         offers = self.offers(kind)
-        found = [
+        called_so = [
             offer
             for offer in offers
             if name in (offer.component.name, offer.qualified_name)
         ]
-        if len(found) == 1:
-            return found[0]
-        if found:
-            ways = " or ".join(repr(offer.qualified_name) for offer in found)
+        if len(called_so) == 1:
+            return called_so[0]
+        if called_so:
+            ways = " or ".join(repr(offer.qualified_name) for offer in called_so)
             raise UnknownComponentError(
-                f"{kind} {name!r} is offered by {len(found)} plugins; ask for {ways}."
+                f"{kind} {name!r} is offered by {len(called_so)} plugins; ask for {ways}."
             )
         known = [offer.component.name for offer in offers]
         if not known:
@@ -117,9 +115,7 @@ class Registry:
         )
 
     def ready(self, kind: str, name: str, *weights: str) -> bool:
-        """Whether a component can be used here and now: installed, and any of its weights called
-        so at hand.
-        """
+        """Whether a component is installed, with any of its weights called so at hand."""
         offer = self.find(kind, name)
         return not self.missing(offer) and any(
             at_hand(w) for w in offer.component.weights if w.name in weights
@@ -180,47 +176,33 @@ class Registry:
         the settings'. The result carries what it was built from as `.settings`, `.offer` and
         `.parts`.
         """
-        return self._build(
-            kind, name, settings, dict(parts or {}), built={}, where=kind
-        )
+        choice = PartChoice(name=name, settings=settings)
+        return self._build(kind, choice, parts or {}, {}, where=kind)
 
     def build_choice(
         self, kind: str, choice: PartChoice, parts: Mapping[str, Any] | None = None
     ) -> Any:
         """Build the component that a configuration chose; its settings may have any names."""
-        return self._build(
-            kind,
-            choice.name,
-            dict(choice.settings),
-            dict(parts or {}),
-            built={},
-            where=_key(kind, choice.name),
-        )
+        return self._build(kind, choice, parts or {}, {}, _key(kind, choice.name))
 
     def check(self, kind: str, choice: PartChoice) -> Settings:
         """The settings; raises what building the component would raise about its name and them."""
-        offer = self.find(kind, choice.name)
-        return self._settings(offer, choice.settings, _key(kind, choice.name))
-
-    def _settings(
-        self, offer: Offer, values: Mapping[str, Any], where: str
-    ) -> Settings:
-        cls = self.settings_class(offer)
-        return make_settings(cls, values, where)
+        cls = self.settings_class(self.find(kind, choice.name))
+        return make_settings(cls, choice.settings, _key(kind, choice.name))
 
     @in_usual_torch
     def _build(
         self,
         kind: str,
-        name: str,
-        values: dict,
-        given: dict,
-        built: dict[str, Any],
+        choice: PartChoice,
+        given: Mapping[str, Any],
+        built: Mapping[str, Any],
         where: str,
     ) -> Any:
         """`where` is this component's key in a configuration, such as 'reconstructor.backbone'."""
-        offer = self.find(kind, name)
-        cls, settings = self.load_class(offer), self._settings(offer, values, where)
+        offer = self.find(kind, choice.name)
+        cls = self.load_class(offer)
+        settings = make_settings(self.settings_class(offer), choice.settings, where)
         siblings = dict(built)
         parts: dict[str, Any] = {}
         for part in offer.component.parts:
@@ -248,8 +230,8 @@ class Registry:
         offer: Offer,
         settings: Settings,
         part: str,
-        given: dict,
-        siblings: dict[str, Any],
+        given: Mapping[str, Any],
+        siblings: Mapping[str, Any],
         where: str,
     ) -> Any:
         choice = given.get(part, siblings.get(part, getattr(settings, part, None)))
@@ -262,9 +244,7 @@ class Registry:
             choice = PartChoice.model_validate(choice)
         if not isinstance(choice, PartChoice):
             return choice
-        return self._build(
-            part, choice.name, dict(choice.settings), given, siblings, where
-        )
+        return self._build(part, choice, given, siblings, where)
 
 
 def absent_device(component: Component) -> str:
@@ -332,8 +312,8 @@ def components(kind: str | None = None) -> list[Offer]:
 def declared(local_files: tuple[str, ...] = ()) -> dict[str, Weights]:
     """All weights that installed components name, by name; those of plugins in local files too."""
 
-    found: dict[str, Weights] = {}
+    by_name: dict[str, Weights] = {}
     for offer in default_registry(local_files).offers():
         for weights in offer.component.weights:
-            found.setdefault(weights.name, weights)
-    return dict(sorted(found.items()))
+            by_name.setdefault(weights.name, weights)
+    return dict(sorted(by_name.items()))

@@ -31,7 +31,7 @@ def colours_before(
     """
     colours = dc_to_colour(gaussians.harmonics[0, :, 0])
     view_index = gaussians.view_index
-    found = torch.zeros_like(view_index, dtype=torch.bool)
+    settled = torch.zeros_like(view_index, dtype=torch.bool)
     for view in range(cameras.count):
         places, depths = project(
             gaussians.means[0], cameras.intrinsics[0, view], cameras.c2w[0, view]
@@ -42,9 +42,9 @@ def colours_before(
         likely = (difference < LIKE_COLOUR) & (depths < SAME_DEPTH * depth_seen)
         inside = ((places > 0) & (places < 1)).all(-1) & (depths > 0)
         of_view = (view_index == view) | (view_index < 0)
-        mine = ((difference < SAME_COLOUR) | likely) & inside & of_view & ~found
+        mine = ((difference < SAME_COLOUR) | likely) & inside & of_view & ~settled
         colours = torch.where(mine[:, None], colours + change, colours)
-        found |= mine
+        settled |= mine
     return colours
 
 

@@ -41,179 +41,95 @@ PART_KEYS = (
 class RunConfig(Settings):
     """Settings of a run itself. Each is also a flag of `edit3r run`."""
 
-    prompt: str = Field(
-        "",
-        max_length=MAX_PROMPT,
-        description="what to change, such as 'paint the bike red'",
+    prompt: str = Field("", max_length=MAX_PROMPT)
+    """what to change, such as 'paint the bike red'"""
+    reader: PartChoice = PartChoice(name=DEFAULTS["reader"])
+    """reads the prompt, and its settings"""
+    editor: PartChoice | None = None
+    """2D editor and its settings; default: the one that can do what the prompt asks"""
+    reconstructor: PartChoice = PartChoice(name=DEFAULTS["reconstructor"])
+    """reconstructor and its settings"""
+    matcher: PartChoice = PartChoice.model_validate(DEFAULTS["matcher"])
+    """reads poses and depths from the photos where somebody needs them; where --cameras has all
+    poses, they are used as they are unless a matcher is chosen"""
+    rasterizer: PartChoice = PartChoice(name=DEFAULTS["rasterizer"])
+    """rasterizer and its settings"""
+    selector: PartChoice = PartChoice(name=DEFAULTS["selector"])
+    """finds what is marked or named on all photos, and its settings"""
+    critic: PartChoice = PartChoice(name=DEFAULTS["critic"])
+    """judges edit and scene, and its settings"""
+    segmenter: PartChoice | None = None
+    """finds what the prompt is about, if it reads words; default: the editor's own"""
+    sure: bool = False
+    """refuse what words found unsurely or not at all, instead of taking it as a question"""
+    reading: int = Field(1, ge=1, le=MAX_STEPS)
+    """which reading of clicks, strokes, boxes or words is taken: 1 the most likely"""
+    larger: int = Field(0, ge=-MAX_STEPS, le=MAX_STEPS)
+    """take a larger part of what was meant; repeatable"""
+    grow: float = Field(0.0, ge=-MAX_GROWTH, le=MAX_GROWTH)
+    """move the outline of what is selected outwards [pixels]; inwards if negative"""
+    invert: bool = False
+    """change all but what is selected"""
+    refiners: tuple[PartChoice, ...] = tuple(
+        PartChoice(name=name) for name in DEFAULTS["refiners"]
     )
-    reader: PartChoice = Field(
-        PartChoice(name=DEFAULTS["reader"]),
-        description="reads the prompt, and its settings",
-    )
-    editor: PartChoice | None = Field(
-        None,
-        description="2D editor and its settings; default: the one that can do what the prompt asks",
-    )
-    reconstructor: PartChoice = Field(
-        PartChoice(name=DEFAULTS["reconstructor"]),
-        description="reconstructor and its settings",
-    )
-    matcher: PartChoice = Field(
-        PartChoice.model_validate(DEFAULTS["matcher"]),
-        description="reads poses and depths from the photos where somebody needs them; where "
-        "--cameras has all poses, they are used as they are unless a matcher is chosen",
-    )
-    rasterizer: PartChoice = Field(
-        PartChoice(name=DEFAULTS["rasterizer"]),
-        description="rasterizer and its settings",
-    )
-    selector: PartChoice = Field(
-        PartChoice(name=DEFAULTS["selector"]),
-        description="finds what is marked or named on all photos, and its settings",
-    )
-    critic: PartChoice = Field(
-        PartChoice(name=DEFAULTS["critic"]),
-        description="judges edit and scene, and its settings",
-    )
-    segmenter: PartChoice | None = Field(
-        None,
-        description="finds what the prompt is about, if it reads words; default: the editor's own",
-    )
-    sure: bool = Field(
-        False,
-        description="refuse what words found unsurely or not at all, instead of taking it as a "
-        "question",
-    )
-    reading: int = Field(
-        1,
-        ge=1,
-        le=MAX_STEPS,
-        description="which reading of clicks, strokes, boxes or words is taken: 1 the most likely",
-    )
-    larger: int = Field(
-        0,
-        ge=-MAX_STEPS,
-        le=MAX_STEPS,
-        description="take a larger part of what was meant; repeatable",
-    )
-    grow: float = Field(
-        0.0,
-        ge=-MAX_GROWTH,
-        le=MAX_GROWTH,
-        description="move the outline of what is selected outwards [pixels]; inwards if negative",
-    )
-    invert: bool = Field(False, description="change all but what is selected")
-    refiners: tuple[PartChoice, ...] = Field(
-        tuple(PartChoice(name=name) for name in DEFAULTS["refiners"]),
-        description="steps after reconstruction, in order; --gaussians and --refine add theirs "
-        "before them",
-    )
-    edit_views: Literal["all", "first"] = Field(
-        "all",
-        description="edit every view, or the first only (as in training) and let the "
-        "reconstructor carry it over",
-    )
-    strength: Share = Field(
-        1.0,
-        description="how much of the 2D edit is taken: 0 leaves the photos as they are, 1 takes "
-        "all of it",
-    )
-    feather: float = Field(
-        0.0,
-        ge=0,
-        le=MAX_GROWTH,
-        description="how far inside the outline of what is selected the edit fades in [pixels]",
-    )
-    moved_edits: Literal["undo", "keep"] = Field(
-        "undo",
-        description="undo: an edited picture that is shifted, zoomed, turned or mirrored against "
-        "its photo is moved back; keep: it is taken as it is",
-    )
-    transients: Literal["leave-out", "keep"] = Field(
-        "leave-out",
-        description="leave-out: what one photo alone shows where two others see through its place, "
-        "such as a walker, is left out of the scene; keep: it is drawn",
-    )
-    seed: int = Field(0, ge=0, lt=2**31, description="one seed for all views")
-    size: int = Field(
-        512,
-        ge=8,
-        le=8192,
-        description="longer side that photos are reduced to [pixels]",
-    )
-    fov: float | None = Field(
-        None,
-        gt=1,
-        lt=170,
-        description="horizontal field of view [degrees] of photos that do not tell their own",
-    )
-    views: int | None = Field(
-        None,
-        ge=2,
-        description="most photos that are used: those that together show most; default: all (of "
-        "a video, 8 frames)",
-    )
-    device: str = Field(
-        "cpu", description="torch device of the learned parts, such as cpu or cuda"
-    )
-    frames: int = Field(
-        36,
-        ge=2,
-        le=2000,
-        description="frames of the camera path between and around the input views",
-    )
+    """steps after reconstruction, in order; --gaussians and --refine add theirs before them"""
+    edit_views: Literal["all", "first"] = "all"
+    """edit every view, or the first only (as in training) and let the reconstructor carry it
+    over"""
+    strength: Share = 1.0
+    """how much of the 2D edit is taken: 0 leaves the photos as they are, 1 takes all of it"""
+    feather: float = Field(0.0, ge=0, le=MAX_GROWTH)
+    """how far inside the outline of what is selected the edit fades in [pixels]"""
+    moved_edits: Literal["undo", "keep"] = "undo"
+    """undo: an edited picture that is shifted, zoomed, turned or mirrored against its photo is
+    moved back; keep: it is taken as it is"""
+    transients: Literal["leave-out", "keep"] = "leave-out"
+    """leave-out: what one photo alone shows where two others see through its place, such as a
+    walker, is left out of the scene; keep: it is drawn"""
+    seed: int = Field(0, ge=0, lt=2**31)
+    """one seed for all views"""
+    size: int = Field(512, ge=8, le=8192)
+    """longer side that photos are reduced to [pixels]"""
+    fov: float | None = Field(None, gt=1, lt=170)
+    """horizontal field of view [degrees] of photos that do not tell their own"""
+    views: int | None = Field(None, ge=2)
+    """most photos that are used: those that together show most; default: all (of a video, 8
+    frames)"""
+    device: str = "cpu"
+    """torch device of the learned parts, such as cpu or cuda"""
+    frames: int = Field(36, ge=2, le=2000)
+    """frames of the camera path between and around the input views"""
     outputs: tuple[str, ...] = Field(
         USUAL_OUTPUTS,
         description=f"what is written beside run.json: some of {','.join(OWN_OUTPUTS)} and of the "
         "writers (edit3r list-plugins --kind writer); all: the usual ones and frames",
     )
-    export: tuple[str, ...] = Field(
-        (), description="what is written as well, by any writer, such as spz,glb"
-    )
-    writer: dict[str, dict[str, Any]] = Field(
-        {},
-        description="settings of writers by their names, such as writer.video.fps=30; in a list "
-        "of outputs also {name: video, fps: 30}",
-    )
-    gaussians: int | Literal["all", "auto"] = Field(
-        "auto",
-        description="all, auto (only what the scene requires), or the most there may be (see "
-        "docs/simplify.md)",
-    )
-    max_gaussians: int | None = Field(
-        None, ge=1, description="never leave more Gaussians than this"
-    )
-    refine: int = Field(
-        12,
-        ge=0,
-        le=10000,
-        description="most photometric steps, each towards one edited view",
-    )
-    grid: float = Field(
-        0.67,
-        gt=0,
-        le=1,
-        description="share of the photos' sides at which Gaussians are made, one a pixel, where "
-        "--refine follows, "
-        "which brings the detail of the photos themselves; 1: at the photos' own",
-    )
-    exposure: Literal["one", "own"] = Field(
-        "one",
-        description="one: photos of other exposure or white balance are brought to the exposure of "
-        "the first; own: each is taken as it is",
-    )
-    quality: Literal["fast", "balanced", "best"] | None = Field(
-        None,
-        description="measured preset that lies under all other settings (see docs/tradeoff.md)",
-    )
+    export: tuple[str, ...] = ()
+    """what is written as well, by any writer, such as spz,glb"""
+    writer: dict[str, dict[str, Any]] = Field({})
+    """settings of writers by their names, such as writer.video.fps=30; in a list of outputs also
+    {name: video, fps: 30}"""
+    gaussians: int | Literal["all", "auto"] = "auto"
+    """all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"""
+    max_gaussians: int | None = Field(None, ge=1)
+    """never leave more Gaussians than this"""
+    refine: int = Field(12, ge=0, le=10000)
+    """most photometric steps, each towards one edited view"""
+    grid: float = Field(0.67, gt=0, le=1)
+    """share of the photos' sides at which Gaussians are made, one a pixel, where --refine follows,
+    which brings the detail of the photos themselves; 1: at the photos' own"""
+    exposure: Literal["one", "own"] = "one"
+    """one: photos of other exposure or white balance are brought to the exposure of the first; own:
+    each is taken as it is"""
+    quality: Literal["fast", "balanced", "best"] | None = None
+    """measured preset that lies under all other settings (see docs/tradeoff.md)"""
 
     @model_validator(mode="before")
     @classmethod
     def _read_settings_of_outputs(cls, values: Any) -> Any:
-        """Accept outputs with their settings, `{name: video, fps: 30}`; those in `writer` are over
-        them.
-        """
-        found: dict[str, Any] = {}
+        """Accept outputs with settings, `{name: video, fps: 30}`; those in `writer` win."""
+        settings: dict[str, Any] = {}
         changed = dict(values)
         for key in ("outputs", "export"):
             given = values.get(key)
@@ -221,9 +137,9 @@ class RunConfig(Settings):
                 continue
             choices = [PartChoice.model_validate(one) for one in given]
             changed[key] = [one.name for one in choices]
-            found |= {one.name: one.settings for one in choices if one.settings}
-        if found:
-            changed["writer"] = merge(found, values.get("writer", {}))
+            settings |= {one.name: one.settings for one in choices if one.settings}
+        if settings:
+            changed["writer"] = merge(settings, values.get("writer", {}))
         return changed
 
     @field_validator("outputs", "export", mode="before")
@@ -309,55 +225,40 @@ class RunConfig(Settings):
         return {name for name in given if getattr(self, name) != preset.get(name)}
 
 
+PLACES = ("mask", "point", "not_point", "box", "stroke", "region")
+"""Inputs that say where on the photos, of which there may be several."""
+
+
 class JobInputs(Settings):
     """What a run works on, in words: flags of `edit3r run`, keys of a line of `edit3r batch`."""
 
-    photos: tuple[str, ...] = Field(
-        (), description="photos, folders or videos of one scene"
-    )
-    earlier: str | None = Field(
-        None, description="edit the scene of an earlier run again (its --out folder)"
-    )
-    cameras: str | None = Field(
-        None,
-        description="cameras.json or transforms.json with the photos' intrinsics; 'none': not even "
-        "one that lies beside the photos",
-    )
-    refine_poses: bool = Field(
-        False, description="refine the given poses by bundle adjustment"
-    )
-    mask: tuple[str, ...] = Field(
-        (),
-        description="a mask for each photo, or a folder of them, named after the photos; or for "
-        "one, which is carried to the rest; white "
-        "is the object",
-    )
-    point: tuple[str, ...] = Field(
-        (),
-        description="a point on the object, on the first photo or photo N; repeatable",
-    )
-    not_point: tuple[str, ...] = Field(
-        (), description="a point on what is not the object; repeatable"
-    )
-    box: tuple[str, ...] = Field(
-        (), description="a box around the object, on the first photo or photo N"
-    )
+    photos: tuple[str, ...] = ()
+    """photos, folders or videos of one scene"""
+    earlier: str | None = None
+    """edit the scene of an earlier run again (its --out folder)"""
+    cameras: str | None = None
+    """cameras.json or transforms.json with the photos' intrinsics; 'none': not even one that lies
+    beside the photos"""
+    refine_poses: bool = False
+    """refine the given poses by bundle adjustment"""
+    mask: tuple[str, ...] = ()
+    """a mask for each photo, or a folder of them, named after the photos; or for one, which is
+    carried to the rest; white is the object"""
+    point: tuple[str, ...] = ()
+    """a point on the object, on the first photo or photo N; repeatable"""
+    not_point: tuple[str, ...] = ()
+    """a point on what is not the object; repeatable"""
+    box: tuple[str, ...] = ()
+    """a box around the object, on the first photo or photo N"""
 
-    stroke: tuple[str, ...] = Field(
-        (),
-        description="a line drawn over the object, on the first photo or photo N; repeatable",
-    )
-    region: tuple[str, ...] = Field(
-        (),
-        description="a box that is exactly what may change, on the first photo or photo N",
-    )
-    thing: str = Field(
-        "", description="the object in words, such as 'the left cup', instead of marks"
-    )
+    stroke: tuple[str, ...] = ()
+    """a line drawn over the object, on the first photo or photo N; repeatable"""
+    region: tuple[str, ...] = ()
+    """a box that is exactly what may change, on the first photo or photo N"""
+    thing: str = ""
+    """the object in words, such as 'the left cup', instead of marks"""
 
-    @field_validator(
-        "photos", "mask", "point", "not_point", "box", "stroke", "region", mode="before"
-    )
+    @field_validator("photos", *PLACES, mode="before")
     @classmethod
     def _one_is_a_list(cls, value: Any) -> Any:
         return [value] if isinstance(value, str) else value
@@ -448,9 +349,9 @@ def _check_outputs(config: RunConfig, registry: Registry) -> None:
         try:
             registry.check("writer", config.writer_choice(name))
         except UnknownComponentError as error:
-            own = ", ".join(OWN_OUTPUTS)
+            of_runs = ", ".join(OWN_OUTPUTS)
             raise UnknownComponentError(
-                f"outputs: {error} The run itself writes {own}."
+                f"outputs: {error} The run itself writes {of_runs}."
             ) from None
         file = registry.find("writer", name).component.file_name()
         if file in taken:

@@ -1,5 +1,4 @@
-"""The folder of an earlier run, read so that a further edit can go on from its scene (`edit3r run
---from DIR`).
+"""The folder of an earlier run, read so that a further edit can go on from its scene.
 
 Everything comes from the files that people see: `inputs/`, `edited/`, `scene.ply`, `cameras.json`
 and `run.json`. Undo is `--from` of the run before. The folder may come from a stranger: names are

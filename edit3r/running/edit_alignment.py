@@ -70,15 +70,15 @@ def align_edit(
         for view, name in enumerate(names):
             if torch.equal(photos[scene, view], edits[scene, view]):
                 continue
-            found = _judged(_Picture(to_bytes(edits[scene, view])), shown, view)
-            if isinstance(found, _Motion):
+            judged = _judged(_Picture(to_bytes(edits[scene, view])), shown, view)
+            if isinstance(judged, _Motion):
                 images = images.clone() if images is edits else images
                 images[scene, view] = _undone(
-                    found, photos[scene, view], images[scene, view]
+                    judged, photos[scene, view], images[scene, view]
                 )
-                moved.append(f"{name} was {found.said}")
-            elif found and not (confined and found.of_all):
-                faults.append(found.text.format(name=name, other=names[found.other]))
+                moved.append(f"{name} was {judged.said}")
+            elif judged and not (confined and judged.of_all):
+                faults.append(judged.text.format(name=name, other=names[judged.other]))
     return AlignedEdit(images, tuple(moved), tuple(faults))
 
 
@@ -249,16 +249,16 @@ def _bar(edit: _Picture, photo: _Picture) -> _Fault | None:
         if np.ptp(pixels[0], axis=0).max() > 2 * ONE_COLOUR:
             continue
         pixels = pixels.astype(np.int16)
-        own = (np.abs(pixels - pixels[0, 0]).max(-1) <= ONE_COLOUR).mean(1)
-        rows = int(np.argmin(own > 0.99))
+        one_colour = (np.abs(pixels - pixels[0, 0]).max(-1) <= ONE_COLOUR).mean(1)
+        rows = int(np.argmin(one_colour > 0.99))
         # An object before a plain background touches the last row of it in few places.
-        cut = rows + 2 < len(own) and own[rows + 2] < 0.4
+        cut = rows + 2 < len(one_colour) and one_colour[rows + 2] < 0.4
         if (
             cut
-            and rows > LEAST_BAR * len(own)
+            and rows > LEAST_BAR * len(one_colour)
             and np.ptp(before[:rows], axis=(0, 1)).max() > 4 * ONE_COLOUR
         ):
-            share = f"{rows / len(own):.0%} of the edit of {{name}}"
+            share = f"{rows / len(one_colour):.0%} of the edit of {{name}}"
             return _Fault(f"the {side} {share} are one colour", of_all=True)
     return None
 
@@ -324,7 +324,7 @@ def _shifts(photo: Edges, edit: Edges) -> Float[np.ndarray, "tile"]:
     )
     tall, wide = height // rows, width // columns
     window = cv2.createHanningWindow((wide, tall), cv2.CV_32F)
-    found = []
+    shifts = []
     for top in range(0, rows * tall, tall):
         for left in range(0, columns * wide, wide):
             place = (slice(top, top + tall), slice(left, left + wide))
@@ -335,8 +335,8 @@ def _shifts(photo: Edges, edit: Edges) -> Float[np.ndarray, "tile"]:
                 one - one.mean(), other - other.mean(), window
             )
             if response > LEAST_RESPONSE:
-                found.append(np.hypot(shift[0], shift[1]))
-    return np.array(found)
+                shifts.append(np.hypot(shift[0], shift[1]))
+    return np.array(shifts)
 
 
 def _likeness(first: Edges, second: Edges) -> float:
@@ -349,25 +349,25 @@ def _likeness(first: Edges, second: Edges) -> float:
 def _features(grey: UInt8[np.ndarray, "height width"]) -> tuple:
     # Otherwise features lie a quarter of a pixel off, as a mirrored picture shows.
     detector = cv2.SIFT.create(FEATURES, enable_precise_upscale=True)
-    found, descriptors = detector.detectAndCompute(grey, None)
-    points = np.array([one.pt for one in found], np.float32).reshape(-1, 2)
+    keypoints, descriptors = detector.detectAndCompute(grey, None)
+    points = np.array([one.pt for one in keypoints], np.float32).reshape(-1, 2)
     return points, descriptors
 
 
 def _matched(first: tuple, second: tuple) -> tuple[np.ndarray, np.ndarray]:
     """Places of the features that two pictures have in common."""
-    (here, own), (there, theirs) = first, second
+    (here, descriptors), (there, others) = first, second
     if min(len(here), len(there)) < 2:
         return np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32)
-    pairs = cv2.BFMatcher().knnMatch(own, theirs, k=2)
-    kept = [
+    pairs = cv2.BFMatcher().knnMatch(descriptors, others, k=2)
+    matches = [
         best
         for best, second_best in pairs
         if best.distance < 0.8 * second_best.distance
     ]
     return (
-        here[[one.queryIdx for one in kept]].reshape(-1, 2),
-        there[[one.trainIdx for one in kept]].reshape(-1, 2),
+        here[[one.queryIdx for one in matches]].reshape(-1, 2),
+        there[[one.trainIdx for one in matches]].reshape(-1, 2),
     )
 
 
@@ -391,10 +391,10 @@ def _map_between(photo: _Picture, edit: _Picture) -> Map | None:
 def _fitted(find, here: np.ndarray, there: np.ndarray) -> tuple[Map, int]:
     """A map by RANSAC, and how many matches agree with it."""
     cv2.setRNGSeed(0)
-    matrix, kept = find(
+    matrix, inliers = find(
         here, there, ransacReprojThreshold=1.5, maxIters=3000, confidence=0.999
     )
-    return (np.eye(2, 3), 0) if matrix is None else (matrix, int(kept.sum()))
+    return (np.eye(2, 3), 0) if matrix is None else (matrix, int(inliers.sum()))
 
 
 # ---- moving back ----

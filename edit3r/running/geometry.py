@@ -165,8 +165,10 @@ def _on_one_plane(
     if inside.sum() < 8:
         return False
     cv2.setRNGSeed(0)
-    _, kept = cv2.findHomography(here[inside], there[inside], cv2.RANSAC, ON_ONE_PLANE)
-    return kept is not None and float(kept.mean()) >= NEARLY_ALL
+    _, inliers = cv2.findHomography(
+        here[inside], there[inside], cv2.RANSAC, ON_ONE_PLANE
+    )
+    return inliers is not None and float(inliers.mean()) >= NEARLY_ALL
 
 
 def _places(

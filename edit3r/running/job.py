@@ -53,7 +53,8 @@ def job_from(
     cache = _answers(inputs)
     if earlier is not None:
         layers = (inherited(earlier, layers), *layers)
-    elif not inputs.photos and _takes_usual_editor(layers):
+    elif not inputs.photos and not _names_another("editor", DEFAULTS["editor"], layers):
+        # what another editor does, its own settings say
         layers = ({"prompt": DEFAULTS["prompt"]}, *layers)
     config = make_run_config(*layers)
     if earlier is None and not inputs.photos:
@@ -84,15 +85,8 @@ def _answers(inputs: JobInputs) -> Cache | None:
     folders = [Path(inputs.earlier)] if inputs.earlier else []
     masks = [Path(mask) for mask in inputs.mask[:1]]
     folders += [mask if mask.is_dir() else mask.parent for mask in masks]
-    kept = [folder / CACHE for folder in folders if (folder / CACHE).is_dir()]
-    return Cache(kept[0]) if kept else None
-
-
-def _takes_usual_editor(layers: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether no other editor is asked for: what another does, its own settings say."""
-    choices = [layer["editor"] for layer in layers if layer.get("editor")]
-    names = {one.get("name") if isinstance(one, Mapping) else one for one in choices}
-    return names <= {None, DEFAULTS["editor"]}
+    caches = [folder / CACHE for folder in folders if (folder / CACHE).is_dir()]
+    return Cache(caches[0]) if caches else None
 
 
 def inherited(
@@ -119,7 +113,7 @@ def _names_another(kind: str, name: str, layers: Sequence[Mapping[str, Any]]) ->
 def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:
     """The packaged pair, with masks of its subject where only the prompt names it."""
     photos, cameras = packaged_pair()
-    found: dict[str, Any] = {
+    pair: dict[str, Any] = {
         "photos": tuple(photos),
         "cameras": inputs.cameras or str(cameras),
     }
@@ -130,10 +124,10 @@ def _packaged(inputs: JobInputs, config: RunConfig) -> JobInputs:
     if usual and not marked and subject in config.prompt.lower():
         note("selection.mask", f"the packaged pair brings masks of its {subject}")
         folder = Path(cameras).parent
-        found["mask"] = tuple(
+        pair["mask"] = tuple(
             str(folder / f"motorcycle_mask{side}.png") for side in ("", "_right")
         )
-    return inputs.model_copy(update=found)
+    return inputs.model_copy(update=pair)
 
 
 def with_cameras(views: Views, cameras: Cameras) -> Views:

@@ -49,12 +49,12 @@ class Parts:
         """What a copy or a pickle takes along: components that the registry built are built again
         where they are asked for, since networks and compiled code cannot travel.
         """
-        kept = {
+        by_hand = {
             kind: component
             for kind, component in self._given.items()
             if not hasattr(component, "offer")
         }
-        job = replace(self.job, components=kept, cache=None)
+        job = replace(self.job, components=by_hand, cache=None)
         given = {
             kind: component.offer.qualified_name
             for kind, component in self._given.items()

@@ -93,10 +93,10 @@ def has_given_poses(made: Reconstruction, views: Views) -> Bool[Tensor, "batch"]
     if made.cameras is None or views.c2w is None:
         return torch.zeros(len(views.images), dtype=torch.bool)
     given = relative_to_first(views.c2w.cpu().double())
-    found = made.cameras.c2w.cpu().double()
-    if given.shape != found.shape:
+    poses = made.cameras.c2w.cpu().double()
+    if given.shape != poses.shape:
         return torch.zeros(len(views.images), dtype=torch.bool)
-    apart = (found - given).abs()
+    apart = (poses - given).abs()
     distances = _mean_distances(given).clamp(min=1e-30)
     apart[..., :3, 3] /= distances[:, None, None]
     return (apart <= SAME_POSE).flatten(1).all(1)

@@ -227,22 +227,22 @@ def _beyond(colours: Tensor, least: Tensor, most: Tensor) -> Tensor:
     return ((colours - most).clamp(min=0) + (least - colours).clamp(min=0)).mean(0)
 
 
-def _grown(found: Mask, unmeasured: Mask, told: Mask) -> Mask:
+def _grown(seeds: Mask, unmeasured: Mask, known_behind: Mask) -> Mask:
     """What was `found`, and the unmeasured pieces that much of was found: the rest of a thing may
     look like what others show behind it. Where others show nothing behind, a piece is no thing's
     rest, and nothing of one that is too large is a thing.
     """
     _, labels = cv2.connectedComponents(_opened(unmeasured))
-    behind = dilate(told[None].float(), 2)[0] > 0
-    area, known, shown = (
+    behind = dilate(known_behind[None].float(), 2)[0] > 0
+    area, seeded, shown = (
         np.bincount(labels[mask], minlength=labels.max() + 1)
-        for mask in (np.ones_like(labels, bool), found.numpy(), behind.numpy())
+        for mask in (np.ones_like(labels, bool), seeds.numpy(), behind.numpy())
     )
-    grown = (known * MOST_GROWTH >= area) & (shown >= BEHIND * area)
+    grown = (seeded * MOST_GROWTH >= area) & (shown >= BEHIND * area)
     grown[0] = False
     large = area > LARGEST * labels.size
-    kept = found.numpy() & ~(grown & large)[labels]
-    return torch.from_numpy(kept | (grown & ~large)[labels])
+    remaining = seeds.numpy() & ~(grown & large)[labels]
+    return torch.from_numpy(remaining | (grown & ~large)[labels])
 
 
 def _opened(mask: Mask) -> np.ndarray:

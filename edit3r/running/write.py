@@ -292,7 +292,7 @@ def _flight(folder: RunFolder, result: RunResult) -> Flight:
         result.rendered,
         result.config.frames,
     )
-    pictures = folder.renders if "frames" in result.config.written else None
+    pictures = folder.made("renders") if "frames" in result.config.written else None
     return Flight(result.rasterizer, result.gaussians, path, pictures)
 
 
@@ -339,9 +339,9 @@ def _write_scene(folder: RunFolder, result: RunResult) -> None:
 def _write_images(folder: RunFolder, result: RunResult) -> None:
     """Write photos, 2D edits and the scene from the photos' places."""
     shown = {
-        folder.inputs: images_of(result.photos),
-        folder.edited: images_of(result.edited),
-        folder.renders: images_of(result.rendered),
+        folder.made("inputs"): images_of(result.photos),
+        folder.made("edited"): images_of(result.edited),
+        folder.made("renders"): images_of(result.rendered),
     }
     jobs = [
         (picture, directory / f"{name}.png")
@@ -356,7 +356,7 @@ def _write_masks(folder: RunFolder, result: RunResult) -> None:
     """Masks of what was named, which a further edit knows by these names."""
     things = result.records.selection.things
     for place, masks in enumerate(things.values()):
-        masks_folder = folder.masks / str(place)
+        masks_folder = folder.made("masks") / str(place)
         masks_folder.mkdir()
         for name, mask in zip(result.photos.names, masks):
             save_pixels(to_bytes(mask.expand(3, -1, -1)), masks_folder / f"{name}.png")
@@ -418,7 +418,7 @@ def _other_readings(
     things: Sequence[Selected], photos: Views, placed: Sequence[bool]
 ) -> tuple[OtherReadings, ...]:
     """What else words may mean, for those that were unsure and on one of the placed `photos`."""
-    found = []
+    readings = []
     for selected in things:
         shown = [one for one in selected.readings if placed[one.view]]
         if selected.is_sure or len(shown) < 2:
@@ -426,8 +426,8 @@ def _other_readings(
         view = sum(placed[: shown[0].view])
         masks = {_chosen_by(one, selected): one.mask for one in shown}
         photo = images_of(photos)[view]
-        found.append(OtherReadings(photo, photos.names[view], masks))
-    return tuple(found)
+        readings.append(OtherReadings(photo, photos.names[view], masks))
+    return tuple(readings)
 
 
 def _chosen_by(reading: Reading, selected: Selected) -> str:

@@ -16,5 +16,5 @@ def register_commands() -> list[Component]:
             "edit in the browser: click the object, say what to change, see before and after in 3D",
             requires=("starlette", "uvicorn"),
             extra="app",
-        ),
+        )
     ]

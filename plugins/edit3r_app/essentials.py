@@ -25,10 +25,8 @@ class Essentials:
 
     def state(self) -> dict[str, Any]:
         """What is missing, with its licences, and what was said while fetching it."""
-        known = declared(()).values()
-        missing = [
-            one for one in known if one.bundle == ESSENTIALS and at_hand(one) is None
-        ]
+        needed = [one for one in declared(()).values() if one.bundle == ESSENTIALS]
+        missing = [one for one in needed if at_hand(one) is None]
         return {
             "missing": [
                 {

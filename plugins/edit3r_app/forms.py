@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 from edit3r import Registry
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.settings import is_user_only
-from edit3r.kit.files.configs import parse_assignments
-from edit3r.kit.files.yaml import read_yaml
+from edit3r.kit.files.configs import parse_assignments, read_yaml
 from edit3r.loading import SettingLine, settings_lines
 from edit3r.running import RunConfig, check_components, make_run_config
 from edit3r_app.draft import Draft
@@ -54,10 +53,7 @@ EXPERT = (
     *("device", "outputs", "export", "max_gaussians"),
 )
 """Settings of the run that name parts of edit3r; `reading` has its place beside the outline."""
-COSTS = {
-    "": "a good middle",
-    "best": "finer depth and more polishing; takes longer",
-}
+COSTS = {"": "a good middle", "best": "finer depth and more polishing; takes longer"}
 """Of the presets; the others differ in the photos' size, which is the app's own."""
 CHOICES = {
     ("exposure", "one"): "alike, as in the first",
@@ -151,15 +147,13 @@ def _field(line: SettingLine, typed: dict[str, Any]) -> dict[str, Any]:
         return {**made, "kind": "text"}
     step = 1.0 if kind == "int" else 0.01
     limits = {"min": low, "max": high, "step": step}
+    steps = math.inf
     if default and low is not None and high is not None:
         steps = (high - low) / step
-    else:
-        steps = math.inf
     if steps <= LARGEST_SLIDER:
         return {**made, "kind": "slider", **limits}
-    if (
-        high is not None and high > MOST_SAID
-    ):  # a limit of the machine, not of the thing
+    # a limit of the machine, not of the thing
+    if high is not None and high > MOST_SAID:
         limits["max"] = None
     return {**made, "kind": "number", **limits}
 

@@ -126,9 +126,8 @@ class JobsFolder:
             taken = [path.name for path in self.root.iterdir()]
             taken += [path.stem for path in self.private.glob("*.json")]
             taken += [path.name for path in self.private.iterdir() if path.is_dir()]
-            name = unique_names([*sorted(set(taken)), wanted.strip(". ") or "scene"])[
-                -1
-            ]
+            wanted = wanted.strip(". ") or "scene"
+            name = unique_names([*sorted(set(taken)), wanted])[-1]
             (self.root / name / "images").mkdir(parents=True)
         return name
 
@@ -165,11 +164,7 @@ class JobsFolder:
         if drawn is not None:
             shutil.copyfile(drawn, self.beside(name) / ASKED)
         job = replace(
-            job,
-            name=name,
-            masks=count,
-            drawn=drawn is not None,
-            made=time.time(),
+            job, name=name, masks=count, drawn=drawn is not None, made=time.time()
         )
         self.write(job)
         return job
@@ -229,9 +224,8 @@ class JobsFolder:
                 return None
             job = AppJob(name, name, made=(self.root / name).stat().st_mtime)
         if is_run:
-            settings = job.settings or {
-                "prompt": manifest_of(self.root / name).get("prompt")
-            }
+            prompt = manifest_of(self.root / name).get("prompt")
+            settings = job.settings or {"prompt": prompt}
             return replace(job, name=name, state="done", settings=settings)
         if job.state == "done":
             job = replace(job, state="failed", sentence="its folder is gone.")

@@ -8,12 +8,7 @@ import json
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import (
-    CancelledError,
-    Future,
-    ThreadPoolExecutor,
-    wait,
-)
+from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
@@ -93,9 +88,8 @@ class DraftAnswer:
     problem: str = ""  # why it cannot be carried out
     asks: bool = False  # a click would help
     told: tuple[str, ...] = ()  # choices and warnings
-    confidence: float | None = (
-        None  # of what words found, in [0, 1]; None: it was marked
-    )
+    # of what words found, in [0, 1]; None: it was marked
+    confidence: float | None = None
     is_sure: bool = True  # False: the user is asked whether it is this one
     readings: tuple[Reading, ...] = ()  # what else may be meant, the most likely first
     # the run that it asks for; None where something is missing
@@ -196,9 +190,8 @@ class Looker:
         self._opening.release()
         if self._is_open(state):
             opened = self._open_once(state)
-            seen = [
-                opened.read.get(view) for view in tuple(opened.shown or opened.read)
-            ]
+            views = tuple(opened.shown or opened.read)
+            seen = [opened.read.get(view) for view in views]
             photos = bool(seen) and all(one is not None and one.done() for one in seen)
             trouble, placed = _trouble(opened)
             left = self._left(opened)
@@ -240,10 +233,8 @@ class Looker:
         """Answer anew from now on: other weights are on this machine."""
         with self._working, self._pointing:
             self.registry.forget()
-            self._looks.cache_clear()
-            self._points.cache_clear()
-            self._edits.cache_clear()
-            self._found.cache_clear()
+            for kept in (self._looks, self._points, self._edits, self._found):
+                kept.cache_clear()
 
     def changes(self, state: str, before: Draft, after: Draft) -> bool:
         """Whether two drafts select different things."""
@@ -497,12 +488,8 @@ class Looker:
                 if draft.selects:
                     look = _with_marks(look, draft, opened, parts)
                 if config.prompt or config.editor is not None:
-                    instructions = [
-                        instruction
-                        for task in parts.tasks
-                        for instruction in task.instructions
-                    ]
-                    said = "; ".join(map(str, instructions)) or config.prompt
+                    asked = [one for task in parts.tasks for one in task.instructions]
+                    said = "; ".join(map(str, asked)) or config.prompt
                     look = replace(look, understood=f"{said} ({parts.editor_names})")
                     look = self._with_regions(look, opened, parts)
             except Edit3rError as error:
@@ -572,11 +559,8 @@ def _trouble(opened: _Opened) -> tuple[str, bool]:
         return found.problem, False
     if found.problem:
         return found.problem, True
-    apart = [
-        name
-        for name, is_in in zip(views.names, found.geometry.registered[0])
-        if not is_in
-    ]
+    placed = zip(views.names, found.geometry.registered[0])
+    apart = [name for name, is_in in placed if not is_in]
     if not apart:
         return "", True
     return f"{' and '.join(apart)}: shows too little of what the others show", True
@@ -655,9 +639,8 @@ def _around(mask: Float[Tensor, "height width"], photo: str) -> Mark:
     largest = max(pieces, key=cv2.contourArea)
     line = cv2.approxPolyDP(largest, FINE * max(mask.shape), True)[:, 0]
     height, width = mask.shape
-    return Mark(
-        "lasso", photo, [(float(x / width), float(y / height)) for x, y in line]
-    )
+    places = [(float(x / width), float(y / height)) for x, y in line]
+    return Mark("lasso", photo, places)
 
 
 def _jpeg(image: Float[Tensor, "3 height width"], most: int = 0) -> bytes:

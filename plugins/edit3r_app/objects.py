@@ -66,9 +66,8 @@ def read_action(asked: dict[str, Any]) -> ObjectAction:
         raise InputError("not something that can be done with a thing.") from None
     if found.action not in NAMELESS and not found.name.strip():
         raise InputError("give the thing a name first.")
-    if any(
-        one.startswith("-") or not one.isprintable() for one in (found.name, found.text)
-    ):
+    texts = found.name, found.text
+    if any(one.startswith("-") or not one.isprintable() for one in texts):
         raise InputError(
             "a name begins with no dash, and holds what can be printed alone."
         )

@@ -156,9 +156,8 @@ class Runner:
             try:
                 self.step()
                 self.trouble = ""
-            except (
-                Exception
-            ) as error:  # the queue outlives a disk that is full for a while
+            # the queue outlives a disk that is full for a while
+            except Exception as error:
                 self.trouble = str(error)
                 time.sleep(1)
 
@@ -176,9 +175,8 @@ class Runner:
             output.truncate(0)
             try:
                 self._child = self._started(command_of(self.folder, job), output)
-            except (
-                Exception
-            ) as error:  # else it would come up again, before all later jobs
+            # else it would come up again, before all later jobs
+            except Exception as error:
                 self.folder.write(replace(job, state="failed", sentence=str(error)))
                 return
         self.folder.write(replace(job, state="running", pid=self._child.pid))

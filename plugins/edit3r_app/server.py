@@ -29,7 +29,7 @@ from edit3r.contract.errors import Edit3rError, InputError
 from edit3r.kit.files.text import parse_json
 from edit3r.kit.photos.decode import read_image
 from edit3r_app import downloads, uploads
-from edit3r_app.draft import MARK, read_draft
+from edit3r_app.draft import MARK, Draft, read_draft
 from edit3r_app.drawing import Drawing
 from edit3r_app.essentials import Essentials
 from edit3r_app.flights import film
@@ -44,7 +44,9 @@ from edit3r_app.wording import in_app
 
 STATIC = Path(__file__).with_name("static")
 THUMBNAIL = 320  # [pixels], longer side
+MAX_MEGABYTES = uploads.MAX_BYTES >> 20
 MAX_ASKED = 1 << 20  # bytes of what a page asks for, other than photos
+PHOTO = ("state", "name")  # parts of the path of a photo
 SANDBOX = (
     "sandbox allow-scripts allow-downloads; default-src 'unsafe-inline' 'unsafe-eval' data: blob:; "
     "frame-ancestors 'self'"
@@ -147,27 +149,18 @@ class Answers:
             Route("/api/home", get(lambda: self.home())),
             Route("/api/scene/{scene}", get(studio.scene, "scene", at="")),
             Route("/api/look/{state}", get(studio.look, "state")),
-            Route(
-                "/api/candidates/{state}/{name}",
-                get(studio.candidates, "state", "name"),
-            ),
+            Route("/api/candidates/{state}/{name}", get(studio.candidates, *PHOTO)),
             Route("/api/verdict/{state}", get(studio.verdict, "state")),
             Route("/api/settings/{state}", get(studio.settings, "state")),
             Route("/api/files/{run}", get(studio.files, "run")),
             post("/api/essentials", lambda asked: self.essentials.fetch()),
             post("/api/made/{name}", lambda name, asked: studio.made(name), "name"),
             post("/api/draft/{state}", studio.change, "state"),
-            post(
-                "/api/step/{state}",
-                lambda state, asked: studio.step(state, _way(asked)),
-                "state",
-            ),
+            post("/api/step/{state}", self.step, "state"),
             post("/api/go/{scene}", self.go, "scene"),
             post("/api/object/{scene}", self.act, "scene"),
             post("/api/draw/{run}", studio.draw, "run"),
-            post(
-                "/api/cancel/{run}", lambda run, asked: studio.runner.cancel(run), "run"
-            ),
+            post("/api/cancel/{run}", self.cancel, "run"),
             post("/api/remove/{scene}", self.take_out, "scene"),
             post("/api/prepare/{run}", self.prepare, "run"),
             post("/api/film/{run}", self.film, "run"),
@@ -194,16 +187,19 @@ class Answers:
             "scenes": self.studio.scenes(),
             "made": list(offered_scenes()),
             "essentials": self.essentials.state(),
-            "most": {
-                "photos": uploads.MAX_PHOTOS,
-                "megabytes": uploads.MAX_BYTES >> 20,
-            },
+            "most": {"photos": uploads.MAX_PHOTOS, "megabytes": MAX_MEGABYTES},
         }
 
+    def step(self, state: str, asked: dict[str, Any]) -> dict[str, Any]:
+        """The next larger reading for 1, else the next smaller one."""
+        return self.studio.step(state, 1 if asked.get("value") == 1 else -1)
+
+    def cancel(self, run: str, asked: dict[str, Any]) -> None:
+        self.studio.runner.cancel(run)
+
     def go(self, scene: str, asked: dict[str, Any]) -> str:
-        return self.studio.go(
-            scene, str(asked.get("at", "")), str(asked.get("say", ""))
-        )
+        at, say = (str(asked.get(name, "")) for name in ("at", "say"))
+        return self.studio.go(scene, at, say)
 
     def act(self, scene: str, asked: dict[str, Any]) -> str:
         at = str(asked.pop("at", ""))
@@ -258,25 +254,21 @@ class Answers:
 
     def photo(self, request: Request) -> Response:
         shown = "shown" in request.query_params
-        state, name = _named(request, "state", "name")
+        state, name = _named(request, *PHOTO)
         return _jpeg(self.looker.photo(state, name, shown))
 
     def overlay(self, request: Request) -> Response:
-        state, name = _named(request, "state", "name")
-        draft = read_draft(self.folder, state)
+        state, draft, name = self._drafted(request)
         line = "line" in request.query_params
-        content = self.looker.overlay(state, draft, name, line)
-        return Response(content, media_type="image/png")
+        return _png(self.looker.overlay(state, draft, name, line))
 
     def edited(self, request: Request) -> Response:
         """The 2D edit of one photo, before anything is made."""
-        state, name = _named(request, "state", "name")
-        draft = read_draft(self.folder, state)
         found = "found" in request.query_params
-        return _jpeg(self.looker.edited(state, draft, name, found))
+        return _jpeg(self.looker.edited(*self._drafted(request), found))
 
     def candidate(self, request: Request) -> Response:
-        state, name = _named(request, "state", "name")
+        state, name = _named(request, *PHOTO)
         self.folder.path(state)
         return _jpeg(self.looker.candidate(state, name, request.path_params["number"]))
 
@@ -285,8 +277,7 @@ class Answers:
 
         With `made` it is being made, and may be kept already.
         """
-        state, name = _named(request, "state", "name")
-        draft = read_draft(self.folder, state)
+        state, draft, name = self._drafted(request)
         mark = request.query_params.get("mark")
         if mark:
             made = _mark_of(mark)
@@ -294,14 +285,18 @@ class Answers:
                 draft.take(made)
         made_so = "made" in request.query_params
         line = (bool(mark) and not made_so) or "line" in request.query_params
-        content = self.looker.pointed(state, draft, name, line=line)
-        return Response(content, media_type="image/png")
+        return _png(self.looker.pointed(state, draft, name, line=line))
 
     def reading(self, request: Request) -> Response:
         state, number = request.path_params["state"], request.path_params["number"]
         self.folder.path(state)
         draft = read_draft(self.folder, state)
         return _jpeg(self.looker.reading(state, draft, number))
+
+    def _drafted(self, request: Request) -> tuple[str, Draft, str]:
+        """The state, its draft and the photo that an address names."""
+        state, name = _named(request, *PHOTO)
+        return state, read_draft(self.folder, state), name
 
     def image(self, request: Request) -> Response:
         state, kind, name = _named(request, "state", "kind", "name")
@@ -369,11 +364,6 @@ def _told(path: str, call: Callable[..., Any], *names: str) -> Route:
     return Route(path, answer, methods=["POST"])
 
 
-def _way(asked: dict[str, Any]) -> int:
-    """1 for the next larger reading, -1 for the next smaller one."""
-    return 1 if asked.get("value") == 1 else -1
-
-
 def _mark_of(text: str) -> Any:
     try:
         return MARK.validate_json(text[:4000])
@@ -390,6 +380,10 @@ def _there(file: Path | None) -> Path:
 
 def _jpeg(content: bytes) -> Response:
     return Response(content, media_type="image/jpeg")
+
+
+def _png(content: bytes) -> Response:
+    return Response(content, media_type="image/png")
 
 
 @lru_cache(maxsize=512)

@@ -60,16 +60,9 @@ class Studio:
             photos = list(self.folder.photos(name))
             history = self.folder.history(name)
             at = self._left_at(name)
-            found.append(
-                {
-                    "name": name,
-                    "photos": photos[:1],
-                    "count": len(photos),
-                    "edits": len(history),
-                    "at": at,
-                    "shown": self._rendered(at),
-                }
-            )
+            counts = {"count": len(photos), "edits": len(history)}
+            shown = {"photos": photos[:1], "at": at, "shown": self._rendered(at)}
+            found.append({"name": name, **counts, **shown})
         return found
 
     def _rendered(self, name: str) -> list[str]:
@@ -390,11 +383,7 @@ _WAYS = {
 }
 
 
-ANSWERS = {
-    "selected": "selection_verdict",
-    "edit": "edit_verdict",
-    "scene": "verdict",
-}
+ANSWERS = {"selected": "selection_verdict", "edit": "edit_verdict", "scene": "verdict"}
 """How a run's three answers are called, and where its run.json has them."""
 
 

@@ -18,12 +18,7 @@ from edit3r.kit.photos.coverage import VIDEO_SUFFIXES
 from edit3r.kit.photos.images import find_photos
 from edit3r.kit.photos.intrinsics import NO_CAMERAS
 from edit3r.kit.run_folder import recorded
-from edit3r.running import (
-    JobInputs,
-    RunConfig,
-    check_components,
-    make_run_config,
-)
+from edit3r.running import JobInputs, RunConfig, check_components, make_run_config
 
 MAX_BYTES = 1_000_000  # of a line
 SHORT = 200  # characters of a prompt that no run refuses
@@ -38,12 +33,10 @@ class LineInputs(JobInputs):
     Files are named from the folder of the jobs file.
     """
 
-    id: str = Field(
-        "", description="name of the job's folder; default: by the line's number"
-    )
-    photos: tuple[str, ...] = Field(
-        min_length=1, description="photos, folders or videos"
-    )
+    id: str = ""
+    """name of the job's folder; default: by the line's number"""
+    photos: tuple[str, ...] = Field(min_length=1)
+    """photos, folders or videos"""
 
 
 KEYS = [name for name in LineInputs.model_fields if name != "earlier"]

@@ -105,12 +105,8 @@ def _generated_items(
     }
     items = []
     for number, (suffix, kind, edit, prompt) in enumerate(GENERATED_EDITS):
-        record = SampleRecord(
-            dataset=settings.dataset,
-            settings={**drawn, **edit},
-            index=index,
-            sha256="",
-        )
+        how, name = {**drawn, **edit}, settings.dataset
+        record = SampleRecord(dataset=name, settings=how, index=index, sha256="")
         sample = load_sample(record, registry)
         if not is_visible(sample, kind == "Global", settings):
             return []

@@ -259,10 +259,7 @@ def hash_of_file(path: Path) -> str:
     return sha256_of(path)
 
 
-def change_masks(
-    photos: Images,
-    truth: Images,
-) -> Maps:
+def change_masks(photos: Images, truth: Images) -> Maps:
     """Return 1 where the truth visibly differs from the photo and a little around, else 0."""
     changed = ((truth - photos).abs().amax(1) > VISIBLE).to(photos.dtype)
     return dilate(changed, max(1, round(MARGIN * photos.shape[-1])))

@@ -286,9 +286,7 @@ def _by_clip(item: LoadedItem, output: MethodOutput, clip: ClipSimilarity) -> Fo
 
 
 def _against_truth(
-    item: LoadedItem,
-    shown: Images,
-    distances: Mapping[str, Any],
+    item: LoadedItem, shown: Images, distances: Mapping[str, Any]
 ) -> Found:
     """Return means over the held-back frames, of which the method was given no image, and by region
     over the inputs.

@@ -169,10 +169,7 @@ def warped_difference(
 
 
 def warped_image(
-    image: TorchImage,
-    depth: DepthMap,
-    other_depth: DepthMap,
-    cameras: Cameras,
+    image: TorchImage, depth: DepthMap, other_depth: DepthMap, cameras: Cameras
 ) -> tuple[TorchImage, Bool[Tensor, "height width"]]:
     """Return the second camera's `image` as the first sees it, and where both see one point;
     `depth` is the first's.

@@ -21,6 +21,7 @@ from edit3r.kit.command.results import make_folder
 from edit3r.kit.photos.cameras import CAMERA_FILES, read_cameras
 from edit3r.kit.photos.images import evenly, find_photos, load_photos, save_image
 from edit3r.kit.photos.triples import choose_triples
+from edit3r.kit.service import ChatModel
 from edit3r.running import RunJob, make_run_config, preview
 from edit3r_bench import proposals
 from edit3r_bench.manifest import (
@@ -32,13 +33,7 @@ from edit3r_bench.manifest import (
     hash_of_file,
 )
 from edit3r_bench.options import BuildOptions
-from edit3r_bench.proposals import (
-    LOCAL,
-    Boxes,
-    LanguageModel,
-    ProposedEdit,
-    choose_edits,
-)
+from edit3r_bench.proposals import LOCAL, Boxes, ProposedEdit, choose_edits
 
 PAPER_SCENES = 20
 MAX_SHOWN_SIDE = 512  # longer side of what the language model is shown [pixels]
@@ -95,11 +90,8 @@ def _photo_folder(path: Path, views: int) -> PhotoFolder | None:
         return None
     cameras = next((name for name in CAMERA_FILES if (path / name).is_file()), "")
     known = read_cameras(path / cameras) if cameras else []
-    posed = [
-        (own.file, own.c2w)
-        for own in known
-        if own.c2w is not None and own.file in files
-    ]
+    there = [own for own in known if own.file in files]
+    posed = [(own.file, own.c2w) for own in there if own.c2w is not None]
     inputs = evenly(range(len(files)), views)
     held_back: tuple[int, ...] = ()
     if triples := choose_triples([c2w for _, c2w in posed], 3):
@@ -135,13 +127,15 @@ class PhotoBuild:
         return Path(self.options.vetting or beside)
 
     @cached_property
-    def model(self) -> LanguageModel | None:
+    def model(self) -> ChatModel | None:
         options = self.options
         if bool(options.llm) != bool(options.llm_model):
             raise SettingsError(
                 "--llm and --llm-model go together: an address and the model's name there."
             )
-        return LanguageModel(options.llm, options.llm_model) if options.llm else None
+        advice = "one that takes no images needs --llm-photos 0"
+        asked = ChatModel(options.llm_model, options.llm, 120, advice)
+        return asked if options.llm else None
 
     @cached_property
     def parts(self) -> dict[str, Any]:
@@ -251,8 +245,9 @@ class PhotoBuild:
             "the language model was shown no photo": blind,
             f"{unvetted} edits are kept by no person": unvetted > 0,
             f"{unmasked} local edits have no masks": unmasked > 0,
-            f"{unmasked_adds} edits that add something have no masks": unmasked_adds
-            > 0,
+            f"{unmasked_adds} edits that add something have no masks": bool(
+                unmasked_adds
+            ),
             "scenes are drawn without a balance of indoor and outdoor": True,
         }
         return [sentence for sentence, holds in said.items() if holds]
@@ -270,15 +265,11 @@ class PhotoBuild:
         return proposals.find_objects(photos, self.parts["detector"], words)
 
     def _record(self, scene: PhotoFolder) -> SceneRecord:
-        frames = [
-            FrameRecord(file=file, sha256=hash_of_file(scene.path / file))
-            for file in scene.files
-        ]
+        hashes = [(file, hash_of_file(scene.path / file)) for file in scene.files]
+        frames = tuple(FrameRecord(file=file, sha256=sha) for file, sha in hashes)
+        folder = self._relative(scene.path)
         return SceneRecord(
-            id=scene.id,
-            folder=self._relative(scene.path),
-            cameras=scene.cameras,
-            frames=tuple(frames),
+            id=scene.id, folder=folder, cameras=scene.cameras, frames=frames
         )
 
     def _items(
@@ -360,10 +351,8 @@ class PhotoBuild:
         return self._records(files)
 
     def _records(self, files: Sequence[Path]) -> tuple[FrameRecord, ...]:
-        return tuple(
-            FrameRecord(file=self._relative(file), sha256=hash_of_file(file))
-            for file in files
-        )
+        hashes = [(self._relative(file), hash_of_file(file)) for file in files]
+        return tuple(FrameRecord(file=name, sha256=sha) for name, sha in hashes)
 
     def _relative(self, path: Path) -> str:
         return Path(os.path.relpath(path, self.out.parent)).as_posix()

@@ -10,13 +10,11 @@ verdicts on them.
 import base64
 import io
 import json
-import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -26,27 +24,21 @@ from PIL import Image
 from pydantic import Field, ValidationError
 from torch import Tensor
 
-from edit3r.contract.errors import InputError, MissingDependencyError, RunError
+from edit3r.contract.errors import InputError, RunError
 from edit3r.contract.interfaces import Detection, Detector, Segmenter
 from edit3r.contract.settings import Settings, make_settings
 from edit3r.kit.command.results import write_text
 from edit3r.kit.files.configs import read_yaml
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.kit.photos.images import to_bytes
+from edit3r.kit.service import ChatModel
 from edit3r_bench.manifest import EDIT_TYPES, EDITS_PER_SCENE, EditType
-
-if TYPE_CHECKING:
-    from openai.types.chat import (
-        ChatCompletionContentPartParam,
-        ChatCompletionMessageParam,
-    )
 
 Photo = Float[Tensor, "3 height width"]
 Images = Float[Tensor, "view 3 height width"]
 # One object's box in each photo; None where a photo does not show it
 Boxes = tuple[Detection | None, ...]
 
-KEY_VARIABLE = "OPENAI_API_KEY"
 LOCAL = ("Remove", "Modify")  # types of edits that stay on one object
 SHARE_OF_VIEWS = 0.5  # an object counts when at least this share of the photos shows it
 # Boxes over more of a photo than this name the place rather than a thing in it
@@ -123,58 +115,19 @@ def masks_from_boxes(
 # ---- proposals ----
 
 
-@dataclass(frozen=True)
-class LanguageModel:
-    """A model behind an OpenAI-compatible address, asked once a scene; its key comes from the
-    environment only.
-    """
-
-    address: str  # such as http://localhost:8000/v1; local servers want no key
-    name: str
-
-    def ask(self, system: str, request: str, images: Images) -> str:
-        """Return the model's answer at temperature 0, shown the images too. Raises RunError when
-        none comes.
-        """
-        try:
-            import openai
-        except ImportError:
-            raise MissingDependencyError(
-                '--llm needs the openai client; install with: pip install "edit3r[bench]"'
-            ) from None
-        client = openai.OpenAI(
-            api_key=os.environ.get(KEY_VARIABLE, "").strip() or "none",
-            base_url=self.address,
-            timeout=120,
-            max_retries=2,
-        )
-        content: list[ChatCompletionContentPartParam] = [
-            {"type": "text", "text": request}
-        ]
-        for image in images:
-            jpeg = io.BytesIO()
-            Image.fromarray(to_bytes(image)).save(jpeg, "JPEG", quality=90)
-            code = base64.b64encode(jpeg.getvalue()).decode("ascii")
-            url = f"data:image/jpeg;base64,{code}"
-            content.append({"type": "image_url", "image_url": {"url": url}})
-        messages: list[ChatCompletionMessageParam] = [
-            {"role": "system", "content": system},
-            {"role": "user", "content": content if len(images) else request},
-        ]
-        who = f"language model {self.name} at {self.address}"
-        try:
-            answer = client.chat.completions.create(
-                model=self.name, messages=messages, temperature=0
-            )
-        except openai.OpenAIError as error:
-            raise RunError(
-                f"{who}: {' '.join(str(error).split())}; one that takes no images needs "
-                "--llm-photos 0."
-            ) from None
-        text = answer.choices[0].message.content if answer.choices else None
-        if not text:
-            raise RunError(f"{who} gave an empty answer.")
-        return text
+def asked_of_model(request: str, images: Images) -> list[dict[str, Any]]:
+    """What a chat model is told: its part, the request, and the images."""
+    content: list[dict[str, Any]] = [{"type": "text", "text": request}]
+    for image in images:
+        jpeg = io.BytesIO()
+        Image.fromarray(to_bytes(image)).save(jpeg, "JPEG", quality=90)
+        code = base64.b64encode(jpeg.getvalue()).decode("ascii")
+        url = {"url": f"data:image/jpeg;base64,{code}"}
+        content.append({"type": "image_url", "image_url": url})
+    return [
+        {"role": "system", "content": WORDS["system"]},
+        {"role": "user", "content": content if len(images) else request},
+    ]
 
 
 def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]:
@@ -201,7 +154,7 @@ def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]
 
 
 def edits_from_model(
-    labels: Sequence[str], images: Images, model: LanguageModel
+    labels: Sequence[str], images: Images, model: ChatModel
 ) -> list[ProposedEdit]:
     """Return what the model proposes for a scene whose objects it is told and whose images, if any,
     it sees.
@@ -210,7 +163,7 @@ def edits_from_model(
     """
     named = ", ".join(labels) or "unknown things"
     request = WORDS["request"].format(labels=named, count=PROPOSALS)
-    answer = model.ask(WORDS["system"], request, images)
+    answer = model.ask(asked_of_model(request, images))
     # Models like to put words around the list.
     start = answer.find("[")
     end = answer.rfind("]") + 1

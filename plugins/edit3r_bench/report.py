@@ -20,13 +20,7 @@ from edit3r_bench.manifest import EDIT_TYPES
 from edit3r_bench.measures import BY_REGION, METRICS
 from edit3r_bench.method import Method
 from edit3r_bench.page import write_page
-from edit3r_bench.run import (
-    RESULTS,
-    RUN,
-    ItemResult,
-    read_results,
-    read_run,
-)
+from edit3r_bench.run import RESULTS, RUN, ItemResult, read_results, read_run
 
 MEASURES = METRICS | BY_REGION
 WALL = ("editor", "scene", "rendering")  # parts of the time of an edit
@@ -46,6 +40,11 @@ by the score it is worst:
 COMPARISON = """\
 Differences are taken edit by edit, then scene by scene. "better" and "worse" are what remains at
 5 % after Holm's correction for all measures with a direction and all methods of this table."""
+
+TIME_TITLES = (
+    *("editor [s CPU]", "scene [s CPU]", "rendering [s CPU]"),
+    *("all [s CPU]", "all [s wall]", "a view [s wall]"),
+)
 
 TIMES = """\
 Seconds for one edit of a scene, all views. The scene is all that a run does between photos and
@@ -353,31 +352,26 @@ def difference_table(
     return markdown_table(rows)
 
 
-TIME_HEAD = """\
-| | warm edits | editor [s CPU] | scene [s CPU] | rendering [s CPU] | all [s CPU] | all [s wall] \
-| a view [s wall] | cold: all [s CPU] |
-| --- | --: | --: | --: | --: | --: | --: | --: | --: |"""
-
-
 def time_table(columns: Sequence[Column]) -> str:
     """Return seconds an edit of a scene (all its views): warm medians by part, of the scene also a
     view, and the whole of the cold first one.
     """
-    lines = [TIME_HEAD]
+    rows = []
     for column in columns:
         times = timing(column)
-        cells = "- | - | - | - | - | -"
-        cold = "-"
-        if times["warm"]:
-            parts = [times["warm"][name] for name in CPU]
-            wall = sum(times["warm"][name] for name in WALL)
-            each = " | ".join(f"{seconds:.3g}" for seconds in parts)
-            view = f"{times['warm']['view']:.3g}"
-            cells = f"{each} | {sum(parts):.3g} | {wall:.3g} | {view}"
-        if times["cold"]:
-            cold = f"{sum(times['cold'][name] for name in CPU):.3g}"
-        lines.append(f"| {column.label} | {times['warm_edits']} | {cells} | {cold} |")
-    return "\n".join(lines)
+        row = {"": column.label, "warm edits": str(times["warm_edits"])}
+        seconds: dict[str, float | None] = dict.fromkeys(TIME_TITLES)
+        if warm := times["warm"]:
+            parts = [warm[name] for name in CPU]
+            wall = sum(warm[name] for name in WALL)
+            seconds = dict(zip(TIME_TITLES, (*parts, sum(parts), wall, warm["view"])))
+        cold = times["cold"] and sum(times["cold"][name] for name in CPU)
+        seconds["cold: all [s CPU]"] = cold
+        cells = {
+            title: "-" if s is None else f"{s:.3g}" for title, s in seconds.items()
+        }
+        rows.append(row | cells)
+    return markdown_table(rows)
 
 
 def title(name: str) -> str:

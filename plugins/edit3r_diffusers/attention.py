@@ -39,12 +39,10 @@ class CrossViewAttention:
             for to in (attn.to_q, attn.to_k, attn.to_v)
         )
         own = F.scaled_dot_product_attention(query, key, value)
-        others = [
-            F.scaled_dot_product_attention(
-                query, self._of_view(key, view), self._of_view(value, view)
-            )
-            for view in range(self.references)
-        ]
+        others = []
+        for view in range(self.references):
+            read = self._of_view(key, view), self._of_view(value, view)
+            others.append(F.scaled_dot_product_attention(query, *read))
         mixed = torch.lerp(own, torch.stack(others).mean(0), self.weight)
         projected = attn.to_out[0](mixed.transpose(1, 2).flatten(2))
         return attn.to_out[1](projected)
@@ -53,20 +51,23 @@ class CrossViewAttention:
         self, tensor: Float[Tensor, "batch head token dim"], view: int
     ) -> Float[Tensor, "batch head token dim"]:
         """Replace every view's entry by `view`'s of the same guidance half."""
-        return tensor.unflatten(0, (-1, self.views))[:, view].repeat_interleave(
-            self.views, dim=0
-        )
+        of_view = tensor.unflatten(0, (-1, self.views))[:, view]
+        return of_view.repeat_interleave(self.views, dim=0)
 
 
 def look_across_views(unet: Any, views: int, references: int, weight: float) -> None:
     """Replace the processors of all self-attentions; with weight 0 they compute what they did."""
     across = CrossViewAttention(views, references, weight)
-    unet.set_attn_processor(
-        {
-            name: across if name.endswith("attn1.processor") else processor
-            for name, processor in unet.attn_processors.items()
-        }
-    )
+    _replace_processors(unet, "attn1", across)
+
+
+def _replace_processors(unet: Any, kind: str, processor: Any) -> None:
+    """Give all attentions of a kind another processor: attn1 looks at itself, attn2 at words."""
+    processors = {
+        name: processor if name.endswith(f"{kind}.processor") else own
+        for name, own in unet.attn_processors.items()
+    }
+    unet.set_attn_processor(processors)
 
 
 def _heads(
@@ -103,13 +104,11 @@ class WordAttention:
             _heads(to(encoder_hidden_states), attn.heads)
             for to in (attn.to_k, attn.to_v)
         )
-        shares = (query.float() @ key.float().transpose(-1, -2) * attn.scale).softmax(
-            -1
-        )
+        alike = query.float() @ key.float().transpose(-1, -2) * attn.scale
+        shares = alike.softmax(-1)
         self._add(shares)
-        projected = attn.to_out[0](
-            (shares.to(value) @ value).transpose(1, 2).flatten(2)
-        )
+        read = (shares.to(value) @ value).transpose(1, 2).flatten(2)
+        projected = attn.to_out[0](read)
         return attn.to_out[1](projected)
 
     def image(self, size: tuple[int, int]) -> Float[Tensor, "height width"]:
@@ -119,16 +118,11 @@ class WordAttention:
         grids = []
         for places, total in self.maps.items():
             rows = max(1, round((places * size[0] / size[1]) ** 0.5))
-            while (
-                places % rows
-            ):  # the grid's own rows divide its places; rounding may miss them by one
+            while places % rows:  # rounding may miss the grid's own rows by one
                 rows -= 1
-            grid = (total / total.amax().clamp(min=1e-12)).view(
-                1, 1, rows, places // rows
-            )
-            grids.append(
-                F.interpolate(grid, size, mode="bilinear", align_corners=False)[0, 0]
-            )
+            grid = total / total.amax().clamp(min=1e-12)
+            grid = grid.view(1, 1, rows, places // rows)
+            grids.append(F.interpolate(grid, size, mode="bilinear")[0, 0])
         return torch.stack(grids).mean(0) if grids else torch.zeros(size)
 
     def _add(self, shares: Float[Tensor, "batch head token word"]) -> None:
@@ -143,13 +137,8 @@ def listening(unet: Any, words: int, halves: int) -> Iterator[WordAttention]:
     """Let every cross-attention of `unet` add to the result inside the block; it computes what it
     did.
     """
-    own = unet.attn_processors
-    listener = WordAttention(words, halves)
-    replaced = {
-        name: listener if name.endswith("attn2.processor") else one
-        for name, one in own.items()
-    }
-    unet.set_attn_processor(replaced)
+    own, listener = unet.attn_processors, WordAttention(words, halves)
+    _replace_processors(unet, "attn2", listener)
     try:
         yield listener
     finally:

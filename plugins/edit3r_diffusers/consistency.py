@@ -55,11 +55,9 @@ def edit_consistently(
         edited = replace(views, images=torch.cat(scenes))
     found = [disagreement(*pair) for pair in zip(views.images, edited.images)]
     measured = [value for value in found if value is not None]
-    told = (
-        round(float(np.mean(measured)), 4)
-        if measured
-        else f"not measured: fewer than {FEWEST_MATCHES} matches"
-    )
+    told: object = f"not measured: fewer than {FEWEST_MATCHES} matches"
+    if measured:
+        told = round(float(np.mean(measured)), 4)
     note("editor.consistency", {"mode": mode, "disagreement": told})
     return edited
 
@@ -70,16 +68,10 @@ def _reference_first(
     """Edit view 0, then each other one given [its photo, photo 0, edited 0]."""
     first = edit(views.select([0]), request.of_views([0]), ()).images
     rest = range(1, views.count)
-    follow = replace(
-        request.of_views(rest), prompt=FOLLOW.format(prompt=request.prompt.rstrip(". "))
-    )
-    return torch.cat(
-        (
-            first,
-            edit(views.select(rest), follow, (views.images[0, 0], first[0, 0])).images,
-        ),
-        dim=1,
-    )
+    prompt = FOLLOW.format(prompt=request.prompt.rstrip(". "))
+    follow = replace(request.of_views(rest), prompt=prompt)
+    others = edit(views.select(rest), follow, (views.images[0, 0], first[0, 0]))
+    return torch.cat((first, others.images), dim=1)
 
 
 def _grid(
@@ -92,9 +84,7 @@ def _grid(
     rows = math.ceil(views.count / columns)
     cells = [min(cell, views.count - 1) for cell in range(rows * columns)]
 
-    def laid(
-        images: Float[Tensor, "view c height width"],
-    ) -> Float[Tensor, "1 1 c H W"]:
+    def laid(images: Float[Tensor, "view c h w"]) -> Float[Tensor, "1 1 c H W"]:
         grid = images[cells].unflatten(0, (rows, columns)).permute(2, 0, 3, 1, 4)
         return grid.flatten(3, 4).flatten(1, 2)[None, None]
 
@@ -102,13 +92,8 @@ def _grid(
     masks = None if request.masks is None else laid(request.masks[0][:, None])[:, :, 0]
     edited = edit(canvas, replace(request, masks=masks), ()).images[0, 0]
     height, width = views.image_size
-    apart = (
-        edited.unflatten(1, (rows, height))
-        .unflatten(3, (columns, width))
-        .permute(1, 3, 0, 2, 4)
-        .flatten(0, 1)
-    )
-    return apart[None, : views.count]
+    apart = edited.unflatten(1, (rows, height)).unflatten(3, (columns, width))
+    return apart.permute(1, 3, 0, 2, 4).flatten(0, 1)[None, : views.count]
 
 
 def disagreement(
@@ -131,13 +116,8 @@ def disagreement(
     for other in range(1, len(photos)):
         spots = _matched(points[0], described[0], points[other], described[other])
         if len(spots) >= FEWEST_MATCHES:
-            here = spots[:, 0].round().astype(int)
-            there = spots[:, 1].round().astype(int)
-            colours = (
-                smooth[0][here[:, 1], here[:, 0]]
-                - smooth[other][there[:, 1], there[:, 0]]
-            )
-            differences.append(np.abs(colours).mean())
+            (x, y), (x2, y2) = spots.round().astype(int).transpose(1, 2, 0)
+            differences.append(np.abs(smooth[0][y, x] - smooth[other][y2, x2]).mean())
     return float(np.mean(differences)) if differences else None
 
 
@@ -150,9 +130,8 @@ def _matched(
     if described0 is None or described1 is None:
         return np.zeros((0, 2, 2))
     matches = cv2.BFMatcher(crossCheck=True).match(described0, described1)
-    spots = np.array(
-        [(points0[m.queryIdx].pt, points1[m.trainIdx].pt) for m in matches]
-    ).reshape(-1, 2, 2)
+    pairs = [(points0[m.queryIdx].pt, points1[m.trainIdx].pt) for m in matches]
+    spots = np.array(pairs).reshape(-1, 2, 2)
     if len(spots) < FEWEST_MATCHES:
         return spots
     try:

@@ -20,7 +20,7 @@ from edit3r.contract.reporting import warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.cache import remembered
-from edit3r.kit.geometry.maps import size_of
+from edit3r.kit.geometry.maps import resampled, size_of
 from edit3r.kit.weights.load import ChosenWeights, foreign, load_pretrained, pick_device
 from edit3r_diffusers import WEIGHTS, images, latents, loading
 from edit3r_diffusers.attention import look_across_views
@@ -35,54 +35,28 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
     """
 
     class Settings(DiffusionSettings):
-        model: str = Field(
-            "stable-diffusion-v1-5/stable-diffusion-v1-5",
-            description="model id, or a saved folder",
-        )
-        controlnet: str = Field(
-            "lllyasviel/control_v11f1p_sd15_depth",
-            description="depth ControlNet for that model",
-        )
-        matcher: PartChoice = Field(
-            PartChoice(name="classical"), description="measures depth from the photos"
-        )
-        source_prompt: str = Field(
-            "", description="what the photos show; guides the inversion"
-        )
-        guidance: float = Field(
-            7.5, ge=1, le=50, description="how strongly the description is followed"
-        )
-        control_scale: float = Field(
-            1.0, ge=0, le=2, description="how strongly depth holds the geometry; 0: not"
-        )
-        strength: float = Field(
-            1.0,
-            gt=0,
-            le=1,
-            description="share of the steps that are redrawn; lower keeps more",
-        )
-        invert: bool = Field(
-            True,
-            description="start from the photos' own noise (DDIM inversion) instead of random",
-        )
-        eta: float = Field(
-            0.1,
-            ge=0,
-            le=1,
-            description="fresh noise per step; at 0 an inverted edit ignores the seed",
-        )
-        cross_view: float = Field(
-            0.4,
-            ge=0,
-            le=1,
-            description="weight of the reference views in self-attention",
-        )
-        references: int = Field(
-            4,
-            ge=1,
-            le=64,
-            description="how many views, from the first, the others look at",
-        )
+        model: str = "stable-diffusion-v1-5/stable-diffusion-v1-5"
+        """model id, or a saved folder"""
+        controlnet: str = "lllyasviel/control_v11f1p_sd15_depth"
+        """depth ControlNet for that model"""
+        matcher: PartChoice = PartChoice(name="classical")
+        """measures depth from the photos"""
+        source_prompt: str = ""
+        """what the photos show; guides the inversion"""
+        guidance: float = Field(7.5, ge=1, le=50)
+        """how strongly the description is followed"""
+        control_scale: float = Field(1.0, ge=0, le=2)
+        """how strongly depth holds the geometry; 0: not"""
+        strength: float = Field(1.0, gt=0, le=1)
+        """share of the steps that are redrawn; lower keeps more"""
+        invert: bool = True
+        """start from the photos' own noise (DDIM inversion) instead of random"""
+        eta: float = Field(0.1, ge=0, le=1)
+        """fresh noise per step; at 0 an inverted edit ignores the seed"""
+        cross_view: float = Field(0.4, ge=0, le=1)
+        """weight of the reference views in self-attention"""
+        references: int = Field(4, ge=1, le=64)
+        """how many views, from the first, the others look at"""
 
     settings: Settings
 
@@ -106,30 +80,20 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
 
     def _loaded(self, photos_on: torch.device) -> Any:
         if self._pipeline is None:
-            chosen = self.settings
-            half = torch.float16
-            dtype = loading.pick_dtype(
-                chosen.dtype,
-                pick_device(chosen.device, photos_on, "editor.device"),
-                half,
-            )
+            chosen, half = self.settings, torch.float16
+            device = pick_device(chosen.device, photos_on, "editor.device")
+            dtype = loading.pick_dtype(chosen.dtype, device, half)
             weights = ChosenWeights(
                 chosen.controlnet,
                 "editor.controlnet",
                 local_files_only=chosen.local_files_only,
                 known=WEIGHTS,
             )
-            controlnet = load_pretrained(
-                foreign("diffusers", "ControlNetModel"), weights, dtype=dtype
-            )
+            network = foreign("diffusers", "ControlNetModel")
+            controlnet = load_pretrained(network, weights, dtype=dtype)
             parts = {**loading.NO_SAFETY_CHECKER, "controlnet": controlnet}
-            pipeline = loading.load(
-                "StableDiffusionControlNetImg2ImgPipeline",
-                chosen,
-                photos_on,
-                half,
-                **parts,
-            )
+            name = "StableDiffusionControlNetImg2ImgPipeline"
+            pipeline = loading.load(name, chosen, photos_on, half, **parts)
             # Inversion and denoising must step over the same noise levels, whatever sampler the
             # weights came with.
             pipeline.scheduler = foreign("diffusers", "DDIMScheduler").from_config(
@@ -145,9 +109,8 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
         self, pipeline: Any, views: Views, request: EditRequest, scene: int
     ) -> Float[Tensor, "view 3 height width"]:
         photos = views.images[scene]
-        size = images.working_size(
-            *size_of(photos), self.settings.resolution, 8 * pipeline.vae_scale_factor
-        )
+        multiple = 8 * pipeline.vae_scale_factor
+        size = images.working_size(*size_of(photos), self.settings.resolution, multiple)
         control = control_images(
             matched_disparity(self.matcher, views.scene(scene)), size
         )
@@ -155,7 +118,7 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
         doing = f"editing {len(photos)} views together at {size[1]}x{size[0]}"
         with torch.no_grad(), loading.out_of_memory_told(doing):
             device, dtype = pipeline._execution_device, pipeline.dtype
-            resized = images.resize(photos.float(), size).to(device, dtype)
+            resized = resampled(photos.float(), size).to(device, dtype)
             edited = self._denoise(
                 pipeline, resized, control.to(device, dtype), mask, request, doing
             )
@@ -172,9 +135,8 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
     ) -> Float[Tensor, "view 3 height width"]:
         """Redraw all views of a scene together at the working size; `text` names the progress."""
         chosen, count = self.settings, len(photos)
-        generators = [
-            torch.Generator("cpu").manual_seed(request.seed) for _ in range(count)
-        ]
+        seeds = [request.seed] * count
+        generators = [torch.Generator("cpu").manual_seed(seed) for seed in seeds]
         clean = latents.encode(pipeline.vae, photos)
         noise = latents.noise_like_latents(pipeline, photos, generators)
         photo_at = latents.noised(clean, noise)
@@ -186,9 +148,8 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
             photo_at = latents.along(trajectory, clean)
         redrawn = max(1, int(chosen.steps * chosen.strength))
         pipeline.scheduler.set_timesteps(chosen.steps)
-        start = photo_at(
-            pipeline.scheduler, pipeline.scheduler.timesteps[chosen.steps - redrawn]
-        )
+        begins = pipeline.scheduler.timesteps[chosen.steps - redrawn]
+        start = photo_at(pipeline.scheduler, begins)
         own_attention = pipeline.unet.attn_processors
         look_across_views(pipeline.unet, count, chosen.references, chosen.cross_view)
         try:
@@ -198,9 +159,8 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
                 image=photos,
                 control_image=control,
                 latents=start,
-                strength=min(
-                    1.0, (redrawn + 0.5) / chosen.steps
-                ),  # the pipeline rounds down
+                # the pipeline rounds down
+                strength=min(1.0, (redrawn + 0.5) / chosen.steps),
                 num_inference_steps=chosen.steps,
                 guidance_scale=chosen.guidance,
                 controlnet_conditioning_scale=chosen.control_scale,
@@ -226,9 +186,8 @@ def matched_disparity(
             "out --edit-views first."
         )
     geometry = matcher.match(views)
-    lost = [
-        view for view, found in enumerate(geometry.registered[0].tolist()) if not found
-    ]
+    placed = geometry.registered[0].tolist()
+    lost = [view for view, is_placed in enumerate(placed) if not is_placed]
     if lost:
         warn(
             f"controlnet-depth: views {lost} could not be placed; their depth is filled in, not "
@@ -244,14 +203,9 @@ def control_images(
     of the scene.
     """
     values = disparity.double().flatten()
-    far, near = torch.quantile(
-        values[:: max(1, len(values) // 1_000_000)], values.new_tensor([FAR, NEAR])
-    )
-    grey = (
-        ((disparity - far) / (near - far).clamp(min=1e-12))
-        .clamp(0, 1)
-        .to(disparity.dtype)
-    )
-    return F.interpolate(grey[:, None], size, mode="bilinear", antialias=True).expand(
-        -1, 3, -1, -1
-    )
+    some = values[:: max(1, len(values) // 1_000_000)]
+    far, near = torch.quantile(some, values.new_tensor([FAR, NEAR]))
+    grey = (disparity - far) / (near - far).clamp(min=1e-12)
+    grey = grey.clamp(0, 1).to(disparity.dtype)
+    sized = F.interpolate(grey[:, None], size, mode="bilinear", antialias=True)
+    return sized.expand(-1, 3, -1, -1)

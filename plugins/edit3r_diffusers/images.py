@@ -13,7 +13,7 @@ from torch import Tensor
 
 from edit3r.contract.errors import RunError
 from edit3r.contract.types import EditRequest, Views
-from edit3r.kit.geometry.maps import size_of
+from edit3r.kit.geometry.maps import resampled, size_of
 from edit3r_diffusers import loading
 
 
@@ -53,11 +53,8 @@ def edit_one_by_one(
 
     def edit_view(scene: int, view: int) -> Float[Tensor, "3 height width"]:
         photo = views.images[scene, view]
-        mask = (
-            request.masks[scene, view][None, None]
-            if request.masks is not None
-            else None
-        )
+        masks = request.masks
+        mask = None if masks is None else masks[scene, view][None, None]
         if mask is not None and not mask.any():
             return photo
         name = views.called[view]
@@ -66,20 +63,16 @@ def edit_one_by_one(
             torch.no_grad(),
             loading.out_of_memory_told(f"editing {name} at {size[1]}x{size[0]}"),
         ):
-            chosen = (
-                photo
-                if starts is None
-                else torch.stack((photo, starts[scene, view].clamp(0, 1).to(photo)))
-            )
-            sized = resize(chosen.reshape(-1, *photo.shape).float(), size)
+            chosen = [photo]
+            if starts is not None:
+                chosen.append(starts[scene, view].clamp(0, 1).to(photo))
+            sized = resampled(torch.stack(chosen).float(), size)
             image, *start = sized.to(pipeline._execution_device, pipeline.dtype).split(
                 1
             )
-            edited = denoise(
-                ViewJob(
-                    image, mask, request.prompt, request.seed, f"editing {name}", *start
-                )
-            )
+            text = f"editing {name}"
+            job = ViewJob(image, mask, request.prompt, request.seed, text, *start)
+            edited = denoise(job)
         return checked(edited, photo, name)[0]
 
     scenes, count = views.images.shape[:2]
@@ -97,24 +90,11 @@ def working_size(
     of `multiple`.
     """
     scale = longer_side / max(height, width) if longer_side else 1.0
-    fit = [
+    height, width = (
         max(multiple, round(side * scale / multiple) * multiple)
         for side in (height, width)
-    ]
-    return fit[0], fit[1]
-
-
-def resize(
-    images: Float[Tensor, "n c h w"], size: tuple[int, int]
-) -> Float[Tensor, "n c H W"]:
-    """Resize bicubically with antialiasing, clipped to [0, 1]; images that have the size stay as
-    they are.
-    """
-    if images.shape[-2:] == size:
-        return images
-    return F.interpolate(
-        images, size, mode="bicubic", antialias=True, align_corners=False
-    ).clamp(0, 1)
+    )
+    return height, width
 
 
 def mask_on_grid(
@@ -141,8 +121,7 @@ def checked(
     if not torch.isfinite(image).all():
         raise RunError(
             f"the edit of {view} came out with values that are not finite, which happens when "
-            "half precision "
-            f"overflows; use --set editor.dtype=float32."
+            "half precision overflows; use --set editor.dtype=float32."
         )
     image = image.to(like.device, torch.float32).clamp(0, 1)
-    return resize(image, size_of(like)).to(like.dtype)
+    return resampled(image, size_of(like)).to(like.dtype)

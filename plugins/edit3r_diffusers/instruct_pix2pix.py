@@ -33,23 +33,14 @@ class InstructPix2PixEditor(Editor, StartsFromImages, GivesAttention):
     """
 
     class Settings(DiffusionSettings):
-        model: str = Field(
-            "timbrooks/instruct-pix2pix",
-            description="model id on the hub, or a saved folder",
-        )
-        guidance: float = Field(
-            7.5,
-            ge=1,
-            le=50,
-            description="how strongly the instruction is followed; 1: not raised",
-        )
-        consistency: Literal["independent", "grid"] = Field(
-            "independent",
-            description="independent: each view alone; grid: all views as one picture",
-        )
-        image_guidance: float = Field(
-            1.5, ge=1, le=50, description="how closely the photo is kept"
-        )
+        model: str = "timbrooks/instruct-pix2pix"
+        """model id on the hub, or a saved folder"""
+        guidance: float = Field(7.5, ge=1, le=50)
+        """how strongly the instruction is followed; 1: not raised"""
+        consistency: Literal["independent", "grid"] = "independent"
+        """independent: each view alone; grid: all views as one picture"""
+        image_guidance: float = Field(1.5, ge=1, le=50)
+        """how closely the photo is kept"""
 
     settings: Settings
 

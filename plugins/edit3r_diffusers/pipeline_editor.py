@@ -54,38 +54,24 @@ class PipelineEditor(Editor):
     """
 
     class Settings(DiffusionSettings):
-        model: str = Field("", description="model id on the hub, or a saved folder")
-        pipeline: str = Field(
-            "", description="class of diffusers, such as FluxKontextPipeline"
-        )
-        masked_pipeline: str = Field(
-            "",
-            description="class for edits with a mask, of the same parts; empty: none",
-        )
-        guidance: float | None = Field(
-            None, ge=0, le=50, description="guidance_scale; default: the class's own"
-        )
-        true_guidance: float | None = Field(
-            None,
-            ge=1,
-            le=50,
-            description="true_cfg_scale, away from negative_prompt; 1: off, faster",
-        )
-        strength: float = Field(
-            1.0,
-            gt=0,
-            le=1,
-            description="below 1 starts from the noised photo: keeps more of it",
-        )
-        arguments: dict[str, Any] = Field(
-            {}, description="further arguments of the class's call, by name"
-        )
-        consistency: Consistency = Field(
-            "independent",
-            description="independent: each view alone; reference-first: view 0, then each other "
-            "view beside photo and "
-            "edit of view 0; grid: all views as one picture",
-        )
+        model: str = ""
+        """model id on the hub, or a saved folder"""
+        pipeline: str = ""
+        """class of diffusers, such as FluxKontextPipeline"""
+        masked_pipeline: str = ""
+        """class for edits with a mask, of the same parts; empty: none"""
+        guidance: float | None = Field(None, ge=0, le=50)
+        """guidance_scale; default: the class's own"""
+        true_guidance: float | None = Field(None, ge=1, le=50)
+        """true_cfg_scale, away from negative_prompt; 1: off, faster"""
+        strength: float = Field(1.0, gt=0, le=1)
+        """below 1 starts from the noised photo: keeps more of it"""
+        arguments: dict[str, Any] = Field({})
+        """further arguments of the class's call, by name"""
+        consistency: Consistency = "independent"
+        """independent: each view alone; reference-first: view 0, then each other view beside photo
+        and edit of view 0; grid: all views as one picture
+        """
 
         @model_validator(mode="after")
         def _negative_prompt_needs_guidance(self):
@@ -107,10 +93,8 @@ class PipelineEditor(Editor):
         name = self.offer.component.name
         if not request.prompt.strip():
             raise PromptError(f"{name} needs an instruction; give one with --prompt.")
-        for key, example in (
-            ("pipeline", "ClassName"),
-            ("model", "OWNER/NAME or =FOLDER"),
-        ):
+        examples = {"pipeline": "ClassName", "model": "OWNER/NAME or =FOLDER"}
+        for key, example in examples.items():
             if not getattr(self.settings, key):
                 raise SettingsError(
                     f"{name} needs a {key}; give one with --set editor.{key}={example}."
@@ -125,41 +109,28 @@ class PipelineEditor(Editor):
         self, views: Views, request: EditRequest, references: References
     ) -> Views:
         wants_mask = request.masks is not None or self.settings.strength < 1
-        pipeline = (
-            self._masked
-            if wants_mask and self._masked is not None and not references
-            else self._plain
-        )
+        takes_mask = self._masked is not None and not references
+        pipeline = self._masked if wants_mask and takes_mask else self._plain
         if request.masks is not None:
             obeyed = "mask_image" in _arguments(type(pipeline))
-            note(
-                "editor.mask",
-                "obeyed by the model"
-                if obeyed
-                else "the whole picture is edited, then cut out",
-            )
-        # packed in 2x2 cells
-        multiple = pipeline.vae_scale_factor * (
-            2 if hasattr(pipeline, "transformer") else 1
-        )
-        denoise = partial(
-            self._denoise, pipeline, multiple, [_pil(image) for image in references]
-        )
-        return edit_one_by_one(
-            views, request, pipeline, self.settings.resolution, multiple, denoise
-        )
+            cut_out = "the whole picture is edited, then cut out"
+            note("editor.mask", "obeyed by the model" if obeyed else cut_out)
+        packed = 2 if hasattr(pipeline, "transformer") else 1  # in 2x2 cells
+        multiple = pipeline.vae_scale_factor * packed
+        pictures = [_pil(image) for image in references]
+        denoise = partial(self._denoise, pipeline, multiple, pictures)
+        side = self.settings.resolution
+        return edit_one_by_one(views, request, pipeline, side, multiple, denoise)
 
     def _load(self, photos_on: torch.device) -> None:
         """Load the weights when they are first needed, after the classes were checked."""
         chosen = self.settings
         if self._plain is None:
             plain = foreign("diffusers", chosen.pipeline)
-            masked = (
-                foreign("diffusers", chosen.masked_pipeline)
-                if chosen.masked_pipeline
-                else None
+            masked = chosen.masked_pipeline and foreign(
+                "diffusers", chosen.masked_pipeline
             )
-            self._check(plain, masked)
+            self._check(plain, masked or None)
             made_of = inspect.signature(plain.__init__).parameters
             half = torch.bfloat16 if "transformer" in made_of else torch.float16
             parts = loading.NO_SAFETY_CHECKER if "safety_checker" in made_of else {}
@@ -179,10 +150,9 @@ class PipelineEditor(Editor):
                 f"editor.pipeline: {plain.__name__} takes no image and prompt, so it edits no "
                 "photos."
             )
-        asked = {name for name in ARGUMENT_OF if name in self.settings.model_fields_set}
         asked = {
             name
-            for name in asked
+            for name in self.settings.model_fields_set & ARGUMENT_OF.keys()
             if getattr(self.settings, name) not in (None, "", 1.0)
         }
         lacking = sorted(name for name in asked if ARGUMENT_OF[name] not in taken)
@@ -199,14 +169,13 @@ class PipelineEditor(Editor):
         self, pipeline: Any, multiple: int, references: list[Image.Image], job: ViewJob
     ) -> Float[Tensor, "1 3 height width"]:
         """Draw one view; what the class has no argument for is left out, see `_check`."""
-        chosen = self.settings
-        size = size_of(job.image)
+        chosen, size = self.settings, size_of(job.image)
         taken = _arguments(type(pipeline))
-        whole = torch.ones(1, 1, *size)
-        mask = (
-            whole if job.mask is None else mask_on_grid(job.mask.cpu(), size, multiple)
-        )
+        mask = torch.ones(1, 1, *size)
+        if job.mask is not None:
+            mask = mask_on_grid(job.mask.cpu(), size, multiple)
         photo = _pil(job.image[0])
+        steps = chosen.steps * chosen.strength
         guided = chosen.true_guidance is not None and chosen.true_guidance > 1
         wanted = {
             "image": [photo, *references] if references else photo,
@@ -223,16 +192,11 @@ class PipelineEditor(Editor):
             "_auto_resize": False,  # else FluxKontextPipeline blows small photos up to a megapixel
             "generator": job.generator(),
             "output_type": "pt",
-            "callback_on_step_end": StepEnd(
-                job.text, max(1, int(chosen.steps * chosen.strength))
-            ),
+            "callback_on_step_end": StepEnd(job.text, max(1, int(steps))),
             **chosen.arguments,
         }
-        given = {
-            name: wanted[name]
-            for name in wanted
-            if name in taken and wanted[name] is not None
-        }
+        wanted = {name: one for name, one in wanted.items() if one is not None}
+        given = {name: one for name, one in wanted.items() if name in taken}
         try:
             return pipeline(**given).images
         except (ValueError, TypeError) as error:
@@ -245,21 +209,15 @@ def preset(model: str, pipeline: str, **defaults: Any) -> type[PipelineEditor]:
     """A pipeline editor whose settings have other defaults."""
     defaults |= {"model": model, "pipeline": pipeline, "resolution": 1024}
     fields = PipelineEditor.Settings.model_fields
-    changed: dict[str, Any] = {
-        name: (
-            fields[name].annotation,
-            FieldInfo.merge_field_infos(fields[name], default=value),
-        )
-        for name, value in defaults.items()
-    }
+    changed: dict[str, Any] = {}
+    for name, value in defaults.items():
+        field = FieldInfo.merge_field_infos(fields[name], default=value)
+        changed[name] = fields[name].annotation, field
     settings = create_model(
         "Settings", __base__=PipelineEditor.Settings, __module__=__name__, **changed
     )
-    return type(
-        "PresetEditor",
-        (PipelineEditor,),
-        {"Settings": settings, "__doc__": PipelineEditor.__doc__},
-    )
+    own = {"Settings": settings, "__doc__": PipelineEditor.__doc__}
+    return type("PresetEditor", (PipelineEditor,), own)
 
 
 def _arguments(pipeline: type) -> set[str]:

@@ -42,27 +42,19 @@ class CommandEditor(Editor):
     """Runs `editor.command` per view, or once for all views when it names folders."""
 
     class Settings(edit3r.Settings):
-        command: str = Field(
-            "",
-            description="program with arguments; {input} {output} {mask} {prompt} {seed}, or *_dir",
-            json_schema_extra=USER_ONLY,
-        )
-        timeout: float = Field(
-            600, gt=0, description="time limit of one call [seconds]"
-        )
+        command: str = Field("", json_schema_extra=USER_ONLY)
+        """program with arguments; {input} {output} {mask} {prompt} {seed}, or *_dir"""
+        timeout: float = Field(600, gt=0)
+        """time limit of one call [seconds]"""
 
     settings: Settings
 
     def edit(self, views: Views, request: EditRequest) -> Views:
-        masks = (
-            torch.ones_like(views.images[:, :, 0])
-            if request.masks is None
-            else request.masks
-        )
-        edited = [
-            self._edit_scene(*scene, view_names(views), request)
-            for scene in zip(views.images, masks)
-        ]
+        masks, names = request.masks, view_names(views)
+        if masks is None:
+            masks = torch.ones_like(views.images[:, :, 0])
+        scenes = zip(views.images, masks)
+        edited = [self._edit_scene(*scene, names, request) for scene in scenes]
         return replace(views, images=torch.stack(edited))
 
     def _edit_scene(
@@ -83,30 +75,24 @@ class CommandEditor(Editor):
             for name, image, mask in zip(names, images, masks):
                 save_image(image, folders["input"] / f"{name}.png")
                 save_image(mask.expand(3, -1, -1), folders["mask"] / f"{name}.png")
-            if together:
-                calls = [{f"{kind}_dir": made for kind, made in folders.items()}]
-            else:
+            calls = [{f"{kind}_dir": made for kind, made in folders.items()}]
+            if not together:
                 calls = [
                     {kind: made / f"{name}.png" for kind, made in folders.items()}
                     for name in names
                 ]
             for files in reporting.track(calls, "external program"):
-                filled = [
-                    a.format(**files, prompt=request.prompt, seed=request.seed)
-                    for a in arguments
-                ]
+                words = {**files, "prompt": request.prompt, "seed": request.seed}
+                filled = [argument.format(**words) for argument in arguments]
                 self._call(filled, Path(folder) / "log.txt")
             outputs = [folders["output"] / f"{name}.png" for name in names]
             missing = next((file.name for file in outputs if not file.is_file()), None)
             if missing is not None:
-                written = (
-                    ", ".join(sorted(file.name for file in folders["output"].iterdir()))
-                    or "nothing"
-                )
+                written = sorted(file.name for file in folders["output"].iterdir())
                 raise RunError(
                     f"editor.command: {arguments[0]!r} ended without an error but did not write "
-                    f"{missing}; it wrote "
-                    f"{written}. Write PNG files to the path it is given."
+                    f"{missing}; it wrote {', '.join(written) or 'nothing'}. Write PNG files to "
+                    "the path it is given."
                 )
             return torch.stack([read_edit(*one) for one in zip(outputs, images, names)])
 
@@ -138,10 +124,8 @@ class CommandEditor(Editor):
                 "needs more."
             ) from None
         if done.returncode != 0:
-            text = " ".join(log.read_text(encoding="utf-8", errors="replace").split())[
-                -400:
-            ]
-            reason = text or "it printed nothing"
+            text = log.read_text(encoding="utf-8", errors="replace")
+            reason = " ".join(text.split())[-400:] or "it printed nothing"
             raise RunError(
                 f"editor.command: {program!r} failed with exit code {done.returncode}: {reason}"
             )
@@ -153,11 +137,8 @@ def parse_command(command: str) -> tuple[list[str], bool]:
     """
     try:
         arguments = shlex.split(command)
-        parsed = [
-            part
-            for argument in arguments
-            for part in string.Formatter().parse(argument)
-        ]
+        read = string.Formatter().parse
+        parsed = [part for argument in arguments for part in read(argument)]
     except ValueError as error:
         raise SettingsError(
             f"editor.command: cannot be split into arguments ({error}), got {command!r}."

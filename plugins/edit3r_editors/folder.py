@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from PIL import Image
-from pydantic import Field
 from torch import Tensor
 
 import edit3r
@@ -35,10 +34,8 @@ class FolderEditor(Editor):
     """
 
     class Settings(edit3r.Settings):
-        path: str = Field(
-            "",
-            description="folder with one edited picture per view, named as the photos are",
-        )
+        path: str = ""
+        """folder with one edited picture per view, named as the photos are"""
 
     settings: Settings
 
@@ -121,11 +118,9 @@ def view_names(views: Views) -> list[str]:
     if not views.names:
         return [f"view_{index + 1}" for index in range(views.count)]
     stems = [Path(name).stem for name in views.names]
-    return (
-        stems
-        if len(set(stems)) == len(stems)
-        else [f"{stem}_{index + 1}" for index, stem in enumerate(stems)]
-    )
+    if len(set(stems)) == len(stems):
+        return stems
+    return [f"{stem}_{index + 1}" for index, stem in enumerate(stems)]
 
 
 def read_edit(
@@ -144,12 +139,9 @@ def read_edit(
     cut, done = frame.cut(image), []
     if frame.cropped > LEAST_CROPPED:
         cut, how = _as_it_lies(image, cut, Image.fromarray(to_bytes(like)))
-        done.append(
-            f"it is {how} to lie on its photo"
-            if how
-            else f"of it {frame.cropped:.0%} is cropped away. Right for an edit of the whole photo "
-            "if that was cropped too"
-        )
+        cropped = f"of it {frame.cropped:.0%} is cropped away. Right for an edit of the whole photo"
+        lies = f"it is {how} to lie on its photo"
+        done.append(lies if how else f"{cropped} if that was cropped too")
     if frame.scale > MOST_ENLARGED:
         done.append(f"it is enlarged {frame.scale:.1f} times, and not sharp")
     if done:
@@ -168,10 +160,9 @@ def _as_it_lies(
     was cut.
     """
     turned = {-90: Image.Transpose.ROTATE_270, 90: Image.Transpose.ROTATE_90}
-    ways = {"squashed": image} | {
-        f"turned by {angle} degrees": image.transpose(turn)
-        for angle, turn in turned.items()
-    }
+    ways = {"squashed": image}
+    for angle, turn in turned.items():
+        ways[f"turned by {angle} degrees"] = image.transpose(turn)
     best, how, likeness = cut, "", _likeness(cut, photo) + CLEARLY
     for way, picture in ways.items():
         tried = picture.resize(photo.size, Image.Resampling.LANCZOS)

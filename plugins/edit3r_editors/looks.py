@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import cv2
@@ -28,6 +29,7 @@ from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.reporting import say
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.compute.layers import one_thread
+from edit3r.kit.files.configs import read_yaml
 
 Images = Float[Tensor, "view 3 height width"]
 Grey = Float[Tensor, "view 1 height width"]
@@ -55,45 +57,38 @@ def graded(
     images = images.clamp(min=1e-4) ** gamma
     light = grey(images)
     images = 0.5 + contrast * (light + saturation * (images - light) - 0.5)
-    return (lift + (1 - lift) * images * images.new_tensor(gain)[:, None, None]).clamp(
-        0, 1
-    )
+    return (lift + (1 - lift) * images * _colour(images, *gain)).clamp(0, 1)
 
 
 def autumn(images: Images) -> Images:
     hsv, weight = _foliage(images)
     # yellow-green to red
     hue = torch.deg2rad(44 - 28 * ((torch.rad2deg(hsv[:, :1]) - 55) / 110).clamp(0, 1))
-    leaves = torch.cat(
-        (hue, (1.7 * hsv[:, 1:2]).clamp(max=0.9), (1.1 * hsv[:, 2:]).clamp(max=1)), 1
+    saturation, value = (
+        (1.7 * hsv[:, 1:2]).clamp(max=0.9),
+        (1.1 * hsv[:, 2:]).clamp(max=1),
     )
-    return graded(
-        torch.lerp(images, kornia.color.hsv_to_rgb(leaves), weight),
-        saturation=1.1,
-        gain=(1.06, 1, 0.88),
-    )
+    leaves = kornia.color.hsv_to_rgb(torch.cat((hue, saturation, value), 1))
+    turned = torch.lerp(images, leaves, weight)
+    return graded(turned, saturation=1.1, gain=(1.06, 1, 0.88))
 
 
 def winter(images: Images) -> Images:
-    frost = (
-        grey(images).clamp(min=1e-4) ** 0.55
-        * images.new_tensor((0.95, 0.98, 1.03))[:, None, None]
-    )
+    frost = grey(images).clamp(min=1e-4) ** 0.55 * _colour(images, 0.95, 0.98, 1.03)
     frosted = torch.lerp(images, frost.clamp(0, 1), 0.85 * _foliage(images)[1])
     return graded(frosted, gamma=0.85, saturation=0.45, gain=(0.93, 1, 1.1))
 
 
 def sketch(images: Images) -> Images:
     light = grey(_flattened(images, 20, 0.15))
-    paper = images.new_tensor((1, 0.99, 0.96))[:, None, None]
+    paper = _colour(images, 1, 0.99, 0.96)
     return _lines(light, 0.012) ** 2 * (0.72 + 0.28 * _step(light, 0, 0.75)) * paper
 
 
 def cartoon(images: Images) -> Images:
     ink = _step(_lines(grey(_flattened(images, 15, 0.15)), 0.004), 0.55, 0.85)
-    return ink * graded(
-        _flattened(images, 60, 0.4), gamma=0.75, saturation=1.6, contrast=1.1
-    )
+    flat = _flattened(images, 60, 0.4)
+    return ink * graded(flat, gamma=0.75, saturation=1.6, contrast=1.1)
 
 
 def watercolour(images: Images) -> Images:
@@ -107,44 +102,47 @@ def marble(images: Images) -> Images:
     """White stone in the photo's shades; veins run along lines of equal light, thin in a wider
     shadow.
     """
-    smooth = _by_opencv(images, partial(cv2.medianBlur, ksize=15))
-    phase = 8 * _blurred(grey(_flattened(smooth, 60, 0.5)), 0.008)
-    slope = kornia.filters.spatial_gradient(phase)[:, 0].norm(dim=1, keepdim=True)
+    phase, slope = _shades(images, 8, 0.008)
     # to the line [pixels]
     distance = (phase - phase.round()).abs() / slope.clamp(min=0.005)
-    veins = (0.8 * torch.exp(-((distance / 1.3) ** 2))).maximum(
-        0.35 * torch.exp(-((distance / 4.5) ** 2))
-    )
-    veins = (
-        veins
-        * _step(slope, 0.004, 0.02)
-        * images.new_tensor((0.45, 0.44, 0.4))[:, None, None]
-    )
+    thin, wide = (torch.exp(-((distance / width) ** 2)) for width in (1.3, 4.5))
+    veins = (0.8 * thin).maximum(0.35 * wide) * _step(slope, 0.004, 0.02)
+    veins = veins * _colour(images, 0.45, 0.44, 0.4)
     light = 0.42 + 0.57 * _step(grey(_flattened(images, 10, 0.1)), 0, 0.85)
-    return light * images.new_tensor((1, 0.985, 0.96))[:, None, None] * (1 - veins)
+    return light * _colour(images, 1, 0.985, 0.96) * (1 - veins)
 
 
-def wood(images: Images) -> Images:
-    """Brown in the photo's shades; soft rings run along lines of equal light, as marble's veins."""
+def _shades(images: Images, lines: float, sigma: float) -> tuple[Grey, Grey]:
+    """Smooth light from 0 to `lines`, and its slope [1 / pixels]."""
     smooth = _by_opencv(images, partial(cv2.medianBlur, ksize=15))
-    phase = 12 * _blurred(grey(_flattened(smooth, 60, 0.5)), 0.01)
+    phase = lines * _blurred(grey(_flattened(smooth, 60, 0.5)), sigma)
     slope = kornia.filters.spatial_gradient(phase)[:, 0].norm(dim=1, keepdim=True)
+    return phase, slope
+
+
+def _colour(images: Images, *rgb: float) -> Float[Tensor, "3 1 1"]:
+    return images.new_tensor(rgb)[:, None, None]
+
+
+def wood(images: Images, colours: tuple) -> Images:
+    """Brown in the photo's shades; soft rings run along lines of equal light, as marble's veins."""
+    phase, slope = _shades(images, 12, 0.01)
     clear = _step(slope, 0.004, 0.02) * (1 - _step(slope, 0.08, 0.2))
     rings = 0.375 * (1 + torch.cos(2 * math.pi * phase)) * clear
     light = 0.35 + 0.75 * _step(grey(_flattened(images, 10, 0.1)), 0, 0.85)
-    return light * _between(images, rings, _WOOD)
+    return light * _between(images, rings, colours)
 
 
-def snow(images: Images) -> Images:
+def snow(images: Images, colours: tuple) -> Images:
     """White in light and pale blue in shade."""
-    return _between(images, _step(grey(_flattened(images, 10, 0.1)), 0, 0.9), _SNOW)
+    return _between(images, _step(grey(_flattened(images, 10, 0.1)), 0, 0.9), colours)
 
 
 def _between(
     images: Images, share: Float[Tensor, "view 1 height width"], colours: tuple
 ) -> Images:
     """From the first colour (sRGB) to the second, by a share of each pixel."""
-    first, second = (images.new_tensor(one)[:, None, None] for one in colours)
+    first, second = (_colour(images, *one) for one in colours)
     return first + share * (second - first)
 
 
@@ -153,13 +151,10 @@ def metal(images: Images, colours: tuple) -> Images:
     and highlights.
     """
     smooth = _by_opencv(images, partial(cv2.medianBlur, ksize=5))
-    shade = _step(grey(_flattened(smooth, 30, 0.25)), 0.02, 0.95)[:, 0].numpy(
-        force=True
-    )
-    shine = 0.7 * np.interp(shade, *BANDS) + 0.3 * grey(smooth)[:, 0].numpy(force=True)
-    channels = [
-        np.interp(shine, (0, 0.3, 0.65, 1), (0, *stops)) for stops in zip(*colours)
-    ]
+    flat = _step(grey(_flattened(smooth, 30, 0.25)), 0.02, 0.95)
+    shade, light = (one[:, 0].numpy(force=True) for one in (flat, grey(smooth)))
+    shine, places = 0.7 * np.interp(shade, *BANDS) + 0.3 * light, (0, 0.3, 0.65, 1)
+    channels = [np.interp(shine, places, (0, *stops)) for stops in zip(*colours)]
     return torch.from_numpy(np.stack(channels, 1)).to(images)
 
 
@@ -167,9 +162,8 @@ def _foliage(images: Images) -> tuple[Images, Grey]:
     """HSV of each pixel, and how much it is as green as plants, in [0, 1]."""
     hsv = kornia.color.rgb_to_hsv(images)
     hue = torch.rad2deg(hsv[:, :1])
-    return hsv, _step(hue, 40, 65) * (1 - _step(hue, 165, 195)) * _step(
-        hsv[:, 1:2], 0.06, 0.2
-    )
+    green = _step(hue, 40, 65) * (1 - _step(hue, 165, 195))
+    return hsv, green * _step(hsv[:, 1:2], 0.06, 0.2)
 
 
 def _step(values: Grey, low: float, high: float) -> Grey:
@@ -196,20 +190,14 @@ def _flattened(images: Images, reach: float, range_: float) -> Images:
     """Smooth within edges (Gastal and Oliveira 2011); `reach` in pixels, `range_` of colours in [0,
     1].
     """
-    return _by_opencv(
-        images,
-        partial(cv2.edgePreservingFilter, flags=1, sigma_s=reach, sigma_r=range_),
-    )
+    draw = partial(cv2.edgePreservingFilter, flags=1, sigma_s=reach, sigma_r=range_)
+    return _by_opencv(images, draw)
 
 
 def _by_opencv(images: Images, draw: Callable[[np.ndarray], np.ndarray]) -> Images:
     """Apply a filter of OpenCV, which takes bytes in BGR."""
-    pixels = (
-        (images.permute(0, 2, 3, 1).flip(-1) * 255)
-        .round()
-        .to(torch.uint8)
-        .numpy(force=True)
-    )
+    bgr = (images.permute(0, 2, 3, 1).flip(-1) * 255).round().to(torch.uint8)
+    pixels = bgr.numpy(force=True)
     drawn = np.stack([draw(np.ascontiguousarray(image)) for image in pixels])
     return torch.from_numpy(drawn).flip(-1).permute(0, 3, 1, 2).to(images) / 255
 
@@ -217,51 +205,27 @@ def _by_opencv(images: Images, draw: Callable[[np.ndarray], np.ndarray]) -> Imag
 class Look(NamedTuple):
     """What a prompt calls a look, what it does, and how."""
 
-    words: str
+    words: tuple[str, ...]
     does: str
     draw: Callable[[Images], Images]
 
 
-_SUNNED = (1.02, 1, 0.94)
-_BLUE, _WARM, _FADED = (0.34, 0.42, 0.64), (1.18, 0.93, 0.66), (1.05, 0.97, 0.8)
-_WOOD = ((0.72, 0.5, 0.3), (0.45, 0.27, 0.14))
-_SNOW = ((0.42, 0.55, 0.76), (1, 1, 1))
-_STEEL = ((0.2, 0.22, 0.26), (0.58, 0.62, 0.68), (1, 1, 1))
-_GOLD = ((0.34, 0.19, 0.03), (0.86, 0.6, 0.14), (1, 0.97, 0.75))
-_BRONZE = ((0.24, 0.13, 0.07), (0.62, 0.38, 0.2), (0.98, 0.85, 0.68))
+def _looks() -> dict[str, Look]:
+    """The looks of `looks.yaml`: words, what it does, and a filter of this file with numbers."""
+    drawn = autumn, winter, sketch, cartoon, watercolour, marble, wood, snow, metal
+    filters = {one.__name__: one for one in (graded, *drawn)}
+    looks = {}
+    for name, look in read_yaml(Path(__file__).with_name("looks.yaml")).items():
+        draw = partial(filters[look.pop("draw", "graded")], **look.pop("with", {}))
+        looks[name] = Look(tuple(look["words"].split()), look["does"], draw)
+    return looks
 
-LOOKS = {
-    "night": Look("night midnight moonlight", "dark, pale and blue; lamps do not go on",
-                  partial(graded, gamma=1.7, saturation=0.4, gain=_BLUE, lift=0.01)),
-    "sunset": Look("sunset dusk", "warm light",
-                   partial(graded, saturation=1.25, contrast=1.08, gain=_WARM)),
-    "autumn": Look("autumn autumnal fall", "green turns orange and red; no leaf falls", autumn),
-    "winter": Look("winter wintry frost frosty", "green turns to frost, the rest pale and cold; "
-                                                 "no snow falls", winter),
-    "vintage": Look("vintage retro", "a faded print",
-                    partial(graded, saturation=0.55, contrast=0.85, gain=_FADED, lift=0.07)),
-    "weathered": Look("weathered worn aged", "paler and greyer, as by years of sun; no crack and "
-                                             "no stain appears",
-                      partial(graded, saturation=0.45, contrast=0.8, gain=_SUNNED, lift=0.1)),
-    "sepia": Look("sepia", "brown tones", partial(graded, saturation=0, gain=(1.08, 0.94, 0.74))),
-    "greyscale": Look("greyscale grayscale monochrome", "no colour", partial(graded, saturation=0)),
-    "noir": Look("noir", "no colour, hard contrast", partial(graded, saturation=0, contrast=1.5)),
-    "sketch": Look("sketch sketched pencil", "pencil lines on paper", sketch),
-    "cartoon": Look("cartoon comic comics", "flat strong colours and ink lines", cartoon),
-    "watercolour": Look("watercolour watercolor aquarelle", "pale washes with darker "
-                                                            "rims", watercolour),
-    "marble": Look("marble", "like marble: white stone, veins along lines of equal light", marble),
-    "wood": Look("wood wooden", "like wood: brown, soft rings along lines of equal light", wood),
-    "snow": Look("snow snowy", "as if made of snow; none falls", snow),
-    "steel": Look("steel metal metallic chrome "
-                  "silver", "like polished steel", partial(metal, colours=_STEEL)),
-    "gold": Look("gold golden gilded", "like polished gold", partial(metal, colours=_GOLD)),
-    "bronze": Look("bronze copper", "like polished bronze", partial(metal, colours=_BRONZE)),
-}  # fmt: skip
+
+LOOKS = _looks()
 """Every look by its name."""
 
 _NAMES = ("", *LOOKS)
-BY_WORD = {word: name for name, look in LOOKS.items() for word in look.words.split()}
+BY_WORD = {word: name for name, look in LOOKS.items() for word in look.words}
 
 
 class LooksEditor(Editor, EditsRegions):
@@ -274,9 +238,8 @@ class LooksEditor(Editor, EditsRegions):
         look: Literal[_NAMES] = Field(  # type: ignore[valid-type]  # of LOOKS
             "", description="the look; empty: the one that the prompt names"
         )
-        strength: float = Field(
-            1.0, ge=0, le=1, description="share of the look; 0 returns the photo"
-        )
+        strength: float = Field(1.0, ge=0, le=1)
+        """share of the look; 0 returns the photo"""
 
     settings: Settings
 
@@ -308,9 +271,8 @@ class LooksEditor(Editor, EditsRegions):
             drawn = LOOKS[name].draw(photos).expand_as(photos).clamp(0, 1)
             weight: float | Tensor = self.settings.strength
             if request.regions is not None:
-                weight = weight * request.regions[number].flatten(0, 1)[:, None].to(
-                    photos
-                )
+                region = request.regions[number].flatten(0, 1)[:, None]
+                weight = weight * region.to(photos)
             photos = torch.lerp(photos, drawn, torch.as_tensor(weight).to(photos))
         return replace(views, images=photos.view_as(views.images))
 

@@ -39,24 +39,12 @@ class MockDiffusionEditor(Editor):
     """Deterministic stand-in for a diffusion editor; says so on every run."""
 
     class Settings(edit3r.Settings):
-        steps: int = Field(
-            20,
-            ge=1,
-            le=1000,
-            description="sampler steps; fewer than about 10 leave noise",
-        )
-        strength: float = Field(
-            0.8,
-            ge=0,
-            le=1,
-            description="share of the change that is applied; 0 returns the photo",
-        )
-        disagreement: float = Field(
-            0.3,
-            ge=0,
-            le=1,
-            description="how much the views differ in colour, texture and structure; 0: not at all",
-        )
+        steps: int = Field(20, ge=1, le=1000)
+        """sampler steps; fewer than about 10 leave noise"""
+        strength: float = Field(0.8, ge=0, le=1)
+        """share of the change that is applied; 0 returns the photo"""
+        disagreement: float = Field(0.3, ge=0, le=1)
+        """how much the views differ in colour, texture and structure; 0: not at all"""
 
     settings: Settings
 
@@ -72,9 +60,8 @@ class MockDiffusionEditor(Editor):
             generator = _generator(request.prompt, request.seed, view)
             images = views.images[:, view]
             target = with_look(images, shared, generator, apart)
-            results.append(
-                self._sample(images, target, request.seed, f"view {view + 1}")
-            )
+            label = f"view {view + 1}"
+            results.append(self._sample(images, target, request.seed, label))
         return replace(views, images=torch.stack(results, 1))
 
     def _sample(
@@ -86,13 +73,10 @@ class MockDiffusionEditor(Editor):
     ) -> Float[Tensor, "batch 3 height width"]:
         """Walk from a noisy photo to the guided result, as a sampler would."""
         target = images + self.settings.strength * SHOWN * (look - images)
-        noise = torch.randn(
-            images.shape[1:], generator=torch.Generator().manual_seed(seed)
-        ).to(images)
-        current = images + self.settings.strength * noise
-        for _ in reporting.track(
-            range(self.settings.steps), f"mock diffusion, {label}"
-        ):
+        generator = torch.Generator().manual_seed(seed)
+        noise = torch.randn(images.shape[1:], generator=generator).to(images)
+        current, steps = images + self.settings.strength * noise, self.settings.steps
+        for _ in reporting.track(range(steps), f"mock diffusion, {label}"):
             current = current + STEP_RATE * (target - current)
         return images if self.settings.strength == 0 else current.clamp(0, 1)
 
@@ -118,9 +102,8 @@ def coloured(
     """
     hue, saturation, gamma, *tint = look.tolist()
     result = kornia.enhance.adjust_hue(images, torch.pi * hue)
-    result = kornia.enhance.adjust_saturation_with_gray_subtraction(
-        result, 1.1 + 0.5 * saturation
-    )
+    saturated = kornia.enhance.adjust_saturation_with_gray_subtraction
+    result = saturated(result, 1.1 + 0.5 * saturation)
     result = kornia.enhance.adjust_gamma(result, 2 ** (0.7 * gamma))
     return (result + 0.15 * images.new_tensor(tint)[:, None, None]).clamp(0, 1)
 
@@ -135,18 +118,15 @@ def disturbed(
     """
     if amount == 0:
         return images
-    coarse = torch.randn(1, 5, TEXTURE_CELLS, TEXTURE_CELLS, generator=generator).to(
-        images
-    )
-    fields = F.interpolate(
-        coarse, size=images.shape[-2:], mode="bicubic", align_corners=False
-    )[0]
+    cells = (1, 5, TEXTURE_CELLS, TEXTURE_CELLS)
+    coarse = torch.randn(cells, generator=generator).to(images)
     # interpolation between cells lowers the deviation of white noise
-    fields = fields / 0.8
-    places = pixel_grid(size_of(images), images) + amount * WARP * fields[:2].clamp(
-        -1, 1
-    ).permute(1, 2, 0)
-    moved = warp(images, places.expand(len(images), -1, -1, -1), padding="reflection")
+    fields = F.interpolate(coarse, images.shape[-2:], mode="bicubic")[0] / 0.8
+    shift = amount * WARP * fields[:2].clamp(-1, 1).permute(1, 2, 0)
+    places = (pixel_grid(size_of(images), images) + shift).expand(
+        len(images), -1, -1, -1
+    )
+    moved = warp(images, places, padding="reflection")
     return (moved + amount * TEXTURE * fields[2:]).clamp(0, 1)
 
 

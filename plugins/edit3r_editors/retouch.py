@@ -52,28 +52,14 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
     """Removes what `request.masks` cover; the prompt only says to the segmenter what that is."""
 
     class Settings(edit3r.Settings):
-        matcher: PartChoice = Field(
-            PartChoice(name="classical"),
-            description="measures poses and depth of the photos",
-        )
-        margin: int = Field(
-            1,
-            ge=0,
-            le=20,
-            description="pixels around what is removed that are not trusted as background",
-        )
-        rim: float = Field(
-            0.008,
-            ge=0,
-            le=0.1,
-            description="how much beyond the mask is removed too [longer sides]",
-        )
-        shadow: float = Field(
-            0.03,
-            ge=0,
-            le=0.3,
-            description="how far from the thing its shadow is removed too [longer sides]",
-        )
+        matcher: PartChoice = PartChoice(name="classical")
+        """measures poses and depth of the photos"""
+        margin: int = Field(1, ge=0, le=20)
+        """pixels around what is removed that are not trusted as background"""
+        rim: float = Field(0.008, ge=0, le=0.1)
+        """how much beyond the mask is removed too [longer sides]"""
+        shadow: float = Field(0.03, ge=0, le=0.3)
+        """how far from the thing its shadow is removed too [longer sides]"""
 
     settings: Settings
 
@@ -81,10 +67,8 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
         self.settings, self.matcher = settings, matcher
 
     def understands(self, instruction: Instruction) -> bool:
-        return instruction.action == "remove" and instruction.thing.scope in (
-            "named",
-            "marked",
-        )
+        scope = instruction.thing.scope
+        return instruction.action == "remove" and scope in ("named", "marked")
 
     def instruction_of_nothing(self) -> Instruction:
         return Instruction("remove", Thing("marked"), text="remove what is marked")
@@ -128,9 +112,8 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
         seen = torch.zeros_like(hole)
         if geometry is not None:
             _tell_what_is_left(hole, geometry.depths[scene])
-            images, seen = behind(
-                geometry.calibrated(views), hole, geometry, scene, self.settings.margin
-            )
+            margin, known = self.settings.margin, geometry.calibrated(views)
+            images, seen = behind(known, hole, geometry, scene, margin)
         shares = [
             round(float(s[h].float().mean()), 3) if h.any() else None
             for s, h in zip(seen, hole)
@@ -182,23 +165,20 @@ def standing_on(
         return nothing
     reach = max(2, math.ceil(BESIDE * max(hole.shape) / 4))
     beside = (dilate(hole[None].float(), reach)[0] > 0) & ~hole
-    upper = torch.arange(len(hole)).to(rows)[:, None] < rows.double().mean()
-    tops = torch.where(hole, torch.arange(len(hole)).to(rows)[:, None], len(hole)).amin(
-        0
-    )
+    places = torch.arange(len(hole)).to(rows)[:, None]
+    upper = places < rows.double().mean()
+    tops = torch.where(hole, places, len(hole)).amin(0)
     own = torch.stack([depth[tops[x], x] for x in columns.unique()]).median()
     alike = ~hole & ((depth / own - 1).abs() < STANDS)
-    _, labels = cv2.connectedComponents(
-        alike.cpu().numpy().astype(np.uint8), connectivity=4
-    )
+    shape = alike.cpu().numpy().astype(np.uint8)
+    _, labels = cv2.connectedComponents(shape, connectivity=4)
     parts = torch.from_numpy(labels).to(hole.device)
     border = torch.cat((parts[0], parts[-1], parts[:, 0], parts[:, -1]))
     held = torch.cat((border, parts[beside & ~upper])).unique()
     standing = alike & ~torch.isin(parts, held) & (parts > 0)
     touching = parts[standing & beside & upper].unique()
-    large = [
-        part for part in touching if (parts == part).sum() > LEAST_LEFT * hole.sum()
-    ]
+    least = LEAST_LEFT * hole.sum()
+    large = [part for part in touching if (parts == part).sum() > least]
     return torch.isin(parts, torch.stack(large)) if large else nothing
 
 
@@ -215,20 +195,13 @@ def _shadow(
         return mask
     near = dilate(mask[None], reach)[0] > 0
     known = torch.where(near, torch.zeros_like(image), image.clamp(min=1e-3))
-    beyond = torch.stack(
-        [torch.from_numpy(_spanned(one.numpy())) for one in known.cpu()]
-    )
+    beyond = torch.stack([_spanned(one) for one in known.cpu()])
     share = image / beyond.to(image).clamp(min=DARK)
     grey = share.amax(0) - share.amin(0) < MAX_TINT
     rows = mask.nonzero()[:, 0]
     below = torch.arange(len(mask)).to(rows)[:, None] > rows.double().mean()
-    dark = (
-        near
-        & below
-        & grey
-        & (share.amax(0) < SHADOW)
-        & (beyond.amin(0).to(image) > DARK)
-    )
+    dark = (share.amax(0) < SHADOW) & (beyond.amin(0).to(image) > DARK)
+    dark = dark & near & below & grey
     joined = ((mask > 0) | dark).cpu().numpy().astype(np.uint8)
     _, labels = cv2.connectedComponents(joined)
     touching = np.isin(labels, labels[mask.cpu().numpy() > 0])
@@ -257,49 +230,34 @@ def behind(
     points = unproject(depths, intrinsics, c2w)
     filled, seen = images.clone(), torch.zeros_like(holes)
     for view in range(len(images)):
-        others = [
-            o
-            for o in range(len(images))
-            if o != view and bool(placed[o] & placed[view])
-        ]
-        others.sort(key=lambda o: float((c2w[o, :3, 3] - c2w[view, :3, 3]).norm()))
-        if not others or not holes[view].any():
+        others = [o for o in range(len(images)) if o != view and placed[o]]
+        if not (placed[view] and others and holes[view].any()):
             continue
-        known = torch.where(
-            sure[view], 1 / depths[view], torch.zeros_like(depths[view])
-        )
-        carried = _carried(
-            torch.cat([points[o][sure[o]] for o in others]),
-            intrinsics[view],
-            c2w[view],
-            holes[view],
-        )
-        inverse = torch.from_numpy(
-            _spanned(torch.where(holes[view], carried, known).cpu().numpy())
-        ).to(depths)
+        apart = (c2w[:, :3, 3] - c2w[view, :3, 3]).norm(dim=-1).tolist()
+        others.sort(key=apart.__getitem__)
+        known = torch.where(sure[view], 1 / depths[view], 0.0)
+        sources = torch.cat([points[o][sure[o]] for o in others])
+        hole, lens, pose = holes[view], intrinsics[view], c2w[view]
+        carried = _carried(sources, lens, pose, hole)
+        inverse = _spanned(torch.where(hole, carried, known)).to(depths)
         # never before what is removed
         background = 1 / torch.minimum(inverse, 1 / depths[view]).clamp(min=1e-9)
-        hidden = unproject(background, intrinsics[view], c2w[view])
+        hidden = unproject(background, lens, pose)
         lenders = (
-            _lent(
-                hidden, images[o], depths[o], sure[o], lent[o], (intrinsics[o], c2w[o])
-            )
+            _lent(hidden, images[o], depths[o], sure[o], lent[o], intrinsics[o], c2w[o])
             for o in others
         )
         pixels, shown, agrees = (torch.stack(part) for part in zip(*lenders))
-        right = _right_beside(images[view], holes[view], pixels, shown)
+        right = _right_beside(images[view], hole, pixels, shown)
         shown &= right
         agrees &= right
         # What one of several photos alone shows, against its own depth, is more often wrong than
         # what is inpainted.
         trusted = agrees.any(0) | (shown.sum(0) >= min(2, len(others)))
-        first = torch.where(
-            agrees.any(0), agrees.int().argmax(0), shown.int().argmax(0)
-        )
-        seen[view] = holes[view] & trusted
-        filled[view] = torch.where(
-            seen[view], pixels.gather(0, first.expand(1, 3, -1, -1))[0], images[view]
-        )
+        best = torch.where(agrees.any(0), agrees, shown).int().argmax(0)
+        first = pixels.gather(0, best.expand(1, 3, -1, -1))[0]
+        seen[view] = hole & trusted
+        filled[view] = torch.where(seen[view], first, images[view])
     return filled, seen
 
 
@@ -309,25 +267,18 @@ def _lent(
     depth: Float[Tensor, "height width"],
     sure: Bool[Tensor, "height width"],
     lent: Bool[Tensor, "height width"],
-    camera: tuple[Float[Tensor, "3 3"], Float[Tensor, "4 4"]],
-) -> tuple[
-    Float[Tensor, "3 height width"],
-    Bool[Tensor, "height width"],
-    Bool[Tensor, "height width"],
-]:
-    """What a view shows at points, where nothing measured hides them there, and where its depth
-    says so too.
+    intrinsics: Float[Tensor, "3 3"],
+    c2w: Float[Tensor, "4 4"],
+) -> tuple[Tensor, Tensor, Tensor]:
+    """What a view shows at points `[3, height, width]`; masks of where nothing measured hides them
+    there, and where its depth says so too.
     """
-    grid, z = project(points.flatten(0, 1), *camera)
+    grid, z = project(points.flatten(0, 1), intrinsics, c2w)
     grid, z = grid.view(*depth.shape, 2), z.view_as(depth)
-    surface, measured = warp(
-        torch.stack((depth, torch.where(sure, depth, torch.inf))), grid, mode="nearest"
-    )
-    shown = (
-        (warp(lent[None].to(image), grid, padding="zeros")[0] > 0.99)
-        & (z > 0)
-        & (z < (1 + NEAR) * measured)
-    )
+    maps = torch.stack((depth, torch.where(sure, depth, torch.inf)))
+    surface, measured = warp(maps, grid, mode="nearest")
+    inside = warp(lent[None].to(image), grid, padding="zeros")[0] > 0.99
+    shown = inside & (z > 0) & (z < (1 + NEAR) * measured)
     return warp(image, grid), shown, shown & ((z / surface - 1).abs() < NEAR)
 
 
@@ -363,42 +314,38 @@ def _carried(
     """
     height, width = hole.shape
     places, z = project(points, intrinsics, c2w)
-    column, row = (
-        (places * places.new_tensor([width, height])).floor().long().unbind(-1)
-    )
+    pixels = (places * places.new_tensor([width, height])).floor().long()
+    column, row = pixels.unbind(-1)
     inside = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
     nearest = z.new_zeros(height * width)
-    nearest = nearest.scatter_reduce(
-        0, (row * width + column)[inside], 1 / z[inside], "amax"
-    ).view(height, width)
+    index = (row * width + column)[inside]
+    nearest = nearest.scatter_reduce(0, index, 1 / z[inside], "amax")
+    nearest = nearest.view(height, width)
     # Points of a farther surface show through the gaps of a nearer one: they do not count beside
     # it.
-    return torch.where(
-        hole & (nearest >= 0.9 * dilate(nearest[None], 1)[0]),
-        nearest,
-        torch.zeros_like(nearest),
-    )
+    clear = nearest >= 0.9 * dilate(nearest[None], 1)[0]
+    return torch.where(hole & clear, nearest, 0.0)
 
 
-def _spanned(
+def _spanned(values: Float[Tensor, "height width"]) -> Float[Tensor, "height width"]:
+    """The map with its zeros filled by a membrane between all other values, which continues planes
+    as planes; on the CPU.
+    """
+    return torch.from_numpy(_membrane(values.numpy(force=True)))
+
+
+def _membrane(
     values: Float[np.ndarray, "height width"],
 ) -> Float[np.ndarray, "height width"]:
-    """The map with its zeros filled by a membrane between all other values, which continues planes
-    as planes.
-
-    Laplace's equation, solved on maps of half the sides first.
-    """
+    """Laplace's equation, solved on maps of half the sides first."""
     known, (height, width) = values > 0, values.shape
     if known.all() or min(height, width) < 4:
-        return np.where(
-            known, values, values[known].mean() if known.any() else 0
-        ).astype(values.dtype)
+        mean = values[known].mean() if known.any() else 0
+        return np.where(known, values, mean).astype(values.dtype)
     half = (width // 2, height // 2)
     weight = cv2.resize(known.astype(values.dtype), half, interpolation=cv2.INTER_AREA)
-    low = cv2.resize(values, half, interpolation=cv2.INTER_AREA) / np.maximum(
-        weight, 1e-6
-    )
-    smooth = cv2.resize(_spanned(low), (width, height))
+    low = cv2.resize(values, half, interpolation=cv2.INTER_AREA)
+    smooth = cv2.resize(_membrane(low / np.maximum(weight, 1e-6)), (width, height))
     for _ in range(30):
         smooth = np.where(known, values, cv2.blur(smooth, (3, 3)))
     return smooth
@@ -411,5 +358,5 @@ def _inpainted(
     if not hole.any():
         return image
     known = torch.where(hole, 0.0, image + 1)  # 0 is unknown
-    filled = [torch.from_numpy(_spanned(one)) for one in known.numpy(force=True)]
-    return torch.where(hole, (torch.stack(filled).to(image) - 1).clamp(0, 1), image)
+    filled = torch.stack([_spanned(one) for one in known]).to(image) - 1
+    return torch.where(hole, filled.clamp(0, 1), image)

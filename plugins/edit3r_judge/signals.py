@@ -5,7 +5,7 @@ A signal is None where it cannot be told. Its limit stands in `fitted.yaml`, bey
 is doubtful; `edit3r judge --fit` chooses it by edits that were made well and badly on purpose.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import permutations
@@ -22,6 +22,7 @@ from torch import Tensor
 from edit3r.contract.interfaces import EditToJudge
 from edit3r.kit.compute.colour import rgb_to_lab
 from edit3r.kit.files.configs import read_yaml
+from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.geometry.warping import shared_surface, warp
 
@@ -320,13 +321,12 @@ def shines_through(found: Pictures) -> float | None:
 
 
 def missed(found: Pictures) -> float | None:
-    """Largest patch of what changed in a photo that the scene shows as it was.
-
-    As a share of all that changed there; the worst photo counts.
+    """Largest patch of what changed in a photo that the scene shows as it was, as a share of all
+    that changed there; or what is torn half-way between two photos. The worst place counts.
     """
     if found.shown is None:
         return None
-    shares = []
+    shares = list(_torn(found))
     for old, new, shown in zip(found.old, found.new, found.shown):
         wanted, got = new - old, shown - old
         changed = wanted.norm(dim=0) > SEEN
@@ -338,6 +338,40 @@ def missed(found: Pictures) -> float | None:
         )
         shares.append(_largest(changed & (arrived < 0.4 * asked)) / int(changed.sum()))
     return _worst(shares)
+
+
+def _torn(found: Pictures) -> Iterator[float]:
+    """Of what is selected the share that looks, half-way between two photos, like neither of them.
+
+    Each point that the scene shows there is looked up in both photos, in or out of sight: a thing
+    that is torn shows what lies behind it, one that dissolves a mixture.
+    """
+    between = found.edit.half_way
+    if between is None or not found.confined or found.edit.cameras is None:
+        return
+    depths = _small(between.rendered.depths[0, :, 0])
+    shown = _lab(between.rendered.images[0])
+    cameras = found.edit.cameras
+    for number, pair in enumerate(between.pairs):
+        if not {*pair} <= {*found.views}:
+            continue
+        one = [number]
+        lens, pose = between.cameras.intrinsics[0, one], between.cameras.c2w[0, one]
+        points = unproject(depths[one], lens, pose).flatten(1, 2)
+        thing = torch.zeros_like(depths[number], dtype=torch.bool)
+        alike = thing.clone()
+        for view in pair:
+            lens, pose = cameras.intrinsics[0, [view]], cameras.c2w[0, [view]]
+            places, away = project(points, lens, pose)
+            grid = (2 * places - 1).view(1, *thing.shape, 2)
+            there = (grid[0].abs() < 1).all(-1) & (away.view_as(thing) > 0)
+            at = found.views.index(view)
+            picture = torch.cat((_blurred(found.new[at]), found.inside[[at]].float()))
+            seen = F.grid_sample(picture[None], grid, align_corners=False)[0]
+            thing |= there & (seen[3] > 0.5)
+            alike |= there & ((_blurred(shown[number]) - seen[:3]).norm(dim=0) < CLEAR)
+        if int(thing.sum()) >= FEW:
+            yield float((thing & ~alike).sum() / thing.sum())
 
 
 SIGNALS = {
@@ -378,7 +412,7 @@ SIGNALS = {
     ),
     "missed": Signal(
         missed,
-        "a part ({:.0%}) of the change is missing in the 3D scene (a photo from beside it helps)",
+        "a part ({:.0%}) of it is missing or torn in the 3D scene (a photo from between helps)",
         in_scene=True,
     ),
 }

@@ -109,9 +109,7 @@ def instructions_of_answer(answer: str, prompt: str) -> tuple[Instruction, ...]:
     if not said.instructions:
         raise PromptError(f"{prompt!r} asks for no change.")
     instructions = [_Reading(one).instruction() for one in said.instructions]
-    if faults := [
-        fault for instruction in instructions if (fault := instruction.fault())
-    ]:
+    if faults := list(filter(None, (one.fault() for one in instructions))):
         raise ValueError(f"an instruction {faults[0]}")
     return merged([*instructions, *_forgotten(instructions, prompt)], prompt)
 
@@ -156,12 +154,8 @@ class _Reading:
         if not self.unread:
             return instruction
         unread = tuple(dict.fromkeys(self.unread))
-        return Instruction(
-            "other",
-            instruction.thing,
-            text=said.text or " ".join(unread),
-            unread=unread,
-        )
+        text = said.text or " ".join(unread)
+        return Instruction("other", instruction.thing, text=text, unread=unread)
 
     def _thing(self, said: SaidThing) -> Thing:
         part = self._colour(said.part) if said.part else None

@@ -166,9 +166,8 @@ def _end_of_exception(rest: list[str], tokens: list[str]) -> int:
     changes = last_group(find_changes(rest), rest) if rest else []
     ends = bool(changes) and changes[-1].end == len(rest)
     removes = bool(set(tokens[:2]) & words.REMOVE)
-    return (
-        changes[0].start if ends and changes[0].start > 0 and not removes else len(rest)
-    )
+    follows = ends and changes[0].start > 0 and not removes
+    return changes[0].start if follows else len(rest)
 
 
 # ---- what nobody understands ----
@@ -189,9 +188,8 @@ def _unsupported(tokens: list[str]) -> tuple[str, ...]:
 def _repaints(tokens: list[str]) -> bool:
     """Whether "replace red with green", or "give the wall a blue colour", is about colours."""
     if tokens[0] in ("replace", "swap"):
-        middle = next(
-            (i for i, t in enumerate(tokens) if t in ("with", "by", "for")), 0
-        )
+        joins = [i for i, t in enumerate(tokens) if t in ("with", "by", "for")]
+        middle = joins[0] if joins else 0
         before = [t for t in tokens[1:middle] if t not in words.DETERMINERS]
         return bool(read_colour(before)) and bool(find_changes(tokens[middle:]))
     if tokens[0] in ("give", "draw"):
@@ -329,9 +327,8 @@ def _may_follow(change: Found, tokens: list[str]) -> bool:
         return True
     if first in words.ADJUSTMENTS and first.endswith("er"):  # "a darker sky"
         return True
-    return after[0] in words.DETERMINERS or (
-        after[0] in ("in", "on", "for", "of") and len(after) > 1
-    )
+    joined = after[0] in ("in", "on", "for", "of") and len(after) > 1
+    return joined or after[0] in words.DETERMINERS
 
 
 def _read_look(look: str, before: list[str], clause: Clause) -> Clause:

@@ -87,9 +87,8 @@ class GrammarReader(Reader):
             if word in words.INSTEAD:
                 hints.append(f" {words.INSTEAD[word]}")
             elif not is_known(word):
-                hints.append(
-                    _near(word) or _beside_colour(word, instruction.text.split())
-                )
+                said = instruction.text.split()
+                hints.append(_near(word) or _beside_colour(word, said))
         named = [] if instruction.unread else instruction.thing.name.split()
         hints += [_did_you_mean(near_nouns(word)) for word in named]
         return "".join(hints)

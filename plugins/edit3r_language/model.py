@@ -1,19 +1,18 @@
 """Readers that ask a language model: behind an address, or on this machine."""
 
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
 from pydantic import Field
 
-from edit3r.contract.errors import Edit3rError, MissingDependencyError, RunError
+from edit3r.contract.errors import MissingDependencyError, RunError
 from edit3r.contract.instructions import Instruction, Thing
 from edit3r.contract.interfaces import Reader
 from edit3r.contract.reporting import note
 from edit3r.contract.settings import USER_ONLY, Settings
 from edit3r.contract.torch_state import require_device
-from edit3r.kit.service import bounded_client, within
+from edit3r.kit.service import CHAT_KEY, ChatModel, quoted
 from edit3r.kit.weights.load import (
     ChosenWeights,
     foreign,
@@ -23,21 +22,14 @@ from edit3r.kit.weights.load import (
 )
 from edit3r_language.answers import instructions_of_answer, system_prompt
 
-KEY_VARIABLE = "OPENAI_API_KEY"
-MAX_QUOTE = 300  # characters of a model's words that an error repeats
-
 Message = dict[str, str]
 
 
 class ModelSettings(Settings):
     """How often a model may try."""
 
-    attempts: int = Field(
-        2,
-        ge=1,
-        le=10,
-        description="answers of another form that are sent back, at most",
-    )
+    attempts: int = Field(2, ge=1, le=10)
+    """answers of another form that are sent back, at most"""
 
 
 class AskingReader(Reader, ABC):
@@ -69,13 +61,10 @@ class AskingReader(Reader, ABC):
                 why = str(error)
             messages += [
                 {"role": "assistant", "content": answer},
-                {
-                    "role": "user",
-                    "content": f"That cannot be used: {why}. Answer again.",
-                },
+                {"role": "user", "content": f"That cannot be used: {why}. Try again."},
             ]
         raise RunError(
-            f"{self.who} gave no instructions for {prompt[:80]!r}: {why} ({_quoted(answer)}); say "
+            f"{self.who} gave no instructions for {prompt[:80]!r}: {why} ({quoted(answer)}); say "
             "it otherwise, or leave --reader out."
         )
 
@@ -87,86 +76,49 @@ class ServiceReader(AskingReader):
     """A model of OpenAI's, or of any server that speaks its chat completions."""
 
     class Settings(ModelSettings):
-        model: str = Field(
-            "gpt-4.1-mini", description="the service's name of the model"
-        )
-        base_url: str = Field(
-            "",
-            description="address of a compatible service, which may want no key; empty: OpenAI's",
-            json_schema_extra=USER_ONLY,
-        )
-        timeout_s: float = Field(
-            60.0, gt=0, le=3600, description="time limit of one answer [s]"
-        )
+        model: str = "gpt-4.1-mini"
+        """the service's name of the model"""
+        base_url: str = Field("", json_schema_extra=USER_ONLY)
+        """address of a compatible service, which may want no key; empty: OpenAI's"""
+        timeout_s: float = Field(60.0, gt=0, le=3600)
+        """time limit of one answer [s]"""
 
     settings: Settings
 
     def __init__(self, settings: Settings) -> None:
         super().__init__(settings)
         self.who = f"language model {settings.model!r}"
-        self._key = os.environ.get(KEY_VARIABLE, "").strip()
-        if not self._key and not settings.base_url:
+        self._model = ChatModel(
+            settings.model,
+            settings.base_url,
+            settings.timeout_s,
+            "try later, raise reader.timeout_s, or leave --reader out",
+        )
+        if not self._model.key and not settings.base_url:
             raise MissingDependencyError(
-                f"reader 'model' needs an API key; set the environment variable {KEY_VARIABLE}, or "
+                f"reader 'model' needs an API key; set the environment variable {CHAT_KEY}, or "
                 "give a server that wants none: --set reader.base_url=http://localhost:8000/v1."
             )
 
     def ask(self, messages: Sequence[Message]) -> str:
-        seconds = self.settings.timeout_s
-        try:
-            answer = within(2 * seconds, lambda: self._answer(messages))
-        except Edit3rError:
-            raise
-        # an SDK and its HTTP library raise dozens of types; their texts may hold the key
-        except Exception as error:
-            raise RunError(
-                f"{self.who} gave no answer ({type(error).__name__}: {self._told(error)}); try "
-                "later, raise reader.timeout_s, or leave --reader out."
-            ) from None
-        if not answer:
-            raise RunError(f"{self.who} gave an empty answer; try again.")
-        return answer
-
-    def _answer(self, messages: Sequence[Message]) -> str:
-        import openai
-
-        client = openai.OpenAI(
-            api_key=self._key or "none",
-            base_url=self.settings.base_url or None,
-            http_client=bounded_client(self.settings.timeout_s),
-            timeout=self.settings.timeout_s,
-            max_retries=1,
-        )
         note("reader.model", self.settings.model)
-        given: Any = list(messages)
-        answer = client.chat.completions.create(
-            model=self.settings.model,
-            messages=given,
-            temperature=0,
-            response_format={"type": "json_object"},
-        )
-        text = answer.choices[0].message.content if answer.choices else None
-        return (text or "").replace(self._key or "\0", "***")
-
-    def _told(self, error: Exception) -> str:
-        return _quoted(str(error).replace(self._key or "\0", "***"))
+        return self._model.ask(messages, response_format={"type": "json_object"})
 
 
 class LocalReader(AskingReader):
     """A model on this machine, through transformers; the most likely answer, so no chance."""
 
     class Settings(ModelSettings):
-        model: str = Field(
-            description="id of a chat model on the hub, or a saved folder"
-        )
-        revision: str = Field(
-            "", description="branch, tag or commit of the model; empty: the newest"
-        )
-        local_files_only: bool = Field(False, description="never download")
-        device: str = Field("cpu", description="where it runs: cpu, cuda, ...")
-        max_tokens: int = Field(
-            1000, ge=1, le=20000, description="tokens of an answer, at most"
-        )
+        model: str
+        """id of a chat model on the hub, or a saved folder"""
+        revision: str = ""
+        """branch, tag or commit of the model; empty: the newest"""
+        local_files_only: bool = False
+        """never download"""
+        device: str = "cpu"
+        """where it runs: cpu, cuda, ..."""
+        max_tokens: int = Field(1000, ge=1, le=20000)
+        """tokens of an answer, at most"""
 
     settings: Settings
 
@@ -201,12 +153,9 @@ class LocalReader(AskingReader):
                 local_files_only=chosen.local_files_only,
             )
             device = require_device(chosen.device, "reader.device")
-            network = load_pretrained(
-                foreign("transformers", "AutoModelForCausalLM"), weights
-            )
-            tokenizer = load_pretrained(
-                foreign("transformers", "AutoTokenizer"), weights
-            )
+            names = ("AutoModelForCausalLM", "AutoTokenizer")
+            classes = (foreign("transformers", name) for name in names)
+            network, tokenizer = (load_pretrained(one, weights) for one in classes)
             self._loaded = network.to(device).eval(), tokenizer
             note("reader.weights", identity(weights))
         return self._loaded
@@ -220,9 +169,3 @@ def _as_text(tokenizer: Any, messages: Sequence[Message]) -> str:
         )
     said = [f"{one['role']}: {one['content']}" for one in messages]
     return "\n".join((*said, "assistant: "))
-
-
-def _quoted(text: str) -> str:
-    """A stranger's words on one line, shortened."""
-    line = " ".join("".join(c if c.isprintable() else " " for c in text).split())
-    return line if len(line) <= MAX_QUOTE else f"{line[:MAX_QUOTE]}..."

@@ -151,9 +151,8 @@ def _pointed_at(
         return thing
     if last is not None:
         return last
-    adjusts = bool(clause.changes) and all(
-        change.kind not in ("paint", "random") for change in clause.changes
-    )
+    kinds = {change.kind for change in clause.changes}
+    adjusts = bool(kinds) and not kinds & {"paint", "random"}
     said = thing.name == "it"
     if without:
         return Thing("marked" if said else "whole")
@@ -192,16 +191,10 @@ def _merged(instructions: Iterable[Instruction], prompt: str) -> list[Instructio
     merged: dict[tuple, Instruction] = {}
     for number, instruction in enumerate(instructions):
         alone = number if instruction.action == "other" else -1
-        key = (
-            alone,
-            instruction.action,
-            instruction.thing,
-            instruction.without,
-            instruction.look,
-        )
-        merged[key] = (
-            _joined(merged[key], instruction) if key in merged else instruction
-        )
+        about = instruction.thing, instruction.without, instruction.look
+        key = alone, instruction.action, about
+        before = merged.get(key)
+        merged[key] = _joined(before, instruction) if before else instruction
     for instruction in merged.values():
         if sum(change.kind == "paint" for change in instruction.changes) > 1:
             raise PromptError(
@@ -211,26 +204,20 @@ def _merged(instructions: Iterable[Instruction], prompt: str) -> list[Instructio
 
 
 def _joined(first: Instruction, second: Instruction) -> Instruction:
-    changes = sorted(
-        (*first.changes, *second.changes), key=lambda one: one.kind != "paint"
-    )
-    text = f"{first.text}, {second.text}"
-    left_out = dict.fromkeys((*first.left_out, *second.left_out))
+    changes = [*first.changes, *second.changes]
+    changes.sort(key=lambda one: one.kind != "paint")
     return replace(
         first,
         changes=tuple(dict.fromkeys(changes)),
-        text=text,
-        left_out=tuple(left_out),
+        text=f"{first.text}, {second.text}",
+        left_out=tuple(dict.fromkeys((*first.left_out, *second.left_out))),
     )
 
 
 def _with_rest(instructions: list[Instruction]) -> Iterator[Instruction]:
     """In "the car blue and the background grey" the background is all but the car."""
-    named = [
-        instruction.thing
-        for instruction in instructions
-        if instruction.thing.scope in ("named", "marked")
-    ]
+    things = [instruction.thing for instruction in instructions]
+    named = [thing for thing in things if thing.scope in ("named", "marked")]
     for instruction in instructions:
         if instruction.thing.scope != "background" or not named or instruction.without:
             yield instruction

@@ -28,9 +28,8 @@ def unknown_words(named: Sequence[str], before_change: bool) -> tuple[str, ...]:
     zorbic green" (`before_change`). Before "the" no unknown word is: "pant the wall".
     """
     content = [place for place, word in enumerate(named) if _is_content(word)]
-    determined = next(
-        (i for i, word in enumerate(named) if word in words.DETERMINERS), len(named)
-    )
+    articles = [i for i, word in enumerate(named) if word in words.DETERMINERS]
+    determined = min(articles, default=len(named))
     last = _last(named, content) if before_change else -1
     found = []
     for place in content:

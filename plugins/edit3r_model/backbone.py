@@ -51,41 +51,30 @@ class AsymmetricViT(Backbone):
     """
 
     class Settings(edit3r.Settings):
-        width: int = Field(1024, ge=4, description="encoder channels")
-        depth: Count = Field(24, description="encoder blocks")
-        heads: int | None = Field(
-            None, ge=1, description="encoder attention heads; default: width / 64"
-        )
-        mlp_width: int | None = Field(
-            None,
-            ge=1,
-            description="hidden channels of the encoder's MLPs; default: 4 width",
-        )
-        decoder_width: int = Field(768, ge=4, description="decoder channels")
-        decoder_depth: int = Field(
-            12,
-            ge=3,
-            description="blocks of each decoder, which the heads read at four levels",
-        )
-        decoder_heads: int | None = Field(
-            None, ge=1, description="decoder attention heads; default: width / 64"
-        )
-        decoder_mlp_width: int | None = Field(
-            None,
-            ge=1,
-            description="hidden channels of the decoders' MLPs; default: 4 decoder_width",
-        )
-        patch_size: Count = Field(
-            16, description="height and width of a patch [pixels]"
-        )
-        rope_base: float = Field(
-            100.0, gt=1, description="base of the rotary frequencies"
-        )
-        seed: int | None = Field(
-            0,
-            description="of the initial weights; none leaves them empty (no memory), to be "
-            "filled from a checkpoint",
-        )
+        width: int = Field(1024, ge=4)
+        """encoder channels"""
+        depth: Count = 24
+        """encoder blocks"""
+        heads: int | None = Field(None, ge=1)
+        """encoder attention heads; default: width / 64"""
+        mlp_width: int | None = Field(None, ge=1)
+        """hidden channels of the encoder's MLPs; default: 4 width"""
+        decoder_width: int = Field(768, ge=4)
+        """decoder channels"""
+        decoder_depth: int = Field(12, ge=3)
+        """blocks of each decoder, which the heads read at four levels"""
+        decoder_heads: int | None = Field(None, ge=1)
+        """decoder attention heads; default: width / 64"""
+        decoder_mlp_width: int | None = Field(None, ge=1)
+        """hidden channels of the decoders' MLPs; default: 4 decoder_width"""
+        patch_size: Count = 16
+        """height and width of a patch [pixels]"""
+        rope_base: float = Field(100.0, gt=1)
+        """base of the rotary frequencies"""
+        seed: int | None = 0
+        """of the initial weights; none leaves them empty (no memory), to be filled from a
+        checkpoint
+        """
 
     settings: Settings
 
@@ -125,19 +114,12 @@ class AsymmetricViT(Backbone):
         return nn.ModuleList(blocks)
 
     def forward(
-        self,
-        images: Images,
-        intrinsics: Intrinsics,
-        geometry: Geometry | None = None,
+        self, images: Images, intrinsics: Intrinsics, geometry: Geometry | None = None
     ) -> Features:
         """Return the four levels that the heads read, see `hook_levels`."""
         return self._features(images, intrinsics, self.hooks)
 
-    def forward_levels(
-        self,
-        images: Images,
-        intrinsics: Intrinsics,
-    ) -> Features:
+    def forward_levels(self, images: Images, intrinsics: Intrinsics) -> Features:
         """Return all levels: 0 the normalised encoder output, then one per decoder block, the last
         normalised.
         """
@@ -146,10 +128,7 @@ class AsymmetricViT(Backbone):
         )
 
     def _features(
-        self,
-        images: Images,
-        intrinsics: Intrinsics,
-        wanted: tuple[int, ...],
+        self, images: Images, intrinsics: Intrinsics, wanted: tuple[int, ...]
     ) -> Features:
         """Encode, decode, and keep the `wanted` levels without the intrinsics token."""
         grid, chosen = self._grid(images), self.settings
@@ -179,10 +158,7 @@ class AsymmetricViT(Backbone):
         return torch.cat((tokens, extra), 1)
 
     def _decode(
-        self,
-        encoded: Tokens,
-        rotation: Rotation,
-        wanted: tuple[int, ...],
+        self, encoded: Tokens, rotation: Rotation, wanted: tuple[int, ...]
     ) -> list[Tokens]:
         """The `wanted` levels, 0 being `encoded` itself."""
         kept = [encoded] if 0 in wanted else []
@@ -251,10 +227,7 @@ def hook_levels(depth: int) -> tuple[int, int, int, int]:
 
 @lru_cache(maxsize=16)
 def _cached_rotation(
-    grid: tuple[int, int],
-    head_width: int,
-    base: float,
-    device: torch.device,
+    grid: tuple[int, int], head_width: int, base: float, device: torch.device
 ) -> Rotation:
     with torch.inference_mode(False):  # a cached table may later be used with gradients
         return make_rotation(patch_positions(grid), head_width, base, device)

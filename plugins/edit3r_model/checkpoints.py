@@ -121,24 +121,15 @@ def _official(content: Mapping[str, object], path: Path, source: str) -> LoadedW
     tensors = content.get("state_dict", content.get("model", content))
     found = layout_of(tensors) if isinstance(tensors, Mapping) else None
     if found is None:
-        known = (
-            ", ".join(map(str, list(tensors)[:3]))
-            if isinstance(tensors, Mapping)
-            else "none"
-        )
+        keys = list(tensors)[:3] if isinstance(tensors, Mapping) else ["none"]
+        known = ", ".join(map(str, keys))
         raise InputError(
             f"{path}: neither a NoPoSplat checkpoint (keys 'encoder.backbone...') nor a MASt3R one "
             f"(keys 'enc_blocks...'); its first keys: {known}."
         )
     kind, tensors = found
-    return LoadedWeights(
-        path,
-        source,
-        kind,
-        tensors,
-        infer_parts(tensors, source),
-        licence=LICENCES[kind],
-    )
+    parts, licence = infer_parts(tensors, source), LICENCES[kind]
+    return LoadedWeights(path, source, kind, tensors, parts, licence=licence)
 
 
 def _read_safetensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
@@ -234,15 +225,10 @@ def _check_keys(
         elif not loaded.is_drawn(name):
             missing.append(name)
     read = {id(piece) for found in pieces.values() for piece in found}
-    left = [
-        key
-        for key, tensor in loaded.tensors.items()
-        if id(tensor) not in read and not is_unused(key)
-    ]
+    left = [key for key, tensor in loaded.tensors.items() if id(tensor) not in read]
+    left = [key for key in left if not is_unused(key)]
     found = {"missing": missing, "wrong shape": wrong, "unexpected": left}
-    told = [
-        f"{len(keys)} {what} ({_some(keys)})" for what, keys in found.items() if keys
-    ]
+    told = [f"{len(x)} {what} ({_some(x)})" for what, x in found.items() if x]
     if missing or wrong:
         raise InputError(
             f"{loaded.source}: not weights of this network: {'; '.join(told)}. Choose the sizes of "

@@ -33,17 +33,9 @@ class ConvertCommand(Command):
 
     def main(self, args: argparse.Namespace) -> int:
         heads = {"heads": args.heads, "decoder_heads": args.decoder_heads}
-        print(
-            convert(
-                args.source,
-                args.out,
-                dtype=args.dtype,
-                resolution=args.resolution,
-                heads={name: value for name, value in heads.items() if value},
-                licence=args.licence,
-                seed=args.seed,
-            )
-        )
+        heads = {name: value for name, value in heads.items() if value}
+        how = {name: getattr(args, name) for name in ("dtype", "resolution", "licence")}
+        print(convert(args.source, args.out, heads=heads, seed=args.seed, **how))
         return 0
 
 

@@ -45,52 +45,36 @@ class DptGaussianHead(GaussianHead):
     """
 
     class Settings(edit3r.Settings):
-        feature_width: Count = Field(256, description="channels of the fused maps")
-        point_width: Count = Field(
-            128, description="channels of the centre predictor's last layers"
-        )
-        layer_widths: tuple[int, int, int, int] = Field(
-            (96, 192, 384, 768),
-            description="channels of the four reassembled levels, finest first",
-        )
-        harmonics_degree: int = Field(
-            4, ge=0, le=4, description="degree of the harmonics the network predicts"
-        )
-        keep_degree: int | None = Field(
-            None,
-            ge=0,
-            le=4,
-            description="degree of the harmonics handed on; default: all predicted. The "
-            "rasterizer the published models were trained with evaluates only up to 3, so 3 shows "
-            "exactly what it showed",
-        )
-        scale_factor: float = Field(
-            0.001, gt=0, description="of softplus(raw scale) [scene units]"
-        )
-        max_scale: float = Field(
-            0.3, gt=0, description="largest standard deviation [scene units]"
-        )
-        dropout: float = Field(
-            0.0,
-            ge=0,
-            lt=1,
-            description="share of the attribute predictor's features left out while training",
-        )
-        levels: tuple[int, int, int, int] | None = Field(
-            None,
-            description="which of the backbone's levels it reads, counted from 0, finest use "
-            "first; default: four evenly spread from the first to the last",
-        )
-        strip_rows: Count = Field(
-            16,
-            description="image rows computed at a time in the last layers; fewer need less "
-            "memory, results are equal",
-        )
-        seed: int | None = Field(
-            0,
-            description="of the initial weights; none leaves them empty (no memory), to be "
-            "filled from a checkpoint",
-        )
+        feature_width: Count = 256
+        """channels of the fused maps"""
+        point_width: Count = 128
+        """channels of the centre predictor's last layers"""
+        layer_widths: tuple[int, int, int, int] = (96, 192, 384, 768)
+        """channels of the four reassembled levels, finest first"""
+        harmonics_degree: int = Field(4, ge=0, le=4)
+        """degree of the harmonics the network predicts"""
+        keep_degree: int | None = Field(None, ge=0, le=4)
+        """degree of the harmonics handed on; default: all predicted. The rasterizer the published
+        models were trained with evaluates only up to 3, so 3 shows exactly what it showed
+        """
+        scale_factor: float = Field(0.001, gt=0)
+        """of softplus(raw scale) [scene units]"""
+        max_scale: float = Field(0.3, gt=0)
+        """largest standard deviation [scene units]"""
+        dropout: float = Field(0.0, ge=0, lt=1)
+        """share of the attribute predictor's features left out while training"""
+        levels: tuple[int, int, int, int] | None = None
+        """which of the backbone's levels it reads, counted from 0, finest use first; default: four
+        evenly spread from the first to the last
+        """
+        strip_rows: Count = 16
+        """image rows computed at a time in the last layers; fewer need less memory, results are
+        equal
+        """
+        seed: int | None = 0
+        """of the initial weights; none leaves them empty (no memory), to be filled from a
+        checkpoint
+        """
 
     settings: Settings
 
@@ -107,9 +91,8 @@ class DptGaussianHead(GaussianHead):
     def _build(self) -> None:
         sizes = self.token_widths, self.patch_size, self.settings
         self.centres = nn.ModuleList(CentrePredictor(*sizes) for _ in range(ROLES))
-        self.attributes = nn.ModuleList(
-            AttributePredictor(*sizes) for _ in range(ROLES)
-        )
+        attributes = (AttributePredictor(*sizes) for _ in range(ROLES))
+        self.attributes = nn.ModuleList(attributes)
 
     def forward(
         self,
@@ -151,10 +134,8 @@ class DptGaussianHead(GaussianHead):
         # [batch, view, height, width, channel], as the Gaussians are ordered.
         maps: Tensor | None = None
         for scene, view in product(range(batch), range(views)):
-            given = [
-                level[scene, view].T.unflatten(1, features.grid)[None]
-                for level in levels
-            ]
+            rows = [level[scene, view].T for level in levels]
+            given = [row.unflatten(1, features.grid)[None] for row in rows]
             extra = () if pixels is None else (pixels[scene, view, None],)
             predictor = predictors[min(view, ROLES - 1)]
             result = predictor(given, *extra)[0].movedim(0, -1)

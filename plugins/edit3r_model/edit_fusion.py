@@ -60,9 +60,7 @@ class EditTransport(nn.Module):
     def __init__(self, width: int, head_width: int = 19) -> None:
         super().__init__()
         self.query = nn.Sequential(
-            Conv2d(width, width, 1),
-            nn.SiLU(),
-            Conv2d(width, HEADS * head_width, 1),
+            Conv2d(width, width, 1), nn.SiLU(), Conv2d(width, HEADS * head_width, 1)
         )
         self.reach = Conv2d(width, HEADS, 1)
         self.head_mix = Conv2d(width, HEADS, 1)
@@ -162,9 +160,7 @@ class EditFusion(nn.Module):
         self.fine = nn.Sequential(ResidualBlock(width), ResidualBlock(width))
         self.down = Conv2d(width, 2 * width, 4, stride=2, padding=1)
         self.coarse = nn.Sequential(
-            ResidualBlock(2 * width),
-            GlobalBlock(2 * width),
-            ResidualBlock(2 * width),
+            ResidualBlock(2 * width), GlobalBlock(2 * width), ResidualBlock(2 * width)
         )
         self.up = Conv2d(2 * width, width, 1)
         self.out = nn.Sequential(ResidualBlock(width), ResidualBlock(width))

@@ -119,10 +119,7 @@ def _is_wide(leaf: nn.Module) -> bool:
 
 
 def prepare_leaf(
-    network: nn.Module,
-    name: str,
-    leaf: nn.Module,
-    plan: EnginePlan,
+    network: nn.Module, name: str, leaf: nn.Module, plan: EnginePlan
 ) -> None:
     """Convert the leaf called `name` in place: dtype, memory layout, device, or its int8 form."""
     form = plan.backbone if name.startswith("backbone.") else plan.head

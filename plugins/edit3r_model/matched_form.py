@@ -36,26 +36,16 @@ GRID = 8
 class MatchedSettings(config.Settings):
     """What counts where the head takes matched geometry."""
 
-    network_size: int = Field(
-        128,
-        ge=32,
-        le=256,
-        multiple_of=8,
-        description="longer side of its grid [pixels]",
-    )
-    rim: Share = Field(
-        0.12,
-        description="width of the blurred rim that continues each photo [long sides]; 0: none",
-    )
-    rim_opacity: float = Field(0.6, gt=0, lt=1, description="opacity of that rim")
-    background_layer: Share = Field(
-        0.9,
-        description="opacity of the blurred layer behind depth edges and guesses; 0: none",
-    )
-    second_layer: Share = Field(
-        0.9,
-        description="opacity of the second layer right behind faint measured surfaces; 0: none",
-    )
+    network_size: int = Field(128, ge=32, le=256, multiple_of=8)
+    """longer side of its grid [pixels]"""
+    rim: Share = 0.12
+    """width of the blurred rim that continues each photo [long sides]; 0: none"""
+    rim_opacity: float = Field(0.6, gt=0, lt=1)
+    """opacity of that rim"""
+    background_layer: Share = 0.9
+    """opacity of the blurred layer behind depth edges and guesses; 0: none"""
+    second_layer: Share = 0.9
+    """opacity of the second layer right behind faint measured surfaces; 0: none"""
 
 
 class MatchedForm:
@@ -122,11 +112,7 @@ class MatchedForm:
         return head(features, views.images, source, prior)
 
     def _with_background_fill(
-        self,
-        made: Reconstruction,
-        views: Views,
-        source: Views,
-        geometry: Geometry,
+        self, made: Reconstruction, views: Views, source: Views, geometry: Geometry
     ) -> Reconstruction:
         """Continue the fused images beyond their borders and behind their surfaces; say what
         fusing added.

@@ -167,9 +167,8 @@ def read_torch_file(path: Path) -> Mapping[str, object]:
             "it may run, make one of its state_dict yourself: safetensors.torch.save_file("
             "torch.load(FILE, weights_only=False)['state_dict'], NEW_FILE)."
         ) from None
-    except (
-        Exception
-    ) as error:  # a damaged file can make the reader raise almost anything
+    # a damaged file can make the reader raise almost anything
+    except Exception as error:
         raise InputError(
             f"{path}: not a readable checkpoint ({' '.join(str(error).split())[:200]})."
         ) from None
@@ -182,11 +181,8 @@ def read_torch_file(path: Path) -> Mapping[str, object]:
 
 def layout_of(content: Mapping[str, object]) -> tuple[str, dict[str, Tensor]] | None:
     """("noposplat" or "mast3r", tensors by NoPoSplat's names without prefix); None for others."""
-    tensors = {
-        key: value
-        for key, value in content.items()
-        if isinstance(key, str) and isinstance(value, Tensor)
-    }
+    named = {key: value for key, value in content.items() if isinstance(key, str)}
+    tensors = {key: one for key, one in named.items() if isinstance(one, Tensor)}
     plain = {key.removeprefix(PREFIX): value for key, value in tensors.items()}
     if any(key.startswith("backbone.enc_blocks.") for key in plain):
         return "noposplat", plain

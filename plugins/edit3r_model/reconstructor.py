@@ -4,15 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 import torch
-from pydantic import Field, model_validator
+from pydantic import model_validator
 
 from edit3r.contract.errors import MissingDependencyError, SettingsError
-from edit3r.contract.interfaces import (
-    Backbone,
-    GaussianHead,
-    Geometry,
-    Reconstructor,
-)
+from edit3r.contract.interfaces import Backbone, GaussianHead, Geometry, Reconstructor
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Reconstruction, Views
 from edit3r.kit.checks import require_geometry
@@ -31,7 +26,8 @@ class NetworkSettings(SinglePassSettings):
     backbone: PartChoice
     head: PartChoice
     weights: str | None
-    seed: int = Field(0, description="of weights that are drawn rather than loaded")
+    seed: int = 0
+    """of weights that are drawn rather than loaded"""
 
     @model_validator(mode="before")
     @classmethod
@@ -50,10 +46,7 @@ class NetworkReconstructor(Reconstructor):
     settings: NetworkSettings
 
     def __init__(
-        self,
-        settings: NetworkSettings,
-        backbone: Backbone,
-        head: GaussianHead,
+        self, settings: NetworkSettings, backbone: Backbone, head: GaussianHead
     ) -> None:
         self.settings = settings
         self.uses_geometry = head.uses_geometry
@@ -90,10 +83,8 @@ class NetworkReconstructor(Reconstructor):
     def weights_metadata(self) -> dict[str, str]:
         """Which parts the network's weights are for, and the size they were trained at."""
         about = {}
-        for kind, part in (
-            ("backbone", self.network.backbone),
-            ("head", self.network.head),
-        ):
+        parts = {"backbone": self.network.backbone, "head": self.network.head}
+        for kind, part in parts.items():
             # The correction of depth counts in training only.
             kept = part.settings.model_dump(exclude={"depth_repair"})
             choice = PartChoice(name=part.offer.component.name, settings=kept)
@@ -115,18 +106,14 @@ class Edit3rReconstructor(NetworkReconstructor):
     """
 
     class Settings(NetworkSettings, MatchedSettings):
-        backbone: PartChoice = Field(
-            PartChoice(name="matched-unet"),
-            description="images and geometry to features",
-        )
-        head: PartChoice = Field(
-            PartChoice(name="edit-fusion"), description="features to Gaussians"
-        )
-        weights: str = Field(
-            "shipped",
-            description="'shipped', 'untrained', 'official' (the authors' own), a file, the folder "
-            "best of `edit3r train`, or a hub id; a file that names its parts brings them along",
-        )
+        backbone: PartChoice = PartChoice(name="matched-unet")
+        """images and geometry to features"""
+        head: PartChoice = PartChoice(name="edit-fusion")
+        """features to Gaussians"""
+        weights: str = "shipped"
+        """'shipped', 'untrained', 'official' (the authors' own), a file, the folder best of `edit3r
+        train`, or a hub id; a file that names its parts brings them along
+        """
 
     settings: Settings
 
@@ -135,20 +122,15 @@ class NoPoSplatReconstructor(NetworkReconstructor):
     """The same network in a single pass: baseline, and reference of the training."""
 
     class Settings(NetworkSettings):
-        backbone: PartChoice = Field(
-            PartChoice(name="asymmetric-vit", settings=EMPTY),
-            description="views to features",
-        )
-        head: PartChoice = Field(
-            PartChoice(name="dpt-gaussian", settings=EMPTY),
-            description="features to Gaussians",
-        )
-        weights: str | None = Field(
-            None,
-            description="'official' (the authors' own), NoPoSplat .ckpt, MASt3R .pth "
-            "(initialisation), .safetensors, our folder, hub id owner/name@revision, or 'random' "
-            "for an untrained network (tests and speed only)",
-        )
+        backbone: PartChoice = PartChoice(name="asymmetric-vit", settings=EMPTY)
+        """views to features"""
+        head: PartChoice = PartChoice(name="dpt-gaussian", settings=EMPTY)
+        """features to Gaussians"""
+        weights: str | None = None
+        """'official' (the authors' own), NoPoSplat .ckpt, MASt3R .pth (initialisation),
+        .safetensors, our folder, hub id owner/name@revision, or 'random' for an untrained
+        network (tests and speed only)
+        """
 
     settings: Settings
 

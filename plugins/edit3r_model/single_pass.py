@@ -29,32 +29,22 @@ down to [pixels].
 class SinglePassSettings(config.Settings):
     """What counts where the head takes no geometry."""
 
-    resolution: int | None = Field(
-        None,
-        ge=16,
-        le=4096,
-        description="single pass: photos are scaled down to at most this squared [pixels]; "
-        "default: the weights', or 256",
-    )
-    fit: Literal["resize", "pad"] = Field(
-        "resize",
-        description="single pass: how sides become multiples of the patch: stretched to the "
-        "nearest, or padded",
-    )
-    precision: Precision | Literal["auto"] = Field(
-        "float32",
-        description="single pass: of the network: float32, bfloat16, float16 (CUDA), int8 (CPU); "
-        "auto: bfloat16 where a product, timed while it loads, is faster than in float32",
-    )
-    head_precision: Precision | Literal["auto"] = Field(
-        "auto",
-        description="single pass: of the head; auto: as the backbone, beside int8 bfloat16 where "
-        "that is timed faster",
-    )
-    device: str = Field(
-        "auto",
-        description="single pass: cpu, cuda, cuda:1, ...; auto: cuda where there is one",
-    )
+    resolution: int | None = Field(None, ge=16, le=4096)
+    """single pass: photos are scaled down to at most this squared [pixels]; default: the weights',
+    or 256
+    """
+    fit: Literal["resize", "pad"] = "resize"
+    """single pass: how sides become multiples of the patch: stretched to the nearest, or padded"""
+    precision: Precision | Literal["auto"] = "float32"
+    """single pass: of the network: float32, bfloat16, float16 (CUDA), int8 (CPU); auto: bfloat16
+    where a product, timed while it loads, is faster than in float32
+    """
+    head_precision: Precision | Literal["auto"] = "auto"
+    """single pass: of the head; auto: as the backbone, beside int8 bfloat16 where that is timed
+    faster
+    """
+    device: str = "auto"
+    """single pass: cpu, cuda, cuda:1, ...; auto: cuda where there is one"""
 
 
 class SinglePass:

@@ -48,10 +48,10 @@ class MatchedUNet(Backbone):
     uses_geometry = True
 
     class Settings(edit3r.Settings):
-        width: int = Field(
-            32, ge=8, le=512, multiple_of=8, description="channels of its features"
-        )
-        seed: Index = Field(0, description="of the initial weights")
+        width: int = Field(32, ge=8, le=512, multiple_of=8)
+        """channels of its features"""
+        seed: Index = 0
+        """of the initial weights"""
 
     settings: Settings
 
@@ -65,10 +65,8 @@ class MatchedUNet(Backbone):
             self.stem = Conv2d(12 * STRIDE**2, width, 3, padding=1)
             self.blocks2 = nn.Sequential(ResidualBlock(width))
             self.down4 = Conv2d(width, 2 * width, 4, stride=2, padding=1)
-            self.blocks4 = nn.Sequential(
-                ResidualBlock(2 * width),
-                ResidualBlock(2 * width),
-            )
+            blocks = (ResidualBlock(2 * width) for _ in range(2))
+            self.blocks4 = nn.Sequential(*blocks)
             self.down8 = Conv2d(2 * width, 3 * width, 4, stride=2, padding=1)
             self.blocks8 = nn.Sequential(
                 ResidualBlock(3 * width),
@@ -117,15 +115,8 @@ class MatchedUNet(Backbone):
         warped = warp(shown[:, partners], matches.coordinates) * inside
         colours, confidence = warped.split((3, 1), 2)
         gap = (images - colours).abs().mean(2, keepdim=True) * inside
-        maps = torch.stack(
-            (
-                torch.log(geometry.depths),
-                geometry.confidence,
-                matches.inside,
-                matches.depth_ratio,
-            ),
-            2,
-        )
+        own = torch.log(geometry.depths), geometry.confidence
+        maps = torch.stack((*own, matches.inside, matches.depth_ratio), 2)
         return torch.cat((images - 0.5, colours, confidence, gap, maps), 2)
 
 

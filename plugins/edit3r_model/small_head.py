@@ -24,7 +24,7 @@ from edit3r.contract.settings import Index, Share
 from edit3r.contract.types import Cameras, Features, Gaussians, Views
 from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
-from edit3r.kit.geometry.maps import guided_upsample, resize, size_of
+from edit3r.kit.geometry.maps import resize, size_of
 from edit3r.kit.geometry.warping import contradicted, find_correspondences, warp
 from edit3r_model.colour_maps import CHANNELS, blur_maps, change_of, fit_colour_maps
 from edit3r_model.disagreement import (
@@ -37,6 +37,7 @@ from edit3r_model.edit_fusion import CANDIDATES, EditFusion, EditTransport, Fuse
 from edit3r_model.edited_views import EditedViews, Exposure, Images, Maps, find_exposure
 from edit3r_model.small_backbone import STRIDE, averaged, zero_conv
 from edit3r_model.surface import discs
+from edit3r_model.upsampling import guided_upsample
 
 KEY_STRIDE = 4
 """Pixels of the backbone's images per side of what the reference offers to attention."""
@@ -83,43 +84,27 @@ class EditFusionHead(GaussianHead):
     uses_geometry = True
 
     class Settings(edit3r.Settings):
-        width: int = Field(
-            32,
-            ge=8,
-            le=512,
-            multiple_of=8,
-            description="channels; features of others are projected",
-        )
-        fuse_edits: bool = Field(
-            True,
-            description="false: each view keeps its own edited colours (plain reconstruction)",
-        )
-        depth_repair: Share = Field(
-            0.0,
-            description="share of the network's depth correction that counts; images are "
-            "better without, training sets 1, so that losses on the centres move something",
-        )
-        opacity_repair: Share = Field(
-            1.0, description="share of its corrections of opacity and size"
-        )
-        opacity: float = Field(0.6, gt=0, lt=1, description="before correction")
-        conflict_opacity: float = Field(
-            CONFLICT_OPACITY,
-            gt=0,
-            le=1,
-            description="share of its opacity that a view keeps where its edit contradicts the "
-            "reference's; 1: all",
-        )
-        thickness: float = Field(
-            0.3,
-            gt=0,
-            le=1,
-            description="of a Gaussian across the surface, over its size along it; 1: round",
-        )
-        footprint: float = Field(
-            0.35, ge=0.2, le=1.5, description="Gaussian size before correction [pixels]"
-        )
-        seed: Index = Field(0, description="of the initial weights")
+        width: int = Field(32, ge=8, le=512, multiple_of=8)
+        """channels; features of others are projected"""
+        fuse_edits: bool = True
+        """false: each view keeps its own edited colours (plain reconstruction)"""
+        depth_repair: Share = 0.0
+        """share of the network's depth correction that counts; images are better without, training
+        sets 1, so that losses on the centres move something
+        """
+        opacity_repair: Share = 1.0
+        """share of its corrections of opacity and size"""
+        opacity: float = Field(0.6, gt=0, lt=1)
+        """before correction"""
+        conflict_opacity: float = Field(CONFLICT_OPACITY, gt=0, le=1)
+        """share of its opacity that a view keeps where its edit contradicts the reference's; 1: all
+        """
+        thickness: float = Field(0.3, gt=0, le=1)
+        """of a Gaussian across the surface, over its size along it; 1: round"""
+        footprint: float = Field(0.35, ge=0.2, le=1.5)
+        """Gaussian size before correction [pixels]"""
+        seed: Index = 0
+        """of the initial weights"""
 
     settings: Settings
 
@@ -133,9 +118,8 @@ class EditFusionHead(GaussianHead):
         given, width = backbone.feature_widths[-1], settings.width
         with torch.random.fork_rng():
             torch.manual_seed(settings.seed)
-            self.project = (
-                nn.Identity() if given == width else nn.Conv2d(given, width, 1)
-            )
+            fits = given == width
+            self.project = nn.Identity() if fits else nn.Conv2d(given, width, 1)
             self.corrections = zero_conv(width, 3 * STRIDE**2)
             self.transport = EditTransport(width)
             self.fusion = EditFusion(width)
@@ -196,10 +180,9 @@ class EditFusionHead(GaussianHead):
         exposure = find_exposure(before, matches, geometry.confidence >= MEASURED)
         views = EditedViews.of(after, before, exposure, matches)
         size = before.shape[-2:]
-        none = FusedEdit(
-            before.new_zeros(len(before), CHANNELS, *size),
-            before.new_zeros(len(before), CANDIDATES, *size),
-        )
+        counts = CHANNELS, CANDIDATES
+        zeros = (before.new_zeros(len(before), count, *size) for count in counts)
+        none = FusedEdit(*zeros)
         others = range(1, before.shape[1])
         fused = [none, *(self._fuse(views, tokens, view) for view in others)]
         return Choices(
@@ -272,10 +255,8 @@ def assemble(
     fine = _at_image_size(decisions, source.images)
     depth, opacity, scale = fine.corrections.unbind(2)
     depths = geometry.depths * (settings.depth_repair * depth).exp()
-    opacity = torch.sigmoid(
-        math.log(settings.opacity / (1 - settings.opacity))
-        + settings.opacity_repair * opacity
-    )
+    usual = math.log(settings.opacity / (1 - settings.opacity))
+    opacity = torch.sigmoid(usual + settings.opacity_repair * opacity)
     scales = pixel_scales(depths, source.intrinsics, settings.footprint)
     scales = scales * (settings.opacity_repair * scale).exp()
 

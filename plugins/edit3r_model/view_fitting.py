@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.types import Cameras, Reconstruction, Views
-from edit3r.kit.geometry.maps import size_of
+from edit3r.kit.geometry.maps import resampled, size_of
 
 Images = Float[Tensor, "batch view 3 height width"]
 Size = tuple[int, int]  # (height, width) [pixels]
@@ -41,10 +41,7 @@ class FittedViews:
 
 
 def fit_views(
-    views: Views,
-    patch: int,
-    resolution: int,
-    mode: Literal["resize", "pad"],
+    views: Views, patch: int, resolution: int, mode: Literal["resize", "pad"]
 ) -> FittedViews:
     """Scale images down to at most `resolution`^2 pixels and to sides that are multiples of
     `patch`.
@@ -56,7 +53,7 @@ def fit_views(
     """
     unit = patch if mode == "resize" else 1
     inner = _scaled(views.image_size, resolution, unit)
-    images = resize(views.images, inner)
+    images = resampled(views.images, inner)
     margins = (0, -inner[1] % patch, 0, -inner[0] % patch)
     if any(margins):
         padded = F.pad(images.flatten(0, 1), margins, mode="replicate")
@@ -77,14 +74,3 @@ def _scaled(size: Size, resolution: int, unit: int) -> Size:
     scale = min(1.0, resolution / (height * width) ** 0.5)
     height, width = (max(1, round(side * scale / unit)) * unit for side in size)
     return height, width
-
-
-def resize(images: Images, size: Size) -> Images:
-    """Resample images (antialiased bicubic, kept in [0, 1]); the same tensor when the size is right
-    already.
-    """
-    if tuple(images.shape[-2:]) == size:
-        return images
-    flat = images.flatten(0, 1)
-    small = F.interpolate(flat, size, mode="bicubic", antialias=True).clamp(0, 1)
-    return small.unflatten(0, images.shape[:2])

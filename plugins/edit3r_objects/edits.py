@@ -9,11 +9,7 @@ from torch import Tensor
 from edit3r.contract.errors import PromptError
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.types import EditRequest, Gaussians, Views
-from edit3r.kit.geometry.harmonics import (
-    colour_to_dc,
-    dc_to_colour,
-    turn_harmonics,
-)
+from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour, turn_harmonics
 from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
 from edit3r.running import usual_reader
 

@@ -72,8 +72,7 @@ def usual_tools() -> Finders:
     registry = default_registry()
     names = registry.ready("detector", "coco", "nanodet")
     return Finders(
-        usual_selector(),
-        registry.build("detector", "coco") if names else None,
+        usual_selector(), registry.build("detector", "coco") if names else None
     )
 
 
@@ -93,11 +92,9 @@ def find_things(
         Views(images[None, [view]], cameras.intrinsics[:, [view]])
         for view in range(len(images))
     ]
-    found = [
-        one
-        for one in _seen_on(photos[0], tools)
-        if one.name or not _behind(one.mask, depths[0].numpy(force=True))
-    ]
+    depth = depths[0].numpy(force=True)
+    seen = _seen_on(photos[0], tools)
+    found = [one for one in seen if one.name or not _behind(one.mask, depth)]
     things = []
     boxes = _boxes(photos[other], tools) if other else ()
     for one in _apart(found)[:MOST]:
@@ -163,13 +160,8 @@ def _named_by_both(seen: _Seen, there: Mask, boxes: Sequence[Detection]) -> _See
 
 def _box_overlap(one: Sequence[float], other: Sequence[float]) -> float:
     """Intersection over union of two boxes (x, y, width, height)."""
-    across, down = (
-        max(
-            0.0,
-            min(one[i] + one[i + 2], other[i] + other[i + 2]) - max(one[i], other[i]),
-        )
-        for i in (0, 1)
-    )
+    ends = [min(one[i] + one[i + 2], other[i] + other[i + 2]) for i in (0, 1)]
+    across, down = (max(0.0, ends[i] - max(one[i], other[i])) for i in (0, 1))
     shared = across * down
     return shared / max(one[2] * one[3] + other[2] * other[3] - shared, 1e-9)
 
@@ -192,10 +184,8 @@ def _add(
     if not fits or (detection is None and confidence < CONFIDENCE):
         return
     if all(_overlap(mask, one.mask) < SAME for one in found):
-        name, score = (
-            ("", 0.0) if detection is None else (detection.label, detection.score)
-        )
-        found.append(_Seen(mask, confidence, name, score))
+        named = () if detection is None else (detection.label, detection.score)
+        found.append(_Seen(mask, confidence, *named))
 
 
 def _on_rim(mask: Mask) -> float:
@@ -219,10 +209,7 @@ def _expected(
 
 
 def _seen_again(
-    photo: Views,
-    expected: Mask,
-    known: Mask,
-    selector: Selector,
+    photo: Views, expected: Mask, known: Mask, selector: Selector
 ) -> Mask | None:
     """The thing at the innermost expected place; None where it is another one."""
     if expected.mean() < SMALLEST * SEEN:

@@ -70,9 +70,7 @@ def _neighbours(gaussians: Gaussians) -> Int[np.ndarray, "gaussian neighbour"]:
 
 
 def _cleaned(
-    chosen: Chosen,
-    seen: Chosen,
-    near: Int[np.ndarray, "gaussian neighbour"],
+    chosen: Chosen, seen: Chosen, near: Int[np.ndarray, "gaussian neighbour"]
 ) -> Chosen:
     """Small holes are filled; single Gaussians and small separate pieces are dropped."""
     among_seen = chosen[near].sum(1) / np.maximum(seen[near].sum(1), 1)

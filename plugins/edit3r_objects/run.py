@@ -3,6 +3,7 @@
 import argparse
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -101,9 +102,8 @@ def read_run(root: Path) -> Run:
     cameras, posed = look_at(scene, None, gaussians)
     try:
         manifest = _manifest_of(folder)
-        names = {
-            str(name): int(index) for name, index in manifest.get("objects", {}).items()
-        }
+        objects = manifest.get("objects", {})
+        names = {str(name): int(index) for name, index in objects.items()}
         edits = tuple(map(str, manifest.get("object_edits", [])))
         _check(names)
     except (OSError, ValueError, TypeError, AttributeError, RecursionError) as error:
@@ -152,10 +152,8 @@ def describe(run: Run, rasterizer: Rasterizer) -> list[str]:
 
 def _area(run: Run, name: str, view: int, rasterizer: Rasterizer) -> float:
     """How much of a view the object covers [pixels]."""
-    camera = run.cameras.select([view])
-    return float(
-        rasterizer.contributions(run.gaussians, camera)[0, run.chosen(name)].sum()
-    )
+    covered = rasterizer.contributions(run.gaussians, run.cameras.select([view]))
+    return float(covered[0, run.chosen(name)].sum())
 
 
 def add_object(run: Run, args: argparse.Namespace, rasterizer: Rasterizer) -> Run:
@@ -241,12 +239,10 @@ def find_objects(run: Run, rasterizer: Rasterizer) -> Run:
 
 def _free_name(run: Run, name: str) -> str:
     """The word and the first number that is free; the first of a kind goes without."""
-    numbered = [
-        f"{name or 'thing'} {number}" for number in range(1, len(run.names) + 2)
-    ]
-    if name:
-        numbered[0] = name
-    return next(one for one in numbered if one not in run.names)
+    numbered = (f"{name or 'thing'} {number}" for number in count(1))
+    if name and name not in run.names:
+        return name
+    return next(one for one in numbered if one not in run.names and one != f"{name} 1")
 
 
 def _masks(run: Run, args: argparse.Namespace) -> Tensor:
@@ -285,14 +281,12 @@ def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None
     """Write a run's folder with the scene, its renders and a sheet that compares both scenes."""
     folder = RunFolder(root)
     save_ply(folder.scene, run.gaussians)
-    images = {
-        caption: render_each(rasterizer, scene.gaussians, scene.cameras, caption)
-        .images[0]
-        .clamp(0, 1)
-        for caption, scene in (("before", before), ("after", run))
-    }
+    images = {}
+    for caption, one in (("before", before), ("after", run)):
+        shown = render_each(rasterizer, one.gaussians, one.cameras, caption)
+        images[caption] = shown.images[0].clamp(0, 1)
     for view, image in zip(run.views, images["after"]):
-        save_image(image, folder.renders / f"{view}.png")
+        save_image(image, folder.made("renders") / f"{view}.png")
     draw_sheet(images, names=run.views, title=run.edits[-1]).save(folder.before_after)
     scene = SceneToWrite(
         run.gaussians,

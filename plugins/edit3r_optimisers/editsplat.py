@@ -45,42 +45,26 @@ class EditSplatReconstructor(FittingMethod):
     """
 
     class Settings(MethodSettings):
-        neighbours: int = Field(
-            5, ge=1, le=64, description="nearest views fused into each (paper: 5)"
-        )
-        guidance: float = Field(
-            0.5,
-            ge=0,
-            le=1,
-            description="share of the fused picture that an edit redraws; 0 takes it as it is",
-        )
-        trim: float = Field(
-            0.15,
-            ge=0,
-            le=1,
-            description="share of the attended Gaussians that is removed",
-        )
-        attended: float = Field(
-            0.5,
-            ge=0,
-            le=1,
-            description="attention from which a Gaussian counts as attended; the most is 1",
-        )
+        neighbours: int = Field(5, ge=1, le=64)
+        """nearest views fused into each (paper: 5)"""
+        guidance: float = Field(0.5, ge=0, le=1)
+        """share of the fused picture that an edit redraws; 0 takes it as it is"""
+        trim: float = Field(0.15, ge=0, le=1)
+        """share of the attended Gaussians that is removed"""
+        attended: float = Field(0.5, ge=0, le=1)
+        """attention from which a Gaussian counts as attended; the most is 1"""
 
     settings: Settings
 
     def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
-        first = (
-            scene.edited
-            if scene.is_edited
-            else edited(self.editor, scene.photos, scene.request)
-        )
+        first = scene.edited
+        if not scene.is_edited:
+            first = edited(self.editor, scene.photos, scene.request)
         guided = self._guided(scene, first, gaussians, cameras)
         trimmed = self._trimmed(scene, guided, gaussians, cameras)
-        return self._fit(
-            "edits", trimmed, cameras, TargetImages(guided.images[0])
-        ), cameras
+        targets = TargetImages(guided.images[0])
+        return self._fit("edits", trimmed, cameras, targets), cameras
 
     def _guided(
         self, scene: EditJob, first: Views, gaussians: Gaussians, cameras: Cameras
@@ -92,9 +76,9 @@ class EditSplatReconstructor(FittingMethod):
             around = nearest_views(cameras, view, self.settings.neighbours)
             start = fuse(view, around, first.images[0], depths, cameras)[0][None, None]
             photo, request = scene.photos.select([view]), scene.request.of_views([view])
-            images[:, [view]] = edited_from(
-                self.editor, photo, start, request, self.settings.guidance
-            ).images
+            share = self.settings.guidance
+            again = edited_from(self.editor, photo, start, request, share)
+            images[:, [view]] = again.images
         return replace(first, images=images)
 
     def _trimmed(
@@ -104,10 +88,8 @@ class EditSplatReconstructor(FittingMethod):
         maps, told_by = attention_maps(self.editor, scene.photos, edits, scene.request)
         attention = attention_of(gaussians, cameras, maps, self.rasterizer)[0]
         kept = trim(attention, self.settings.trim, self.settings.attended)
-        note(
-            "editsplat.trimmed",
-            {"gaussians": int((~kept).sum()), "attention_told_by": told_by},
-        )
+        count = int((~kept).sum())
+        note("editsplat.trimmed", {"gaussians": count, "attention_told_by": told_by})
         return gaussians.select(kept) if kept.any() else gaussians
 
 
@@ -129,9 +111,8 @@ def fuse(
     points = unproject(depths[view], cameras.intrinsics[0, view], cameras.c2w[0, view])
     total, weights = OWN_WEIGHT * edits[view], torch.full_like(depths[view], OWN_WEIGHT)
     for other in neighbours:
-        colours, weight = _seen_from(
-            points, edits[other], depths[other], cameras.select([other])
-        )
+        camera = cameras.select([other])
+        colours, weight = _seen_from(points, edits[other], depths[other], camera)
         total, weights = total + weight * colours, weights + weight
     return total / weights, weights - OWN_WEIGHT
 
@@ -152,9 +133,8 @@ def _seen_from(
     """Return what one neighbour shows at the points of another view's pixels, and a weight in [0,
     1].
     """
-    coordinates, z = project(
-        points.flatten(0, 1), camera.intrinsics[0, 0], camera.c2w[0, 0]
-    )
+    lens, pose = camera.intrinsics[0, 0], camera.c2w[0, 0]
+    coordinates, z = project(points.flatten(0, 1), lens, pose)
     coordinates, z = coordinates.view(*depth.shape, 2), z.view(depth.shape)
     sampled = warp(torch.cat((edit, depth[None])), coordinates)
     inside = (z > 0) & ((coordinates >= 0) & (coordinates <= 1)).all(-1)
@@ -194,9 +174,7 @@ def attention_of(
     weights = torch.stack((maps[0], torch.ones_like(maps[0])), 1)
     found = rasterizer.contributions(gaussians, cameras, weights)
     attended, drawn = found.unbind(-1)
-    return torch.where(
-        drawn > 1e-6, attended / drawn.clamp(min=1e-6), torch.zeros_like(drawn)
-    )
+    return torch.where(drawn > 1e-6, attended / drawn.clamp(min=1e-6), 0.0)
 
 
 def trim(

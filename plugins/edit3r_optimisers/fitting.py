@@ -35,18 +35,12 @@ class FitSettings(Settings):
     the scene.
     """
 
-    ssim: float = Field(
-        0.2,
-        ge=0,
-        le=1,
-        description="weight of D-SSIM; the rest is the absolute difference",
-    )
-    colour_rate: float = Field(
-        0.02,
-        ge=0,
-        le=1,
-        description="step of the colours; published 0.0025, for 30000 steps",
-    )
+    ssim: float = Field(0.2, ge=0, le=1)
+    """weight of D-SSIM; the rest is the absolute difference"""
+    colour_rate: float = Field(0.02, ge=0, le=1)
+    """step of the colours; published 0.0025, for 30000 steps"""
+    seed: int = Field(0, ge=0, lt=2**31)
+    """of the edits, in a run the run's own; and of the order of views"""
 
 
 class TargetImages:
@@ -76,22 +70,20 @@ def fit(
     rasterizer: Rasterizer,
     settings: FitSettings,
     steps: int,
-    seed: int,
     text: str,
 ) -> Fitted:
     """Move the Gaussians of one scene (batch 1) until they look like `targets` from `cameras`.
 
-    `seed` decides the order of the views, `text` is what the progress bar says.
+    The settings' seed decides the order of the views, `text` is what the progress bar says.
     """
     scene, extent, losses = TrainableGaussians(start), scene_extent(start, cameras), []
     for step in range(steps):
         targets.before_step(step, partial(scene.gaussians, detached=True))
-        view = view_at(step, cameras.count, seed)
+        view = view_at(step, cameras.count, settings.seed)
         with torch.enable_grad():
-            image = rasterizer.render(scene.gaussians(), cameras.select([view])).images[
-                0, 0
-            ]
-            loss = photometric_loss(image, targets.images[view], settings.ssim)
+            shown = rasterizer.render(scene.gaussians(), cameras.select([view]))
+            image, target = shown.images[0, 0], targets.images[view]
+            loss = photometric_loss(image, target, settings.ssim)
         losses.append(float(loss.detach()))
         scene.step(loss, step_sizes(settings, step, steps, extent))
         progress(text, step + 1, steps)
@@ -126,10 +118,9 @@ class TrainableGaussians:
 
     def gaussians(self, detached: bool = False) -> Gaussians:
         """Return a batch of one; differentiable in the parameters unless `detached`."""
-        values = {
-            name: value.detach() if detached else value
-            for name, value in self.parameters.items()
-        }
+        values = self.parameters
+        if detached:
+            values = {name: value.detach() for name, value in values.items()}
         return Gaussians(
             values["means"][None],
             values["scales"].exp()[None],
@@ -177,9 +168,8 @@ def view_at(step: int, views: int, seed: int) -> int:
     """Return the view that a step renders: every view once a round, each round in its own random
     order.
     """
-    generator = torch.Generator().manual_seed(
-        (seed * 1_000_003 + step // views) % 2**63
-    )
+    number = (seed * 1_000_003 + step // views) % 2**63
+    generator = torch.Generator().manual_seed(number)
     return int(torch.randperm(views, generator=generator)[step % views])
 
 
@@ -196,9 +186,8 @@ def photometric_loss(
     difference = (image - target).abs().mean()
     if ssim == 0:
         return difference
-    return (1 - ssim) * difference + ssim * (
-        1 - structural_similarity(image, target)
-    ) / 2
+    dissimilarity = (1 - structural_similarity(image, target)) / 2
+    return (1 - ssim) * difference + ssim * dissimilarity
 
 
 def structural_similarity(
@@ -214,9 +203,8 @@ def structural_similarity(
     stacked = torch.stack((a, b, a * a, b * b, a * b))
     mean_a, mean_b, aa, bb, ab = (rows @ stacked @ columns.T).unbind(0)
     luminance = (2 * mean_a * mean_b + C1) / (mean_a**2 + mean_b**2 + C1)
-    structure = (2 * (ab - mean_a * mean_b) + C2) / (
-        aa - mean_a**2 + bb - mean_b**2 + C2
-    )
+    variances = aa - mean_a**2 + bb - mean_b**2
+    structure = (2 * (ab - mean_a * mean_b) + C2) / (variances + C2)
     return (luminance * structure).mean()
 
 

@@ -10,12 +10,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract.component import component_name
-from edit3r.contract.interfaces import (
-    ConditionedOnDepth,
-    Editor,
-    Geometry,
-    Matcher,
-)
+from edit3r.contract.interfaces import ConditionedOnDepth, Editor, Geometry, Matcher
 from edit3r.contract.reporting import note, warn
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r_optimisers.fitting import TargetImages
@@ -46,13 +41,10 @@ class FittedGeometry(Matcher):
 
     def match(self, views: Views) -> Geometry:
         """Return the geometry of the views it was made for, whatever their images."""
-        registered = torch.ones(
-            1, self.cameras.count, dtype=torch.bool, device=self.depths.device
-        )
-        confidence = (self.alphas > OPAQUE).to(self.depths)
-        return Geometry(
-            self.cameras.c2w, self.depths[None], confidence[None], registered
-        )
+        depths, count = self.depths, self.cameras.count
+        registered = depths.new_ones(1, count, dtype=torch.bool)
+        confidence = (self.alphas > OPAQUE).to(depths)
+        return Geometry(self.cameras.c2w, depths[None], confidence[None], registered)
 
 
 class GaussCtrlReconstructor(FittingMethod):
@@ -63,12 +55,8 @@ class GaussCtrlReconstructor(FittingMethod):
     """
 
     class Settings(MethodSettings):
-        together: int = Field(
-            12,
-            ge=2,
-            description="most views edited in one call, the reference views among them; more "
-            "need more memory",
-        )
+        together: int = Field(12, ge=2)
+        """most views edited in one call, the reference views among them; more need more memory"""
 
     settings: Settings
 
@@ -92,16 +80,13 @@ class GaussCtrlReconstructor(FittingMethod):
         """Edit all views, a few at a time, the reference views first in every call."""
         self._warn_of_missing_abilities()
         together = self.settings.together
-        references = reference_views(
-            views.count, min(_references(self.editor), together - 1)
-        )
+        wanted = min(_references(self.editor), together - 1)
+        references = reference_views(views.count, wanted)
         images = views.images[0].clone()
         for chunk in chunks(views.count, references, together):
-            editor = self._editor_with(
-                FittedGeometry(
-                    cameras.select(chunk), geometry[0][chunk], geometry[1][chunk]
-                )
-            )
+            depths, alphas = (maps[chunk] for maps in geometry)
+            fitted = FittedGeometry(cameras.select(chunk), depths, alphas)
+            editor = self._editor_with(fitted)
             answer = edited(editor, views.select(chunk), request.of_views(chunk))
             images[chunk] = answer.images[0]
         return images
@@ -122,15 +107,10 @@ class GaussCtrlReconstructor(FittingMethod):
         name = component_name(self.editor)
         conditioned = isinstance(self.editor, ConditionedOnDepth)
         aligns = _references(self.editor) > 0
-        note(
-            "gaussctrl.editor",
-            {"name": name, "aligns_views": aligns, "depth_of_the_fit": conditioned},
-        )
-        missing = [
-            text
-            for done, text in ((aligns, ALIGNMENT), (conditioned, DEPTH))
-            if not done
-        ]
+        facts = {"aligns_views": aligns, "depth_of_the_fit": conditioned}
+        note("gaussctrl.editor", {"name": name, **facts})
+        done = {ALIGNMENT: aligns, DEPTH: conditioned}
+        missing = [text for text, is_done in done.items() if not is_done]
         if missing:
             warn(
                 f"gaussctrl with editor {name!r}: {' and '.join(missing)}; editor "
@@ -140,9 +120,8 @@ class GaussCtrlReconstructor(FittingMethod):
 
 def reference_views(count: int, wanted: int) -> list[int]:
     """Choose `wanted` of `count` views, spread evenly; [] for none."""
-    return sorted(
-        set(torch.linspace(0, count - 1, min(wanted, count)).round().long().tolist())
-    )
+    places = torch.linspace(0, count - 1, min(wanted, count))
+    return sorted(set(places.round().long().tolist()))
 
 
 def chunks(count: int, references: list[int], together: int) -> list[list[int]]:

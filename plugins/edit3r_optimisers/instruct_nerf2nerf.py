@@ -28,13 +28,12 @@ class InstructNerf2NerfReconstructor(FittingMethod):
     """
 
     class Settings(MethodSettings):
-        every: int = Field(10, ge=1, description="steps between edits (paper: 10)")
-        least_strength: float = Field(
-            0.5, ge=0, le=1, description="least share of a render that an edit redraws"
-        )
-        most_strength: float = Field(
-            0.98, ge=0, le=1, description="most share of a render that an edit redraws"
-        )
+        every: int = Field(10, ge=1)
+        """steps between edits (paper: 10)"""
+        least_strength: float = Field(0.5, ge=0, le=1)
+        """least share of a render that an edit redraws"""
+        most_strength: float = Field(0.98, ge=0, le=1)
+        """most share of a render that an edit redraws"""
 
         @model_validator(mode="after")
         def _ordered(self) -> "InstructNerf2NerfReconstructor.Settings":
@@ -93,19 +92,15 @@ class DatasetUpdate(TargetImages):
         """
         view = [view_at(self.updates, self.photos.count, self.request.seed)]
         start = self.rasterizer.render(gaussians, self.cameras.select(view)).images
-        request = replace(
-            self.request.of_views(view), seed=self.request.seed + self.updates
-        )
-        answer = edited_from(
-            self.editor, self.photos.select(view), start, request, self._strength()
-        )
+        seed, photo = self.request.seed + self.updates, self.photos.select(view)
+        request = replace(self.request.of_views(view), seed=seed)
+        answer = edited_from(self.editor, photo, start, request, self._strength())
         self.images[view] = answer.images[0]
         self.updates += 1
 
     def _strength(self) -> float:
         """Draw the strength evenly between the limits, by seed and number of the edit."""
-        generator = torch.Generator().manual_seed(
-            self.request.seed * 1_000_003 + self.updates
-        )
+        number = self.request.seed * 1_000_003 + self.updates
+        generator = torch.Generator().manual_seed(number)
         least, most = self.settings.least_strength, self.settings.most_strength
         return least + (most - least) * float(torch.rand((), generator=generator))

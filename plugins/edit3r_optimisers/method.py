@@ -35,37 +35,20 @@ VISIBLE_OPACITY = 0.05
 class MethodSettings(FitSettings):
     """A fit of the photos, edits, and a fit of the edits."""
 
-    reconstructor: PartChoice = Field(
-        PartChoice(name="classical"),
-        description="where the first Gaussians come from",
-    )
-    editor: PartChoice = Field(
-        PartChoice(name="recolor"),
-        description="edits; in a run, the run's own takes its place",
-    )
-    rasterizer: PartChoice = Field(
-        PartChoice(name="auto"), description="renders while fitting"
-    )
-    prompt: str = Field(
-        "", description="what to change; in a run, the run's own takes its place"
-    )
-    seed: int = Field(
-        0,
-        ge=0,
-        lt=2**31,
-        description="of the edits, in a run the run's own; and of the order of views",
-    )
-    points: int = Field(
-        10_000,
-        ge=1,
-        description="most Gaussians to begin with; a reconstruction is thinned to them",
-    )
-    steps: int = Field(
-        300, ge=1, le=1_000_000, description="steps of the fit to the photos"
-    )
-    edit_steps: int = Field(
-        300, ge=1, le=1_000_000, description="steps of the fit to the edits"
-    )
+    reconstructor: PartChoice = PartChoice(name="classical")
+    """where the first Gaussians come from"""
+    editor: PartChoice = PartChoice(name="recolor")
+    """edits; in a run, the run's own takes its place"""
+    rasterizer: PartChoice = PartChoice(name="auto")
+    """renders while fitting"""
+    prompt: str = ""
+    """what to change; in a run, the run's own takes its place"""
+    points: int = Field(10_000, ge=1)
+    """most Gaussians to begin with; a reconstruction is thinned to them"""
+    steps: int = Field(300, ge=1, le=1_000_000)
+    """steps of the fit to the photos"""
+    edit_steps: int = Field(300, ge=1, le=1_000_000)
+    """steps of the fit to the edits"""
 
 
 @dataclass(frozen=True)
@@ -128,25 +111,19 @@ class FittingMethod(Reconstructor, EditsViews):
             photos = replace(photos, c2w=views.c2w)
         results = []
         for item in range(len(views.images)):
-            results.append(
-                self._reconstruct(
-                    EditJob(
-                        photos.scene(item),
-                        views.scene(item),
-                        request.of_scene(item),
-                        None if geometry is None else geometry.scene(item),
-                    )
-                )
+            scene = EditJob(
+                photos.scene(item),
+                views.scene(item),
+                request.of_scene(item),
+                None if geometry is None else geometry.scene(item),
             )
+            results.append(self._reconstruct(scene))
         scenes, cameras = zip(*results)
-        c2w, intrinsics = (
-            torch.cat([getattr(c, name) for c in cameras])
-            for name in ("c2w", "intrinsics")
-        )
+        c2w = torch.cat([one.c2w for one in cameras])
+        intrinsics = torch.cat([one.intrinsics for one in cameras])
         gaussians = scenes[0] if len(scenes) == 1 else Gaussians.stack(scenes)
-        return Reconstruction(
-            gaussians, Cameras(c2w, intrinsics, cameras[0].image_size)
-        )
+        size = cameras[0].image_size
+        return Reconstruction(gaussians, Cameras(c2w, intrinsics, size))
 
     @abstractmethod
     def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
@@ -154,39 +131,22 @@ class FittingMethod(Reconstructor, EditsViews):
 
     def _fit_photos(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         """Fit the unedited scene; returns it and its cameras in the frame of view 0."""
-        start, cameras = begin(
-            scene, self.reconstructor, self.settings.points, self.settings.seed
-        )
-        return self._fit(
-            "photos", start, cameras, TargetImages(scene.photos.images[0])
-        ), cameras
+        chosen, photos = self.settings, TargetImages(scene.photos.images[0])
+        start, cameras = begin(scene, self.reconstructor, chosen.points, chosen.seed)
+        return self._fit("photos", start, cameras, photos), cameras
 
     def _fit(
         self, what: str, start: Gaussians, cameras: Cameras, targets: TargetImages
     ) -> Gaussians:
         """Fit the "photos" or the "edits", beginning at `start`."""
-        steps = self.settings.steps if what == "photos" else self.settings.edit_steps
-        text = f"fit to the {what}"
-        fitted = fit(
-            start,
-            cameras,
-            targets,
-            self.rasterizer,
-            self.settings,
-            steps,
-            self.settings.seed,
-            text,
-        )
-        first, last = (
-            sum(part) / len(part) for part in (fitted.losses[:10], fitted.losses[-10:])
-        )
-        facts = {
-            "steps": steps,
-            "gaussians": fitted.gaussians.count,
-            "first_loss": first,
-            "last_loss": last,
-        }
-        note(f"refit.{what}", {key: round(value, 5) for key, value in facts.items()})
+        chosen = self.settings
+        steps = chosen.steps if what == "photos" else chosen.edit_steps
+        text, render = f"fit to the {what}", self.rasterizer
+        fitted = fit(start, cameras, targets, render, chosen, steps, text)
+        losses = fitted.losses[:10], fitted.losses[-10:]
+        first, last = (round(sum(part) / len(part), 5) for part in losses)
+        count = {"steps": steps, "gaussians": fitted.gaussians.count}
+        note(f"refit.{what}", {**count, "first_loss": first, "last_loss": last})
         return fitted.gaussians
 
 
@@ -203,16 +163,12 @@ def begin(
     with errors_named_after(reconstructor):
         answer = reconstructor(photos, photos, scene.geometry)
     check_reconstruction(reconstructor, photos, answer)
-    cameras = answer.cameras or estimate_cameras(
-        answer.gaussians, photos, answer.per_pixel
-    )
-    gaussians = thinned(
-        answer.gaussians.select(answer.gaussians.opacities[0] > 0), most, seed
-    )
+    every = answer.gaussians
+    cameras = answer.cameras or estimate_cameras(every, photos, answer.per_pixel)
+    gaussians = thinned(every.select(every.opacities[0] > 0), most, seed)
     note("refit.first_gaussians", gaussians.count)
-    return replace(
-        gaussians, opacities=gaussians.opacities.clamp(min=VISIBLE_OPACITY)
-    ), cameras
+    opacities = gaussians.opacities.clamp(min=VISIBLE_OPACITY)
+    return replace(gaussians, opacities=opacities), cameras
 
 
 def thinned(gaussians: Gaussians, most: int, seed: int) -> Gaussians:
@@ -221,9 +177,8 @@ def thinned(gaussians: Gaussians, most: int, seed: int) -> Gaussians:
     """
     if gaussians.count <= most:
         return gaussians
-    order = torch.randperm(
-        gaussians.count, generator=torch.Generator().manual_seed(seed)
-    )
+    generator = torch.Generator().manual_seed(seed)
+    order = torch.randperm(gaussians.count, generator=generator)
     chosen = gaussians.select(order[:most].sort().values.to(gaussians.means.device))
     return replace(chosen, scales=chosen.scales * (gaussians.count / most) ** 0.5)
 
@@ -281,11 +236,8 @@ def rendered(
     gaussians: Gaussians, cameras: Cameras, photos: Views, rasterizer: Rasterizer
 ) -> Views:
     """Return the views as the fitted scene shows them."""
-    return replace(
-        photos,
-        images=rasterizer.render(gaussians, cameras).images.clamp(0, 1),
-        c2w=cameras.c2w,
-    )
+    images = rasterizer.render(gaussians, cameras).images.clamp(0, 1)
+    return replace(photos, images=images, c2w=cameras.c2w)
 
 
 @torch.no_grad()

@@ -2,8 +2,6 @@
 
 from typing import Literal
 
-from pydantic import Field
-
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r_optimisers.fitting import TargetImages
 from edit3r_optimisers.method import (
@@ -23,25 +21,19 @@ class RefitReconstructor(FittingMethod):
     """
 
     class Settings(MethodSettings):
-        edit: Literal["given", "renders"] = Field(
-            "given",
-            description="fit the edited photos it is given, or edit renders of the fitted scene",
-        )
+        edit: Literal["given", "renders"] = "given"
+        """fit the edited photos it is given, or edit renders of the fitted scene"""
 
     settings: Settings
 
     def _reconstruct(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
         gaussians, cameras = self._fit_photos(scene)
         if self.settings.edit == "renders":
-            views = edited(
-                self.editor,
-                rendered(gaussians, cameras, scene.photos, self.rasterizer),
-                scene.request,
-            )
+            shown = rendered(gaussians, cameras, scene.photos, self.rasterizer)
+            views = edited(self.editor, shown, scene.request)
         elif scene.is_edited:
             views = scene.edited
         else:
             return gaussians, cameras
-        return self._fit(
-            "edits", gaussians, cameras, TargetImages(views.images[0])
-        ), cameras
+        targets = TargetImages(views.images[0])
+        return self._fit("edits", gaussians, cameras, targets), cameras

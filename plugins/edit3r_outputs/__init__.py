@@ -1,8 +1,13 @@
 """What a scene is written as, for people and for other programs."""
 
+from functools import partial
+
 from edit3r import Component, hookimpl
 
 EDIT3R_API = 1
+
+_gaussforge = partial(Component, requires=("gaussforge",), extra="export")
+_DEGREES = "harmonics above degree 3, objects, uncertainty"
 
 
 @hookimpl
@@ -54,55 +59,45 @@ def register_writers() -> list[Component]:
             keeps="every Gaussian, exactly",
             loses="harmonics above degree 3",
         ),
-        Component(
+        _gaussforge(
             "spz",
             "edit3r_outputs.formats:SpzWriter",
             "small, for phones and web viewers",
             suffix=".spz",
             keeps="every Gaussian, with harmonics",
-            loses="exact numbers; harmonics above degree 3, objects, uncertainty",
-            requires=("gaussforge",),
-            extra="export",
+            loses=f"exact numbers; {_DEGREES}",
         ),
-        Component(
+        _gaussforge(
             "spz4",
             "edit3r_outputs.formats:Spz4Writer",
             "the newer SPZ, which PlayCanvas' engine reads",
             suffix=".v4.spz",
             keeps="every Gaussian, with harmonics",
-            loses="exact numbers; harmonics above degree 3, objects, uncertainty",
-            requires=("gaussforge",),
-            extra="export",
+            loses=f"exact numbers; {_DEGREES}",
         ),
-        Component(
+        _gaussforge(
             "sog",
             "edit3r_outputs.formats:SogWriter",
             "smallest, for PlayCanvas and SuperSplat; takes half a minute",
             suffix=".sog",
             keeps="every Gaussian, with harmonics",
-            loses="exact numbers; harmonics above degree 3, objects, uncertainty",
-            requires=("gaussforge",),
-            extra="export",
+            loses=f"exact numbers; {_DEGREES}",
         ),
-        Component(
+        _gaussforge(
             "splat",
             "edit3r_outputs.formats:SplatWriter",
             "for older web viewers",
             suffix=".splat",
             keeps="every Gaussian, in one colour from all sides",
             loses="harmonics, objects, uncertainty; turns and opacities to 8 bits",
-            requires=("gaussforge",),
-            extra="export",
         ),
-        Component(
+        _gaussforge(
             "compressed-ply",
             "edit3r_outputs.formats:CompressedPlyWriter",
             "for SuperSplat and PlayCanvas",
             suffix=".compressed.ply",
             keeps="every Gaussian, with harmonics",
-            loses="exact numbers; harmonics above degree 3, objects, uncertainty",
-            requires=("gaussforge",),
-            extra="export",
+            loses=f"exact numbers; {_DEGREES}",
         ),
         Component(
             "glb",
@@ -110,7 +105,7 @@ def register_writers() -> list[Component]:
             "glTF with the extension for Gaussians, for 3D programs",
             suffix=".glb",
             keeps="every Gaussian, exactly, upright; as points where the extension is unknown",
-            loses="harmonics above degree 3, objects, uncertainty",
+            loses=_DEGREES,
         ),
         Component(
             "mesh",

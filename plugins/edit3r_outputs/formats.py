@@ -155,10 +155,8 @@ def _tell_of_clipping(gaussians: Gaussians, form: str) -> None:
             f"{form}: {large:,} Gaussians are larger than it can say ({most.size:.3g} in the "
             "file's unit) and become that large."
         )
-    plain, further = gaussians.harmonics[0, drawn].abs().tensor_split((1,), 1)
-    beyond = (plain > most.plain).flatten(1).any(1) | (further > most.further).flatten(
-        1
-    ).any(1)
+    sizes = gaussians.harmonics[0, drawn].abs().flatten(1)
+    beyond = (sizes[:, :3] > most.plain).any(1) | (sizes[:, 3:] > most.further).any(1)
     if beyond.float().sum() > MANY_CLIPPED * len(beyond):
         warn(
             f"{form}: the colours of {int(beyond.sum()):,} Gaussians go beyond what it can say "

@@ -3,6 +3,7 @@
 import json
 import struct
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -51,27 +52,19 @@ def _glb(gaussians: Gaussians) -> bytes:
         degree = int(index**0.5)
         name = f"{own}:SH_DEGREE_{degree}_COEF_{index - degree**2}"
         attributes[name] = harmonics[:, index]
-    parts = [
-        np.ascontiguousarray(values, dtype="<f4") for values in attributes.values()
-    ]
+    parts = [np.ascontiguousarray(one, dtype="<f4") for one in attributes.values()]
     starts = np.cumsum([0, *(part.nbytes for part in parts)]).tolist()
     kinds = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
-    accessors = [
-        {
-            "bufferView": i,
-            "componentType": FLOAT,
-            "count": len(p),
-            "type": kinds[1 if p.ndim == 1 else p.shape[1]],
-        }
-        for i, p in enumerate(parts)
-    ]
+    accessors: list[dict[str, Any]] = []
+    for i, part in enumerate(parts):
+        kind = kinds[1 if part.ndim == 1 else part.shape[1]]
+        one = {"bufferView": i, "componentType": FLOAT, "count": len(part)}
+        accessors.append({**one, "type": kind})
     accessors[0] |= {"min": parts[0].min(0).tolist(), "max": parts[0].max(0).tolist()}
     primitive = {
         "mode": 0,
         "attributes": {name: index for index, name in enumerate(attributes)},
-    }
-    primitive["extensions"] = {
-        own: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
+        "extensions": {own: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
     }
     tree = {
         "asset": {"version": "2.0", "generator": "edit3r"},
@@ -90,10 +83,6 @@ def _glb(gaussians: Gaussians) -> bytes:
     text = json.dumps(tree, allow_nan=False).encode()
     text += b" " * (-len(text) % 4)
     data = b"".join(part.tobytes() for part in parts)
-    chunks = (
-        struct.pack("<I4s", len(text), b"JSON")
-        + text
-        + struct.pack("<I4s", len(data), b"BIN\0")
-        + data
-    )
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text
+    chunks += struct.pack("<I4s", len(data), b"BIN\0") + data
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks

@@ -15,6 +15,7 @@ from edit3r.contract.interfaces import SceneToWrite, Writer
 from edit3r.contract.types import Cameras, Rendering
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.warping import warp
+from edit3r_outputs.ply import coloured_ply
 
 CELLS = (216, 288, 160)  # of the usual grid: rows, columns, steps of inverse depth
 WIDER = 1.3  # the grid's field of view than that of view 0
@@ -57,12 +58,8 @@ class MeshWriter(Writer):
     needs = ("cameras", "render")
 
     class Settings(edit3r.Settings):
-        detail: float = Field(
-            1.0,
-            gt=0.05,
-            le=4,
-            description="how many times as fine as usual the grid is",
-        )
+        detail: float = Field(1.0, gt=0.05, le=4)
+        """how many times as fine as usual the grid is"""
 
     settings: Settings
 
@@ -70,7 +67,10 @@ class MeshWriter(Writer):
     def write(self, path: Path, scene: SceneToWrite) -> None:
         assert scene.cameras is not None and scene.render is not None  # they are needed
         shown = scene.render(scene.cameras)
-        path.write_bytes(_ply(mesh_of(shown, scene.cameras, self.settings.detail)))
+        mesh = mesh_of(shown, scene.cameras, self.settings.detail)
+        upright = mesh.vertices * np.array(UPRIGHT)
+        colours = (mesh.colours * 255).round()
+        path.write_bytes(coloured_ply(upright, colours, mesh.faces))
 
 
 def mesh_of(shown: Rendering, cameras: Cameras, detail: float = 1.0) -> Mesh:
@@ -112,11 +112,8 @@ def _frustum(
     near, far = float(inverse[outer]), float(inverse[-1 - outer])
     room = ROOM * max(near - far, 1e-3 * near)
     rows, columns, steps = (round(cells * detail) for cells in CELLS)
-    y, x = torch.meshgrid(
-        torch.linspace(-0.5, 0.5, rows) * WIDER + 0.5,
-        torch.linspace(-0.5, 0.5, columns) * WIDER + 0.5,
-        indexing="ij",
-    )
+    sides = (torch.linspace(-0.5, 0.5, n) * WIDER + 0.5 for n in (rows, columns))
+    y, x = torch.meshgrid(*sides, indexing="ij")
     pixels = torch.stack((x, y, torch.ones_like(x)), -1)
     c2w = cameras.c2w[0, 0]
     to_rays = c2w[:3, :3] @ torch.linalg.inv(cameras.intrinsics[0, 0])
@@ -138,9 +135,8 @@ def _distances(
         for view, depth in enumerate(depths):
             camera = cameras.select([view])
             z, seen = _read(points, camera, depth[None])
-            distance = (
-                1 / z.clamp(min=1e-9) - 1 / seen[0].clamp(min=1e-9)
-            ) / frustum.step
+            gap = 1 / z.clamp(min=1e-9) - 1 / seen[0].clamp(min=1e-9)
+            distance = gap / frustum.step
             known = (z > 0) & (seen[0] > 0) & (distance > -REACH)
             total[:, :, index] += known * distance.clamp(max=REACH)
             weight[:, :, index] += known
@@ -185,35 +181,9 @@ def _colours(
     for view, image in enumerate(images):
         maps = torch.cat((image, depths[view][None]))
         z, seen = _read(vertices[:, None], cameras.select([view]), maps)
-        near = (
-            1 / z.clamp(min=1e-9) - 1 / seen[3].clamp(min=1e-9)
-        ).abs() < REACH * step
+        gap = 1 / z.clamp(min=1e-9) - 1 / seen[3].clamp(min=1e-9)
+        near = gap.abs() < REACH * step
         weight = (near & (seen[3] > 0))[:, 0].float()
         total[:, :3] += weight[:, None] * seen[:3, :, 0].T
         total[:, 3] += weight
     return (total[:, :3] / total[:, 3:]).clamp(0, 1)
-
-
-def _ply(mesh: Mesh) -> bytes:
-    """The mesh as binary PLY with colours, y up."""
-    names = ("x", "y", "z", "red", "green", "blue")
-    types = ("<f4",) * 3 + ("u1",) * 3
-    vertices = np.zeros(len(mesh.vertices), list(zip(names, types)))
-    values = *(mesh.vertices * np.array(UPRIGHT)).T, *(mesh.colours * 255).round().T
-    for name, column in zip(names, values):
-        vertices[name] = column
-    faces = np.zeros(len(mesh.faces), [("count", "u1"), ("corners", "<i4", 3)])
-    faces["count"] = 3
-    faces["corners"] = mesh.faces
-    header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"element vertex {len(vertices)}",
-        *(f"property {'float' if name in 'xyz' else 'uchar'} {name}" for name in names),
-        f"element face {len(faces)}",
-        "property list uchar int vertex_indices",
-        "end_header",
-        "",
-    ]
-    text = "\n".join(header).encode()
-    return text + vertices.tobytes() + faces.tobytes()

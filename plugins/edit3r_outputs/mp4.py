@@ -19,7 +19,8 @@ class Mp4Writer(Writer):
     needs = ("frames",)
 
     class Settings(edit3r.Settings):
-        fps: int = Field(18, ge=1, le=240, description="frames per second")
+        fps: int = Field(18, ge=1, le=240)
+        """frames per second"""
 
     settings: Settings
 

@@ -18,29 +18,13 @@ from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.geometry.rotations import matrices_to_quats
 from edit3r.kit.photos.cameras import write_transforms
 from edit3r.kit.photos.images import save_image
+from edit3r_outputs.ply import coloured_ply
 
 MAX_POINTS = 100_000  # as many as COLMAP finds in some hundred photos
 POINTS = "sparse_pc.ply"  # as nerfstudio calls it
-_VERTEX = [("position", "<f4", 3), ("colour", "u1", 3)]
-_PLY = """ply
-format binary_little_endian 1.0
-element vertex {}
-property float x
-property float y
-property float z
-property uchar red
-property uchar green
-property uchar blue
-end_header
-"""
 _PINHOLE = 1  # COLMAP's number of the model with fx, fy, cx, cy
-_POINT = [
-    ("id", "<u8"),
-    ("position", "<f8", 3),
-    ("colour", "u1", 3),
-    ("error", "<f8"),
-    ("track_length", "<u8"),
-]
+_POINT = [("id", "<u8"), ("position", "<f8", 3), ("colour", "u1", 3)]
+_POINT += [("error", "<f8"), ("track_length", "<u8")]  # 0: found by no matching
 
 
 class ColmapWriter(Writer):
@@ -63,12 +47,7 @@ class NerfstudioWriter(Writer):
         assert scene.cameras is not None  # they are needed
         files = [f"images/{name}" for name in _write_images(path, scene)]
         write_transforms(path / "transforms.json", scene.cameras, files, POINTS)
-        means, colours = _points(scene.gaussians)
-        points = np.zeros(len(means), _VERTEX)
-        points["position"], points["colour"] = means, colours
-        (path / POINTS).write_bytes(
-            _PLY.format(len(points)).encode() + points.tobytes()
-        )
+        (path / POINTS).write_bytes(coloured_ply(*_points(scene.gaussians)))
 
 
 def _write_images(folder: Path, scene: SceneToWrite) -> list[str]:
@@ -103,8 +82,7 @@ def _write_colmap(
     means, colours = _points(gaussians)
     points = np.zeros(len(means), _POINT)
     points["id"] = np.arange(1, len(means) + 1)
-    points["position"] = means
-    points["colour"] = colours
+    points["position"], points["colour"] = means, colours
     content = struct.pack("<Q", len(points)) + points.tobytes()
     (folder / "points3D.bin").write_bytes(content)
 

@@ -46,7 +46,8 @@ class VideoWriter(Writer):
     needs = ("frames",)
 
     class Settings(edit3r.Settings):
-        fps: float = Field(18, gt=0, le=1000, description="frames per second")
+        fps: float = Field(18, gt=0, le=1000)
+        """frames per second"""
 
     settings: Settings
 
@@ -71,9 +72,8 @@ def save_video(path: str | Path, frames: Iterable[Picture], fps: float = 24) -> 
     sizes: set[tuple[int, int]] = set()
 
     def image_of(frame: Picture) -> Image.Image:
-        image = Image.fromarray(
-            frame if isinstance(frame, np.ndarray) else to_bytes(frame)
-        )
+        pixels = frame if isinstance(frame, np.ndarray) else to_bytes(frame)
+        image = Image.fromarray(pixels)
         sizes.add(image.size)
         if len(sizes) > 1 or max(image.size) > LARGEST_SIDE:
             raise InputError(
@@ -82,9 +82,8 @@ def save_video(path: str | Path, frames: Iterable[Picture], fps: float = 24) -> 
             )
         return image
 
-    with ThreadPoolExecutor(
-        os.cpu_count()
-    ) as pool:  # coding runs outside the GIL, while the next frames are drawn
+    # coding runs outside the GIL, while the next frames are drawn
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
         coded = list(pool.map(_vp8_frame, (image_of(frame) for frame in frames)))
     if not coded:
         raise InputError(f"{path}: a video needs at least one frame.")
@@ -127,9 +126,8 @@ def _webm(frames: Sequence[bytes], size: tuple[int, int], fps: float) -> bytes:
     # The index stands before what it points to; its own size is known because positions have a
     # fixed width.
     start = len(info) + len(tracks) + len(_cues(clusters, 0))
-    body = (
-        info + tracks + _cues(clusters, start) + b"".join(data for _, data in clusters)
-    )
+    data = b"".join(data for _, data in clusters)
+    body = info + tracks + _cues(clusters, start) + data
     return _header() + _element(_SEGMENT, body)
 
 
@@ -162,13 +160,9 @@ def _clusters(
     first = 0
     for index in range(1, len(frames) + 1):
         if index == len(frames) or times[index] - times[first] >= CLUSTER_MS:
-            blocks = [
-                _block(frames[i], times[i] - times[first]) for i in range(first, index)
-            ]
-            yield (
-                times[first],
-                _element(_CLUSTER, _unsigned(0xE7, times[first]), *blocks),
-            )
+            start, run = times[first], range(first, index)
+            blocks = [_block(frames[i], times[i] - start) for i in run]
+            yield start, _element(_CLUSTER, _unsigned(0xE7, start), *blocks)
             first = index
 
 
@@ -180,9 +174,8 @@ def _cues(clusters: Sequence[tuple[int, bytes]], start: int) -> bytes:
     """Index of the clusters, which begin `start` bytes into the segment."""
     points = []
     for time, data in clusters:
-        position = _element(
-            0xB7, _unsigned(0xF7, 1), _element(0xF1, struct.pack(">Q", start))
-        )
+        place = _element(0xF1, struct.pack(">Q", start))
+        position = _element(0xB7, _unsigned(0xF7, 1), place)
         points.append(_element(0xBB, _unsigned(0xB3, time), position))
         start += len(data)
     return _element(_CUES, *points)

@@ -10,13 +10,7 @@ own place and added up per splat afterwards: no two threads write to one number.
 from edit3r_rasterizers.kernels import inlined, kernel
 from edit3r_rasterizers.layout import BLOCK, LOOKAHEAD, RECORD, SUMS, TILE
 from edit3r_rasterizers.settings import MIN_TOTAL_ALPHA
-from edit3r_rasterizers.simd import (
-    broadcast,
-    lowest_bit,
-    magnitude,
-    maximum,
-    select,
-)
+from edit3r_rasterizers.simd import broadcast, lowest_bit, magnitude, maximum, select
 from edit3r_rasterizers.simd_memory import add, flat, load, prefetch, store, store_sums
 from edit3r_rasterizers.tiles import (
     BATCH,

@@ -107,8 +107,7 @@ def _require_cuda() -> None:
     if not torch.cuda.is_available():
         raise MissingDependencyError(
             "rasterizer 'gsplat' needs an NVIDIA GPU with CUDA and this machine has none; use "
-            "'numba' instead, "
-            "which renders the same pictures on the CPU."
+            "'numba' instead, which renders the same pictures on the CPU."
         )
     if importlib.util.find_spec("gsplat") is None:
         raise MissingDependencyError(

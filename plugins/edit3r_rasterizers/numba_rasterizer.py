@@ -62,12 +62,8 @@ MAX_WAIT = 120  # for kernels that another process compiles [s]
 class NumbaSettings(RasterizerSettings):
     """The shared settings, and the number of threads."""
 
-    threads: int = Field(
-        0,
-        ge=0,
-        le=256,
-        description="CPU threads; 0: as many as torch and numba are set to use.",
-    )
+    threads: int = Field(0, ge=0, le=256)
+    """CPU threads; 0: as many as torch and numba are set to use."""
 
 
 class NumbaRasterizer(Rasterizer):
@@ -122,9 +118,8 @@ class _CompilingAhead:
     def start(self) -> None:
         if self.process is not None or is_kept(differentiate_tiles):
             return
-        say(
-            "compiling", "the rasterizer, once after an install, beside the other steps"
-        )
+        told = "the rasterizer, once after an install, beside the other steps"
+        say("compiling", told)
         command = [*PYTHON, "-m", "edit3r_rasterizers.compile_ahead"]
         self.process = subprocess.Popen(
             command, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL
@@ -215,25 +210,19 @@ class _Rasterize(torch.autograd.Function):
             b, c = divmod(index, count)
             seen, by_seen = _images_of(outputs, b, c), _images_of(gradients, b, c)
             if any(by_shapes) or by_colours:
-                differentiate(
-                    ctx.scenes[b],
-                    frame,
-                    seen,
-                    by_seen,
+                wanted = (
                     by_scenes[b],
                     by_cameras[b, c].numpy() if by_shapes[0] else None,
-                    shapes=any(by_shapes),
                 )
+                shapes = any(by_shapes)
+                differentiate(ctx.scenes[b], frame, seen, by_seen, *wanted, shapes)
             if by_background:
-                left = torch.from_numpy(frame.transmittances)
-                by_backgrounds[b, c] = torch.einsum(
-                    "chw,hw->c", gradients[0][b, c].double(), left.double()
-                )
+                left = torch.from_numpy(frame.transmittances).double()
+                by_image = gradients[0][b, c].double()
+                by_backgrounds[b, c] = torch.einsum("chw,hw->c", by_image, left)
         stacked = [_stack(arrays) for arrays in zip(*by_scenes)] or [None] * 5
-        by_fields = [
-            field if wanted else None
-            for field, wanted in zip(stacked, ctx.needs_input_grad[5:])
-        ]
+        pairs = zip(stacked, ctx.needs_input_grad[5:])
+        by_fields = [field if wanted else None for field, wanted in pairs]
         return None, None, None, by_backgrounds, by_cameras, *by_fields
 
 
@@ -292,10 +281,7 @@ def project_scene(
 
 
 def draw(
-    threads: int,
-    frame: ProjectedScene,
-    background: np.ndarray,
-    images: CameraImages,
+    threads: int, frame: ProjectedScene, background: np.ndarray, images: CameraImages
 ) -> None:
     """Fill `images` over a background colour [3]."""
     run_slices(
@@ -317,7 +303,6 @@ def differentiate(
     image_gradients: CameraImages,
     by_scene: GaussianArrays,
     by_camera: np.ndarray | None,
-    *,
     shapes: bool,
 ) -> None:
     """Add the gradients of one camera's images to those of the scene.

@@ -10,13 +10,7 @@ from edit3r.contract.types import DC
 from edit3r_rasterizers import layout, projection_maths as maths
 from edit3r_rasterizers.kernels import inlined, kernel
 from edit3r_rasterizers.projection import UNIT
-from edit3r_rasterizers.projection_maths import (
-    GROUP,
-    INPUTS,
-    OPACITY,
-    U,
-    staged_row,
-)
+from edit3r_rasterizers.projection_maths import GROUP, INPUTS, OPACITY, U, staged_row
 from edit3r_rasterizers.settings import MAX_COLOUR
 from edit3r_rasterizers.sh_kernels import basis_gradient, evaluate_basis
 from edit3r_rasterizers.simd import select

@@ -36,46 +36,22 @@ class RasterizerSettings(Settings):
     `max_alpha` of 0.999.
     """
 
-    near: float | None = Field(
-        None,
-        ge=1e-30,
-        le=1e10,
-        description="Gaussians with camera z below are culled [scene units]; default: 0.01, less "
-        "in scenes smaller than 0.32.",
-    )
-    far: float = Field(
-        FAR,
-        ge=1e-6,
-        le=FAR,
-        description="Gaussians with camera z above are culled [scene units]; default: 1e30, none.",
-    )
-    background: tuple[Share, Share, Share] = Field(
-        (0.0, 0.0, 0.0), description="sRGB colour behind everything, each in [0, 1]."
-    )
-    eps2d: float = Field(
-        0.3,
-        ge=1e-3,
-        le=100,
-        description="Added to the variances in the picture [pixels^2].",
-    )
-    max_alpha: float = Field(
-        0.999,
-        ge=0.01,
-        le=0.9999,
-        description="No Gaussian hides more of a pixel than this.",
-    )
-    min_alpha: float = Field(
-        1 / 255,
-        ge=1e-5,
-        le=0.5,
-        description="A Gaussian is skipped where its alpha is below.",
-    )
-    min_transmittance: float = Field(
-        1e-4,
-        ge=1e-6,
-        le=0.5,
-        description="A pixel ends before the Gaussian that takes its transmittance to or below.",
-    )
+    near: float | None = Field(None, ge=1e-30, le=1e10)
+    """Gaussians with camera z below are culled [scene units]; default: 0.01, less in scenes smaller
+    than 0.32.
+    """
+    far: float = Field(FAR, ge=1e-6, le=FAR)
+    """Gaussians with camera z above are culled [scene units]; default: 1e30, none."""
+    background: tuple[Share, Share, Share] = (0.0, 0.0, 0.0)
+    """sRGB colour behind everything, each in [0, 1]."""
+    eps2d: float = Field(0.3, ge=1e-3, le=100)
+    """Added to the variances in the picture [pixels^2]."""
+    max_alpha: float = Field(0.999, ge=0.01, le=0.9999)
+    """No Gaussian hides more of a pixel than this."""
+    min_alpha: float = Field(1 / 255, ge=1e-5, le=0.5)
+    """A Gaussian is skipped where its alpha is below."""
+    min_transmittance: float = Field(1e-4, ge=1e-6, le=0.5)
+    """A pixel ends before the Gaussian that takes its transmittance to or below."""
 
     @model_validator(mode="after")
     def _check_ranges(self) -> "RasterizerSettings":

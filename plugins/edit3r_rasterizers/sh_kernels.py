@@ -66,31 +66,12 @@ def _third_order(x, y, z, w):
     a, b, c, d = C3[0] * w[9], C3[1] * w[10], C3[2] * w[11], C3[3] * w[12]
     e, f, g = C3[4] * w[13], C3[5] * w[14], C3[6] * w[15]
     planar = 3 * (xx - yy)
-    gx = (
-        6 * a * xy
-        + b * yz
-        - 2 * c * xy
-        - 6 * d * xz
-        + e * (4 * zz - 3 * xx - yy)
-        + 2 * f * xz
-        + g * planar
-    )
-    gy = (
-        a * planar
-        + b * xz
-        + c * (4 * zz - xx - 3 * yy)
-        - 6 * d * yz
-        - 2 * e * xy
-        - 2 * f * yz
-        - 6 * g * xy
-    )
-    gz = (
-        b * xy
-        + 8 * c * yz
-        + d * (6 * zz - 3 * xx - 3 * yy)
-        + 8 * e * xz
-        + f * (xx - yy)
-    )
+    gx = 6 * a * xy + b * yz - 2 * c * xy - 6 * d * xz
+    gx += e * (4 * zz - 3 * xx - yy) + 2 * f * xz + g * planar
+    gy = a * planar + b * xz + c * (4 * zz - xx - 3 * yy) - 6 * d * yz
+    gy += -2 * e * xy - 2 * f * yz - 6 * g * xy
+    gz = b * xy + 8 * c * yz + d * (6 * zz - 3 * xx - 3 * yy)
+    gz += 8 * e * xz + f * (xx - yy)
     return gx, gy, gz
 
 
@@ -104,27 +85,13 @@ def _fourth_order(x, y, z, w):
     e = C4[4] * w[20]
     f, g, h, i = C4[5] * w[21], C4[6] * w[22], C4[7] * w[23], C4[8] * w[24]
     seven, third = 7 * zz - 1, 7 * zz - 3
-    gx = (
-        a * y * (3 * xx - yy)
-        + 6 * b * xy * z
-        + c * y * seven
-        + f * z * third
-        + 2 * g * x * seven
-    )
+    gx = a * y * (3 * xx - yy) + 6 * b * xy * z + c * y * seven
+    gx += f * z * third + 2 * g * x * seven
     gx += 3 * h * z * (xx - yy) + 4 * i * x * (xx - 3 * yy)
-    gy = (
-        a * x * (xx - 3 * yy)
-        + 3 * b * z * (xx - yy)
-        + c * x * seven
-        + d * z * third
-        - 2 * g * y * seven
-    )
+    gy = a * x * (xx - 3 * yy) + 3 * b * z * (xx - yy) + c * x * seven
+    gy += d * z * third - 2 * g * y * seven
     gy += -6 * h * xy * z + 4 * i * y * (yy - 3 * xx)
-    gz = (
-        b * y * (3 * xx - yy)
-        + 14 * c * xy * z
-        + d * y * (21 * zz - 3)
-        + e * z * (140 * zz - 60)
-    )
+    gz = b * y * (3 * xx - yy) + 14 * c * xy * z + d * y * (21 * zz - 3)
+    gz += e * z * (140 * zz - 60)
     gz += f * x * (21 * zz - 3) + 14 * g * z * (xx - yy) + h * x * (xx - 3 * yy)
     return gx, gy, gz

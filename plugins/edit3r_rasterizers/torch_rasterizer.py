@@ -72,20 +72,16 @@ class TorchRasterizer(Rasterizer):
         backgrounds = resolve_background(
             background, self.settings.background, gaussians, cameras
         )
+        nears = self.settings.near_planes(gaussians)
+        shape = (*cameras.c2w.shape[:2], 5, *cameras.image_size)
         images = [
-            [
-                self._render_one(gaussians, cameras, scene, camera, near)
-                for camera in range(cameras.count)
-            ]
-            for scene, near in enumerate(self.settings.near_planes(gaussians))
+            self._render_one(gaussians, cameras, scene, camera, nears[scene])
+            for scene in range(shape[0])
+            for camera in range(shape[1])
         ]
-        height, width = cameras.image_size
-        empty = gaussians.means.new_zeros(*cameras.c2w.shape[:2], 5, height, width)
-        sums = (
-            torch.stack([torch.stack(row) for row in images])
-            if empty.numel()
-            else empty
-        )
+        sums = gaussians.means.new_zeros(shape)
+        if images:
+            sums = torch.stack(images).view(shape)
         transmittance = sums[:, :, 4:]
         alphas = 1 - transmittance
         return Rendering(
@@ -109,47 +105,36 @@ class TorchRasterizer(Rasterizer):
         )
         dtype = gaussians.means.dtype
         height, width = cameras.image_size
-        rows = [
-            [
-                self._tile(
-                    splats,
-                    left,
-                    top,
-                    min(TILE, width - left),
-                    min(TILE, height - top),
-                    dtype,
-                )
+        rows = []
+        for top in range(0, height, TILE):
+            tall = min(TILE, height - top)
+            row = [
+                self._tile(splats, (left, top), (min(TILE, width - left), tall), dtype)
                 for left in range(0, width, TILE)
             ]
-            for top in range(0, height, TILE)
-        ]
-        return torch.cat([torch.cat(row, -1) for row in rows], -2)
+            rows.append(torch.cat(row, -1))
+        return torch.cat(rows, -2)
 
     def _tile(
         self,
         splats: Splats,
-        left: int,
-        top: int,
-        width: int,
-        height: int,
+        corner: tuple[int, int],
+        size: tuple[int, int],
         dtype: torch.dtype,
     ) -> Float[Tensor, "5 height width"]:
         """Composite the splats that touch one tile in `dtype`; recomputed in the backward pass
-        instead of kept.
+        instead of kept. `corner` and `size` are x, then y.
         """
-        origin = splats.means.new_tensor([left, top])
-        size = splats.means.new_tensor([width, height])
-        offsets = splats.means.detach() - origin
-        touches = (
-            (offsets + splats.extents >= 0) & (offsets - splats.extents <= size)
-        ).all(-1)
+        width, height = size
+        origin, end = splats.means.new_tensor([corner, size])
+        offsets, reach = splats.means.detach() - origin, splats.extents
+        touches = ((offsets + reach >= 0) & (offsets - reach <= end)).all(-1)
         index = touches.nonzero().squeeze(-1)
         values = [getattr(splats, field.name)[index] for field in fields(Splats)[:-1]]
         # before rounding to dtype, so that a wide image costs no accuracy
         values[0] = values[0] - origin
-        ys, xs = torch.meshgrid(
-            _centres(height, origin), _centres(width, origin), indexing="ij"
-        )
+        centres = (_centres(side, origin) for side in (height, width))
+        ys, xs = torch.meshgrid(*centres, indexing="ij")
         pixels = torch.stack((xs.flatten(), ys.flatten()), -1).to(dtype)
         values = [value.to(dtype) for value in values]
         if torch.is_grad_enabled():
@@ -165,15 +150,13 @@ class TorchRasterizer(Rasterizer):
         sums = pixels.new_zeros(4, len(pixels))
         transmittance = pixels.new_ones(len(pixels))
         open_pixels = torch.ones_like(transmittance, dtype=torch.bool)
-        for start in range(
-            0, max(len(values[0]), 1), CHUNK
-        ):  # once for no splats too: the result keeps its graph
+        # once for no splats too: the result keeps its graph
+        for start in range(0, max(len(values[0]), 1), CHUNK):
             chunk = [value[start : start + CHUNK] for value in values]
             alphas = self._alphas(pixels, *chunk[:-1])
             after = transmittance[:, None] * (1 - alphas).cumprod(-1)
-            kept = open_pixels[:, None] & (
-                after.detach() > self.settings.min_transmittance
-            )
+            lit = after.detach() > self.settings.min_transmittance
+            kept = open_pixels[:, None] & lit
             alphas = torch.where(kept, alphas, torch.zeros_like(alphas))
             through = transmittance[:, None] * (1 - alphas).cumprod(-1)
             through = torch.cat((transmittance[:, None], through), -1)
@@ -183,25 +166,18 @@ class TorchRasterizer(Rasterizer):
         return torch.cat((sums, transmittance[None]))
 
     def _alphas(
-        self,
-        pixels: Float[Tensor, "pixel 2"],
-        means: Float[Tensor, "splat 2"],
-        x_per_y: Float[Tensor, "splat"],
-        inv_std_x: Float[Tensor, "splat"],
-        inv_std_y: Float[Tensor, "splat"],
-        opacities: Float[Tensor, "splat"],
+        self, pixels: Float[Tensor, "pixel 2"], *splats: Tensor
     ) -> Float[Tensor, "pixel splat"]:
         """Alpha of every splat at every pixel, 0 where it is skipped (see `Splats` for the
         exponent).
         """
+        means, x_per_y, inv_std_x, inv_std_y, opacities = splats
         x, y = (pixels[:, None] - means).unbind(-1)
-        exponent = 0.5 * (
-            (inv_std_x * (x - x_per_y * y)).square() + (inv_std_y * y).square()
-        )
+        across, down = inv_std_x * (x - x_per_y * y), inv_std_y * y
+        exponent = 0.5 * (across.square() + down.square())
         alphas = (opacities * torch.exp(-exponent)).clamp(max=self.settings.max_alpha)
-        return torch.where(
-            alphas.detach() >= self.settings.min_alpha, alphas, torch.zeros_like(alphas)
-        )
+        shown = alphas.detach() >= self.settings.min_alpha
+        return torch.where(shown, alphas, torch.zeros_like(alphas))
 
 
 def _centres(count: int, like: Tensor) -> Float[Tensor, "count"]:
@@ -227,11 +203,8 @@ def project_scene(
     rotation = c2w[:3, :3].to(work)
     depth = (offsets.detach() @ rotation)[:, 2]
     opacities = gaussians.opacities[scene].to(work)
-    kept = (
-        (depth >= near)
-        & (depth <= settings.far)
-        & (opacities.detach() >= settings.min_alpha)
-    )
+    kept = (depth >= near) & (depth <= settings.far)
+    kept &= opacities.detach() >= settings.min_alpha
     index = kept.nonzero().squeeze(-1)
     # front to back, ties in index order
     index = index[depth[index].argsort(stable=True)]
@@ -243,18 +216,16 @@ def project_scene(
     centre = intrinsics.to(work)[:2, 2] * size
     tangents = camera[:, :2] / camera[:, 2:]
     rows = _image_rows(tangents, camera[:, 2], focal, centre, size, rotation)
-    shape = quats_to_matrices(
-        gaussians.quats[scene, index].to(work)
-    ) * gaussians.scales[scene, index, None].to(work)
+    turns = quats_to_matrices(gaussians.quats[scene, index].to(work))
+    shape = turns * gaussians.scales[scene, index, None].to(work)
     # covariance a = |across|^2 + eps2d, b = across . down, ...
     across, down = (rows @ shape).unbind(-2)
     variance_x = across.square().sum(-1) + settings.eps2d
     variance_y = down.square().sum(-1) + settings.eps2d
     down = down / variance_y.sqrt()[:, None]
     spread = torch.linalg.cross(across, down).square().sum(-1)
-    variance_given_y = spread + settings.eps2d * (
-        1 + across.square().sum(-1) / variance_y
-    )
+    widened = 1 + across.square().sum(-1) / variance_y
+    variance_given_y = spread + settings.eps2d * widened
     cutoff = 2 * (opacities[index] / settings.min_alpha).log()
     variances = torch.stack((variance_x, variance_y), -1)
     colours = seen_colours(gaussians.harmonics[scene, index].to(work), offsets[index])
@@ -284,9 +255,7 @@ def _image_rows(
     low, high = -(centre / focal + margin), (size - centre) / focal + margin
     x, y = tangents.clamp(low, high).unbind(-1)
     zero, one = torch.zeros_like(x), torch.ones_like(x)
-    rows = torch.stack(
-        (torch.stack((one, zero, -x), -1), torch.stack((zero, one, -y), -1)), -2
-    )
+    rows = torch.stack((one, zero, -x, zero, one, -y), -1).unflatten(-1, (2, 3))
     return (focal[:, None] * rows / depth[:, None, None]) @ rotation.T
 
 

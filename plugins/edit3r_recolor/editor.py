@@ -44,19 +44,12 @@ class RecolorEditor(Editor, EditsRegions):
     """Colour edits without a model, blended softly by each instruction's region (section 3.2)."""
 
     class Settings(edit3r.Settings):
-        strength: float = Field(
-            1.0, ge=0, le=1, description="share of the new colour; 0 returns the photo"
-        )
-        tolerance: float = Field(
-            18,
-            gt=0,
-            le=90,
-            description="how far hues of a thing's one paint are apart [degrees]",
-        )
-        ranges: RecolorRanges = Field(
-            RecolorRanges(),
-            description="how strongly a recolouring without a named colour is sampled",
-        )
+        strength: float = Field(1.0, ge=0, le=1)
+        """share of the new colour; 0 returns the photo"""
+        tolerance: float = Field(18, gt=0, le=90)
+        """how far hues of a thing's one paint are apart [degrees]"""
+        ranges: RecolorRanges = RecolorRanges()
+        """how strongly a recolouring without a named colour is sampled"""
 
     settings: Settings
 
@@ -74,11 +67,8 @@ class RecolorEditor(Editor, EditsRegions):
                 )
         generator = torch.Generator().manual_seed(request.seed)
         parameters = sample_parameters(generator, self.settings.ranges)
-        if any(
-            change.kind == "random"
-            for instruction in instructions
-            for change in instruction.changes
-        ):
+        changes = [change for one in instructions for change in one.changes]
+        if any(change.kind == "random" for change in changes):
             reporting.note("editor.parameters", asdict(parameters))
         scenes = []
         for index, images in enumerate(views.images):
@@ -99,11 +89,8 @@ class RecolorEditor(Editor, EditsRegions):
     ) -> Float[Tensor, "view 3 height width"]:
         settings = self.settings
         everywhere = instruction.thing.scope in ("whole", "region")
-        flood = (
-            everywhere
-            or "whole" in instruction.thing.which
-            or instruction.thing.name in WHOLE
-        )
+        thing = instruction.thing
+        flood = everywhere or "whole" in thing.which or thing.name in WHOLE
         changed = images
         for change in instruction.changes:
             if change.kind == "paint":

@@ -56,20 +56,16 @@ def write_folder(
             (folder / kind).mkdir()
             for name, image in zip(names, written):
                 save_image(image, folder / kind / f"{name}.png")
-    write_masks(
-        folder / MASKS, names, [region.id for region in recipe.regions], masks[:, used]
-    )
+    numbers = [region.id for region in recipe.regions]
+    write_masks(folder / MASKS, names, numbers, masks[:, used])
     recipe.save(folder / RECIPE)
-    if photos.views.c2w is not None:
-        cameras = Cameras(
-            photos.views.c2w, photos.views.intrinsics, photos.views.image_size
-        ).select(used)
-        write_cameras(
-            folder / "cameras.json",
-            posed_cameras(cameras, [f"images/{name}.png" for name in names]),
-        )
+    views = photos.views
+    if views.c2w is not None:
+        cameras = Cameras(views.c2w, views.intrinsics, views.image_size).select(used)
+        files = [f"images/{name}.png" for name in names]
+        write_cameras(folder / "cameras.json", posed_cameras(cameras, files))
     shown = evenly(range(len(used)), MOST_ROWS)
-    originals = photos.views.images[0, used][shown]
+    originals = views.images[0, used][shown]
     columns = {
         "photo": originals,
         "regions": _painted(originals, masks[:, used][:, shown]),
@@ -77,10 +73,8 @@ def write_folder(
     }
     if augmented is not None:
         columns["augmented"] = augmented[shown]
-    save_pixels(
-        np.asarray(draw_sheet(columns, names=[names[view] for view in shown])),
-        folder / "sheet.png",
-    )
+    sheet = draw_sheet(columns, names=[names[view] for view in shown])
+    save_pixels(np.asarray(sheet), folder / "sheet.png")
 
 
 def write_masks(
@@ -92,9 +86,8 @@ def write_masks(
         own.mkdir(parents=True, exist_ok=True)
         for name, mask in zip(names, of_object):
             if mask.any():
-                Image.fromarray(
-                    (mask * 255).round().to(torch.uint8).cpu().numpy()
-                ).save(own / f"{name}.png")
+                pixels = (mask * 255).round().to(torch.uint8).cpu().numpy()
+                Image.fromarray(pixels).save(own / f"{name}.png")
 
 
 def read_masks(folder: Path, photos: tuple[Photo, ...]) -> Masks:
@@ -121,9 +114,8 @@ def read_masks_of(folder: Path, photos: tuple[Photo, ...], numbers: list[int]) -
             raise InputError(
                 f"{folder}: lacks the folder {number} with that object's masks."
             )
-    return torch.stack(
-        [_one_object(folder / str(number), photos) for number in numbers]
-    )
+    masks = [_one_object(folder / str(number), photos) for number in numbers]
+    return torch.stack(masks)
 
 
 def _by_number(path: Path) -> tuple:
@@ -133,29 +125,23 @@ def _by_number(path: Path) -> tuple:
 def _one_object(
     folder: Path, photos: tuple[Photo, ...]
 ) -> Float[Tensor, "view height width"]:
-    files = {
-        path.stem: path
-        for path in sorted(folder.iterdir(), reverse=True)
-        if path.is_file()
-    }
-    masks = (
-        read_mask(files[p.name], p.frame)
-        if p.name in files
-        else torch.zeros(p.frame.target)
-        for p in photos
-    )
-    return torch.stack(list(masks))
+    paths = sorted(folder.iterdir(), reverse=True)
+    files = {path.stem: path for path in paths if path.is_file()}
+    masks = [
+        read_mask(files[photo.name], photo.frame)
+        if photo.name in files
+        else torch.zeros(photo.frame.target)
+        for photo in photos
+    ]
+    return torch.stack(masks)
 
 
 def _painted(photos: Images, masks: Masks) -> Images:
     """Draw grey photos with every region in a colour of its own, the same in all views."""
     shown = 0.6 * photos.mean(1, keepdim=True).expand(-1, 3, -1, -1)
     for number, mask in enumerate(masks):
-        # golden ratio: far apart
-        colour = shown.new_tensor(
-            colorsys.hsv_to_rgb((number * 0.381966) % 1, 0.8, 1.0)
-        )
-        shown = torch.lerp(
-            shown, colour[:, None, None].expand_as(shown), 0.6 * mask[:, None]
-        )
+        hue = (number * 0.381966) % 1  # golden ratio: far apart
+        colour = shown.new_tensor(colorsys.hsv_to_rgb(hue, 0.8, 1.0))
+        colour = colour[:, None, None].expand_as(shown)
+        shown = torch.lerp(shown, colour, 0.6 * mask[:, None])
     return shown

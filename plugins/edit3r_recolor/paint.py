@@ -230,16 +230,14 @@ def _median(lab: Pixels, weights: Weights) -> float:
 def _commonest_hue(lab: Pixels, weights: Weights, tolerance: float) -> float:
     """The mean hue about the highest place of the smoothed histogram of hues [radians]."""
     bins = ((_hue(lab) / math.pi + 1) * HUE_BINS / 2).long() % HUE_BINS
-    counts = torch.bincount(
-        bins.flatten(), weights.flatten().double(), minlength=HUE_BINS
-    )
+    amounts = weights.flatten().double()
+    counts = torch.bincount(bins.flatten(), amounts, minlength=HUE_BINS)
     shifts = (-1, 0, 1, 2)
     smooth = sum((counts.roll(shift) for shift in shifts), start=counts.roll(-2))
     peak = (int(smooth.argmax()) + 0.5) * 2 * math.pi / HUE_BINS - math.pi
     near = weights * _near_hue(lab, Paint(peak, 0, 0, tolerance / 2))
-    return math.atan2(
-        float((near * _hue(lab).sin()).sum()), float((near * _hue(lab).cos()).sum())
-    )
+    y, x = ((near * part).sum() for part in (_hue(lab).sin(), _hue(lab).cos()))
+    return math.atan2(float(y), float(x))
 
 
 def _near_hue(lab: Pixels, own: Paint) -> Weights:

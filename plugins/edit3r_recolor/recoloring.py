@@ -49,34 +49,22 @@ class RecolorRanges(Settings):
     (gamma: [1/g, g]).
     """
 
-    brightness: float = Field(
-        0.3, ge=0, le=1, description="largest change of brightness [factor - 1]"
-    )
-    contrast: float = Field(
-        0.3, ge=0, le=1, description="largest change of contrast [factor - 1]"
-    )
-    saturation: float = Field(
-        0.5, ge=0, le=1, description="largest change of saturation [factor - 1]"
-    )
-    hue: float = Field(0.5, ge=0, le=0.5, description="largest rotation of hue [turns]")
-    gamma: float = Field(
-        1.5,
-        ge=1,
-        le=4,
-        description="largest gamma g; drawn from [1/g, g], evenly in its logarithm",
-    )
-    lighting: float = Field(
-        0.4,
-        ge=0,
-        le=2,
-        description="standard deviation of the PCA lighting weights; 0.1 is barely visible",
-    )
-    permute_probability: float = Field(
-        0.5, ge=0, le=1, description="how often RGB channels change places"
-    )
-    greyscale_probability: float = Field(
-        0.1, ge=0, le=1, description="how often all colour is taken away"
-    )
+    brightness: float = Field(0.3, ge=0, le=1)
+    """largest change of brightness [factor - 1]"""
+    contrast: float = Field(0.3, ge=0, le=1)
+    """largest change of contrast [factor - 1]"""
+    saturation: float = Field(0.5, ge=0, le=1)
+    """largest change of saturation [factor - 1]"""
+    hue: float = Field(0.5, ge=0, le=0.5)
+    """largest rotation of hue [turns]"""
+    gamma: float = Field(1.5, ge=1, le=4)
+    """largest gamma g; drawn from [1/g, g], evenly in its logarithm"""
+    lighting: float = Field(0.4, ge=0, le=2)
+    """standard deviation of the PCA lighting weights; 0.1 is barely visible"""
+    permute_probability: float = Field(0.5, ge=0, le=1)
+    """how often RGB channels change places"""
+    greyscale_probability: float = Field(0.1, ge=0, le=1)
+    """how often all colour is taken away"""
 
 
 DEFAULT_RANGES = RecolorRanges()
@@ -291,14 +279,11 @@ def perturbed(
     """Shift an edit's palette a little: factors times 1 +- `amount`, hue by at most amount / 4
     turns.
     """
-    brightness, contrast, saturation, gamma, hue = rng.uniform(
-        -amount, amount, 5
-    ).tolist()
-    return replace(
-        parameters,
-        brightness=parameters.brightness * (1 + brightness),
-        contrast=parameters.contrast * (1 + contrast),
-        saturation=parameters.saturation * (1 + saturation),
-        gamma=parameters.gamma * (1 + gamma),
-        hue=parameters.hue + hue / 4,
-    )
+    *shifts, hue = rng.uniform(-amount, amount, 5).tolist()
+    factors = {
+        name: getattr(parameters, name) * (1 + shift)
+        for name, shift in zip(
+            ("brightness", "contrast", "saturation", "gamma"), shifts
+        )
+    }
+    return replace(parameters, hue=parameters.hue + hue / 4, **factors)

@@ -26,21 +26,16 @@ class ProposalFilter(Settings):
     stability and quality are proxies; with `sam2` raise them (0.92 and 0.85 are usual for it).
     """
 
-    min_area: float = Field(
-        0.01, ge=0, le=1, description="least share of the first picture"
-    )
-    min_stability: float = Field(
-        0.8, ge=0, le=1, description="least overlap of the mask under two thresholds"
-    )
-    min_predicted_iou: float = Field(
-        0.4, ge=0, le=1, description="least quality that the mask believes it has"
-    )
-    aspect: tuple[float, float] = Field(
-        (0.2, 5.0), description="least and most width / height of the box"
-    )
-    margin: int = Field(
-        2, ge=0, description="least distance of the box to the border [pixels]"
-    )
+    min_area: float = Field(0.01, ge=0, le=1)
+    """least share of the first picture"""
+    min_stability: float = Field(0.8, ge=0, le=1)
+    """least overlap of the mask under two thresholds"""
+    min_predicted_iou: float = Field(0.4, ge=0, le=1)
+    """least quality that the mask believes it has"""
+    aspect: tuple[float, float] = (0.2, 5.0)
+    """least and most width / height of the box"""
+    margin: int = Field(2, ge=0)
+    """least distance of the box to the border [pixels]"""
 
     @field_validator("aspect")
     @classmethod
@@ -73,14 +68,9 @@ def kept_proposals(
     they fail).
     """
     objections = [criteria.objection(proposal, image_size) for proposal in proposals]
-    kept = [
-        proposal
-        for proposal, objection in zip(proposals, objections)
-        if objection is None
-    ]
-    return kept, dict(
-        Counter(objection for objection in objections if objection is not None)
-    )
+    kept = [one for one, objection in zip(proposals, objections) if objection is None]
+    failed = [objection for objection in objections if objection is not None]
+    return kept, dict(Counter(failed))
 
 
 def active_objects(tracks: Tracks) -> Bool[Tensor, "view object"]:

@@ -5,7 +5,6 @@ first photo --> proposals --> five criteria --> tracks --> views that show the s
 colour transform a region, drawn once --> soft blend in every view
 """
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -20,7 +19,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
 from edit3r.contract.reporting import progress, track
 from edit3r.contract.settings import Settings
-from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.command.results import write_json
 from edit3r.kit.files.text import parse_json
 from edit3r.kit.geometry.maps import size_of
 from edit3r_recolor import recoloring
@@ -46,39 +45,20 @@ Masks = Float[Tensor, "object view height width"]
 class RecoloringSettings(Settings):
     """How scenes are recoloured."""
 
-    filter: ProposalFilter = Field(
-        ProposalFilter(), description="which proposals become regions"
-    )
-    max_objects: int = Field(
-        8, ge=1, le=200, description="how many regions at most, the most salient ones"
-    )
-    least_overlap: float = Field(
-        0.5,
-        ge=0,
-        le=1,
-        description="a view whose objects overlap less with the last used view's is left out",
-    )
-    ranges: RecolorRanges = Field(
-        RecolorRanges(), description="how strongly colours change"
-    )
-    least_change: float = Field(
-        0.08,
-        ge=0,
-        le=1,
-        description="least mean change of a region, where it can be had",
-    )
-    mask_jitter: float = Field(
-        0.5,
-        ge=0,
-        le=1,
-        description="augmented: share of outlines grown, shrunk or leaking",
-    )
-    palette_jitter: float = Field(
-        0.5,
-        ge=0,
-        le=1,
-        description="augmented: share of regions with colours a bit off",
-    )
+    filter: ProposalFilter = ProposalFilter()
+    """which proposals become regions"""
+    max_objects: int = Field(8, ge=1, le=200)
+    """how many regions at most, the most salient ones"""
+    least_overlap: float = Field(0.5, ge=0, le=1)
+    """a view whose objects overlap less with the last used view's is left out"""
+    ranges: RecolorRanges = RecolorRanges()
+    """how strongly colours change"""
+    least_change: float = Field(0.08, ge=0, le=1)
+    """least mean change of a region, where it can be had"""
+    mask_jitter: float = Field(0.5, ge=0, le=1)
+    """augmented: share of outlines grown, shrunk or leaking"""
+    palette_jitter: float = Field(0.5, ge=0, le=1)
+    """augmented: share of regions with colours a bit off"""
 
 
 @dataclass(frozen=True)
@@ -137,11 +117,7 @@ class SceneRecipe:
 
     def save(self, path: Path) -> None:
         """Write as JSON; floats survive exactly."""
-        with atomic_write(path) as partial:
-            partial.write_text(
-                json.dumps({"format": FORMAT, **asdict(self)}, indent=1) + "\n",
-                encoding="utf-8",
-            )
+        write_json(path, {"format": FORMAT, **asdict(self)})
 
     @staticmethod
     def load(path: Path) -> "SceneRecipe":
@@ -156,10 +132,8 @@ class SceneRecipe:
         except (ValueError, TypeError, KeyError, AttributeError) as error:
             reason: object = error
             if isinstance(error, ValidationError):
-                reason = "; ".join(
-                    f"{'.'.join(map(str, e['loc']))}: {e['msg']}"
-                    for e in error.errors()[:1]
-                )
+                first = error.errors()[0]
+                reason = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"
             raise InputError(
                 f"{path}: not a recipe that `edit3r recolor` wrote ({reason})."
             ) from None
@@ -184,9 +158,8 @@ def find_regions(
     progress("find objects", 0, 2)
     chosen, rejected = _choose(segmenter.propose(images[0]), size_of(images), settings)
     progress("find objects", 1, 2)
-    tracks = segmenter.track(
-        images, torch.stack([proposal.soft_mask for proposal in chosen]).to(images)
-    )
+    masks = torch.stack([proposal.soft_mask for proposal in chosen])
+    tracks = segmenter.track(images, masks.to(images))
     progress("find objects", 2, 2)
     return _found(chosen, tracks, rejected)
 
@@ -195,11 +168,8 @@ def given_regions(masks: Masks, settings: RecoloringSettings) -> FoundRegions:
     """Take the data's own masks under the same criteria. Raises InputError when none passes."""
     proposals = proposals_of_masks(masks[:, 0])
     chosen, rejected = _choose(proposals, size_of(masks), settings)
-    index = [
-        number
-        for number, proposal in enumerate(proposals)
-        if any(proposal is other for other in chosen)
-    ]
+    taken = {id(proposal) for proposal in chosen}
+    index = [number for number, one in enumerate(proposals) if id(one) in taken]
     return _found(chosen, tracks_of_masks(masks[index]), rejected)
 
 
@@ -210,10 +180,8 @@ def _choose(
 ) -> tuple[list[Proposal], dict[str, int]]:
     kept, rejected = kept_proposals(proposals, image_size, settings.filter)
     if not kept:
-        why = (
-            ", ".join(f"{name} {count}" for name, count in rejected.items())
-            or "there are none"
-        )
+        failed = [f"{name} {count}" for name, count in rejected.items()]
+        why = ", ".join(failed) or "there are none"
         raise InputError(
             f"First view: none of {len(proposals)} proposals passes the filter ({why}); loosen "
             "it, for example with "
@@ -248,30 +216,17 @@ def make_recipe(
         parameters = recoloring.visible_parameters(
             rng, images[used], masks, least, ranges=settings.ranges
         )
-        fields = (
-            proposal.area,
-            proposal.stability,
-            proposal.predicted_iou,
-            proposal.box,
-        )
-        regions.append(RegionRecipe(number, parameters, *fields))
+        said = proposal.area, proposal.stability, proposal.predicted_iou, proposal.box
+        regions.append(RegionRecipe(number, parameters, *said))
     views = []
     for view, name in enumerate(names):
         before = max([other for other in used if other < view], default=view)
         overlap = overlap_ratio(found.active[view], found.active[before])
-        shown = [
-            region for region, here in zip(regions, found.active[view].tolist()) if here
-        ]
+        here = found.active[view].tolist()
+        shown = [region for region, is_here in zip(regions, here) if is_here]
         faults = _draw_faults(view, shown, settings, seed) if view in used else {}
-        views.append(
-            ViewRecipe(
-                name,
-                tuple(region.id for region in shown),
-                overlap,
-                view in used,
-                faults,
-            )
-        )
+        ids = tuple(region.id for region in shown)
+        views.append(ViewRecipe(name, ids, overlap, view in used, faults))
     return SceneRecipe(seed, source, tuple(regions), tuple(views), found.rejected)
 
 
@@ -284,15 +239,11 @@ def _draw_faults(
     faults = {}
     for region in shown:
         rng = np.random.default_rng((seed, region.id, view))
-        outline = (
-            recoloring.draw_outline(rng)
-            if rng.random() < settings.mask_jitter
-            else "exact"
-        )
+        is_jittered = rng.random() < settings.mask_jitter
+        outline = recoloring.draw_outline(rng) if is_jittered else "exact"
         is_off = rng.random() < settings.palette_jitter
-        faults[region.id] = Fault(
-            outline, recoloring.perturbed(region.parameters, rng) if is_off else None
-        )
+        other = recoloring.perturbed(region.parameters, rng) if is_off else None
+        faults[region.id] = Fault(outline, other)
     return {number: fault for number, fault in faults.items() if fault != Fault()}
 
 
@@ -306,11 +257,9 @@ def carry_out(
     for view in track(recipe.processed, "augment" if with_faults else "recolour"):
         known = recipe.views[view].faults if with_faults else {}
         faults = [known.get(region.id, Fault()) for region in recipe.regions]
+        outlines = [fault.outline for fault in faults]
         own = torch.stack(
-            [
-                recoloring.with_outline(m, fault.outline)
-                for m, fault in zip(masks[:, view], faults)
-            ]
+            [recoloring.with_outline(*one) for one in zip(masks[:, view], outlines)]
         )
         parameters = [
             fault.parameters or region.parameters

@@ -19,7 +19,7 @@ from PIL import Image
 from torch import Tensor
 
 from edit3r.contract.errors import RunError
-from edit3r.kit.geometry.maps import size_of
+from edit3r.kit.geometry.maps import resampled, size_of
 from edit3r.kit.photos.decode import FORMATS, MAX_PIXELS
 
 # relative difference in width / height up to which an answer of another size is scaled back
@@ -60,13 +60,14 @@ class ServiceFrame:
         bottom = self.size[0] - self.inner[0] - top
         right = self.size[1] - self.inner[1] - left
         border = (left, right, top, bottom)
-        return F.pad(_resize(photo, self.inner)[None], border, mode="replicate")[0]
+        return F.pad(resampled(photo[None], self.inner), border, mode="replicate")[0]
 
     def extract(self, image: Float[Tensor, "3 height width"]) -> Float[Tensor, "3 h w"]:
         """Cut the photo's part out of an image of the frame's size, at the photo's size."""
         top, left = self.corner
         height, width = self.inner
-        return _resize(image[:, top : top + height, left : left + width], self.photo)
+        own = image[None, :, top : top + height, left : left + width]
+        return resampled(own, self.photo)[0]
 
 
 def encode_png(image: Float[Tensor, "channel height width"]) -> bytes:
@@ -103,7 +104,7 @@ def decode(
         raise RunError(
             f"{text}, another shape: its content cannot be put back where it was."
         )
-    return _resize(image, size), f"{text}; it was scaled."
+    return resampled(image[None], size)[0], f"{text}; it was scaled."
 
 
 def _pixels(content: bytes, view: str) -> np.ndarray:
@@ -127,12 +128,3 @@ def _pixels(content: bytes, view: str) -> np.ndarray:
 def _log_aspect(size: tuple[int, int]) -> float:
     height, width = size
     return math.log(width / height)
-
-
-def _resize(
-    image: Float[Tensor, "channel h w"], size: tuple[int, int]
-) -> Float[Tensor, "channel height width"]:
-    if tuple(image.shape[1:]) == size:
-        return image
-    scaled = F.interpolate(image[None], size, mode="bicubic", antialias=True)
-    return scaled[0].clamp(0, 1)

@@ -33,21 +33,14 @@ class GeminiImageEditor(Editor):
     """
 
     class Settings(RemoteSettings):
-        model: str = Field(
-            "gemini-2.5-flash-image", description="the service's name of the model"
-        )
-        retry_delay_s: float = Field(
-            1.0,
-            gt=0,
-            le=60,
-            description="wait before the second try, doubled for each more",
-        )
-        input_price: float = Field(
-            0.30, ge=0, description="price of a million input tokens [USD]"
-        )
-        output_price: float = Field(
-            30.0, ge=0, description="price of a million output tokens [USD]"
-        )
+        model: str = "gemini-2.5-flash-image"
+        """the service's name of the model"""
+        retry_delay_s: float = Field(1.0, gt=0, le=60)
+        """wait before the second try, doubled for each more"""
+        input_price: float = Field(0.30, ge=0)
+        """price of a million input tokens [USD]"""
+        output_price: float = Field(30.0, ge=0)
+        """price of a million output tokens [USD]"""
 
     settings: Settings
 
@@ -101,9 +94,7 @@ class GeminiImages(ImageService):
         content = types.UserContent(parts=[prompt, photo])
         try:
             response = self.client.models.generate_content(
-                model=self.settings.model,
-                contents=content,
-                config=config,
+                model=self.settings.model, contents=content, config=config
             )
         except errors.APIError as error:
             words = error.message or error.status

@@ -27,19 +27,16 @@ class GptImageEditor(Editor):
     """
 
     class Settings(RemoteSettings):
-        model: str = Field("gpt-image-1", description="the service's name of the model")
-        quality: Literal["auto", "low", "medium", "high"] = Field(
-            "high", description="decides most of the price"
-        )
-        input_fidelity: Literal["low", "high"] = Field(
-            "high", description="how closely the photo is looked at"
-        )
-        input_price: float = Field(
-            10.0, ge=0, description="price of a million input tokens [USD]"
-        )
-        output_price: float = Field(
-            40.0, ge=0, description="price of a million output tokens [USD]"
-        )
+        model: str = "gpt-image-1"
+        """the service's name of the model"""
+        quality: Literal["auto", "low", "medium", "high"] = "high"
+        """decides most of the price"""
+        input_fidelity: Literal["low", "high"] = "high"
+        """how closely the photo is looked at"""
+        input_price: float = Field(10.0, ge=0)
+        """price of a million input tokens [USD]"""
+        output_price: float = Field(40.0, ge=0)
+        """price of a million output tokens [USD]"""
 
     settings: Settings
 

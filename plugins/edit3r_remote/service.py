@@ -8,9 +8,9 @@ from pydantic import Field
 
 from edit3r.contract.errors import Edit3rError, MissingDependencyError, RunError
 from edit3r.contract.settings import USER_ONLY, Settings
+from edit3r.kit.service import quoted
 
 MAX_TOKENS = 10**12
-MAX_QUOTE = 300  # characters of a service's words that an error repeats
 
 
 class RemoteSettings(Settings):
@@ -19,33 +19,22 @@ class RemoteSettings(Settings):
     Keys come from the environment alone.
     """
 
-    model: str = Field(description="the service's name of the model")
-    base_url: str = Field(
-        "",
-        description="address of a compatible service; empty: the service's own",
-        json_schema_extra=USER_ONLY,
-    )
-    timeout_s: float = Field(
-        180.0, gt=0, le=3600, description="time limit of one attempt [s]"
-    )
-    attempts: int = Field(
-        4,
-        ge=1,
-        le=20,
-        description="tries per view when the service is busy or fails (429, 5xx)",
-    )
-    concurrent: int = Field(2, ge=1, le=32, description="views sent at the same time")
-    cache: str = Field(
-        "~/.cache/edit3r/remote",
-        description="folder of paid answers, used again for equal requests; empty: keep none",
-    )
-    input_price: float = Field(
-        ge=0,
-        description="price of a million input tokens [USD], for the cost in run.json",
-    )
-    output_price: float = Field(
-        ge=0, description="price of a million output tokens [USD]"
-    )
+    model: str
+    """the service's name of the model"""
+    base_url: str = Field("", json_schema_extra=USER_ONLY)
+    """address of a compatible service; empty: the service's own"""
+    timeout_s: float = Field(180.0, gt=0, le=3600)
+    """time limit of one attempt [s]"""
+    attempts: int = Field(4, ge=1, le=20)
+    """tries per view when the service is busy or fails (429, 5xx)"""
+    concurrent: int = Field(2, ge=1, le=32)
+    """views sent at the same time"""
+    cache: str = "~/.cache/edit3r/remote"
+    """folder of paid answers, used again for equal requests; empty: keep none"""
+    input_price: float = Field(ge=0)
+    """price of a million input tokens [USD], for the cost in run.json"""
+    output_price: float = Field(ge=0)
+    """price of a million output tokens [USD]"""
 
     @property
     def deadline(self) -> float:
@@ -110,8 +99,7 @@ class ImageService(ABC):
 
     def quote(self, words: object) -> str:
         """Put the service's words on one line, shortened, without the key."""
-        line = " ".join(str(words).split()).replace(self.key, "***")
-        return line if len(line) <= MAX_QUOTE else f"{line[:MAX_QUOTE]}..."
+        return quoted(str(words).replace(self.key, "***"))
 
     def failure(self, status: int, words: object, request: Request) -> Edit3rError:
         """The error for an HTTP status that further attempts did not cure."""

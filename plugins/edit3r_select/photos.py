@@ -11,7 +11,7 @@ from torch import Tensor
 from edit3r.contract.interfaces import Geometry, Reading
 from edit3r.kit.cache import fingerprint
 from edit3r.kit.geometry.warping import surfaces_apart
-from edit3r.kit.segmenting import HeldSegmenter
+from edit3r_select.held import HeldSegmenter
 
 CARRIED = ("geometry", "pictures", "not found")
 """How a mask comes to a photo that has none of its own."""

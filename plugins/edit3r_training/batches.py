@@ -14,11 +14,7 @@ from torch import Tensor
 from edit3r.contract.interfaces import Geometry, SceneSample
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.geometry.cameras import scale_poses, unproject
-from edit3r_training.asymmetric_inputs import (
-    EditedSample,
-    RegimeShares,
-    edit_sample,
-)
+from edit3r_training.asymmetric_inputs import EditedSample, RegimeShares, edit_sample
 from edit3r_training.simulated_matching import SimulatedMatch, simulate_match
 
 Images = Float[Tensor, "batch view 3 height width"]

@@ -17,6 +17,7 @@ from edit3r.contract.errors import InputError
 from edit3r.kit.weights.files import whole_file
 
 LAST = "last.pt"
+_NUMBERS = ("step", "skipped", "best", "validated")
 _PARTS = {"network", "optimizer", "average", "step", "skipped", "best", "config"}
 
 
@@ -38,13 +39,10 @@ class TrainingState:
         disk is full.
         """
         content = {
+            **{name: getattr(self, name) for name in _NUMBERS},
             "network": self.network.state_dict(),
             "optimizer": self.optimizer.state_dict(),
             "average": self.average,
-            "step": self.step,
-            "skipped": self.skipped,
-            "best": self.best,
-            "validated": self.validated,
             "config": json.dumps(self.config, default=str),
         }
         what = f"the checkpoint of step {self.step}"
@@ -71,9 +69,8 @@ class TrainingState:
                 raise ValueError(f"it stands at step {self.step}")
             if math.isnan(self.best):
                 raise ValueError("its best score is no number")
-        except (
-            Exception
-        ) as error:  # damaged numbers make whoever gets them raise what they like
+        # damaged numbers make whoever gets them raise what they like
+        except Exception as error:
             reason = " ".join(str(error).split())[:300] or type(error).__name__
             raise InputError(
                 f"{path}: made for another network or optimiser ({reason}); resume with the "
@@ -112,9 +109,8 @@ def _read(path: Path) -> dict[str, Any]:
         )
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except (
-        Exception
-    ) as error:  # a damaged file raises whatever the reader stumbles over
+    # a damaged file raises whatever the reader stumbles over
+    except Exception as error:
         content, reason = None, type(error).__name__
     else:
         reason = "other content"

@@ -33,32 +33,26 @@ _OF_A_TRAINING = (LAST, f"best/{WEIGHTS}", LOG)
 class TrainingConfig(Settings):
     """The keys of a training configuration file."""
 
-    trainer: PartChoice = Field(
-        PartChoice(name=DEFAULTS["trainer"]), description="the recipe"
-    )
-    reconstructor: PartChoice = Field(description="what is trained")
-    reference: PartChoice | None = Field(
-        None,
-        description="frozen reconstructor, whose centres of the unedited photos the 3D losses "
-        "hold to; default: the "
-        "true surface where the data has depths, else what is trained as it is at the start",
-    )
-    matcher: PartChoice = Field(
-        PartChoice.model_validate(DEFAULTS["matcher"]),
-        description="reads the geometry of photos whose depth the data does not know",
-    )
-    rasterizer: PartChoice = Field(
-        PartChoice(name=DEFAULTS["training_rasterizer"]),
-        description="renders during training",
-    )
-    train_data: PartChoice = Field(description="dataset to train on")
-    validation_data: PartChoice | None = Field(None, description="held-out dataset")
-    losses: dict[str, dict[str, Any]] = Field(
-        default_factory=dict, description="name: {weight, settings...}"
-    )
-    out: str = Field(
-        "runs/train", description="folder for checkpoints, logs and sample sheets"
-    )
+    trainer: PartChoice = PartChoice(name=DEFAULTS["trainer"])
+    """the recipe"""
+    reconstructor: PartChoice
+    """what is trained"""
+    reference: PartChoice | None = None
+    """frozen reconstructor, whose centres of the unedited photos the 3D losses hold to; default:
+    the true surface where the data has depths, else what is trained as it is at the start
+    """
+    matcher: PartChoice = PartChoice.model_validate(DEFAULTS["matcher"])
+    """reads the geometry of photos whose depth the data does not know"""
+    rasterizer: PartChoice = PartChoice(name=DEFAULTS["training_rasterizer"])
+    """renders during training"""
+    train_data: PartChoice
+    """dataset to train on"""
+    validation_data: PartChoice | None = None
+    """held-out dataset"""
+    losses: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    """name: {weight, settings...}"""
+    out: str = "runs/train"
+    """folder for checkpoints, logs and sample sheets"""
 
 
 def prepare(

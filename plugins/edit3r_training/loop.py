@@ -35,44 +35,38 @@ class LoopSettings(Settings):
     defaults.
     """
 
-    steps: Count = Field(1000, description="optimiser steps")
-    lr: float = Field(1e-3, gt=0, le=1, description="highest learning rate")
-    warmup: Count = Field(100, description="steps of linear warm-up")
-    floor: Share = Field(
-        0.05,
-        description="learning rate at the last step, as a share of the highest",
-    )
-    pretrained: tuple[str, ...] = Field(
-        (),
-        description="beginnings of the names of weights that learn more slowly, such as "
-        "backbone.encoder",
-    )
-    pretrained_rate: float = Field(
-        0.1, gt=0, le=1, description="their share of the highest learning rate"
-    )
-    accumulate: Count = Field(
-        1,
-        description="batches a step, one after the other; their gradients are averaged",
-    )
-    weight_decay: Share = Field(0.02, description="AdamW's")
-    clip: float = Field(1.0, gt=0, description="largest gradient norm")
-    average: float = Field(
-        0.999,
-        ge=0,
-        lt=1,
-        description="decay of the averaged weights that are evaluated and kept",
-    )
-    seed: Index = Field(0, description="of data order and all random choices")
-    validate_every: Count = Field(
-        500, description="steps between evaluations on held-out scenes"
-    )
-    checkpoint_every: Count = Field(500, description="steps between checkpoints")
-    log_every: Count = Field(20, description="steps between log lines")
-    device: str = Field(
-        "cpu",
-        description="where network and batches live; cuda: every process its own GPU",
-    )
-    threads: Index = Field(0, description="CPU threads; 0 leaves torch's choice")
+    steps: Count = 1000
+    """optimiser steps"""
+    lr: float = Field(1e-3, gt=0, le=1)
+    """highest learning rate"""
+    warmup: Count = 100
+    """steps of linear warm-up"""
+    floor: Share = 0.05
+    """learning rate at the last step, as a share of the highest"""
+    pretrained: tuple[str, ...] = ()
+    """beginnings of the names of weights that learn more slowly, such as backbone.encoder"""
+    pretrained_rate: float = Field(0.1, gt=0, le=1)
+    """their share of the highest learning rate"""
+    accumulate: Count = 1
+    """batches a step, one after the other; their gradients are averaged"""
+    weight_decay: Share = 0.02
+    """AdamW's"""
+    clip: float = Field(1.0, gt=0)
+    """largest gradient norm"""
+    average: float = Field(0.999, ge=0, lt=1)
+    """decay of the averaged weights that are evaluated and kept"""
+    seed: Index = 0
+    """of data order and all random choices"""
+    validate_every: Count = 500
+    """steps between evaluations on held-out scenes"""
+    checkpoint_every: Count = 500
+    """steps between checkpoints"""
+    log_every: Count = 20
+    """steps between log lines"""
+    device: str = "cpu"
+    """where network and batches live; cuda: every process its own GPU"""
+    threads: Index = 0
+    """CPU threads; 0 leaves torch's choice"""
 
 
 @dataclass(frozen=True)
@@ -292,14 +286,9 @@ class _Loop:
 
     def _log(self, total: Tensor, terms: Mapping[str, Tensor], norm: Tensor) -> None:
         own = {name: float(term) for name, term in terms.items()}
-        values = self.processes.means([own])
+        values = {"loss": float(total), **self.processes.means([own])}
         if self.journal is not None:
-            line = {
-                "loss": float(total),
-                **values,
-                "norm": float(norm),
-                "skipped": self.state.skipped,
-            }
+            line = {**values, "norm": float(norm), "skipped": self.state.skipped}
             self.journal.write(self.state.step, line)
 
     def _validate(self) -> None:
@@ -329,9 +318,8 @@ def parameter_groups(
 
     Raises SettingsError for a beginning in `settings.pretrained` that no weight's name has.
     """
-    named = {
-        name: value for name, value in network.named_parameters() if value.requires_grad
-    }
+    every = network.named_parameters()
+    named = {name: value for name, value in every if value.requires_grad}
     for beginning in settings.pretrained:
         if not any(name.startswith(beginning) for name in named):
             groups = {name.rsplit(".", 1)[0].split(".0", 1)[0] for name in named}

@@ -42,12 +42,8 @@ class MseLoss(Loss):
     """
 
     class Settings(edit3r.Settings):
-        cell: int = Field(
-            4,
-            ge=1,
-            le=64,
-            description="pixels averaged along each side before comparing; 1: plain MSE",
-        )
+        cell: int = Field(4, ge=1, le=64)
+        """pixels averaged along each side before comparing; 1: plain MSE"""
 
     settings: Settings
 
@@ -62,11 +58,8 @@ class CenterLoss(Loss):
     """Smooth L1 distance of every Gaussian's centre to its reference (L_center)."""
 
     class Settings(edit3r.Settings):
-        beta: float = Field(
-            1.0,
-            gt=0,
-            description="distance at which the square turns linear [scene units]",
-        )
+        beta: float = Field(1.0, gt=0)
+        """distance at which the square turns linear [scene units]"""
 
     settings: Settings
 
@@ -84,12 +77,8 @@ class PointsLoss(Loss):
     """
 
     class Settings(edit3r.Settings):
-        outliers: float = Field(
-            0.002,
-            ge=0,
-            lt=0.5,
-            description="share of the reference's points left out at each end",
-        )
+        outliers: float = Field(0.002, ge=0, lt=0.5)
+        """share of the reference's points left out at each end"""
 
     settings: Settings
 
@@ -116,9 +105,8 @@ class GeometryLoss(Loss):
     """
 
     class Settings(edit3r.Settings):
-        samples: int = Field(
-            512, ge=1, le=8192, description="centres drawn from each view"
-        )
+        samples: int = Field(512, ge=1, le=8192)
+        """centres drawn from each view"""
 
     settings: Settings
 
@@ -168,12 +156,8 @@ class PerceptualLoss(Loss):
     """
 
     class Settings(edit3r.Settings):
-        size: int = Field(
-            128,
-            ge=32,
-            le=512,
-            description="images are resized to this before comparing [pixels]",
-        )
+        size: int = Field(128, ge=32, le=512)
+        """images are resized to this before comparing [pixels]"""
 
     settings: Settings
 
@@ -225,10 +209,8 @@ class ClipLoss(Loss):
     """Mean over images of 1 - cosine similarity of CLIP's image embeddings (L_CLIP)."""
 
     class Settings(edit3r.Settings):
-        model: str = Field(
-            "openai/clip-vit-base-patch32",
-            description="folder or hub name of a CLIP model",
-        )
+        model: str = "openai/clip-vit-base-patch32"
+        """folder or hub name of a CLIP model"""
 
     settings: Settings
 

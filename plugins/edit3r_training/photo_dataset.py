@@ -30,34 +30,30 @@ MIRROR = torch.diag(torch.tensor([-1.0, 1, 1, 1]))
 class PhotoSettings(config.Settings):
     """What all datasets of photos can be set to; each gives its own defaults."""
 
-    root: str = Field(description="folder with the scenes")
-    samples: Count = Field(1, description="draws per scene")
-    seed: Index = Field(0, description="of view choice and mirroring")
-    image_size: int = Field(
-        256, ge=16, le=1024, description="side of the centred square [pixels]"
-    )
-    context: int = Field(2, ge=2, le=16, description="input views")
-    targets: int = Field(4, ge=0, le=16, description="novel views")
-    gap: CountSpan = Field(
-        (45, 90), description="from first to last context view [frames]"
-    )
-    gap_start: CountSpan | None = Field(
-        None, description="gap when training begins; default: as `gap`"
-    )
-    gap_growth: float = Field(
-        0.5,
-        gt=0,
-        le=1,
-        description="share of the training in which `gap_start` grows evenly to `gap`",
-    )
-    baseline: Span = Field(
-        (1e-3, 1e10),
-        description="from first to last context camera [units of the data]; others are skipped",
-    )
-    max_fov: float = Field(
-        100.0, gt=0, lt=180, description="wider images are skipped [degrees]"
-    )
-    mirror: Share = Field(0.5, description="share of samples mirrored left to right")
+    root: str
+    """folder with the scenes"""
+    samples: Count = 1
+    """draws per scene"""
+    seed: Index = 0
+    """of view choice and mirroring"""
+    image_size: int = Field(256, ge=16, le=1024)
+    """side of the centred square [pixels]"""
+    context: int = Field(2, ge=2, le=16)
+    """input views"""
+    targets: int = Field(4, ge=0, le=16)
+    """novel views"""
+    gap: CountSpan = (45, 90)
+    """from first to last context view [frames]"""
+    gap_start: CountSpan | None = None
+    """gap when training begins; default: as `gap`"""
+    gap_growth: float = Field(0.5, gt=0, le=1)
+    """share of the training in which `gap_start` grows evenly to `gap`"""
+    baseline: Span = (1e-3, 1e10)
+    """from first to last context camera [units of the data]; others are skipped"""
+    max_fov: float = Field(100.0, gt=0, lt=180)
+    """wider images are skipped [degrees]"""
+    mirror: Share = 0.5
+    """share of samples mirrored left to right"""
 
 
 class PhotoDataset(Dataset):

@@ -44,38 +44,34 @@ class ProceduralDataset(Dataset):
     """
 
     class Settings(edit3r.Settings):
-        scenes: Count = Field(100_000, description="number of samples")
-        seed: Index = Field(0, description="two seeds share no scene")
-        image_size: int = Field(
-            64, ge=8, le=1024, description="height and width of the images [pixels]"
-        )
-        context: int = Field(2, ge=2, le=16, description="input views")
-        targets: int = Field(2, ge=0, le=16, description="novel views")
-        angles: Span = Field(
-            (4.0, 30.0),
-            description="least and most angle between input views [degrees]",
-        )
-        objects: CountSpan = Field(
-            (5, 16), description="least and most objects besides the room"
-        )
-        outdoor: Share = Field(
-            0.35, description="share of open grounds instead of rooms"
-        )
-        textures: int = Field(96, ge=4, le=512, description="size of the texture bank")
+        scenes: Count = 100_000
+        """number of samples"""
+        seed: Index = 0
+        """two seeds share no scene"""
+        image_size: int = Field(64, ge=8, le=1024)
+        """height and width of the images [pixels]"""
+        context: int = Field(2, ge=2, le=16)
+        """input views"""
+        targets: int = Field(2, ge=0, le=16)
+        """novel views"""
+        angles: Span = (4.0, 30.0)
+        """least and most angle between input views [degrees]"""
+        objects: CountSpan = (5, 16)
+        """least and most objects besides the room"""
+        outdoor: Share = 0.35
+        """share of open grounds instead of rooms"""
+        textures: int = Field(96, ge=4, le=512)
+        """size of the texture bank"""
         edit: Literal["none", "recolor", "add", "remove", "global", "any", "shape"] = (
-            Field(
-                "none",
-                description="the edited truth that comes along; any: one of these, shape: add or "
-                "remove, drawn for every scene",
-            )
+            "none"
         )
-        edit_seed: Index = Field(
-            0, description="other numbers edit the same scenes in other ways"
-        )
-        keep: bool = Field(
-            False,
-            description="keep samples in memory once made (about 0.3 MB each at 64 pixels)",
-        )
+        """the edited truth that comes along; any: one of these, shape: add or remove, drawn for
+        every scene
+        """
+        edit_seed: Index = 0
+        """other numbers edit the same scenes in other ways"""
+        keep: bool = False
+        """keep samples in memory once made (about 0.3 MB each at 64 pixels)"""
 
     settings: Settings
 
@@ -204,11 +200,7 @@ def _packed(sample: SceneSample) -> SceneSample:
     assert context is not None and target is not None  # every scene here has them
     seen = context.amax((1, 2, 3)) > 0
     seen |= target.flatten(1).sum(1) > 0
-    kept = replace(
-        sample,
-        context_masks=context[seen],
-        target_masks=target[seen],
-    )
+    kept = replace(sample, context_masks=context[seen], target_masks=target[seen])
     return _with_images(kept, lambda x: (x * 255).round().to(torch.uint8))
 
 
@@ -217,9 +209,8 @@ def _with_images(
 ) -> SceneSample:
     """The sample with `function` of all its images and masks."""
     images = {name: getattr(sample, name) for name in EIGHT_BITS}
-    changed: dict[str, Any] = {
-        name: function(x) for name, x in images.items() if x is not None
-    }
+    known = {name: image for name, image in images.items() if image is not None}
+    changed: dict[str, Any] = {name: function(image) for name, image in known.items()}
     return replace(sample, **changed)
 
 

@@ -107,10 +107,7 @@ def random_scene(
 
 
 def _room(
-    rng: np.random.Generator,
-    texture_count: int,
-    avoid: Vectors,
-    outdoor: bool,
+    rng: np.random.Generator, texture_count: int, avoid: Vectors, outdoor: bool
 ) -> _Object:
     """The enclosing box; it holds all cameras."""
     reach = np.abs(avoid).max(0) + 0.3

@@ -13,8 +13,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
-from PIL import Image, UnidentifiedImageError
-from pydantic import Field
+from PIL import Image
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
@@ -36,7 +35,8 @@ class Re10kDataset(PhotoDataset):
     name = "re10k"
 
     class Settings(PhotoSettings):
-        root: str = Field(description="folder with .torch chunks")
+        root: str
+        """folder with .torch chunks"""
 
     settings: Settings
 
@@ -155,12 +155,7 @@ def _square(
     try:
         content = io.BytesIO(file.numpy().tobytes())
         image = Image.open(content, formats=FORMATS).convert("RGB")
-    except (
-        UnidentifiedImageError,
-        OSError,
-        ValueError,
-        Image.DecompressionBombError,
-    ) as error:
+    except (OSError, ValueError, Image.DecompressionBombError) as error:
         raise InputError(f"scene {key}: a frame is no image ({error}).") from None
     frame = frame_for((image.height, image.width), (size, size))
     fx, fy, cx, cy = camera[:4].tolist()

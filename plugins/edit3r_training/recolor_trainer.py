@@ -10,9 +10,8 @@ NoPoSplat's training.
 """
 
 import copy
-from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextvars import Context, copy_context
+from contextvars import copy_context
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -25,12 +24,7 @@ from pydantic import Field
 from torch import Tensor
 
 from edit3r.contract.errors import SettingsError
-from edit3r.contract.interfaces import (
-    LossInputs,
-    SceneSample,
-    Trainer,
-    TrainingJob,
-)
+from edit3r.contract.interfaces import LossInputs, SceneSample, Trainer, TrainingJob
 from edit3r.contract.settings import Index, NonNegative, Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering
 from edit3r.kit.reconstructing import WithMatcher
@@ -59,56 +53,34 @@ class RecolorTrainer(Trainer):
     """
 
     class Settings(LoopSettings):
-        batch: int = Field(8, ge=1, le=256, description="scenes a step and process")
-        regimes: RegimeShares = Field(
-            RegimeShares(), description="what is edited, how often"
-        )
-        colour: NonNegative = Field(
-            1.0, description="weight of the pixel-by-pixel colour error"
-        )
-        depth: NonNegative = Field(
-            1.0, description="weight of the pixel-by-pixel depth error"
-        )
-        opacity: NonNegative = Field(
-            0.1, description="weight of the pixel-by-pixel opacity error"
-        )
-        render_every: Index = Field(
-            1,
-            description="every n-th step also renders, for the job's losses; 0: never",
-        )
-        render_context: bool = Field(
-            True, description="also render the input views; false: novel views alone"
-        )
-        drop_first: Share = Field(
-            0.5,
-            description="how often the reference's Gaussians are left out",
-        )
-        unit: Unit = Field(
-            "matcher",
-            description="unit of length: any, as in a simulated matching; baseline: first to "
-            "last input camera, which "
-            "a network that sees images alone can tell",
-        )
-        matched: Share = Field(
-            0.0,
-            description="share of the geometry that is matched, not simulated",
-        )
-        precision: Literal["float32", "bfloat16"] = Field(
-            "float32",
-            description="of the network's products; weights, renderings and losses stay float32",
-        )
-        workers: int = Field(
-            0,
-            ge=0,
-            le=64,
-            description="threads that load the next batch's samples meanwhile; 0: when they are "
-            "needed",
-        )
-        score: Literal["pixels", "renderings"] = Field(
-            "pixels",
-            description="what makes the best weights: errors pixel by pixel, or of rendered "
-            "novel views",
-        )
+        batch: int = Field(8, ge=1, le=256)
+        """scenes a step and process"""
+        regimes: RegimeShares = RegimeShares()
+        """what is edited, how often"""
+        colour: NonNegative = 1.0
+        """weight of the pixel-by-pixel colour error"""
+        depth: NonNegative = 1.0
+        """weight of the pixel-by-pixel depth error"""
+        opacity: NonNegative = 0.1
+        """weight of the pixel-by-pixel opacity error"""
+        render_every: Index = 1
+        """every n-th step also renders, for the job's losses; 0: never"""
+        render_context: bool = True
+        """also render the input views; false: novel views alone"""
+        drop_first: Share = 0.5
+        """how often the reference's Gaussians are left out"""
+        unit: Unit = "matcher"
+        """unit of length: any, as in a simulated matching; baseline: first to last input camera,
+        which a network that sees images alone can tell
+        """
+        matched: Share = 0.0
+        """share of the geometry that is matched, not simulated"""
+        precision: Literal["float32", "bfloat16"] = "float32"
+        """of the network's products; weights, renderings and losses stay float32"""
+        workers: int = Field(0, ge=0, le=64)
+        """threads that load the next batch's samples meanwhile; 0: when they are needed"""
+        score: Literal["pixels", "renderings"] = "pixels"
+        """what makes the best weights: errors pixel by pixel, or of rendered novel views"""
 
     settings: Settings
 
@@ -150,31 +122,22 @@ class RecolorRecipe(Recipe):
         sheet = self.job.out / "sheets" / f"{step:07d}.png"
         chosen, data = self.settings, self.job.validation_data
         assert data is not None  # the loop has asked
-        batches = held_out_batches(
-            data, chosen.regimes, chosen.batch, chosen.unit, self._match
-        )
-        return held_out_measures(
-            self.job,
-            processes,
-            batches,
-            rendered=chosen.score == "renderings",
-            sheet=sheet if processes.writes else None,
-        )
+        how = chosen.regimes, chosen.batch, chosen.unit, self._match
+        batches, rendered = held_out_batches(data, *how), chosen.score == "renderings"
+        shown = sheet if processes.writes else None
+        return held_out_measures(self.job, processes, batches, rendered, shown)
 
     def _batch(self, step: int, processes: Processes) -> TrainingBatch:
         """This process's share of the step's scenes; sample and random numbers do not depend on who
         draws them.
         """
         chosen = self.settings
-        slots = range(
-            processes.rank * chosen.batch, (processes.rank + 1) * chosen.batch
-        )
+        first = processes.rank * chosen.batch
+        slots = range(first, first + chosen.batch)
         generators = [step_generator(chosen.seed, step, slot) for slot in slots]
         samples = self._samples(step, processes)
-        batch = make_batch(
-            samples, chosen.regimes, generators, chosen.unit, self._match
-        )
-        return batch.to(self.device)
+        how = chosen.regimes, generators, chosen.unit, self._match
+        return make_batch(samples, *how).to(self.device)
 
     def _match(self, sample: SceneSample, rng: np.random.Generator) -> SimulatedMatch:
         """What is said of a sample's geometry: now and then what the matcher itself says, where it
@@ -195,9 +158,7 @@ class RecolorRecipe(Recipe):
             if near not in self._ahead:
                 # What a worker warns of is collected as if it were loaded here.
                 self._ahead[near] = [
-                    self._loader.submit(
-                        partial(_run, copy_context(), self._sample, one)
-                    )
+                    self._loader.submit(partial(copy_context().run, self._sample, *one))
                     for one in self._wanted(near, processes)
                 ]
         return [future.result() for future in self._ahead.pop(step)]
@@ -237,11 +198,8 @@ class RecolorRecipe(Recipe):
         if not any(weights.values()):
             return {}
         maps = pixel_maps(reconstruction, batch.context_cameras)
-        return {
-            name: weight * errors[name](maps, batch)
-            for name, weight in weights.items()
-            if weight
-        }
+        counted = {name: weight for name, weight in weights.items() if weight}
+        return {name: w * errors[name](maps, batch) for name, w in counted.items()}
 
     def _rendered_terms(
         self, batch: TrainingBatch, made: Reconstruction, step: int
@@ -274,10 +232,8 @@ class RecolorRecipe(Recipe):
             render=render,
             geometry=batch.geometry,
         )
-        return {
-            name: weight * loss(inputs)
-            for name, (weight, loss) in self.job.losses.items()
-        }
+        losses = self.job.losses
+        return {name: weight * loss(inputs) for name, (weight, loss) in losses.items()}
 
 
 def _supervised_views(
@@ -306,12 +262,6 @@ def _supervised_views(
         known = known * ~batch.reshaped[:, first:]
     depths[:, : known.shape[1]] = known
     return cameras, wished, depths
-
-
-def _run(
-    context: Context, load: Callable[[int, int], SceneSample], one: tuple[int, int]
-) -> SceneSample:
-    return context.run(load, *one)
 
 
 class GeometricReference:

@@ -38,28 +38,26 @@ class TransformsDataset(PhotoDataset):
     name = "transforms"
 
     class Settings(PhotoSettings):
-        root: str = Field(description="folder that holds scene folders, at any depth")
-        samples: Count = Field(100, description="draws per scene")
-        targets: int = Field(2, ge=0, le=16, description="novel views")
-        select: Literal["angle", "gap"] = Field(
-            "angle", description="choose views by angle, or by gap in the sequence"
-        )
-        angles: Span = Field(
-            (5.0, 30.0), description="between neighbouring context views [degrees]"
-        )
-        gap: CountSpan = Field(
-            (5, 22), description="from first to last context view [frames]"
-        )
-        masks: str = Field(
-            "",
-            description="folder with what `edit3r recolor` wrote for each scene, under the "
-            "scene's name; empty: none",
-        )
-        edits: str = Field(
-            "",
-            description="folder with an editor's image of every photo, SCENE/PHOTO.png or .jpg, "
-            "for the regimes viewwise and generated; empty: none",
-        )
+        root: str
+        """folder that holds scene folders, at any depth"""
+        samples: Count = 100
+        """draws per scene"""
+        targets: int = Field(2, ge=0, le=16)
+        """novel views"""
+        select: Literal["angle", "gap"] = "angle"
+        """choose views by angle, or by gap in the sequence"""
+        angles: Span = (5.0, 30.0)
+        """between neighbouring context views [degrees]"""
+        gap: CountSpan = (5, 22)
+        """from first to last context view [frames]"""
+        masks: str = ""
+        """folder with what `edit3r recolor` wrote for each scene, under the scene's name; empty:
+        none
+        """
+        edits: str = ""
+        """folder with an editor's image of every photo, SCENE/PHOTO.png or .jpg, for the regimes
+        viewwise and generated; empty: none
+        """
 
     settings: Settings
 

@@ -6,68 +6,79 @@ Interfaces are abstract, concrete classes are final: compose, do not subclass. P
 the manifest and warnings go through `edit3r.contract.reporting` (`track`, `note`, `warn`).
 """
 
-from edit3r.contract.command import Command
-from edit3r.contract.component import Configured
-from edit3r.contract.interfaces.editing import (
-    ChangesShape,
-    ConditionedOnDepth,
-    Editor,
-    EditsRegions,
-    GivesAttention,
-    StartsFromImages,
+from edit3r.contract.command import (
+    Command as Command,
 )
-from edit3r.contract.interfaces.judging import Critic, EditToJudge, SceneToJudge
-from edit3r.contract.interfaces.reading import Reader
+from edit3r.contract.component import (
+    Configured as Configured,
+)
+from edit3r.contract.interfaces.editing import (
+    ChangesShape as ChangesShape,
+    ConditionedOnDepth as ConditionedOnDepth,
+    Editor as Editor,
+    EditsRegions as EditsRegions,
+    GivesAttention as GivesAttention,
+    StartsFromImages as StartsFromImages,
+)
+from edit3r.contract.interfaces.judging import (
+    Critic as Critic,
+    EditToJudge as EditToJudge,
+    HalfWay as HalfWay,
+    SceneToJudge as SceneToJudge,
+)
+from edit3r.contract.interfaces.reading import (
+    Reader as Reader,
+)
 from edit3r.contract.interfaces.reconstruction import (
-    Backbone,
-    EditsViews,
-    FindsGeometry,
-    GaussianHead,
-    Geometry,
-    Matcher,
-    MatchesLevelled,
-    Reconstructor,
+    Backbone as Backbone,
+    EditsViews as EditsViews,
+    FindsGeometry as FindsGeometry,
+    GaussianHead as GaussianHead,
+    Geometry as Geometry,
+    Matcher as Matcher,
+    MatchesLevelled as MatchesLevelled,
+    Reconstructor as Reconstructor,
 )
 from edit3r.contract.interfaces.rendering import (
-    ComparesWithBefore,
-    Rasterizer,
-    RefineInputs,
-    Refiner,
+    ComparesWithBefore as ComparesWithBefore,
+    Rasterizer as Rasterizer,
+    RefineInputs as RefineInputs,
+    Refiner as Refiner,
 )
 from edit3r.contract.interfaces.selecting import (
-    Detection,
-    Detector,
-    Marks,
-    Proposal,
-    Segmenter,
-    Tracks,
-    as_proposal,
+    Detection as Detection,
+    Detector as Detector,
+    Marks as Marks,
+    Proposal as Proposal,
+    Segmenter as Segmenter,
+    Tracks as Tracks,
+    as_proposal as as_proposal,
 )
 from edit3r.contract.interfaces.selection import (
-    ASK,
-    BACKGROUND,
-    SURE,
-    Box,
-    Reading,
-    Selected,
-    Selection,
-    Selector,
+    ASK as ASK,
+    BACKGROUND as BACKGROUND,
+    SURE as SURE,
+    Box as Box,
+    Reading as Reading,
+    Selected as Selected,
+    Selection as Selection,
+    Selector as Selector,
 )
 from edit3r.contract.interfaces.training import (
-    Dataset,
-    Loss,
-    LossInputs,
-    SceneSample,
-    Trainer,
-    TrainingJob,
+    Dataset as Dataset,
+    Loss as Loss,
+    LossInputs as LossInputs,
+    SceneSample as SceneSample,
+    Trainer as Trainer,
+    TrainingJob as TrainingJob,
 )
 from edit3r.contract.interfaces.writing import (
-    DRAWING,
-    NamedObjects,
-    OtherReadings,
-    SceneToWrite,
-    SecondLook,
-    Writer,
+    DRAWING as DRAWING,
+    NamedObjects as NamedObjects,
+    OtherReadings as OtherReadings,
+    SceneToWrite as SceneToWrite,
+    SecondLook as SecondLook,
+    Writer as Writer,
 )
 
 INTERFACES: dict[str, type] = {
@@ -90,58 +101,3 @@ INTERFACES: dict[str, type] = {
     "command": Command,
 }
 """The interface of each kind, for checks and documentation."""
-
-__all__ = [
-    "ASK",
-    "BACKGROUND",
-    "DRAWING",
-    "INTERFACES",
-    "SURE",
-    "Backbone",
-    "Box",
-    "ChangesShape",
-    "Command",
-    "ComparesWithBefore",
-    "ConditionedOnDepth",
-    "Configured",
-    "Critic",
-    "Dataset",
-    "Detection",
-    "Detector",
-    "EditToJudge",
-    "Editor",
-    "EditsRegions",
-    "EditsViews",
-    "FindsGeometry",
-    "GaussianHead",
-    "Geometry",
-    "GivesAttention",
-    "Loss",
-    "LossInputs",
-    "Marks",
-    "Matcher",
-    "MatchesLevelled",
-    "NamedObjects",
-    "OtherReadings",
-    "Proposal",
-    "Rasterizer",
-    "Reader",
-    "Reading",
-    "Reconstructor",
-    "RefineInputs",
-    "Refiner",
-    "SceneSample",
-    "SceneToJudge",
-    "SceneToWrite",
-    "SecondLook",
-    "Segmenter",
-    "Selected",
-    "Selection",
-    "Selector",
-    "StartsFromImages",
-    "Tracks",
-    "Trainer",
-    "TrainingJob",
-    "Writer",
-    "as_proposal",
-]

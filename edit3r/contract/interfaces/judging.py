@@ -15,6 +15,17 @@ from edit3r.contract.verdicts import EditVerdict, Verdict
 
 
 @dataclass(frozen=True, repr=False)
+class HalfWay:
+    """The finished scene from places that no photo shows: half-way between two neighbours."""
+
+    rendered: Rendering  # smaller than the photos
+    cameras: Cameras  # batch 1
+    pairs: tuple[
+        tuple[int, int], ...
+    ]  # between which two placed photos each camera stands
+
+
+@dataclass(frozen=True, repr=False)
 class EditToJudge:
     """An edit in 2D and, once there is a scene, in 3D; of a batch the first scene counts."""
 
@@ -34,6 +45,7 @@ class EditToJudge:
     in_2d: EditVerdict | None = None  # the verdict before there was a scene
     rendered: Rendering | None = None  # the scene from the photos' places
     cameras: Cameras | None = None  # the photos', in the scene's frame
+    half_way: HalfWay | None = None
 
 
 @dataclass(frozen=True, repr=False)

@@ -49,10 +49,10 @@ def _check_cameras(cameras: Cameras) -> None:
         - pose.new_tensor((0, 0, 0, 1)),
         "the axes of c2w are no rotation": axes.mT @ axes - torch.eye(3).to(axes),
     }
-    for told, values in off.items():
+    for fault, values in off.items():
         if not (values.abs() <= OFF).all():
             raise InputError(
-                f"Cameras: {told}; expected a pinhole camera, and where it stands."
+                f"Cameras: {fault}; expected a pinhole camera, and where it stands."
             )
 
 

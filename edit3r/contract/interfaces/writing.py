@@ -77,8 +77,7 @@ class Writer(Configured, ABC):
 
     @abstractmethod
     def write(self, path: Path, scene: SceneToWrite) -> None:
-        """Write `scene` as the file `path`; or, where the suffix has no dot, make the folder `path`
-        and write into it.
+        """Write `scene` as the file `path`, or as a folder where the suffix has no dot.
 
         Nothing is at `path`. The caller moves it into place when it is whole, so it is written
         plainly. The same scene gives the same bytes. Raises InputError for a scene that cannot be

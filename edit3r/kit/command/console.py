@@ -150,8 +150,7 @@ def _duration(seconds: float) -> str:
 
 
 def print_json(event: str, text: str, done: int, total: int) -> None:
-    """Listener that writes each event as one line of JSON to standard error, for programs that
-    watch a run.
+    """Listener that writes each event as one line of JSON to standard error.
 
     Keys: event (start, end, say, warn or progress), text, done, total, and at [seconds since 1970].
     """

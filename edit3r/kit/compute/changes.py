@@ -24,16 +24,12 @@ def change_uptake(shown: Array, wished: Array, weight: Array) -> float:
 
 
 def change_error(shown: Array, wished: Array, weight: Array) -> float:
-    """Return the mean absolute error of the shown change over the mean absolute wished one; 0
-    without an instruction.
-    """
+    """Return the mean absolute error of the shown change over the wished one's mean; or 0."""
     total = float((abs(wished) * weight).sum())
     return float((abs(shown - wished) * weight).sum()) / total if total > 0 else 0.0
 
 
 def mean_change(shown: Array, weight: Array) -> float:
-    """Return the mean absolute change [sRGB] over what counts; `weight` as large as `shown`; 0 when
-    nothing counts.
-    """
+    """Return the mean absolute change [sRGB] over what counts, or 0; shapes are the same."""
     count = float(weight.sum())
     return float((abs(shown) * weight).sum()) / count if count > 0 else 0.0

@@ -24,28 +24,9 @@ def _words_of(text: str) -> frozenset[str]:
 
 
 BASIC_COLOURS = (
-    "red",
-    "orange",
-    "yellow",
-    "green",
-    "blue",
-    "purple",
-    "pink",
-    "brown",
-    "black",
-    "white",
-    "grey",
-    "turquoise",
-    "cyan",
-    "magenta",
-    "gold",
-    "silver",
-    "beige",
-    "navy",
-    "teal",
-    "olive",
-    "maroon",
-    "violet",
+    *("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "black"),
+    *("white", "grey", "turquoise", "cyan", "magenta", "gold", "silver", "beige"),
+    *("navy", "teal", "olive", "maroon", "violet"),
 )
 """The colours that messages suggest first, and that "more" may stand before."""
 
@@ -149,9 +130,9 @@ def read_colour(words: list[str]) -> tuple[Colour, int] | None:
 
 def read_colour_of(words: list[str]) -> tuple[Colour, int] | None:
     """The colour after "the colour of", where "brick" and "grass" are colours too."""
-    found = read_colour(words)
-    if found is not None or not words or words[0] not in _STUFF:
-        return found
+    colour = read_colour(words)
+    if colour is not None or not words or words[0] not in _STUFF:
+        return colour
     rgb = _rgb(_listed()[words[0]])
     assert rgb is not None
     return Colour(words[0], rgb), 1

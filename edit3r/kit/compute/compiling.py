@@ -40,8 +40,7 @@ numba = _import_numba()
 
 
 def compiled(**options: Any) -> Callable[[Callable], Callable]:
-    """Compile the decorated function as `numba.njit(cache=True, **options)` does, but never fail
-    because of the cache.
+    """Compile the function as `numba.njit(cache=True, **options)`; the cache never fails it.
 
     Where no folder can be written to, a warning says so and every process compiles anew. Kept code
     that cannot be read, such as a file that was cut off by a full disk, is compiled again and

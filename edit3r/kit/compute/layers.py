@@ -64,9 +64,7 @@ class Conv2d(nn.Conv2d):
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute on one thread of torch inside, also as a decorator: sums by index otherwise differ
-    from run to run.
-    """
+    """Compute on one thread of torch inside (also a decorator): sums by index else differ."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

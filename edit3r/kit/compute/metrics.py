@@ -12,8 +12,7 @@ Region = Bool[np.ndarray, "height width"]
 
 
 def psnr(image: np.ndarray, target: np.ndarray, covered: Region | None = None) -> float:
-    """Return the peak signal-to-noise ratio [dB] of `image` clipped to [0, 1], over the `covered`
-    pixels if given.
+    """Return the PSNR [dB] of `image` clipped to [0, 1], over the `covered` pixels if given.
 
     Any equal shapes; infinite if they are equal, NaN when nothing is covered.
     """

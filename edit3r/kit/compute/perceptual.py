@@ -1,5 +1,4 @@
-"""A frozen ImageNet network whose features compare images; it installs from the package index and
-works offline.
+"""A frozen ImageNet network whose features compare images; its package works offline.
 
 EfficientNet-lite0 (Apache-2.0), with the weights that its package brings. Distances by its features
 are not FID, KID or LPIPS: they have another scale and are never called by those names.
@@ -45,9 +44,7 @@ def frozen_efficientnet() -> "EfficientNet":
 def efficientnet_input(
     images: Float[Tensor, "n 3 height width"], size: int
 ) -> Float[Tensor, "n 3 size size"]:
-    """Return sRGB images in [0, 1] resized to squares of `size` pixels and scaled as the network
-    was trained.
-    """
+    """Return sRGB images in [0, 1] as squares of `size` pixels, scaled as in its training."""
     resized = F.interpolate(
         images, (size, size), mode="bilinear", align_corners=False, antialias=True
     )

@@ -195,8 +195,8 @@ def remove_abandoned(*finals: Path) -> None:
     names = {final.name: final for final in finals}
     with suppress(PermissionError):
         for name in os.listdir(finals[0].parent):
-            found = _WORKSPACE.fullmatch(name)
-            final = names.get(found[1]) if found else None
+            workspace_name = _WORKSPACE.fullmatch(name)
+            final = names.get(workspace_name[1]) if workspace_name else None
             workspace = finals[0].with_name(name)
             if final is None or workspace.is_symlink():
                 continue
@@ -314,12 +314,12 @@ def _aside(new: Path) -> Path:
 
 def _keep(new: Path, final: Path) -> str:
     """Put the finished folder where nobody removes it, and say where."""
-    kept = final.with_name(f"{final.name}-finished-{secrets.token_hex(4)}")
+    rescued = final.with_name(f"{final.name}-finished-{secrets.token_hex(4)}")
     try:
-        os.rename(new, kept)
+        os.rename(new, rescued)
     except OSError:
         return f" The results are lost: another program took {new} away."
-    return f" The finished results are in {kept}."
+    return f" The finished results are in {rescued}."
 
 
 # What a finished folder holds
@@ -351,14 +351,14 @@ def _contents(folder: Path) -> dict[str, str | None]:
     """All inside but the marker by their path in the folder: the SHA-256 of files, None of folders,
     of links where they lead.
     """
-    found: dict[str, str | None] = {}
+    contents: dict[str, str | None] = {}
     for place, folders, files in os.walk(folder):
         for name in folders + files:
             path = Path(place, name)
             with suppress(FileNotFoundError):
-                found[path.relative_to(folder).as_posix()] = _content(path)
-    found.pop(MARKER, None)
-    return dict(sorted(found.items()))
+                contents[path.relative_to(folder).as_posix()] = _content(path)
+    contents.pop(MARKER, None)
+    return dict(sorted(contents.items()))
 
 
 def _content(path: Path) -> str | None:

@@ -46,8 +46,8 @@ def unique_names(names: Sequence[str]) -> list[str]:
     result = []
     for name in safe:
         if _same_file(name) not in alone:
-            own = _same_file(name)
-            name, numbers[own] = _numbered(name, taken, numbers[own] + 1)
+            alike = _same_file(name)
+            name, numbers[alike] = _numbered(name, taken, numbers[alike] + 1)
             taken.add(_same_file(name))
         result.append(name)
     return result

@@ -233,9 +233,7 @@ def _beyond(
 def _fading(
     image_size: tuple[int, int], pad: int, blocks: tuple[int, int]
 ) -> Float[Tensor, "rows columns"]:
-    """How much of the rim is left in each block: 1 near the image, falling to 0 in the outer
-    share `FADING`.
-    """
+    """How much of the rim is left in each block: 1 near the image, 0 in the outer `FADING`."""
     beyond = []
     for side, count in zip(image_size, blocks):
         wide = side + 2 * pad

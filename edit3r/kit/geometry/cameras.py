@@ -92,9 +92,7 @@ def project(
     intrinsics: Float[Tensor, "*batch 3 3"],
     c2w: Float[Tensor, "*batch 4 4"],
 ) -> tuple[Float[Tensor, "*batch point 2"], Float[Tensor, "*batch point"]]:
-    """Normalised image coordinates and camera z of world points; coordinates mean nothing where z
-    <= 0.
-    """
+    """Normalised image coordinates and camera z of world points; only z > 0 means anything."""
     w2c = invert_rigid(c2w)
     camera = (
         torch.einsum("...ij,...nj->...ni", w2c[..., :3, :3], points)
@@ -131,9 +129,7 @@ def relative_to_first(
 def scale_poses(
     c2w: Float[Tensor, "*batch 4 4"], factor: float | Float[Tensor, "*factors"]
 ) -> Float[Tensor, "*batch 4 4"]:
-    """The same poses in another unit of length: camera centres times `factor`, one or broadcast
-    over the batch.
-    """
+    """The same poses in another unit: centres times `factor`, one or one for each scene."""
     scaled = c2w.clone()
     scaled[..., :3, 3] *= factor[..., None] if isinstance(factor, Tensor) else factor
     return scaled
@@ -142,8 +138,7 @@ def scale_poses(
 def median_scale(
     source: Float[Tensor, "point 3"], target: Float[Tensor, "point 3"]
 ) -> Float[Tensor, ""]:
-    """The factor by which `source` becomes as large as `target`: the median ratio of distances from
-    the origin.
+    """How many times as large `target` is as `source`: median ratio of distances from 0.
 
     Both hold the same points (or camera centres) in frames with one origin; 1 for no points.
     """

@@ -145,10 +145,10 @@ def _explains(
     unlike = 0.0
     left = 0.0
     for pair in pairs:
-        own = gain[pair.first] * pair.own + offset[pair.first]
-        other = gain[pair.second] * pair.other + offset[pair.second]
+        first = gain[pair.first] * pair.own + offset[pair.first]
+        second = gain[pair.second] * pair.other + offset[pair.second]
         unlike += float((pair.own - pair.other).abs().sum())
-        left += float((own - other).abs().sum())
+        left += float((first - second).abs().sum())
     return left <= MAX_LEFT * unlike
 
 
@@ -206,5 +206,5 @@ def _shared(
     same = same & (sure[0, 0] > 0) & (seen[3] > 0.99)
     for image in (images[0], seen[:3]):
         same &= ((image > EXPOSED[0]) & (image < EXPOSED[1])).all(0)
-    own, other = (image[:, same].T.double().cpu() for image in (images[0], seen[:3]))
-    return own, other
+    first, second = (image[:, same].T.double().cpu() for image in (images[0], seen[:3]))
+    return first, second

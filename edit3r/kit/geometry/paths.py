@@ -14,7 +14,7 @@ from edit3r.kit.geometry.rotations import (
     quats_to_matrices,
 )
 
-__all__ = ["between_and_around", "interpolate_poses"]
+__all__ = ["between_and_around", "half_way", "interpolate_poses"]
 
 # how far the path leaves the straight way between two views, in distances between views
 SIDE_STEP = 0.25
@@ -51,8 +51,7 @@ def interpolate_poses(
     end: Float[Tensor, "*batch 4 4"],
     share: Float[Tensor, "*batch"],
 ) -> Float[Tensor, "*batch 4 4"]:
-    """Poses at `share` in [0, 1] of the screw motion from `start` to `end`: start exp(share
-    log(start^-1 end)).
+    """Poses at `share` of the screw motion between two: start exp(share log(start^-1 end)).
 
     The logarithm of (R, t) is (w, V(w)^-1 t), where w is the rotation vector and V(w), the integral
     of exp(s [w]x) over s in [0, 1], is the upper right block of exp([[[w]x, I], [0, 0]]).
@@ -67,6 +66,20 @@ def interpolate_poses(
     integral = torch.linalg.matrix_exp(block)[..., :3, 3:]
     twist[..., :3, 3:] = torch.linalg.solve(integral, relative[..., :3, 3:])
     return start @ torch.linalg.matrix_exp(share[..., None, None] * twist)
+
+
+def half_way(cameras: Cameras) -> tuple[Cameras, tuple[tuple[int, int], ...]]:
+    """Of one scene (batch 1): cameras half-way from each view to its nearest one, and between which
+    two views each stands. A camera has the lens of its first view.
+    """
+    centres = cameras.c2w[0, :, :3, 3]
+    apart = torch.cdist(centres, centres).fill_diagonal_(torch.inf)
+    nearest = apart.argmin(1).tolist()
+    pairs = tuple(sorted({(min(pair), max(pair)) for pair in enumerate(nearest)}))
+    first, second = (cameras.c2w[:, list(side)].double() for side in zip(*pairs))
+    poses = interpolate_poses(first, second, first.new_tensor(0.5))
+    lenses = cameras.intrinsics[:, [pair[0] for pair in pairs]]
+    return Cameras(poses.to(cameras.c2w), lenses, cameras.image_size), pairs
 
 
 def _one_scene(

@@ -1,5 +1,4 @@
-"""Poses of the input views from predicted Gaussians: the centres a view contributed against the
-pixels they came from.
+"""Poses of the input views from predicted Gaussians: their centres against their pixels.
 
 For reconstructors that predict no cameras. PnP with RANSAC, after the evaluation of pose-free
 splatting (Ye et al., NoPoSplat, ICLR 2025).
@@ -59,8 +58,8 @@ def _scene_poses(
     """Camera-to-world poses of one scene's views."""
     poses = [np.eye(4)]
     for view in range(1, views.count):
-        own = gaussians.view_index == view
-        points = gaussians.means[scene, own]
+        of_view = gaussians.view_index == view
+        points = gaussians.means[scene, of_view]
         if not len(points):
             raise MatchingError(f"view {view} has 0 Gaussians, expected one per pixel.")
         layout = pixel_layout(len(points) // per_pixel, views.image_size)
@@ -68,7 +67,7 @@ def _scene_poses(
         poses.append(
             _pose(
                 points,
-                gaussians.opacities[scene, own],
+                gaussians.opacities[scene, of_view],
                 views.intrinsics[scene, view],
                 layout,
                 per_pixel,
@@ -96,7 +95,7 @@ def _pose(
     # PnP is better conditioned near 1
     unit = float(np.median(np.linalg.norm(centres, axis=1))) or 1.0
     camera = to_pixels(intrinsics.detach().cpu().double(), layout).numpy()
-    found, rotation, translation, inliers = cv2.solvePnPRansac(
+    solved, rotation, translation, inliers = cv2.solvePnPRansac(
         centres / unit,
         pixels,
         camera,
@@ -106,7 +105,7 @@ def _pose(
         confidence=0.9999,
         flags=cv2.SOLVEPNP_SQPNP,
     )
-    if not found or inliers is None or len(inliers) < MIN_POINTS:
+    if not solved or inliers is None or len(inliers) < MIN_POINTS:
         raise MatchingError(
             f"{name} cannot be placed: its Gaussians fit no camera; the photos may not overlap "
             "enough."

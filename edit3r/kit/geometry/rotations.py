@@ -38,9 +38,7 @@ def quats_to_matrices(quats: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch
 def matrices_to_quats(
     matrices: Float[Tensor, "*batch 3 3"],
 ) -> Float[Tensor, "*batch 4"]:
-    """Unit wxyz quaternions with w >= 0 of rotation matrices; the largest component is computed
-    first (Shepperd).
-    """
+    """Unit wxyz quaternions, w >= 0, of rotation matrices; by the largest component (Shepperd)."""
     m = matrices
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
     squared = torch.stack(

@@ -179,8 +179,7 @@ def stands_before_others(
     intrinsics: Float[Tensor, "batch view 3 3"],
     c2w: Float[Tensor, "batch view 4 4"],
 ) -> Bool[Tensor, "batch view rows columns"]:
-    """World points of each view that would hide what another view shows; a view shows nothing where
-    its camera z is 0.
+    """World points of each view that would hide what another view shows (0: nothing).
 
     `surfaces` are the camera z of what each view shows.
     """
@@ -252,9 +251,7 @@ def seen_by(
     intrinsics: Float[Tensor, "batch view 3 3"],
     view: int,
 ) -> Bool[Tensor, "batch point"]:
-    """World points that lie within the image of `view`, whether hidden there or not; none if it is
-    not registered.
-    """
+    """World points within the image of `view`, hidden or not; none if not registered."""
     coordinates, depth = project(points, intrinsics[:, view], geometry.c2w[:, view])
     return (
         ((coordinates > 0) & (coordinates < 1)).all(-1)

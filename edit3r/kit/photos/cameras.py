@@ -54,8 +54,8 @@ MODELS = (".", "sparse/0", "sparse", "colmap/sparse/0", "0")
 
 def camera_files_in(folder: Path) -> list[Path]:
     """The camera files of a folder, in the order in which they are asked."""
-    found = [folder / name for name in CAMERA_FILES if (folder / name).is_file()]
-    return found + [folder / one for one in MODELS if ending_of(folder / one)][:1]
+    listed = [folder / name for name in CAMERA_FILES if (folder / name).is_file()]
+    return listed + [folder / one for one in MODELS if ending_of(folder / one)][:1]
 
 
 def camera_entries(path: str | Path) -> list[CameraEntry]:
@@ -67,18 +67,18 @@ def camera_entries(path: str | Path) -> list[CameraEntry]:
         path = path.parent
     if not path.is_dir():
         return json_entries(path)
-    found = camera_files_in(path)
-    if not found:
+    camera_files = camera_files_in(path)
+    if not camera_files:
         raise InputError(
             f"{path}: holds neither a COLMAP model (cameras and images, .bin or .txt) nor a "
             f"{' or a '.join(CAMERA_FILES[:2])}."
         )
-    if found[0].is_file():
-        return json_entries(found[0])
+    if camera_files[0].is_file():
+        return json_entries(camera_files[0])
     # pycolmap takes a quarter of a second to import
     from edit3r.kit.photos.colmap import colmap_entries
 
-    return colmap_entries(found[0])
+    return colmap_entries(camera_files[0])
 
 
 def read_cameras(path: str | Path) -> list[PosedCamera]:

@@ -77,8 +77,10 @@ def _copy_without_points(folder: Path, scratch: Path) -> dict[int, str]:
     text = (folder / "images.txt").read_text("utf-8-sig", errors="surrogateescape")
     lines = [line.split(maxsplit=9) for line in text.splitlines()]
     images = [fields for fields in lines if _is_image(fields)]
-    kept = "".join(f"{' '.join(fields[:9])} {fields[0]}\n\n" for fields in images)
-    (scratch / "images.txt").write_text(kept, "utf-8")
+    text_of_images = "".join(
+        f"{' '.join(fields[:9])} {fields[0]}\n\n" for fields in images
+    )
+    (scratch / "images.txt").write_text(text_of_images, "utf-8")
     return {int(fields[0]): fields[9].strip() for fields in images}
 
 

@@ -139,8 +139,8 @@ def features_of(pixels: UInt8[np.ndarray, "height width 3"]) -> ImageFeatures:
     small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)
     orb = cv2.ORB.create(FEATURES, fastThreshold=7)
-    found, descriptors = orb.detectAndCompute(grey, None)  # None: no mask
-    points = cv2.KeyPoint.convert(found)
+    keypoints, descriptors = orb.detectAndCompute(grey, None)  # None: no mask
+    points = cv2.KeyPoint.convert(keypoints)
     points = np.reshape(points, (-1, 2)).astype(np.float64) / grey.shape[1]
     return ImageFeatures(points, descriptors, cv2.Laplacian(grey, cv2.CV_64F).var())
 

@@ -47,7 +47,7 @@ def _printed_about(coded: np.ndarray) -> bytes:
             os.close(outside)
         heard.seek(0)
         printed = heard.read()
-        found = _REMARK.search(printed)
+        remark = _REMARK.search(printed)
         with suppress(OSError):
             os.write(2, _REMARK.sub(b"", printed))
-    return found[1] if found else b""
+    return remark[1] if remark else b""

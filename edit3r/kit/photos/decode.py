@@ -267,9 +267,7 @@ def _register_heic(path: Path) -> None:
 
 
 def _check_tiff(image: Image.Image, path: Path) -> None:
-    """Raise InputError for a raw file, whose thumbnail would be read, and for what Pillow reads
-    wrongly without a word.
-    """
+    """Raise InputError for a raw file (a thumbnail is in front) and what Pillow misreads."""
     tags = image.tag_v2  # type: ignore[attr-defined]
     reduced = tags.get(_NEW_SUBFILE_TYPE, 0)
     named = path.suffix.lower() in RAW_SUFFIXES
@@ -282,8 +280,8 @@ def _check_tiff(image: Image.Image, path: Path) -> None:
         "of 16 bits, each channel by itself": bits[0] == 16 and planar,
         "of 16 bits, with 0 as white": bits[0] == 16 and tags.get(_PHOTOMETRIC) == 0,
     }
-    for kind, found in kinds.items():
-        if found:
+    for kind, is_that in kinds.items():
+        if is_that:
             raise InputError(
                 f"{path}: a TIFF {kind}, which is not read; save it as PNG, or as TIFF of 8 bits."
             )
@@ -326,10 +324,10 @@ def _check_size(image: Image.Image, path: Path) -> None:
         )
 
 
-def _too_large(path: Path, found: str, most: int) -> InputError:
+def _too_large(path: Path, given: str, most: int) -> InputError:
     kind = "images" if most == MAX_PIXELS else "JPEGs"
     return InputError(
-        f"{path}: {found}; {kind} of at most {most // 10**6} megapixels are read. Scale it down "
+        f"{path}: {given}; {kind} of at most {most // 10**6} megapixels are read. Scale it down "
         "first."
     )
 

@@ -59,9 +59,11 @@ def read_coding(file: BinaryIO) -> Coding | None:
                 return None
             at += 12 + length
     elif head[4:8] == b"ftyp":
-        found = re.search(rb"colrnclx(..)(..)", head, re.DOTALL)
-        if found:
-            return Coding(*(int.from_bytes(number, "big") for number in found.groups()))
+        numbers = re.search(rb"colrnclx(..)(..)", head, re.DOTALL)
+        if numbers:
+            return Coding(
+                *(int.from_bytes(number, "big") for number in numbers.groups())
+            )
     return None
 
 

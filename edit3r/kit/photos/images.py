@@ -150,22 +150,24 @@ def load_photos(
     sizes = [header.size for header in headers]
     _check_shapes(files, sizes)
     target = common_size(sizes, size)
-    found = [finder.find(*pair) for pair in zip(files, headers)]
-    found = [as_others_of_its_size(found, sizes, view) for view in range(len(files))]
+    known_lenses = [finder.find(*pair) for pair in zip(files, headers)]
+    known_lenses = [
+        as_others_of_its_size(known_lenses, sizes, view) for view in range(len(files))
+    ]
     images, photos = [], []
     for name, file, header, known in track(
-        list(zip(names, files, headers, found)), "read photos"
+        list(zip(names, files, headers, known_lenses)), "read photos"
     ):
         image, photo = _as_view(name, file, header.size, known, target)
         images.append(image)
         photos.append(photo)
-    assumed = tuple(intrinsics.assumed for intrinsics in found)
+    assumed = tuple(intrinsics.assumed for intrinsics in known_lenses)
     _warn_of_losses(photos)
     normalised = [
         photo.frame.follow(intrinsics.normalised)
-        for photo, intrinsics in zip(photos, found)
+        for photo, intrinsics in zip(photos, known_lenses)
     ]
-    poses = known_poses(found)
+    poses = known_poses(known_lenses)
     views = Views(
         images=torch.stack(images)[None],
         intrinsics=torch.stack(normalised)[None].float(),
@@ -333,26 +335,26 @@ def expand(path: str | Path) -> list[Path]:
     folder, name = os.path.split(text)
     if Path(folder).is_dir():  # "holiday [2024]" has signs of its own
         text = os.path.join(glob.escape(folder), name)
-    found = sorted(map(Path, glob.glob(text)), key=natural)
-    if not found:
+    files = sorted(map(Path, glob.glob(text)), key=natural)
+    if not files:
         raise InputError(f"{path}: no such file or folder.")
-    return found
+    return files
 
 
 def images_of_folder(folder: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
     """The images that lie in the folder itself, in natural order."""
-    found = []
+    images = []
     for path in folder.iterdir() if folder.is_dir() else ():
         hidden = path.name.startswith(".")  # such as macOS's ._IMG_0001.jpg
         if path.suffix.lower() in suffixes and not hidden and path.is_file():
-            found.append(path)
-    return sorted(found, key=natural)
+            images.append(path)
+    return sorted(images, key=natural)
 
 
 def _images_in(folder: Path) -> list[Path]:
     for place in (folder, folder / "images"):
-        if found := images_of_folder(place):
-            return found
+        if images := images_of_folder(place):
+            return images
     raise InputError(f"{folder}: {_what_else(folder)}")
 
 

@@ -38,10 +38,10 @@ def as_files(photos: Any, name: str = "photos") -> list[str | Path]:
         if isinstance(item, str | Path):
             files.append(item)
             continue
-        told = f"{name}: number {number}"
+        label = f"{name}: number {number}"
         folder = folder or taken_photos().new_folder("edit3r-photos")
         file = folder / f"photo-{number}.png"
-        _write(item, file, told)
+        _write(item, file, label)
         taken_photos().origins[file] = file.name
         files.append(file)
     return files
@@ -63,21 +63,23 @@ def _is_stack(item: Any) -> bool:
     return isinstance(item, np.ndarray | Tensor) and item.ndim == 4
 
 
-def _write(item: Any, file: Path, told: str) -> None:
+def _write(item: Any, file: Path, label: str) -> None:
     """Write what is no path to a file. Raises InputError."""
     if hasattr(item, "read"):
         item = item.read()
     if isinstance(item, bytes | bytearray | memoryview):
         file.write_bytes(item)
     elif isinstance(item, Image.Image):
-        kept = {key: item.info[key] for key in ("icc_profile",) if item.info.get(key)}
+        profile = {
+            key: item.info[key] for key in ("icc_profile",) if item.info.get(key)
+        }
         mode = item.mode if item.mode in ("RGB", "RGBA", "L", "LA", "I;16") else "RGB"
-        item.convert(mode).save(file, exif=item.getexif(), compress_level=1, **kept)
+        item.convert(mode).save(file, exif=item.getexif(), compress_level=1, **profile)
     else:
-        Image.fromarray(_pixels(item, told)).save(file, compress_level=1)
+        Image.fromarray(_pixels(item, label)).save(file, compress_level=1)
 
 
-def _pixels(item: Any, told: str) -> np.ndarray:
+def _pixels(item: Any, label: str) -> np.ndarray:
     """Bytes [height, width] or [height, width, 3 or 4] of an array or a tensor."""
     values: np.ndarray
     if isinstance(item, Tensor):
@@ -87,7 +89,7 @@ def _pixels(item: Any, told: str) -> np.ndarray:
     elif isinstance(item, np.ndarray) or hasattr(item, "__array__"):
         values = np.asarray(item)
     else:
-        raise InputError(f"{told} is {_kind(item)}; expected {EXPECTED}.")
+        raise InputError(f"{label} is {_kind(item)}; expected {EXPECTED}.")
     first = isinstance(item, Tensor) or (
         values.ndim == 3 and values.shape[2] not in _CHANNELS
     )
@@ -98,12 +100,12 @@ def _pixels(item: Any, told: str) -> np.ndarray:
     is_image = values.ndim == 2 or (values.ndim == 3 and values.shape[2] in (3, 4))
     if not is_image or values.size == 0:
         raise InputError(
-            f"{told} is of shape {list(values.shape)}; expected {EXPECTED}."
+            f"{label} is of shape {list(values.shape)}; expected {EXPECTED}."
         )
-    return _bytes(values, told)
+    return _bytes(values, label)
 
 
-def _bytes(values: np.ndarray, told: str) -> np.ndarray:
+def _bytes(values: np.ndarray, label: str) -> np.ndarray:
     kind = values.dtype
     if kind == np.uint8:
         return np.ascontiguousarray(values)
@@ -114,14 +116,14 @@ def _bytes(values: np.ndarray, told: str) -> np.ndarray:
         if kind.kind in "iu" and low >= 0 and 1 < high <= 255:
             return np.ascontiguousarray(values.astype(np.uint8))
         raise InputError(
-            f"{told} has values of {kind} from {low} to {high}; expected {EXPECTED}."
+            f"{label} has values of {kind} from {low} to {high}; expected {EXPECTED}."
         )
     if not np.isfinite(values).all():
-        raise InputError(f"{told} has values that are not finite (NaN or infinite).")
+        raise InputError(f"{label} has values that are not finite (NaN or infinite).")
     low, high = float(values.min()), float(values.max())
     if low < -1e-3 or high > 1 + 1e-3:
         way_out = "divide by 255" if high > 2 and low >= 0 else "bring them to [0, 1]"
-        raise InputError(f"{told} has floats from {low:.4g} to {high:.4g}; {way_out}.")
+        raise InputError(f"{label} has floats from {low:.4g} to {high:.4g}; {way_out}.")
     return np.rint(255 * values.clip(0, 1)).astype(np.uint8)
 
 

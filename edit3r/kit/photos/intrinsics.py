@@ -45,34 +45,34 @@ class Intrinsics:
     mask: Path | None = None  # of the photo, as its camera file says
 
 
-def known_poses(found: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | None:
+def known_poses(intrinsics: Sequence[Intrinsics]) -> Float64[Tensor, "view 4 4"] | None:
     """The photos' poses where one file knows all of them: those of two files have no frame in
     common, but for the parts of a data set.
     """
-    poses = [one.c2w for one in found if one.c2w is not None]
+    poses = [one.c2w for one in intrinsics if one.c2w is not None]
     complete = (
-        len(poses) == len(found)
-        and len({one.frame or one.source for one in found}) == 1
+        len(poses) == len(intrinsics)
+        and len({one.frame or one.source for one in intrinsics}) == 1
     )
     return torch.stack(poses) if complete else None
 
 
 def as_others_of_its_size(
-    found: Sequence[Intrinsics], sizes: Sequence[Size], index: int
+    intrinsics: Sequence[Intrinsics], sizes: Sequence[Size], index: int
 ) -> Intrinsics:
     """A photo's intrinsics; where nobody knows them, those of other photos of its size if they
     agree: one camera took them.
     """
-    own = found[index]
-    alike = [one for one, size in zip(found, sizes) if size == sizes[index]]
+    of_photo = intrinsics[index]
+    alike = [one for one, size in zip(intrinsics, sizes) if size == sizes[index]]
     known = [one for one in alike if not one.assumed]
-    if not own.assumed or not known:
-        return own
+    if not of_photo.assumed or not known:
+        return of_photo
     first, *others = known
     for other in others:
         off = (other.normalised / first.normalised - 1).diagonal().abs().max()
         if off > SHAPE_TOLERANCE or other.lens != first.lens:
-            return own
+            return of_photo
     source = f"{first.source}, of other photos of its size"
     return Intrinsics(first.normalised, source, lens=first.lens)
 
@@ -93,14 +93,10 @@ class IntrinsicsFinder:
 
     def find(self, file: Path, image: ImageHeader) -> Intrinsics:
         """Intrinsics of the upright image `file`."""
-        size = height, width = image.size
+        size = image.size
         for camera_file in self._camera_files(file):
-            camera = self._camera(camera_file, file, (width, height))
-            if (
-                camera is not None
-                and camera.K is not None
-                and self._fits(camera, camera_file, file, size)
-            ):
+            camera = self._camera(camera_file, file, size)
+            if camera is not None:
                 source = f"camera file {camera_file.path}"
                 if camera_file is not self.given:
                     source += ", found beside the photos"
@@ -126,9 +122,7 @@ class IntrinsicsFinder:
         return Intrinsics(_from_focal(focal, size), source, assumed=True)
 
     def check_all_used(self, files: Sequence[Path]) -> None:
-        """Raise InputError when a given camera file knows none of the photos; warn for those it
-        does not know.
-        """
+        """Raise InputError when a given camera file knows none of the photos; warn of some."""
         if self.given is None:
             return
         unknown = [file.name for file in files if not self.given.entries_of(file, True)]
@@ -147,9 +141,9 @@ class IntrinsicsFinder:
             if folder not in self._files_in:
                 self._files_in[folder] = camera_files_in(folder)
             for path in self._files_in[folder]:
-                found = self._beside(path)
-                if found is not None:
-                    yield found
+                camera_file = self._beside(path)
+                if camera_file is not None:
+                    yield camera_file
 
     def _beside(self, path: Path) -> "_CameraFile | None":
         if path not in self._found:
@@ -162,35 +156,26 @@ class IntrinsicsFinder:
         return self._found[path]
 
     def _camera(
-        self, camera_file: "_CameraFile", file: Path, size: Size
+        self, camera_file: "_CameraFile", file: Path, size: tuple[int, int]
     ) -> PosedCamera | None:
-        """What a camera file says of a photo; a fault in a file that was not given is a warning."""
+        """A photo's camera with intrinsics; a fault in a file that was not given is a warning."""
+        height, width = size
         try:
-            return camera_file.find(file, camera_file is self.given, size)
+            camera = camera_file.find(file, camera_file is self.given, (width, height))
+            if camera is None or camera.K is None:
+                return None
+            shape = camera.width / camera.height
+            if abs(shape * height / width - 1) > SHAPE_TOLERANCE:
+                raise InputError(
+                    f"{camera_file.path}: its camera for {file.name} is {camera.width}x"
+                    f"{camera.height}, but the upright photo is {width}x{height}."
+                )
+            return camera
         except InputError as error:
             if camera_file is self.given:
                 raise
             warn(f"{error} It is ignored.")
             return None
-
-    def _fits(
-        self,
-        camera: PosedCamera,
-        camera_file: "_CameraFile",
-        file: Path,
-        size: tuple[int, int],
-    ) -> bool:
-        if abs(camera.width / camera.height * size[0] / size[1] - 1) <= SHAPE_TOLERANCE:
-            return True
-        problem = (
-            f"{camera_file.path}: its camera for {file.name} is {camera.width}x{camera.height}, "
-            "but the upright photo "
-            f"is {size[1]}x{size[0]}."
-        )
-        if camera_file is self.given:
-            raise InputError(problem)
-        warn(f"{problem} It is ignored.")
-        return False
 
 
 class _CameraFile:

@@ -125,21 +125,21 @@ def _labels(
     kinds = np.zeros(values.shape[:2], np.int64)
     for channel in range(values.shape[-1]):
         kinds = 256 * kinds + values[..., channel] // step
-    found: list[np.ndarray] = []
+    labels: list[np.ndarray] = []
     shares: list[float] = []
     for kind, count in sorted(
         zip(*np.unique(kinds, return_counts=True)), key=lambda one: -one[1]
     ):
         share = count / kinds.size
-        if share < _LEAST_SHARE or len(found) > _MOST_LABELS:
+        if share < _LEAST_SHARE or len(labels) > _MOST_LABELS:
             break
         mean = np.rint(values[kinds == kind].mean(0)).astype(int)
-        apart = min(np.abs(mean - other).max() for other in (0 * mean, *found))
-        rim = found and share < 0.1 * shares[0] and _is_shade(mean, found[0], reach)
+        apart = min(np.abs(mean - other).max() for other in (0 * mean, *labels))
+        rim = labels and share < 0.1 * shares[0] and _is_shade(mean, labels[0], reach)
         if apart >= (1 if is_grey else 3 * _FADED) and not (rim and not is_grey):
-            found.append(mean)
+            labels.append(mean)
             shares.append(share)
-    return [tuple(int(value) for value in one) for one in found]
+    return [tuple(int(value) for value in one) for one in labels]
 
 
 def _is_shade(colour: np.ndarray, label: np.ndarray, reach: int) -> bool:
@@ -203,16 +203,16 @@ def masks_by_photo(given: Sequence[str], photos: Sequence[Names]) -> dict[int, P
             rest = []  # masks of photos that are not here
         else:
             raise _confusing(given, len(files), photos)
-    found = {view: file for file, view in named.items() if view is not None}
-    found |= dict(zip(free, _as_photos_lie(rest, photos)))
-    paired = [found[view] for view in sorted(found)]
+    masks = {view: file for file, view in named.items() if view is not None}
+    masks |= dict(zip(free, _as_photos_lie(rest, photos)))
+    paired = [masks[view] for view in sorted(masks)]
     if folders or paired != files[: len(paired)] or (views and way == "by number"):
-        pairs = ", ".join(f"{photos[v][0]} <- {found[v].name}" for v in sorted(found))
+        pairs = ", ".join(f"{photos[v][0]} <- {masks[v].name}" for v in sorted(masks))
         say(
             "selection.masks",
             f"paired with the photos {way if views else 'in order'}: {pairs}",
         )
-    return {view: found[view] for view in sorted(found)}
+    return {view: masks[view] for view in sorted(masks)}
 
 
 def _files(given: Iterable[str], photos: Sequence[Names]) -> tuple[list[Path], bool]:
@@ -227,10 +227,12 @@ def _files(given: Iterable[str], photos: Sequence[Names]) -> tuple[list[Path], b
             continue
         folders = True
         inside = images_of_folder(path, MASK_SUFFIXES) or _one_a_photo(path, photos)
-        own = [file for file in inside if photo_named(file.stem, photos) is not None]
-        if not own and len(inside) != len(photos):  # as many go in order
-            own = [file for file in inside if _number(file.name) in numbers]
-        files += own or inside
+        of_photos = [
+            file for file in inside if photo_named(file.stem, photos) is not None
+        ]
+        if not of_photos and len(inside) != len(photos):  # as many go in order
+            of_photos = [file for file in inside if _number(file.name) in numbers]
+        files += of_photos or inside
     return files, folders
 
 
@@ -291,9 +293,9 @@ def _photos_numbered(
 ) -> dict[Path, int | None]:
     """The photo of each mask's number; of none where one number is no photo's, or two are alike."""
     numbers = {_number(names[0]): view for view, names in enumerate(photos)}
-    found = {file: numbers.get(_number(file.name)) for file in files}
-    clear = len(numbers) == len(photos) and None not in {*numbers, *found.values()}
-    return found if clear else dict.fromkeys(files)
+    numbered = {file: numbers.get(_number(file.name)) for file in files}
+    clear = len(numbers) == len(photos) and None not in {*numbers, *numbered.values()}
+    return numbered if clear else dict.fromkeys(files)
 
 
 def _number(name: str) -> int | None:

@@ -33,17 +33,19 @@ _SMALL = (32, 32)  # their size [pixels]
 def only_photos(files: Sequence[Path]) -> list[Path]:
     """The files without masks, sheets of ours and second formats; says what was left out."""
     stems = Counter(file.stem.casefold() for file in files)
-    kept = _without_doubles([file for file in files if not _is_none(file, stems)])
-    photos = set(kept)
+    photos_once = _without_doubles(
+        [file for file in files if not _is_none(file, stems)]
+    )
+    photos = set(photos_once)
     left_out = [file.name for file in files if file not in photos]
-    if not kept or not left_out:
+    if not photos_once or not left_out:
         return list(files)
     listed = ", ".join(left_out[:6]) + (", ..." if len(left_out) > 6 else "")
     say(
         "photos.left_out",
         f"{listed}: no photo of its own (a mask, a sheet, or a photo twice)",
     )
-    return kept
+    return photos_once
 
 
 def _is_none(file: Path, stems: Mapping[str, int]) -> bool:
@@ -71,9 +73,10 @@ def _without_doubles(files: Sequence[Path]) -> list[Path]:
         by_stem.setdefault(_copied_from(file.stem.casefold(), stems), []).append(file)
     left_out: set[Path] = set()
     for stem, twins in by_stem.items():
-        own = [file for file in twins if file.stem.casefold() == stem]
+        originals = [file for file in twins if file.stem.casefold() == stem]
         copies = [file for file in twins if file.stem.casefold() != stem]
-        best, *others = own + copies  # the original, where no copy has more pixels
+        # the original, where no copy has more pixels
+        best, *others = originals + copies
         for twin in others:
             renamed = best.stem.casefold() != twin.stem.casefold()
             if best.suffix == twin.suffix and not renamed:

@@ -59,21 +59,21 @@ class PosedFolder:
 def read_posed_folder(path: str | Path) -> PosedFolder:
     """Read the folder's camera file. Raises InputError naming the file and what it lacks."""
     path = Path(path)
-    found = camera_files_in(path)
-    if not found:
+    camera_files = camera_files_in(path)
+    if not camera_files:
         raise InputError(
             f"{path}: expected a folder of photos with a {' or a '.join(CAMERA_FILES)}, or with a "
             "COLMAP model."
         )
     # COLMAP's names are those in the folder of images, wherever that is.
-    images = "images" if found[0].is_dir() and (path / "images").is_dir() else ""
+    images = "images" if camera_files[0].is_dir() and (path / "images").is_dir() else ""
     cameras = tuple(
         replace(camera, file=str(Path(images, camera.file)))
-        for camera in read_cameras(found[0])
+        for camera in read_cameras(camera_files[0])
         if camera.K is not None and camera.c2w is not None
     )
     if not cameras:
         raise InputError(
-            f"{found[0]}: no photo has both a pose (c2w) and intrinsics (K)."
+            f"{camera_files[0]}: no photo has both a pose (c2w) and intrinsics (K)."
         )
     return PosedFolder(path.resolve().name, path, cameras)

@@ -71,9 +71,9 @@ def sound(path: Path, gaussians: Gaussians, *, visible: bool) -> Gaussians:
             f"{path}: {lost} of {gaussians.count} Gaussians have a quaternion of only zeros "
             "and are left out."
         )
-    kept = finite & has_rotation
-    if not kept.all():
-        gaussians = gaussians.select(kept)
+    drawable = finite & has_rotation
+    if not drawable.all():
+        gaussians = gaussians.select(drawable)
     if (gaussians.scales < 0).any():
         warn(f"{path}: has negative sizes, which are taken as positive.")
         gaussians = replace(gaussians, scales=gaussians.scales.abs())

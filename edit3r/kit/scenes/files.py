@@ -31,12 +31,12 @@ def scene_file(text: str) -> Path:
         for place in (path, path / "point_cloud")
         for folder in sorted(place.glob("iteration_*"), key=_iteration, reverse=True)
     ]
-    found = (one for one in [*usual, *trained] if one.is_file())
+    there = (one for one in [*usual, *trained] if one.is_file())
     if is_loose_sog(loose):
-        return next(found, loose)
-    return next(found, path / "scene.ply")
+        return next(there, loose)
+    return next(there, path / "scene.ply")
 
 
 def _iteration(folder: Path) -> int:
-    found = TRAINED.fullmatch(folder.name)
-    return int(found[1][:9]) if found else -1
+    name = TRAINED.fullmatch(folder.name)
+    return int(name[1][:9]) if name else -1

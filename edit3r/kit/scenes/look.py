@@ -39,8 +39,8 @@ def camera_file_of(scene: Path) -> Path | None:
     folders = [scene.parent]
     if TRAINED.fullmatch(scene.absolute().parent.name):
         folders.append(scene.absolute().parents[2])
-    found = (file for folder in folders for file in camera_files_in(folder))
-    return next(found, None)
+    camera_files = (file for folder in folders for file in camera_files_in(folder))
+    return next(camera_files, None)
 
 
 def look_at(
@@ -52,10 +52,10 @@ def look_at(
     """
     if given:
         return read_scene_cameras(given)
-    found = camera_file_of(scene)
-    if found is not None:
+    beside = camera_file_of(scene)
+    if beside is not None:
         try:
-            return read_scene_cameras(found)
+            return read_scene_cameras(beside)
         except InputError as error:
             warn(f"{error} It is ignored.")
     say(

@@ -58,25 +58,14 @@ MOST_HEADER_BYTES = 1 << 20
 MOST_COMMENT = 1000
 COARSE = 0.5  # of a Gaussian's size: steps between places that spoil a scene
 _TYPES = {
-    **{
-        "char": "i1",
-        "int8": "i1",
-        "uchar": "u1",
-        "uint8": "u1",
-        "short": "i2",
-        "int16": "i2",
-        "ushort": "u2",
-    },
-    **{
-        "uint16": "u2",
-        "int": "i4",
-        "int32": "i4",
-        "uint": "u4",
-        "uint32": "u4",
-        "float": "f4",
-        "float32": "f4",
-    },
-    **{"double": "f8", "float64": "f8"},
+    **dict.fromkeys(("char", "int8"), "i1"),
+    **dict.fromkeys(("uchar", "uint8"), "u1"),
+    **dict.fromkeys(("short", "int16"), "i2"),
+    **dict.fromkeys(("ushort", "uint16"), "u2"),
+    **dict.fromkeys(("int", "int32"), "i4"),
+    **dict.fromkeys(("uint", "uint32"), "u4"),
+    **dict.fromkeys(("float", "float32"), "f4"),
+    **dict.fromkeys(("double", "float64"), "f8"),
 }
 _BYTE_ORDERS = {"binary_little_endian": "<", "binary_big_endian": ">"}
 _ASCII = "ascii"
@@ -129,13 +118,12 @@ def save_ply(
 
 @in_usual_torch
 def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
-    """Read a 3DGS PLY (binary or text, any number type, extra properties ignored) as one scene on
-    the CPU.
+    """Read a 3DGS PLY (binary or text, any number type) as one scene on the CPU.
 
-    Degree 0 to 4, or colours alone; two scales are those of flat discs, one that of balls.
-    Quaternions come back normalised; Gaussians with values that are not finite are
-    left out with a warning. Raises InputError for a file that is no such PLY, or is cut off; with
-    `visible` also for a scene in which nothing can be drawn.
+    Degree 0 to 4, or colours alone; two scales are those of flat discs, one that of balls; further
+    properties are passed over. Quaternions come back normalised; Gaussians with values that are
+    not finite are left out with a warning. Raises InputError for a file that is no such PLY, or is
+    cut off; with `visible` also for a scene in which nothing can be drawn.
     """
     path = Path(path)
     header = read_header(path)
@@ -204,16 +192,9 @@ def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
     names = [
         *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"),
         *(f"f_rest_{i}" for i in range(3 * (coefficients - 1))),
-        *(
-            "opacity",
-            "scale_0",
-            "scale_1",
-            "scale_2",
-            "rot_0",
-            "rot_1",
-            "rot_2",
-            "rot_3",
-        ),
+        "opacity",
+        *(f"scale_{axis}" for axis in range(3)),
+        *(f"rot_{part}" for part in range(4)),
     ]
     names += further
     return (

@@ -27,8 +27,7 @@ def save_weights(
 
 
 def load_weights(network: nn.Module, path: str | Path) -> None:
-    """Fill `network` with trained weights: a safetensors file, or the folder `best` of `edit3r
-    train`.
+    """Fill `network` with trained weights: a safetensors file, or a training's folder `best`.
 
     For the setting `weights` of any reconstructor. Raises InputError when there are none or they do
     not fit.
@@ -50,9 +49,7 @@ def load_weights(network: nn.Module, path: str | Path) -> None:
 
 @contextmanager
 def whole_file(path: Path, what: str, then: str = "") -> Iterator[Path]:
-    """A temporary path that becomes `path`; a failure to write is a RunError that says `what` and
-    what to do.
-    """
+    """A temporary path that becomes `path`; a failure is a RunError with `what` and a way out."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_write(path) as partial:

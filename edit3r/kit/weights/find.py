@@ -1,5 +1,4 @@
-"""Learned weights that components can use: what each plugin declares, and where the files lie on
-this machine.
+"""Learned weights that components can use: where the files lie on this machine.
 
 A component names its weights in `Component.weights`. `edit3r weights get NAME` puts them into
 `folder()`; nothing else does, and nothing is downloaded by `find`. Imports no torch and no foreign

@@ -1,5 +1,4 @@
-"""Weights in the layout of `save_pretrained`, and where they run: for every plugin that loads a
-foreign network.
+"""Weights in the layout of `save_pretrained`, for plugins that load foreign networks.
 
 Nothing here imports a foreign library; the plugin brings the class. Whatever goes wrong is one
 sentence that names the setting and the way out.
@@ -49,8 +48,7 @@ class ChosenWeights:
 
 
 def foreign(library: str, name: str) -> Any:
-    """A class of an optional library. Raises MissingDependencyError where the library is there but
-    does not import.
+    """A class of an optional library; MissingDependencyError where that does not import.
 
     Most often a torchvision that was built for another torch is to blame: its mere presence breaks
     both libraries.
@@ -76,8 +74,7 @@ def foreign(library: str, name: str) -> Any:
 
 
 def load_pretrained(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
-    """`cls.from_pretrained`. Raises InputError for a folder that does not hold it, else
-    MissingDependencyError.
+    """`cls.from_pretrained`; InputError for a wrong folder, else MissingDependencyError.
 
     Weights that a component declares are read from where `edit3r weights get` puts them and never
     downloaded here.
@@ -108,11 +105,9 @@ def load_pretrained(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
 
 
 def load_whole_network(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
-    """A network of transformers by `load_pretrained`, refused where weights that it needs are not
-    in the files.
-    """
-    network, told = load_pretrained(cls, weights, output_loading_info=True, **given)
-    lacking = sorted(told["missing_keys"] or told["mismatched_keys"])
+    """A network by `load_pretrained`, refused where the files lack weights of it."""
+    network, report = load_pretrained(cls, weights, output_loading_info=True, **given)
+    lacking = sorted(report["missing_keys"] or report["mismatched_keys"])
     if lacking:
         raise InputError(
             f"{weights.key}: {weights.model!r} lacks {len(lacking)} weights of {cls.__name__}, "
@@ -137,22 +132,22 @@ def sized(large: Weights, small: Weights) -> str:
 
 def identity(weights: ChosenWeights) -> dict[str, str]:
     """What run.json says of them: model, revision asked for, and the commit of a download."""
-    told = {"model": weights.model, "revision": weights.revision or "newest"}
+    known = {"model": weights.model, "revision": weights.revision or "newest"}
     if declared := _declared(weights):
         fetched = record_of(find(declared)).get("revision", declared.revision)
-        return {**told, "revision": fetched or "newest", "name": declared.name}
+        return {**known, "revision": fetched or "newest", "name": declared.name}
     if not expanded(weights.model).is_dir() and importlib.util.find_spec(
         "huggingface_hub"
     ):
         from huggingface_hub import try_to_load_from_cache
 
         for file in ("model_index.json", "config.json"):
-            found = try_to_load_from_cache(
+            cached = try_to_load_from_cache(
                 weights.model, file, revision=weights.revision or None
             )
-            if isinstance(found, str):
-                return {**told, "commit": Path(found).parent.name}
-    return told
+            if isinstance(cached, str):
+                return {**known, "commit": Path(cached).parent.name}
+    return known
 
 
 def _declared(weights: ChosenWeights) -> Weights | None:
@@ -200,9 +195,7 @@ def loading_error(error: Exception, cls: type, weights: ChosenWeights) -> Edit3r
 
 
 def pick_device(name: str, photos_on: torch.device, key: str) -> torch.device:
-    """The device called `name`, 'auto' being where the photos are. Raises SettingsError when it is
-    not there.
-    """
+    """The device called `name`, 'auto' being the photos'; SettingsError where it is not."""
     return photos_on if name == "auto" else require_device(name, key)
 
 

@@ -94,11 +94,11 @@ def _answer(editor: Editor, views: Views, request: EditRequest) -> Views:
 
 def _in_place(views: Views, answer: Views, masks: Tensor | None) -> AlignedEdit:
     """The answer with what moved moved back, and what is wrong with the rest."""
-    found = align_edit(views.images, answer.images, views.called, masks is not None)
-    if found.moved:
-        clauses = "; ".join(found.moved)
+    aligned = align_edit(views.images, answer.images, views.called, masks is not None)
+    if aligned.moved:
+        clauses = "; ".join(aligned.moved)
         say("edit.moved_back", f"{clauses} (--moved-edits keep: as it is)")
-    return found
+    return aligned
 
 
 def _held_to_masks(

@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import torch
 
-from edit3r.contract.interfaces import SceneToJudge
+from edit3r.contract.interfaces import HalfWay, Rasterizer, SceneToJudge
 from edit3r.contract.reporting import stage
-from edit3r.contract.types import Gaussians, Rendering
+from edit3r.contract.types import Cameras, Gaussians, Rendering
 from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.checks import check_edit_verdict, check_verdict
+from edit3r.kit.geometry.paths import half_way
 from edit3r.kit.rendering import render_each
 from edit3r.running.editors import edit_to_judge
 from edit3r.running.parts import Parts
@@ -20,6 +21,8 @@ from edit3r.running.records import (
     Reconstructed,
     SelectedRegions,
 )
+
+HALF_WAY_SIZE = 256  # longer side [pixels]: critics look at no finer pictures
 
 
 @torch.no_grad()
@@ -64,7 +67,9 @@ def judge(
         )
         check_verdict(parts.critic, verdict)
         selection = replace(selection, masks=made.masks)
-        edit_verdict = _edit_verdict(inputs, selection, edit, made, rendered, parts)
+        edit_verdict = _edit_verdict(
+            inputs, selection, edit, made, rendered, gaussians, parts
+        )
     return Judged(rendered, verdict, edit_verdict)
 
 
@@ -81,6 +86,7 @@ def _edit_verdict(
     edit: EditedPhotos,
     made: Reconstructed,
     rendered: Rendering,
+    gaussians: Gaussians,
     parts: Parts,
 ) -> EditVerdict | None:
     """The verdict on the edit, with what the scene tells of it."""
@@ -89,8 +95,22 @@ def _edit_verdict(
     count = parts.edited_count(inputs.start)
     asked = edit_to_judge(inputs, selection, edit, parts.tasks, count)
     cameras = made.cameras.at(inputs.start.image_size)
+    half = None
+    if cameras.count > 1:
+        half = seen_half_way(parts.rasterizer, gaussians, cameras)
     verdict = parts.critic.judge_edit(
-        replace(asked, rendered=rendered, cameras=cameras)
+        replace(asked, rendered=rendered, cameras=cameras, half_way=half)
     )
     check_edit_verdict(parts.critic, verdict)
     return verdict
+
+
+def seen_half_way(
+    rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras
+) -> HalfWay:
+    """One scene (batch 1) from half-way between each photo and its nearest one."""
+    share = min(1.0, HALF_WAY_SIZE / max(cameras.image_size))
+    height, width = (max(1, round(share * side)) for side in cameras.image_size)
+    between, pairs = half_way(cameras.at((height, width)))
+    rendered = render_each(rasterizer, gaussians, between, "look between the photos")
+    return HalfWay(rendered, between, pairs)

@@ -62,20 +62,20 @@ def _fitting(inputs: Inputs, parts: Parts) -> tuple[Inputs, Geometry]:
 
 def _by_exif(inputs: Inputs) -> bool:
     """Whether EXIF alone tells the lens of all photos: photo apps keep it when they crop."""
-    told = [file.intrinsics_source for file in inputs.files]
-    return bool(told) and all(source.startswith("EXIF") for source in told)
+    sources = [file.intrinsics_source for file in inputs.files]
+    return bool(sources) and all(source.startswith("EXIF") for source in sources)
 
 
 def _note_lens(inputs: Inputs, geometry: Geometry | None) -> tuple[float, float] | None:
     """Say in `run.json` who told the lens that is used; what is not sure about it."""
-    told = [file.intrinsics_source for file in inputs.files]
+    sources = [file.intrinsics_source for file in inputs.files]
     photos = inputs.photos
     if not photos.assumed or not all(photos.assumed):
         geometry = None
     if geometry is not None and geometry.intrinsics is not None:
         fov = field_of_view(geometry.calibrated(photos))
-        told = [f"read from the photos: {fov:.1f} degrees across the longer side"]
-    note("lens.source", list(dict.fromkeys(told)))
+        sources = [f"read from the photos: {fov:.1f} degrees across the longer side"]
+    note("lens.source", list(dict.fromkeys(sources)))
     if geometry is None or geometry.lenses is None:
         return None
     note("lens.alike", [round(fov, 1) for fov in geometry.lenses])

@@ -39,10 +39,10 @@ def read(job: RunJob, read_lens: Callable[[Views], Lens | None]) -> Inputs:
             photos = replace(job.photos, names=names)
             inputs = Inputs(photos=photos, start=photos)
         else:
-            found, inputs = _read_files(job.photos, job, read_lens)
+            files, inputs = _read_files(job.photos, job, read_lens)
             if isinstance(masks, MarkTexts):
                 used = [record.file for record in inputs.files]
-                masks = masks.for_photos([origin(path) for path in found], used)
+                masks = masks.for_photos([origin(path) for path in files], used)
             if masks is None and job.config.prompt:
                 inputs = _with_masks_of_cameras(inputs)
         inputs = replace(inputs, prompts=(*inputs.prompts, job.config.prompt))
@@ -65,15 +65,15 @@ def _read_files(
 ) -> tuple[list[Path], Inputs]:
     """All photos that were found, and the inputs of those that are used."""
     config = job.config
-    found = find_photos(photos, max(USUAL_FRAMES, config.views or 0))
+    files = find_photos(photos, max(USUAL_FRAMES, config.views or 0))
     loaded = load_photos(
-        choose_photos(found, config.views),
+        choose_photos(files, config.views),
         fov=config.fov,
         size=config.size,
         cameras=job.cameras if isinstance(job.cameras, Path) else None,
         read_lens=read_lens,
     )
-    return found, Inputs(photos=loaded.views, start=loaded.views, files=loaded.photos)
+    return files, Inputs(photos=loaded.views, start=loaded.views, files=loaded.photos)
 
 
 def _with_masks_of_cameras(inputs: Inputs) -> Inputs:

@@ -210,12 +210,12 @@ def _only_placed(reconstruction: Reconstruction) -> Reconstruction:
     # The new index of each view; the last entry is for Gaussians of no view, whose index is -1.
     new_index = torch.full((count + 1,), -1, device=gaussians.means.device)
     new_index[used] = torch.arange(len(used), device=new_index.device)
-    kept = gaussians.select(
+    of_placed = gaussians.select(
         (new_index[gaussians.view_index] >= 0) | (gaussians.view_index < 0)
     )
     return replace(
         reconstruction,
-        gaussians=replace(kept, view_index=new_index[kept.view_index]),
+        gaussians=replace(of_placed, view_index=new_index[of_placed.view_index]),
         cameras=cameras.select(used),
         measured=measured[:, used] if measured is not None else None,
         fusion=fusion[:, used] if fusion is not None else None,

@@ -74,12 +74,14 @@ def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
                 f"masks: expected one per view at the views' size {expected}, got "
                 f"{list(inputs.masks.shape)}."
             )
-        own = [
+        narrowed = [
             _narrowed(inputs.masks, views, instruction.thing)
             for instruction in instructions
         ]
         return SelectedRegions(
-            inputs.masks, torch.stack(own) if own else None, things=inputs.things
+            inputs.masks,
+            torch.stack(narrowed) if narrowed else None,
+            things=inputs.things,
         )
     regional = any(isinstance(task.editor, EditsRegions) for task in parts.tasks)
     named = parts.chose_segmenter and any(
@@ -95,25 +97,25 @@ def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
         return "".join(parts.reader.hint(one) for one in instructions)
 
     try:
-        found = [
+        scenes = [
             _finder(index, inputs, parts).find(instructions or (MARKED,))
             for index in range(len(views.images))
         ]
     except InputError as error:
         raise InputError(f"{error}{hints()}") from None
-    is_guess = any("guess" in one.how for scene in found for one in scene.selected)
-    if is_guess and (told := hints().strip()):
-        warn(told)
-    regions = torch.stack([one.masks for one in found], dim=1)
+    is_guess = any("guess" in one.how for scene in scenes for one in scene.selected)
+    if is_guess and (hint := hints().strip()):
+        warn(hint)
+    regions = torch.stack([one.masks for one in scenes], dim=1)
     masks = regions.amax(0)
     if not regional and inputs.marked is None:  # words are less exact than marks
         masks = dilate_softly((masks > 0.5).to(masks).flatten(0, 1)).view_as(masks)
     return SelectedRegions(
         masks=None if bool((masks >= 1).all()) else masks,
         regions=regions if instructions else None,
-        instructions=found[0].instructions if instructions else (),
-        selected=found[0].selected,
-        things=found[0].things,
+        instructions=scenes[0].instructions if instructions else (),
+        selected=scenes[0].selected,
+        things=scenes[0].things,
     )
 
 
@@ -126,8 +128,8 @@ def _widened(
     of_tasks = selection.regions.split([len(task.instructions) for task in parts.tasks])
     regions = torch.cat(
         [
-            task.editor.widened(own, inputs.start.images)
-            for task, own in zip(parts.tasks, of_tasks)
+            task.editor.widened(region, inputs.start.images)
+            for task, region in zip(parts.tasks, of_tasks)
         ]
     )
     wide = torch.maximum(selection.masks, regions.amax(0))

@@ -135,7 +135,7 @@ def test_the_surface_behind_a_hole_continues_the_plane_around_it():
     y, x = torch.meshgrid(torch.arange(48.0), torch.arange(64.0), indexing="ij")
     plane = 0.2 + 0.004 * x + 0.002 * y
     hole = (x - 30).abs().lt(9) & (y - 22).abs().lt(12)
-    found = _spanned(torch.where(hole, 0, plane).numpy())
+    found = _spanned(torch.where(hole, 0, plane)).numpy()
     assert abs(found - plane.numpy()).max() < 0.01 * plane.max()
 
 

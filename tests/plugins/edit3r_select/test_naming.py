@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_select.held import HeldSegmenter
 from edit3r_select.naming import SURER, UNCONFIRMED, looked_up
 from edit3r_select.photos import Photos
 
 from edit3r.contract.interfaces import Segmenter, Selection, Tracks, as_proposal
 from edit3r.kit.geometry.cameras import pixel_grid
-from edit3r.kit.segmenting import HeldSegmenter
 
 
 def thing(confidence, row):

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from edit3r_select.held import HeldSegmenter
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import PluginError
 from edit3r.contract.interfaces import Marks, Segmenter, Tracks, as_proposal
-from edit3r.kit.segmenting import HeldSegmenter
 
 IMAGES = torch.rand(2, 3, 8, 12)
 MASK = torch.eye(8, 12)

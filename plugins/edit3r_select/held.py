@@ -37,12 +37,12 @@ class HeldSegmenter(Segmenter):
         return answer
 
     def readings(self, image: Image, marks: Marks) -> tuple[Proposal, ...]:
-        found = self._several(image, lambda: self.asked.readings(image, marks))
-        if not found:
+        proposals = self._several(image, lambda: self.asked.readings(image, marks))
+        if not proposals:
             raise PluginError(
                 f"{named_after(self.asked)} must read marks as something."
             )
-        return found
+        return proposals
 
     def ask(
         self,

@@ -1,0 +1,633 @@
+"""Time and memory: whole runs as they grow, the rasterizers, and what a GPU gains.
+
+python benchmarks/speed.py runs|rasterizers|gpu --help
+"""
+
+import argparse
+import itertools
+import json
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from harness import run_benchmark
+
+import edit3r
+from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.types import Cameras, Gaussians
+from edit3r.kit.geometry.cameras import intrinsics_from_fov, unproject
+
+# ---- runs ----
+
+PHOTOS, RUNS_SIZES, GAUSSIANS = (
+    (2, 4, 6, 8),
+    (128, 256, 512, 1024),
+    (10_000, 100_000, 1_000_000),
+)
+AXES = {
+    "photos": "photos of 256 pixels, the whole run and 12 frames",
+    "pixels": "pixels of each of two photos, the same",
+    "gaussians": "Gaussians drawn at 512 pixels, forward and backward",
+}
+
+
+def run_once(folder: str, photos: int, size: int) -> dict[str, float]:
+    """Measure one run; the photos are enlarged where they are smaller than `size`."""
+    import torch
+
+    import edit3r
+    from edit3r.contract.reporting import peak_memory_mb
+    from edit3r.kit.photos.posed_folder import read_posed_folder
+    from edit3r.kit.rendering import path_around, render_one
+
+    torch.set_num_threads(1)
+    middle = len(cameras := read_posed_folder(folder).cameras) // 2
+    files = [
+        Path(folder) / camera.file
+        for camera in cameras[middle - photos // 2 :][:photos]
+    ]
+    views = replace(edit3r.load_views(files, size=size), c2w=None)
+    views = views.at(
+        tuple(round(side * size / max(views.image_size)) for side in views.image_size)
+    )
+    # loads kernels
+    edit3r.run(replace(edit3r.load_views(files[:2], size=96), c2w=None), editor="none")
+    start = time.process_time()
+    result = edit3r.run(views, editor="none")
+    path = path_around(result.cameras, result.rendered, 12)
+    with torch.no_grad():
+        for frame in range(path.count):
+            render_one(result.rasterizer, result.gaussians, path.select([frame]))
+    height, width = views.image_size
+    return {
+        "photos": photos,
+        "pixels": height * width,
+        "seconds": time.process_time() - start,
+        "mb": peak_memory_mb(),
+    }
+
+
+def draw_once(count: int) -> dict[str, float]:
+    """Draw a generated cloud forward and backward."""
+    import torch
+
+    import edit3r
+    from edit3r.contract.reporting import peak_memory_mb
+    from edit3r_testing.scenes import cameras_around, gaussian_cloud
+
+    torch.set_num_threads(1)
+    rasterizer = edit3r.build("rasterizer", "numba", threads=1)
+    cloud = gaussian_cloud(count)
+    cloud = replace(
+        cloud,
+        scales=cloud.scales * (1000 / count) ** 0.5,
+        means=cloud.means.requires_grad_(True),
+    )
+    camera = cameras_around(1).at((512, 512))
+    times = []
+    for _ in range(3):
+        start = time.process_time()
+        rasterizer.render(cloud, camera).images.sum().backward()
+        times.append(time.process_time() - start)
+    return {"gaussians": count, "seconds": min(times), "mb": peak_memory_mb()}
+
+
+def exponent(rows: list[dict[str, float]], axis: str, cost: str) -> float:
+    return float(
+        np.polyfit(
+            np.log([row[axis] for row in rows]), np.log([row[cost] for row in rows]), 1
+        )[0]
+    )
+
+
+def plot_of_runs(rows: list[dict[str, float]], axis: str, file: Path) -> None:
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot, ticker
+
+    figure, left = pyplot.subplots(figsize=(5, 3.4), layout="constrained")
+    right = left.twinx()
+    for side, cost, colour in (
+        (left, "seconds", "tab:blue"),
+        (right, "mb", "tab:orange"),
+    ):
+        side.loglog(
+            [row[axis] for row in rows], [row[cost] for row in rows], "o-", color=colour
+        )
+        for scale in (side.xaxis, side.yaxis):  # plain numbers, few of them
+            low, high = scale.get_data_interval()
+            scale.set_major_locator(
+                ticker.LogLocator(subs=(1,) if high > 100 * low else (1, 2, 5))
+            )
+            scale.set_major_formatter(ticker.EngFormatter(sep=""))
+            scale.set_minor_locator(ticker.NullLocator())
+        side.set_ylabel(
+            f"{'processor seconds' if cost == 'seconds' else 'peak MiB'}", color=colour
+        )
+    left.set_xlabel(AXES[axis].partition(",")[0])
+    left.set_title(
+        f"time ~ n^{exponent(rows, axis, 'seconds'):.2f}, memory ~ "
+        f"n^{exponent(rows, axis, 'mb'):.2f}"
+    )
+    figure.savefig(file, dpi=110)
+
+
+def runs() -> None:
+    """How time and memory of a run grow with photos, pixels and Gaussians: exponents and three
+    plots.
+
+        python benchmarks/speed.py runs FOLDER --out docs/images
+
+    FOLDER holds photos with a cameras.json; photos that stand side by side are taken, their poses
+    are not used. Every run is a process of its own, its figure the processor seconds from photos in
+    memory to the last frame of a camera path of 12 frames (kernels loaded before), and the most
+    memory the process ever held. The Gaussians of the third plot come from a generated cloud, drawn
+    from one camera at 512 pixels, forward and backward. An exponent is the slope of a straight line
+    through the logarithms: 1 is linear. `--photos`, `--sizes` and `--gaussians` narrow the range.
+    """
+    parser = argparse.ArgumentParser(
+        description=runs.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("folder")
+    parser.add_argument("--out", type=Path, default=Path("docs/images"))
+    parser.add_argument("--photos", type=int, nargs="*", default=PHOTOS)
+    parser.add_argument("--sizes", type=int, nargs="*", default=RUNS_SIZES)
+    parser.add_argument("--gaussians", type=int, nargs="*", default=GAUSSIANS)
+    # the process of one figure
+    parser.add_argument("--one", nargs="+", type=int, help=argparse.SUPPRESS)
+    args = parser.parse_args()
+    if args.one:
+        print(
+            json.dumps(
+                run_once(args.folder, *args.one)
+                if len(args.one) == 2
+                else draw_once(*args.one)
+            )
+        )
+        return
+    args.out.mkdir(parents=True, exist_ok=True)
+    wanted = {
+        "photos": [(count, 256) for count in args.photos],
+        "pixels": [(2, size) for size in args.sizes],
+        "gaussians": [(count,) for count in args.gaussians],
+    }
+    print(
+        "| against | range | processor s | exponent | peak MiB | exponent |\n"
+        "| --- | --- | --: | --: | --: | --: |"
+    )
+    for axis, several in wanted.items():
+        rows = []
+        for run in several:
+            command = [sys.executable, __file__, "runs", args.folder, "--one"]
+            command += map(str, run)
+            printed = subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout
+            rows.append(json.loads(printed.splitlines()[-1]))
+        if len(rows) > 1:
+            print(f"| {AXES[axis]} | {summary(rows, axis)} |", flush=True)
+            plot_of_runs(rows, axis, args.out / f"growth_{axis}.png")
+
+
+def summary(rows: list[dict[str, float]], axis: str) -> str:
+    """Range, seconds, MiB and their exponents, as cells of a table."""
+    low, high = rows[0], rows[-1]
+    return " | ".join(
+        [
+            f"{low[axis]:,} to {high[axis]:,}",
+            f"{low['seconds']:.2f} to {high['seconds']:.1f}",
+            f"{exponent(rows, axis, 'seconds'):.2f}",
+            f"{low['mb']:.0f} to {high['mb']:.0f}",
+            f"{exponent(rows, axis, 'mb'):.2f}",
+        ]
+    )
+
+
+# ---- rasterizers ----
+
+FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
+COUNTS = (1_000, 10_000, 131_072, 1_000_000, 4_000_000)
+RASTERIZERS_SIZES = (128, 256, 512, 1024)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """One measured configuration."""
+
+    rasterizer: str
+    threads: int
+    gaussians: int
+    size: int  # [pixels]
+    backward: bool
+    minimum: float  # wall [ms]
+    median: float  # wall [ms]
+    cpu: float  # least CPU time of the calling thread [ms]
+    repetitions: int
+
+
+def pixel_aligned(count: int, seed: int = 0) -> Gaussians:
+    """About `count` Gaussians, one per pixel of two square views; exactly 131,072 for views of
+    256x256.
+    """
+    side = max(2, round(math.sqrt(count / 2)))
+    draw = torch.Generator().manual_seed(seed)
+    return Gaussians.cat([_view(view, side, draw) for view in range(2)])
+
+
+def _view(view: int, side: int, draw: torch.Generator) -> Gaussians:
+    intrinsics, c2w = intrinsics_from_fov(1.0, (side, side)), torch.eye(4)
+    angle = 0.1 * view
+    c2w[0, 0] = c2w[2, 2] = math.cos(angle)
+    c2w[2, 0], c2w[0, 2], c2w[0, 3] = math.sin(angle), -math.sin(angle), 0.3 * view
+    line = torch.linspace(0, 1, side)
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    depths = (
+        3
+        + 0.6 * torch.sin(5 * x + view) * torch.cos(4 * y)
+        + 0.01 * torch.rand(side, side, generator=draw)
+    )
+    means = unproject(depths[None], intrinsics[None], c2w[None]).reshape(1, -1, 3)
+    # width of a pixel at that depth [scene units]
+    pixel = depths.reshape(1, -1, 1) / (intrinsics[0, 0] * side)
+    total = side * side
+    return Gaussians(
+        means,
+        pixel * (0.5 + 0.5 * torch.rand(1, total, 3, generator=draw)),
+        torch.randn(1, total, 4, generator=draw),
+        0.2 + 0.8 * torch.rand(1, total, generator=draw),
+        0.6 * torch.randn(1, total, 1, 3, generator=draw),
+    )
+
+
+def front_camera(size: int) -> Cameras:
+    return Cameras(
+        torch.eye(4)[None, None],
+        intrinsics_from_fov(1.0, (size, size))[None, None],
+        (size, size),
+    )
+
+
+def measure(
+    name: str,
+    rasterizer: Rasterizer,
+    threads: int,
+    count: int,
+    size: int,
+    backward: bool,
+    budget: float,
+    cameras: bool = False,
+):
+    """Time one configuration: one run to warm up, then 20, or fewer for one that takes longer than
+    `budget` [s]. With `cameras`, the camera asks for gradients too.
+    """
+    torch.set_num_threads(threads)
+    scene, camera = pixel_aligned(count), front_camera(size)
+    camera.c2w.requires_grad_(cameras and backward)
+    camera.intrinsics.requires_grad_(cameras and backward)
+    frame = _frame(rasterizer, scene, camera, backward)
+    frame()
+    walls, cpus, began = [], [], time.perf_counter()
+    while len(walls) < 20 and (not walls or time.perf_counter() - began < budget):
+        wall, cpu = time.perf_counter(), time.thread_time()
+        frame()
+        walls.append(1e3 * (time.perf_counter() - wall))
+        cpus.append(1e3 * (time.thread_time() - cpu))
+    median = sorted(walls)[len(walls) // 2]
+    return Timing(
+        name,
+        threads,
+        scene.count,
+        size,
+        backward,
+        min(walls),
+        median,
+        min(cpus),
+        len(walls),
+    )
+
+
+def _frame(
+    rasterizer: Rasterizer, scene: Gaussians, camera: Cameras, backward: bool
+) -> Callable[[], None]:
+    if not backward:
+        return lambda: rasterizer.render(scene, camera)
+    leaves = [getattr(scene, name).clone().requires_grad_() for name in FIELDS]
+    weights = torch.randn(
+        1, 1, 3, *camera.image_size, generator=torch.Generator().manual_seed(1)
+    )
+
+    def frame() -> None:
+        for leaf in leaves:
+            leaf.grad = None
+        rasterizer.render(Gaussians(*leaves), camera).images.backward(weights)
+
+    return frame
+
+
+def table(
+    threads: tuple[int, ...], torch_seconds: float, cameras: bool
+) -> Iterator[Timing]:
+    """The headline: 131,072 Gaussians at 256x256 and 512x512."""
+    for size in (256, 512):
+        for backward in (False, True):
+            for number in threads:
+                yield measure(
+                    "numba",
+                    edit3r.build("rasterizer", "numba"),
+                    number,
+                    131_072,
+                    size,
+                    backward,
+                    1e9,
+                    cameras,
+                )
+            if torch_seconds:
+                reference = edit3r.build("rasterizer", "torch")
+                yield measure(
+                    "torch",
+                    reference,
+                    threads[0],
+                    131_072,
+                    size,
+                    backward,
+                    torch_seconds,
+                    cameras,
+                )
+
+
+def growth(torch_seconds: float) -> Iterator[Timing]:
+    """From few to many Gaussians at 256x256, and from small to large pictures with 131,072
+    Gaussians; one thread.
+    """
+    cases = [(count, 256) for count in COUNTS] + [
+        (131_072, size) for size in RASTERIZERS_SIZES if size != 256
+    ]
+    for count, size in cases:
+        for backward in (False, True):
+            yield measure(
+                "numba",
+                edit3r.build("rasterizer", "numba"),
+                1,
+                count,
+                size,
+                backward,
+                60,
+            )
+        if torch_seconds and count <= 131_072:
+            yield measure(
+                "torch",
+                edit3r.build("rasterizer", "torch"),
+                1,
+                count,
+                size,
+                False,
+                torch_seconds,
+            )
+
+
+def print_row(timing: Timing) -> None:
+    what = "forward+backward" if timing.backward else "forward"
+    print(
+        f"| {timing.rasterizer} | {timing.threads} | {timing.gaussians:,} | {timing.size} | {what} "
+        f"| {timing.minimum:.1f} | {timing.median:.1f} | {timing.cpu:.1f} | {timing.repetitions} |",
+        flush=True,
+    )
+
+
+def plot_of_rasterizers(timings: list[Timing], path: Path) -> None:
+    """Two panels of least CPU times: by number of Gaussians at 256x256, by picture size with
+    131,072.
+    """
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, panels = pyplot.subplots(1, 2, figsize=(10, 4), sharey=True)
+    lines = (
+        ("numba", False, "#1b6ca8"),
+        ("numba", True, "#e07b39"),
+        ("torch", False, "#777777"),
+    )
+    for name, backward, colour in lines:
+        own = [t for t in timings if (t.rasterizer, t.backward) == (name, backward)]
+        label = f"{name}, forward{' + backward' if backward else ''}"
+        by_count = sorted((t.gaussians, t.cpu) for t in own if t.size == 256)
+        by_size = sorted((t.size, t.cpu) for t in own if t.gaussians == 131_072)
+        for panel, points in zip(panels, (by_count, by_size)):
+            if points:
+                panel.plot(*zip(*points), "o-", color=colour, label=label)
+    panels[0].set(
+        xscale="log",
+        yscale="log",
+        xlabel="Gaussians (256 x 256 pixels)",
+        ylabel="CPU ms per frame, one thread, minimum",
+    )
+    panels[1].set(
+        xscale="log",
+        xlabel="picture side [pixels] (131,072 Gaussians)",
+        xticks=RASTERIZERS_SIZES,
+        xticklabels=RASTERIZERS_SIZES,
+    )
+    panels[1].minorticks_off()
+    for panel in panels:
+        panel.grid(True, which="major", alpha=0.3)
+    panels[1].legend(loc="center left")
+    figure.tight_layout()
+    figure.savefig(path, dpi=120)
+
+
+def rasterizers() -> None:
+    """Milliseconds per frame of the CPU rasterizers on pixel-aligned Gaussians, and how they grow.
+
+        # the table: 131,072 Gaussians, 256x256 and 512x512
+        python benchmarks/speed.py rasterizers
+        # also 1e3 to 4e6 Gaussians, 128x128 to 1024x1024, with a plot
+        python benchmarks/speed.py rasterizers --growth
+        # gradients for the camera too
+        python benchmarks/speed.py rasterizers --cameras
+        python benchmarks/speed.py rasterizers --growth --torch-seconds 600 --out docs/images
+
+    The scene is what a feed-forward reconstructor makes: one Gaussian per pixel of two square views
+    of a wavy wall, 1 to 2 pixels across (twice the standard deviation), opacities 0.2 to 1, plain
+    colours. Times are wall milliseconds, minimum and median of the repetitions; CPU milliseconds of
+    the rendering thread tell how much of the wall time another job took (only with one thread).
+    Needs matplotlib for the plot.
+    """
+    parser = argparse.ArgumentParser(description=rasterizers.__doc__.split("\n")[0])
+    parser.add_argument(
+        "--growth", action="store_true", help="also measure and plot the growth"
+    )
+    parser.add_argument(
+        "--out",
+        type=Path,
+        default=Path("."),
+        help="folder for rasterizer-growth.png and its figures",
+    )
+    parser.add_argument(
+        "--torch-seconds",
+        type=float,
+        default=20,
+        help="per configuration of the reference; 0: skip it",
+    )
+    parser.add_argument(
+        "--cameras", action="store_true", help="gradients for the camera too"
+    )
+    options = parser.parse_args()
+    every = torch.get_num_threads()
+    print(
+        "| rasterizer | threads | Gaussians | size | what | min ms | median ms | CPU ms | "
+        "repetitions |"
+    )
+    print("| --- | --: | --: | --: | --- | --: | --: | --: | --: |")
+    threads = (1,) if every == 1 else (1, every)
+    for timing in table(threads, options.torch_seconds, options.cameras):
+        print_row(timing)
+    if not options.growth:
+        return
+    timings = []
+    for timing in growth(options.torch_seconds):
+        print_row(timing)
+        timings.append(timing)
+    options.out.mkdir(parents=True, exist_ok=True)
+    figures = json.dumps([asdict(t) for t in timings], indent=1)
+    (options.out / "rasterizer-growth.json").write_text(figures + "\n")
+    plot_of_rasterizers(timings, options.out / "rasterizer-growth.png")
+
+
+# ---- gpu ----
+
+PRECISIONS = {
+    "float32": {"precision": "float32"},
+    "bfloat16, heads float32": {"precision": "bfloat16", "head_precision": "float32"},
+    "bfloat16": {"precision": "bfloat16"},
+}
+
+
+def gpu(*, network: bool = False) -> Iterator[dict]:
+    """What a CUDA GPU gains: frames by gsplat and by numba on the same machine's CPU and how far
+    they agree, and one pass of the NoPoSplat network in each precision.
+
+        python benchmarks/speed.py gpu
+        python benchmarks/speed.py gpu --network
+
+    Seconds are the wall's, the least of five after one that is not counted. The scene is that of
+    `rasterizers`, the network has random weights: its errors are those of arithmetic.
+    """
+    print(torch.cuda.get_device_name(), "torch", torch.__version__)
+    if network:
+        for views, tf32 in itertools.product((2, 4), (False, True)):
+            yield from passes(views, tf32)
+        return
+    print(agreement())
+    for count, size in itertools.product((10_000, 131_072, 1_000_000), (256, 512)):
+        for name, device in (("numba", "cpu"), ("gsplat", "cuda")):
+            yield frame(name, device, count, size)
+
+
+def agreement() -> str:
+    """Largest difference of a picture of gsplat from one of numba, and of gradients, relative."""
+    pictures, gradients = {}, {}
+    for name, device in (("numba", "cpu"), ("gsplat", "cuda")):
+        scene = _asking(pixel_aligned(20_000).to(device))
+        cameras = front_camera(256).to(device)
+        shown = edit3r.build("rasterizer", name).render(scene, cameras).images
+        shown.square().sum().backward()
+        pictures[name] = shown.detach().cpu()
+        gradients[name] = {field: getattr(scene, field).grad.cpu() for field in FIELDS}
+    apart = float((pictures["gsplat"] - pictures["numba"]).abs().max())
+    off = (_relative(gradients["gsplat"][f], gradients["numba"][f]) for f in FIELDS)
+    return f"apart: pictures {apart:.1e}, gradients {max(off):.1e}"
+
+
+def frame(name: str, device: str, count: int, size: int) -> dict:
+    """Milliseconds of one frame, and of one with gradients for everything."""
+    rasterizer = edit3r.build("rasterizer", name)
+    scene = pixel_aligned(count).to(device)
+    cameras = front_camera(size).to(device)
+    asking = _asking(scene)
+    with torch.no_grad():
+        drawn = _least(lambda: rasterizer.render(scene, cameras))
+    learned = _least(
+        lambda: rasterizer.render(asking, cameras).images.square().sum().backward()
+    )
+    return {
+        "rasterizer": name,
+        "Gaussians": f"{count:,}",
+        "pixels": str(size),
+        "ms": (1e3 * drawn, ".1f"),
+        "with gradients": (1e3 * learned, ".1f"),
+    }
+
+
+def passes(views: int, tf32: bool) -> Iterator[dict]:
+    """One pass in each precision: milliseconds, memory, distance from plain float32."""
+    draw = torch.Generator().manual_seed(0)
+    images = torch.rand(1, views, 3, 256, 256, generator=draw).cuda()
+    lens = intrinsics_from_fov(1.0, (256, 256)).repeat(1, views, 1, 1).cuda()
+    _allow_tf32(False)
+    truth = _pass(PRECISIONS["float32"], images, lens)()
+    _allow_tf32(tf32)
+    for name, precision in PRECISIONS.items():
+        run = _pass(precision, images, lens)
+        torch.cuda.reset_peak_memory_stats()
+        seconds, found = _least(run), run()
+        off = max(_relative(getattr(found, f), getattr(truth, f)) for f in FIELDS)
+        yield {
+            "views": str(views),
+            "precision": f"{name}, tf32" if tf32 else name,
+            "ms": (1e3 * seconds, ".1f"),
+            "MiB": (torch.cuda.max_memory_allocated() / 2**20, ".0f"),
+            "apart": (off, ".0e"),
+        }
+
+
+def _pass(precision: dict, images, lens) -> Callable[[], Gaussians]:
+    made = edit3r.build(
+        "reconstructor", "noposplat", weights="random", device="cuda", **precision
+    )
+
+    def run() -> Gaussians:
+        with torch.no_grad():
+            return made.network(images, lens)
+
+    return run
+
+
+def _allow_tf32(allowed: bool) -> None:
+    torch.backends.cuda.matmul.allow_tf32 = allowed
+    torch.backends.cudnn.allow_tf32 = allowed
+
+
+def _asking(scene: Gaussians) -> Gaussians:
+    """The scene with leaves that ask for gradients."""
+    leaves = {f: getattr(scene, f).clone().requires_grad_(True) for f in FIELDS}
+    return replace(scene, **leaves)
+
+
+def _least(run: Callable[[], object], repeats: int = 5) -> float:
+    taken = []
+    for _ in range(repeats + 1):
+        torch.cuda.synchronize()
+        started = time.perf_counter()
+        run()
+        torch.cuda.synchronize()
+        taken.append(time.perf_counter() - started)
+    return min(taken[1:])
+
+
+def _relative(found, expected) -> float:
+    return float((found.double() - expected.double()).norm() / expected.double().norm())
+
+
+def _listed(values: dict[str, float]) -> str:
+    return ", ".join(f"{name} {value:.0e}" for name, value in values.items())
+
+
+if __name__ == "__main__":
+    run_benchmark(runs, rasterizers, gpu)
