@@ -61,7 +61,7 @@ class TestThreeGaussiansAPixel(HeadContract):
 
 
 class TestABackboneWithPoses(BackboneContract):
-    component, plugin_files = "poses", (FOLDER / "poses.py",)
+    component, plugin_files = "poses", (FOLDER / "posed_backbone.py",)
 
 
 class TestDepthsAlone(RasterizerContract):

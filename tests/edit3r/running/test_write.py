@@ -307,6 +307,8 @@ def test_python_m_edit3r_is_the_command():
 class Doubting(Segmenter):
     """Finds a bear in the middle, 30 % sure; another one lies beside it."""
 
+    confidence = 0.3
+
     def propose(self, image):
         return ()
 
@@ -315,7 +317,7 @@ class Doubting(Segmenter):
 
     def segment_text(self, image, text):
         found = [as_proposal(self._square(image, left)) for left in (0.3, 0.6)]
-        return tuple(replace(one, confidence=0.3) for one in found)
+        return tuple(replace(one, confidence=self.confidence) for one in found)
 
     def track(self, images, masks):
         return Tracks(
@@ -329,6 +331,10 @@ class Doubting(Segmenter):
         column = round(left * width)
         mask[height // 4 : height // 2, column : column + width // 4] = 1
         return mask
+
+
+class Sure(Doubting):
+    confidence = 0.99
 
 
 def test_what_was_found_unsurely_is_a_question_with_candidates_and_no_doubt_of_the_edit(
@@ -347,7 +353,9 @@ def test_what_was_found_unsurely_is_a_question_with_candidates_and_no_doubt_of_t
     )
     assert asks.candidates == (2, 3) and "bear, confidence 25%" in asks.reason
     assert "--reading 2" in asks.reason
-    assert doubtful.edit_verdict.label == "good"
+    sure = edit3r.run(views, "paint the bear red", **asked | {"segmenter": Sure()})
+    assert sure.selection_verdict.confidence > asks.confidence + 0.2
+    assert sure.edit_verdict == doubtful.edit_verdict
     assert any(
         "'bear' was found" in text and "--reading 2" in text for text in report.warnings
     )

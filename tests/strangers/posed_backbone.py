@@ -34,4 +34,4 @@ class PosesBackbone(Backbone):
 
 @hookimpl
 def register_backbones():
-    return Component("poses", "poses:PosesBackbone", "poses of its own", min_views=2)
+    return Component("poses", "posed_backbone:PosesBackbone", "poses of its own", min_views=2)
