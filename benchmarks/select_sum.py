@@ -41,9 +41,9 @@ from clicks import (
     scene_of,
     tensor_of,
 )
-from edit3r_select.answering import asked_by, gathered
+from edit3r_select.answering import UNMARKED, asked_by, gathered, spread
 from edit3r_select.carrying import expected_on
-from edit3r_select.cues import CUES, Asked, table
+from edit3r_select.cues import CUES, Asked, Pool, table
 from edit3r_select.held import HeldSegmenter
 from edit3r_select.photos import OnPhoto, Photos
 from edit3r_select.sum import CERTAINTY, FITTED, CueWeights, choose, confidence, lead
@@ -64,7 +64,18 @@ STROKES = 3
 PARTS = 0.2  # how much a part's click counts beside a thing's in the fit
 
 FIRST = ("click", "stroke", "box")
-CARRIED = "carried"
+CARRIED, UNKNOWN = "carried", "unmarked"
+USED = {
+    CARRIED: (
+        "quality",
+        "square_of_log_area",
+        "stability",
+        "largest_piece",
+        "expected",
+    ),
+    UNKNOWN: ("quality", "square_of_log_area", "stability", "border", "expected"),
+}
+"""Cues of kinds that do without some."""
 Fits = dict[tuple[str, str | None], CueWeights]
 """By kind of marks and the scene that was left out; None: none was."""
 Answerer = Callable[..., tuple[np.ndarray, np.ndarray]]
@@ -114,7 +125,7 @@ def main() -> None:
             print(thing.name, flush=True)
             args.kept.write_bytes(pickle.dumps(kept))
         thing.rows = list(kept[thing.name])
-    fits = folds(things, (*FIRST, CARRIED))
+    fits = folds(things, (*FIRST, CARRIED, UNKNOWN))
     fits |= corrections(things, bench, fits, args.rounds)
     print(report([one for one in things if not one.never_fitted], fits))
     print(calibration([one for one in things if not one.never_fitted], fits))
@@ -178,6 +189,7 @@ class Bench:
 
     def __init__(self, cache: Path | None) -> None:
         self.cache, self.sam = cache, build("segmenter", "sam-onnx")
+        self.salience = build("segmenter", "classical")
         self.matcher, self.geometries = build("matcher", "classical"), {}
         self._held: tuple[Path, np.ndarray, Answerer] | None = None
 
@@ -200,7 +212,18 @@ class Bench:
         asked += [("box", one) for one in boxes(truth)]
         with remembering(self.cache):
             rows = [self.row(thing, way, one, answers, truth) for way, one in asked]
-            return rows + list(self.carried(thing))
+            return [*rows, *self.unmarked(thing), *self.carried(thing)]
+
+    def unmarked(self, thing: Thing) -> Iterator[Row]:
+        """Which of all that a photo shows is named, where only its photo is known."""
+        answers, truth = self.looked(thing)
+        assert self._held is not None
+        salient = self.salience.propose(tensor_of(self._held[1]))
+        scale = UNMARKED / max(truth.shape)
+        size = tuple(max(1, round(side * scale)) for side in truth.shape)
+        pool = spread(answers, size, salient[0].soft_mask) if salient else None
+        if pool is not None:
+            yield row_of(thing, UNKNOWN, pool, at_size(truth, size))
 
     def carried(self, thing: Thing) -> Iterator[Row]:
         """The outline of the first photo on a second one that geometry can place."""
@@ -227,8 +250,7 @@ class Bench:
 
     def row(self, thing, way, asked, answers, truth) -> Row:
         pool = gathered(truth.shape, asked, answers)
-        ious = np.array([iou(mask, truth) for mask in pool.masks])
-        return Row(thing.name, asked.kind, way, table(pool, NAMES), ious)
+        return row_of(thing, way, pool, truth)
 
     def corrected(self, thing: Thing, click: CueWeights, more: CueWeights) -> list[Row]:
         """The second and third innermost click, each in the middle of what is wrong."""
@@ -248,6 +270,13 @@ class Bench:
                 way = f"innermost {number}"
                 rows.append(Row(thing.name, "more", way, table(pool, NAMES), ious, got))
         return rows
+
+
+def row_of(thing: Thing, way: str, pool: Pool, truth: np.ndarray) -> Row:
+    kind = pool.asked.kind
+    ious = np.array([iou(mask, truth) for mask in pool.masks])
+    cues = table(pool, NAMES) * np.isin(NAMES, USED.get(kind, NAMES))
+    return Row(thing.name, kind, way, cues, ious)
 
 
 def innermost(truth: np.ndarray) -> tuple:
@@ -456,7 +485,7 @@ def calibration(things: list[Thing], fits: Fits) -> str:
 
 def entries(fits: Fits, scene: str | None) -> dict[str, dict]:
     """The weights that were fitted without a scene, as `fitted.yaml` has them."""
-    found = {kind: fits[kind, scene] for kind in (*FIRST, CARRIED, "more")}
+    found = {kind: fits[kind, scene] for kind in (*FIRST, CARRIED, UNKNOWN, "more")}
     return {
         kind: {
             "weights": {

@@ -1,18 +1,15 @@
 """Is the verdict of a run right? Sets of real photos with known cameras: input views against views
 between them.
 
-    python benchmarks/verdict.py FOLDER... --size 384 --write results.jsonl
-    python benchmarks/verdict.py FOLDER --photos 0,2,4,6,8,10 --pairs
+    python benchmarks/verdict.py FOLDER... --size 256 --write results.jsonl --rows ROWS.jsonl
+    edit3r judge --fit ROWS.jsonl [--write]
     python benchmarks/verdict.py FOLDER --photos 0,7,14,21,28,35 --unseen 31,32,33,34
-    python benchmarks/verdict.py FOLDER --photos 0,3,6,9,12,15 --growing
 
 Each folder holds photos and a cameras.json. Sets of 2, 3, 4 and 6 photos, evenly spaced at several
 distances, are reconstructed without their poses. Views between two placed neighbours, which the run
 has not seen, are then rendered from their true poses (relative to the nearer neighbour, in the unit
-that the neighbours are apart) and compared with their photos. With `--pairs` each two neighbours
-are also reconstructed alone and compared in the same view: do more photos make it worse? One JSON
-line a set, and a table: for each label, how many sets it was given and their held-out PSNR; with
-`--pairs` a line a set.
+that the neighbours are apart) and compared with their photos. One JSON line a set, and a table: for
+each label, how many sets it was given and their held-out PSNR.
 """
 
 import argparse
@@ -24,11 +21,13 @@ from pathlib import Path
 import numpy as np
 import torch
 from harness import for_tuning
+from likeness import Likeness, likeness, mean
 
 import edit3r
 from edit3r.contract.errors import Edit3rError
 from edit3r.kit.photos.posed_folder import read_posed_folder
 
+BROKEN, SHARP = 0.15, 0.1  # LPIPS of views that are broken, and of those that are good
 # photos, distance
 SETS = (
     (2, 2),
@@ -70,11 +69,9 @@ def between(centres: np.ndarray, chosen: list[int]) -> list[int | None]:
     return found
 
 
-def measure(
-    folder: Path, chosen: list[int], size: int, pairs: bool, unseen: list[int]
-) -> dict:
-    """Reconstruct one set; the verdict, and the PSNR [dB] of the held-out views whose two
-    neighbours were placed.
+def measure(folder: Path, chosen: list[int], size: int, unseen: list[int]) -> dict:
+    """Reconstruct one set; the verdict, and how alike the held-out views whose two neighbours were
+    placed are: PSNR [dB], SSIM and LPIPS.
     """
     cameras = read_posed_folder(folder).cameras
     targets = between(np.stack([camera.c2w[:3, 3] for camera in cameras]), chosen)
@@ -96,62 +93,22 @@ def measure(
         return {**row, "label": "refused", "reason": str(error)[:200], "held_out": []}
     placed = [i for i, there in enumerate(result.verdict.placed) if there]
     asked = [(k, target) for k, target in asked if {k, k + 1} <= set(placed)]
-    for name in ("label", "input_psnr", "agreement", "placed", "filled"):
-        row[name] = getattr(result.verdict, name)
-    row["held_out"] = [
+    verdict = result.verdict
+    for name in ("label", "input_psnr", "agreement", "placed", "guessed_between"):
+        row[name] = getattr(verdict, name)
+    alike = [
         _held_out(result, views, (k, k + 1), placed.index(k), target)
         for k, target in asked
     ]
+    row["held_out"] = [one.psnr for one in alike]
+    if alike:
+        row["deserved"] = deserved(mean(alike))
     last = range(views.count - len(unseen), views.count)
     row["unseen"] = dict(
         zip(unseen, (_unseen(result, views, placed, target) for target in last))
     )
     row["cpu_s"] = sum(stage.cpu_seconds for stage in result.report.stages)
-    if pairs:
-        row["pairs"] = [_of_pair(views, k, target, size) for k, target in asked]
     return row
-
-
-def growing(folder: Path, chosen: list[int], size: int) -> list[float]:
-    """PSNR [dB] of the photo nearest to the first two from the first two, three, ... of `chosen`;
-    NaN: not placed.
-    """
-    cameras = read_posed_folder(folder).cameras
-    centres, found = np.stack([camera.c2w[:3, 3] for camera in cameras]), []
-    free = [i for i in range(len(centres)) if i not in chosen]
-    target = free[
-        int(
-            np.linalg.norm(centres[free, None] - centres[chosen[:2]], axis=-1)
-            .max(1)
-            .argmin()
-        )
-    ]
-    for count in range(2, len(chosen) + 1):
-        views = edit3r.load_views(
-            [folder / cameras[i].file for i in (*chosen[:count], target)], size=size
-        )
-        result = edit3r.run(
-            replace(views.select(range(count)), c2w=None), editor="none", size=size
-        )
-        placed = [i for i, there in enumerate(result.verdict.placed) if there]
-        shown = {0, 1} <= set(placed)
-        found.append(
-            _held_out(result, views, (0, 1), placed.index(0), count)
-            if shown
-            else float("nan")
-        )
-    return found
-
-
-def _of_pair(views: edit3r.Views, k: int, target: int, size: int) -> float | None:
-    """PSNR [dB] of view `target` from views `k` and `k` + 1 alone; None where they are refused."""
-    try:
-        result = edit3r.run(
-            replace(views.select([k, k + 1]), c2w=None), editor="none", size=size
-        )
-    except Edit3rError:
-        return None
-    return _held_out(result, views, (k, k + 1), 0, target)
 
 
 def _held_out(
@@ -160,8 +117,8 @@ def _held_out(
     pair: tuple[int, int],
     first: int,
     target: int,
-) -> float:
-    """PSNR [dB] of view `target`; the `pair` of its neighbours are cameras `first` and `first` + 1
+) -> Likeness:
+    """How alike view `target` is; the `pair` of its neighbours are cameras `first` and `first` + 1
     of the result.
     """
     true, found = views.c2w[0].double(), result.cameras.c2w[0].double()
@@ -172,7 +129,7 @@ def _held_out(
         key=lambda side: float((true[pair[side], :3, 3] - true[target, :3, 3]).norm()),
     )
     near = pair[nearer], first + nearer
-    return _psnr(result, views, _camera(result, views, near, target, unit), target)
+    return _alike(result, views, _camera(result, views, near, target, unit), target)
 
 
 def _unseen(
@@ -180,7 +137,7 @@ def _unseen(
 ) -> float:
     """PSNR [dB] of view `target`, placed relative to the nearest of the `placed` views."""
     camera = unseen_camera(result, views, placed, target)
-    return _psnr(result, views, camera, target)
+    return _alike(result, views, camera, target).psnr
 
 
 def unseen_camera(
@@ -216,33 +173,35 @@ def _camera(
     )
 
 
-def _psnr(
+def _alike(
     result: edit3r.RunResult, views: edit3r.Views, camera: edit3r.Cameras, target: int
-) -> float:
-    """PSNR [dB] of view `target` as `camera` shows it."""
+) -> Likeness:
+    """How alike view `target` and what `camera` shows are."""
     shown = result.rasterizer.render(result.gaussians, camera).images[0, 0].clamp(0, 1)
-    return float(-10 * torch.log10((shown - views.images[0, target]).square().mean()))
+    pictures = (
+        one.permute(1, 2, 0).numpy() for one in (shown, views.images[0, target])
+    )
+    return likeness(*pictures)
 
 
-def pairs_table(rows: list[dict]) -> str:
-    """Markdown: a line a set, the mean held-out PSNR of all its photos and of the two neighbours
-    alone.
+def deserved(alike: Likeness) -> str:
+    """The label that views between deserve: LPIPS decides where PSNR or SSIM agrees.
+
+    Chosen by looking at 48 of them: poses that are off by a pixel cost PSNR, and nobody sees it.
     """
-    lines = [
-        "| photos | all, dB | two alone, dB | difference |",
-        "| --- | --: | --: | --: |",
-    ]
-    for row in rows:
-        both = [
-            (own, pair)
-            for own, pair in zip(row["held_out"], row.get("pairs", []))
-            if pair is not None
-        ]
-        if both:
-            own, pair = (sum(values) / len(both) for values in zip(*both))
-            photos = f"{row['scene']} {', '.join(map(str, row['photos']))}"
-            lines.append(f"| {photos} | {own:.1f} | {pair:.1f} | {own - pair:+.1f} |")
-    return "\n".join(lines)
+    if alike.lpips > BROKEN and (alike.psnr < 18 or alike.ssim < 0.55):
+        return "poor"
+    return "good" if alike.lpips < SHARP and alike.psnr >= 20 else "fair"
+
+
+def for_fitting(row: dict) -> dict:
+    """A row for `edit3r judge --fit`."""
+    pairs = zip(row["agreement"], row["input_psnr"])
+    figures = {
+        "agreement": min(min(pair) for pair in pairs if None not in pair),
+        "guessed": max(one for one in row["guessed_between"] if one is not None),
+    }
+    return {"place": row["scene"], "label": row["deserved"], "figures": figures}
 
 
 def table(rows: list[dict]) -> str:
@@ -283,14 +242,7 @@ def main() -> None:
         "--unseen", default="", help="photos to render besides, such as 31,33"
     )
     parser.add_argument(
-        "--growing",
-        action="store_true",
-        help="from the first two photos of --photos, three and so on",
-    )
-    parser.add_argument(
-        "--pairs",
-        action="store_true",
-        help="reconstruct each two neighbours of a set alone as well",
+        "--rows", type=Path, help="write rows for `edit3r judge --fit` into this file"
     )
     parser.add_argument(
         "--write",
@@ -308,24 +260,18 @@ def main() -> None:
         asked = [
             [int(number) for number in text.split(",")] for text in args.photos or []
         ]
-        for chosen in asked if args.growing else ():
-            print(
-                folder.name,
-                chosen,
-                *(f"{value:.2f}" for value in growing(folder, chosen, args.size)),
-                flush=True,
-            )
-        if args.growing:
-            continue
         unseen = [int(number) for number in args.unseen.split(",") if number]
         for chosen in asked or sets_of(len(read_posed_folder(folder).cameras)):
             if (folder.name, tuple(chosen)) not in done:
-                rows.append(measure(folder, chosen, args.size, args.pairs, unseen))
+                rows.append(measure(folder, chosen, args.size, unseen))
                 if args.write:
                     with args.write.open("a") as file:
                         file.write(json.dumps(rows[-1]) + "\n")
     if rows:
-        print(pairs_table(rows) if args.pairs else table(rows))
+        print(table(rows))
+    if args.rows:
+        known = (for_fitting(row) for row in rows if "deserved" in row)
+        args.rows.write_text("".join(json.dumps(row) + "\n" for row in known))
     for row in rows:
         if row.get("unseen"):
             shown = ", ".join(

@@ -27,25 +27,22 @@ _HEADER = """\
 class Expected(Settings):
     """What a run at a point took and gave on one kind of scene."""
 
-    seconds: float = Field(
-        gt=0,
-        description="processor time of a run without an editor, in a process that has done one "
-        "before; the quickest of several, mean of the scenes",
-    )
-    seconds_first: float = Field(
-        gt=0,
-        description="of the first run of a process, as a run of the command is; mean of scenes",
-    )
-    memory_mb: float = Field(gt=0, description="peak of the process [MiB]")
-    gaussians: int = Field(
-        ge=0, description="largest number of Gaussians of the scenes"
-    )
-    psnr: float = Field(description="novel view [dB]")
-    ssim: float = Field(description="novel view")
-    lpips: float | None = Field(
-        None,
-        description="novel view, by the weights that `measured` names; None: not measured",
-    )
+    seconds: float = Field(gt=0)
+    """processor time of a run without an editor, in a process that has done one before; the
+    quickest of several, mean of the scenes
+    """
+    seconds_first: float = Field(gt=0)
+    """of the first run of a process, as a run of the command is; mean of scenes"""
+    memory_mb: float = Field(gt=0)
+    """peak of the process [MiB]"""
+    gaussians: int = Field(ge=0)
+    """largest number of Gaussians of the scenes"""
+    psnr: float
+    """novel view [dB]"""
+    ssim: float
+    """novel view"""
+    lpips: float | None = None
+    """novel view, by the weights that `measured` names; None: not measured"""
 
     @property
     def accuracy(self) -> float:
@@ -59,9 +56,12 @@ class MeasuredPoint(Settings):
     """One choice of run settings, and what it took and gave."""
 
     label: str
-    preset: str | None = Field(None, description="fast, balanced or best")
-    settings: dict[str, Any] = Field(description="run settings")
-    expected: dict[str, Expected] = Field(description="by kind of scene")
+    preset: str | None = None
+    """fast, balanced or best"""
+    settings: dict[str, Any]
+    """run settings"""
+    expected: dict[str, Expected]
+    """by kind of scene"""
 
     @property
     def seconds(self) -> float:
@@ -77,9 +77,8 @@ class MeasuredPoint(Settings):
 class Quality(Settings):
     """The content of the file of measured points."""
 
-    measured: dict[str, Any] = Field(
-        description="machine, threads, versions, scenes and repeats"
-    )
+    measured: dict[str, Any]
+    """machine, threads, versions, scenes and repeats"""
     points: list[MeasuredPoint]
 
     def preset(self, name: str) -> MeasuredPoint:

@@ -62,12 +62,7 @@ _FAR = 0.3  # smallest error that is told of [log focal length]
 _ASIDE = 0.35  # where a look aside tells whether there is anything to tell [log focal length]
 _LEAST_SUPPORT = 15.0  # score below which the matches agree with no motion at all
 # between two fields of view of the scan, shorter and shorter [log focal length]
-_STEPS = (
-    0.08,
-    0.04,
-    0.02,
-    0.01,
-)
+_STEPS = (0.08, 0.04, 0.02, 0.01)
 
 
 @dataclass(frozen=True)
@@ -80,10 +75,7 @@ class LensReading:
 
 
 def calibrate(
-    images: Sequence[CalibratedImage],
-    found: PointPairs,
-    threshold: float,
-    seed: int,
+    images: Sequence[CalibratedImage], found: PointPairs, threshold: float, seed: int
 ) -> LensReading | None:
     """The likeliest field of view of `images`, all taken to have the same one, by what their
     matches and what is known of lenses say; None with too few matches.

@@ -51,19 +51,12 @@ class DepthAnything3Matcher(Matcher):
     """
 
     class Settings(edit3r.Settings):
-        model: Literal["da3-small", "da3-base"] = Field(
-            "da3-small", description="34 or 135 million parameters"
-        )
-        weights: str = Field(
-            "",
-            description="its model.safetensors; empty: as fetched; 'untrained': random ones",
-        )
-        network_size: int = Field(
-            504,
-            ge=56,
-            le=2016,
-            description="longer side of the images it looks at [pixels]",
-        )
+        model: Literal["da3-small", "da3-base"] = "da3-small"
+        """34 or 135 million parameters"""
+        weights: str = ""
+        """its model.safetensors; empty: as fetched; 'untrained': random ones"""
+        network_size: int = Field(504, ge=56, le=2016)
+        """longer side of the images it looks at [pixels]"""
 
     settings: Settings
 
@@ -89,8 +82,7 @@ class DepthAnything3Matcher(Matcher):
         )
         network = self._network.to(small.device)
         with out_of_memory_told(
-            "geometry",
-            "try a smaller --set matcher.network_size, or fewer photos",
+            "geometry", "try a smaller --set matcher.network_size, or fewer photos"
         ):
             found = [network((scene[None] - mean) / std) for scene in small]
         w2c, intrinsics, depths, trust = (

@@ -37,29 +37,16 @@ MAX_OTHERS = 8
 class DepthSettings(config.Settings):
     """How finely depth is measured."""
 
-    working_size: int = Field(
-        320,
-        ge=64,
-        le=1024,
-        description="long side at which depth is measured [pixels]; time grows with its cube",
-    )
-    planes: int = Field(
-        128,
-        ge=24,
-        le=512,
-        description="most depth hypotheses a pixel; fewer is quicker, coarser",
-    )
-    coarse: bool = Field(
-        False,
-        description="measure at half the working size too, for what is not confirmed at the whole",
-    )
-    neighbours: int = Field(
-        3, ge=1, le=8, description="most views that help to measure the depth of one"
-    )
-    sky: bool = Field(
-        True,
-        description="find the sky: what hides it in one photo alone is near that camera",
-    )
+    working_size: int = Field(320, ge=64, le=1024)
+    """long side at which depth is measured [pixels]; time grows with its cube"""
+    planes: int = Field(128, ge=24, le=512)
+    """most depth hypotheses a pixel; fewer is quicker, coarser"""
+    coarse: bool = False
+    """measure at half the working size too, for what is not confirmed at the whole"""
+    neighbours: int = Field(3, ge=1, le=8)
+    """most views that help to measure the depth of one"""
+    sky: bool = True
+    """find the sky: what hides it in one photo alone is near that camera"""
 
 
 def measure_depths(

@@ -67,29 +67,19 @@ _DOUBLING_SHIFT = 0.25
 class FeatureSettings(config.Settings):
     """How features are found and matched."""
 
-    keypoints: int = Field(4000, ge=200, le=20000, description="most features a photo")
-    detection_size: int = Field(
-        640,
-        ge=128,
-        le=4096,
-        description="long side at which features are looked for [pixels]; larger finds more",
-    )
-    ratio: float = Field(
-        0.85,
-        gt=0,
-        le=1,
-        description="a match must be this much nearer than its second choice (Lowe's test)",
-    )
-    matches: Literal["auto", "sift", "learned"] = Field(
-        "auto",
-        description="'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r "
-        "weights get "
-        "aliked-lightglue` fetches; 'auto': so for two of at most seven photos with few matches, "
-        "where those weights are at hand",
-    )
-    learned_keypoints: int = Field(
-        1024, ge=128, le=4096, description="most learned features a photo"
-    )
+    keypoints: int = Field(4000, ge=200, le=20000)
+    """most features a photo"""
+    detection_size: int = Field(640, ge=128, le=4096)
+    """long side at which features are looked for [pixels]; larger finds more"""
+    ratio: float = Field(0.85, gt=0, le=1)
+    """a match must be this much nearer than its second choice (Lowe's test)"""
+    matches: Literal["auto", "sift", "learned"] = "auto"
+    """'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r weights get
+    aliked-lightglue` fetches; 'auto': so for two of at most seven photos with few matches, where
+    those weights are at hand
+    """
+    learned_keypoints: int = Field(1024, ge=128, le=4096)
+    """most learned features a photo"""
 
 
 @dataclass(frozen=True)

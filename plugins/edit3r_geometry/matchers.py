@@ -60,24 +60,16 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
     """
 
     class Settings(FeatureSettings, DepthSettings):
-        threshold: float = Field(
-            1.0,
-            gt=0,
-            le=10,
-            description="distance from the epipolar line that agrees [pixels at a long side of "
-            "256]",
-        )
-        calibrate: bool = Field(
-            True,
-            description="read the field of view from the photos where neither EXIF nor the user "
-            "tells it",
-        )
-        tilted: bool = Field(
-            True,
-            description="where photos cannot be placed, match them again as they look from aside: "
-            "for photos from wide apart, takes some seconds",
-        )
-        seed: int = Field(0, ge=0, description="seed of the robust estimates")
+        threshold: float = Field(1.0, gt=0, le=10)
+        """distance from the epipolar line that agrees [pixels at a long side of 256]"""
+        calibrate: bool = True
+        """read the field of view from the photos where neither EXIF nor the user tells it"""
+        tilted: bool = True
+        """where photos cannot be placed, match them again as they look from aside: for photos from
+        wide apart, takes some seconds
+        """
+        seed: int = Field(0, ge=0)
+        """seed of the robust estimates"""
 
     settings: Settings
 
@@ -208,10 +200,7 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
         return found
 
     def _attempt(
-        self,
-        views: Views,
-        images: Sequence[CalibratedImage],
-        features: FoundFeatures,
+        self, views: Views, images: Sequence[CalibratedImage], features: FoundFeatures
     ) -> "_Registered | MatchingError":
         """The photos registered by these features, or why that was not possible."""
         chosen = self.settings
@@ -306,20 +295,12 @@ class PosedMatcher(Matcher, MatchesLevelled):
     """
 
     class Settings(FeatureSettings, DepthSettings):
-        matcher: PartChoice = Field(
-            PartChoice(name="classical"),
-            description="what matches views without known poses",
-        )
-        threshold: float = Field(
-            1.5,
-            gt=0,
-            le=20,
-            description="distance from the known epipolar line [pixels]",
-        )
-        refine_poses: bool = Field(
-            False,
-            description="let the known poses move to where the photos' matches want them",
-        )
+        matcher: PartChoice = PartChoice(name="classical")
+        """what matches views without known poses"""
+        threshold: float = Field(1.5, gt=0, le=20)
+        """distance from the known epipolar line [pixels]"""
+        refine_poses: bool = False
+        """let the known poses move to where the photos' matches want them"""
 
     settings: Settings
 
@@ -347,11 +328,7 @@ class PosedMatcher(Matcher, MatchesLevelled):
         return Geometry(poses.to(views.images), depths, confidence, registered)
 
     def _match_scene(
-        self,
-        views: Views,
-        levelled: Views,
-        scene: int,
-        c2w: Float[Tensor, "view 4 4"],
+        self, views: Views, levelled: Views, scene: int, c2w: Float[Tensor, "view 4 4"]
     ) -> tuple[Tensor, ...]:
         """Poses, depths, confidence and which views have any, of one scene."""
         images = calibrated_images(views, scene)
@@ -423,13 +400,10 @@ class AutoMatcher(Matcher, MatchesLevelled):
     """
 
     class Settings(edit3r.Settings):
-        pick: Literal["best", "da3-base", "da3-small", "part"] = Field(
-            "best", description="'part': its matcher"
-        )
-        matcher: PartChoice = Field(
-            PartChoice(name="classical"),
-            description="what matches where no network can",
-        )
+        pick: Literal["best", "da3-base", "da3-small", "part"] = "best"
+        """'part': its matcher"""
+        matcher: PartChoice = PartChoice(name="classical")
+        """what matches where no network can"""
 
         @model_validator(mode="before")
         @classmethod

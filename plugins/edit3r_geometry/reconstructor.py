@@ -20,37 +20,19 @@ class ClassicalReconstructor(Reconstructor):
     """
 
     class Settings(edit3r.Settings):
-        footprint: float = Field(
-            0.35,
-            gt=0,
-            le=4,
-            description="standard deviation of a Gaussian [pixels of its view]",
-        )
-        opacity: float = Field(
-            0.6, gt=0, le=1, description="opacity where two views measured the depth"
-        )
-        guessed_opacity: float = Field(
-            0.45, ge=0, le=1, description="opacity where the depth was filled in"
-        )
-        lone_opacity: float = Field(
-            0.8,
-            ge=0,
-            le=1,
-            description="opacity of filled-in pixels whose place no other photo shows",
-        )
-        rim: float = Field(
-            0.12,
-            ge=0,
-            le=1,
-            description="width of the blurred rim that continues each photo [long sides]; 0: none",
-        )
+        footprint: float = Field(0.35, gt=0, le=4)
+        """standard deviation of a Gaussian [pixels of its view]"""
+        opacity: float = Field(0.6, gt=0, le=1)
+        """opacity where two views measured the depth"""
+        guessed_opacity: float = Field(0.45, ge=0, le=1)
+        """opacity where the depth was filled in"""
+        lone_opacity: float = Field(0.8, ge=0, le=1)
+        """opacity of filled-in pixels whose place no other photo shows"""
+        rim: float = Field(0.12, ge=0, le=1)
+        """width of the blurred rim that continues each photo [long sides]; 0: none"""
 
-        background_layer: float = Field(
-            0.9,
-            ge=0,
-            le=1,
-            description="opacity of the blurred layer behind depth edges and guesses; 0: none",
-        )
+        background_layer: float = Field(0.9, ge=0, le=1)
+        """opacity of the blurred layer behind depth edges and guesses; 0: none"""
 
     settings: Settings
 
@@ -92,9 +74,6 @@ class ClassicalReconstructor(Reconstructor):
             )
         if chosen.rim > 0:
             gaussians = Gaussians.cat(
-                (
-                    gaussians,
-                    rim(views, geometry, chosen.rim, chosen.guessed_opacity),
-                )
+                (gaussians, rim(views, geometry, chosen.rim, chosen.guessed_opacity))
             )
         return Reconstruction(gaussians, cameras, geometry.registered, measured)

@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import Geometry
-from edit3r.contract.types import Views
+from edit3r.contract.types import Cameras, Views
 from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.geometry.maps import dilate
-from edit3r.kit.geometry.paths import interpolate_poses
+from edit3r.kit.geometry.paths import half_way
 from edit3r.kit.geometry.warping import nearest_views
 
 __all__ = ["guessed_between"]
@@ -53,27 +53,30 @@ class _HalfWay:
         self.images = views.images[scene, placed]
         self.intrinsics = views.intrinsics[scene, placed]
         self.c2w = geometry.c2w[scene, placed]
+        cameras = Cameras(self.c2w[None], self.intrinsics[None], views.image_size)
+        self.cameras, self.pairs = half_way(cameras)
         depths = geometry.depths[scene, placed]
         self.points = unproject(depths, self.intrinsics, self.c2w)
         self.measured = geometry.confidence[scene, placed] >= 0.5
         self.near = nearest_views(self.c2w[None], depths[None], NEAR_VIEWS)
 
     def guessed(self) -> list[float]:
-        """The share of each view; two views that are each other's nearest have the same."""
-        apart = torch.cdist(self.c2w[:, :3, 3], self.c2w[:, :3, 3])
-        nearest = apart.fill_diagonal_(torch.inf).argmin(1).tolist()
-        pairs = [(min(pair), max(pair)) for pair in enumerate(nearest)]
-        found = {pair: self._between(*pair) for pair in set(pairs)}
-        return [found[pair] for pair in pairs]
-
-    def _between(self, one: int, other: int) -> float:
-        middle = torch.tensor(0.5, dtype=torch.float64)
-        pose = interpolate_poses(
-            self.c2w[one].double(), self.c2w[other].double(), middle
-        )
-        seen = {one, other, *self.near[one], *self.near[other]}
-        colours, measured = self._drawn(sorted(seen), pose.float(), one)
-        return float((~measured & _patterned(colours)).float().mean())
+        """Of each view the share between it and its nearest one."""
+        shares = {}
+        for pose, pair in zip(self.cameras.c2w[0], self.pairs):
+            seen = {*pair, *self.near[pair[0]], *self.near[pair[1]]}
+            colours, measured = self._drawn(sorted(seen), pose, pair[0])
+            shares[pair] = float((~measured & _patterned(colours)).float().mean())
+        centres = self.c2w[:, :3, 3]
+        return [
+            shares[
+                min(
+                    (pair for pair in self.pairs if view in pair),
+                    key=lambda pair: float(torch.dist(*centres[list(pair)])),
+                )
+            ]
+            for view in range(len(self.c2w))
+        ]
 
     def _drawn(
         self, views: list[int], pose: Tensor, lens: int

@@ -281,10 +281,7 @@ def carried_edit(
     }
 
 
-def _mean_size(
-    change: Float[np.ndarray, "height width 3"],
-    region: Region,
-) -> float:
+def _mean_size(change: Float[np.ndarray, "height width 3"], region: Region) -> float:
     return float(np.abs(change[region]).mean())
 
 
@@ -302,11 +299,7 @@ def _share_of_opacity(
     return after / before if before else np.nan
 
 
-def _opacity_in(
-    region: Region,
-    other: RenderedView,
-    scene: PredictedScene,
-) -> float:
+def _opacity_in(region: Region, other: RenderedView, scene: PredictedScene) -> float:
     gaussians = scene.reconstruction.gaussians.from_view(1)
     camera = scene.cameras.select([1])
     found = project(gaussians.means, camera.intrinsics[:, 0], camera.c2w[:, 0])

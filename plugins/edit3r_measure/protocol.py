@@ -24,12 +24,7 @@ from pydantic import Field, NonNegativeInt
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import (
-    Dataset,
-    Loss,
-    LossInputs,
-    Rasterizer,
-)
+from edit3r.contract.interfaces import Dataset, Loss, LossInputs, Rasterizer
 from edit3r.contract.settings import Settings, make_settings
 from edit3r.contract.types import Cameras
 from edit3r.kit.command.results import read_json

@@ -22,19 +22,16 @@ from edit3r_measure.tradeoff_plan import read_plan
 class TradeoffOptions(Settings):
     """What the command is asked for, but for points and data."""
 
-    plan: str = Field(
-        "", description="YAML file of points; default: the one that ships"
-    )
-    scenes: int = Field(
-        2, ge=1, description="scenes of each data set, pairs of each folder"
-    )
-    repeats: int = Field(
-        3, ge=1, description="runs of each point that count, after a first one"
-    )
-    threads: int | None = Field(
-        None, ge=1, description="threads of each run; default: as the libraries choose"
-    )
-    out: str = Field("edit3r-tradeoff", description="folder that a later call resumes")
+    plan: str = ""
+    """YAML file of points; default: the one that ships"""
+    scenes: int = Field(2, ge=1)
+    """scenes of each data set, pairs of each folder"""
+    repeats: int = Field(3, ge=1)
+    """runs of each point that count, after a first one"""
+    threads: int | None = Field(None, ge=1)
+    """threads of each run; default: as the libraries choose"""
+    out: str = "edit3r-tradeoff"
+    """folder that a later call resumes"""
 
 
 class TradeoffCommand(Command):

@@ -16,19 +16,16 @@ SHIPPED = Path(__file__).with_name("tradeoff_plan.yaml")
 class TradeoffPlan(Settings):
     """A plan file."""
 
-    base: dict[str, Any] = Field(description="run settings of every point")
-    points: dict[str, dict[str, Any]] = Field(
-        description="label of each point to the run settings that it lays over the base"
-    )
-    data: tuple[str, ...] = Field(
-        description="folders and data sets that are measured unless others are named"
-    )
-    size: int = Field(
-        512, ge=32, le=4096, description="side of the largest photos [pixels]"
-    )
-    datasets: dict[str, dict[str, Any]] = Field(
-        default_factory=dict, description="settings of data sets by name"
-    )
+    base: dict[str, Any]
+    """run settings of every point"""
+    points: dict[str, dict[str, Any]]
+    """label of each point to the run settings that it lays over the base"""
+    data: tuple[str, ...]
+    """folders and data sets that are measured unless others are named"""
+    size: int = Field(512, ge=32, le=4096)
+    """side of the largest photos [pixels]"""
+    datasets: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    """settings of data sets by name"""
 
     def settings_of(self, labels: Sequence[str] | None = None) -> dict[str, dict]:
         """Return the run settings of each point by label; `labels`: of these points only."""

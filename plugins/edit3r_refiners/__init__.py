@@ -40,5 +40,5 @@ def register_commands() -> list[Component]:
             "simplify",
             "edit3r_refiners.command:SimplifyCommand",
             "a saved scene (3DGS PLY) with only the Gaussians it requires, or without floaters",
-        ),
+        )
     ]

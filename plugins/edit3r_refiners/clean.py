@@ -30,19 +30,10 @@ SEEN = 2 / 255  # change of a pixel's colour that counts as one [sRGB]
 class CleanSettings(Settings):
     """What counts as hanging before a surface."""
 
-    before: float = Field(
-        0.1,
-        gt=0,
-        lt=1,
-        description="share of the surface's depth by which a floater stands before it",
-    )
-    beside: float = Field(
-        1 / 256,
-        ge=0,
-        le=0.1,
-        description="the nearest surface so far around it counts, which spares thin things "
-        "[long sides]",
-    )
+    before: float = Field(0.1, gt=0, lt=1)
+    """share of the surface's depth by which a floater stands before it"""
+    beside: float = Field(1 / 256, ge=0, le=0.1)
+    """the nearest surface so far around it counts, which spares thin things [long sides]"""
 
 
 @dataclass(frozen=True)

@@ -61,11 +61,7 @@ class SimplifyCommand(Command):
             metavar="FILE",
             help="also load this local plugin file",
         )
-        add(
-            "--out",
-            metavar="FILE",
-            help="the new scene, as 3DGS PLY",
-        )
+        add("--out", metavar="FILE", help="the new scene, as 3DGS PLY")
         add("--overwrite", action="store_true", help="replace a file that is there")
         add("--quiet", action="store_true", help="print errors only")
 

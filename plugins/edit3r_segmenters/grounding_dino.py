@@ -30,27 +30,21 @@ class GroundingDinoDetector(Detector):
 
     class Settings(edit3r.Settings):
         model: str = Field(
-            default_factory=partial(
-                sized,
-                GROUNDING_DINO,
-                GROUNDING_DINO_TINY,
-            ),
-            description="model id on the hub, or a saved folder; where none is given the tiny "
-            "one for a CPU, the base one for a GPU or where only that was fetched",
+            default_factory=partial(sized, GROUNDING_DINO, GROUNDING_DINO_TINY)
         )
-        revision: str = Field(
-            "", description="branch, tag or commit of the model; empty: the newest"
-        )
-        local_files_only: bool = Field(False, description="never download")
-        device: str = Field(
-            "auto", description="cpu, cuda, ...; auto: where the photos are (--device)"
-        )
-        box_threshold: float = Field(
-            0.35, ge=0, le=1, description="least score of a box"
-        )
-        text_threshold: float = Field(
-            0.25, ge=0, le=1, description="least score of a word that labels a box"
-        )
+        """model id on the hub, or a saved folder; where none is given the tiny one for a CPU, the
+        base one for a GPU or where only that was fetched
+        """
+        revision: str = ""
+        """branch, tag or commit of the model; empty: the newest"""
+        local_files_only: bool = False
+        """never download"""
+        device: str = "auto"
+        """cpu, cuda, ...; auto: where the photos are (--device)"""
+        box_threshold: float = Field(0.35, ge=0, le=1)
+        """least score of a box"""
+        text_threshold: float = Field(0.25, ge=0, le=1)
+        """least score of a word that labels a box"""
 
     settings: Settings
 

@@ -60,35 +60,24 @@ class SamSettings(Settings):
     """Settings of every generation."""
 
     model: str
-    revision: str = Field(
-        "", description="branch, tag or commit of the model; empty: the declared commit"
-    )
-    local_files_only: bool = Field(False, description="never download")
-    device: str = Field(
-        "auto", description="cpu, cuda, ...; auto: where the photos are (--device)"
-    )
-    prompt: str = Field(
-        "",
-        description="what to segment, in words such as 'the bike'; empty: every object",
-    )
-    points_per_side: int = Field(
-        32, ge=1, le=128, description="grid of the automatic mask generator"
-    )
-    points_per_batch: int = Field(
-        64, ge=1, le=4096, description="grid points at once; lower needs less memory"
-    )
-    min_predicted_iou: float = Field(
-        0.8, ge=0, le=1, description="least quality the mask believes it has"
-    )
-    min_stability: float = Field(
-        0.95,
-        ge=0,
-        le=1,
-        description="least overlap of the mask cut at logits +1 and -1",
-    )
-    max_box_overlap: float = Field(
-        0.7, ge=0, le=1, description="of two boxes that overlap more, the better stays"
-    )
+    revision: str = ""
+    """branch, tag or commit of the model; empty: the declared commit"""
+    local_files_only: bool = False
+    """never download"""
+    device: str = "auto"
+    """cpu, cuda, ...; auto: where the photos are (--device)"""
+    prompt: str = ""
+    """what to segment, in words such as 'the bike'; empty: every object"""
+    points_per_side: int = Field(32, ge=1, le=128)
+    """grid of the automatic mask generator"""
+    points_per_batch: int = Field(64, ge=1, le=4096)
+    """grid points at once; lower needs less memory"""
+    min_predicted_iou: float = Field(0.8, ge=0, le=1)
+    """least quality the mask believes it has"""
+    min_stability: float = Field(0.95, ge=0, le=1)
+    """least overlap of the mask cut at logits +1 and -1"""
+    max_box_overlap: float = Field(0.7, ge=0, le=1)
+    """of two boxes that overlap more, the better stays"""
 
 
 class SamSegmenter(Segmenter):
@@ -388,14 +377,12 @@ class Sam2Segmenter(SamSegmenter):
     threshold_key = "segmenter.detector.box_threshold"
 
     class Settings(SamSettings):
-        model: str = Field(
-            default_factory=partial(sized, SAM2, SAM2_TINY),
-            description="model id on the hub, or a saved folder; where none is given the tiny "
-            "one for a CPU, the large one for a GPU or where only that was fetched",
-        )
-        detector: PartChoice = Field(
-            PartChoice(name="grounding-dino"), description="finds what the words name"
-        )
+        model: str = Field(default_factory=partial(sized, SAM2, SAM2_TINY))
+        """model id on the hub, or a saved folder; where none is given the tiny one for a CPU, the
+        large one for a GPU or where only that was fetched
+        """
+        detector: PartChoice = PartChoice(name="grounding-dino")
+        """finds what the words name"""
 
     settings: Settings
 
@@ -430,12 +417,10 @@ class Sam3Segmenter(SamSegmenter):
     threshold_key = "segmenter.min_score"
 
     class Settings(SamSettings):
-        model: str = Field(
-            "facebook/sam3", description="model id on the hub, or a saved folder"
-        )
-        min_score: float = Field(
-            0.5, ge=0, le=1, description="least score of what the words name"
-        )
+        model: str = "facebook/sam3"
+        """model id on the hub, or a saved folder"""
+        min_score: float = Field(0.5, ge=0, le=1)
+        """least score of what the words name"""
 
     settings: Settings
 

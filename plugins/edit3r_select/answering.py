@@ -22,6 +22,12 @@ from edit3r_select.sum import SURE, Chosen, CueWeights, MaskCandidate, choose, f
 LONGER = 512  # longer side of a photo whose masks are compared: weights are for this [pixels]
 ON_STROKE = 4  # places of a stroke, or of what is expected, that are asked together
 UNTOLD = 0.5  # quality of a mask that no network made
+# Of what stands out where nothing is marked
+GRID = 6  # clicks along each side
+UNMARKED = 256  # longer side of the photo [pixels]
+SMALLEST, LARGEST = 0.002, 0.95  # shares of the photo
+LIKELIEST = 6  # candidates, at most
+DISTINCT = 0.5  # IoU from which two are one thing
 
 Image = Float[Tensor, "3 height width"]
 Size = tuple[int, int]  # height and width
@@ -128,6 +134,39 @@ def gathered(size: Size, asked: Asked, ask: AnswersMarks) -> Pool | None:
         return None
     logits = np.concatenate([_large(some, size) for some, _ in known])
     return Pool(asked, logits, np.concatenate([good for _, good in known]))
+
+
+def standing_out(segmenter: Segmenter, image: Image) -> tuple[Proposal, ...]:
+    """What may be meant where nothing is marked, the likeliest first: the answers to a grid of
+    clicks by the sum, to which what is salient is what is expected. Without them, what is salient.
+    """
+    salient = segmenter.propose(image)
+    if not salient:
+        return ()
+    scale = min(1.0, UNMARKED / max(image.shape[-2:]))
+    height, width = (max(1, round(side * scale)) for side in image.shape[-2:])
+    pool = spread(partial(segmenter.ask, image), (height, width), salient[0].soft_mask)
+    if pool is None:
+        return salient
+    chosen = choose(pool, fitted("unmarked"), DISTINCT)
+    pairs = list(zip(chosen.candidates, _shares(chosen)))
+    return tuple(_as_proposal(image, one, share) for one, share in pairs[:LIKELIEST])
+
+
+def spread(ask: AnswersMarks, size: Size, salient: Tensor) -> Pool | None:
+    """Masks of clicks all over a photo, at `size`; None where `ask` has none."""
+    places = (np.arange(GRID) + 0.5) / GRID
+    answers = [ask([((x, y), True)]) for y in places.tolist() for x in places.tolist()]
+    known = [one for one in answers if one is not None]
+    if not known:
+        return None
+    logits = np.concatenate([_large(some, size) for some, _ in known])
+    quality = np.concatenate([good for _, good in known])
+    areas = (logits > 0).mean((1, 2))
+    usual = (areas > SMALLEST) & (areas < LARGEST)
+    there, everywhere = _as_logits(salient, size) > 0, np.ones(size, dtype=bool)
+    asked = Asked(expected=there, known=everywhere)
+    return Pool(asked, logits[usual], quality[usual]) if usual.any() else None
 
 
 def asked_by(marks: Marks, size: Size) -> Asked:

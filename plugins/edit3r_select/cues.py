@@ -28,7 +28,7 @@ class Asked:
     box: Box | None = None  # around it
     # logits [h, w] of the answer before the last click, > 0 inside
     before: np.ndarray | None = None
-    # bool [h, w]: what other photos show of it here, and where they show anything
+    # bool [h, w]: what other photos show of it here, or what is salient, and where that is known
     expected: np.ndarray | None = None
     known: np.ndarray | None = None
 
@@ -39,11 +39,11 @@ class Asked:
 
     @property
     def kind(self) -> str:
-        """Which weights hold: those of a first click, of more clicks, a stroke, a box, or of what
-        other photos show.
+        """Which weights hold: those of a first click, of more clicks, a stroke, a box, of what
+        other photos show, or of what stands out where nothing is marked.
         """
         if self.expected is not None:
-            return "carried"
+            return "carried" if self.clicks else "unmarked"
         if self.before is not None or len(self.clicks) > 1:
             return "more"
         if self.stroke:
@@ -73,11 +73,12 @@ class Pool:
         """Shares of the photo."""
         return self.masks.mean((1, 2))
 
-    def overlaps(self, index: int) -> np.ndarray:
-        """IoU of one mask with each `[n]`."""
-        one = self.masks[index]
-        either = (self.masks | one).sum((1, 2))
-        return (self.masks & one).sum((1, 2)) / np.maximum(1, either)
+    @cached_property
+    def overlaps(self) -> np.ndarray:
+        """IoU of each mask with each `[n, n]`."""
+        flat = self.masks.reshape(len(self.masks), -1).astype(np.float32)
+        both, each = flat @ flat.T, flat.sum(1)
+        return both / np.maximum(1, each[:, None] + each - both)
 
     def holds(self, clicks: Sequence[Click]) -> np.ndarray:
         """Whether each mask holds the place of each click `[n, click]`."""
@@ -152,8 +153,7 @@ def agreement(pool: Pool) -> np.ndarray:
     count = len(pool.masks)
     if pool.asked.before is None or count < 2:
         return np.zeros(count)
-    shares = np.array([pool.overlaps(index).sum() for index in range(count)])
-    return (shares - pool.masks.any((1, 2))) / (count - 1)
+    return (pool.overlaps.sum(1) - pool.masks.any((1, 2))) / (count - 1)
 
 
 def middle(pool: Pool) -> np.ndarray:

@@ -19,7 +19,7 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import say
 from edit3r.kit.geometry.warping import warp
-from edit3r_select.answering import answered
+from edit3r_select.answering import answered, standing_out
 from edit3r_select.photos import Mask, Named, OnPhoto, Photos, overlap
 from edit3r_select.sum import SAME
 from edit3r_select.which import pick
@@ -307,27 +307,28 @@ def _standing_out(
     why = _why_not(photos, selection, view, known)
     if selection.sure:
         raise InputError(f"{why}; {ASK}, or leave out --sure to take what stands out.")
-    some = photos.segmenter.propose(photos.images[view])
+    some = standing_out(photos.segmenter, photos.images[view])
     if not some:
         raise InputError(f"{why}, and nothing stands out on photo {view + 1}; {ASK}.")
-    likeliest = pick(some, selection.which, photos.images[view])[0]
-    # as if another photo had shown it: the sum draws its outline
-    whole = torch.ones_like(likeliest.soft_mask, dtype=torch.bool)
-    shown = Marks(prior=likeliest.soft_mask, known=whole)
-    first = answered(photos.segmenter, photos.images[view], shown).readings[:1]
-    options = numbered(
-        view, ((one.soft_mask, GUESSED / 2**n) for n, one in enumerate((*first, *some)))
-    )
+    first = pick(some, selection.which, photos.images[view])[0]
+    sure = min(GUESSED, first.confidence)
+    rest = [one for one in some if one is not first]
+    # what no network weighed says nothing of how likely it is
+    others = [
+        (one.soft_mask, min(one.confidence, sure / 2**number))
+        for number, one in enumerate(rest, 1)
+    ]
+    options = numbered(view, [(first.soft_mask, sure), *others])
     flags = " or ".join(f"--reading {one.number}" for one in options[1:])
     warning = (
-        f"{why}; what stands out is taken, with a confidence of {GUESSED:.0%} only: look at its "
+        f"{why}; what stands out is taken, with a confidence of {sure:.0%} only: look at its "
         f"outline. To correct it{f', take {flags}, or' if flags else ':'} {ASK}"
     )
     more = photos.segmenter.words_help() if selection.words and not known else ""
     warning += f", or {more}." if more else "."
     taken = taken_of(options, selection.reading)
     found = {view: OnPhoto(taken.mask, "guess")}
-    return Named(found, GUESSED, SURE, options, (warning,))
+    return Named(found, sure, SURE, options, (warning,))
 
 
 def _why_not(photos: Photos, selection: Selection, view: int, known: bool) -> str:

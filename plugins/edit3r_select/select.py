@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
-from pydantic import Field
 from torch import Tensor
 
 import edit3r
@@ -56,9 +55,8 @@ class SegmenterSelector(Selector):
     """What a segmenter answers for the marks on a photo, carried to all photos."""
 
     class Settings(edit3r.Settings):
-        segmenter: PartChoice = Field(
-            PartChoice(name="auto"), description="answers marks and words on one photo"
-        )
+        segmenter: PartChoice = PartChoice(name="auto")
+        """answers marks and words on one photo"""
 
     settings: Settings
 

@@ -89,12 +89,12 @@ def scores(pool: Pool, weights: CueWeights) -> np.ndarray:
     return table(pool, weights.cues) @ weights.values
 
 
-def choose(pool: Pool, weights: CueWeights) -> Chosen:
-    """The masks of a pool, the one that is meant first; of nearly equal ones the best."""
+def choose(pool: Pool, weights: CueWeights, same: float = SAME) -> Chosen:
+    """The masks of a pool, the one that is meant first; of those with an IoU of `same` the best."""
     values = scores(pool, weights)
     order: list[int] = []
     for index in np.argsort(-values, kind="stable").tolist():
-        alike = any(pool.overlaps(index)[order] > SAME)
+        alike = any(pool.overlaps[index, order] > same)
         if not alike and pool.masks[index].any():
             order.append(index)
     order = order or [int(values.argmax())]

@@ -118,8 +118,7 @@ def write_run(root: Path, run: JudgedRun, rasterizer: Rasterizer, maps: bool) ->
     unsure = run.gaussians.uncertainty
     assert unsure is not None  # it was estimated
     look = SecondLook(
-        coloured(unsure[:, :, None])[0, :, :, 0].T,
-        ("scene", "uncertainty"),
+        coloured(unsure[:, :, None])[0, :, :, 0].T, ("scene", "uncertainty")
     )
     scene = SceneToWrite(
         run.gaussians,

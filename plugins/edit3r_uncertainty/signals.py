@@ -57,9 +57,7 @@ def probability(
     return torch.where(photos_of(shown) == 0, torch.ones_like(number), number)[None]
 
 
-def photos_of(
-    shown: Float[Tensor, "view gaussian"],
-) -> Int[Tensor, "gaussian"]:
+def photos_of(shown: Float[Tensor, "view gaussian"]) -> Int[Tensor, "gaussian"]:
     """How many photos show each Gaussian."""
     return (shown > SEEN).sum(0)
 

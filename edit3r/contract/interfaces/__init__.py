@@ -6,12 +6,8 @@ Interfaces are abstract, concrete classes are final: compose, do not subclass. P
 the manifest and warnings go through `edit3r.contract.reporting` (`track`, `note`, `warn`).
 """
 
-from edit3r.contract.command import (
-    Command as Command,
-)
-from edit3r.contract.component import (
-    Configured as Configured,
-)
+from edit3r.contract.command import Command as Command
+from edit3r.contract.component import Configured as Configured
 from edit3r.contract.interfaces.editing import (
     ChangesShape as ChangesShape,
     ConditionedOnDepth as ConditionedOnDepth,
@@ -26,9 +22,7 @@ from edit3r.contract.interfaces.judging import (
     HalfWay as HalfWay,
     SceneToJudge as SceneToJudge,
 )
-from edit3r.contract.interfaces.reading import (
-    Reader as Reader,
-)
+from edit3r.contract.interfaces.reading import Reader as Reader
 from edit3r.contract.interfaces.reconstruction import (
     Backbone as Backbone,
     EditsViews as EditsViews,

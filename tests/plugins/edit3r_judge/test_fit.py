@@ -5,7 +5,13 @@ import json
 
 import pytest
 from edit3r_judge import fit
-from edit3r_judge.fit import JudgeCommand, between, limits_of, read_rows
+from edit3r_judge.fit import (
+    JudgeCommand,
+    between,
+    limits_of_edits,
+    limits_of_scenes,
+    read_rows,
+)
 from edit3r_judge.signals import FITTED, SIGNALS
 
 from edit3r.contract.errors import InputError
@@ -27,13 +33,14 @@ def rows(places: int = 4) -> list[dict]:
 
 
 def test_limits_lie_midway_between_good_and_bad_edits():
-    limits = limits_of(rows())
+    limits = limits_of_edits(rows())
     assert limits == {n: pytest.approx(0.25 + 0.5 * (CLEAN[n] == 1)) for n in SIGNALS}
 
 
 def test_a_good_edit_counts_twice():
-    assert between([0.1, 0.2, 0.6], [0.5, 0.7, 0.8]) == pytest.approx(0.65)
-    assert between([0.1, 0.2], [0.15, 0.9]) == pytest.approx(0.55)
+    assert between([0.1, 0.2, 0.6], [0.5, 0.7, 0.8], 2, 1) == pytest.approx(0.65)
+    assert between([0.1, 0.2], [0.15, 0.9], 2, 1) == pytest.approx(0.55)
+    assert between([0.1, 0.6], [0.3, 0.4, 0.7, 0.8], 1, 1) == pytest.approx(0.2)
 
 
 def test_the_report_says_what_is_named_where_nothing_was_fitted(tmp_path, capsys):
@@ -53,11 +60,48 @@ def test_rows_of_something_else_are_refused(tmp_path, text):
         read_rows(str(path))
 
 
+SCENES = [
+    {
+        "place": place,
+        "label": label,
+        "figures": {"agreement": agreement, "guessed": part},
+    }
+    for place in ("a", "b", "c")
+    for label, agreement, part in (
+        ("good", 30.0, 0.1),
+        ("fair", 30.0, 0.3),
+        ("fair", 20.0, 0.1),
+        ("poor", 30.0, 0.6),
+        ("poor", 10.0, 0.1),
+    )
+]
+
+
+def test_both_limits_of_a_label_lie_between_scenes_that_deserve_it_and_others():
+    limits = limits_of_scenes(SCENES)
+    assert limits["good"] == {"agreement": 25.0, "guessed": pytest.approx(0.2)}
+    assert limits["fair"] == {"agreement": 15.0, "guessed": pytest.approx(0.45)}
+
+
+def test_scenes_are_reported_without_their_place_and_by_all(tmp_path, capsys):
+    path = tmp_path / "rows.jsonl"
+    kind = {"place": "d", "label": "poor", "figures": {"agreement": 30, "guessed": 0.1}}
+    path.write_text("\n".join(map(json.dumps, [*SCENES, kind])))
+    assert JudgeCommand(None).main(argparse.Namespace(fit=str(path), write=False)) == 0
+    said = capsys.readouterr().out
+    assert said.startswith("16 scenes, each by limits without its place")
+    assert "good or fair: right 93.8%, too kind 1, too hard 0" in said
+
+
 def test_limits_are_written_beside_those_of_scenes(tmp_path, monkeypatch):
     own = tmp_path / "fitted.yaml"
     own.write_text(FITTED.read_text())
     monkeypatch.setattr("edit3r_judge.signals.FITTED", own)
-    fit.write_limits(dict.fromkeys(SIGNALS, 0.123))
+    fit.write_limits({"edit": dict.fromkeys(SIGNALS, 0.123)})
     was, now = (read_yaml(path) for path in (FITTED, own))
     assert now["edit"] == dict.fromkeys(SIGNALS, 0.123)
     assert now["scene"] == was["scene"] and own.read_text().startswith("#")
+    fit.write_limits({"scene": {"fair": {"agreement": 7.25}}})
+    again = read_yaml(own)
+    assert again["scene"].pop("fair") == was["scene"].pop("fair") | {"agreement": 7.25}
+    assert again["scene"] == was["scene"] and again["edit"] == now["edit"]

@@ -9,7 +9,7 @@ from edit3r_judge.critic import LimitsCritic, faults_of
 from edit3r_judge.signals import SIGNALS, limits_of_edits, measured
 
 from edit3r.contract.instructions import Change, Colour, Instruction, Thing
-from edit3r.contract.interfaces import EditToJudge
+from edit3r.contract.interfaces import EditToJudge, HalfWay
 from edit3r.contract.types import Cameras, Rendering, Views
 
 SIZE, SIDE = 96, 40
@@ -124,6 +124,28 @@ def half_in_3d(edit):
     return replace(edit, rendered=replace(edit.rendered, images=images))
 
 
+def from_half_way(edit, images):
+    """The edit with what its scene shows from half-way between the photos."""
+    pose = edit.cameras.c2w[:, :1].clone()
+    pose[0, 0, 0, 3] = SHIFT / SIZE * DEPTH / 2
+    cameras = Cameras(pose, edit.cameras.intrinsics[:, :1], (SIZE, SIZE))
+    depths = torch.full((1, 1, 1, SIZE, SIZE), DEPTH)
+    shown = Rendering(images[None], torch.ones_like(depths), depths)
+    return replace(edit, half_way=HalfWay(shown, cameras, ((0, 1),)))
+
+
+def whole_half_way(edit):
+    mask = square(LEFTS[0] - SHIFT // 2)[None]
+    return from_half_way(edit, over(torch.full((1, 3, SIZE, SIZE), 0.4), RED, mask))
+
+
+def torn_half_way(edit):
+    """Both photos show it as it should be; between them a third of it is a gap."""
+    images = whole_half_way(edit).half_way.rendered.images[0].clone()
+    images[..., 42:55, :] = 0.4
+    return from_half_way(edit, images)
+
+
 FAULTS = {
     "unchanged": half_done,
     "outside": leaked,
@@ -151,7 +173,17 @@ def test_a_made_fault_is_named(good, name):
     json.dumps(verdict.measures, allow_nan=False)
 
 
-@pytest.mark.parametrize("well", [lambda edit: edit, gone, grey])
+def test_what_tears_half_way_is_named_though_the_photos_show_it(good):
+    bad = measured(torn_half_way(good))
+    assert bad["missed"] == pytest.approx(0.38, abs=0.06)
+    assert list(faults_of(bad, limits_of_edits())) == ["missed"]
+    whole = replace(torn_half_way(good), masks=None, regions=None)
+    assert measured(whole)["missed"] == 0  # of a whole picture it is the scene's matter
+
+
+@pytest.mark.parametrize(
+    "well", [lambda edit: edit, gone, grey, whole_half_way], ids=range(4)
+)
 def test_what_was_carried_out_well_is_good(good, well):
     edit = well(good)
     assert faults_of(measured(edit), limits_of_edits()) == {}

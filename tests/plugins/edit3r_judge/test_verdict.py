@@ -97,9 +97,13 @@ def test_a_run_without_most_of_its_photos_failed():
 
 
 @pytest.mark.parametrize(
-    ("most", "label"), [(0.19, "good"), (0.21, "fair"), (0.33, "poor")]
+    ("over", "beyond", "label"),
+    [("good", -0.01, "good"), ("good", 0.01, "fair"), ("fair", 0.01, "poor")],
 )
-def test_one_view_between_that_is_guessed_counts_and_its_photo_is_named(most, label):
+def test_one_view_between_that_is_guessed_counts_and_its_photo_is_named(
+    over, beyond, label
+):
+    most = limits_of_scenes()[over]["guessed"] + beyond
     verdict = shown(EDITED, rendered(40.0, 41.0, 42.0), [True] * 3, [0.0, 0.0, most])
     assert verdict.label == label
     assert (label == "good") != ("add photos between it" in verdict.reason)

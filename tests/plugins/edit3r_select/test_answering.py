@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from edit3r_select.answering import answered
+from edit3r_select.answering import answered, standing_out
 from edit3r_select.select import select_masks
 
 from edit3r.contract.interfaces import (
@@ -177,3 +177,25 @@ def test_a_large_photo_is_answered_at_its_own_size(image):
     found = readings(Discs(), large, Marks(positive=(CENTRE,)))[0]
     assert found.soft_mask.shape == (960, 1280)
     assert found.area == pytest.approx(DISC.mean(), rel=0.05)
+
+
+class Salient(Discs):
+    """The right half is salient."""
+
+    def propose(self, image):
+        return (as_proposal(torch.from_numpy(np.float32(COLUMNS > WIDTH / 2))),)
+
+
+def test_what_stands_out_lies_where_it_is_salient_and_the_next_is_another_thing(image):
+    first, second, *_ = (inside(one) for one in standing_out(Salient(), image))
+    assert first[:, WIDTH // 2 :].sum() > 0.8 * first.sum()
+    assert overlap(first, second) < 0.5
+    assert standing_out(Discs(), image) == ()  # nothing is salient
+
+
+def test_without_masks_to_choose_from_what_is_salient_stands_out(image):
+    class Alone(Salient):
+        def ask(self, image, clicks, box=None, before=None):
+            return None
+
+    assert standing_out(Alone(), image)[0].area == 0.5

@@ -38,8 +38,8 @@ def test_sizes_and_overlaps_are_shares():
     assert some.areas[0] == DISC.mean()
     size = CUES["square_of_log_area"](some)
     assert size[2] == pytest.approx(0, abs=1e-6) and size[1] > size[0] > size[2]
-    assert some.overlaps(0)[0] == 1
-    assert some.overlaps(0)[1] == pytest.approx(LEFT.sum() / DISC.sum())
+    assert some.overlaps[0, 0] == 1
+    assert some.overlaps[0, 1] == pytest.approx(LEFT.sum() / DISC.sum())
 
 
 def test_crumbs_are_seen():

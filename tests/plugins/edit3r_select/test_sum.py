@@ -20,6 +20,7 @@ def as_logits(*masks):
 
 
 SIZE = SIDE, SIDE
+KINDS = ["click", "stroke", "box", "carried", "unmarked", "more"]
 CLICK = ((0.5, 0.5), True)
 BY_QUALITY = CueWeights(
     ("quality",), np.array([10.0]), certainty=np.array([2.0, 1.0, 1.0, -1.0])
@@ -101,7 +102,7 @@ def test_selecting_uses_the_fitted_weights():
     assert selected(SIZE, Asked(clicks=(CLICK,)), lambda *_: None) is None
 
 
-@pytest.mark.parametrize("kind", ["click", "stroke", "box", "carried", "more"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_fitted_weights_are_of_known_cues(kind):
     assert set(fitted(kind).cues) <= set(CUES)
     assert fitted(kind).certainty[0] > 0  # a lead never speaks against the first
@@ -109,5 +110,4 @@ def test_fitted_weights_are_of_known_cues(kind):
 
 def test_the_file_says_how_it_was_made():
     assert "benchmarks/select_sum.py" in FITTED.read_text()
-    kinds = {"click", "stroke", "box", "carried", "more"}
-    assert set(yaml.safe_load(FITTED.read_text())) == kinds
+    assert set(yaml.safe_load(FITTED.read_text())) == set(KINDS)

@@ -6,7 +6,11 @@ from hypothesis import given, settings, strategies as st
 
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import intrinsics_from_fov, project
-from edit3r.kit.geometry.paths import between_and_around, interpolate_poses
+from edit3r.kit.geometry.paths import (
+    between_and_around,
+    half_way,
+    interpolate_poses,
+)
 from edit3r.kit.geometry.rotations import quats_to_matrices, rotation_angle
 
 
@@ -161,3 +165,14 @@ def test_intrinsics_pass_from_view_to_view():
 def test_no_frames_is_an_error():
     with pytest.raises(ValueError, match="at least 1 frame"):
         between_and_around(cameras(orbit([0.0, 0.2])), 0)
+
+
+def test_half_way_cameras_stand_between_each_view_and_its_nearest_once():
+    c2w = torch.eye(4).repeat(1, 3, 1, 1)
+    c2w[0, :, 0, 3] = torch.tensor([0.0, 1.0, 5.0])
+    lenses = torch.eye(3) * torch.tensor([1.0, 2.0, 3.0])[:, None, None]
+    cameras, pairs = half_way(Cameras(c2w, lenses[None], (4, 6)))
+    assert pairs == ((0, 1), (1, 2))
+    assert cameras.c2w[0, :, 0, 3].tolist() == pytest.approx([0.5, 3.0])
+    assert torch.equal(cameras.intrinsics[0], lenses[:2])
+    assert cameras.image_size == (4, 6)
