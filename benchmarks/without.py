@@ -44,11 +44,17 @@ class Part:
 
 
 PARTS = {
-    "rim": Part("views beside the photos", settings={"reconstructor": {"rim": 0}}),
-    "background-layer": Part(
-        "views between photos", settings={"reconstructor": {"background_layer": 0}}
+    "rim": Part(
+        "views beside the photos", settings={"recon": {"name": "edit3r", "rim": 0}}
     ),
-    "sky": Part("branches before the sky", settings={"matcher": {"sky": False}}),
+    "background-layer": Part(
+        "views between photos",
+        settings={"recon": {"name": "edit3r", "background_layer": 0}},
+    ),
+    "sky": Part(
+        "branches before the sky",
+        settings={"matcher": {"name": "classical", "sky": False}},
+    ),
     "one-light": Part("photos of other exposure", settings={"exposure": "own"}),
     "walkers": Part("what passed by", settings={"transients": "keep"}),
     "simplify": Part("Gaussians, seconds", settings={"gaussians": "all"}),
