@@ -127,10 +127,10 @@ class PipelineEditor(Editor):
         chosen = self.settings
         if self._plain is None:
             plain = foreign("diffusers", chosen.pipeline)
-            masked = chosen.masked_pipeline and foreign(
-                "diffusers", chosen.masked_pipeline
-            )
-            self._check(plain, masked or None)
+            masked = None
+            if chosen.masked_pipeline:
+                masked = foreign("diffusers", chosen.masked_pipeline)
+            self._check(plain, masked)
             made_of = inspect.signature(plain.__init__).parameters
             half = torch.bfloat16 if "transformer" in made_of else torch.float16
             parts = loading.NO_SAFETY_CHECKER if "safety_checker" in made_of else {}
@@ -138,7 +138,8 @@ class PipelineEditor(Editor):
             self._plain = loading.load(
                 chosen.pipeline, chosen, photos_on, half, **parts
             )
-            self._masked = masked and loading.same_parts(masked, self._plain)
+            if masked is not None:
+                self._masked = loading.same_parts(masked, self._plain)
 
     def _check(self, plain: type, masked: type | None) -> None:
         """Raise SettingsError for a class that does not edit, and for settings that it has no

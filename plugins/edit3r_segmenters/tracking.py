@@ -1,8 +1,9 @@
 """Follow objects from the first view through the others, by features and dense flow.
 
 View by view, from the last earlier view that showed the object: an affine map of SIFT matches on
-it, where enough agree, then dense inverse-search flow with a forward-backward check. An object of
-which too little leads back, or that looks different, is reported lost.
+it, where enough agree, then dense inverse-search flow with a forward-backward check. The outline is
+snapped to the colours of the new view. An object of which too little leads back, or that looks
+different, is reported lost.
 """
 
 from collections.abc import Callable
@@ -18,10 +19,12 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Tracks
 from edit3r.kit.compute.outlines import distance_to, softened
-from edit3r_segmenters.masks import reduced, to_bytes
+from edit3r_segmenters.masks import overlap, reduced, snapped, to_bytes
 
 MIN_CONSISTENT = 0.35  # share under which flow says nothing
-MIN_LIKENESS = 0.5  # overlap of colours under which it is not the same object
+# how far the outline may move when it is snapped [square roots of the area]
+SNAP_BAND = 0.04
+MIN_LIKENESS = 0.5  # overlap of colour histograms under which it is not the same object
 
 # Dense flow
 SMALLEST = 24  # below this side length [pixels] the flow's patches do not fit
@@ -51,6 +54,15 @@ class Flow:
     backward: np.ndarray
     # bool [H, W], source pixels that come back to where they started
     leaves: np.ndarray
+    arrives: np.ndarray  # bool [H, W], the same for the target's pixels
+
+
+@dataclass(frozen=True)
+class _View:
+    """A view at tracking size."""
+
+    pixels: np.ndarray  # uint8 RGB [h, w, 3]
+    grey: np.ndarray  # uint8 [h, w]
 
 
 def tracks(
@@ -82,8 +94,8 @@ def follow(
     Returns soft masks float32 `[V, R, H, W]` in [0, 1], zero where lost, and bool `[V, R]`: which
     view shows which.
     """
-    views = [to_bytes(reduced(image, size)) for image in images]
-    height, width = views[0].shape[:2]
+    views = [_view(image, size) for image in images]
+    height, width = views[0].grey.shape
     first = [
         cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA) > 0.5
         for mask in masks.astype(np.float32)
@@ -105,54 +117,73 @@ def follow(
     return soft, present
 
 
+def _view(image: np.ndarray, size: int) -> _View:
+    """Reduce a float RGB image `[H, W, 3]` to tracking size."""
+    pixels = to_bytes(reduced(image, size))
+    return _View(pixels, cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY))
+
+
 def _found_again(
-    views: list[np.ndarray],
-    found: list[list[np.ndarray | None]],
-    index: int,
-    number: int,
+    views: list[_View], found: list[list[np.ndarray | None]], index: int, number: int
 ) -> np.ndarray | None:
     """An object in one view by the last one that showed it; None when it is lost."""
     shown = [view for view, row in enumerate(found) if row[number] is not None]
     if not shown:
         return None
-    here, grey = (
-        cv2.cvtColor(views[view], cv2.COLOR_RGB2GRAY) for view in (index, shown[-1])
-    )
-    mask, first = found[shown[-1]][number], found[0][number]
-    assert mask is not None and first is not None
-    matrix = affine_between(grey, here, mask)
+    here, source = views[index], views[shown[-1]]
+    mask, grey = found[shown[-1]][number], source.grey
+    assert mask is not None
+    matrix = affine_between(grey, here.grey, mask)
     if matrix is not None:
-        size = here.shape[::-1]
+        size = here.grey.shape[::-1]
         mask = cv2.warpAffine(mask.astype(np.float32), matrix, size) > 0.5
         rim = cv2.BORDER_REPLICATE
         grey = cv2.warpAffine(grey, matrix, size, borderMode=rim)
     if not mask.any():
         return None
-    moved, consistent = carry(mask, flow_between(grey, here))
-    if consistent < MIN_CONSISTENT:
-        if matrix is None:
-            return None
-        moved = mask
-    alike = _likeness(views[0], first, views[index], moved)
+    moved, sure, consistent = carry(mask, flow_between(grey, here.grey))
+    if consistent >= MIN_CONSISTENT:
+        moved = _on_colours(here.pixels, moved, SNAP_BAND, moved & ~sure)
+    elif matrix is not None:
+        moved = _on_colours(here.pixels, mask, 3 * SNAP_BAND)
+    else:
+        return None
+    first = found[0][number]
+    assert first is not None
+    alike = _likeness(views[0].pixels, first, here.pixels, moved)
     return moved if alike >= MIN_LIKENESS else None
+
+
+def _on_colours(
+    pixels: np.ndarray, mask: np.ndarray, band: float, unsure: np.ndarray | None = None
+) -> np.ndarray:
+    """A mask `[h, w]` with its outline on the colours of a view, unless that would change the
+    object itself.
+    """
+    moved = snapped(pixels, mask, band, band, rounds=2, unsure=unsure)
+    sure = mask if unsure is None else mask & ~unsure
+    return moved if overlap(moved | ~sure & mask, mask) > 0.7 else sure
 
 
 def _likeness(
     one: np.ndarray, one_mask: np.ndarray, other: np.ndarray, other_mask: np.ndarray
 ) -> float:
-    """Overlap in [0, 1] of the Lab colours of two uint8 images `[H, W, 3]` under masks `[H, W]`."""
-    first, second = (
-        cv2.calcHist(
-            [cv2.cvtColor(pixels, cv2.COLOR_RGB2LAB)],
-            [0, 1, 2],
-            mask.astype(np.uint8),
-            [4, 16, 16],
-            [0, 256, 0, 256, 0, 256],
-        )
-        for pixels, mask in ((one, one_mask), (other, other_mask))
+    """Overlap in [0, 1] of the colour histograms of two images `[H, W, 3]` under masks `[H, W]`."""
+    first, second = _histogram(one, one_mask), _histogram(other, other_mask)
+    return float(np.sqrt(first * second).sum())
+
+
+def _histogram(pixels: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Count Lab colours of uint8 RGB `[H, W, 3]` under a mask, smoothed and summing to 1: `[6, 16,
+    16]`.
+    """
+    lab = cv2.cvtColor(pixels, cv2.COLOR_RGB2LAB)
+    counts = cv2.calcHist(
+        [lab], [0, 1, 2], mask.astype(np.uint8), [6, 16, 16], [0, 256, 0, 256, 0, 256]
     )
-    apart = cv2.compareHist(first, second, cv2.HISTCMP_BHATTACHARYYA)
-    return 1 - apart**2
+    smooth = cv2.GaussianBlur(counts.reshape(6, -1), (1, 3), 0.7).reshape(6, 16, 16)
+    smooth = np.stack([cv2.GaussianBlur(plane, (3, 3), 0.7) for plane in smooth])
+    return smooth / max(smooth.sum(), 1e-9)
 
 
 def flow_between(source: np.ndarray, target: np.ndarray) -> Flow:
@@ -161,24 +192,41 @@ def flow_between(source: np.ndarray, target: np.ndarray) -> Flow:
     if min(height, width) < SMALLEST:
         still = np.zeros((height, width, 2), np.float32)
         nowhere = np.zeros((height, width), dtype=bool)
-        return Flow(still, still, nowhere)
+        return Flow(still, still, nowhere, nowhere)
     engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
     engine.setFinestScale(0)
     forward, backward = (
         engine.calc(source, target, None),  # type: ignore[call-overload]
         engine.calc(target, source, None),  # type: ignore[call-overload]
     )
-    return Flow(forward, backward, _returns(forward, backward))
+    return Flow(
+        forward, backward, _returns(forward, backward), _returns(backward, forward)
+    )
 
 
-def carry(mask: np.ndarray, flow: Flow) -> tuple[np.ndarray, float]:
+def carry(mask: np.ndarray, flow: Flow) -> tuple[np.ndarray, np.ndarray, float]:
     """Carry the source's bool mask `[H, W]` to the target's grid.
 
-    Returns it, and the share in [0, 1] of the source's mask that arrives somewhere and leads back.
+    Returns it, the part of it that leads back to where it came from, and the share in [0, 1] of the
+    source's mask that arrives somewhere and leads back.
     """
-    x, y = np.moveaxis(_grid(*mask.shape) + flow.backward, 2, 0)
-    warped = cv2.remap(mask.astype(np.float32), x, y, cv2.INTER_LINEAR) > 0.5
-    return warped, float(flow.leaves[mask].mean()) if mask.any() else 0.0
+    height, width = mask.shape
+    came_from = _grid(height, width) + flow.backward
+    warped = (
+        cv2.remap(
+            mask.astype(np.float32),
+            came_from[..., 0],
+            came_from[..., 1],
+            cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_CONSTANT,
+        )
+        > 0.5
+    )
+    return (
+        warped,
+        warped & flow.arrives,
+        float(flow.leaves[mask].mean()) if mask.any() else 0.0,
+    )
 
 
 def _returns(there: np.ndarray, back: np.ndarray) -> np.ndarray:

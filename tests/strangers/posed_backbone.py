@@ -34,4 +34,6 @@ class PosesBackbone(Backbone):
 
 @hookimpl
 def register_backbones():
-    return Component("poses", "posed_backbone:PosesBackbone", "poses of its own", min_views=2)
+    return Component(
+        "poses", "posed_backbone:PosesBackbone", "poses of its own", min_views=2
+    )
