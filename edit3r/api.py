@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 from typing_extensions import Unpack
 
-from edit3r.contract.errors import InputError
+from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Editor, Reconstructor, Selection
 from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice
@@ -81,6 +81,10 @@ def run(
         UnknownComponentError: For a name that no installed plugin offers.
         PluginError: For a component that breaks its contract.
     """
+    if "reconstructor" in settings:
+        raise SettingsError(
+            "run: the reconstructor is given as recon=, by one name only."
+        )
     named = {"prompt": prompt, "editor": editor, "reconstructor": recon}
     given = {k: v for k, v in {**settings, **named}.items() if v is not None}
     built = {key: given.pop(key) for key in PART_KEYS if _is_built(given.get(key))}

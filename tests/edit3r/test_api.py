@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import edit3r
-from edit3r.contract.errors import InputError
+from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.reporting import Report
 from edit3r.contract.types import Cameras
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
@@ -178,3 +178,8 @@ def test_marks_in_words_need_files(posed):
     views = edit3r.load_views([folder / "0.png", folder / "1.png"])
     with pytest.raises(InputError, match="photos that were read from files"):
         edit3r.run(views, "make it red", masks=folder / "mask_0.png", **QUICK)
+
+
+def test_a_second_name_for_the_reconstructor_is_refused_and_not_forgotten():
+    with pytest.raises(SettingsError, match="recon="):
+        edit3r.run(reconstructor="classical")
