@@ -638,9 +638,8 @@ def seconds() -> None:
         print(f"{name:16s} {told_of_seconds(row)}  ({found.how[1]})", flush=True)
     print(f"{'median':16s} {told_of_seconds(np.median(rows, axis=0))}")
     for word in WORDS:
-        with suppress(
-            InputError
-        ):  # what is not there: the networks are asked all the same
+        # what is not there: the networks are asked all the same
+        with suppress(InputError):
             select_masks(images, Selection(words=word), segmenter)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(f"peak memory {peak:.2f} GB, {torch.get_num_threads()} threads")

@@ -36,11 +36,12 @@ MODES = {
 }
 SIZES = {
     "full": ({}, {}, (256, 256)),
+    # full width: minutes, not an hour
     "shallow": (
         {"depth": 4, "decoder_depth": 4},
         {},
         (128, 128),
-    ),  # full width: minutes, not an hour
+    ),
     "small": (
         {"width": 256, "depth": 6, "decoder_width": 192, "decoder_depth": 6},
         {"feature_width": 64, "point_width": 64, "layer_widths": (32, 64, 96, 192)},

@@ -149,9 +149,8 @@ def parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Nam
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             return parser.parse_args(arguments)
-    if (
-        "--" in arguments
-    ):  # the other way forgets it, and takes what follows for options
+    # the other way forgets it, and takes what follows for options
+    if "--" in arguments:
         return parser.parse_args(arguments)
     return parser.parse_intermixed_args(arguments)
 

@@ -134,10 +134,11 @@ class RunCommand(Command):
         """Run and write the results, telling `report` from the first second."""
         from edit3r.contract.reporting import collecting
 
+        # most of it goes into importing torch
         with (
             collecting(report),
             report.stage("start"),
-        ):  # most of it goes into importing torch
+        ):
             from edit3r.kit.files.atomic import atomic_folder, check_apart
             from edit3r.loading.registry import default_registry
             from edit3r.running.loop import run

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from edit3r.contract.weights import NAME, Weights
 
-if (
-    TYPE_CHECKING
-):  # it takes a tenth of a second to import, and declarations need none of it
+# it takes a tenth of a second to import, and declarations need none of it
+if TYPE_CHECKING:
     from edit3r.contract.settings import Settings
 
 KINDS = (

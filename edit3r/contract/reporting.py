@@ -145,9 +145,8 @@ def available_memory() -> int | None:
 def peak_memory_mb() -> float:
     """Peak resident memory of this process so far [MiB]; 0 where the platform does not tell."""
     status = Path("/proc/self/status")
-    if (
-        status.is_file()
-    ):  # Linux's getrusage counts what the parent process had when it started this one
+    # Linux's getrusage counts what the parent process had when it started this one
+    if status.is_file():
         for line in status.read_text(encoding="utf-8").splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) / 1024

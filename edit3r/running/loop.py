@@ -65,8 +65,8 @@ def _made(
     inputs, located = inputs.select(used), located.select(used)
     selection = selection.select(used)
     edited = edit(inputs, selection, parts)
-    changed = not torch.equal(edited.views.images, inputs.start.images)
-    if on_edited is not None and changed:
+    before, after = inputs.start.images, edited.views.images
+    if on_edited is not None and not torch.equal(before, after):
         on_edited(edited.views)
     made = reconstruct(inputs, located, selection, edited, parts)
     placed = made.used

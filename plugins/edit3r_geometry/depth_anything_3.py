@@ -124,9 +124,8 @@ def _load(model: str, weights: str) -> nn.Module:
                 for name, value in safetensors.torch.load_file(file).items()
             }
             missing, _ = network.load_state_dict(state, strict=False)
-            if lacking := [
-                name for name in missing if "_aux" not in name
-            ]:  # the head of rays is not used here
+            # the head of rays is not used here
+            if lacking := [name for name in missing if "_aux" not in name]:
                 raise RuntimeError(f"it lacks {lacking[0]}")
         except (RuntimeError, safetensors.SafetensorError, OSError) as error:
             reason = " ".join(str(error).split())[:200]

@@ -121,10 +121,11 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
         if len(views_placed) < 3:  # two see the same, whatever the lens
             return None
         limit = self.settings.threshold * max(found.images[0].size) / 256
+        # a camera that only turned: the motion is invented, and a bend with it
         if all(
             on_a_plane(pair.matches, limit, NEARLY_ALL)
             for pair in found.registration.pairs.values()
-        ):  # a camera that only turned: the motion is invented, and a bend with it
+        ):
             return None
         poses = {view: found.registration.poses[view] for view in views_placed}
         matches = {

@@ -213,9 +213,8 @@ def _moved(
     """
     found = estimate_pose(matches, threshold, seed, once)
     evident = _evident(found, matches, learned, threshold)
-    if (
-        not evident and learned.any()
-    ):  # where SIFT's matches are nearly all wrong, they hide what the others say
+    # where SIFT's matches are nearly all wrong, they hide what the others say
+    if not evident and learned.any():
         alone = matches.select(learned)
         second = estimate_pose(alone, threshold, seed)
         if _evident(second, alone, learned[learned], threshold):

@@ -19,9 +19,8 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.verdicts import LABELS
 
 NEVER = 3  # each third place of edits is fitted on by nobody
-FITTED_LABELS = LABELS[
-    :2
-]  # hardly any scene fails, so what parts poor and failed is not fitted
+# hardly any scene fails, so what parts poor and failed is not fitted
+FITTED_LABELS = LABELS[:2]
 NEEDED = {"edit": {"place", "fault", "kind", "figures"}}
 NEEDED["scene"] = {"place", "label", "figures"}
 Row = Mapping[str, Any]

@@ -134,9 +134,8 @@ class SamSegmenter(Segmenter):
             marks.box,
             image.shape[-2:],
         )
-        if (
-            box is None and marks.prior is not None
-        ):  # where it is expected, as the box around that
+        # where it is expected, as the box around that
+        if box is None and marks.prior is not None:
             x, y, w, h = as_proposal(marks.prior).box
             box = (x / width, y / height, w / width, h / height) if w else None
         model = self._model(self.image_class, image.device)

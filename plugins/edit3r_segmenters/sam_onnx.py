@@ -131,9 +131,8 @@ class SamOnnxSegmenter(Segmenter):
         clicks = [(place, True) for place in marks.inside]
         clicks += [(place, False) for place in marks.negative]
         box = marks.box
-        if (
-            box is None and marks.prior is not None
-        ):  # expected there: in the box around that
+        # expected there: in the box around that
+        if box is None and marks.prior is not None:
             x, y, w, h = as_proposal(marks.prior).box
             height, width = image.shape[-2:]
             box = (x / width, y / height, w / width, h / height) if w else None

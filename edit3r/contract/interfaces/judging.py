@@ -20,9 +20,8 @@ class HalfWay:
 
     rendered: Rendering  # smaller than the photos
     cameras: Cameras  # batch 1
-    pairs: tuple[
-        tuple[int, int], ...
-    ]  # between which two placed photos each camera stands
+    # between which two placed photos each camera stands
+    pairs: tuple[tuple[int, int], ...]
 
 
 @dataclass(frozen=True, repr=False)

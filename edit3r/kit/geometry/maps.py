@@ -37,10 +37,11 @@ def dilate(
     Pixels outside the image do not count. The erosion of a map is `-dilate(-maps, radius)`.
     """
     widest = maps.reshape(-1, 1, *maps.shape[-2:])
+    # columns, rows
     for kernel, padding in (
         ((2 * radius + 1, 1), (radius, 0)),
         ((1, 2 * radius + 1), (0, radius)),
-    ):  # columns, rows
+    ):
         widest = F.max_pool2d(widest, kernel, stride=1, padding=padding)
     return widest.reshape(maps.shape)
 

@@ -74,9 +74,8 @@ def as_srgb(image: Image.Image, coding: Coding) -> Image.Image:
     light = _pq(levels) if coding.transfer == PQ else _hlg(levels)
     matrix = np.asarray(_TO_709.get(coding.primaries, np.eye(3)), np.float32)
     shown = np.empty_like(coded)
-    for row in range(
-        0, len(coded), 256
-    ):  # in strips: floats take four times the memory
+    # in strips: floats take four times the memory
+    for row in range(0, len(coded), 256):
         part = light.astype(np.float32)[coded[row : row + 256]]
         if coding.transfer == HLG:  # the screen's own gamma, by luminance
             luminance = part @ np.array([0.2627, 0.6780, 0.0593], np.float32)

@@ -54,9 +54,8 @@ def foreign(library: str, name: str) -> Any:
     both libraries.
     """
     try:
-        for module in LOGS_OF.get(
-            library, ()
-        ):  # light; what `quiet` turns down must be there first
+        # light; what `quiet` turns down must be there first
+        for module in LOGS_OF.get(library, ()):
             importlib.import_module(f"{module}.utils.logging")
         with quiet():
             return getattr(importlib.import_module(library), name)
