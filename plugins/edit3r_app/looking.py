@@ -7,7 +7,7 @@ import io
 import json
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -23,7 +23,8 @@ from PIL import Image
 from torch import Tensor
 
 from edit3r import Registry
-from edit3r.contract.errors import Edit3rError, InputError
+from edit3r.contract.component import Component
+from edit3r.contract.errors import Edit3rError, InputError, PromptError
 from edit3r.contract.interfaces import Marks, Reading, Selected, Selection
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
@@ -212,16 +213,36 @@ class Looker:
         with self._opening:
             return self._opened(state, tuple(self.folder.photos(state)))
 
-    def look(self, state: str, draft: Draft) -> DraftAnswer:
+    def look(
+        self, state: str, draft: Draft, is_wanted: Callable[[], bool] = lambda: True
+    ) -> DraftAnswer:
+        """`is_wanted` is asked when others were waited for; the answer is empty where it is not."""
         opened = self._open_once(state)
+        # What cannot be read needs no photo, and waits for no search.
+        if not draft.selects and (problem := self._misread(draft)):
+            return DraftAnswer(opened.views, problem=problem)
         if draft.selects:
             opened.asked.set()
             wait(list(opened.read.values()))  # what is being read is not read twice
             if self._left(opened) <= GEOMETRY_PATIENCE:
                 wait([opened.geometry], GEOMETRY_PATIENCE)
         with self._working:
+            if not is_wanted():
+                return DraftAnswer(opened.views)
             located = opened.geometry.done()
             return self._looks(opened, draft.as_json(), located)
+
+    def _misread(self, draft: Draft) -> str:
+        """Why a quick reader cannot read the sentence; empty where it can."""
+        with collecting(Report()), suppress(Edit3rError):
+            try:
+                config = make_run_config(run_settings(draft, self.registry))
+                parts = Parts(config, self.registry, RunJob(config))
+                if config.prompt and _is_quick(parts.reader.offer.component):
+                    _ = parts.tasks
+            except PromptError as error:
+                return str(error)
+        return ""
 
     def is_located(self, state: str) -> bool:
         """Whether answers know the geometry of the photos; they are others before."""
@@ -521,8 +542,11 @@ class Looker:
 
 def is_quick(parts: Parts) -> bool:
     """Whether the editors of a run answer at once."""
-    used = [task.editor.offer.component for task in parts.tasks]
-    return not any(one.weights or one.needs_network for one in used)
+    return all(_is_quick(task.editor.offer.component) for task in parts.tasks)
+
+
+def _is_quick(component: Component) -> bool:
+    return not (component.weights or component.needs_network)
 
 
 def _job_on(
