@@ -184,6 +184,8 @@ class Selected:
     readings: tuple[Reading, ...] = ()
     taken: int = 1  # the number of that one
     called: str = ""  # what was looked for, as people say it: "left cup"
+    # whether words name what was marked; None: nobody looked, knows them or found them
+    fits: bool | None = None
 
     @property
     def is_sure(self) -> bool:
