@@ -267,6 +267,23 @@ def test_what_cannot_be_read_waits_for_no_search(looker, scene):
     assert answers[1].job is None and not answers[1].problem
 
 
+def test_who_points_waits_for_no_search(looker, scene):
+    draft = Draft(form={"prompt": "make the sky warmer"})
+    name = looker.look(scene, Draft()).views.names[0]
+    edited = partial(looker.edited, scene, draft, name)
+    with looker._working:  # somebody's words are searched for
+        shown = Thread(target=edited, kwargs={"found": True})
+        shown.start()
+        shown.join(1)
+        assert shown.is_alive()  # it waits for where the edit applies
+        assert looker._pointing.acquire(timeout=1)
+        looker._pointing.release()
+    shown.join(60)
+    named = Draft(form={"prompt": "paint the zeppelin red"})
+    with looker._working:
+        assert len(looker.edited(scene, named, name)) < 1000  # a clear pixel, at once
+
+
 def test_a_sentence_is_said_as_it_was_read(looker, scene):
     draft = Draft([click(looker, scene)], form={"prompt": "paint it red"})
     look = looker.look(scene, draft)
