@@ -51,9 +51,7 @@ def graded(
     gain=(1.0, 1.0, 1.0),
     lift=0.0,
 ) -> Images:
-    """Grade each pixel by itself: gamma, saturation, contrast around mid-grey, gains of RGB, lifted
-    blacks.
-    """
+    """Grade each pixel: gamma, saturation, contrast around mid-grey, gain of RGB, lifted blacks."""
     images = images.clamp(min=1e-4) ** gamma
     light = grey(images)
     images = 0.5 + contrast * (light + saturation * (images - light) - 0.5)
@@ -99,9 +97,7 @@ def watercolour(images: Images) -> Images:
 
 
 def marble(images: Images) -> Images:
-    """White stone in the photo's shades; veins run along lines of equal light, thin in a wider
-    shadow.
-    """
+    """White stone in the photo's shades; veins along lines of equal light, thin in a shadow."""
     phase, slope = _shades(images, 8, 0.008)
     # to the line [pixels]
     distance = (phase - phase.round()).abs() / slope.clamp(min=0.005)
@@ -147,9 +143,7 @@ def _between(
 
 
 def metal(images: Images, colours: tuple) -> Images:
-    """Turn light into the banded light of polished metal, in colours (sRGB) of its shades, middle
-    and highlights.
-    """
+    """The banded light of polished metal, in colours (sRGB) of shades, middle and highlights."""
     smooth = _by_opencv(images, partial(cv2.medianBlur, ksize=5))
     flat = _step(grey(_flattened(smooth, 30, 0.25)), 0.02, 0.95)
     shade, light = (one[:, 0].numpy(force=True) for one in (flat, grey(smooth)))
@@ -187,9 +181,7 @@ def _blurred(images: Grey, sigma: float) -> Grey:
 
 
 def _flattened(images: Images, reach: float, range_: float) -> Images:
-    """Smooth within edges (Gastal and Oliveira 2011); `reach` in pixels, `range_` of colours in [0,
-    1].
-    """
+    """Smooth within edges (Gastal and Oliveira 2011); `reach` [pixels], `range_` of colours."""
     draw = partial(cv2.edgePreservingFilter, flags=1, sigma_s=reach, sigma_r=range_)
     return _by_opencv(images, draw)
 

@@ -52,9 +52,7 @@ class LearnedFeatures:
     def detect(
         self, image: Float[np.ndarray, "height width 3"], detection_size: int
     ) -> Keypoints:
-        """The features of `image` in [0, 1], looked for at a long side of `detection_size`
-        [pixels].
-        """
+        """Features of `image` in [0, 1], found at a long side of `detection_size` [pixels]."""
         height, width = image.shape[:2]
         scale = detection_size / max(height, width)
         size = (max(32, round(width * scale)), max(32, round(height * scale)))
@@ -124,9 +122,7 @@ def _load(network: nn.Module, file: Path, renamed: Mapping[str, str]) -> None:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Compute with one thread: with another number of them sums, and so the choice of a match,
-    could differ.
-    """
+    """Compute with one thread: sums, and so the choice of a match, depend on their number."""
     before = torch.get_num_threads()
     torch.set_num_threads(1)
     try:

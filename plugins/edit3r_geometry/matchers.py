@@ -103,9 +103,7 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
         )
 
     def _reads_fov(self, views: Views) -> bool:
-        """Whether the field of view is to be read from the photos: where none of them knows its
-        own.
-        """
+        """Whether the photos are to tell the field of view: where none knows its own."""
         return self.settings.calibrate and bool(views.assumed) and all(views.assumed)
 
     def lens(self, views: Views) -> Lens | None:
@@ -177,9 +175,7 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
         )
 
     def register(self, views: Views, scene: int) -> "_Registered":
-        """Where the photos of one scene were taken, and the field of view they tell, or contradict
-        with a warning.
-        """
+        """Where a scene's photos were taken, and the field of view they tell or contradict."""
         images = calibrated_images(views, scene)
         features = find_features(images, self.settings)
         found = self._attempt(views, images, features)
@@ -356,9 +352,7 @@ class PosedMatcher(Matcher, MatchesLevelled):
         features: FoundFeatures,
         poses: Sequence[Pose],
     ) -> tuple[Pose, ...]:
-        """The poses settled on what the photos have in common; the first, and the unit of length,
-        stay.
-        """
+        """The poses settled on what the photos share; the first, and the unit of length, stay."""
         from edit3r_geometry.bundle_adjustment import adjust
 
         points, limit = (
@@ -442,9 +436,7 @@ def _matched(matcher: Matcher, views: Views, levelled: Views) -> Geometry:
 
 
 def best_at_hand() -> str:
-    """The name of the best weights of Depth Anything 3 that can be used here and now; 'part'
-    without any.
-    """
+    """The best weights of Depth Anything 3 that are ready here; 'part' without any."""
     usable = (
         name
         for name in ("da3-base", "da3-small")
@@ -456,9 +448,7 @@ def best_at_hand() -> str:
 def _report(
     registration: Registration, features: FoundFeatures, names: Sequence[str]
 ) -> None:
-    """Note the inliers of every pair and where their matches come from, and warn of views that were
-    left out.
-    """
+    """Note the inliers of every pair and what matched them; warn of views that were left out."""
     helped = sum(bool(features.learned(a, b).any()) for a, b in features.indices)
     learned = (
         f" and, for {helped} of {len(features.indices)} pairs, {features.helper}"
