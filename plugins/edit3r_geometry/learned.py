@@ -37,8 +37,8 @@ class LearnedFeatures:
         from kornia.feature import ALIKED, LightGlue
 
         detector = ALIKED("aliked-n16", max_num_keypoints=limit)
-        # No name of features: with one, kornia would download weights.
-        matcher = LightGlue(None, input_dim=128, weights=None)  # type: ignore[arg-type]  # may be None
+        # No name of features, which may be None: with one, kornia would download weights.
+        matcher = LightGlue(None, input_dim=128, weights=None)  # type: ignore[arg-type]
         _load(detector, folder / "aliked-n16.pth", {})
         layers = range(len(matcher.transformers))
         pairs = [(layer, kind) for layer in layers for kind in ("self", "cross")]

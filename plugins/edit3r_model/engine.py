@@ -128,4 +128,5 @@ def prepare_leaf(
             return
     leaf.to(device=plan.device, dtype=DTYPES.get(form, torch.float32))
     if isinstance(leaf, nn.Conv2d | nn.ConvTranspose2d):
-        leaf.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's stubs lack it
+        # torch's stubs lack it
+        leaf.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
