@@ -4,8 +4,7 @@ They find motions between wide views that SIFT misses; where both work SIFT's po
 exact ones.
 """
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from edit3r.contract.errors import InputError
+from edit3r.kit.compute.layers import one_thread
 from edit3r_geometry.keypoints import Keypoints
 
 _PREFIX = "matcher."
@@ -59,7 +59,7 @@ class LearnedFeatures:
         resized = cv2.resize(
             image, size, interpolation=cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
         )
-        with _one_thread(), torch.inference_mode():
+        with one_thread(), torch.inference_mode():
             pixels = (
                 torch.from_numpy(np.clip(resized, 0, 1))
                 .permute(2, 0, 1)[None]
@@ -79,7 +79,7 @@ class LearnedFeatures:
         """Pairs of indices of the features of two images whose (height, width) are `sizes`."""
         if min(len(a), len(b)) < 2:
             return np.zeros((0, 2), int)
-        with _one_thread(), torch.inference_mode():
+        with one_thread(), torch.inference_mode():
             asked = {
                 f"image{i}": _as_asked(*side)
                 for i, side in enumerate(zip((a, b), sizes))
@@ -118,14 +118,3 @@ def _load(network: nn.Module, file: Path, renamed: Mapping[str, str]) -> None:
             f"{file}: not the weights expected ({', '.join((*lacking, *left)[:3])}); fetch them "
             "again."
         )
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Compute with one thread: sums, and so the choice of a match, depend on their number."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

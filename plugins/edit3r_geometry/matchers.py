@@ -1,6 +1,7 @@
 """The matchers `classical` and `posed`, which need no weights, and `auto`, which picks."""
 
 import functools
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -48,7 +49,22 @@ believed.
 """
 
 
-class ClassicalMatcher(Matcher, MatchesLevelled):
+class _RememberingMatcher(Matcher, MatchesLevelled):
+    """Asks `_geometry`, whose depths may be measured in one exposure, once for the same photos."""
+
+    @remembered
+    def match(self, views: Views) -> Geometry:
+        return self._geometry(views, views)
+
+    @remembered
+    def match_levelled(self, views: Views, levelled: Views) -> Geometry:
+        return self._geometry(views, levelled)
+
+    @abstractmethod
+    def _geometry(self, views: Views, levelled: Views) -> Geometry: ...
+
+
+class ClassicalMatcher(_RememberingMatcher):
     """Features, essential matrices, plane sweep, semi-global aggregation, cross-check and
     edge-aware filling.
 
@@ -72,14 +88,6 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
         """seed of the robust estimates"""
 
     settings: Settings
-
-    @remembered
-    def match(self, views: Views) -> Geometry:
-        return self._geometry(views, views)
-
-    @remembered
-    def match_levelled(self, views: Views, levelled: Views) -> Geometry:
-        return self._geometry(views, levelled)
 
     def _geometry(self, views: Views, levelled: Views) -> Geometry:
         require_matchable(views, MIN_SIZE)
@@ -284,7 +292,7 @@ def _registered(asked: _Asked) -> _Registered:
     return asked.matcher.register(asked.views, asked.scene).without_pixels()
 
 
-class PosedMatcher(Matcher, MatchesLevelled):
+class PosedMatcher(_RememberingMatcher):
     """Trusts the views' own poses; views without any go to the matcher it was built with.
 
     Features that agree with the known epipolar geometry tell the range of depths, plane sweep
@@ -303,14 +311,6 @@ class PosedMatcher(Matcher, MatchesLevelled):
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
-
-    @remembered
-    def match(self, views: Views) -> Geometry:
-        return self._geometry(views, views)
-
-    @remembered
-    def match_levelled(self, views: Views, levelled: Views) -> Geometry:
-        return self._geometry(views, levelled)
 
     def _geometry(self, views: Views, levelled: Views) -> Geometry:
         if views.c2w is None:
