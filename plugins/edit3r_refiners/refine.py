@@ -122,7 +122,8 @@ def refine(
         coarse = large and done % HALF_EVERY == 0 and done < last_round
         image, counted = small if coarse else (images, counts)
         image, counted = image[:, view], counted[:, view]
-        camera = cameras.select(view).at(image.shape[-2:])
+        height, width = image.shape[-2:]
+        camera = cameras.select(view).at((height, width))
         with torch.enable_grad():
             shown = rasterizer.render(variables.gaussians(), camera).images
             loss = (
@@ -170,7 +171,8 @@ def _halved(
     counts: Bool[Tensor, "batch camera height width"],
 ) -> tuple[Tensor, Tensor]:
     """The images at half the size, and the pixels there of which all four count."""
-    half = [max(1, round(side / 2)) for side in images.shape[-2:]]
+    height, width = (max(1, round(side / 2)) for side in images.shape[-2:])
+    half = height, width
     small = adaptive_avg_pool2d(images.flatten(0, 1), half)
     whole = -adaptive_max_pool2d(-counts.flatten(0, 1).to(images), half)
     batch = images.shape[:2]
