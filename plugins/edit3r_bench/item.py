@@ -20,11 +20,11 @@ from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice, make_settings
 from edit3r.contract.types import RENDERED, Cameras, EditRequest
 from edit3r.kit.checks import require_gives
+from edit3r.kit.contact_sheet import draw_sheet
 from edit3r.kit.geometry.cameras import scale_poses
 from edit3r.kit.geometry.maps import composite
 from edit3r.kit.geometry.paths import between_and_around
 from edit3r.kit.rendering import render_each
-from edit3r.kit.sheet import draw_sheet
 from edit3r.running import instructions_for
 from edit3r_bench.manifest import Images, LoadedItem, Maps
 from edit3r_bench.method import Method

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.types import Cameras
+from edit3r.kit.contact_sheet import draw_sheet
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import (
     LoadedPhotos,
@@ -30,7 +31,6 @@ from edit3r.kit.photos.images import (
     save_pixels,
 )
 from edit3r.kit.photos.masks import read_mask
-from edit3r.kit.sheet import draw_sheet
 from edit3r_recolor.scene import Images, Masks, SceneRecipe
 
 RECIPE = "recolor.json"
