@@ -162,9 +162,7 @@ def warped_difference(
 def warped_image(
     image: TorchImage, depth: DepthMap, other_depth: DepthMap, cameras: Cameras
 ) -> tuple[TorchImage, Bool[Tensor, "height width"]]:
-    """Return the second camera's `image` as the first sees it, and where both see one point;
-    `depth` is the first's.
-    """
+    """The second camera's `image` as the first, of `depth`, sees it, and where both see it."""
     depths = torch.stack((depth, other_depth))
     grid, seen = shared_surface(depths, cameras.intrinsics[0], cameras.c2w[0])
     return warp(image, grid), seen
