@@ -155,7 +155,7 @@ FAULTS = {
     "leak": "outside",
     "other place": "shared",
     "wrong colour": "as_asked",
-    "faint": "strength",
+    "faint": "as_asked",
     "rim": "rim",
     "ghost": "rim",
     "shine": "shines_through",
