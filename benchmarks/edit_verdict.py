@@ -3,8 +3,10 @@
     python benchmarks/edit_verdict.py DATA --keep FOLDER --json ROWS.jsonl [--only fox mug]
     edit3r judge --fit ROWS.jsonl [--write]
 
-DATA is a folder of photo sets, as for `benchmarks/clicks.py`; objects are those of `clicks.json`
-and `outlines.json` that are outlined on two photos. Each is edited in whole runs of 256 pixels:
+DATA is a folder of photo sets, as for `benchmarks/clicks.py`, with the photos of `judged.json`
+(`python benchmarks/outlines.py DATA fetch`); objects are those of `clicks.json`, `outlines.json`
+and `judged.json` that are outlined on two photos. An edit made well is as bad as it looks:
+`judged.json` has what was seen of edits before any verdict, and that counts. Each is edited in whole runs of 256 pixels:
 well, and badly in each of the ways of `FAULTS`, which are made on the edited photos, in the masks
 or in what the scene shows. A fault that nobody sees is none: one is left out where less than a
 tenth of what is selected looks other than in the good edit (6, CIE Lab).
@@ -38,6 +40,7 @@ from edit3r.running import usual_reader
 from edit3r.running.editors import edit_to_judge, read
 from edit3r.running.steps.judge import seen_half_way
 
+JUDGED = Path(__file__).with_name("judged.json")
 SIZE = 256
 COLOURS = ("red", "blue", "green")
 SEEN, LEAST = 6.0, 0.1  # difference that one sees [CIE Lab], and of which share
@@ -163,8 +166,8 @@ FAULTS = {
     "undone half paint": "missed",
     "undone bw": "missed",
     "undone half bw": "missed",
-    "torn": "missed",
-    "dissolved": "missed",
+    "torn": "torn",
+    "dissolved": "torn",
 }
 """The signal that shall name each way of editing badly."""
 
@@ -322,7 +325,7 @@ def main() -> None:
     parser.add_argument("--sheet", type=Path, help="image of the edits")
     args = parser.parse_args()
     args.keep.mkdir(exist_ok=True)
-    rows, shown = [], {}
+    rows, shown, seen = [], {}, json.loads(JUDGED.read_text())["seen"]
     for seed, (name, photos) in enumerate(objects().items()):
         path = args.keep / f"{name.replace('/', '-').replace(' ', '_')}.pt"
         if args.only and name not in args.only:
@@ -337,12 +340,9 @@ def main() -> None:
         found = torch.load(path, weights_only=False)
         for kind, edit in found.items():
             if is_seen(kind, found):
+                fault = FAULTS.get(kind) or seen.get(f"{name}, {kind}")
                 row = {"object": name, "place": next(iter(photos)).split("/")[0]}
-                row |= {
-                    "kind": kind,
-                    "fault": FAULTS.get(kind),
-                    "figures": measured(edit),
-                }
+                row |= {"kind": kind, "fault": fault, "figures": measured(edit)}
                 rows.append(row)
                 picture = edit.rendered if "undone" in kind else edit.after
                 shown[f"{name}, {kind}"] = picture.images[0].float()
@@ -356,8 +356,9 @@ def main() -> None:
 def objects() -> dict[str, dict]:
     """Outlines by photo of the objects that are outlined on two."""
     found = {}
-    for file in ("clicks.json", "outlines.json"):
-        for name, one in json.loads(Path(__file__).with_name(file).read_text()).items():
+    for file in ("clicks.json", "outlines.json", "judged.json"):
+        listed = json.loads(Path(__file__).with_name(file).read_text())
+        for name, one in listed.get("objects", listed).items():
             photos = one.get("photos", one)
             if len(photos) > 1:
                 found[f"{file.split('.')[0]}/{name}"] = photos

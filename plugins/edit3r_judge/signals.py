@@ -1,11 +1,11 @@
-"""What tells how an edit was carried out on what was selected: seven signals, each a figure with a
+"""What tells how an edit was carried out on what was selected: eight signals, each a figure with a
 meaning, none of which knows what a person meant.
 
 A signal is None where it cannot be told. Its limit stands in `fitted.yaml`, beyond which the edit
 is doubtful; `edit3r judge --fit` chooses it by edits that were made well and badly on purpose.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import permutations
@@ -87,21 +87,23 @@ class Pictures:
 
     @cached_property
     def could_change(self) -> Where:
-        """What can change, and has a colour of which some did; all of it where nothing did.
-
-        The tyres of a bike that is painted stay black; what is in the shade is painted too.
+        """What can change, and has a colour of which some did, or of whose neighbours; all of it
+        where nothing did. The tyres of a bike that is painted stay black.
         """
         could = self.can_change.clone()
         if self.kinds == {"greyscale"}:
             return could  # of everything
-        light = 1.0 if "brightness" in self.kinds else 0.5
+        reach = 0.0 if "brightness" in self.kinds else 1.5  # dark ones change less
         for old, change, can in zip(self.old, self.change, could):
-            did = (change[can] >= SEEN).double()
+            did = (change[can] >= SEEN).float()
             if not len(did) or float(did.mean()) <= LIKE:
                 continue
-            colours = old[:, can] * torch.tensor([[light], [1.0], [1.0]]) / BIN
-            which = torch.unique(colours.round(), dim=1, return_inverse=True)[1]
-            often = torch.bincount(which, did) / torch.bincount(which)
+            colours = (old[:, can] / BIN).round()
+            colours, which = torch.unique(colours, dim=1, return_inverse=True)
+            near = (torch.cdist(colours.T, colours.T) <= reach).float()
+            often = (near @ torch.bincount(which, did)) / (
+                near @ torch.bincount(which).float()
+            )
             can[can.clone()] = often[which] > LIKE
         return could
 
@@ -241,11 +243,11 @@ def shines_through(found: Pictures) -> float | None:
 
 def missed(found: Pictures) -> float | None:
     """Largest patch of what changed in a photo that the scene shows as it was, as a share of all
-    that changed there; or what is torn half-way between two photos. The worst place counts.
+    that changed there; the worst photo counts.
     """
     if found.shown is None:
         return None
-    shares = list(_torn(found))
+    shares = []
     for old, new, shown in zip(found.old, found.new, found.shown):
         wanted, got = new - old, shown - old
         changed = wanted.norm(dim=0) > SEEN
@@ -256,15 +258,17 @@ def missed(found: Pictures) -> float | None:
     return _worst(shares)
 
 
-def _torn(found: Pictures) -> Iterator[float]:
-    """Of what is selected the share that looks, half-way between two photos, like neither of them.
+def torn(found: Pictures) -> float | None:
+    """Of what is selected the share that looks, half-way between two photos, like neither of them;
+    the worst place counts.
 
     Each point that the scene shows there is looked up in both photos, in or out of sight: a thing
     that is torn shows what lies behind it, one that dissolves a mixture.
     """
     between, cameras = found.edit.half_way, found.edit.cameras
     if between is None or not found.confined or cameras is None:
-        return
+        return None
+    shares = []
     depths = _small(between.rendered.depths[0, :, 0])
     shown = _lab(between.rendered.images[0])
     points = unproject(
@@ -284,7 +288,8 @@ def _torn(found: Pictures) -> Iterator[float]:
             off = (_blurred(shown[number]) - torch.stack(colour)).norm(dim=0)
             thing, alike = thing | there & (inside > 0.5), alike | there & (off < CLEAR)
         if int(thing.sum()) >= FEW:
-            yield float((thing & ~alike).sum() / thing.sum())
+            shares.append(float((thing & ~alike).sum() / thing.sum()))
+    return _worst(shares)
 
 
 SIGNALS = {
@@ -322,7 +327,13 @@ SIGNALS = {
         ),
         Signal(
             missed,
-            "a part ({:.0%}) of it is missing or torn in the 3D scene (a photo from between helps)",
+            "a part ({:.0%}) of it is missing in the 3D scene (a photo from between helps)",
+            in_scene=True,
+        ),
+        Signal(
+            torn,
+            "{:.0%} of it is torn or blurred half-way between the photos (a photo from between "
+            "helps)",
             in_scene=True,
         ),
     )

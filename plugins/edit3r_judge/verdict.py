@@ -121,7 +121,8 @@ def _way_out(label: Label, blamed: str, names: Sequence[str], left_out: int) -> 
     if label == "good":
         return ""
     if left_out > len(names):
-        return f"; the others are placed by what they share with {names[0]}: begin with another photo"
+        first = f"; the others are placed by what they share with {names[0]}"
+        return f"{first}: begin with another photo"
     if len(names) > 2:
         return f"; leave {blamed} out, or add photos between it and the others"
     return "; take photos nearer to each other, or add some in between"

@@ -163,6 +163,7 @@ FAULTS = {
     "rim": with_rim,
     "shines_through": ghost,
     "missed": half_in_3d,
+    "torn": torn_half_way,
 }
 
 
@@ -185,10 +186,12 @@ def test_a_made_fault_is_named(good, name, spoilt):
 
 def test_what_tears_half_way_is_named_though_the_photos_show_it(good):
     bad = measured(torn_half_way(good))
-    assert bad["missed"] == pytest.approx(0.38, abs=0.06)
-    assert list(faults_of(bad, fitted_limits("edit"))) == ["missed"]
+    assert bad["torn"] == pytest.approx(0.38, abs=0.06) and bad["missed"] == 0
+    assert list(faults_of(bad, fitted_limits("edit"))) == ["torn"]
     whole = replace(torn_half_way(good), masks=None, regions=None)
-    assert measured(whole)["missed"] == 0  # of a whole picture it is the scene's matter
+    assert (
+        measured(whole)["torn"] is None
+    )  # of a whole picture it is the scene's matter
 
 
 @pytest.mark.parametrize(
