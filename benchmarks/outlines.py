@@ -5,9 +5,9 @@
     python benchmarks/outlines.py DATA check NAME|PHOTO [--zoom 3] [--part X,Y,W,H] --out check.png
     python benchmarks/outlines.py FOLDER fetch [--clones CLONES]
 
-`fetch` brings the photos of `elsewhere.json` and `judged.json` from their public repositories into FOLDER, or from
-clones OWNER+NAME in CLONES. DATA is a folder of photo sets, PHOTO a file in it such as
-fern/images/000.jpg. Coordinates are pixels of the stored photo, whole numbers at the centres of
+`fetch` brings the photos of `elsewhere.json` and `judged.json` from their public repositories into
+FOLDER, or from clones OWNER+NAME in CLONES. DATA is a folder of photo sets, PHOTO a file in it such
+as fern/images/000.jpg. Coordinates are pixels of the stored photo, whole numbers at the centres of
 pixels. A pixel belongs to the object where it lies inside an odd number of its polygons.
 """
 

@@ -131,6 +131,7 @@ class SelectedRegions:
             self,
             masks=_of_views(self.masks, indices),
             regions=None if regions is None else regions[:, :, indices],
+            selected=tuple(one.select(indices) for one in self.selected),
             things={name: masks[indices] for name, masks in self.things.items()},
         )
 

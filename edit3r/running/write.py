@@ -38,6 +38,12 @@ from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering,
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
 from edit3r.kit.cache import Cache
 from edit3r.kit.checks import check_needs, check_written, errors_named_after
+from edit3r.kit.contact_sheet import (
+    draw_sheet,
+    images_of,
+    outlined_views,
+    with_readings,
+)
 from edit3r.kit.files.atomic import atomic_folder
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image, save_pixels, to_bytes
@@ -50,7 +56,6 @@ from edit3r.kit.run_folder import (
     write_manifest,
 )
 from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
-from edit3r.kit.sheet import draw_sheet, images_of, outlined_views, with_readings
 from edit3r.running.before import colours_before
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.earlier import CACHE, THINGS, EarlierRun, note_views
@@ -265,9 +270,7 @@ def _scene(result: RunResult, flight: Flight | None = None) -> SceneToWrite:
         photos=result.photos,
         edited=result.edited,
         masks=None if masks is None else masks[0],
-        readings=_other_readings(
-            result.records.selection.selected, result.photos, result.records.made.placed
-        ),
+        readings=_other_readings(result.records.selection.selected, result.photos),
         rendered=result.rendered,
         title=result.config.prompt,
         about=_about(result),
@@ -409,22 +412,20 @@ def preview_sheet(made: Preview, prompt: str) -> Image.Image:
         title=prompt or "no prompt",
         subtitle=_preview_line(made),
     )
-    placed = (True,) * photos.count
-    readings = _other_readings(made.selection.selected, photos, placed)
+    readings = _other_readings(made.selection.selected, photos)
     return with_readings(sheet, readings)
 
 
 def _other_readings(
-    things: Sequence[Selected], photos: Views, placed: Sequence[bool]
+    things: Sequence[Selected], photos: Views
 ) -> tuple[OtherReadings, ...]:
-    """What else words may mean, for those that were unsure and on one of the placed `photos`."""
+    """What else words may mean, for those that were unsure."""
     readings = []
     for selected in things:
-        shown = [one for one in selected.readings if placed[one.view]]
-        if selected.is_sure or len(shown) < 2:
+        if selected.is_sure or len(selected.readings) < 2:
             continue
-        view = sum(placed[: shown[0].view])
-        masks = {_chosen_by(one, selected): one.mask for one in shown}
+        view = selected.readings[0].view
+        masks = {_chosen_by(one, selected): one.mask for one in selected.readings}
         photo = images_of(photos)[view]
         readings.append(OtherReadings(photo, photos.names[view], masks))
     return tuple(readings)

@@ -30,9 +30,9 @@ from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict
 from edit3r.kit.cache import Cache, using
+from edit3r.kit.contact_sheet import draw_outline, outlined
 from edit3r.kit.files.atomic import atomic_folder, atomic_write
 from edit3r.kit.photos.images import load_photos, save_image, to_bytes
-from edit3r.kit.sheet import draw_outline, outlined
 from edit3r.running import (
     CACHE,
     DEFAULTS,

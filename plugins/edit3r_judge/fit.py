@@ -1,9 +1,9 @@
 """`edit3r judge --fit ROWS`: the limits of the signals, from what is known to be good and bad.
 
-A row of ROWS (JSON lines) is an edit (`python benchmarks/edit_verdict.py`): its `place`, its
+A row of ROWS (JSON lines) is an edit (`python benchmarks/verdict.py edits`): its `place`, its
 `fault` (the signal that names it; null: none), its `kind` and its `figures`; or a scene
-(`python benchmarks/verdict.py`): its `place`, the `label` that views which no run saw deserve, and
-its `figures`.
+(`python benchmarks/verdict.py scenes`): its `place`, the `label` that views which no run saw
+deserve, and its `figures`.
 """
 
 import argparse
@@ -80,7 +80,7 @@ def read_rows(path: str) -> tuple[str, list[Row]]:
         raise ValueError("a row lacks place, figures, or fault and kind, or label")
     except (OSError, ValueError, TypeError) as error:
         raise InputError(
-            f"{path}: {error}; expected rows of benchmarks/edit_verdict.py or verdict.py."
+            f"{path}: {error}; expected rows of benchmarks/verdict.py."
         ) from None
 
 
@@ -179,10 +179,11 @@ def report_of_edits(judged: Judged) -> str:
         f"called good {len(called)}, are {sum(called)} ({right:.1%})",
         f"good ones doubted {sum(doubted)} of {len(doubted)}",
     ]
-    for kind in dict.fromkeys(row["kind"] for row, _ in named):
-        own = [(row["fault"], faults) for row, faults in named if row["kind"] == kind]
-        fault = own[0][0]
-        count = sum(fault in faults if fault else not faults for _, faults in own)
+    for kind, fault in dict.fromkeys((row["kind"], row["fault"]) for row, _ in named):
+        own = [
+            said for row, said in named if (row["kind"], row["fault"]) == (kind, fault)
+        ]
+        count = sum(fault in said if fault else not said for said in own)
         lines.append(f"  {kind:18} called {fault or 'good':15} {count} of {len(own)}")
     return "\n".join(lines)
 
