@@ -34,7 +34,7 @@ TAKEN = Selected(
             0.25,
             "most, confidence 25%; if it is another thing, click",
         ),
-        ([TAKEN], "given", None, "^cup$"),
+        ([TAKEN], "given", None, "^given, cup$"),
     ],
 )
 def test_the_least_confident_thing_decides(things, label, confidence, said):
