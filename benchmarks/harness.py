@@ -117,6 +117,6 @@ def for_tuning(folders: list[str]) -> list[str]:
     if kept_apart:
         raise SystemExit(
             f"{', '.join(kept_apart)}: held out, no setting may be chosen by it; see "
-            "benchmarks/held_out.py, which reports it apart"
+            "benchmarks/scenes.py held-out, which reports it apart"
         )
     return folders

@@ -154,7 +154,10 @@ def iou(one: Tensor, other: Tensor) -> float:
 AREAS = 0.01, 0.35  # of a thing on its photo
 APART = 0.2  # overlap of two things, at most
 PIECE = 0.05  # share of the outline's area from which a piece gets a lasso of its own
-BRUSH = 0.02  # radius [longer sides]
+BRUSH = 0.02  # its radius, at most [longer sides]
+NARROW = (
+    1 / 3
+)  # its radius, at most [of how far the thing reaches from its middle to its rim]
 
 
 def things(run, segmenter, most):
@@ -187,14 +190,14 @@ def between(cameras):
     )
 
 
-def stroke(kind, places, camera):
+def stroke(kind, places, camera, radius=BRUSH):
     """A stroke through places in pixels."""
     height, width = camera.image_size
     axes = camera.c2w[0, 0, :3].T.tolist()
     lens = camera.intrinsics[0, 0]
     fx, fy, cx, cy = (float(lens[k]) for k in ((0, 0), (1, 1), (0, 2), (1, 2)))
     shares = [(float(x) / width, float(y) / height) for x, y in places]
-    return Drawn(kind, shares, *axes, (fx, fy, cx, cy), width / height, BRUSH)
+    return Drawn(kind, shares, *axes, (fx, fy, cx, cy), width / height, radius)
 
 
 def lassos(shape, stray, camera):
@@ -210,13 +213,15 @@ def lassos(shape, stray, camera):
 
 def brushes(shape, camera):
     """Level strokes that cover the inside, half a brush from its outline."""
-    radius = BRUSH * max(shape.shape)
-    inside = cv2.distanceTransform(shape, cv2.DIST_L2, 5) > 0.7 * radius
+    depth = cv2.distanceTransform(shape, cv2.DIST_L2, 5)
+    radius = min(BRUSH * max(shape.shape), NARROW * float(depth.max()))
+    inside = depth > 0.7 * radius
     for row in range(0, shape.shape[0], max(1, round(radius))):
         columns = np.nonzero(inside[row])[0]
         for part in np.split(columns, np.nonzero(np.diff(columns) > 1)[0] + 1):
             if len(part):
-                yield stroke("brush", [(part[0], row), (part[-1], row)], camera)
+                places = [(part[0], row), (part[-1], row)]
+                yield stroke("brush", places, camera, radius / max(shape.shape))
 
 
 @torch.no_grad()

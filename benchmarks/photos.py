@@ -16,9 +16,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-import verdict
 from edit3r_geometry.sky import find_skies
 from harness import Row, for_tuning, run_benchmark
+from likeness import between
 from skimage.io import imread, imsave
 from skimage.transform import resize
 
@@ -340,7 +340,7 @@ def measure_of_transients(data: Path, case: str) -> str:
     chosen, view = [int(start) + gap for gap in (0, 2, 4)], int(into)
     cameras = read_posed_folder(data / scene).cameras
     centres = np.stack([camera.c2w[:3, 3] for camera in cameras])
-    targets = verdict.between(centres, chosen)
+    targets = between(centres, chosen)
     wanted = [(pair, target) for pair, target in enumerate(targets) if target]
     files = [cameras[i].file for i in (*chosen, *(target for _, target in wanted))]
     views = edit3r.load_views([data / scene / file for file in files], size=SIZE)

@@ -1,27 +1,35 @@
-"""Time and memory: whole runs as they grow, the rasterizers, and what a GPU gains.
+"""Time and memory: whole runs as they grow and with each part, the rasterizers, a GPU, the app.
 
-python benchmarks/speed.py runs|rasterizers|gpu --help
+python benchmarks/speed.py runs|rasterizers|gpu|combinations|app --help
 """
 
 import argparse
 import itertools
 import json
 import math
+import os
+import shutil
 import subprocess
 import sys
+import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import psutil
 import torch
+from edit3r_select.select import select_masks
 from harness import run_benchmark
 
 import edit3r
-from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.interfaces import Rasterizer, Selection
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.cameras import intrinsics_from_fov, unproject
+from edit3r.kit.photos.images import packaged_pair
+from edit3r.kit.weights.find import at_hand
 
 # ---- runs ----
 
@@ -629,5 +637,251 @@ def _listed(values: dict[str, float]) -> str:
     return ", ".join(f"{name} {value:.0e}" for name, value in values.items())
 
 
+# ---- combinations ----
+
+RESULTS = Path(__file__).with_name("combinations.json")
+MASK = Path(edit3r.__file__).parent / "kit/photos/motorcycle_mask.png"
+COMBINED_SIZE = 256
+ASKED = {
+    "none": [],
+    "recolor": ["--prompt", "paint the motorcycle blue"],
+    "looks": ["--prompt", "make it look like autumn"],
+    "mock-diffusion": ["--prompt", "make it rusty"],
+    "retouch": ["--mask", str(MASK)],
+}
+MATCHERS = {"classical (matches=learned)": "{name: classical, matches: learned}"}
+CLICK = (0.45, 0.55)
+
+
+def run_combined(editor: str, recon: str, matcher: str = "classical") -> dict:
+    """One run by the command, in a process of its own."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    row = {"editor": editor, "recon": recon, "matcher": matcher}
+    chosen = ["--set", f"matcher={MATCHERS[matcher]}"] if matcher in MATCHERS else []
+    with tempfile.TemporaryDirectory() as folder:
+        command = [
+            sys.executable,
+            "-m",
+            "edit3r",
+            "run",
+            "--editor",
+            editor,
+            "--recon",
+            recon,
+            "--size",
+            str(COMBINED_SIZE),
+        ]
+        command += [
+            *ASKED[editor],
+            *chosen,
+            "--frames",
+            "2",
+            "--outputs",
+            "sheet",
+            "--quiet",
+            "--out",
+            folder + "/out",
+        ]
+        done = subprocess.run(
+            command, capture_output=True, text=True, env=environment, check=False
+        )
+        if done.returncode:
+            return {**row, "error": done.stderr.strip().splitlines()[-1]}
+        made = json.loads(Path(folder, "out", "run.json").read_text())
+    seconds = {stage["name"]: stage["cpu_seconds"] for stage in made["stages"]}
+    edit = sum(value for name, value in seconds.items() if name.startswith("edit"))
+    rest = sum(seconds.values()) - edit
+    peak = max(stage["peak_memory_mb"] for stage in made["stages"])
+    return {
+        **row,
+        "edit": round(edit, 1),
+        "rest": round(rest, 1),
+        "mb": round(peak),
+        "verdict": made["verdict"]["label"],
+    }
+
+
+def segment(name: str) -> dict:
+    """Masks of both photos from one click."""
+    views = edit3r.load_views(packaged_pair()[0], size=COMBINED_SIZE)
+    segmenter = edit3r.build("segmenter", name)
+    start = time.process_time()
+    with torch.no_grad():
+        select_masks(views.images[0], Selection(positive=((0, *CLICK),)), segmenter)
+    return {"segmenter": name, "seconds": round(time.process_time() - start, 1)}
+
+
+def combinations() -> None:
+    """What each combination of editor, reconstructor, matcher and segmenter costs that needs no
+    weights from elsewhere.
+
+        # editors x classical, edit3r; matchers; segmenter
+        python benchmarks/speed.py combinations
+        # and single ones, added to those before
+        python benchmarks/speed.py combinations --editors looks --recons refit
+
+    Every run is `edit3r run` on the packaged pair at 256 pixels, in a process of its own on one
+    thread. Results go into `benchmarks/combinations.json`, from which `python docs/generate.py`
+    makes the tables of docs/combinations.md: CPU seconds of the edit and of all else, peak memory
+    of the process, the run's verdict, or the sentence that it ended with. Weights that are at hand
+    are used and noted.
+    """
+    parser = argparse.ArgumentParser(
+        description=combinations.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--editors", nargs="+")
+    parser.add_argument("--recons", nargs="+")
+    options = parser.parse_args()
+    made = [
+        run_combined(e, r)
+        for e in options.editors or ASKED
+        for r in options.recons or ("classical", "edit3r")
+    ]
+    if not (options.editors or options.recons):
+        made += [
+            run_combined("none", recon, matcher)
+            for matcher in MATCHERS
+            for recon in ("classical", "edit3r")
+        ]
+        made.append(segment("classical"))
+    rows = json.loads(RESULTS.read_text())["rows"] if RESULTS.exists() else []
+    keys = ("editor", "recon", "matcher", "segmenter")
+    kept = {tuple(row.get(key) for key in keys): row for row in [*rows, *made]}
+    components = [offer.component for kind in ("editor", "reconstructor", "segmenter", "matcher")
+                  for offer in edit3r.components(kind)]  # fmt: skip
+    real = sorted(
+        {
+            one.name
+            for component in components
+            for one in component.weights
+            if at_hand(one)
+        }
+    )
+    result = {
+        "size": COMBINED_SIZE,
+        "weights_at_hand": real,
+        "rows": list(kept.values()),
+    }
+    RESULTS.write_text(json.dumps(result, indent=1) + "\n")
+    for row in made:
+        print(row)
+
+
+# ---- app ----
+
+PATIENCE = 300_000  # [ms]
+ALL = "in all"
+TANK = 0.55, 0.4  # of the motorcycle, in shares of the photo
+
+
+class Watch:
+    """Seconds since the step before, of the clock and of processes that may have ended."""
+
+    def __init__(self) -> None:
+        self.spent: dict[int, tuple[str, float]] = {}
+        threading.Thread(target=self._follow, daemon=True).start()
+        self.begun = self.last = time.perf_counter()
+        self.before = self.first = self.processor()
+
+    def _follow(self) -> None:
+        while True:  # what a process used is known as long as it lives
+            self.processor()
+            time.sleep(0.2)
+
+    def processor(self) -> tuple[float, float]:
+        """In the app and in the browser, [s]."""
+        for one in psutil.Process(os.getpid()).children(recursive=True):
+            try:
+                used = one.cpu_times()
+                kind = "browser" if "chrom" in one.name() else "app"
+                self.spent[one.pid] = (kind, used.user + used.system)
+            except psutil.Error:
+                continue
+        spent = list(self.spent.values())
+        return tuple(
+            sum(used for kind, used in spent if kind == wanted)
+            for wanted in ("app", "browser")
+        )
+
+    def step(self, name: str) -> None:
+        now, used = time.perf_counter(), self.processor()
+        begun, before = (
+            (self.begun, self.first) if name == ALL else (self.last, self.before)
+        )
+        app, browser = (a - b for a, b in zip(used, before))
+        print(
+            f"{name:28s} {now - begun:6.1f} s   CPU {app:5.1f} s   browser {browser:5.1f} s",
+            flush=True,
+        )
+        self.last, self.before = now, used
+
+
+def app() -> None:
+    """The way of a person through the app: drop two photos, point, say, see, compare, download.
+
+        python benchmarks/speed.py app [--size 384] [--phone]
+
+    The packaged pair in headless Chromium that draws by software, networks not yet loaded. For each
+    step the seconds of the clock, and of the processor in the app and its runs and in the browser.
+    Needs playwright and Chromium, as the tests of the app do.
+    """
+    sys.path.insert(0, str(Path(__file__).parents[1] / "docs"))
+    from playwright.sync_api import sync_playwright
+    from screens import SOFTWARE_GL, app as serve
+
+    parser = argparse.ArgumentParser(
+        description=app.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--size", type=int, default=384, help="of the photos [pixels]")
+    parser.add_argument("--phone", action="store_true", help="at 390 x 844")
+    args = parser.parse_args()
+    with (
+        tempfile.TemporaryDirectory() as place,
+        serve(Path(place) / "jobs", args.size) as address,
+        sync_playwright() as driver,
+    ):
+        browser = driver.chromium.launch(
+            executable_path=shutil.which("chromium"), args=SOFTWARE_GL
+        )
+        page = browser.new_page(accept_downloads=True)
+        page.set_default_timeout(PATIENCE)
+        size = (390, 844) if args.phone else (1280, 800)
+        page.set_viewport_size(dict(zip(("width", "height"), size)))
+        page.goto(address)
+        page.locator(".try img").last.wait_for()
+        watch = Watch()
+        with page.expect_file_chooser() as choosing:
+            page.get_by_text("Choose photos").click()
+        choosing.value.set_files(packaged_pair()[0])
+        page.wait_for_function("document.querySelector('.box .base')?.naturalWidth > 0")
+        watch.step("drop")
+        box = page.locator(".box").bounding_box()
+        page.locator(".box").click(
+            position={"x": TANK[0] * box["width"], "y": TANK[1] * box["height"]}
+        )
+        page.wait_for_function("document.body.dataset.outlined")
+        watch.step("point, until the outline")
+        page.get_by_label("what to change").fill("paint it golden")
+        page.locator(".line", has_text="edit: ").wait_for()
+        watch.step("say, until the verdict")
+        page.get_by_role("button", name="Go", exact=True).click()
+        page.locator(".stage iframe").wait_for()
+        watch.step("see: the run")
+        viewer = page.frame_locator(".stage iframe")
+        viewer.locator("body[data-drawn]").wait_for()
+        watch.step("see: the scene drawn")
+        viewer.locator("#cut").press("ArrowLeft")
+        watch.step("compare")
+        page.get_by_role("button", name="download").click()
+        file = page.locator(".file", has_text="viewer.html")
+        file.get_by_text(" kB").wait_for()
+        with page.expect_download() as loading:
+            file.press("Enter")
+        loading.value.path()
+        watch.step("download")
+        watch.step(ALL)
+
+
 if __name__ == "__main__":
-    run_benchmark(runs, rasterizers, gpu)
+    run_benchmark(runs, rasterizers, gpu, combinations, app)

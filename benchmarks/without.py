@@ -1,7 +1,7 @@
 """What a part brings: the figure that it claims, with it and without it.
 
     python benchmarks/without.py rim background-layer --data photos/
-    python benchmarks/without.py rim --script "default_run.py photos/monstree:0,2 --settings 384"
+    python benchmarks/without.py rim --script "scenes.py dial photos/ --presets default"
 
 A part is taken out by settings of the run, or by one name of one module, and the script that makes
 its figure runs in two processes, with and without; `--script` takes that script's place. A row for
@@ -27,7 +27,7 @@ from harness import Row, run_benchmark
 
 HERE = Path(__file__).parent
 PAIRS = (
-    "default_run.py {data}/monstree:4,6 {data}/bear:20,22 {data}/bear:30,32 "
+    "scenes.py default-run {data}/monstree:4,6 {data}/bear:20,22 {data}/bear:30,32 "
     "{data}/7scenes_rgbd:12,14 --settings 384"
 )
 
@@ -59,9 +59,38 @@ PARTS = {
     "walkers": Part("what passed by", settings={"transients": "keep"}),
     "simplify": Part("Gaussians, seconds", settings={"gaussians": "all"}),
     "refine": Part("sharpness", settings={"refine": 0}),
+    "second-layer": Part(
+        "views beside the photos",
+        settings={"recon": {"name": "edit3r", "second_layer": 0}},
+    ),
+    "main-plane": Part(
+        "ground and walls beyond the overlap",
+        place="edit3r_geometry.completion:main_plane",
+        nothing=lambda inverse, measured: (
+            np.full_like(
+                inverse, np.median(inverse[measured] if measured.any() else inverse)
+            ),
+            (float(inverse.min()), float(inverse.max())),
+        ),
+    ),
+    "push-back": Part(
+        "what a neighbour saw through",
+        place="edit3r_geometry.depth_maps:push_back",
+        nothing=lambda inverse, *rest: inverse,
+    ),
+    "speckles": Part(
+        "depths that agree by chance",
+        place="edit3r_geometry.depth_maps:without_speckles",
+        nothing=lambda agrees, raw: agrees,
+    ),
+    "standing": Part(
+        "screens, frames, watermarks",
+        place="edit3r_geometry.features:without_standing",
+        nothing=lambda keypoints, pairs, images: pairs,
+    ),
     "lens-prior": Part(
         "poses where nobody knows the lens",
-        "held_out.py {data}",
+        "scenes.py held-out {data}",
         place="edit3r_geometry.calibration:_FocalSearch._penalty",
         nothing=lambda self, log_focal: 0.0,
     ),

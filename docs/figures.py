@@ -42,7 +42,7 @@ TABLES = {
         4,
     ),
     "held-out": Table(
-        "docs/notes/scenes.md", "python benchmarks/held_out.py photos/", 1
+        "docs/notes/scenes.md", "python benchmarks/scenes.py held-out photos/", 1
     ),
 }
 

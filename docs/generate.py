@@ -317,7 +317,7 @@ def own_components(kind: str) -> list[Component]:
 
 
 def measured() -> dict:
-    """What `python benchmarks/combinations.py` left."""
+    """What `python benchmarks/speed.py combinations` left."""
     return json.loads(
         (DOCS.parent / "benchmarks" / "combinations.json").read_text(encoding="utf-8")
     )

@@ -53,8 +53,8 @@ def program() -> int:
     library turns the interruption into an error of its own.
     """
     steady_streams()
-    # Read when torch is imported. Else waiting threads of OpenMP spin, and take cores from those
-    # that work wherever a browser works too: a run took twice the seconds.
+    # Read when torch is imported. Else waiting threads of OpenMP spin and take the cores from those
+    # that work: beside a browser a run took twice the seconds.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     interruptions: list[int] = []
 

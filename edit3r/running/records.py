@@ -130,6 +130,7 @@ class SelectedRegions:
             self,
             masks=_of_views(self.masks, indices),
             regions=None if regions is None else regions[:, :, indices],
+            selected=tuple(one.select(indices) for one in self.selected),
             things={name: masks[indices] for name, masks in self.things.items()},
         )
 
@@ -264,6 +265,9 @@ def _said(one: Selected) -> str:
     """A thing as people say it, how confidently it was found, and the photos that lack it."""
     name = one.called or MARKED
     confidence = _confidence(one)
+    if one.called and "marked" in one.how and not one.fits:
+        why = "was not checked" if one.fits is None else "was found elsewhere"
+        name = f"{MARKED} ({one.called!r} {why})"
     if GUESS in one.how:
         name = ": ".join(filter(None, (one.called, "what stands out most")))
     if confidence is not None:

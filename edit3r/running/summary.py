@@ -12,7 +12,10 @@ from edit3r.running.write import RunResult
 MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "sure"}
 """Settings that may differ from the defaults without the run being another kind of run."""
 
-BEST_COSTS, LARGE_COSTS = "half as long again", "four to five times as long"  # dial.py
+BEST_COSTS, LARGE_COSTS = (
+    "half as long again",
+    "four to five times as long",
+)  # scenes.py dial
 
 
 def summary(out: Path, result: RunResult) -> str:

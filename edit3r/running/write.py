@@ -272,9 +272,7 @@ def _scene(result: RunResult, flight: Flight | None = None) -> SceneToWrite:
         photos=result.photos,
         edited=result.edited,
         masks=None if masks is None else masks[0],
-        readings=_other_readings(
-            result.records.selection.selected, result.photos, result.records.made.placed
-        ),
+        readings=_other_readings(result.records.selection.selected, result.photos),
         rendered=result.rendered,
         title=result.config.prompt,
         about=_about(result),
@@ -400,22 +398,20 @@ def preview_sheet(made: Preview, prompt: str) -> Image.Image:
         title=prompt or "no prompt",
         subtitle=_preview_line(made),
     )
-    placed = (True,) * photos.count
-    readings = _other_readings(made.selection.selected, photos, placed)
+    readings = _other_readings(made.selection.selected, photos)
     return with_readings(sheet, readings)
 
 
 def _other_readings(
-    things: Sequence[Selected], photos: Views, placed: Sequence[bool]
+    things: Sequence[Selected], photos: Views
 ) -> tuple[OtherReadings, ...]:
-    """What else words may mean, for those that were unsure and on one of the placed `photos`."""
+    """What else words may mean, for those that were unsure."""
     readings = []
     for selected in things:
-        shown = [one for one in selected.readings if placed[one.view]]
-        if selected.is_sure or len(shown) < 2:
+        if selected.is_sure or len(selected.readings) < 2:
             continue
-        view = sum(placed[: shown[0].view])
-        masks = {_chosen_by(one, selected): one.mask for one in shown}
+        view = selected.readings[0].view
+        masks = {_chosen_by(one, selected): one.mask for one in selected.readings}
         photo = images_of(photos)[view]
         readings.append(OtherReadings(photo, photos.names[view], masks))
     return tuple(readings)

@@ -1,9 +1,9 @@
 """`edit3r judge --fit ROWS`: the limits of the signals, from what is known to be good and bad.
 
-A row of ROWS (JSON lines) is an edit (`python benchmarks/edit_verdict.py`): its `place`, its
+A row of ROWS (JSON lines) is an edit (`python benchmarks/verdict.py edits`): its `place`, its
 `fault` (the signal that names it; null: none), its `kind` and its `figures`; or a scene
-(`python benchmarks/verdict.py`): its `place`, the `label` that views which no run saw deserve, and
-its `figures`.
+(`python benchmarks/verdict.py scenes`): its `place`, the `label` that views which no run saw
+deserve, and its `figures`.
 """
 
 import argparse
@@ -85,7 +85,7 @@ def read_rows(path: str) -> tuple[str, list[Row]]:
         raise ValueError("a row lacks place, figures, or fault and kind, or label")
     except (OSError, ValueError, TypeError) as error:
         raise InputError(
-            f"{path}: {error}; expected rows of benchmarks/edit_verdict.py or verdict.py."
+            f"{path}: {error}; expected rows of benchmarks/verdict.py."
         ) from None
 
 

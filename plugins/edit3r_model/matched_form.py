@@ -148,9 +148,7 @@ class MatchedForm:
 def network_grid(
     image_size: tuple[int, int], longest: int, patch_size: int
 ) -> tuple[int, int]:
-    """Return (height, width) near the image's shape with the longer side `longest`, in multiples
-    of GRID and patch.
-    """
+    """(height, width) like the image's, the longer side `longest`, multiples of GRID and patch."""
     scale, unit = longest / max(image_size), lcm(GRID, patch_size)
     height, width = (max(2, round(side * scale / unit)) * unit for side in image_size)
     return height, width

@@ -1,7 +1,8 @@
 """Gaussians chosen by what is drawn over a scene from anywhere: strokes of a brush, lassos."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import groupby
 from typing import Annotated, Any, Literal
 
 import cv2
@@ -10,6 +11,8 @@ import torch
 from jaxtyping import Bool, Float
 from pydantic import Field, TypeAdapter, ValidationError
 from scipy.spatial import cKDTree
+from skimage.color import rgb2lab
+from skimage.segmentation import random_walker
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
@@ -23,7 +26,8 @@ __all__ = ["Drawn", "choose_drawn", "read_drawn"]
 
 LOOKED_AT = 384  # longer side of the picture in which a stroke is read [pixels]
 BEHIND = 0.4  # relative difference of depth from which a Gaussian is behind a surface
-RIM = 0.018  # of a lasso, where a hand strays from the thing [longer sides]
+FARTHEST = 0.98  # quantile of depth [of what is drawn] that is its farthest surface
+RIM = 0.018  # where a hand strays from the thing [longer sides]
 REACH = 0.01  # how far a step of growing goes [share of the middle distance from the camera]
 NEXT = 1.5  # the same at least, so that a coarse scene grows [distances to the next Gaussian]
 SAMPLED = 2000  # Gaussians of which that distance is taken
@@ -123,56 +127,64 @@ def choose_drawn(
     out what lies at the rim.
     """
     chosen = torch.zeros(gaussians.count, dtype=torch.bool)
-    for stroke in strokes:
-        mask, camera = stroke.mask, stroke.camera
+    # What is drawn from one place is one shape: a Gaussian half in each of two strokes is in it.
+    for _, alike in groupby(strokes, lambda one: replace(one, places=[], radius=0)):
+        some = list(alike)
+        camera = some[0].camera
+        mask = torch.stack([stroke.mask for stroke in some]).amax(0)
         shown = rasterizer.render(gaussians, camera)
-        if stroke.kind == "lasso":
-            mask = _on_the_thing(mask, shown)
+        mask = _to_the_edge(mask, shown, some[0].kind)
         own = lift(gaussians, camera, mask[None], rasterizer)
-        own &= ~_behind(gaussians, camera, shown)
-        chosen = chosen & ~own if stroke.minus else chosen | own
+        own &= ~_behind(gaussians, camera, shown, mask)
+        chosen = chosen & ~own if some[0].minus else chosen | own
     if grown and chosen.any() and not chosen.all():
         chosen = _grown(gaussians, chosen, grown, strokes[-1])
     return chosen
 
 
 def _behind(
-    gaussians: Gaussians, camera: Cameras, shown: Rendering
+    gaussians: Gaussians,
+    camera: Cameras,
+    shown: Rendering,
+    mask: Float[Tensor, "height width"],
 ) -> Bool[Tensor, "gaussian"]:
-    """Which Gaussians lie clearly behind the surface that the picture shows at their place."""
+    """Which Gaussians lie clearly behind the surface that the picture shows at their place, and
+    behind all that it shows of the thing.
+    """
+    if not mask.any():
+        return torch.zeros(gaussians.count, dtype=torch.bool)
     places, depth = project(
         gaussians.means[0], camera.intrinsics[0, 0], camera.c2w[0, 0]
     )
-    surface = warp(shown.depths[0, :, 0][None], places[None, None], mode="nearest")
-    return depth > (1 + BEHIND) * surface[0, 0, 0]
+    depths = shown.depths[0, :, 0]
+    surface = warp(depths[None], places[None, None], mode="nearest")[0, 0, 0]
+    farthest = torch.quantile(depths[0][mask > 0.5], FARTHEST)
+    return (depth > (1 + BEHIND) * surface) & (depth > farthest)
 
 
-def _on_the_thing(
-    mask: Float[Tensor, "height width"], shown: Rendering
+def _to_the_edge(
+    mask: Float[Tensor, "height width"], shown: Rendering, kind: str
 ) -> Float[Tensor, "height width"]:
-    """A lasso without what its rim holds of other things.
+    """What is drawn, up to the edge that the picture shows in its rim.
 
-    Nobody draws along an outline exactly: colours say where in the rim the thing ends (GrabCut,
-    Rother et al. 2004).
+    Nobody draws along an outline exactly. A lasso is drawn around the thing, so that its rim lies
+    within; a brush strays to both sides. Random walks from what is surely in and out decide (Grady
+    2006), and where there is no edge they meet half-way.
     """
-    inside = cv2.distanceTransform(mask.numpy().astype(np.uint8), cv2.DIST_L2, 5)
-    width = min(RIM * max(mask.shape), 0.5 * float(inside.max()))
-    core = inside > width
-    if not core.any():
-        return mask
-    image = shown.images[0, 0].clamp(0, 1)
-    pixels = np.ascontiguousarray(
-        (image * 255).byte().permute(1, 2, 0).numpy(force=True)
+    drawn = mask.numpy().astype(np.uint8)
+    within, without = (
+        cv2.distanceTransform(one, cv2.DIST_L2, 5) for one in (drawn, 1 - drawn)
     )
-    labels = np.full(core.shape, cv2.GC_BGD, np.uint8)
-    labels[inside > 0] = cv2.GC_PR_FGD
-    labels[core] = cv2.GC_FGD
-    cv2.setRNGSeed(0)
-    behind, thing = np.zeros((1, 65)), np.zeros((1, 65))  # models of their colours
-    nowhere = [0, 0, 1, 1]  # not read where labels are given
-    cv2.grabCut(pixels, labels, nowhere, behind, thing, 3, cv2.GC_INIT_WITH_MASK)
-    kept = (labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD)
-    return mask * torch.from_numpy(kept)
+    rim = RIM * max(mask.shape) * (1 if kind == "lasso" else 0.5)
+    rim = min(rim, 0.5 * float(within.max()))
+    inside = within > rim
+    outside = (drawn == 0) & (without > (0 if kind == "lasso" else rim))
+    if not inside.any() or not outside.any():
+        return mask
+    seeds = inside + 2 * outside
+    image = shown.images[0, 0].clamp(0, 1).permute(1, 2, 0).numpy(force=True)
+    found = random_walker(rgb2lab(image), seeds, mode="bf", channel_axis=-1)
+    return torch.from_numpy((found == 1).astype(np.float32))
 
 
 def _grown(

@@ -5,7 +5,7 @@ the scene's geometry what others show, else by the pictures alone.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -18,6 +18,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
     ASK,
     BACKGROUND,
+    SURE,
     Box,
     Geometry,
     Marks,
@@ -96,11 +97,12 @@ def select_masks(
         view: replace(one, mask=1 - one.mask) if all_else else one
         for view, one in named.found.items()
     }
-    sure, options = [named.confidence], named.readings
+    sure, options, fits = [named.confidence], named.readings, None
     for view in selection.views:
-        found[view], there, confidence = _marked(photos, selection, found, view)
-        options = options or there  # a photo that was marked before says which
-        sure.append(confidence)
+        found[view], told = _marked(photos, selection, found, view)
+        options = options or told.readings  # a photo that was marked before says which
+        fits = told.fits if fits is None else fits
+        sure.append(told.confidence)
     found |= carried(photos, found, set(range(len(images))) - set(found))
     for view in [view for view, one in found.items() if one.how == "not found"]:
         again = named_again(photos, selection, named, view)
@@ -124,7 +126,7 @@ def select_masks(
     )
     grow = -selection.grow if all_else else selection.grow
     final, warnings = grown(torch.stack(masks)[:, None], grow), [*named.warnings]
-    warnings += _told(selection, len(options), how)
+    warnings += _told(selection, len(options), how, fits)
     if selection.inverted != all_else:
         warnings += _told_empty(final, how)
         final = (1 - final) * shown(final)
@@ -137,6 +139,7 @@ def select_masks(
         min((one for one in sure if one is not None), default=None),
         options,
         selection.reading,
+        fits=fits,
     )
 
 
@@ -181,16 +184,26 @@ def _check(selection: Selection, count: int) -> None:
         )
 
 
+@dataclass(frozen=True)
+class Described:
+    """What clicks, strokes and a box mean on one photo."""
+
+    mask: Mask
+    readings: tuple[Reading, ...] = ()  # what else they may mean
+    confidence: float | None = None  # in [0, 1]; None: nobody can tell
+    fits: bool | None = None  # as that of `Selected`
+
+
 def _marked(
     photos: Photos, selection: Selection, found: Found, view: int
-) -> tuple[OnPhoto, tuple[Reading, ...], float | None]:
-    """What is selected on a photo that carries marks, what else they may mean there, and how sure
-    the first is; what other photos showed so far is where it is expected.
+) -> tuple[OnPhoto, Described]:
+    """What is selected on a photo that carries marks, and what clicks, strokes and box said of it;
+    what other photos showed so far is where it is expected.
     """
     image, nothing = photos.images[view], torch.zeros_like(photos.images[view, 0])
     if view in selection.masks:
         given = clean(selection.masks[view], image)
-        return OnPhoto(_painted(selection, given, view), "given"), (), None
+        return OnPhoto(_painted(selection, given, view), "given"), Described(given)
     before = found.get(view)
     if before is None and found:
         before = carried(photos, found, {view})[view]
@@ -198,24 +211,22 @@ def _marked(
     if before is not None and view not in selection.boxes and before.inside.any():
         prior = before.mask
     marks = replace(selection.marks_on(view), prior=prior, larger=selection.larger)
-    mask, how = nothing if prior is None else prior, "marked"
-    options: tuple[Reading, ...] = ()
-    confidence = None
+    told, how = Described(nothing if prior is None else prior), "marked"
     if marks.inside or marks.box is not None or (marks.negative and prior is not None):
-        mask, options, confidence = _described(photos, selection, view, marks)
+        told = _described(photos, selection, view, marks)
     elif prior is None and view in {on for on, _ in selection.regions}:
         how = "region"
     elif prior is None and view not in selection.added:
         raise InputError(
             f"photo {view + 1} is only told what is not the object; {ASK} on it."
         )
-    painted = _painted(selection, clean(mask, image), view)
-    return OnPhoto(painted, how), options, confidence
+    painted = _painted(selection, clean(told.mask, image), view)
+    return OnPhoto(painted, how), told
 
 
 def _described(
     photos: Photos, selection: Selection, view: int, marks: Marks
-) -> tuple[Mask, tuple[Reading, ...], float | None]:
+) -> Described:
     """The object that marks describe, what else they may mean, and how sure it is.
 
     A click says where, and words say how far: a click on a wheel beside the word "bike" means the
@@ -225,19 +236,23 @@ def _described(
     image = photos.images[view]
     told = answered(photos.segmenter, image, marks)
     if marks.larger or marks.prior is not None:
-        return told.mask, (), told.confidence
+        return Described(told.mask, (), told.confidence)
     pairs = [(one.soft_mask, one.confidence) for one in told.readings[:MAX_READINGS]]
-    by_name = _named_at(photos, selection, view, marks)
+    by_name, is_elsewhere = _named_at(photos, selection, view, marks)
     if by_name is None:
         options = numbered(view, pairs)
-        return taken_of(options, selection.reading).mask, options, told.confidence
+        mask = taken_of(options, selection.reading).mask
+        return Described(
+            mask, options, told.confidence, False if is_elsewhere else None
+        )
     named = by_name.soft_mask
     options = numbered(view, _with_named(pairs, named))
     found = taken_of(options, selection.reading).mask
     if overlap(found, named) >= SAME_THING or selection.reading > 1:
         is_own = overlap(found, told.mask) >= SAME
         sure = told.confidence if is_own else by_name.confidence
-        return found, options, sure
+        fits = overlap(found, named) >= SAME_THING or None
+        return Described(found, options, sure, fits)
     say("selection.clicked", f"what is clicked on is {selection.words}")
     height, width = named.shape
     points = points_of(marks)
@@ -245,26 +260,26 @@ def _described(
         bool(named[point.pixel((height, width))] > 0.5) == point.wanted
         for point in points
     ):
-        return named, (), by_name.confidence
+        return Described(named, (), by_name.confidence, True)
     corrected = answered(photos.segmenter, image, replace(marks, prior=named))
-    return corrected.mask, (), corrected.confidence
+    return Described(corrected.mask, (), corrected.confidence, True)
 
 
 def _named_at(
     photos: Photos, selection: Selection, view: int, marks: Marks
-) -> Proposal | None:
-    """What the words name where the first click lies; None without words, or where a box says
-    more.
+) -> tuple[Proposal | None, bool]:
+    """What the words name where the first click lies, and whether they surely name what lies
+    elsewhere; neither without words, or where a box says more.
     """
     if not selection.words or not marks.positive or marks.box is not None:
-        return None
-    image = photos.images[view]
-    place = Point(marks.positive[0], True)
-    for one in photos.segmenter.segment_text(image, selection.words) or ():
+        return None, False
+    image, place = photos.images[view], Point(marks.positive[0], True)
+    there = photos.segmenter.segment_text(image, selection.words) or ()
+    for one in there:
         clicked = one.soft_mask[place.pixel(one.soft_mask.shape)] > 0.5
         if clicked and one.confidence >= CLICKED_SURE:
-            return one
-    return None
+            return one, False
+    return None, any(one.confidence >= SURE for one in there)
 
 
 def _with_named(
@@ -307,9 +322,16 @@ def _final(photos: Photos, selection: Selection, mask: Mask, view: int) -> Mask:
     return _painted(selection, held, view)
 
 
-def _told(selection: Selection, count: int, how: Sequence[str]) -> list[str]:
+def _told(
+    selection: Selection, count: int, how: Sequence[str], fits: bool | None
+) -> list[str]:
     """What went otherwise than was asked, where there are `count` readings."""
     told = []
+    if fits is False:
+        told.append(
+            f"{selection.words!r} was found elsewhere, not where it is marked; what is marked is "
+            "taken."
+        )
     if count and selection.reading > count:
         told.append(
             f"--reading {selection.reading}: there are {count}; the last one is taken."

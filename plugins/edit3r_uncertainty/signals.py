@@ -1,7 +1,7 @@
 """The probability that a Gaussian's colour is wrong in a new view, from what the photos say of it.
 
 Five signals of each Gaussian in a logistic function. Its constants were fitted to photos which no
-run was given; `python benchmarks/uncertainty.py DATA --fit` fits them again.
+run was given; `python benchmarks/verdict.py uncertainty DATA --fit` fits them again.
 """
 
 import torch

@@ -19,7 +19,7 @@ def test_a_held_out_scene_ends_what_settings_are_tuned_by(scene):
     assert f"`{scene}`" in notes.split("## Held out")[1]
 
 
-@pytest.mark.parametrize("script", ["poses.py", "simplify.py", "verdict.py"])
+@pytest.mark.parametrize("script", ["poses.py", "scenes.py", "verdict.py"])
 def test_benchmarks_that_tune_ask_before_they_read_folders(script):
     code = (ROOT / "benchmarks" / script).read_text(encoding="utf-8")
     assert re.search(r"for_tuning\(\S*\b(folders|sources)\)", code)

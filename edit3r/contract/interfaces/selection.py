@@ -1,8 +1,8 @@
 """What a user chose on the photos, and selectors, which find it on all of them."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from jaxtyping import Float
@@ -184,11 +184,26 @@ class Selected:
     readings: tuple[Reading, ...] = ()
     taken: int = 1  # the number of that one
     called: str = ""  # what was looked for, as people say it: "left cup"
+    # whether words name what was marked; None: nobody looked, knows them or found them
+    fits: bool | None = None
 
     @property
     def is_sure(self) -> bool:
         """Whether it was marked exactly, or found surely enough."""
         return self.confidence is None or self.confidence >= SURE
+
+    def select(self, indices: Sequence[int]) -> "Selected":
+        """The same on the views at `indices` only."""
+        return replace(
+            self,
+            masks=self.masks[list(indices)],
+            how=tuple(self.how[view] for view in indices),
+            readings=tuple(
+                replace(one, view=indices.index(one.view))
+                for one in self.readings
+                if one.view in indices
+            ),
+        )
 
 
 class Selector(Configured, ABC):

@@ -133,7 +133,8 @@ class RegionFinder:
             return things
         for thing, selected in self._found.items():
             thing = thing or marked_thing
-            if thing is not None and thing.scope == "named":
+            elsewhere = selected.fits is False
+            if thing is not None and thing.scope == "named" and not elsewhere:
                 name = _name(thing)
                 things.pop(name, None)  # the newest is the last
             elif self._marked is not None and (thing is None or thing == marked_thing):

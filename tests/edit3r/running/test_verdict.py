@@ -44,6 +44,20 @@ def test_the_least_confident_thing_decides(things, label, confidence, said):
     assert found.candidates == ((2,) if things[-1] is UNSURE else ())
 
 
+@pytest.mark.parametrize(
+    ("fits", "said"),
+    [
+        (True, "fox, confidence 98%"),
+        (None, "what is marked ('fox' was not checked), confidence 98%"),
+        (False, "what is marked ('fox' was found elsewhere), confidence 98%"),
+    ],
+)
+def test_what_is_marked_has_the_name_only_where_that_fits(fits, said):
+    how = ("marked", "geometry")
+    marked = Selected(MASKS, how, confidence=0.98, called="fox", fits=fits)
+    assert str(verdict_on_selection([marked])) == said
+
+
 def test_of_nothing_nothing_is_said():
     assert verdict_on_selection(()) is None
     assert verdict_on_selection((), confined=True).label == "given"

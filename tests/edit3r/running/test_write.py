@@ -340,6 +340,32 @@ class Sure(Doubting):
     confidence = 0.99
 
 
+class WallOfTwo(Wall):
+    """Could not place the first of three photos."""
+
+    def __call__(self, views, source=None, geometry=None, grid=None):
+        placed = torch.tensor([[False, True, True]])
+        return replace(super().__call__(views, source, geometry, grid), placed=placed)
+
+
+def test_things_are_judged_and_drawn_on_the_photos_that_were_placed():
+    views = replace(photograph(3, (48, 64)).views, names=("a", "b", "c"))
+    result = edit3r.run(
+        views,
+        "paint the bear red",
+        segmenter=Doubting(),
+        recon=WallOfTwo(),
+        refine=0,
+        gaussians="all",
+        report=Report(),
+    )
+    assert result.photos.names == ("b", "c")
+    (bear,) = result.records.selection.selected
+    assert len(bear.masks) == len(bear.how) == 2
+    assert all(one.view in (0, 1) for one in bear.readings)
+    assert result.edit_verdict.measures["shared"] is not None
+
+
 def test_what_was_found_unsurely_is_a_question_with_candidates_and_no_doubt_of_the_edit(
     tmp_path,
 ):

@@ -17,6 +17,7 @@ from edit3r_geometry.completion import (
 from edit3r_geometry.depth_maps import (
     DepthSettings,
     _before_skies,
+    _measured,
     _with_coarse,
     inverse_depth_range,
 )
@@ -200,6 +201,13 @@ def test_a_neighbour_confirms_its_own_surface_but_nothing_hidden_or_floating(noi
     assert same[:, 20:].all()
     assert not behind.any() and not before.any()
     assert not same[:, :5].any()  # outside the neighbour's image
+
+
+def test_one_neighbour_that_confirms_is_enough(noise):
+    picture = CalibratedImage(noise, INTRINSICS)
+    around = {1: neighbour(noise), 2: neighbour(noise)}
+    depths = {0: raw(0.2), 1: raw(0.2), 2: raw(0.1)}
+    assert _measured(picture, around, 0, depths)[:, 20:].all()
 
 
 def test_a_neighbour_confirms_nothing_behind_its_camera(noise):

@@ -56,7 +56,7 @@ def test_the_report_says_what_is_named_where_nothing_was_fitted(tmp_path, capsys
 def test_rows_of_something_else_are_refused(tmp_path, text):
     path = tmp_path / "rows.jsonl"
     path.write_text(text)
-    with pytest.raises(InputError, match=r"rows\.jsonl: .*edit_verdict\.py"):
+    with pytest.raises(InputError, match=r"rows\.jsonl: .*verdict\.py"):
         read_rows(str(path))
 
 

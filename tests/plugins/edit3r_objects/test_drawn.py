@@ -11,7 +11,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 
-SIZE = 24, 36
+SIZE = 48, 72
 VIEW = {
     "right": (1, 0, 0),
     "down": (0, 1, 0),
@@ -29,8 +29,8 @@ def scene():
     lens = torch.tensor([[0.9, 0, 0.5], [0, 1.35, 0.5], [0, 0, 1]])[None, None]
     camera = Cameras(torch.eye(4)[None, None], lens, SIZE)
     image = torch.zeros(1, 1, 3, *SIZE)
-    image[:, :, 0, :, :18] = 1
-    image[:, :, 2, :, 18:] = 1
+    image[:, :, 0, :, :36] = 1
+    image[:, :, 2, :, 36:] = 1
     parts = []
     for depth in (2.0, 5.0):
         depths = torch.full((1, 1, *SIZE), depth)
@@ -60,8 +60,45 @@ def test_a_lasso_that_strays_ends_where_the_thing_does(scene):
     _, front, left = scene
     stray = [(0, 0), (0.516, 0), (0.516, 1), (0, 1)]
     assert (
-        overlap(chosen(scene, {"kind": "lasso", "places": stray}), front & left) > 0.95
+        overlap(chosen(scene, {"kind": "lasso", "places": stray}), front & left) > 0.98
     )
+
+
+def test_a_brush_that_strays_ends_where_the_thing_does(scene):
+    _, front, left = scene
+    strays = [
+        {"kind": "brush", "places": [(0, y), (0.4085, y)], "radius": 0.1}
+        for y in torch.arange(0, 1.01, 0.05).tolist()
+    ]
+    assert overlap(chosen(scene, *strays), front & left) > 0.98
+
+
+def test_two_strokes_leave_no_seam(scene):
+    _, front, _ = scene
+    beside = [
+        {"kind": "brush", "places": [(0, y), (1, y)], "radius": 0.005}
+        for y in torch.arange(0, 1.01, 5 / 256).tolist()
+    ]
+    assert overlap(chosen(scene, *beside), front) > 0.95
+
+
+def test_what_reaches_back_is_taken_whole():
+    """A floor from 1 to 10 before the camera, behind a bar that one can see through."""
+    lens = torch.tensor([[0.9, 0, 0.5], [0, 1.35, 0.5], [0, 0, 1]])[None, None]
+    camera = Cameras(torch.eye(4)[None, None], lens, SIZE)
+    floor = torch.linspace(10, 1, SIZE[0])[:, None].expand(SIZE)[None, None]
+    bar = torch.full_like(floor, 1.0)
+    parts = []
+    for depths, opacity in ((floor, 0.95), (bar, 0.6)):
+        scales = pixel_scales(depths, camera.intrinsics, 0.7)
+        image, full = torch.ones(1, 1, 3, *SIZE), torch.full_like(depths, opacity)
+        parts.append(pixels_to_gaussians(image, depths, camera, scales, full))
+    middle = torch.arange(SIZE[1] * 24, SIZE[1] * 32)
+    gaussians = type(parts[0]).cat([parts[0], parts[1].select(middle)])
+    taken = chosen(
+        (gaussians,), {"kind": "lasso", "places": [(0, 0), (1, 0), (1, 1), (0, 1)]}
+    )
+    assert taken.all()
 
 
 def test_strokes_add_and_take_away_in_order(scene):

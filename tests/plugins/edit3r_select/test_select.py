@@ -446,18 +446,28 @@ def test_what_is_hardly_sure_was_not_found():
 
 
 @pytest.mark.parametrize(
-    "place, confidence, expected",
+    "words, place, confidence, expected, fits",
     [
-        ((0.4, 0.4), 0.3, square(4, 4, 16)),  # the bike, of which a click finds a part
-        ((0.4, 0.4), 0.2, square(9, 12)),  # too unsure to be believed
-        ((0.7, 0.7), 0.3, square(16, 22)),  # not on what is called a bike
+        # the bike, of which a click finds a part
+        ("bike", (0.4, 0.4), 0.3, square(4, 4, 16), True),
+        # too unsure to be believed
+        ("bike", (0.4, 0.4), 0.2, square(9, 12), None),
+        # not on what is called a bike, unsurely and surely
+        ("bike", (0.7, 0.7), 0.3, square(16, 22), None),
+        ("bike", (0.7, 0.7), 0.9, square(16, 22), False),
+        # a word that nobody knows
+        ("zorb", (0.7, 0.7), 0.9, square(16, 22), None),
     ],
 )
-def test_words_say_how_far_goes_what_is_clicked_on(place, confidence, expected):
-    marks = Selection(positive=((0, *place),), words="bike")
+def test_words_say_how_far_goes_what_is_clicked_on_and_whether_they_fit(
+    words, place, confidence, expected, fits
+):
+    marks = Selection(positive=((0, *place),), words=words)
     selected = select_masks(IMAGES, marks, Whole(confidence))
-    assert selected.how[0] == "marked"
+    assert selected.how[0] == "marked" and selected.fits is fits
     assert (inside(selected, 0) == expected.bool()).all()
+    told = any("'bike' was found elsewhere" in one for one in selected.warnings)
+    assert told == (fits is False)
 
 
 def test_what_the_words_name_is_one_more_reading_of_a_click():

@@ -11,7 +11,7 @@ from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
 from edit3r.running import usual_selector
 from edit3r.running.editors import read
-from edit3r.running.selecting.regions import RegionFinder, _without_rims
+from edit3r.running.selecting.regions import MARKED, RegionFinder, _without_rims
 
 HEIGHT, WIDTH = 12, 16
 LEFT = slice(0, WIDTH // 2)
@@ -302,6 +302,13 @@ def test_the_background_is_all_but_what_earlier_runs_named():
 def test_all_of_a_thing_is_kept_under_the_name_of_the_thing():
     things = finder().find(read("turn all of the door to gold")).things
     assert list(things) == ["door"]
+
+
+@pytest.mark.parametrize(
+    ("name", "kept_as"), [("door", "door"), ("zorb", "zorb"), ("wall", MARKED)]
+)
+def test_what_is_marked_is_kept_by_a_name_that_was_not_found_elsewhere(name, kept_as):
+    assert list(finder(CLICK).find(read(f"paint the {name} red")).things) == [kept_as]
 
 
 def test_all_of_a_name_but_one_of_them():
