@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from edit3r.contract.interfaces import Reading, Selected
-from edit3r.running.selecting.verdict import verdict_on_selection
+from edit3r.running.records import verdict_on_selection
 
 MASKS = torch.zeros(2, 1, 8, 8)
 OTHERS = tuple(Reading(0, MASKS[0, 0], 0.5, number) for number in (1, 2))
