@@ -47,10 +47,10 @@ from edit3r.contract.errors import Edit3rError
 from edit3r.contract.interfaces import Editor, EditToJudge, Rasterizer, Selection
 from edit3r.contract.types import Gaussians
 from edit3r.kit.compute.colour import rgb_to_lab
+from edit3r.kit.contact_sheet import draw_sheet
 from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.photos.posed_folder import read_posed_folder
 from edit3r.kit.rendering import render_numbers, render_uncertainty
-from edit3r.kit.sheet import draw_sheet
 from edit3r.running import usual_reader
 from edit3r.running.editors import edit_to_judge, read
 from edit3r.running.steps.judge import seen_half_way

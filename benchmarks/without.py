@@ -59,6 +59,35 @@ PARTS = {
     "walkers": Part("what passed by", settings={"transients": "keep"}),
     "simplify": Part("Gaussians, seconds", settings={"gaussians": "all"}),
     "refine": Part("sharpness", settings={"refine": 0}),
+    "second-layer": Part(
+        "views beside the photos",
+        settings={"recon": {"name": "edit3r", "second_layer": 0}},
+    ),
+    "main-plane": Part(
+        "ground and walls beyond the overlap",
+        place="edit3r_geometry.completion:main_plane",
+        nothing=lambda inverse, measured: (
+            np.full_like(
+                inverse, np.median(inverse[measured] if measured.any() else inverse)
+            ),
+            (float(inverse.min()), float(inverse.max())),
+        ),
+    ),
+    "push-back": Part(
+        "what a neighbour saw through",
+        place="edit3r_geometry.depth_maps:push_back",
+        nothing=lambda inverse, *rest: inverse,
+    ),
+    "speckles": Part(
+        "depths that agree by chance",
+        place="edit3r_geometry.depth_maps:without_speckles",
+        nothing=lambda agrees, raw: agrees,
+    ),
+    "standing": Part(
+        "screens, frames, watermarks",
+        place="edit3r_geometry.features:without_standing",
+        nothing=lambda keypoints, pairs, images: pairs,
+    ),
     "lens-prior": Part(
         "poses where nobody knows the lens",
         "scenes.py held-out {data}",

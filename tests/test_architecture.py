@@ -6,6 +6,7 @@ components.
 """
 
 import ast
+import json
 import re
 import runpy
 import subprocess
@@ -426,6 +427,36 @@ def _parameters(node: ast.FunctionDef) -> int:
     given = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
     names = [arg.arg for arg in given]
     return len(names) - (names[:1] in (["self"], ["cls"], ["ctx"]))
+
+
+SHAPE = re.compile(r'\[[\w.]+, "[^"]*$')
+"""What stands before a name in a shape, such as `Float[Tensor, "gaussian 3"]`."""
+
+
+def test_no_name_is_undefined():
+    """ruff's F821 without jaxtyping's shapes, whose dimensions look like names to it."""
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "ruff",
+            "check",
+            "--select=F821",
+            "--output-format=json",
+        ],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode in (0, 1), done.stderr
+    undefined = []
+    for found in json.loads(done.stdout):
+        file, place = Path(found["filename"]), found["location"]
+        line = file.read_text(encoding="utf-8").splitlines()[place["row"] - 1]
+        if not SHAPE.search(line[: place["column"] - 1]):
+            undefined.append(f"{file}:{place['row']}: {found['message']}")
+    assert not undefined, undefined
 
 
 # ---- what a run goes through ----

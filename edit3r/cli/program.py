@@ -23,11 +23,11 @@ class SteadyText(io.TextIOWrapper):
 
 
 def steady_streams() -> None:
-    """Standard streams that no output ends the program through.
+    """Make the standard streams such that printing never ends the program.
 
-    A stream may be closed, as services start programs, its code page may lack letters of a file's
-    name, and the reader of standard error may go away. Standard output still ends what is only
-    there to be read, such as a list.
+    Services start programs with closed streams: those become the null device. Letters that a code
+    page lacks are escaped. When whoever reads standard error goes away, what is written there is
+    dropped. Standard output stays as it is: `edit3r list-plugins | head` may end.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         stream = getattr(sys, name)
@@ -47,19 +47,15 @@ def steady_streams() -> None:
 
 
 def program() -> int:
-    """`edit3r.cli.main.main` as all that a process does; returns the exit code.
+    """Run `edit3r.cli.main.main` as all that a process does; returns the exit code.
 
     Ctrl-C ends it with one line and exit code 130, even while modules are imported, and where a
     library turns the interruption into an error of its own.
-
-    Python looks for cycles among what importing torch leaves dozens of times, though all of it
-    stays, and once more on leaving: 0.7 of the 2.7 seconds of a process that only imports it.
-
-    Threads of OpenMP turn circles while they wait, and take the core from the one that they wait
-    for wherever something else works too: a run beside a browser took twice the seconds.
     """
     steady_streams()
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # read when torch is imported
+    # Read when torch is imported. Else waiting threads of OpenMP spin and take the cores from those
+    # that work: beside a browser a run took twice the seconds.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     interruptions: list[int] = []
 
     def interrupt(number: int, frame: object) -> None:
@@ -67,6 +63,8 @@ def program() -> int:
         raise KeyboardInterrupt
 
     signal.signal(signal.SIGINT, interrupt)
+    # Importing torch makes objects that stay. Looking for garbage among them, meanwhile and on
+    # leaving, took 0.7 of the 2.7 seconds of a process that only imports it.
     gc.set_threshold(10_000)
     try:
         from edit3r.cli.main import main

@@ -9,16 +9,11 @@ from PIL import Image
 from edit3r.contract.errors import InputError
 
 MAX_DISTORTION = 100.0
-
-
 MAX_SIDE = 32766  # of an image that OpenCV remaps [pixels]
+BORDER_SAMPLES = 65  # places on each side of a crop
 
-
-BORDER_SAMPLES = 65  # places on each side of a box
-
-
-Box = tuple[float, float, float, float]
-"""Left, top, right, bottom."""
+Crop = tuple[float, float, float, float]
+"""Left, top, right, bottom. (Boxes of selections are x, y, width, height.)"""
 
 
 @dataclass(frozen=True)
@@ -61,9 +56,11 @@ class Lens:
         )
         return float(place[0, 0, 0]), float(place[0, 0, 1])
 
-    def is_shown(self, box: Box) -> bool:
-        """Whether the photo shows all of a box of the straightened one; shares of the sides."""
-        corner, opposite = np.array(box[:2]), np.array(box[2:])
+    def covers(self, crop: Crop) -> bool:
+        """Whether a crop of the straightened photo [shares of its sides] lies within what the photo
+        shows: straightening leaves corners dark that the lens did not take.
+        """
+        corner, opposite = np.array(crop[:2]), np.array(crop[2:])
         along = np.linspace(0, 1, BORDER_SAMPLES)
         x, y = np.meshgrid(along, along)
         on_border = (x % 1 == 0) | (y % 1 == 0)

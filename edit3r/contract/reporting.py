@@ -1,9 +1,8 @@
-"""How stages say what they are doing without knowing who listens: progress, facts for `run.json`,
-warnings; and what memory there is and was taken.
+"""Progress, notes and warnings of a component, and the memory of this process.
 
-A component calls `track`, `note` or `warn`; the pipeline installs a `Report` around each run and
-the command line shows it. Outside a run nothing is kept, so a component used on its own needs no
-set-up.
+Inside a run, `track` moves a progress bar, `note` puts a fact into `run.json` and `warn` tells the
+user: all three go to the run's `Report`. Outside a run the first two do nothing and `warn` is
+Python's own, so a component can be used without a run.
 """
 
 import time
@@ -30,7 +29,11 @@ class StageRecord:
 
 @dataclass
 class Report:
-    """What one run collected. `on_event` hears (event, text, done, total) as things happen."""
+    """What one run collected.
+
+    `on_event` is called as (event, text, done, total) as things happen; events are start and end of
+    a stage, say, warn and progress.
+    """
 
     stages: list[StageRecord] = field(default_factory=list)
     notes: dict[str, Any] = field(default_factory=dict)

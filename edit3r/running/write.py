@@ -38,6 +38,12 @@ from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering,
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
 from edit3r.kit.cache import Cache
 from edit3r.kit.checks import check_needs, check_written, errors_named_after
+from edit3r.kit.contact_sheet import (
+    draw_sheet,
+    images_of,
+    outlined_views,
+    with_readings,
+)
 from edit3r.kit.files.atomic import atomic_folder
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image, save_pixels, to_bytes
@@ -50,7 +56,6 @@ from edit3r.kit.run_folder import (
     write_manifest,
 )
 from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
-from edit3r.kit.sheet import draw_sheet, images_of, outlined_views, with_readings
 from edit3r.running.before import colours_before
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.earlier import CACHE, THINGS, EarlierRun, note_views

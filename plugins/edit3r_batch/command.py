@@ -139,9 +139,7 @@ def _workers(args: argparse.Namespace) -> "Workers":
 def _done(
     jobs: "Mapping[str, BatchJob]", out: Path, args: argparse.Namespace
 ) -> set[str]:
-    """Ids of finished jobs. Raises InputError where a job's folder holds anything else that may not
-    be replaced.
-    """
+    """Ids of finished jobs. Raises InputError where a folder holds what may not be replaced."""
     from edit3r.kit.files.atomic import check_replaceable
     from edit3r_batch.scenes import record_of
 
@@ -222,9 +220,7 @@ def _known_row(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _print_progress(progress: "Progress") -> None:
-    """Say what came of a job and how long the others take: on a terminal one line that changes,
-    else a line a job.
-    """
+    """Say what came of a job and how long the others take; on a terminal one changing line."""
     row = progress.row
     what = (
         f"{NO_RESULT}: {row['failure'][:80]}"
@@ -243,9 +239,7 @@ def _counted(counts: Counter) -> str:
 
 
 def _table(rows: list[dict[str, Any]], longest: int | None = None) -> str:
-    """A Markdown table with a line for each job: its three answers, and why, cut to `longest`
-    characters.
-    """
+    """A Markdown table, a line a job: three answers, and why, at most `longest` characters."""
     lines = []
     for row in rows:
         why = row["reason"]

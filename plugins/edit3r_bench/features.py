@@ -47,9 +47,7 @@ class EffnetFeatures:
 
 
 class InceptionFeatures:
-    """The 2048 features that FID and KID are defined on, from a TorchScript file; it resizes images
-    itself.
-    """
+    """The 2048 features that FID and KID are defined on, of a TorchScript file, which resizes."""
 
     suffix = ""  # of the metrics' names: FID and KID themselves
 
@@ -79,9 +77,7 @@ FeatureNetwork = EffnetFeatures | InceptionFeatures
 
 
 def crops(images: Images) -> Images:
-    """Return each image and its four corners enlarged to its size: a scene alone has too few images
-    to compare.
-    """
+    """Each image and its four corners, enlarged: a scene alone has too few images to compare."""
     height, width = images.shape[-2:]
     tall = max(1, round(CORNER * height))
     wide = max(1, round(CORNER * width))
@@ -132,18 +128,14 @@ def direction_similarity(
     text_before: str,
     text_after: str,
 ) -> Float[Tensor, "n"]:
-    """Return the cosine between how images moved and how the text did (StyleGAN-NADA, 2022); 0 for
-    one left alone.
-    """
+    """Cosine between how images moved and how the text did (StyleGAN-NADA, 2022); 0: unmoved."""
     moved = clip.embed_images(after) - clip.embed_images(before)
     start, end = clip.embed_texts([text_before, text_after])
     return F.cosine_similarity(moved, (end - start)[None], dim=-1)
 
 
 def prompt_quality(clip: ClipSimilarity, images: Images, good: str, bad: str) -> float:
-    """Return the mean probability in [0, 1] that images look `good`, not `bad` (CLIP-IQA, Wang et
-    al. 2023).
-    """
+    """Mean probability that images look `good`, not `bad` (CLIP-IQA, Wang et al. 2023)."""
     of_good, of_bad = clip(images, [good, bad]).T
     return float((100 * (of_good - of_bad)).sigmoid().mean())
 

@@ -57,9 +57,7 @@ class GeneratedSettings(Settings):
 def build_generated(
     scenes: int, settings: GeneratedSettings, registry: Registry
 ) -> Manifest:
-    """Return a benchmark of the generator's first `scenes` scenes whose five edits can all be seen
-    in all images.
-    """
+    """A benchmark of the generator's first `scenes` scenes whose five edits all images show."""
     records: list[SceneRecord] = []
     items: list[ItemRecord] = []
     tried = 0
@@ -128,9 +126,7 @@ def _generated_items(
 def is_visible(
     sample: SceneSample, everywhere: bool, settings: GeneratedSettings
 ) -> bool:
-    """Return whether the edit covers a fair part of every image and changes it by more than
-    noise.
-    """
+    """Whether the edit covers a fair part of every image and changes it by more than noise."""
     change = (true_edits(sample)[0] - sample.context).abs()
     changed = change.amax(1) > VISIBLE
     inside = change.mean(1)[changed]

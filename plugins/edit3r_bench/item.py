@@ -20,11 +20,11 @@ from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice, make_settings
 from edit3r.contract.types import RENDERED, Cameras, EditRequest
 from edit3r.kit.checks import require_gives
+from edit3r.kit.contact_sheet import draw_sheet
 from edit3r.kit.geometry.cameras import scale_poses
 from edit3r.kit.geometry.maps import composite
 from edit3r.kit.geometry.paths import between_and_around
 from edit3r.kit.rendering import render_each
-from edit3r.kit.sheet import draw_sheet
 from edit3r.running import instructions_for
 from edit3r_bench.manifest import Images, LoadedItem, Maps
 from edit3r_bench.method import Method
@@ -124,9 +124,7 @@ class ItemRunner:
         return self.method.judged_by_truth and item.truth is not None
 
     def _edit_each(self, item: LoadedItem, images: Images) -> Images:
-        """Edit renderings instead of photos; what a mask leaves out stays. The oracle adds the true
-        change.
-        """
+        """Edit renderings instead of photos, within the mask. The oracle adds the true change."""
         truth = None
         if item.truth is not None:
             truth = (images + item.truth - item.photos.images[0]).clamp(0, 1)
@@ -153,9 +151,7 @@ class ItemRunner:
         return OracleEditor(truth, settings)
 
     def _component(self, kind: str, choice: PartChoice) -> Any:
-        """Build a component once; a reconstructor that edits is built by the run, with each item's
-        editor.
-        """
+        """Build a component once; the run builds a reconstructor that edits, with its editor."""
         if "editor" in self.registry.find(kind, choice.name).component.parts:
             return choice
         if kind not in self._built:

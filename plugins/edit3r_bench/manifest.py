@@ -56,9 +56,7 @@ class FrameRecord(Settings):
 
 
 class SceneRecord(Settings):
-    """Photos in a folder; a generated scene has no frames, its images come with each item's
-    sample.
-    """
+    """Photos in a folder; a generated scene has no frames: images come with each item's sample."""
 
     id: str  # unique in the manifest
     folder: str = ""  # relative to the manifest's folder
@@ -164,9 +162,7 @@ def _check_consistent(manifest: Manifest, path: Path) -> None:
 
 
 def _problems(item: ItemRecord, frames: Mapping[str, int]) -> dict[str, bool]:
-    """Return what may be wrong with an item, and whether it is; `frames` are how many a scene
-    has.
-    """
+    """What may be wrong with an item of a scene with so many `frames`, and whether it is."""
     used = (*item.inputs, *item.held_back)
     count: float = frames.get(item.scene, 0)
     if item.sample is not None:
@@ -191,9 +187,7 @@ def _problems(item: ItemRecord, frames: Mapping[str, int]) -> dict[str, bool]:
 
 @dataclass(frozen=True)
 class LoadedItem:
-    """One edit with everything that is known about its scene; the frames are all its images, inputs
-    first.
-    """
+    """One edit with all that is known about its scene; the frames are its images, inputs first."""
 
     record: ItemRecord
     photos: Views  # batch 1, all frames, without poses
@@ -209,9 +203,7 @@ class LoadedItem:
 def load_item(
     manifest: Manifest, item: ItemRecord, root: Path, registry: Registry
 ) -> LoadedItem:
-    """Load `item`; `root` is the manifest's folder. Raises InputError when images are not those of
-    the manifest.
-    """
+    """Load `item` of the manifest in `root`. Raises InputError where its images are others."""
     if item.sample is not None:
         loaded = _generated(item, item.sample, registry)
     else:

@@ -130,9 +130,7 @@ def measure(item: LoadedItem, output: MethodOutput, networks: MetricNetworks) ->
 def measure_failure(
     item: LoadedItem, has_truth: bool, networks: MetricNetworks
 ) -> Found:
-    """Return the metrics of a failure: black images against the truth, nothing of the edit; the
-    rest is not known.
-    """
+    """Of a failure: black images against the truth, nothing of the edit; the rest is not known."""
     if not has_truth:
         return {"edit-uptake-2d": 0.0}
     black = torch.zeros_like(item.photos.images[0])
@@ -170,9 +168,7 @@ def _share(value: float) -> float:
 
 
 def remark(found: Mapping[str, float]) -> str:
-    """Return in words what the numbers of an edit without failure hide: that nothing was edited, or
-    nothing arrived.
-    """
+    """What the numbers hide, in words: that nothing was edited, or that nothing of it arrived."""
     strength = found.get("edit-strength-2d", math.nan)
     shown = found.get("edit-uptake-2d", math.nan)
     if strength < LEFT_ALONE:
@@ -288,9 +284,7 @@ def _by_clip(item: LoadedItem, output: MethodOutput, clip: ClipSimilarity) -> Fo
 def _against_truth(
     item: LoadedItem, shown: Images, distances: Mapping[str, Any]
 ) -> Found:
-    """Return means over the held-back frames, of which the method was given no image, and by region
-    over the inputs.
-    """
+    """Means over the held-back frames, which the method was not given; by region of the inputs."""
     assert item.truth is not None  # asked before
     images, truth = _array(shown), _array(item.truth)
     photos = _array(item.photos.images[0])
@@ -347,9 +341,7 @@ def _distances(
 
 
 def _array(tensor: Float[Tensor, "frame *shape"]) -> Float[np.ndarray, "frame *shape"]:
-    """Return images `[frame, 3, height, width]` with channels last and masks `[frame, height,
-    width]`, in float64.
-    """
+    """Images `[frame, height, width, 3]`, masks `[frame, height, width]`, in float64."""
     if tensor.ndim == 4:
         tensor = tensor.permute(0, 2, 3, 1)
     return tensor.double().numpy()

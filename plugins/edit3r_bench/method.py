@@ -70,9 +70,7 @@ class _Configuration(Settings):
 def read_methods(
     content: Mapping[str, Any], changes: Mapping[str, Mapping[str, Any]]
 ) -> tuple[Method, ...]:
-    """Return the `methods` of a configuration; `changes` are settings by label. Labels must
-    differ.
-    """
+    """The `methods` of a configuration, with `changes` by label. Labels must differ."""
     methods = {}
     for values in make_settings(_Configuration, content, "configuration").methods:
         label = make_settings(Method, values, where="methods").label

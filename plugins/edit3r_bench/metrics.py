@@ -58,9 +58,7 @@ NAN = float("nan")
 
 
 def regions(masks: Masks) -> dict[str, Regions]:
-    """Return where the edit belongs, the band of width BAND around that, and the background; each
-    pixel is in one.
-    """
+    """Where the edit belongs, the band of width BAND around that, and the background."""
     inside = masks > 0
     radius = max(1, round(BAND * masks.shape[2]))
     near = dilate(torch.from_numpy(inside).float(), radius).numpy() > 0
@@ -82,9 +80,7 @@ def sharpness(image: Image, photo: Image) -> float:
 
 
 def blur(image: Image) -> float:
-    """Return the blur effect in [0, 1], 0 sharp (Crete et al. 2007, scikit-image): no reference, no
-    weights.
-    """
+    """The blur effect in [0, 1], 0 sharp (Crete et al. 2007, scikit-image), without reference."""
     return float(blur_effect(_grey(image)))
 
 
@@ -102,9 +98,7 @@ def _grey(image: Image) -> Float[np.ndarray, "height width"]:
 
 
 def edit_strength(shown: Images, photos: Images, masks: Masks | None = None) -> float:
-    """Return the mean absolute change from photo to `shown` inside the masks, low-passed [sRGB];
-    NaN for empty ones.
-    """
+    """Mean absolute change from photo to `shown` in the masks, low-passed [sRGB]; NaN: empty."""
     weight = np.ones(photos.shape[:3]) if masks is None else masks
     return _weighted_change(shown, photos, weight)
 
@@ -205,9 +199,7 @@ def matched_points(first: Image, second: Image) -> tuple[Points, Points]:
 def epipolar_distances(
     first: Points, second: Points, cameras: Cameras
 ) -> Float[np.ndarray, "point"]:
-    """Return each point's mean distance in both images from its match's epipolar line [pixels]; 0
-    is best.
-    """
+    """Mean distance of each point and its match from their epipolar lines [pixels]; 0 is best."""
     k = to_pixels(cameras.intrinsics[0].double(), cameras.image_size)
     projections = k @ invert_rigid(cameras.c2w[0].double())[:, :3]
     fundamental = epipolar.fundamental_from_projections(*projections[:, None])

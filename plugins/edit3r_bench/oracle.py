@@ -70,9 +70,7 @@ class OracleEditor(Editor):
 
 
 def fault_of(prompt: str, seed: int) -> str:
-    """Return what is wrong with the reference of this edit, drawn by a hash: nothing in half, else
-    each as often.
-    """
+    """What is wrong with the reference of this edit, by a hash: nothing in half, else FAULTS."""
     digest = hashlib.sha256(repr((prompt, seed)).encode("utf-8")).digest()
     return FAULTS[digest[1] % len(FAULTS)] if digest[0] % 2 else ""
 

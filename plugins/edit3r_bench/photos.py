@@ -79,9 +79,7 @@ def find_photo_folders(folder: Path, views: int) -> list[PhotoFolder]:
 
 
 def _photo_folder(path: Path, views: int) -> PhotoFolder | None:
-    """Return two photos 5 to 30 degrees apart and one between them, where poses are known; else
-    evenly spaced ones.
-    """
+    """Two photos 5 to 30 degrees apart and one between, where posed; else evenly spaced ones."""
     try:
         files = tuple(file.relative_to(path).as_posix() for file in find_photos(path))
     except InputError:  # a folder of something else
@@ -197,9 +195,7 @@ class PhotoBuild:
         return proposals.edits_from_model(labels, photos, self.model)
 
     def manifest(self, vetted: Mapping[str, Sequence[ProposedEdit]]) -> Manifest:
-        """Return the benchmark; masks are written beside it. Raises InputError for a scene without
-        just five edits.
-        """
+        """The benchmark; writes masks. Raises InputError for a scene without just five edits."""
         chosen = {}
         for scene in self.scenes:
             if scene.id not in vetted:
@@ -298,9 +294,7 @@ class PhotoBuild:
     def _masks(
         self, item: str, scene: PhotoFolder, edit: ProposedEdit, boxes: Boxes
     ) -> tuple[FrameRecord, ...]:
-        """Return masks a person named, else those around a removed or modified object that was
-        found in every input.
-        """
+        """Masks that a person named, else around what is removed or modified in every input."""
         if edit.masks:
             if len(edit.masks) != len(scene.inputs):
                 raise InputError(

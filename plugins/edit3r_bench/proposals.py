@@ -69,9 +69,7 @@ class ProposedEdit(Settings):
 def find_objects(
     images: Iterable[Photo], detector: Detector, words: Sequence[str]
 ) -> dict[str, Boxes]:
-    """Return at most MAX_OBJECTS of `words` that enough photos show, by score, with the best box in
-    each.
-    """
+    """At most MAX_OBJECTS of `words` that enough photos show, by score, with the best boxes."""
     boxes: dict[str, Boxes] = dict.fromkeys(words, ())
     for image in images:
         for word in words:
@@ -94,9 +92,7 @@ def _best_box(detections: Sequence[Detection], image: Photo) -> Detection | None
 def masks_from_boxes(
     images: Images, boxes: Sequence[Detection], segmenter: Segmenter | None
 ) -> Float[Tensor, "view height width"]:
-    """Return masks around one object, a little larger than it; from the boxes themselves without a
-    segmenter.
-    """
+    """Masks around one object, a little larger than it; without a segmenter the boxes."""
     height, width = images.shape[-2:]
     masks = torch.zeros_like(images[:, 0])
     for mask, image, detection in zip(masks, images, boxes):
@@ -131,9 +127,7 @@ def asked_of_model(request: str, images: Images) -> list[dict[str, Any]]:
 
 
 def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]:
-    """Return every template for every label, shuffled within each type so that scenes do not all
-    get the same five.
-    """
+    """Every template for every label, shuffled within each type, so that scenes differ."""
     found = []
     rng = np.random.default_rng(seed)
     for kind in EDIT_TYPES:
@@ -232,9 +226,7 @@ class _Vetting(Settings):
 
 
 def read_vetting(path: Path) -> dict[str, list[ProposedEdit]]:
-    """Return edits by scene. Raises an error that names scene and entry for anything that cannot be
-    read.
-    """
+    """Edits by scene. Raises an error that names scene and entry where one cannot be read."""
     return make_settings(_Vetting, read_yaml(path), where=path.name).scenes
 
 

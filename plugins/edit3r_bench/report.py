@@ -180,9 +180,7 @@ def verdicts(
 
 
 def timing(column: Column) -> dict[str, Any]:
-    """Return median seconds of warm edits, those of the cold one, and how many warm ones there
-    were.
-    """
+    """Median seconds of warm edits, those of the cold one, and how many were warm."""
     times = [result.timing for result in column.results.values() if result.timing]
     cold = [own for own in times if own["cold"]]
     warm = [own for own in times if not own["cold"]]
@@ -199,9 +197,7 @@ def timing(column: Column) -> dict[str, Any]:
 
 
 def summary_of(columns: Sequence[Column]) -> dict[str, Any]:
-    """Return all means as JSON data: a function of manifest and methods alone, so the same on every
-    run; no times.
-    """
+    """All means as JSON data, without times: the same on every run of manifest and methods."""
     names = measured_names(columns)
     methods = {}
     for column in columns:
@@ -222,9 +218,7 @@ def summary_of(columns: Sequence[Column]) -> dict[str, Any]:
 
 
 def write_report(columns: Sequence[Column], out: Path, edits_shown: int = 20) -> str:
-    """Write report.md, report.json and index.html into `out`, and return the main table and the
-    times.
-    """
+    """Write report.md, report.json and index.html; return the main table and the times."""
     make_folder(out)
     text = report_text(columns)
     write_text(out / "report.md", text)

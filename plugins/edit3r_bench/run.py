@@ -97,9 +97,7 @@ def _result(row: Mapping[str, Any]) -> ItemResult:
 
 @dataclass(frozen=True)
 class BenchRun:
-    """A method on its way through a manifest: turns an item into a row of results; pickled to each
-    worker.
-    """
+    """A method on its way through a manifest: turns an item into a row; pickled to each worker."""
 
     manifest_file: Path
     method: Method

@@ -101,9 +101,7 @@ def _run_method(
     method: Method,
     position: int | None = None,
 ) -> None:
-    """Take a method through the manifest; with a position, that of its column in reports, into a
-    folder of its own.
-    """
+    """Take a method through the manifest; as one column of several, into a folder of its own."""
     out = Path(args.out)
     bench = BenchRun(
         manifest_file=Path(args.manifest),

@@ -64,9 +64,7 @@ class NewPluginCommand(Command):
 
 
 def new_package(kind: str, name: str, parent: Path) -> Path:
-    """Write the package into a new folder in `parent` and return it; nothing that exists is
-    touched.
-    """
+    """Write the package into a new folder in `parent`; nothing that exists is touched."""
     if kind not in KINDS:
         raise InputError(
             f"no kind {kind!r}.{suggest(kind, KINDS)} Kinds: {', '.join(KINDS)}."
@@ -115,9 +113,7 @@ def next_steps(kind: str, name: str, folder: Path) -> tuple[str, ...]:
 
 
 def check_name(name: str) -> None:
-    """Raise InputError unless `name` can name a component, a package and a module that do not exist
-    yet.
-    """
+    """Raise InputError unless `name` can name a component, a package and a module, all new."""
     if not NAME.fullmatch(name) or len(name) > MAX_NAME:
         raise InputError(
             f"name {name!r}: expected lower-case letters, digits and single dashes, starting "

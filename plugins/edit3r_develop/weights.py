@@ -81,9 +81,7 @@ class WeightsCommand(Command):
 
 
 def _named(name: str, known: Mapping[str, "Weights"]) -> "Weights":
-    """The weights called `name`; raises InputError for a name that no installed component
-    declares.
-    """
+    """The weights called `name`. Raises InputError where no installed component declares them."""
     from edit3r.contract.errors import InputError, suggest
 
     if name not in known:
@@ -94,9 +92,7 @@ def _named(name: str, known: Mapping[str, "Weights"]) -> "Weights":
 
 
 def _accept(chosen: list["Weights"], args: argparse.Namespace) -> None:
-    """Show licences of what is not here and ask once; raises InputError where the user does not
-    accept them.
-    """
+    """Show licences of what is not here and ask once. Raises InputError where they are refused."""
     from edit3r.contract.errors import InputError
     from edit3r.kit.weights.find import at_hand
     from edit3r_develop.fetch import unfinished

@@ -84,9 +84,7 @@ class WordAttention:
     """
 
     def __init__(self, words: int, halves: int) -> None:
-        """`words` follow the start token; `halves`: guidance copies in a batch, the first of them
-        reads the words.
-        """
+        """`words` follow the start token; the first of `halves` (guidance) reads them."""
         self.words, self.halves = words, halves
         # by number of places in the grid
         self.maps: dict[int, Float[Tensor, "token"]] = {}
@@ -112,9 +110,7 @@ class WordAttention:
         return attn.to_out[1](projected)
 
     def image(self, size: tuple[int, int]) -> Float[Tensor, "height width"]:
-        """Average the network's grids, each at most 1, at `size`; zeros before anything was
-        seen.
-        """
+        """Mean of the network's grids, each at most 1, at `size`; zeros before one was seen."""
         grids = []
         for places, total in self.maps.items():
             rows = max(1, round((places * size[0] / size[1]) ** 0.5))
@@ -134,9 +130,7 @@ class WordAttention:
 
 @contextmanager
 def listening(unet: Any, words: int, halves: int) -> Iterator[WordAttention]:
-    """Let every cross-attention of `unet` add to the result inside the block; it computes what it
-    did.
-    """
+    """Inside, every cross-attention of `unet` adds to the result; it computes what it did."""
     own, listener = unet.attn_processors, WordAttention(words, halves)
     _replace_processors(unet, "attn2", listener)
     try:

@@ -77,9 +77,7 @@ def _reference_first(
 def _grid(
     edit: Edit, views: Views, request: EditRequest
 ) -> Float[Tensor, "1 view 3 height width"]:
-    """Edit all views as one picture (as RL3DEdit does) and cut it apart again; empty cells repeat
-    the last view.
-    """
+    """Edit all views as one picture (as RL3DEdit does); empty cells repeat the last view."""
     columns = math.ceil(math.sqrt(views.count))
     rows = math.ceil(views.count / columns)
     cells = [min(cell, views.count - 1) for cell in range(rows * columns)]
@@ -124,9 +122,7 @@ def disagreement(
 def _matched(
     points0, described0, points1, described1
 ) -> Float[np.ndarray, "match 2 2"]:
-    """Pixels of mutual nearest descriptors that agree with one fundamental matrix; empty where
-    there are few.
-    """
+    """Pixels of mutual nearest descriptors on one fundamental matrix; empty where few are."""
     if described0 is None or described1 is None:
         return np.zeros((0, 2, 2))
     matches = cv2.BFMatcher(crossCheck=True).match(described0, described1)

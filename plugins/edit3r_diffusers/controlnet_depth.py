@@ -30,9 +30,7 @@ FAR, NEAR = 0.02, 0.98  # quantiles of disparity drawn black and white
 
 
 class ControlNetDepthEditor(Editor, ConditionedOnDepth):
-    """Redraws the photos towards a description (not an instruction), geometry held by depth, views
-    by attention.
-    """
+    """Redraws photos towards a description, geometry held by depth, views by attention."""
 
     class Settings(DiffusionSettings):
         model: str = "stable-diffusion-v1-5/stable-diffusion-v1-5"
@@ -177,9 +175,7 @@ class ControlNetDepthEditor(Editor, ConditionedOnDepth):
 def matched_disparity(
     matcher: Matcher, views: Views
 ) -> Float[Tensor, "view height width"]:
-    """Take 1 / depth [1 / scene units] of one scene's views from the matcher: one geometry, so
-    views agree.
-    """
+    """1 / depth [1 / scene units] of one scene's views by the matcher, so that views agree."""
     if views.count < 2:
         raise InputError(
             "controlnet-depth measures depth from two or more photos but is to edit one; leave "
@@ -199,9 +195,7 @@ def matched_disparity(
 def control_images(
     disparity: Float[Tensor, "view h w"], size: tuple[int, int]
 ) -> Float[Tensor, "view 3 height width"]:
-    """Draw grey images in [0, 1] of `size`, near white: disparity stretched between two quantiles
-    of the scene.
-    """
+    """Grey images in [0, 1], near white: disparity stretched between two of its quantiles."""
     values = disparity.double().flatten()
     some = values[:: max(1, len(values) // 1_000_000)]
     far, near = torch.quantile(some, values.new_tensor([FAR, NEAR]))

@@ -47,9 +47,7 @@ def edit_one_by_one(
     denoise: Callable[[ViewJob], Float[Tensor, "1 3 height width"]],
     starts: Float[Tensor, "batch view 3 height width"] | None = None,
 ) -> Views:
-    """Edit every view by `denoise`, from its image of `starts` if given; one whose mask is empty
-    stays as it is.
-    """
+    """Edit every view by `denoise`, from its image of `starts` if given; an empty mask keeps it."""
 
     def edit_view(scene: int, view: int) -> Float[Tensor, "3 height width"]:
         photo = views.images[scene, view]
@@ -86,9 +84,7 @@ def edit_one_by_one(
 def working_size(
     height: int, width: int, longer_side: int, multiple: int
 ) -> tuple[int, int]:
-    """Find (height, width) of the photo's shape and the given longer side (0: its own), multiples
-    of `multiple`.
-    """
+    """(height, width) of the photo's shape and longer side (0: its own), in multiples."""
     scale = longer_side / max(height, width) if longer_side else 1.0
     height, width = (
         max(multiple, round(side * scale / multiple) * multiple)
@@ -115,9 +111,7 @@ def resize_mask(
 def checked(
     image: Float[Tensor, "n 3 h w"], like: Float[Tensor, "*n 3 height width"], view: str
 ) -> Float[Tensor, "n 3 height width"]:
-    """Give a pipeline's images the photos' size, dtype and device; raises RunError where half
-    precision overflowed.
-    """
+    """A pipeline's images in the photos' size, dtype and device. Raises RunError on overflow."""
     if not torch.isfinite(image).all():
         raise RunError(
             f"the edit of {view} came out with values that are not finite, which happens when "

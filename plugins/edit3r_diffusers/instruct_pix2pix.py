@@ -73,9 +73,7 @@ class InstructPix2PixEditor(Editor, StartsFromImages, GivesAttention):
     def attention(
         self, views: Views, request: EditRequest
     ) -> Float[Tensor, "batch view height width"]:
-        """Measure how much each pixel looks at the instruction's words, in [0, 1]; costs an edit of
-        every view.
-        """
+        """How much each pixel looks at the instruction's words, in [0, 1]; costs another edit."""
         pipeline, maps = self._loaded(views.images.device), []
         words = attention.word_count(pipeline.tokenizer, request.prompt)
         copies = GUIDANCE_COPIES if self.settings.guidance > 1 else 1

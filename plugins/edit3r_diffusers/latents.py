@@ -50,9 +50,7 @@ class StepEnd:
         timestep: Num[Tensor, ""],
         tensors: dict[str, Tensor],
     ) -> dict[str, Tensor]:
-        """Replace the `latents` `[n, c, h, w]` among `tensors`, as pipelines ask after every
-        step.
-        """
+        """Replace the `latents` `[n, c, h, w]` of `tensors`, as pipelines ask after every step."""
         progress(self.text, step + 1, self.steps)
         if self.mask is None or self.photo_at is None:
             return tensors
@@ -76,9 +74,7 @@ def next_timestep(scheduler: Any, timestep: Num[Tensor, ""]) -> Num[Tensor, ""] 
 def noised(
     clean: Float[Tensor, "n c h w"], noise: Float[Tensor, "n c h w"]
 ) -> LatentsAt:
-    """Give the photo's latents under one fixed noise, the edit's own, at the strength of any
-    timestep.
-    """
+    """The photo's latents under one fixed noise, the edit's own, of any timestep's strength."""
 
     def at(
         scheduler: Any, timestep: Num[Tensor, ""] | None
@@ -119,9 +115,7 @@ def noise_like_latents(
 
 
 def steps_left(steps: int, strength: float) -> int:
-    """Count the steps that put about `strength` in [0, 1] of the noise in and out; at least 1 of
-    `steps`.
-    """
+    """Steps that put about `strength` in [0, 1] of the noise in and out; 1 to `steps`."""
     return max(1, min(steps, round(steps * strength)))
 
 
@@ -132,9 +126,7 @@ def noisy_start(
     steps: int,
     skipped: int,
 ) -> Float[Tensor, "n c h w"]:
-    """Add to `clean` the noise of step `skipped` of `steps`, in the scale that pipelines expect of
-    their `latents`.
-    """
+    """`clean` with the noise of step `skipped` of `steps`, scaled as pipelines expect `latents`."""
     scheduler.set_timesteps(steps, device=clean.device)
     noisy = scheduler.add_noise(
         clean, noise, scheduler.timesteps[skipped].expand(len(clean))

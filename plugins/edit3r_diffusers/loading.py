@@ -64,9 +64,7 @@ def load(
     half: torch.dtype,
     **parts: Any,
 ) -> Any:
-    """Load the class of diffusers named `pipeline` with the settings' weights; `parts` replace its
-    own.
-    """
+    """Load a class of diffusers with the settings' weights; `parts` replace its own."""
     device = pretrained.pick_device(settings.device, photos_on, "editor.device")
     dtype = pick_dtype(settings.dtype, device, half)
     weights = main_weights(settings)
@@ -121,9 +119,7 @@ def picture_processors(pipeline: type, settings: DiffusionSettings) -> dict[str,
 
 
 def same_parts(pipeline: type, of: Any) -> Any:
-    """Make another class of diffusers of the parts and flags of a loaded pipeline, without a second
-    copy.
-    """
+    """Another class of diffusers of a loaded pipeline's parts and flags, without a second copy."""
     parts = {
         name: vars(of).get(name, of.config.get(name))
         for name in inspect.signature(pipeline).parameters

@@ -142,9 +142,7 @@ class PipelineEditor(Editor):
                 self._masked = loading.same_parts(masked, self._plain)
 
     def _check(self, plain: type, masked: type | None) -> None:
-        """Raise SettingsError for a class that does not edit, and for settings that it has no
-        argument for.
-        """
+        """Raise SettingsError for a class that does not edit, and for settings that it lacks."""
         taken = _arguments(plain) | (_arguments(masked) if masked else set())
         if not {"image", "prompt"} <= _arguments(plain):
             raise SettingsError(

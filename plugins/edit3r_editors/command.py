@@ -64,9 +64,7 @@ class CommandEditor(Editor):
         names: list[str],
         request: EditRequest,
     ) -> Float[Tensor, "view 3 height width"]:
-        """Run the program on the views of one scene. Raises RunError where it fails or does not
-        write a view.
-        """
+        """Run the program on a scene's views. Raises RunError where it fails or leaves one out."""
         arguments, together = parse_command(self.settings.command)
         with tempfile.TemporaryDirectory(prefix="edit3r-command-") as folder:
             folders = {kind: Path(folder, kind) for kind in PER_VIEW}
@@ -132,9 +130,7 @@ class CommandEditor(Editor):
 
 
 def parse_command(command: str) -> tuple[list[str], bool]:
-    """Split a command into arguments with placeholders; True: one call edits all views. Raises
-    SettingsError.
-    """
+    """Arguments with placeholders, and whether one call edits all views. Raises SettingsError."""
     try:
         arguments = shlex.split(command)
         read = string.Formatter().parse

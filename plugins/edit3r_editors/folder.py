@@ -29,9 +29,7 @@ MOST_ENLARGED = 2.0  # times, of a model that is smaller than its photos
 
 
 class FolderEditor(Editor):
-    """Replaces each view by the image of its name in a folder, or by natural order when no name
-    fits.
-    """
+    """Replaces each view by the image of its name in a folder, else in natural order."""
 
     class Settings(edit3r.Settings):
         path: str = ""
@@ -112,9 +110,7 @@ def _images_in(path: str) -> list[Path]:
 
 
 def view_names(views: Views) -> list[str]:
-    """Give every view a distinct file stem: its name where it has one, else `view_1`, `view_2`,
-    ...
-    """
+    """A distinct file stem for every view: its name where it has one, else `view_1` and on."""
     if not views.names:
         return [f"view_{index + 1}" for index in range(views.count)]
     stems = [Path(name).stem for name in views.names]

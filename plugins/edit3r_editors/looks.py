@@ -8,7 +8,7 @@ picture, where it would swim over the surfaces.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -35,12 +35,7 @@ Images = Float[Tensor, "view 3 height width"]
 Grey = Float[Tensor, "view 1 height width"]
 grey = kornia.color.rgb_to_grayscale
 
-BANDS = (
-    (0, 0.2, 0.34, 0.48, 0.62, 0.74, 0.88, 1),
-    (0.02, 0.2, 0.42, 0.36, 0.55, 0.82, 0.74, 1),
-)
-"""Polished metal: what light becomes which light; the dips are what makes it look like reflections.
-"""
+Numbers = Sequence[float]
 
 
 def graded(
@@ -51,65 +46,97 @@ def graded(
     gain=(1.0, 1.0, 1.0),
     lift=0.0,
 ) -> Images:
-    """Grade each pixel by itself: gamma, saturation, contrast around mid-grey, gains of RGB, lifted
-    blacks.
-    """
+    """Grade each pixel: gamma, saturation, contrast around mid-grey, gain of RGB, lifted blacks."""
     images = images.clamp(min=1e-4) ** gamma
     light = grey(images)
     images = 0.5 + contrast * (light + saturation * (images - light) - 0.5)
     return (lift + (1 - lift) * images * _colour(images, *gain)).clamp(0, 1)
 
 
-def autumn(images: Images) -> Images:
+def autumn(
+    images: Images,
+    green: Numbers,
+    turned: Numbers,
+    saturation: Numbers,
+    value: Numbers,
+    grade: Mapping,
+) -> Images:
+    """Turn hues of plants [degrees] from `green` to `turned`; factors and limits of the rest."""
     hsv, weight = _foliage(images)
-    # yellow-green to red
-    hue = torch.deg2rad(44 - 28 * ((torch.rad2deg(hsv[:, :1]) - 55) / 110).clamp(0, 1))
-    saturation, value = (
-        (1.7 * hsv[:, 1:2]).clamp(max=0.9),
-        (1.1 * hsv[:, 2:]).clamp(max=1),
-    )
-    leaves = kornia.color.hsv_to_rgb(torch.cat((hue, saturation, value), 1))
-    turned = torch.lerp(images, leaves, weight)
-    return graded(turned, saturation=1.1, gain=(1.06, 1, 0.88))
+    share = (torch.rad2deg(hsv[:, :1]) - green[0]) / (green[1] - green[0])
+    hue = turned[0] + (turned[1] - turned[0]) * share.clamp(0, 1)
+    channels = [
+        (factor * hsv[:, [channel]]).clamp(max=most)
+        for channel, (factor, most) in ((1, saturation), (2, value))
+    ]
+    leaves = kornia.color.hsv_to_rgb(torch.cat((torch.deg2rad(hue), *channels), 1))
+    return graded(torch.lerp(images, leaves, weight), **grade)
 
 
-def winter(images: Images) -> Images:
-    frost = grey(images).clamp(min=1e-4) ** 0.55 * _colour(images, 0.95, 0.98, 1.03)
-    frosted = torch.lerp(images, frost.clamp(0, 1), 0.85 * _foliage(images)[1])
-    return graded(frosted, gamma=0.85, saturation=0.45, gain=(0.93, 1, 1.1))
+def winter(
+    images: Images, gamma: float, tint: Numbers, share: float, grade: Mapping
+) -> Images:
+    frost = grey(images).clamp(min=1e-4) ** gamma * _colour(images, *tint)
+    frosted = torch.lerp(images, frost.clamp(0, 1), share * _foliage(images)[1])
+    return graded(frosted, **grade)
 
 
-def sketch(images: Images) -> Images:
-    light = grey(_flattened(images, 20, 0.15))
-    paper = _colour(images, 1, 0.99, 0.96)
-    return _lines(light, 0.012) ** 2 * (0.72 + 0.28 * _step(light, 0, 0.75)) * paper
+def sketch(
+    images: Images, smooth: Numbers, line: float, tone: Numbers, paper: Numbers
+) -> Images:
+    light = grey(_flattened(images, *smooth))
+    dark, range_, bright = tone
+    shade = dark + range_ * _step(light, 0, bright)
+    return _lines(light, line) ** 2 * shade * _colour(images, *paper)
 
 
-def cartoon(images: Images) -> Images:
-    ink = _step(_lines(grey(_flattened(images, 15, 0.15)), 0.004), 0.55, 0.85)
-    flat = _flattened(images, 60, 0.4)
-    return ink * graded(flat, gamma=0.75, saturation=1.6, contrast=1.1)
+def cartoon(
+    images: Images,
+    smooth: Numbers,
+    line: float,
+    ink: Numbers,
+    flat: Numbers,
+    grade: Mapping,
+) -> Images:
+    lines = _step(_lines(grey(_flattened(images, *smooth)), line), *ink)
+    return lines * graded(_flattened(images, *flat), **grade)
 
 
-def watercolour(images: Images) -> Images:
+def watercolour(
+    images: Images, smooth: Numbers, line: float, colour: float, grade: Mapping
+) -> Images:
     """Flatten into washes with darker rims, on paper that shines through."""
-    washes = _flattened(images, 40, 0.4)
-    washes = washes * _lines(grey(washes), 0.004)
-    return 1 - 0.92 * (1 - graded(washes, gamma=0.8, saturation=1.35, contrast=0.95))
+    washes = _flattened(images, *smooth)
+    washes = washes * _lines(grey(washes), line)
+    return 1 - colour * (1 - graded(washes, **grade))
 
 
-def marble(images: Images) -> Images:
-    """White stone in the photo's shades; veins run along lines of equal light, thin in a wider
-    shadow.
-    """
-    phase, slope = _shades(images, 8, 0.008)
+def marble(
+    images: Images,
+    lines: Numbers,
+    widths: Numbers,
+    depths: Numbers,
+    clear: Numbers,
+    vein: Numbers,
+    tone: Numbers,
+    stone: Numbers,
+) -> Images:
+    """White stone in the photo's shades; veins along lines of equal light, thin in a shadow."""
+    phase, slope = _shades(images, *lines)
     # to the line [pixels]
     distance = (phase - phase.round()).abs() / slope.clamp(min=0.005)
-    thin, wide = (torch.exp(-((distance / width) ** 2)) for width in (1.3, 4.5))
-    veins = (0.8 * thin).maximum(0.35 * wide) * _step(slope, 0.004, 0.02)
-    veins = veins * _colour(images, 0.45, 0.44, 0.4)
-    light = 0.42 + 0.57 * _step(grey(_flattened(images, 10, 0.1)), 0, 0.85)
-    return light * _colour(images, 1, 0.985, 0.96) * (1 - veins)
+    thin, wide = (
+        depth * torch.exp(-((distance / width) ** 2))
+        for width, depth in zip(widths, depths)
+    )
+    veins = thin.maximum(wide) * _step(slope, *clear) * _colour(images, *vein)
+    return _toned(images, tone) * _colour(images, *stone) * (1 - veins)
+
+
+def _toned(images: Images, tone: Numbers) -> Grey:
+    """Smooth light from the first number by the second, at most where light is the third."""
+    dark, range_, bright = tone
+    return dark + range_ * _step(grey(_flattened(images, 10, 0.1)), 0, bright)
 
 
 def _shades(images: Images, lines: float, sigma: float) -> tuple[Grey, Grey]:
@@ -124,36 +151,55 @@ def _colour(images: Images, *rgb: float) -> Float[Tensor, "3 1 1"]:
     return images.new_tensor(rgb)[:, None, None]
 
 
-def wood(images: Images, colours: tuple) -> Images:
+def wood(
+    images: Images,
+    lines: Numbers,
+    clear: Numbers,
+    lost: Numbers,
+    depth: float,
+    tone: Numbers,
+    colours: Sequence[Numbers],
+) -> Images:
     """Brown in the photo's shades; soft rings run along lines of equal light, as marble's veins."""
-    phase, slope = _shades(images, 12, 0.01)
-    clear = _step(slope, 0.004, 0.02) * (1 - _step(slope, 0.08, 0.2))
-    rings = 0.375 * (1 + torch.cos(2 * math.pi * phase)) * clear
-    light = 0.35 + 0.75 * _step(grey(_flattened(images, 10, 0.1)), 0, 0.85)
-    return light * _between(images, rings, colours)
+    phase, slope = _shades(images, *lines)
+    seen = _step(slope, *clear) * (1 - _step(slope, *lost))
+    rings = depth * (1 + torch.cos(2 * math.pi * phase)) * seen
+    return _toned(images, tone) * _between(images, rings, colours)
 
 
-def snow(images: Images, colours: tuple) -> Images:
+def snow(images: Images, tone: Numbers, colours: Sequence[Numbers]) -> Images:
     """White in light and pale blue in shade."""
-    return _between(images, _step(grey(_flattened(images, 10, 0.1)), 0, 0.9), colours)
+    return _between(images, _toned(images, tone), colours)
 
 
 def _between(
-    images: Images, share: Float[Tensor, "view 1 height width"], colours: tuple
+    images: Images,
+    share: Float[Tensor, "view 1 height width"],
+    colours: Sequence[Numbers],
 ) -> Images:
     """From the first colour (sRGB) to the second, by a share of each pixel."""
     first, second = (_colour(images, *one) for one in colours)
     return first + share * (second - first)
 
 
-def metal(images: Images, colours: tuple) -> Images:
-    """Turn light into the banded light of polished metal, in colours (sRGB) of its shades, middle
-    and highlights.
+def metal(
+    images: Images,
+    smooth: Numbers,
+    range_: Numbers,
+    banded: float,
+    bands: Sequence[Numbers],
+    places: Numbers,
+    colours: Sequence[Numbers],
+) -> Images:
+    """The banded light of polished metal, in colours (sRGB) of shades, middle and highlights.
+
+    `bands` say what light becomes which light; the dips are what makes it look like reflections.
     """
-    smooth = _by_opencv(images, partial(cv2.medianBlur, ksize=5))
-    flat = _step(grey(_flattened(smooth, 30, 0.25)), 0.02, 0.95)
-    shade, light = (one[:, 0].numpy(force=True) for one in (flat, grey(smooth)))
-    shine, places = 0.7 * np.interp(shade, *BANDS) + 0.3 * light, (0, 0.3, 0.65, 1)
+    median = _by_opencv(images, partial(cv2.medianBlur, ksize=5))
+    flat = _step(grey(_flattened(median, *smooth)), *range_)
+    shade, light = (one[:, 0].numpy(force=True) for one in (flat, grey(median)))
+    reflected = np.interp(shade, bands[0], bands[1])
+    shine = banded * reflected + (1 - banded) * light
     channels = [np.interp(shine, places, (0, *stops)) for stops in zip(*colours)]
     return torch.from_numpy(np.stack(channels, 1)).to(images)
 
@@ -187,9 +233,7 @@ def _blurred(images: Grey, sigma: float) -> Grey:
 
 
 def _flattened(images: Images, reach: float, range_: float) -> Images:
-    """Smooth within edges (Gastal and Oliveira 2011); `reach` in pixels, `range_` of colours in [0,
-    1].
-    """
+    """Smooth within edges (Gastal and Oliveira 2011); `reach` [pixels], `range_` of colours."""
     draw = partial(cv2.edgePreservingFilter, flags=1, sigma_s=reach, sigma_r=range_)
     return _by_opencv(images, draw)
 

@@ -87,9 +87,7 @@ def with_look(
     generator: torch.Generator,
     apart: float,
 ) -> Float[Tensor, "batch 3 height width"]:
-    """Edit one view by a look `apart` of the way from the `shared` one, numbers in [0, 1], to one
-    of its own.
-    """
+    """Edit a view by a look `apart` of the way from the `shared` one to its own, in [0, 1]."""
     look = torch.lerp(shared, torch.rand(6, generator=generator), apart)
     return coloured(disturbed(images, generator, apart), 2 * look - 1)
 
@@ -97,9 +95,7 @@ def with_look(
 def coloured(
     images: Float[Tensor, "batch 3 height width"], look: Float[Tensor, "6"]
 ) -> Float[Tensor, "batch 3 height width"]:
-    """Change hue, saturation, gamma and tint of all colours by numbers in [-1, 1]; the result is in
-    [0, 1].
-    """
+    """Change hue, saturation, gamma and tint of all colours by numbers in [-1, 1]."""
     hue, saturation, gamma, *tint = look.tolist()
     result = kornia.enhance.adjust_hue(images, torch.pi * hue)
     saturated = kornia.enhance.adjust_saturation_with_gray_subtraction
@@ -113,9 +109,7 @@ def disturbed(
     generator: torch.Generator,
     amount: float,
 ) -> Float[Tensor, "batch 3 height width"]:
-    """Move points and add smooth texture, the same at any image size up to resampling; the result
-    is in [0, 1].
-    """
+    """Move points and add smooth texture, the same at any image size up to resampling."""
     if amount == 0:
         return images
     cells = (1, 5, TEXTURE_CELLS, TEXTURE_CELLS)

@@ -6,9 +6,7 @@ from edit3r.contract.types import EditRequest, Views
 
 
 class NoneEditor(Editor):
-    """Returns its input: for reconstructing photos without an edit, and as the zero of
-    comparisons.
-    """
+    """Returns its input: to reconstruct photos as they are, and as the zero of comparisons."""
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         if request.prompt.strip():

@@ -309,9 +309,7 @@ def _carried(
     c2w: Float[Tensor, "4 4"],
     hole: Bool[Tensor, "height width"],
 ) -> Float[Tensor, "height width"]:
-    """Inverse camera z of the nearest of the points in each pixel of the hole; 0 where there is
-    none.
-    """
+    """Inverse camera z of the nearest point in each pixel of the hole; 0: there is none."""
     height, width = hole.shape
     places, z = project(points, intrinsics, c2w)
     pixels = (places * places.new_tensor([width, height])).floor().long()

@@ -217,9 +217,7 @@ def _points(
     keypoints: Sequence[Float[np.ndarray, "keypoint 2"]],
     poses: dict[int, Pose],
 ) -> Float[np.ndarray, "track 3"]:
-    """The point of each track, from the two views that see it from the most different sides; NaN:
-    none.
-    """
+    """Each track's point, of the two views that see it from most different sides; NaN: none."""
     rays = {
         view: rays_through(keypoints[view], images[view].intrinsics) for view in poses
     }

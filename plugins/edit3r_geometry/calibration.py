@@ -236,9 +236,7 @@ class _FocalSearch:
         return math.degrees(2 * math.atan(0.5 * self.longest / math.exp(log_focal)))
 
     def doubted(self) -> bool:
-        """Whether a lens a good deal longer or shorter than assumed does better: a fifth of a
-        scan's time.
-        """
+        """Whether a lens much longer or shorter than assumed is better, in a fifth of a scan."""
         given = self.with_new_poses(self.assumed)
         aside = [self.assumed + sign * _ASIDE for sign in (-1, 1)]
         others = [

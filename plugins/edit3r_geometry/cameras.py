@@ -140,9 +140,7 @@ def rays_through(
 def pixel_rays(
     intrinsics: Float[np.ndarray, "3 3"], size: tuple[int, int]
 ) -> Float[np.ndarray, "height width 3"]:
-    """Camera-frame vectors with z = 1 through every pixel centre of an image of `size` (height,
-    width).
-    """
+    """Camera-frame vectors with z = 1 through the pixel centres of a (height, width)."""
     height, width = size
     grid = np.stack(
         np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1

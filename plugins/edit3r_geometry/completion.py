@@ -43,9 +43,7 @@ def confirmed(
     neighbour: Neighbour,
     other: RawDepth,
 ) -> Bool[np.ndarray, "height width"]:
-    """Pixels of inverse depth `inverse` for which the neighbour, whose depth is `other`, measured
-    the same surface.
-    """
+    """Pixels of depth `inverse` where the neighbour, by its `other`, measured the same surface."""
     points = neighbour.pose.apply(
         pixel_rays(reference.intrinsics, reference.size) / inverse[..., None]
     )
@@ -126,9 +124,7 @@ def _nearest(
     values: Float[np.ndarray, "height width"],
     measured: Bool[np.ndarray, "height width"],
 ) -> tuple[Float[np.ndarray, "height width"], Float[np.ndarray, "height width"]]:
-    """The value of the measured pixel nearest to each pixel, and the distance to it (large: none is
-    measured).
-    """
+    """The value of the nearest measured pixel, and the distance to it (large: there is none)."""
     gaps = (~measured).astype(np.uint8)
     distance, labels = cv2.distanceTransformWithLabels(
         gaps, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL

@@ -144,9 +144,7 @@ def _declared(model: str) -> Weights:
 
 
 def _untrained(model: str) -> nn.Module:
-    """The network with random weights, always the same ones; its package is kept from talking and
-    from evaluating.
-    """
+    """The network with random weights, always the same; its package is kept from talking."""
     with warnings.catch_warnings(), torch.random.fork_rng(devices=[]):
         warnings.simplefilter("ignore")
         from depth_anything_3.cfg import create_object, load_config
@@ -162,9 +160,7 @@ def _untrained(model: str) -> nn.Module:
 
 
 def _network_size(image_size: tuple[int, int], longest: int) -> tuple[int, int]:
-    """(height, width) nearest to the image's shape with the longer side at most `longest`, in
-    multiples of PATCH.
-    """
+    """(height, width) like the image's, the longer side at most `longest`, multiples of PATCH."""
     scale = longest / max(image_size)
     height, width = (PATCH * max(2, round(side * scale / PATCH)) for side in image_size)
     return height, width
@@ -198,9 +194,7 @@ def _at_full_size(
 def _lens(
     read: Float[Tensor, "batch view 3 3"], views: Views
 ) -> Float[Tensor, "batch view 3 3"]:
-    """The intrinsics that the network read, with which its depths go; the given ones, said so,
-    where it read none.
-    """
+    """The intrinsics that the network read, with its depths; the given ones where it read none."""
     focal, given = (x[..., (0, 1), (0, 1)].amax(-1) for x in (read, views.intrinsics))
     unread = focal > 0.5 / math.tan(math.radians(NARROWEST) / 2)
     known = torch.tensor(

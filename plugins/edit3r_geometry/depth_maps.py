@@ -198,9 +198,7 @@ def sweep_depth(
     inverse_range: tuple[float, float],
     planes: int,
 ) -> RawDepth:
-    """Unchecked depth of `reference` from all `neighbours` together, with at most `planes`
-    hypotheses.
-    """
+    """Unchecked depth of `reference` by all `neighbours`, with at most `planes` hypotheses."""
     inverse_depths = plane_inverse_depths(reference, neighbours, inverse_range, planes)
     cost = matching_cost(reference, neighbours, inverse_depths)
     position = best_plane(aggregate(cost, reference.grey))

@@ -217,9 +217,7 @@ def with_tilted(
     lost: Collection[int],
     settings: FeatureSettings,
 ) -> FoundFeatures:
-    """Match images again as they would look from aside: the `lost` ones, and other pairs with few
-    matches.
-    """
+    """Match the `lost` images, and pairs with few matches, again as they look from aside."""
     few = [
         (a not in lost and b not in lost, -len(indices), (a, b))
         for (a, b), indices in found.indices.items()
@@ -336,9 +334,7 @@ def _detect(
 def _square_root(
     descriptors: Float[np.ndarray, "point 128"],
 ) -> Float[np.ndarray, "point 128"]:
-    """The Hellinger kernel: normalise by the sum, then take the root; the result has unit
-    length.
-    """
+    """The Hellinger kernel: the root of shares of the sum; the result has unit length."""
     total = np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-6)
     return np.sqrt(descriptors / total).astype(np.float32)
 
@@ -400,9 +396,7 @@ def _first_at_its_place(
 
 
 def _distance(similarity: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n"]:
-    """Distance of unit vectors; never quite 0, so that of two perfect matches neither is the better
-    one.
-    """
+    """Distance of unit vectors; never quite 0, so that no perfect match beats another."""
     return np.sqrt(np.maximum(2 - 2 * similarity, 1e-6))
 
 

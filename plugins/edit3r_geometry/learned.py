@@ -4,8 +4,7 @@ They find motions between wide views that SIFT misses; where both work SIFT's po
 exact ones.
 """
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,6 +15,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from edit3r.contract.errors import InputError
+from edit3r.kit.compute.layers import one_thread
 from edit3r_geometry.keypoints import Keypoints
 
 _PREFIX = "matcher."
@@ -37,8 +37,8 @@ class LearnedFeatures:
         from kornia.feature import ALIKED, LightGlue
 
         detector = ALIKED("aliked-n16", max_num_keypoints=limit)
-        # No name of features: with one, kornia would download weights.
-        matcher = LightGlue(None, input_dim=128, weights=None)  # type: ignore[arg-type]  # may be None
+        # No name of features, which may be None: with one, kornia would download weights.
+        matcher = LightGlue(None, input_dim=128, weights=None)  # type: ignore[arg-type]
         _load(detector, folder / "aliked-n16.pth", {})
         layers = range(len(matcher.transformers))
         pairs = [(layer, kind) for layer in layers for kind in ("self", "cross")]
@@ -52,16 +52,14 @@ class LearnedFeatures:
     def detect(
         self, image: Float[np.ndarray, "height width 3"], detection_size: int
     ) -> Keypoints:
-        """The features of `image` in [0, 1], looked for at a long side of `detection_size`
-        [pixels].
-        """
+        """Features of `image` in [0, 1], found at a long side of `detection_size` [pixels]."""
         height, width = image.shape[:2]
         scale = detection_size / max(height, width)
         size = (max(32, round(width * scale)), max(32, round(height * scale)))
         resized = cv2.resize(
             image, size, interpolation=cv2.INTER_CUBIC if scale > 1 else cv2.INTER_AREA
         )
-        with _one_thread(), torch.inference_mode():
+        with one_thread(), torch.inference_mode():
             pixels = (
                 torch.from_numpy(np.clip(resized, 0, 1))
                 .permute(2, 0, 1)[None]
@@ -81,7 +79,7 @@ class LearnedFeatures:
         """Pairs of indices of the features of two images whose (height, width) are `sizes`."""
         if min(len(a), len(b)) < 2:
             return np.zeros((0, 2), int)
-        with _one_thread(), torch.inference_mode():
+        with one_thread(), torch.inference_mode():
             asked = {
                 f"image{i}": _as_asked(*side)
                 for i, side in enumerate(zip((a, b), sizes))
@@ -120,16 +118,3 @@ def _load(network: nn.Module, file: Path, renamed: Mapping[str, str]) -> None:
             f"{file}: not the weights expected ({', '.join((*lacking, *left)[:3])}); fetch them "
             "again."
         )
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Compute with one thread: with another number of them sums, and so the choice of a match,
-    could differ.
-    """
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -1,6 +1,7 @@
 """The matchers `classical` and `posed`, which need no weights, and `auto`, which picks."""
 
 import functools
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
@@ -48,7 +49,22 @@ believed.
 """
 
 
-class ClassicalMatcher(Matcher, MatchesLevelled):
+class _RememberingMatcher(Matcher, MatchesLevelled):
+    """Asks `_geometry`, whose depths may be measured in one exposure, once for the same photos."""
+
+    @remembered
+    def match(self, views: Views) -> Geometry:
+        return self._geometry(views, views)
+
+    @remembered
+    def match_levelled(self, views: Views, levelled: Views) -> Geometry:
+        return self._geometry(views, levelled)
+
+    @abstractmethod
+    def _geometry(self, views: Views, levelled: Views) -> Geometry: ...
+
+
+class ClassicalMatcher(_RememberingMatcher):
     """Features, essential matrices, plane sweep, semi-global aggregation, cross-check and
     edge-aware filling.
 
@@ -73,14 +89,6 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
 
     settings: Settings
 
-    @remembered
-    def match(self, views: Views) -> Geometry:
-        return self._geometry(views, views)
-
-    @remembered
-    def match_levelled(self, views: Views, levelled: Views) -> Geometry:
-        return self._geometry(views, levelled)
-
     def _geometry(self, views: Views, levelled: Views) -> Geometry:
         require_matchable(views, MIN_SIZE)
         scenes = [
@@ -103,9 +111,7 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
         )
 
     def _reads_fov(self, views: Views) -> bool:
-        """Whether the field of view is to be read from the photos: where none of them knows its
-        own.
-        """
+        """Whether the photos are to tell the field of view: where none knows its own."""
         return self.settings.calibrate and bool(views.assumed) and all(views.assumed)
 
     def lens(self, views: Views) -> Lens | None:
@@ -177,9 +183,7 @@ class ClassicalMatcher(Matcher, MatchesLevelled):
         )
 
     def register(self, views: Views, scene: int) -> "_Registered":
-        """Where the photos of one scene were taken, and the field of view they tell, or contradict
-        with a warning.
-        """
+        """Where a scene's photos were taken, and the field of view they tell or contradict."""
         images = calibrated_images(views, scene)
         features = find_features(images, self.settings)
         found = self._attempt(views, images, features)
@@ -288,7 +292,7 @@ def _registered(asked: _Asked) -> _Registered:
     return asked.matcher.register(asked.views, asked.scene).without_pixels()
 
 
-class PosedMatcher(Matcher, MatchesLevelled):
+class PosedMatcher(_RememberingMatcher):
     """Trusts the views' own poses; views without any go to the matcher it was built with.
 
     Features that agree with the known epipolar geometry tell the range of depths, plane sweep
@@ -307,14 +311,6 @@ class PosedMatcher(Matcher, MatchesLevelled):
 
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
-
-    @remembered
-    def match(self, views: Views) -> Geometry:
-        return self._geometry(views, views)
-
-    @remembered
-    def match_levelled(self, views: Views, levelled: Views) -> Geometry:
-        return self._geometry(views, levelled)
 
     def _geometry(self, views: Views, levelled: Views) -> Geometry:
         if views.c2w is None:
@@ -356,9 +352,7 @@ class PosedMatcher(Matcher, MatchesLevelled):
         features: FoundFeatures,
         poses: Sequence[Pose],
     ) -> tuple[Pose, ...]:
-        """The poses settled on what the photos have in common; the first, and the unit of length,
-        stay.
-        """
+        """The poses settled on what the photos share; the first, and the unit of length, stay."""
         from edit3r_geometry.bundle_adjustment import adjust
 
         points, limit = (
@@ -442,9 +436,7 @@ def _matched(matcher: Matcher, views: Views, levelled: Views) -> Geometry:
 
 
 def best_at_hand() -> str:
-    """The name of the best weights of Depth Anything 3 that can be used here and now; 'part'
-    without any.
-    """
+    """The best weights of Depth Anything 3 that are ready here; 'part' without any."""
     usable = (
         name
         for name in ("da3-base", "da3-small")
@@ -456,9 +448,7 @@ def best_at_hand() -> str:
 def _report(
     registration: Registration, features: FoundFeatures, names: Sequence[str]
 ) -> None:
-    """Note the inliers of every pair and where their matches come from, and warn of views that were
-    left out.
-    """
+    """Note the inliers of every pair and what matched them; warn of views that were left out."""
     helped = sum(bool(features.learned(a, b).any()) for a, b in features.indices)
     learned = (
         f" and, for {helped} of {len(features.indices)} pairs, {features.helper}"

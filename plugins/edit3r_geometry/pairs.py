@@ -74,9 +74,7 @@ _CLOSE_TOGETHER = (
 
 @dataclass(frozen=True)
 class PairView:
-    """Matches of two views that agree on one epipolar geometry, with which feature of each view
-    they are.
-    """
+    """Matches of two views that agree on one epipolar geometry, and which features they are."""
 
     matches: Matches
     indices: Int[np.ndarray, "match 2"]  # keypoints of the first and second view
@@ -90,9 +88,7 @@ class PairView:
         kept: Bool[np.ndarray, "all"],
         pose: Pose,
     ) -> "PairView":
-        """What remains of all matches of two views when only those that agree with `pose` are
-        `kept`.
-        """
+        """What remains of all matches of two views when those that agree with `pose` are `kept`."""
         agreeing = matches.select(kept)
         return PairView(
             agreeing,
@@ -103,9 +99,7 @@ class PairView:
 
     @property
     def usefulness(self) -> float:
-        """Number of matches, each counted by how well its depth can be read, and the surface around
-        it compared.
-        """
+        """Number of matches, each by how well its depth, and the surface around it, can be read."""
         readable, alike = (
             self.parallax / ENOUGH_PARALLAX,
             (MOST_PARALLAX / np.maximum(self.parallax, 1e-9)) ** 2,
@@ -208,9 +202,7 @@ def _moved(
     seed: int,
     once: bool,
 ) -> PairView | str:
-    """The motion that the matches of two images show, with those that agree, or why there is
-    none.
-    """
+    """The motion that the matches of two images show, and those that agree, or why none does."""
     found = estimate_pose(matches, threshold, seed, once)
     evident = _evident(found, matches, learned, threshold)
     # where SIFT's matches are nearly all wrong, they hide what the others say
@@ -233,9 +225,7 @@ def _moved(
 
 
 def _in_a_corner(agreeing: Matches, matches: Matches) -> bool:
-    """Whether, in both images, what agrees fills a small part of where there are matches: they show
-    one thing only.
-    """
+    """Whether what agrees fills a small part of the matches of both images: one thing only."""
     both = (agreeing, matches)
     inside = [
         [
@@ -283,9 +273,7 @@ def _evident(
     learned: Bool[np.ndarray, "match"],
     threshold: float,
 ) -> bool:
-    """Whether the matches show a pose beyond doubt: SIFT's alone against chance, or many of both
-    kinds.
-    """
+    """Whether matches show a pose beyond doubt: SIFT's against chance, or many of both kinds."""
     if found is None:
         return False
     exact = int((found.inliers & ~learned).sum())

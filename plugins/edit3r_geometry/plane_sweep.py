@@ -100,9 +100,7 @@ def _add_costs(
     neighbour: Neighbour,
     inverse_depths: Float[np.ndarray, "plane"],
 ) -> None:
-    """Add the neighbour's costs to the volume, whose planes are a multiple of BLOCK; `worst` may be
-    empty.
-    """
+    """Add the neighbour's costs to a volume of multiples of BLOCK planes; `worst` may be empty."""
     grey = np.ascontiguousarray(reference.grey)
     statistics = [_statistics(grey, radius) for radius in (SMALL, LARGE)]
     block = np.empty((BLOCK, *reference.size), np.float32)
@@ -184,9 +182,7 @@ def _box(
 
 @compiled(fastmath=True, nogil=True)
 def _moments(image, grey, warped):  # pragma: no cover - compiled
-    """Warped grey, its square and its product with the reference, and the truncated colour
-    difference in [0, 1].
-    """
+    """Warped grey, its square and product with the reference, and truncated colour difference."""
     height, width = grey.shape
     moments = np.empty((height, width, 3), np.float32)
     difference = np.empty((height, width), np.float32)

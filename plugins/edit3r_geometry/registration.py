@@ -112,9 +112,7 @@ class Registration:
         return depth[(depth > 0) & (other > 0)]
 
     def neighbours_of(self, view: int) -> list[int]:
-        """Registered views that share points with `view`, most useful first: many points, seen from
-        different sides.
-        """
+        """Registered views that share points with `view`, many seen from different sides first."""
         near = self._pairs_of(view)
         return sorted(near, key=lambda other: -near[other].usefulness)
 
@@ -197,9 +195,7 @@ def register(
 
 @dataclass
 class _IncrementalRegistration:
-    """The growing reconstruction: poses, and the 3D point of each keypoint that has one (NaN: none
-    yet).
-    """
+    """The growing reconstruction: poses, and the 3D points of keypoints (NaN: none yet)."""
 
     images: Sequence[CalibratedImage]
     features: FoundFeatures
@@ -314,9 +310,7 @@ class _IncrementalRegistration:
     def _known_points(
         self, view: int
     ) -> tuple[Int[np.ndarray, "point"], Float[np.ndarray, "point 3"]]:
-        """Keypoint indices of `view` whose match in a placed view has a 3D point, and those
-        points.
-        """
+        """Keypoints of `view` whose match in a placed view has a 3D point, and those points."""
         own, points = [], []
         for (a, b), pair in self.pairs.items():
             if view in (a, b) and (other := a + b - view) in self.poses:

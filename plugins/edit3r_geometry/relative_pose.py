@@ -99,9 +99,7 @@ def estimate_pose(
 def rough_pose(
     matches: Matches, threshold: float, seed: int, once: bool = False
 ) -> Pose | None:
-    """The pose that pycolmap finds, refined, up to the sign of its translation; None where there is
-    none.
-    """
+    """The pose that pycolmap finds, refined, but for its translation's sign; None: none."""
     if len(matches) < MIN_INLIERS:
         return None
     focal = matches.focal
@@ -169,9 +167,7 @@ def quick_pose(matches: Matches, threshold: float, seed: int) -> Pose | None:
 
 
 def signed_support(matches: Matches, pose: Pose, threshold: float) -> float:
-    """Score of `pose` with the sign of its translation for which more points lie in front of both
-    cameras.
-    """
+    """Score of `pose` with the translation's sign for which more points lie in front of both."""
     return max(
         support(matches, Pose(pose.rotation, sign * pose.translation), threshold)[0]
         for sign in (1, -1)
@@ -208,9 +204,7 @@ def sampson_errors(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:
 def support(
     matches: Matches, pose: Pose, threshold: float
 ) -> tuple[float, Bool[np.ndarray, "match"]]:
-    """Truncated quadratic score (MSAC, higher is better); matches within `threshold` [pixels],
-    before both cameras.
-    """
+    """Truncated quadratic score (MSAC) of matches within `threshold` [pixels] and in front."""
     errors = sampson_errors(matches, pose)
     depth_a, depth_b = triangulate(matches.rays_a, matches.rays_b, pose)
     inliers = (np.abs(errors) < threshold) & (depth_a > 0) & (depth_b > 0)
@@ -232,9 +226,7 @@ def refine(
 
 
 def _settled(matches: Matches, pose: Pose, scale: float) -> Pose:
-    """The pose near `pose` with the least Cauchy loss of the errors over `scale` [pixels]
-    (Levenberg-Marquardt).
-    """
+    """The pose near `pose` of least Cauchy loss over `scale` [pixels] (Levenberg-Marquardt)."""
     scales = scale if matches.noise is None else scale * matches.noise
     products = (matches.rays_b[:, :, None] * matches.rays_a[:, None]).reshape(-1, 9)
     errors, damping = sampson_errors(matches, pose) / scales, 1e-3
@@ -309,9 +301,7 @@ def _moved(pose: Pose, step: Float[np.ndarray, "5"]) -> Pose:
 
 
 def log_false_alarms(matches: int, inliers: int, chance: float) -> float:
-    """log10 of the expected number of 5-point models that `inliers` of random `matches` would agree
-    with.
-    """
+    """log10 of the expected number of 5-point models on which chance has as many `inliers`."""
     if inliers <= 5:
         return np.inf
     choose = _log_binomial(matches, inliers) + _log_binomial(inliers, 5)
@@ -322,9 +312,7 @@ def log_false_alarms(matches: int, inliers: int, chance: float) -> float:
 
 
 def log_chance(matches: int, inliers: int, chance: float) -> float:
-    """log10 of how likely `inliers` of random `matches`, at most, agree with one motion that is
-    known.
-    """
+    """log10 of how likely at least `inliers` of random `matches` agree with a known motion."""
     return (
         _log_binomial(matches, inliers) + inliers * math.log(min(chance, 1.0))
     ) / math.log(10)

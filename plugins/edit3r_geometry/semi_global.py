@@ -46,9 +46,7 @@ def _jump_costs(
 def _four_paths(
     cost, jump, small_step, backwards, total
 ):  # pragma: no cover - compiled
-    """Paths from the previous pixel of the row and from three pixels of the previous row, in scan
-    order.
-    """
+    """Paths from the previous pixel of the row and from three of the previous row, in order."""
     height, width, planes = cost.shape
     # Row buffers are padded by one plane and one pixel on either side, so that no border needs a
     # test.
@@ -129,9 +127,7 @@ def _extend(
 
 @compiled(nogil=True)
 def best_plane(total):  # pragma: no cover - compiled
-    """Position of the least cost `[height, width]` in planes, refined by a parabola through three
-    planes.
-    """
+    """Position of the least cost `[height, width]` in planes, refined by a parabola."""
     height, width, planes = total.shape
     position = np.empty((height, width), np.float32)
     for y in range(height):

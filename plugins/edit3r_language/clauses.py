@@ -318,9 +318,7 @@ def _painted_thing(named: list[str], origin: Colour | None) -> Thing:
 
 
 def _may_follow(change: Found, tokens: list[str]) -> bool:
-    """Whether the thing may follow: "darken walls", "more contrast in the sky", "paint red the
-    bike".
-    """
+    """Whether the thing may follow: "darken walls", "more contrast in the sky"."""
     after = [t for t in tokens[change.end :] if t not in words.PAINT]
     first = tokens[change.start]
     if first in words.IMPERATIVES | words.RANDOM or first in words.TINTS:

@@ -111,9 +111,7 @@ def _resolved(clauses: list[Clause], kept: list[Thing]) -> Iterator[Instruction]
 
 
 def _owner(last: Thing, said: Sequence[str]) -> str:
-    """What "its" stands for: after "the house's door" the house, after "the cup on the table" the
-    cup.
-    """
+    """What "its" stands for: after "the house's door" it is the house, after "the cup" the cup."""
     whole = last.of.split()[-1:]
     belongs = "of" in said or any(f"{word}'s" in said for word in whole)
     return last.of if whole and belongs else last.name

@@ -90,9 +90,7 @@ def edit_table(scores: Scores) -> str:
 
 
 def protocol_table(scores: Scores) -> str:
-    """Return one row a class of overlap and one for all pairs; failures count as infinite errors of
-    pose.
-    """
+    """A row a class of overlap and one for all pairs; failures count as infinite errors of pose."""
     names = next((list(score.figures) for score in scores if score.figures), [])
     groups = grouped(scores, lambda score: score.overlap) | {"all pairs": list(scores)}
     limits = "/".join(map(str, AUC_DEGREES))

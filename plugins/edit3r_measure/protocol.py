@@ -66,9 +66,7 @@ class IndexEntry(Settings, extra="ignore"):
 
     @property
     def overlap_class(self) -> str:
-        """Key of CLASSES; NOT_CLASSED for other overlaps and where none is told (the published
-        placeholder is -1).
-        """
+        """Key of CLASSES; NOT_CLASSED for other overlaps and where none is told (published: -1)."""
         for name, (low, high) in CLASSES.items():
             if self.overlap == name:
                 return name
@@ -82,9 +80,7 @@ class _IndexFile(Settings):
 
 
 def read_index(path: Path) -> list[tuple[str, IndexEntry]]:
-    """Return scenes and pairs of an index file, null ones left out. Raises an error that names file
-    and scene.
-    """
+    """Scenes and pairs of an index file but null ones. Raises an error that names the scene."""
     if not path.is_file():
         raise InputError(
             f"{path}: no such index file; benchmarks/poses.py index makes one."
@@ -196,9 +192,7 @@ def _motion(twist: Float[Tensor, "6"]) -> Float[Tensor, "4 4"]:
 def likeness_loss(
     shown: BatchedImage, photo: BatchedImage, perceptual: Loss, structure: bool = False
 ) -> Float[Tensor, ""]:
-    """Return the protocol's loss: squared error and perceptual distance, for input cameras also 1 -
-    structure.
-    """
+    """Squared error and perceptual distance, for input cameras also 1 - structure."""
     distance = perceptual(LossInputs(rendered=shown, target=photo))
     value = F.mse_loss(shown, photo) + WEIGHT * distance
     if structure:
@@ -208,9 +202,7 @@ def likeness_loss(
 
 
 def structure_likeness(a: Images, b: Images) -> Float[Tensor, ""]:
-    """Return the mean structure term of SSIM (Wang et al. 2004), in [-1, 1]: blind to brightness
-    and contrast.
-    """
+    """Mean structure term of SSIM (Wang et al. 2004), in [-1, 1]: blind to light and contrast."""
 
     def mean(images: Images) -> Images:
         """In Gaussian windows that lie within the image."""

@@ -51,9 +51,7 @@ def summarize(rows: Rows, effort: Mapping[str, Any]) -> Quality:
 
 
 def measured_points(rows: Rows) -> list[MeasuredPoint]:
-    """Return the points that were measured on every scene and failed on none, quickest first, the
-    presets named.
-    """
+    """The points that were measured on every scene and never failed, quickest first."""
     scenes = {row["scene"] for row in rows}
     points = []
     for label, group in grouped(rows, lambda row: row["label"]).items():
@@ -139,9 +137,7 @@ def choose_presets(
 def _most_accurate_below(
     slower: MeasuredPoint, points: Sequence[MeasuredPoint], apart: float
 ) -> MeasuredPoint | None:
-    """The most accurate point that costs at most 1/`apart` of `slower`, all kinds of scene
-    together.
-    """
+    """The most accurate point that costs at most 1/`apart` of `slower`, over all scenes."""
     quick = [point for point in points if apart * _seconds(point) <= _seconds(slower)]
     return max(quick, key=lambda point: point.accuracy, default=None)
 
@@ -151,9 +147,7 @@ def _seconds(point: MeasuredPoint) -> float:
 
 
 def write_presets(quality: Quality) -> Path:
-    """Write the file that `edit3r run --quality` reads. Raises Edit3rError where no presets were
-    found.
-    """
+    """Write the file of `edit3r run --quality`. Raises Edit3rError where no presets were found."""
     if not any(point.preset for point in quality.points):
         raise Edit3rError(
             "the presets stay as they are: no three points on the front lie apart in time."

@@ -120,9 +120,7 @@ class AsymmetricViT(Backbone):
         return self._features(images, intrinsics, self.hooks)
 
     def forward_levels(self, images: Images, intrinsics: Intrinsics) -> Features:
-        """Return all levels: 0 the normalised encoder output, then one per decoder block, the last
-        normalised.
-        """
+        """All levels: 0 the normalised encoder output, then one a block, the last normalised."""
         return self._features(
             images, intrinsics, tuple(range(self.settings.decoder_depth + 1))
         )
@@ -179,9 +177,7 @@ class AsymmetricViT(Backbone):
         return kept
 
     def _grid(self, images: Images) -> tuple[int, int]:
-        """(rows, columns) of patches; raises InputError for a single view and for sides that do not
-        fit.
-        """
+        """(rows, columns) of patches. Raises InputError for a single view and unfit sides."""
         (height, width), patch = images.shape[-2:], self.patch_size
         if images.shape[1] < 2:
             raise InputError(
@@ -197,9 +193,7 @@ class AsymmetricViT(Backbone):
 
 @dataclass(frozen=True)
 class Role:
-    """The views that share one set of decoder and head weights, and what they read of the
-    others.
-    """
+    """The views that share one set of weights, and what they read of the others."""
 
     own: slice  # views in this role
     sources: slice  # views that at least one of them reads
@@ -219,9 +213,7 @@ def assign_roles(views: int, device: torch.device | str = "cpu") -> tuple[Role, 
 
 
 def hook_levels(depth: int) -> tuple[int, int, int, int]:
-    """Return the levels that the heads read of a decoder with `depth` blocks: 12 gives 0, 6, 9,
-    12.
-    """
+    """Levels that the heads read of a decoder of `depth` blocks: of 12 these are 0, 6, 9, 12."""
     return 0, depth * 2 // 4, depth * 3 // 4, depth
 
 

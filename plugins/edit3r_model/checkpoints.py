@@ -212,9 +212,7 @@ def _check_keys(
     pieces: Mapping[str, list[Tensor]],
     loaded: LoadedWeights,
 ) -> None:
-    """Raise InputError that names every key which is missing or wrongly shaped; say what is left
-    over.
-    """
+    """Raise InputError that names every missing or wrongly shaped key; say what is left over."""
     missing, wrong = [], []
     for name, value in wanted.items():
         if pieces[name]:

@@ -126,9 +126,7 @@ class DptGaussianHead(GaussianHead):
     def _per_view(
         self, predictors: nn.ModuleList, features: Features, pixels: PerView | None
     ) -> PerView:
-        """Run the right predictor on each view, one at a time: maps are large, and only one set is
-        in memory.
-        """
+        """Run the right predictor on one view at a time: maps are large, one set is held."""
         levels = [features.levels[index] for index in self.levels]
         batch, views = levels[0].shape[:2]
         # [batch, view, height, width, channel], as the Gaussians are ordered.
@@ -348,9 +346,7 @@ def _levels(chosen: tuple[int, ...] | None, given: int) -> tuple[int, ...]:
 
 
 def _reassemble(index: int, token_width: int, layer_width: int) -> nn.Module:
-    """Layers from tokens on the patch grid to a map at `index`'s resolution: x4, x2, x1, x1/2 of
-    the grid's.
-    """
+    """From tokens to a map at `index`'s resolution: x4, x2, x1 or x1/2 of the patch grid's."""
     layers = nn.Sequential(nn.Conv2d(token_width, layer_width, 1))
     if index < 2:
         scale = 4 >> index

@@ -103,9 +103,7 @@ class EditTransport(nn.Module):
         )
 
     def _queries(self, tokens: Tokens, coordinates: Tensor, grid: torch.Size) -> Rows:
-        """Appearance, then what makes the product with a key -reach |position - key|^2, then 1 for
-        the null key.
-        """
+        """Appearance, then what makes -reach |position - key|^2, then 1 for the null key."""
         alike = self._embed(tokens) * self.temperature.exp()[:, None, None]
         # [batch, head, query, 1] 1 / cells^2
         reach = F.softplus(self.reach(tokens)).flatten(2)[..., None]
@@ -180,9 +178,7 @@ class EditFusion(nn.Module):
         carried: CarriedEdit,
         warped: Float[Tensor, "batch 7 height width"],
     ) -> FusedEdit:
-        """Weigh the candidates; `warped` is the reference's edited colour, its change, and 1 where
-        it is inside.
-        """
+        """Weigh the candidates; `warped`: the reference's edited colour, change, and 1 inside."""
         before, own = F.avg_pool2d(source, STRIDE), F.avg_pool2d(edited, STRIDE)
         change = change_of(carried.maps, before)
         inputs = (

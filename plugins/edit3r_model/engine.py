@@ -47,9 +47,7 @@ def make_plan(
     head_precision: Precision | Literal["auto"],
     device: torch.device,
 ) -> EnginePlan:
-    """Return the plan for a device; raises SettingsError for a precision that the device does not
-    run.
-    """
+    """The plan for a device. Raises SettingsError for a precision that it does not run."""
     on_cpu = device.type == "cpu"
     if precision == "float16" and on_cpu:
         raise SettingsError(
@@ -102,9 +100,7 @@ def bfloat16_gain(device: torch.device) -> float:
 
 
 def _clock(device: torch.device) -> float:
-    """Seconds, when all work on `device` is done; on a CPU its own time, so that other programs do
-    not count.
-    """
+    """Seconds, when all work on `device` is done; on a CPU those of this process."""
     if device.type != "cuda":
         return time.process_time()
     torch.cuda.synchronize(device)
@@ -132,4 +128,5 @@ def prepare_leaf(
             return
     leaf.to(device=plan.device, dtype=DTYPES.get(form, torch.float32))
     if isinstance(leaf, nn.Conv2d | nn.ConvTranspose2d):
-        leaf.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's stubs lack it
+        # torch's stubs lack it
+        leaf.to(memory_format=torch.channels_last)  # type: ignore[call-overload]

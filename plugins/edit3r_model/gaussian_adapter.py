@@ -26,9 +26,7 @@ Maps = Float[Tensor, "batch view channel height width"]
 
 
 def centres(raw: Vectors) -> Vectors:
-    """Place points at distance e^|raw| - 1 in the direction of `raw`, in the frame of view 0; z may
-    be negative.
-    """
+    """Points e^|raw| - 1 along `raw`, in the frame of view 0; z may be negative."""
     length = raw.norm(dim=-1, keepdim=True)
     distance = torch.expm1(length.clamp(max=MAX_DISTANCE_EXPONENT))
     return raw / length.clamp(min=1e-8) * distance
@@ -40,9 +38,7 @@ def bounded_scales(raw: Vectors, factor: float, largest: float) -> Vectors:
 
 
 def quats_from_xyzw(raw: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4"]:
-    """Turn raw x, y, z, w into unit wxyz; one shorter than `MIN_QUAT` becomes zero (no rotation, no
-    gradient).
-    """
+    """Unit wxyz of raw x, y, z, w; shorter than `MIN_QUAT`: zero (no rotation, no gradient)."""
     norm = raw.norm(dim=-1, keepdim=True)
     unit = raw / (norm.clamp(min=MIN_QUAT) + 1e-8)
     return torch.where(norm > MIN_QUAT, unit, torch.zeros_like(unit)).roll(1, -1)
@@ -57,9 +53,7 @@ def harmonics_mask(degree: int, like: Tensor) -> Float[Tensor, "coefficient"]:
 
 
 def attribute_channels(degree: int) -> int:
-    """Count the attribute map's channels: opacity, three scales, four quaternion entries, harmonics
-    of 3 colours.
-    """
+    """Channels of an attribute map: opacity, three scales, four of quaternions, harmonics."""
     return 8 + 3 * (degree + 1) ** 2
 
 
@@ -70,9 +64,7 @@ def adapt(
     max_scale: float,
     degree: int,
 ) -> Gaussians:
-    """Turn raw maps into one Gaussian per pixel, view-major and row-major, with harmonics kept up
-    to `degree`.
-    """
+    """One Gaussian per pixel of raw maps, view-major, row-major, with harmonics up to `degree`."""
     raw = _per_pixel(attributes)
     opacity, scale, quat, colour = raw.split((1, 3, 4, raw.shape[-1] - 8), -1)
     # [batch, gaussian, coefficient, 3]

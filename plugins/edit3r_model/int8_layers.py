@@ -27,9 +27,7 @@ _FLOAT_OUTPUT: tuple = (1.0, 0, torch.float32, "none", [])
 
 
 class _Int8Layer(nn.Module):
-    """What int8 layers share: scales of the weights, bias, and how results are made float32
-    again.
-    """
+    """What int8 layers share: scales of the weights, bias, and results in float32."""
 
     def __init__(
         self, layer: nn.Linear | nn.Conv2d, scales: Float[Tensor, "out"]

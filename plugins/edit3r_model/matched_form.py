@@ -24,6 +24,7 @@ from edit3r.kit.geometry.background_fill import background_layer, rim, second_la
 from edit3r.kit.geometry.cameras import scale_poses
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.geometry.maps import resize, size_of
+from edit3r_model.guesses import pushed_back
 from edit3r_model.network import GaussianNetwork
 from edit3r_model.small_backbone import averaged
 
@@ -72,6 +73,7 @@ class MatchedForm:
             # Silu, sigmoid and others round the last few values of what each thread is given in
             # another way.
             with one_thread(), torch.no_grad():
+                geometry = pushed_back(geometry, source.intrinsics)
                 made = self._of_pixels(views, source, geometry)
                 coarse = views.at(grid), source.at(grid)
                 made = self._with_background_fill(made, *coarse, geometry)
@@ -148,9 +150,7 @@ class MatchedForm:
 def network_grid(
     image_size: tuple[int, int], longest: int, patch_size: int
 ) -> tuple[int, int]:
-    """Return (height, width) near the image's shape with the longer side `longest`, in multiples
-    of GRID and patch.
-    """
+    """(height, width) like the image's, the longer side `longest`, multiples of GRID and patch."""
     scale, unit = longest / max(image_size), lcm(GRID, patch_size)
     height, width = (max(2, round(side * scale / unit)) * unit for side in image_size)
     return height, width

@@ -35,9 +35,7 @@ not name it.
 
 
 def construct(module: nn.Module, build: Callable[[], None], seed: int | None) -> None:
-    """Run `build` without memory for weights; then, unless `seed` is None, draw all initial
-    weights.
-    """
+    """Run `build` without memory for weights; unless `seed` is None, draw initial weights then."""
     with torch.device("meta"):
         build()
     if seed is not None:
@@ -112,9 +110,7 @@ def available_bytes(device: torch.device) -> int | None:
 
 
 def check_fits(needed: int, device: torch.device, what: str) -> None:
-    """Raise RunError that says what to lower when `needed` bytes are more than `device` has
-    free.
-    """
+    """Raise RunError that says what to lower when `device` has fewer bytes free than `needed`."""
     free = available_bytes(device)
     if free is not None and needed > free:
         raise RunError(

@@ -149,9 +149,7 @@ def _count(state: Mapping[str, Tensor], pattern: str) -> int:
 
 
 def read_torch_file(path: Path) -> Mapping[str, object]:
-    """Read the dictionary in a `.ckpt` or `.pth`; tensors stay on disk until used, no code in the
-    file is run.
-    """
+    """The dictionary of a `.ckpt` or `.pth`; tensors stay on disk until used, no code is run."""
     try:
         mapped = zipfile.is_zipfile(path)
         # MASt3R keeps its command line as an argparse.Namespace, which holds plain values only.

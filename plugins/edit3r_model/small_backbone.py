@@ -40,9 +40,7 @@ Maps = Float[Tensor, "batch channel height width"]
 
 
 class MatchedUNet(Backbone):
-    """U-Net with global attention at an eighth of the images' resolution; one level of features, at
-    half of it.
-    """
+    """U-Net with global attention at an eighth of the resolution; one level, at half of it."""
 
     patch_size = STRIDE
     uses_geometry = True
@@ -121,9 +119,7 @@ class MatchedUNet(Backbone):
 
 
 def averaged(geometry: Geometry, size: tuple[int, int]) -> Geometry:
-    """Return `geometry` for images shrunk to `size` (height, width); depths are averaged as inverse
-    depths.
-    """
+    """`geometry` for images of a smaller (height, width); inverse depths are averaged."""
     return replace(
         geometry,
         depths=1 / resize(1 / geometry.depths[:, :, None], size)[:, :, 0],
@@ -173,9 +169,7 @@ def zero_conv(inputs: int, outputs: int, side: int = 1) -> Conv2d:
 def convex_upsample(
     values: Maps, logits: Float[Tensor, "batch 36 height width"]
 ) -> Float[Tensor, "batch channel height2 width2"]:
-    """Double the size; each fine pixel is a convex mix of 3x3 coarse neighbours (Teed and Deng
-    2020, section 3.3).
-    """
+    """Double the size; fine pixels are convex mixes of 3x3 coarse ones (Teed, Deng 2020, 3.3)."""
     batch, channels, rows, columns = values.shape
     weights = logits.reshape(batch, 1, 9, 4, rows, columns).softmax(2)
     neighbours = F.unfold(F.pad(values, (1, 1, 1, 1), mode="replicate"), 3)

@@ -207,9 +207,7 @@ class EditFusionHead(GaussianHead):
         tokens: Float[Tensor, "batch view channel rows columns"],
         view: int,
     ) -> FusedEdit:
-        """Carry the reference's edit to one view, as that view would show it, and weigh it against
-        the view's own.
-        """
+        """Carry the reference's edit to one view, as it would show it, and weigh both."""
         coordinates = views.matches.coordinates[:, view]
         before, after = views.before[:, view], views.after[:, view]
         colours = torch.cat((before, after, after - before), 1)

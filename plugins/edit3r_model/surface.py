@@ -36,9 +36,7 @@ def discs(
 
 
 def surface_normals(points: Points) -> Points:
-    """Return unit normals of maps of points, on the side of positive z; (0, 0, 1) where neighbours
-    tell nothing.
-    """
+    """Unit normals of maps of points, z > 0; (0, 0, 1) where neighbours tell nothing."""
     across, down = (_nearer_difference(points, axis) for axis in (3, 2))
     normals = torch.linalg.cross(across, down)
     # A disc has no front: all are turned to positive z.
@@ -52,9 +50,7 @@ def surface_normals(points: Points) -> Points:
 
 
 def _nearer_difference(points: Points, axis: int) -> Points:
-    """Difference to the nearer of the two neighbours along `axis`, so that no edge of an object is
-    bridged.
-    """
+    """Difference to the nearer of two neighbours along `axis`: no object's edge is bridged."""
     steps = points.diff(dim=axis)
     ahead = torch.cat((steps, steps.narrow(axis, -1, 1)), axis)
     behind = torch.cat((steps.narrow(axis, 0, 1), steps), axis)

@@ -35,9 +35,7 @@ class Rotation:
 
 
 def patch_positions(grid: tuple[int, int]) -> Int[Tensor, "token 2"]:
-    """Return (row, column) of every patch, row-major, then of the extra token: first in the row
-    below the grid.
-    """
+    """(row, column) of every patch, row-major, then of the extra token in the row below."""
     rows, columns = grid
     positions = torch.cartesian_prod(torch.arange(rows), torch.arange(columns))
     return torch.cat((positions.reshape(-1, 2), torch.tensor([[rows, 0]])))
@@ -128,9 +126,7 @@ class CrossAttention(nn.Module):
         reads: Int[Tensor, "reader read"],
         rotation: Rotation,
     ) -> ByReader:
-        """Attend from `x` to `memory`; `reads[i]` lists, in view order, the entries of `memory`
-        that reader i sees.
-        """
+        """From `x` to `memory`, of which `reads[i]` lists, in view order, what reader i sees."""
         batch, readers = x.shape[:2]
         query = rotation(self.query(x).flatten(0, 1).unflatten(-1, (self.heads, -1)))
         read = self.key_value(memory).flatten(0, 1)

@@ -144,9 +144,7 @@ def _boxes(photo: Views, tools: Finders) -> tuple[Detection, ...]:
 
 
 def _named_by_both(seen: _Seen, there: Mask, boxes: Sequence[Detection]) -> _Seen:
-    """The same without its name where another photo does not call it so: one photo's stone bear
-    is a sheep.
-    """
+    """The same without a name that another photo does not confirm: a stone bear seems a sheep."""
     box = cv2.boundingRect(there.astype(np.uint8))
     again = [
         one.score

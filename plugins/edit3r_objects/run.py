@@ -21,6 +21,7 @@ from edit3r.contract.interfaces import (
     SceneToWrite,
 )
 from edit3r.contract.types import Cameras, Gaussians, Views
+from edit3r.kit.contact_sheet import draw_sheet
 from edit3r.kit.files.names import unique_names
 from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import LoadedPhotos, save_image
@@ -29,7 +30,6 @@ from edit3r.kit.run_folder import RunFolder, continue_run
 from edit3r.kit.scenes.files import scene_file
 from edit3r.kit.scenes.look import look_at
 from edit3r.kit.scenes.ply import save_ply
-from edit3r.kit.sheet import draw_sheet
 from edit3r.running import (
     MarkTexts,
     default_matcher,

@@ -130,9 +130,7 @@ def _seen_from(
     depth: Float[Tensor, "height width"],
     camera: Cameras,
 ) -> tuple[Float[Tensor, "3 height width"], Float[Tensor, "height width"]]:
-    """Return what one neighbour shows at the points of another view's pixels, and a weight in [0,
-    1].
-    """
+    """What one neighbour shows at the points of another view's pixels, with weights in [0, 1]."""
     lens, pose = camera.intrinsics[0, 0], camera.c2w[0, 0]
     coordinates, z = project(points.flatten(0, 1), lens, pose)
     coordinates, z = coordinates.view(*depth.shape, 2), z.view(depth.shape)

@@ -44,9 +44,7 @@ class FitSettings(Settings):
 
 
 class TargetImages:
-    """The images that are fitted to. They stay as they are; a subclass may change them while the
-    fit goes on.
-    """
+    """The images that are fitted to; a subclass may change them while the fit goes on."""
 
     def __init__(self, images: Float[Tensor, "view 3 height width"]) -> None:
         self.images = images
@@ -131,9 +129,7 @@ class TrainableGaussians:
         )
 
     def step(self, loss: Float[Tensor, ""], sizes: Mapping[str, float]) -> None:
-        """Take one step of Adam against `loss`; `sizes` are the step sizes by name of the
-        parameter.
-        """
+        """One step of Adam against `loss`; `sizes` are the step sizes by parameter."""
         self.adam.zero_grad()
         loss.backward()
         for group in self.adam.param_groups:
@@ -165,9 +161,7 @@ def step_sizes(
 
 
 def view_at(step: int, views: int, seed: int) -> int:
-    """Return the view that a step renders: every view once a round, each round in its own random
-    order.
-    """
+    """The view that a step renders: each once a round, every round in its own random order."""
     number = (seed * 1_000_003 + step // views) % 2**63
     generator = torch.Generator().manual_seed(number)
     return int(torch.randperm(views, generator=generator)[step % views])

@@ -92,9 +92,7 @@ class GaussCtrlReconstructor(FittingMethod):
         return images
 
     def _editor_with(self, geometry: FittedGeometry) -> Editor:
-        """Return a copy of the editor with the fitted scene as matcher; the editor itself where it
-        reads no depth.
-        """
+        """The editor with the fitted scene as matcher; as it is where it reads no depth."""
         if not isinstance(self.editor, ConditionedOnDepth):
             return self.editor
         if self._copy is None:
@@ -125,9 +123,7 @@ def reference_views(count: int, wanted: int) -> list[int]:
 
 
 def chunks(count: int, references: list[int], together: int) -> list[list[int]]:
-    """List calls of at most `together` views that edit every view between them; the references lead
-    each call.
-    """
+    """Calls of at most `together` views that edit every view once, after the references."""
     others = [view for view in range(count) if view not in references]
     room = max(1, together - len(references))
     parts = [others[at : at + room] for at in range(0, len(others), room)] or [[]]

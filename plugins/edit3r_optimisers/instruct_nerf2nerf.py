@@ -87,9 +87,7 @@ class DatasetUpdate(TargetImages):
 
     @torch.no_grad()
     def _update(self, gaussians: Gaussians) -> None:
-        """Edit the next view, starting from how the scene shows it now, by another seed for every
-        edit.
-        """
+        """Edit the next view, starting from how the scene shows it now, by a seed of its own."""
         view = [view_at(self.updates, self.photos.count, self.request.seed)]
         start = self.rasterizer.render(gaussians, self.cameras.select(view)).images
         seed, photo = self.request.seed + self.updates, self.photos.select(view)

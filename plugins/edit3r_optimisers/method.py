@@ -66,9 +66,7 @@ class EditJob:
 
 
 class FittingMethod(Reconstructor, EditsViews):
-    """A reconstructor that fits Gaussians scene by scene and edits in between; a method fills in
-    `_reconstruct`.
-    """
+    """Fits Gaussians scene by scene and edits in between; a method fills in `_reconstruct`."""
 
     settings: MethodSettings
 
@@ -172,9 +170,7 @@ def begin(
 
 
 def thinned(gaussians: Gaussians, most: int, seed: int) -> Gaussians:
-    """Choose at most `most` Gaussians at random and widen them so that they still cover their
-    surfaces.
-    """
+    """At most `most` Gaussians by chance, widened so that they still cover their surfaces."""
     if gaussians.count <= most:
         return gaussians
     generator = torch.Generator().manual_seed(seed)
@@ -185,9 +181,7 @@ def thinned(gaussians: Gaussians, most: int, seed: int) -> Gaussians:
 
 @torch.no_grad()
 def edited(editor: Editor, views: Views, request: EditRequest) -> Views:
-    """Edit the views; the answer is held to the editor's contract and confined to the request's
-    masks.
-    """
+    """The edited views, held to the editor's contract and confined to the request's masks."""
     with errors_named_after(editor):
         answer = editor.edit(views, request)
     return _confined(editor, views, answer, request)

@@ -51,8 +51,6 @@ class Mp4Writer(Writer):
 
 
 def _even(pixels: np.ndarray) -> np.ndarray:
-    """The picture without its last row or column where their number is odd: colour has half the
-    resolution.
-    """
+    """The picture with even sides, by leaving out a last row or column: colour is halved."""
     height, width = pixels.shape[:2]
     return np.ascontiguousarray(pixels[: height - height % 2, : width - width % 2])

@@ -21,7 +21,7 @@ from edit3r.kit.scenes.files import gathered, is_loose_sog
 from edit3r.kit.scenes.ply import load_ply
 from edit3r_outputs.glb_reading import load_glb
 from edit3r_outputs.placement import placed_back, placement_of
-from edit3r_outputs.spz import GZIP, read_spz_header
+from edit3r_outputs.spz_header import GZIP, read_spz_header
 
 # seconds of one conversion: SOG takes half a minute for 380,000 Gaussians
 LONGEST = 600

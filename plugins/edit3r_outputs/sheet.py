@@ -5,8 +5,13 @@ from pathlib import Path
 import numpy as np
 
 from edit3r.contract.interfaces import SceneToWrite, Writer
+from edit3r.kit.contact_sheet import (
+    draw_sheet,
+    images_of,
+    outlined_views,
+    with_readings,
+)
 from edit3r.kit.photos.images import save_pixels
-from edit3r.kit.sheet import draw_sheet, images_of, outlined_views, with_readings
 
 
 class SheetWriter(Writer):

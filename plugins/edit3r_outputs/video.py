@@ -91,9 +91,7 @@ def save_video(path: str | Path, frames: Iterable[Picture], fps: float = 24) -> 
 
 
 def _vp8_frame(image: Image.Image) -> bytes:
-    """The VP8 bit stream inside a WebP file: RIFF, size, WEBP, then chunks of name, size, data
-    padded to even.
-    """
+    """The VP8 bit stream in a WebP: RIFF, size, WEBP, then chunks of name, size, padded data."""
     buffer = io.BytesIO()
     image.save(buffer, "WEBP", quality=QUALITY, method=EFFORT)
     data = buffer.getvalue()

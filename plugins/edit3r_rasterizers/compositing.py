@@ -205,9 +205,7 @@ def differentiate_tiles(
 
 @inlined
 def _read_planes(scratch, place, images, last, x, y, size):
-    """Copy a block of three colours, depth and a last image to the planes that `_start_rest` works
-    on.
-    """
+    """Copy a block of colours, depth and a last image to the planes that `_start_rest` reads."""
     width, height = size
     shape = width, min(U(BLOCK), width - x), min(U(BLOCK), height - y)
     corner = y * width + x
@@ -228,9 +226,7 @@ def _load_planes(scratch, place):
 
 @inlined
 def _start_rest(scratch, place, seen):
-    """Compute the gradient by weighted depth, and `rest`, from a block's images (`seen`) and their
-    gradients.
-    """
+    """The gradient by weighted depth, and `rest`, of a block's images (`seen`) and gradients."""
     red, green, blue, depth, left = seen
     by_red, by_green, by_blue, by_depth, by_alpha = _load_planes(scratch, place)
     by_depth = by_depth / maximum(broadcast(F(1)) - left, F(MIN_TOTAL_ALPHA))

@@ -89,9 +89,7 @@ def run_slices(
 
 
 def even_bounds(count: int, threads: int) -> list[int]:
-    """Cut [0, count) into a few slices per thread, none shorter than LEAST_SLICE unless it is the
-    only one.
-    """
+    """[0, count) in a few slices a thread, none but an only one shorter than LEAST_SLICE."""
     slices = max(1, min(4 * threads if threads > 1 else 1, count // LEAST_SLICE))
     return [count * k // slices for k in range(slices + 1)]
 
@@ -102,9 +100,7 @@ def scratch(count: int, dtype: type) -> Callable[[], np.ndarray]:
 
 
 def aligned_empty(shape: tuple[int, ...], dtype: type = np.float32) -> np.ndarray:
-    """Allocate uninitialised memory that starts on a cache line, so that no vector straddles
-    two.
-    """
+    """Uninitialised memory that starts on a cache line, so that no vector straddles two."""
     count, size = int(np.prod(shape)), np.dtype(dtype).itemsize
     memory: np.ndarray = np.empty(count + 64 // size, dtype)
     start = (-memory.ctypes.data % 64) // size

@@ -46,9 +46,7 @@ SUM_RED, SUM_GREEN, SUM_BLUE, SUM_DEPTH = _COLUMNS[6:SUMS]
 
 
 class GaussianArrays(NamedTuple):
-    """One scene's Gaussians, or their gradients, as the kernels read them: contiguous float32
-    arrays.
-    """
+    """One scene's Gaussians, or their gradients, for kernels: contiguous float32 arrays."""
 
     means: np.ndarray  # [G, 3]
     scales: np.ndarray  # [G, 3]

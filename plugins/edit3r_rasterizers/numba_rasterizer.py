@@ -147,9 +147,7 @@ def _check_device(gaussians: Gaussians) -> None:
 
 @dataclass(frozen=True)
 class ProjectedScene:
-    """What `project_scene` prepares for drawing, and the forward pass leaves for the backward
-    pass.
-    """
+    """What `project_scene` prepares for drawing, and the forward pass for the backward one."""
 
     settings: NumbaSettings
     grid: TileGrid

@@ -111,9 +111,7 @@ def _add_up(totals, lane, start, end, positions, sums):
 
 @inlined
 def _differentiate_group(staged, camera, eps2d, by_pose):
-    """Compute gradients of eight Gaussians' geometry by the chain rule through projection and
-    covariance.
-    """
+    """Gradients of eight Gaussians' geometry, by the chain rule through projection."""
     dx, dy, dz = maths.offset_from_camera(staged, camera)
     x, y, z = maths.camera_position(camera, dx, dy, dz)
     per_z = 1.0 / z

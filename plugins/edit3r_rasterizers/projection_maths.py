@@ -40,9 +40,7 @@ def staged_row(staged, row):
 
 @inlined
 def offset_from_camera(staged, camera):
-    """Return the offset of the means from the camera's centre; subtracting first is exact far from
-    the origin.
-    """
+    """Offset of the means from the camera's centre, which is exact far from the origin."""
     x = staged_row(staged, MEAN) - camera[layout.CENTRE]
     y = staged_row(staged, MEAN + U(1)) - camera[layout.CENTRE + 1]
     z = staged_row(staged, MEAN + U(2)) - camera[layout.CENTRE + 2]
@@ -68,9 +66,7 @@ def clamped_tangents(camera, u, v):
 
 @inlined
 def image_rows(camera, u, v, per_z):
-    """Return the Jacobian of the image position by the world position [pixels / scene unit],
-    tangents clamped.
-    """
+    """Jacobian of image position by world position [pixels / scene unit], tangents clamped."""
     u, v = clamped_tangents(camera, u, v)
     gx, gy = per_z * camera[layout.FOCAL_X], per_z * camera[layout.FOCAL_Y]
     j0 = (camera[0] - u * camera[2]) * gx
@@ -84,9 +80,7 @@ def image_rows(camera, u, v, per_z):
 
 @inlined
 def unit_quats(staged):
-    """Return unit quaternions and 1 / norm; the identity and 0 for one not longer than
-    SHORTEST_QUAT.
-    """
+    """Unit quaternions and 1 / norm; identity and 0 for one not longer than SHORTEST_QUAT."""
     a, b = staged_row(staged, QUAT), staged_row(staged, QUAT + U(1))
     c, d = staged_row(staged, QUAT + U(2)), staged_row(staged, QUAT + U(3))
     norm = square_root(a * a + b * b + c * c + d * d)

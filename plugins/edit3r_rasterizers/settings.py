@@ -32,9 +32,7 @@ MIN_TOTAL_ALPHA = 1e-10
 
 
 class RasterizerSettings(Settings):
-    """How Gaussians become pixels; the defaults are those of 3D Gaussian Splatting with a
-    `max_alpha` of 0.999.
-    """
+    """How Gaussians become pixels; as 3D Gaussian Splatting but for a `max_alpha` of 0.999."""
 
     near: float | None = Field(None, ge=1e-30, le=1e10)
     """Gaussians with camera z below are culled [scene units]; default: 0.01, less in scenes smaller
@@ -95,9 +93,7 @@ def size_of(gaussians: Gaussians, scene: int) -> float:
 
 
 def check_scene(gaussians: Gaussians, cameras: Cameras) -> None:
-    """Raise InputError unless Gaussians and cameras are finite, of one batch, and the focal lengths
-    positive.
-    """
+    """Raise InputError unless all is finite, of one batch, and focal lengths are positive."""
     check_cameras(gaussians, cameras)
     check_finite(gaussians)
 
@@ -126,9 +122,7 @@ def check_cameras(gaussians: Gaussians, cameras: Cameras) -> None:
 
 
 def check_finite(gaussians: Gaussians) -> None:
-    """Raise InputError that names the first field with values that are not finite, and how many it
-    has.
-    """
+    """Raise InputError that names the first field with values that are not finite."""
     for name in GAUSSIAN_FIELDS:
         _check_finite(f"Gaussians.{name}", getattr(gaussians, name))
 
@@ -139,9 +133,7 @@ def resolve_background(
     gaussians: Gaussians,
     cameras: Cameras,
 ) -> Float[Tensor, "batch camera 3"]:
-    """Return the background in the Gaussians' dtype, from a tensor that broadcasts to its shape, or
-    the setting.
-    """
+    """The background in the Gaussians' dtype: the given one, broadcast, or the setting."""
     means = gaussians.means
     value = means.new_tensor(default) if background is None else background.to(means)
     _check_finite("background", value)

@@ -9,9 +9,7 @@ from edit3r_rasterizers.kernels import inlined
 
 @inlined
 def evaluate_basis(x, y, z, count, out):
-    """Evaluate the first `count` (1, 4, 9, 16 or 25) basis functions at a unit direction, into
-    `out`.
-    """
+    """The first `count` (1, 4, 9, 16 or 25) basis functions of a unit direction, into `out`."""
     out[0] = DC
     if count > 1:
         out[1], out[2], out[3] = -C1 * y, C1 * z, -C1 * x

@@ -101,9 +101,7 @@ def add(pointer, offset, value):
 
 @intrinsic
 def load_block(typing, pointer, offset, stride):
-    """A 4x4 block of a float32 image: four rows of four from flat index `offset`, `stride`
-    apart.
-    """
+    """A 4x4 block of a float32 image: rows of four from flat index `offset`, `stride` apart."""
     quarter = ir.VectorType(ir.FloatType(), _PARTS)
 
     def emit(context, builder, signature, values):

@@ -156,9 +156,7 @@ def sort_by_depth(keys, boxes, index, values, other_index, other_values, counts)
 
 @inlined
 def touches_tile(record, column, row):
-    """Tell whether the splat's ellipse reaches the pixel centres of a tile, by the smallest
-    exponent over them.
-    """
+    """Whether the splat's ellipse reaches pixel centres of a tile, by its smallest exponent."""
     left = np.float64(column * U(layout.TILE)) + 0.5 - np.float64(record[layout.X])
     top = np.float64(row * U(layout.TILE)) + 0.5 - np.float64(record[layout.Y])
     right, bottom = left + (layout.TILE - 1), top + (layout.TILE - 1)

@@ -44,9 +44,7 @@ LOWEST_EXPONENT = F(-60)
 
 @inlined
 def open_tile(scratch, stride, width, height):
-    """Prepare the first three planes for a tile of width x height pixels; returns the blocks that
-    have any.
-    """
+    """Prepare the first three planes for a tile of so many pixels; returns the blocks with any."""
     live = U(0)
     for block in range(BLOCKS):
         columns = lane_columns() + F((block % BLOCKS_PER_ROW) * U(layout.BLOCK))

@@ -168,9 +168,7 @@ class TorchRasterizer(Rasterizer):
     def _alphas(
         self, pixels: Float[Tensor, "pixel 2"], *splats: Tensor
     ) -> Float[Tensor, "pixel splat"]:
-        """Alpha of every splat at every pixel, 0 where it is skipped (see `Splats` for the
-        exponent).
-        """
+        """Alpha of every splat at every pixel, 0 where it is skipped (exponents: see `Splats`)."""
         means, x_per_y, inv_std_x, inv_std_y, opacities = splats
         x, y = (pixels[:, None] - means).unbind(-1)
         across, down = inv_std_x * (x - x_per_y * y), inv_std_y * y
@@ -194,9 +192,7 @@ def project_scene(
     settings: RasterizerSettings,
     near: float,
 ) -> Splats:
-    """Project one scene into one camera with normalised intrinsics; differentiable in all fields of
-    `gaussians`.
-    """
+    """One scene in one camera with normalised intrinsics; differentiable in all of `gaussians`."""
     work = working_dtype(gaussians.means)
     # subtracting first is exact far from the origin
     offsets = gaussians.means[scene].to(work) - c2w[:3, 3].to(work)

@@ -102,9 +102,7 @@ def _check(args: argparse.Namespace) -> None:
 
 
 def _replayed(args: argparse.Namespace) -> "Finder":
-    """Return a function from photos to the masks beside the recipe and the recipe; it is read and
-    checked first.
-    """
+    """From photos to the recipe and the masks beside it; the recipe is read and checked first."""
     from edit3r.contract.errors import InputError
     from edit3r_recolor.folder import MASKS, read_masks_of
     from edit3r_recolor.scene import SceneRecipe
@@ -125,9 +123,7 @@ def _replayed(args: argparse.Namespace) -> "Finder":
 
 
 def _found(args: argparse.Namespace) -> "Finder":
-    """Return a function from photos to masks and a new recipe; everything it needs is built and
-    checked first.
-    """
+    """From photos to masks and a new recipe; all that it needs is built and checked first."""
     from edit3r import default_registry
     from edit3r.contract.settings import make_settings
     from edit3r.kit.files.configs import parse_assignments

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.types import Cameras
+from edit3r.kit.contact_sheet import draw_sheet
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import (
     LoadedPhotos,
@@ -30,7 +31,6 @@ from edit3r.kit.photos.images import (
     save_pixels,
 )
 from edit3r.kit.photos.masks import read_mask
-from edit3r.kit.sheet import draw_sheet
 from edit3r_recolor.scene import Images, Masks, SceneRecipe
 
 RECIPE = "recolor.json"
@@ -46,9 +46,7 @@ def write_folder(
     images: Images,
     augmented: Images | None,
 ) -> None:
-    """Write everything into an existing folder; `images` and `augmented` are of the processed views
-    alone.
-    """
+    """Fill an existing folder; `images` and `augmented` are of the processed views alone."""
     used = recipe.processed
     names = [recipe.views[view].name for view in used]
     for kind, written in (("images", images), ("augmented", augmented)):
@@ -91,9 +89,7 @@ def write_masks(
 
 
 def read_masks(folder: Path, photos: tuple[Photo, ...]) -> Masks:
-    """Read masks in [0, 1] of every object in every photo, on their views. Raises InputError when
-    there are none.
-    """
+    """Masks in [0, 1] of every object in every photo. Raises InputError where there are none."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder of masks.")
     objects = sorted((p for p in folder.iterdir() if p.is_dir()), key=_by_number)

@@ -45,9 +45,7 @@ LEAK = 0.5  # largest weight of the edit outside its object
 
 
 class RecolorRanges(Settings):
-    """How strongly `sample_parameters` changes colours; factors are drawn from [1 - x, 1 + x]
-    (gamma: [1/g, g]).
-    """
+    """How strongly colours are drawn to change: factors from [1 - x, 1 + x] (gamma: [1/g, g])."""
 
     brightness: float = Field(0.3, ge=0, le=1)
     """largest change of brightness [factor - 1]"""
@@ -72,9 +70,7 @@ DEFAULT_RANGES = RecolorRanges()
 
 @dataclass(frozen=True)
 class RecolorParameters:
-    """Theta_r: one region's colour transform, sampled once and reused in every view, at any
-    size.
-    """
+    """Theta_r: one region's colour transform, drawn once and used in every view, at any size."""
 
     brightness: float = 1.0  # factor on RGB
     contrast: float = 1.0  # factor on the distance from mid-grey
@@ -140,9 +136,7 @@ def visible_parameters(
     tries: int = 8,
     ranges: RecolorRanges = DEFAULT_RANGES,
 ) -> RecolorParameters:
-    """Draw parameters whose mean absolute change inside `masks` is at least `least`, or the
-    strongest of `tries`.
-    """
+    """Parameters of a mean change of at least `least` in `masks`, or the strongest of `tries`."""
     generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
     images, masks = images[..., ::4, ::4], masks[..., ::4, ::4]  # enough to judge by
     weight = masks[:, None] / (3 * masks.sum()).clamp(min=1e-6)
@@ -158,9 +152,7 @@ def visible_parameters(
 
 
 def recolor(image: Image, parameters: RecolorParameters) -> Image:
-    """C_Theta: jitters in their order, gamma, lighting offset, channel permutation, greyscale; sRGB
-    in [0, 1].
-    """
+    """C_Theta: jitters in their order, gamma, lighting, permutation, greyscale; sRGB in [0, 1]."""
     for name in parameters.order:
         image = _JITTER[name](image, getattr(parameters, name)).clamp(0, 1)
     image = image**parameters.gamma
@@ -185,9 +177,7 @@ def blend_regions(
     recolored: Float[Tensor, "region *batch 3 height width"],
     masks: Float[Tensor, "region *batch height width"],
 ) -> Float[Tensor, "*batch 3 height width"]:
-    """I' = sum_r a_r C_r(I) + (1 - sum_r a_r) I (section 3.2); pixels no mask touches keep their
-    exact value.
-    """
+    """I' = sum_r a_r C_r(I) + (1 - sum_r a_r) I (section 3.2), exact where no mask is."""
     weights = renormalize(masks).unsqueeze(-3)
     return (weights * recolored).sum(0) + (1 - weights.sum(0)) * image
 
@@ -256,9 +246,7 @@ def draw_outline(rng: np.random.Generator) -> Outline:
 
 
 def with_outline(masks: Masks, outline: Outline) -> Masks:
-    """Grow or shrink masks, or let a little of the edit leak into the background; soft edges stay
-    soft.
-    """
+    """Grow or shrink masks, or let some of the edit leak around them; soft edges stay soft."""
     reach = max(1, round(REACH * max(masks.shape[-2:])))
     if outline == "grown":
         return dilate(masks, reach)
@@ -276,9 +264,7 @@ def with_outline(masks: Masks, outline: Outline) -> Masks:
 def perturbed(
     parameters: RecolorParameters, rng: np.random.Generator, amount: float = 0.08
 ) -> RecolorParameters:
-    """Shift an edit's palette a little: factors times 1 +- `amount`, hue by at most amount / 4
-    turns.
-    """
+    """An edit's palette shifted: factors times 1 +- `amount`, hue by at most amount / 4 turns."""
     *shifts, hue = rng.uniform(-amount, amount, 5).tolist()
     factors = {
         name: getattr(parameters, name) * (1 + shift)

@@ -250,9 +250,7 @@ def _draw_faults(
 def carry_out(
     images: Images, masks: Masks, recipe: SceneRecipe, with_faults: bool = False
 ) -> Images:
-    """Recolour the processed views alike; `with_faults` as a 2D editor might have: with every
-    view's own faults.
-    """
+    """Recolour the processed views; `with_faults` each as a 2D editor might, with its own."""
     views = []
     for view in track(recipe.processed, "augment" if with_faults else "recolour"):
         known = recipe.views[view].faults if with_faults else {}

@@ -44,9 +44,7 @@ def tint(images: Images, rgb: tuple[float, float, float], amount: float) -> Imag
 
 
 def adjust(images: Images, what: str, amount: float) -> Images:
-    """Change one property of all colours; `amount` 1 is clearly visible, a negative one goes the
-    other way.
-    """
+    """Change one property of all colours; 1 is clearly visible, a negative one goes back."""
     match what:
         case "brightness":  # a gamma keeps black, white and their detail
             changed = images**2 ** (-0.7 * amount)

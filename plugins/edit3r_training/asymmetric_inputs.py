@@ -158,9 +158,7 @@ def _edited_view(
     shares: RegimeShares,
     rng: np.random.Generator,
 ) -> Float[Tensor, "3 height width"]:
-    """One view as a 2D editor would return it: now and then its outlines or its colours are a
-    little off.
-    """
+    """One view as a 2D editor would return it: now and then outlines or colours are off."""
     if rng.random() < shares.mask_jitter:
         masks = with_outline(masks, draw_outline(rng))
     if shares.palette_jitter and rng.random() < shares.palette_jitter:

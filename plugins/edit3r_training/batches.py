@@ -24,9 +24,7 @@ OTHER_SURFACE = 0.02
 
 @dataclass(frozen=True)
 class TrainingBatch:
-    """B scenes of V context and T target views; lengths are in the unit of `geometry` where there
-    is one.
-    """
+    """B scenes of V context and T target views, in the unit of `geometry` where there is one."""
 
     source: Views  # unedited context
     edited: Views  # what the reconstructor is given
@@ -69,9 +67,7 @@ def make_batch(
     unit: Unit = "matcher",
     match: Match = simulate_match,
 ) -> TrainingBatch:
-    """Edit every sample, each with its own random numbers; for unit `matcher`, `match` says what a
-    matcher would.
-    """
+    """Edit every sample by its own random numbers; `match` says what a matcher would."""
     batches = [
         _batch_of_one(sample, shares, rng, unit, match)
         for sample, rng in zip(samples, generators)
@@ -122,9 +118,7 @@ def _reshaped(
 
 
 def _with_tensors(function: Callable[..., Tensor], *values: Any) -> Any:
-    """Like the first of some equal data classes, with `function` of all their tensors, field by
-    field and inside.
-    """
+    """Like the first of equal data classes, with `function` of all their tensors inside."""
     first = values[0]
     if isinstance(first, Tensor):
         return function(*values)

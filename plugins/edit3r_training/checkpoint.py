@@ -35,9 +35,7 @@ class TrainingState:
     config: dict[str, Any] = field(default_factory=dict)
 
     def save(self, path: Path) -> None:
-        """Write under a temporary name and move into place when whole; raises RunError when the
-        disk is full.
-        """
+        """Write it under a temporary name, then move it. Raises RunError when the disk is full."""
         content = {
             **{name: getattr(self, name) for name in _NUMBERS},
             "network": self.network.state_dict(),
@@ -51,9 +49,7 @@ class TrainingState:
             torch.save(content, partial)
 
     def load(self, path: Path) -> None:
-        """Continue from a checkpoint of the same network and optimiser; raises InputError for any
-        other file.
-        """
+        """Continue from a checkpoint of the same network and optimiser. Raises InputError."""
         content = _read(path)
         try:
             self.network.load_state_dict(content["network"])

@@ -31,9 +31,7 @@ from edit3r_training.stopping import StopRequest
 
 
 class LoopSettings(Settings):
-    """The settings of the loop; a trainer's settings derive from these and may give other
-    defaults.
-    """
+    """The loop's settings; a trainer's derive from these and may give other defaults."""
 
     steps: Count = 1000
     """optimiser steps"""
@@ -91,9 +89,7 @@ class Recipe(ABC):
         return next(self.network.parameters()).device
 
     def begin(self) -> None:  # noqa: B027 - optional
-        """Prepare for the first step; the network has its start weights, the same on all
-        processes.
-        """
+        """Prepare for the first step; the network has its start weights on all processes."""
 
     @abstractmethod
     def loss(self, step: int, processes: Processes) -> StepLoss:
@@ -266,9 +262,7 @@ class _Loop:
         return StepLoss(total, terms)
 
     def _backward_of(self, batch: int) -> StepLoss:
-        """One batch's loss, gradients added; zero and no gradients for photos that cannot be
-        matched.
-        """
+        """One batch's loss, gradients added; zero and none for photos that cannot be matched."""
         seed_everything(self.settings.seed, batch, self.processes.rank)
         try:
             loss = self.recipe.loss(batch, self.processes)
@@ -292,9 +286,7 @@ class _Loop:
             self.journal.write(self.state.step, line)
 
     def _validate(self) -> None:
-        """Measure the averaged weights on held-out scenes and keep the best; without such scenes,
-        keep the last.
-        """
+        """Measure averaged weights on held-out scenes and keep the best; without such, the last."""
         state, improved, score = self.state, True, float("inf")
         if self.job.validation_data is not None:
             with torch.no_grad(), _averaged_weights(state, self.stop):

@@ -129,9 +129,7 @@ class GeometryLoss(Loss):
 
 
 def pairwise_chamfer(means: Means, views: list[Int[Tensor, " chosen"]]) -> Scalar:
-    """L_geom = 1 / (V (V - 1)) sum_{i < j} Chamfer_L1(mu_i, mu_j), with the factor as the paper
-    writes it.
-    """
+    """L_geom = 1 / (V (V - 1)) sum_{i < j} Chamfer_L1(mu_i, mu_j), as the paper writes it."""
     count = len(views)
     total = means.sum() * 0
     for a, b in combinations(views, 2):
@@ -189,9 +187,7 @@ class PerceptualLoss(Loss):
 
 
 class LpipsLoss(Loss):
-    """Mean LPIPS distance (Zhang et al. 2018) with VGG features, as the paper uses; downloaded at
-    first use.
-    """
+    """Mean LPIPS (Zhang et al. 2018) of VGG, as in the paper; downloaded at first use."""
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
@@ -272,9 +268,7 @@ def means_to_compare(inputs: LossInputs, loss: str) -> tuple[Means, Means]:
 
 
 def require_fields(inputs: LossInputs, loss: str, *names: str) -> None:
-    """Raise SettingsError unless the training step has the fields `names` that the loss
-    compares.
-    """
+    """Raise SettingsError unless the step has the fields `names` that the loss compares."""
     missing = [name for name in names if getattr(inputs, name) is None]
     if missing:
         raise SettingsError(

@@ -57,9 +57,7 @@ class PhotoSettings(config.Settings):
 
 
 class PhotoDataset(Dataset):
-    """One sample is one draw of views from one scene; a scene that cannot be used is skipped and
-    named once.
-    """
+    """A sample is one draw of views of a scene; one that cannot be used is named once."""
 
     name: ClassVar[str]  # in warnings
     settings: PhotoSettings
@@ -77,9 +75,7 @@ class PhotoDataset(Dataset):
     def _draw(
         self, scene: Any, rng: np.random.Generator, gap: tuple[int, int]
     ) -> "DrawnPhotos":
-        """Draw views of one scene, first to last `gap` frames apart; raises InputError when it
-        cannot be used.
-        """
+        """Views of a scene, first to last `gap` frames apart. Raises InputError without any."""
 
     @abstractmethod
     def _label(self, scene: Any) -> str:
@@ -92,9 +88,7 @@ class PhotoDataset(Dataset):
         return self.at_progress(index, 1.0)
 
     def at_progress(self, index: int, progress: float) -> SceneSample:
-        """Return the sample with the gap of that time of a training: a curriculum from near views
-        to far ones.
-        """
+        """The sample with the gap of that time of a training, which goes from near to far views."""
         chosen = self.settings
         way = progress / chosen.gap_growth
         gap = growing_gap(chosen.gap_start, chosen.gap, way)
@@ -254,9 +248,7 @@ def _near_middle(
     context: list[int],
     targets: int,
 ) -> list[int]:
-    """Draw from the photos nearest to the middle of the context cameras, twice as many as
-    needed.
-    """
+    """Of the photos nearest to the middle of the context cameras, twice as many as needed."""
     middle = c2w[context, :3, 3].mean(0)
     order = np.linalg.norm(c2w[:, :3, 3] - middle, axis=1).argsort(kind="stable")
     near = order[~np.isin(order, context)][: 2 * targets].tolist() or context

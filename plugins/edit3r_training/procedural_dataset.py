@@ -39,9 +39,7 @@ Images = Float[Tensor, "view 3 height width"]
 
 
 class ProceduralDataset(Dataset):
-    """Textured rooms and open grounds with many objects; exact poses, depth, masks and edited
-    truth.
-    """
+    """Textured rooms and open grounds with objects; exact poses, depth, masks, edited truth."""
 
     class Settings(edit3r.Settings):
         scenes: Count = 100_000
@@ -91,9 +89,7 @@ class ProceduralDataset(Dataset):
         return _with_images(packed, lambda x: x.float() / 255)
 
     def _made(self, index: int) -> SceneSample:
-        """Draw scene, cameras and edit, and cast the images; for `add` the unedited scene lacks its
-        last object.
-        """
+        """Draw scene, cameras, edit, and cast them; for `add` the scene lacks its last object."""
         chosen = self.settings
         rng = np.random.default_rng((chosen.seed, index))
         poses = random_cameras(rng, chosen.context, chosen.targets, chosen.angles)

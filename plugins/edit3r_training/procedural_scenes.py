@@ -126,9 +126,7 @@ def _room(
 
 
 def _object(rng: np.random.Generator, texture_count: int, floor: float) -> _Object:
-    """A random ellipsoid, box or cylinder, upright or tilted, often standing on the floor (height
-    `floor`).
-    """
+    """A random ellipsoid, box or cylinder, upright or tilted, often on the floor (its height)."""
     kind = int(rng.integers(3))
     size = rng.uniform(0.08, 0.36) * rng.uniform(0.5, 1.5, 3)
     if kind == BOX and rng.random() < 0.3:
@@ -154,9 +152,7 @@ def _is_clear(candidate: _Object, avoid: Vectors) -> bool:
 
 
 def look_at(position: Vectors, focus: Vectors, roll: float = 0.0) -> Vectors:
-    """Camera-to-world 4x4 (OpenCV axes) at `position` looking at `focus`, world y down; `roll`
-    [radians].
-    """
+    """Camera-to-world 4x4 (OpenCV axes) at `position` towards `focus`, y down; `roll` [radians]."""
     forward = focus - position
     forward = forward / np.linalg.norm(forward)
     right = np.cross([0.0, 1.0, 0.0], forward)
@@ -173,9 +169,7 @@ def look_at(position: Vectors, focus: Vectors, roll: float = 0.0) -> Vectors:
 def random_cameras(
     rng: np.random.Generator, context: int, targets: int, angles: tuple[float, float]
 ) -> Float[np.ndarray, "view 4 4"]:
-    """Poses of the context views, `angles` [degrees] from one to the next, and then of the target
-    views.
-    """
+    """Poses of the context views, `angles` [degrees] apart, and then of the target views."""
     step = np.deg2rad(rng.uniform(*angles)) * rng.choice([-1, 1])
     start, elevation = rng.uniform(0, 2 * np.pi), rng.uniform(-0.05, 0.6)
     distance = rng.uniform(1.4, 2.4)

@@ -69,9 +69,7 @@ class Processes:
         return [row for own in lists for row in own]
 
     def means(self, rows: list[dict[str, float]]) -> dict[str, float]:
-        """Mean of each value over the rows of all processes that have any; these have the same
-        names.
-        """
+        """Mean of each value over the rows of all processes that have any, of the same names."""
         full = [row for row in self.gathered(rows) if row]
         names = full[0] if full else ()
         return {name: float(np.mean([row[name] for row in full])) for name in names}
@@ -106,9 +104,7 @@ def own_device(name: str) -> torch.device:
 
 
 def is_first_process() -> bool:
-    """Whether this is the only process or the first that torchrun started; known before they are
-    joined.
-    """
+    """Whether this is the only or first process that torchrun started, before they are joined."""
     return os.environ.get("RANK", "0") == "0"
 
 

@@ -48,9 +48,7 @@ from edit3r_training.validation import held_out_batches, held_out_measures, reco
 
 
 class RecolorTrainer(Trainer):
-    """The paper's training, for any reconstructor with a network that gives every pixel its own
-    Gaussian.
-    """
+    """The paper's training, for any network that gives every pixel its own Gaussian."""
 
     class Settings(LoopSettings):
         batch: int = Field(8, ge=1, le=256)
@@ -128,9 +126,7 @@ class RecolorRecipe(Recipe):
         return held_out_measures(self.job, processes, batches, rendered, shown)
 
     def _batch(self, step: int, processes: Processes) -> TrainingBatch:
-        """This process's share of the step's scenes; sample and random numbers do not depend on who
-        draws them.
-        """
+        """This process's share of the step's scenes, whoever draws them."""
         chosen = self.settings
         first = processes.rank * chosen.batch
         slots = range(first, first + chosen.batch)
@@ -278,9 +274,7 @@ class GeometricReference:
 
     @staticmethod
     def of_start(job: TrainingJob) -> "GeometricReference":
-        """Freeze the job's reference, or a copy of its network where a loss may ask for it and
-        there are no depths.
-        """
+        """The job's reference, frozen, or a copy of the network where losses need one."""
         frozen = job.reference
         if frozen is None and job.losses and job.train_data[0].context_depths is None:
             frozen = copy.deepcopy(job.reconstructor)

@@ -10,9 +10,7 @@ import torch
 
 
 def warmup_cosine(step: int, steps: int, warmup: int, floor: float = 0.05) -> float:
-    """Factor on the learning rate: linear over `warmup` steps, then a cosine from 1 to `floor` at
-    `steps`.
-    """
+    """Factor of the learning rate: linear over `warmup` steps, then a cosine to `floor`."""
     if step < warmup:
         return (step + 1) / warmup
     way = min(1.0, (step - warmup) / max(1, steps - warmup))
@@ -22,9 +20,7 @@ def warmup_cosine(step: int, steps: int, warmup: int, floor: float = 0.05) -> fl
 def batch_indices(
     step: int, batch: int, length: int, seed: int, rank: int = 0, world: int = 1
 ) -> list[int]:
-    """Dataset indices of one step on process `rank`: every epoch a new permutation, no sample twice
-    in one.
-    """
+    """Indices of one step on process `rank`: every epoch a new permutation, each once."""
     first = (step * world + rank) * batch
     return [
         _shuffled(position, length, seed) for position in range(first, first + batch)
@@ -45,9 +41,7 @@ def seed_everything(*numbers: int) -> None:
 
 
 def _shuffled(position: int, length: int, seed: int) -> int:
-    """Entry `position % length` of the epoch's permutation, an affine map with a step coprime to
-    `length`.
-    """
+    """Entry `position % length` of the epoch's permutation, an affine map with a coprime step."""
     epoch, place = divmod(position, length)
     rng = np.random.default_rng((seed, epoch, length))
     stride = int(rng.integers(1, length + 1))

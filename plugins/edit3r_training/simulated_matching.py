@@ -29,9 +29,7 @@ Image = Float[np.ndarray, "height width 3"]  # sRGB in [0, 1]
 
 @dataclass(frozen=True)
 class SimulatedMatch:
-    """Geometry with a matcher's errors and its unit: `depths = true depths * unit` where nothing
-    went wrong.
-    """
+    """Geometry with a matcher's errors and unit: `depths = true depths * unit` but for them."""
 
     geometry: Geometry  # batch 1
     unit: float
@@ -70,9 +68,7 @@ def simulate_match(sample: SceneSample, rng: np.random.Generator) -> SimulatedMa
 
 
 def really_match(sample: SceneSample, matcher: Matcher) -> SimulatedMatch | None:
-    """The matcher's own answer for the sample's context views; None where it does not place them
-    all.
-    """
+    """The matcher's answer for the sample's context views; None where it does not place all."""
     try:
         geometry = matcher.match(
             Views(sample.context[None], sample.context_cameras.intrinsics)
@@ -143,9 +139,7 @@ def _corrupted(
 
 
 def _filled(inverse: Map, measured: Where, image: Image) -> Map:
-    """Inverse depth spread from the measured pixels along the image's edges (fast global
-    smoother).
-    """
+    """Inverse depth spread from what was measured along image edges (fast global smoother)."""
     guide = (image * 255).astype(np.uint8)
     weights = measured.astype(np.float32) + 1e-4
     return weighted_smooth(inverse.astype(np.float32), weights, guide, 2000.0, 6.0)
@@ -165,9 +159,7 @@ def _blobs(rng: np.random.Generator, shape: tuple[int, int], share: float) -> Wh
 
 
 def _smooth_noise(rng: np.random.Generator, shape: tuple[int, int], cells: int) -> Map:
-    """Smooth random field of mean 0 and variance about 1, with `cells` independent values along
-    each side.
-    """
+    """Smooth random field of mean 0, variance about 1, `cells` independent values a side."""
     coarse = rng.normal(size=(cells, cells)).astype(np.float32)
     return cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC) * 1.3
 
@@ -182,9 +174,7 @@ def _smooth_uniform(
 def _noisy_pose(
     c2w: Float[np.ndarray, "4 4"], rng: np.random.Generator, severity: float
 ) -> Float[np.ndarray, "4 4"]:
-    """Rotation and direction of translation off by some tenths of a degree, now and then by
-    degrees.
-    """
+    """Rotation and direction of translation off by tenths of a degree, now and then by more."""
     spread = np.deg2rad(0.25) * severity * (8 if rng.random() < 0.05 else 1)
     result = c2w.copy()
     result[:3, :3] = (

@@ -131,9 +131,7 @@ class SceneRegions:
         return SceneRegions(path, SceneRecipe.load(path / RECIPE))
 
     def photos_with_masks(self, folder: PosedFolder) -> PosedFolder:
-        """Only the photos that were used: the others may well show the objects, but where is not
-        known.
-        """
+        """Only the photos that were used: where others show the objects is not known."""
         used = {view.name for view in self.recipe.views if view.processed}
         cameras = tuple(
             camera for camera in folder.cameras if Path(camera.file).stem in used
@@ -147,9 +145,7 @@ class SceneRegions:
     def masks(
         self, cameras: Sequence[PosedCamera], size: int
     ) -> Float[Tensor, "object view size size"]:
-        """Soft masks of every object on the centred squares of these photos; zero where an object
-        is not seen.
-        """
+        """Soft masks of every object on these photos' squares; zero where it is not seen."""
         objects = [
             torch.stack([self._mask(region.id, camera, size) for camera in cameras])
             for region in self.recipe.regions

@@ -29,9 +29,7 @@ SEED = 987_654_321
 
 
 def reconstruct(job: TrainingJob, batch: TrainingBatch) -> Reconstruction:
-    """With the batch's simulated matching where the reconstructor uses geometry, else with the
-    job's matcher's.
-    """
+    """With the batch's simulated matching where geometry is used, else the job's matcher's."""
     reconstructor, source = job.reconstructor, batch.source
     geometry = batch.geometry if reconstructor.uses_geometry else None
     if geometry is None:

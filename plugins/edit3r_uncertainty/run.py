@@ -16,6 +16,7 @@ from edit3r import build
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Rasterizer, SceneToWrite, SecondLook
 from edit3r.contract.types import Cameras, Gaussians
+from edit3r.kit.contact_sheet import draw_sheet
 from edit3r.kit.files.names import unique_names
 from edit3r.kit.files.text import read_json
 from edit3r.kit.geometry.paths import interpolate_poses
@@ -25,7 +26,6 @@ from edit3r.kit.rendering import render_each, render_uncertainty
 from edit3r.kit.run_folder import RunFolder, continue_run
 from edit3r.kit.scenes.files import scene_file
 from edit3r.kit.scenes.ply import save_ply
-from edit3r.kit.sheet import draw_sheet
 from edit3r.running import read_views_of_run
 from edit3r_uncertainty.signals import photos_of, uncertainty
 

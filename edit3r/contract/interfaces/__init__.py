@@ -39,7 +39,7 @@ from edit3r.contract.interfaces.rendering import (
     RefineInputs as RefineInputs,
     Refiner as Refiner,
 )
-from edit3r.contract.interfaces.selecting import (
+from edit3r.contract.interfaces.segmentation import (
     Detection as Detection,
     Detector as Detector,
     Marks as Marks,

@@ -11,7 +11,7 @@ from torch import Tensor
 from edit3r.contract.component import Configured
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces.reconstruction import Geometry
-from edit3r.contract.interfaces.selecting import Marks
+from edit3r.contract.interfaces.segmentation import Marks
 from edit3r.contract.types import Views
 
 Box = tuple[float, float, float, float]

@@ -1,4 +1,7 @@
-"""Colour spaces: sRGB to CIE Lab, and to OKLab and back; a library takes longer to load."""
+"""Colour spaces: sRGB to CIE Lab, and to OKLab and back.
+
+Written here because kornia, which has them too, takes a quarter of a second to import.
+"""
 
 import numpy as np
 import torch
@@ -26,7 +29,7 @@ _TO_OKLAB = (
 def rgb_to_lab(
     images: Float[Tensor, "*batch 3 height width"],
 ) -> Float[Tensor, "*batch 3 height width"]:
-    """CIE Lab under D65 of sRGB in [0, 1]; kornia's takes a quarter of a second to load."""
+    """CIE Lab of sRGB in [0, 1], for the white D65."""
     xyz = _mixed(_TO_XYZ, srgb_to_linear(images))
     xyz = xyz / images.new_tensor(_WHITE)[:, None, None]
     x, y, z = torch.where(xyz > 0.008856, xyz.pow(1 / 3), 7.787 * xyz + 4 / 29).unbind(
@@ -40,7 +43,7 @@ def rgb_to_oklab(
 ) -> Float[Tensor, "*batch 3 height width"]:
     """OKLab (Ottosson 2020) of sRGB in [0, 1]: lightness in [0, 1], then a and b.
 
-    All three scale by one factor where light falls off, so that chroma over lightness stays.
+    Shade multiplies all three by the same factor, so the ratio of chroma to lightness stays.
     """
     cones = _mixed(_TO_CONES, srgb_to_linear(images)).clamp(min=0)
     return _mixed(_TO_OKLAB, cones.pow(1 / 3))

@@ -138,9 +138,10 @@ def scale_poses(
 def median_scale(
     source: Float[Tensor, "point 3"], target: Float[Tensor, "point 3"]
 ) -> Float[Tensor, ""]:
-    """How many times as large `target` is as `source`: median ratio of distances from 0.
+    """The factor that brings `source` to the size of `target`: the median ratio of their distances
+    from the origin.
 
-    Both hold the same points (or camera centres) in frames with one origin; 1 for no points.
+    Point i of both is the same point, in two frames with one origin but other units. 1 for none.
     """
     if len(source) == 0:
         return target.new_ones(())
@@ -152,7 +153,7 @@ def pixel_scales(
     intrinsics: Float[Tensor, "batch view 3 3"],
     footprint: float,
 ) -> Float[Tensor, "batch view height width"]:
-    """How long `footprint` pixels are at the pixels' depths [unit of `depths`]."""
+    """The length of `footprint` pixels, seen at each pixel's depth [unit of `depths`]."""
     focal = intrinsics[..., 0, 0] * depths.shape[-1]  # [pixels]
     return footprint * depths / focal[..., None, None]
 
@@ -204,9 +205,9 @@ def quarter_turns(c2w: Float[Tensor, "view 4 4"]) -> Int[Tensor, "view"]:
 def up_direction(c2w: Float[Tensor, "view 4 4"]) -> Float[Tensor, "3"]:
     """The unit vector that points up, in the frame of the poses.
 
-    People tilt a camera up and down but seldom to its side, so up is across the x axes of all
-    images (Brown and Lowe, Automatic Panoramic Image Stitching, IJCV 2007, section 5). One image
-    that was turned by a quarter does not tilt the scene.
+    People tilt a camera up and down, but hardly ever roll it. So the x axis of each image is level,
+    and up is the direction most nearly at right angles to all of them (Brown and Lowe, Automatic
+    Panoramic Image Stitching, IJCV 2007, section 5). Images taken on their side are turned first.
     """
     views = torch.arange(len(c2w), device=c2w.device)
     turns = quarter_turns(c2w)

@@ -13,7 +13,7 @@ from jaxtyping import Float64
 from PIL import Image
 from torch import Tensor
 
-from edit3r.contract.lens import Box, Lens
+from edit3r.contract.lens import Crop, Lens
 
 MIN_SHARE = 0.5  # of a photo's sides that is kept where a lens leaves dark corners
 
@@ -23,7 +23,7 @@ class Frame:
     """A centred crop of an image and the size it is resampled to."""
 
     source: tuple[int, int]  # (height, width) of the image [pixels]
-    box: Box  # the crop [pixels of the image]
+    box: Crop  # the part that is used [pixels of the image]
     target: tuple[int, int]  # (height, width) after resampling [pixels]
     lens: Lens | None = None  # straightened before the crop
 
@@ -77,7 +77,7 @@ class Frame:
         sides = np.array(self.source[::-1] * 2)
         for share in np.linspace(1, MIN_SHARE, 101):
             box = np.concatenate((centre - share * half, centre + share * half))
-            if lens.is_shown(tuple(box / sides)):
+            if lens.covers(tuple(box / sides)):
                 return replace(self, box=tuple(box.tolist()), lens=lens)
         return replace(self, lens=lens)
 

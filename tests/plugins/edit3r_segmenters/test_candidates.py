@@ -70,6 +70,8 @@ def test_candidates_that_look_the_same_are_one_step():
     ordered, place = by_size([best, square(17, 0.9), square(24, 0.5), square(8, 0.4)])
     assert [int(one.mask.sum()) for one in ordered] == [64, 256, 576]
     assert ordered[place] is best
+    ordered, _ = by_size([best, square(24, 0.01)])
+    assert ordered == [best]
 
 
 def test_the_most_likely_reading_is_the_answer_where_a_part_scores_as_much(

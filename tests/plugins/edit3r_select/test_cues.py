@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from edit3r_select.cues import CUES, OF_ANY_SIZE, Asked, Pool, table
+from edit3r_select.cues import CUES, OF_ANY_SIZE, Asked, Pool, pixel, table
 
 SIDE = 120
 ROWS, COLUMNS = np.indices((SIDE, SIDE))
@@ -61,6 +61,11 @@ def test_marks_are_obeyed_inside_and_outside():
     # taking the right half away changes it around the click, leaving all as it is changes nothing
     middle = CUES["middle"](pool(asked))
     assert middle[0] == 0 and middle[1] > 0.5
+
+
+def test_a_click_on_the_last_edge_is_on_the_last_pixel():
+    assert pixel((1.0, 1.0), (40, 60)) == (39, 59)
+    assert pixel((0.0, 0.5), (40, 60)) == (20, 0)
 
 
 def test_of_further_answers_those_that_agree_count():

@@ -36,6 +36,8 @@ def test_a_short_sequence_gets_the_widest_gap_it_has_and_a_single_frame_none():
     rng = np.random.default_rng(0)
     assert choose_by_gap(rng, 4, context=2, targets=1, gap=(10, 20))[:2] == [0, 3]
     assert choose_by_gap(rng, 1, context=2, targets=1, gap=(1, 2)) is None
+    # five different frames do not lie two apart
+    assert choose_by_gap(rng, 10, context=5, targets=1, gap=(1, 2)) is None
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 import torch
 
-from edit3r.kit.sheet import draw_sheet
+from edit3r.kit.contact_sheet import draw_sheet
 
 
 def flat(views, size, colour):
