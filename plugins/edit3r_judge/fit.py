@@ -149,7 +149,8 @@ def between(
         wrong = beyond + under * sum(value <= pair[0] for value in bad)
         return -round(wrong, 9), pair[1] - pair[0]
 
-    return sum(max(pairwise(sorted({*good, *bad})), key=rank)) / 2
+    low, high = max(pairwise(sorted({*good, *bad})), key=rank)
+    return (low + high) / 2
 
 
 def report_of_scenes(judged: Judged) -> str:

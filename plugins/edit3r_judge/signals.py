@@ -52,14 +52,16 @@ class Pictures:
 
     def __init__(self, edit: EditToJudge) -> None:
         views = list(edit.edited)
-        pictures = (edit.before, edit.after, edit.rendered)
         self.edit, self.views = edit, views
-        self.old, self.new, self.shown = (
-            None if one is None else _lab(one.images[0, views]) for one in pictures
+        self.old, self.new = (
+            _lab(one.images[0, views]) for one in (edit.before, edit.after)
         )
+        drawn = edit.rendered
+        self.shown = None if drawn is None else _lab(drawn.images[0, views])
         self.change = (self.new - self.old).norm(dim=1)
-        whole = edit.masks is None
-        masks = torch.ones_like(self.change) if whole else _small(edit.masks[0, views])
+        masks = torch.ones_like(self.change)
+        if edit.masks is not None:
+            masks = _small(edit.masks[0, views])
         self.inside = masks > 0.5
         self.touched = masks > 0.02  # soft edges may change a little
         self.core = ~_grown(~self.inside, BAND)  # without its rim

@@ -42,23 +42,26 @@ def judge(
     """
     before, psnr = (_psnr(scene, shown) for shown in (scene.first, scene.rendered))
     coverage = scene.rendered.alphas.mean((2, 3, 4)).amin(0).tolist()
-    filled = between = [None] * len(psnr)
+    filled: list[float | None] = [None] * len(psnr)
+    between = filled
     if scene.measured is not None:
         filled = (1 - scene.measured.amin(0)).tolist()
     if guessed is not None:
         between = guessed.amax(0).tolist()
     label, reason = _label(scene, before, psnr, between, doubt)
-    lists = [
-        [next(rest) if there else None for there in scene.placed]
+    at_photos, at_first, covered, guesses, on_the_way = (
+        tuple(next(rest) if there else None for there in scene.placed)
         for rest in map(iter, (psnr, before, coverage, filled, between))
-    ]
-    psnr, before, coverage, filled, between = map(tuple, lists)
-    return Verdict(label, reason, psnr, before, scene.placed, coverage, filled, between)
+    )
+    return Verdict(
+        label, reason, at_photos, at_first, scene.placed, covered, guesses, on_the_way
+    )
 
 
 def _psnr(scene: SceneToJudge, shown: Rendering) -> list[float]:
     """PSNR [dB] of each placed view at the size of its rendering, over what the scene keeps."""
-    size, found = tuple(shown.images.shape[-2:]), []
+    height, width = shown.images.shape[-2:]
+    size, found = (height, width), []
     # view by view: of many large photos, squares in double precision fill the memory
     for view in range(scene.edited.count):
         image = shown.images[:, view].clamp(0, 1)
