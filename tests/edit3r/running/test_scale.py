@@ -206,7 +206,7 @@ def gaussians_at():
     return make
 
 
-def test_given_poses_far_apart_may_differ_by_as_much_more():
+def test_given_poses_far_apart_may_differ_by_as_much_more(gaussians_at):
     """By a thousandth of the distance between the cameras, in whatever unit."""
     c2w = torch.eye(4).repeat(1, 2, 1, 1)
     c2w[:, 1, 0, 3] = 1000.0

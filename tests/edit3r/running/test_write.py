@@ -417,6 +417,6 @@ def test_other_readings_are_drawn_on_the_photo_they_are_of_where_one_was_not_pla
     )
     photo = torch.rand(1, 1, 3, 4, 6)
     photos = Views(photo, torch.eye(3)[None, None], ("second",))
-    (drawn,) = _other_readings((unsure,), photos, (False, True))
+    (drawn,) = _other_readings((unsure.select([1]),), photos)
     assert drawn.name == "second" and torch.equal(drawn.photo, photo[0, 0])
     assert [*drawn.masks] == ["--reading 1 (taken)", "--reading 2"]
