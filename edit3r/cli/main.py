@@ -117,7 +117,7 @@ def _dispatch(argv: list[str]) -> int:
         for photo in takewhile(lambda one: not one.startswith("-"), rest):
             require_there(photo)
     command = find_command(name)
-    parser = Parser(prog=f"edit3r {name}", description=command.__doc__)
+    parser = Parser(prog=f"edit3r {name}", description=_about(name, command))
     command.add_arguments(parser)
     parser.add_argument(
         "--debug", action="store_true", help="show the full traceback of an error"
@@ -144,6 +144,15 @@ def find_command(name: str) -> "Command":
     return registry.build("command", name)
 
 
+def _about(name: str, command: "Command") -> str:
+    """What the command's help begins with: its docstring, or its summary where that says more."""
+    written = command.__doc__ or ""
+    if not written.startswith("`"):
+        return written
+    summary = _summaries()[name.rpartition(":")[2]]
+    return f"{summary[0].upper()}{summary[1:]}."
+
+
 def parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:
     """Parse with options and positionals in any order, but for commands with steps of their own."""
     for action in parser._actions:
@@ -155,8 +164,8 @@ def parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Nam
     return parser.parse_intermixed_args(arguments)
 
 
-def _overview() -> str:
-    """The text of `edit3r --help`: every command with its summary."""
+def _summaries() -> dict[str, str]:
+    """By the name of each command."""
     # Not the registry, whose settings take a tenth of a second to load.
     from edit3r.loading.load import load_plugins
 
@@ -164,6 +173,12 @@ def _overview() -> str:
     for offer in load_plugins().offers:
         if offer.kind == "command":
             summaries.setdefault(offer.component.name, offer.component.summary)
+    return summaries
+
+
+def _overview() -> str:
+    """The text of `edit3r --help`: every command with its summary."""
+    summaries = _summaries()
     width = max(map(len, summaries))
     listed = [f"  {name:<{width}}  {text}" for name, text in sorted(summaries.items())]
     return "\n".join(

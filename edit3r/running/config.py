@@ -11,7 +11,6 @@ from edit3r.contract.errors import SettingsError, UnknownComponentError
 from edit3r.contract.settings import PartChoice, Settings, Share, make_settings, merge
 from edit3r.kit.files.configs import read_yaml
 from edit3r.loading.registry import Registry
-from edit3r.running.quality import read_quality, with_quality
 
 DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
 
@@ -44,32 +43,32 @@ class RunConfig(Settings):
     prompt: str = Field("", max_length=MAX_PROMPT)
     """what to change, such as 'paint the bike red'"""
     reader: PartChoice = PartChoice(name=DEFAULTS["reader"])
-    """reads the prompt, and its settings"""
+    """what reads the prompt, and its settings"""
     editor: PartChoice | None = None
     """2D editor and its settings; default: the one that can do what the prompt asks"""
     reconstructor: PartChoice = PartChoice(name=DEFAULTS["reconstructor"])
     """reconstructor and its settings"""
     matcher: PartChoice = PartChoice.model_validate(DEFAULTS["matcher"])
-    """reads poses and depths from the photos where somebody needs them; where --cameras has all
-    poses, they are used as they are unless a matcher is chosen"""
+    """what finds poses and depths in the photos where they are needed; if --cameras has all poses,
+    they are used as they are unless a matcher is named"""
     rasterizer: PartChoice = PartChoice(name=DEFAULTS["rasterizer"])
     """rasterizer and its settings"""
     selector: PartChoice = PartChoice(name=DEFAULTS["selector"])
-    """finds what is marked or named on all photos, and its settings"""
+    """what finds the marked or named thing on all photos, and its settings"""
     critic: PartChoice = PartChoice(name=DEFAULTS["critic"])
-    """judges edit and scene, and its settings"""
+    """what judges the edit and the scene, and its settings"""
     segmenter: PartChoice | None = None
-    """finds what the prompt is about, if it reads words; default: the editor's own"""
+    """what outlines the thing that is marked or named; default: the editor's own"""
     sure: bool = False
-    """refuse what words found unsurely or not at all, instead of taking it as a question"""
+    """refuse words that find nothing for certain, instead of taking the likeliest"""
     reading: int = Field(1, ge=1, le=MAX_STEPS)
-    """which reading of clicks, strokes, boxes or words is taken: 1 the most likely"""
+    """which candidate for the clicks, strokes, boxes or words is taken: 1 is the likeliest"""
     larger: int = Field(0, ge=-MAX_STEPS, le=MAX_STEPS)
-    """take a larger part of what was meant; repeatable"""
+    """take the next larger candidate; repeatable"""
     grow: float = Field(0.0, ge=-MAX_GROWTH, le=MAX_GROWTH)
     """move the outline of what is selected outwards [pixels]; inwards if negative"""
     invert: bool = False
-    """change all but what is selected"""
+    """change everything but the selection"""
     refiners: tuple[PartChoice, ...] = tuple(
         PartChoice(name=name) for name in DEFAULTS["refiners"]
     )
@@ -85,16 +84,16 @@ class RunConfig(Settings):
     """undo: an edited picture that is shifted, zoomed, turned or mirrored against its photo is
     moved back; keep: it is taken as it is"""
     transients: Literal["leave-out", "keep"] = "leave-out"
-    """leave-out: what one photo alone shows where two others see through its place, such as a
-    walker, is left out of the scene; keep: it is drawn"""
+    """leave-out: what only one photo shows while two others see through its place, such as a
+    passer-by, is left out of the scene; keep: it is drawn"""
     seed: int = Field(0, ge=0, lt=2**31)
     """one seed for all views"""
     size: int = Field(512, ge=8, le=8192)
     """longer side that photos are reduced to [pixels]"""
     fov: float | None = Field(None, gt=1, lt=170)
-    """horizontal field of view [degrees] of photos that do not tell their own"""
+    """horizontal field of view [degrees] of photos that do not record it"""
     views: int | None = Field(None, ge=2)
-    """most photos that are used: those that together show most; default: all (of a video, 8
+    """use at most this many photos, those that together show most; default: all (of a video, 8
     frames)"""
     device: str = "cpu"
     """torch device of the learned parts, such as cpu or cuda"""
@@ -106,24 +105,24 @@ class RunConfig(Settings):
         "writers (edit3r list-plugins --kind writer); all: the usual ones and frames",
     )
     export: tuple[str, ...] = ()
-    """what is written as well, by any writer, such as spz,glb"""
+    """what else is written, by any writer, such as spz,glb"""
     writer: dict[str, dict[str, Any]] = Field({})
     """settings of writers by their names, such as writer.video.fps=30; in a list of outputs also
     {name: video, fps: 30}"""
     gaussians: int | Literal["all", "auto"] = "auto"
-    """all, auto (only what the scene requires), or the most there may be (see docs/simplify.md)"""
+    """all, auto (only what the scene requires), or a number, at most (see docs/simplify.md)"""
     max_gaussians: int | None = Field(None, ge=1)
-    """never leave more Gaussians than this"""
+    """never keep more Gaussians than this"""
     refine: int = Field(12, ge=0, le=10000)
-    """most photometric steps, each towards one edited view"""
+    """photometric steps at most, each towards one edited view"""
     grid: float = Field(0.67, gt=0, le=1)
-    """share of the photos' sides at which Gaussians are made, one a pixel, where --refine follows,
-    which brings the detail of the photos themselves; 1: at the photos' own"""
+    """size at which Gaussians are made, one for each pixel, as a share of the photos' size, where
+    --refine follows and brings back the detail; 1: the photos' full size"""
     exposure: Literal["one", "own"] = "one"
-    """one: photos of other exposure or white balance are brought to the exposure of the first; own:
+    """one: photos that differ in exposure or white balance are brought to those of the first; own:
     each is taken as it is"""
     quality: Literal["fast", "balanced", "best"] | None = None
-    """measured preset that lies under all other settings (see docs/tradeoff.md)"""
+    """measured preset, which all other settings override (see docs/tradeoff.md)"""
 
     @model_validator(mode="before")
     @classmethod
@@ -220,7 +219,11 @@ class RunConfig(Settings):
 
     def set_by_the_user(self) -> set[str]:
         """Names of the settings that were given, other than by the preset."""
-        preset = read_quality().preset(self.quality).settings if self.quality else {}
+        preset: Mapping[str, Any] = {}
+        if self.quality is not None:
+            from edit3r.running.quality import read_quality
+
+            preset = read_quality().preset(self.quality).settings
         given = self.model_fields_set
         return {name for name in given if getattr(self, name) != preset.get(name)}
 
@@ -237,24 +240,24 @@ class JobInputs(Settings):
     earlier: str | None = None
     """edit the scene of an earlier run again (its --out folder)"""
     cameras: str | None = None
-    """cameras.json or transforms.json with the photos' intrinsics; 'none': not even one that lies
+    """cameras.json or transforms.json with the photos' intrinsics; 'none': ignore even one
     beside the photos"""
     refine_poses: bool = False
     """refine the given poses by bundle adjustment"""
     mask: tuple[str, ...] = ()
-    """a mask for each photo, or a folder of them, named after the photos; or for one, which is
-    carried to the rest; white is the object"""
+    """a mask for each photo, or a folder of them, named after the photos; or a single one, which is
+    carried to the other photos; white is the object"""
     point: tuple[str, ...] = ()
     """a point on the object, on the first photo or photo N; repeatable"""
     not_point: tuple[str, ...] = ()
-    """a point on what is not the object; repeatable"""
+    """a point that is not on the object; repeatable"""
     box: tuple[str, ...] = ()
     """a box around the object, on the first photo or photo N"""
 
     stroke: tuple[str, ...] = ()
     """a line drawn over the object, on the first photo or photo N; repeatable"""
     region: tuple[str, ...] = ()
-    """a box that is exactly what may change, on the first photo or photo N"""
+    """a box that is taken exactly as it is, on the first photo or photo N"""
     thing: str = ""
     """the object in words, such as 'the left cup', instead of marks"""
 
@@ -275,7 +278,10 @@ def make_run_config(*layers: Mapping[str, Any]) -> RunConfig:
         merged = merge(
             merged, {key: _named(key, value) for key, value in layer.items()}
         )
-    merged = with_quality(merged)
+    if merged.get("quality") is not None:
+        from edit3r.running.quality import with_quality
+
+        merged = with_quality(merged)
     for key in PART_KEYS:
         given = merged.get(key)
         has_default = isinstance(RunConfig.model_fields[key].default, PartChoice)

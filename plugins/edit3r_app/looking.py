@@ -7,7 +7,7 @@ import io
 import json
 import threading
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -23,7 +23,8 @@ from PIL import Image
 from torch import Tensor
 
 from edit3r import Registry
-from edit3r.contract.errors import Edit3rError, InputError
+from edit3r.contract.component import Component
+from edit3r.contract.errors import Edit3rError, InputError, PromptError
 from edit3r.contract.interfaces import Marks, Reading, Selected, Selection
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
@@ -62,6 +63,8 @@ USUAL_PACE = 2.0
 """[s] that the geometry of one photo takes, as long as this machine has not shown its own."""
 LOOKED_FIRST = 8.0
 """[s] that a made scene has this machine for itself, as long as nobody points."""
+AGAIN = 0.2
+"""[s] after which one who waits asks whether the answer is still wanted."""
 MAX_READ_AHEAD = 8
 """Photos that the segmenter reads before anybody looks at them."""
 DIMMED = 0.55
@@ -212,16 +215,41 @@ class Looker:
         with self._opening:
             return self._opened(state, tuple(self.folder.photos(state)))
 
-    def look(self, state: str, draft: Draft) -> DraftAnswer:
+    def look(
+        self, state: str, draft: Draft, is_wanted: Callable[[], bool] = lambda: True
+    ) -> DraftAnswer:
+        """`is_wanted` is asked when others were waited for; the answer is empty where it is not."""
         opened = self._open_once(state)
+        # What cannot be read needs no photo, and waits for no search.
+        if not draft.selects and (problem := self._misread(draft)):
+            return DraftAnswer(opened.views, problem=problem)
         if draft.selects:
             opened.asked.set()
             wait(list(opened.read.values()))  # what is being read is not read twice
             if self._left(opened) <= GEOMETRY_PATIENCE:
                 wait([opened.geometry], GEOMETRY_PATIENCE)
-        with self._working:
+        while not self._working.acquire(timeout=AGAIN):
+            if not is_wanted():
+                return DraftAnswer(opened.views)
+        try:
+            if not is_wanted():
+                return DraftAnswer(opened.views)
             located = opened.geometry.done()
             return self._looks(opened, draft.as_json(), located)
+        finally:
+            self._working.release()
+
+    def _misread(self, draft: Draft) -> str:
+        """Why a quick reader cannot read the sentence; empty where it can."""
+        with collecting(Report()), suppress(Edit3rError):
+            try:
+                config = make_run_config(run_settings(draft, self.registry))
+                parts = Parts(config, self.registry, RunJob(config))
+                if config.prompt and _is_quick(parts.reader.offer.component):
+                    _ = parts.tasks
+            except PromptError as error:
+                return str(error)
+        return ""
 
     def is_located(self, state: str) -> bool:
         """Whether answers know the geometry of the photos; they are others before."""
@@ -269,20 +297,25 @@ class Looker:
         """
         opened = self._open_once(state)
         view = _place(opened.views, name)
-        with suppress(Edit3rError), self._pointing:
-            if edit := self._edited_on(opened, state, draft, view, found):
-                return _jpeg(edit.images[0, 0])
+        with suppress(Edit3rError):
+            # Who points meanwhile waits for no answer in full.
+            masks = self.look(state, draft).masks if found else None
+            with self._pointing:
+                mask = None if masks is None else masks[view]
+                if edit := self._edited_on(opened, draft, view, mask, found):
+                    return _jpeg(edit.images[0, 0])
         return _jpeg(torch.zeros(3, 1, 1))
 
     def _edited_on(
-        self, opened: _Opened, state: str, draft: Draft, view: int, found: bool
+        self,
+        opened: _Opened,
+        draft: Draft,
+        view: int,
+        mask: Tensor | None,
+        found: bool,
     ) -> Views | None:
         config = make_run_config(run_settings(draft, self.registry))
-        mask = None
-        if found:
-            look = self.look(state, draft)
-            mask = None if look.masks is None else look.masks[view]
-        elif draft.selects:
+        if not found and draft.selects:
             mask = self._marked_on(opened, draft, opened.views.names[view])
             if mask is None:  # it is marked on another photo
                 return None
@@ -292,8 +325,9 @@ class Looker:
             plain = {"larger": 0, "reading": 1, "grow": 0.0, "invert": False}
             config = config.model_copy(update=plain)
         job = _job_on(opened, config, marks, [view])
-        if not is_quick(Parts(config, self.registry, job)):
-            return None
+        parts = Parts(config, self.registry, job)
+        if not is_quick(parts) or (mask is None and _names_things(parts)):
+            return None  # what is named is looked for once, for the answer in full
         return preview_photo(job, self.registry)
 
     def pointed(self, state: str, draft: Draft, name: str, line: bool = False) -> bytes:
@@ -521,8 +555,17 @@ class Looker:
 
 def is_quick(parts: Parts) -> bool:
     """Whether the editors of a run answer at once."""
-    used = [task.editor.offer.component for task in parts.tasks]
-    return not any(one.weights or one.needs_network for one in used)
+    return all(_is_quick(task.editor.offer.component) for task in parts.tasks)
+
+
+def _names_things(parts: Parts) -> bool:
+    """Whether the sentence is about things that words must find."""
+    asked = [one for task in parts.tasks for one in task.instructions]
+    return any(one.thing.scope == "named" for one in asked)
+
+
+def _is_quick(component: Component) -> bool:
+    return not (component.weights or component.needs_network)
 
 
 def _job_on(

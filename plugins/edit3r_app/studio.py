@@ -220,7 +220,9 @@ class Studio:
         draft = read_draft(self.folder, state)
         if draft.selects or draft.form.get("prompt"):
             self.runner.make_ready()
-        look = self.looker.look(state, draft)
+        look = self.looker.look(
+            state, draft, lambda: read_draft(self.folder, state) == draft
+        )
         return {
             "version": self._drawn(draft, state)["version"],
             "understood": look.understood,
@@ -235,9 +237,7 @@ class Studio:
         }
 
     def candidates(self, state: str, name: str) -> list[dict[str, Any]]:
-        """The marks that take what may be meant on a photo; their pictures are asked for by
-        number.
-        """
+        """The marks that take what may be meant on a photo; pictures are asked for by number."""
         self._is_state(state)
         return [asdict(mark) for mark, _ in self.looker.candidates(state, name)]
 
@@ -248,7 +248,7 @@ class Studio:
         judged = self.looker.edit_verdict(self.looker.look(state, draft))
         if judged is None:
             return None
-        return {"label": judged.label, "reason": judged.reason}
+        return {"label": judged.label, "reason": in_app(judged.reason)}
 
     def settings(self, state: str) -> list[dict[str, Any]]:
         """The settings of a state's draft as groups of fields."""

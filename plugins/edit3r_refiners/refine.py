@@ -227,9 +227,7 @@ class Adam:
 
     @torch.no_grad()
     def step(self, gradients: Sequence[Tensor], length: float = 1.0) -> None:
-        """One step against the gradients, in the order of the values; `length` is a share of the
-        step sizes.
-        """
+        """One step against the gradients, as the values go; `length` is a share of the sizes."""
         self.steps += 1
         unbiased = [1 - beta**self.steps for beta in BETAS]
         for value, rate, gradient, first, second in zip(

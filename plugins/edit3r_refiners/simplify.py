@@ -190,9 +190,7 @@ def _merge(
 
 
 def _parallax(placement: Placement, cameras: Cameras) -> float:
-    """Return focal length times the mean distance between neighbouring views [pixels times scene
-    units].
-    """
+    """Focal length times the mean distance of neighbouring views [pixels x scene units]."""
     focal = first_focal(cameras)
     centres = cameras.c2w[0, :, :3, 3]
     if cameras.count == 1:

@@ -18,7 +18,7 @@ class MaskCommand(Command):
         add(
             "--sure",
             action="store_true",
-            help="refuse what words found unsurely or not at all",
+            help="refuse words that find nothing for certain",
         )
         add(
             "--segmenter",

@@ -76,11 +76,11 @@ export function home(page) {
       el(
         "section",
         { class: "hero" },
-        el("h1", {}, "Two photos and a sentence: your thing, changed, in 3D."),
+        el("h1", {}, "Change one thing in two photos, and see it in 3D."),
         el(
           "p",
           {},
-          "edit3r builds a 3D scene from a few photos and changes in it what you point at and say. Everything runs on this machine; nothing is sent anywhere.",
+          "Point at a thing and say how it should change: edit3r changes it in every photo and builds the scene in 3D. Everything runs on this machine; nothing is sent anywhere.",
         ),
         el(
           "div",
@@ -114,7 +114,7 @@ export function home(page) {
         el(
           "p",
           {},
-          "Made on this machine the first time, in half a minute; then they open at once.",
+          "The first time, this machine takes half a minute to make one; after that it opens at once.",
         ),
         tries,
       ),

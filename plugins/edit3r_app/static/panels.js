@@ -313,6 +313,7 @@ export function showNames(names, has, change) {
 const KEYS = [
   ["P · B · R · L", "point · box · brush · lasso"],
   ["X, or hold Shift", "take away instead of adding"],
+  ["[ · ]", "a thinner brush · a wider one"],
   ["E", "exactly the box that is drawn"],
   ["+ · - · wheel", "something larger · smaller"],
   ["W", "what else may be meant"],

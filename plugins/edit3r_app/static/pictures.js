@@ -36,7 +36,7 @@ export const STORY = [
     <path d="M134 88l16 12-8 2-3 8z" fill="#17171c" stroke="#fff"/><rect x="20" y="14" width="126" height="26" rx="13" fill="#fff"/><text x="34" y="31" font-size="13" fill="#17171c" font-family="system-ui, sans-serif">paint it golden</text>`,
     ),
     "2. Point and say",
-    "what shall change: colour, material, look, or gone.",
+    "what should change: a colour, a material, a look, or the thing itself.",
   ],
   [
     picture(

@@ -153,7 +153,7 @@ def test_from_photos_to_a_download(server, tab):
     assert share_of_the_scene(page) >= 0.6 and within_reach(page)
 
     page.get_by_role("button", name="Go", exact=True).click()
-    page.get_by_text("Say what shall change first").wait_for()
+    page.get_by_text("Say first what should change").wait_for()
     click_photo(page)
     assert page.locator(".toast").count() == 0, "who goes on has read it"
     for _ in range(2):  # shown in the strip, on both photos

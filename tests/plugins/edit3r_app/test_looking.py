@@ -243,6 +243,47 @@ def test_words_that_nobody_knows_are_a_question(looker, scene):
     assert not look.is_sure and look.masks is not None
 
 
+def test_what_cannot_be_read_waits_for_no_search(looker, scene):
+    """And a search that nobody waits for any more is not begun."""
+    answers = []
+
+    def ask(prompt, **more):
+        draft = Draft(form={"prompt": prompt})
+        answers.append(looker.look(scene, draft, **more))
+
+    looker.look(scene, Draft())
+    with looker._working:  # another is being searched for
+        asking = Thread(target=ask, args=("make it nice",))
+        asking.start()
+        asking.join(20)
+        assert not asking.is_alive() and "not understood" in answers[0].problem
+        stale = Thread(
+            target=ask,
+            args=("paint the zeppelin red",),
+            kwargs={"is_wanted": lambda: False},
+        )
+        stale.start()
+    stale.join(20)
+    assert answers[1].job is None and not answers[1].problem
+
+
+def test_who_points_waits_for_no_search(looker, scene):
+    draft = Draft(form={"prompt": "make the sky warmer"})
+    name = looker.look(scene, Draft()).views.names[0]
+    edited = partial(looker.edited, scene, draft, name)
+    with looker._working:  # somebody's words are searched for
+        shown = Thread(target=edited, kwargs={"found": True})
+        shown.start()
+        shown.join(1)
+        assert shown.is_alive()  # it waits for where the edit applies
+        assert looker._pointing.acquire(timeout=1)
+        looker._pointing.release()
+    shown.join(60)
+    named = Draft(form={"prompt": "paint the zeppelin red"})
+    with looker._working:
+        assert len(looker.edited(scene, named, name)) < 1000  # a clear pixel, at once
+
+
 def test_a_sentence_is_said_as_it_was_read(looker, scene):
     draft = Draft([click(looker, scene)], form={"prompt": "paint it red"})
     look = looker.look(scene, draft)

@@ -4,13 +4,14 @@ import { tell } from "../api.js";
 import { el, icon, toast } from "../dom.js";
 
 const LONG = 150; // characters that are shown at once
+const BY_HAND = "Changed by hand: go on with Things, or return to an earlier state to say more.";
 const FEW = "One more photo at least, taken from another place.";
 
 export function barOf(page) {
   const { scene, at } = page;
   const said = el("input", {
     type: "text",
-    placeholder: "What shall change? Such as: paint it golden",
+    placeholder: "e.g. paint it golden",
     "aria-label": "what to change",
     maxlength: "2000",
     autocomplete: "off",
@@ -40,9 +41,7 @@ export function barOf(page) {
     if (confidence !== null)
       parts.push(`selected: confidence ${Math.round(100 * confidence)}%`);
     if (judged)
-      parts.push(
-        `edit: ${judged.label}, ${judged.reason}`,
-      );
+      parts.push(`edit: ${judged.label}, ${judged.reason}`);
     say(parts.join(" · "));
   }
   // A long text begins with its first sentence; the others are a press away.
@@ -61,13 +60,13 @@ export function barOf(page) {
     page.question.close();
   }
   const hint = () =>
-    page.s.photos.length < 2
+    page.s.byHand
+      ? BY_HAND
+      : page.s.photos.length < 2
       ? FEW
       : page.s.draft.selects
-        ? "Now say what shall change."
-        : page.view === "3d"
-          ? "Click the thing, or name it."
-          : "Click the thing, or name it.";
+        ? "Now say what should change."
+        : "Click the thing, or name it.";
   function drawChip() {
     const has = page.s.draft.selects;
     chip.hidden = page.s.byHand;
@@ -95,7 +94,7 @@ export function barOf(page) {
     if (page.s.photos.length < 2) return toast(FEW, true);
     if (!said.value.trim() && !page.s.draft.form.editor) {
       said.focus();
-      return toast("Say what shall change first, such as: paint it golden.", true);
+      return toast("Say first what should change, for example: paint it golden.", true);
     }
     goButton.disabled = true;
     page.waiting.long("Beginning");
@@ -107,10 +106,11 @@ export function barOf(page) {
   function begin() {
     const { s } = page;
     takeSentence();
-    if (s.isRun) said.placeholder = "And what next? Such as: make it blue";
+    if (s.isRun) said.placeholder = "e.g. make it blue";
     if (!s.byHand) return;
     // a sentence edits photos, and none shows what was changed by hand
-    said.placeholder = "Changed by hand: say more in a state before it, or go on with Things";
+    said.placeholder = "";
+    say(BY_HAND);
     said.disabled = goButton.disabled = true;
   }
   const takeSentence = () => (said.value = page.s.draft.form.prompt || "");

@@ -5,7 +5,7 @@ import { toast } from "../dom.js";
 import { showNames } from "../panels.js";
 import { imageThere } from "./picture.js";
 
-const PATIENCE = 2500; // [ms] of looking for words before pointing is offered
+const PATIENCE = 2000; // [ms] of looking for words before pointing is offered
 const undone = new Map(); // of each scene: the states that undo went back from, the last one last
 
 export function draftOf(page) {
@@ -59,13 +59,14 @@ export function draftOf(page) {
     clearTimeout(late);
     if (draft.form.prompt && !draft.selects && !page.s.byHand)
       late = setTimeout(() => page.question.point("Still looking for it."), PATIENCE);
-    while (asked) await asked; // one question at a time: of those that wait the last is asked
+    // One question at a time: of those that wait the last is asked. A sentence alone is read at once.
+    while (asked && draft.selects) await asked;
     if (number !== asking || page.gone()) return;
     const version = page.s.draft.version,
       place = page.state();
-    asked = page.attempt(() => ask("look", place, { v: version }));
-    const found = await asked;
-    asked = null;
+    const mine = (asked = page.attempt(() => ask("look", place, { v: version })));
+    const found = await mine;
+    if (asked === mine) asked = null;
     if (number !== asking) return;
     clearTimeout(late);
     page.waiting.busy("");

@@ -13,6 +13,8 @@ export function keysOf(page, stage, toggleStrip) {
     b: () => page.tools.take("box"),
     r: () => page.tools.take("brush"),
     l: () => page.tools.take("lasso"),
+    "[": () => page.tools.wider(0.75),
+    "]": () => page.tools.wider(4 / 3),
     n: () => page.draft.openNames(),
     x: flip("minus"),
     e: flip("exact"),

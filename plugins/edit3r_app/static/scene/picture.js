@@ -3,7 +3,6 @@ import { path, tell } from "../api.js";
 import { el } from "../dom.js";
 import { pointing } from "../pointing.js";
 
-const BRUSH = 0.03; // radius, of the photo's longer side
 
 // How wide an image is, once it is there; 0 where it is none.
 export const imageThere = (address) =>
@@ -41,7 +40,7 @@ export function pictureOf(page, stage) {
     kind: page.tool,
     minus: page.minus,
     exact: page.exact,
-    radius: BRUSH,
+    radius: page.brush,
   });
   const marks = pointing(box, tool, made, rests);
   function fit() {

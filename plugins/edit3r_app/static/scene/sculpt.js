@@ -38,7 +38,7 @@ export function sculptOf(page) {
   }
   function draw() {
     node.hidden = !is3d() || !drawn.strokes;
-    page.viewer.post({ drawing: tool() });
+    page.viewer.post({ drawing: tool(), radius: page.brush });
     if (node.hidden) return;
     const some = drawn.count > 0;
     node.replaceChildren(

@@ -28,6 +28,7 @@ export function newPage(scene, at, beside) {
     view: "photo", // or "3d"
     tool: "point",
     minus: false, // marks take away
+    brush: 0.02, // its radius, of the longer side of the photo or of the scene's window
     exact: false, // boxes are taken as they are drawn
     state: () => at || scene,
     current: () => page.s.photos[page.photo],

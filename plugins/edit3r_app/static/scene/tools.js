@@ -18,6 +18,7 @@ const able = (name, text, label, act, key, can, why, more = {}) =>
     "aria-disabled": String(!can),
     ...more,
   });
+const BRUSHES = [0.004, 0.1]; // radii, of the longer side
 const gap = () => el("span", { class: "gap" });
 
 export function toolsOf(page) {
@@ -35,12 +36,23 @@ export function toolsOf(page) {
     page[what] = !page[what];
     draw();
   };
+  function wider(times) {
+    if (page.tool !== "brush") return;
+    page.brush = Math.min(BRUSHES[1], Math.max(BRUSHES[0], page.brush * times));
+    draw();
+  }
   const offered = ([name]) => !page.s.byHand || SCULPTS.includes(name);
   const isTaken = (name) => page.tool === name && (page.view === "photo" || name !== "box");
   const pointers = () => [
     ...Object.entries(TOOLS).filter(offered).map(([name, [label, key]]) =>
       pressed(name, label.split(":")[0], isTaken(name), label, () => take(name), key),
     ),
+    ...(page.tool === "brush"
+      ? [
+          tool("minus", "Thinner", "a thinner brush", () => wider(0.75), "["),
+          tool("plus", "Wider", "a wider brush", () => wider(4 / 3), "]"),
+        ]
+      : []),
     page.tool === "box"
       ? pressed(
           "keep",
@@ -128,5 +140,5 @@ export function toolsOf(page) {
     if (focused >= 0) node.children[focused]?.focus();
     page.picture.box.dataset.tool = page.tool;
   }
-  return { node, above, take, draw };
+  return { node, above, take, wider, draw };
 }

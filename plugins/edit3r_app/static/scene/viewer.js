@@ -3,7 +3,7 @@ import { go, sceneAddress } from "../app.js";
 import { path } from "../api.js";
 import { button, el, toast } from "../dom.js";
 
-const OF_PAGE = ["f", "h", "i", "l", "m", "n", "o", "v", "x", "/", "?"]; // keys that 3D leaves to the page
+const OF_PAGE = ["f", "h", "i", "l", "m", "n", "o", "v", "x", "/", "?", "[", "]"]; // keys that 3D leaves to the page
 const UNTOLD = 5000; // [ms]
 const ERASER = 0.015; // radius of a line that takes away, of the photo's longer side
 let looked = { scene: "", camera: null }; // where a scene was looked at last: its other states are seen from there
