@@ -14,7 +14,7 @@ MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "sure"}
 
 BEST_COSTS, LARGE_COSTS = (
     "half as long again",
-    "four to five times as long",
+    "about four times as long",
 )  # scenes.py dial
 
 

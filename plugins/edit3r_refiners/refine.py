@@ -24,6 +24,7 @@ from edit3r.contract.reporting import note, progress
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.compute.layers import one_thread
+from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.photos.images import evenly
 
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
@@ -122,8 +123,7 @@ def refine(
         coarse = large and done % HALF_EVERY == 0 and done < last_round
         image, counted = small if coarse else (images, counts)
         image, counted = image[:, view], counted[:, view]
-        height, width = image.shape[-2:]
-        camera = cameras.select(view).at((height, width))
+        camera = cameras.select(view).at(size_of(image))
         with torch.enable_grad():
             shown = rasterizer.render(variables.gaussians(), camera).images
             loss = (
@@ -171,8 +171,8 @@ def _halved(
     counts: Bool[Tensor, "batch camera height width"],
 ) -> tuple[Tensor, Tensor]:
     """The images at half the size, and the pixels there of which all four count."""
-    height, width = (max(1, round(side / 2)) for side in images.shape[-2:])
-    half = height, width
+    height, width = size_of(images)
+    half = max(1, round(height / 2)), max(1, round(width / 2))
     small = adaptive_avg_pool2d(images.flatten(0, 1), half)
     whole = -adaptive_max_pool2d(-counts.flatten(0, 1).to(images), half)
     batch = images.shape[:2]
