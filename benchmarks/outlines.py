@@ -5,9 +5,9 @@
     python benchmarks/outlines.py DATA check NAME|PHOTO [--zoom 3] [--part X,Y,W,H] --out check.png
     python benchmarks/outlines.py FOLDER fetch [--clones CLONES]
 
-`fetch` brings the photos of `elsewhere.json` from their public repositories into FOLDER, or from
-clones OWNER+NAME in CLONES. DATA is a folder of photo sets, PHOTO a file in it such as
-fern/images/000.jpg. Coordinates are pixels of the stored photo, whole numbers at the centres of
+`fetch` brings the photos of `elsewhere.json` and `judged.json` from their public repositories into
+FOLDER, or from clones OWNER+NAME in CLONES. DATA is a folder of photo sets, PHOTO a file in it such
+as fern/images/000.jpg. Coordinates are pixels of the stored photo, whole numbers at the centres of
 pixels. A pixel belongs to the object where it lies inside an odd number of its polygons.
 """
 
@@ -21,7 +21,9 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 FILE = Path(__file__).with_name("outlines.json")
-ELSEWHERE = Path(__file__).with_name("elsewhere.json")
+ELSEWHERE = [
+    Path(__file__).with_name(f"{name}.json") for name in ("elsewhere", "judged")
+]
 RAW = "https://raw.githubusercontent.com/{repository}/{commit}/{path}"
 GRID = 10  # pixels of the photo between two lines; every second one is labelled
 MARGIN = 12  # pixels of the photo shown around an object
@@ -56,8 +58,9 @@ def main() -> None:
 
 
 def fetch(folder: Path, clones: Path | None) -> None:
-    """Bring the photos of `elsewhere.json`."""
-    for name, source in json.loads(ELSEWHERE.read_text())["photos"].items():
+    """Bring the photos of `elsewhere.json` and `judged.json`."""
+    listed = [json.loads(file.read_text())["photos"] for file in ELSEWHERE]
+    for name, source in (listed[0] | listed[1]).items():
         file = folder / name
         if file.is_file():
             continue

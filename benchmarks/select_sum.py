@@ -41,7 +41,13 @@ from clicks import (
     scene_of,
     tensor_of,
 )
-from edit3r_select.answering import UNMARKED, asked_by, gathered, spread
+from edit3r_select.answering import (
+    UNMARKED,
+    asked_by,
+    changed_at,
+    gathered,
+    spread,
+)
 from edit3r_select.carrying import expected_on
 from edit3r_select.cues import CUES, Asked, Pool, table
 from edit3r_select.held import HeldSegmenter
@@ -264,7 +270,8 @@ class Bench:
                 clicks = (*clicks, (place, kind == "positive"))
                 asked = Asked(clicks, before=best.logits)
                 pool = gathered(truth.shape, asked, answers)
-                was, best = best, choose(pool, more).best
+                was = best
+                best = changed_at(place, was.logits, choose(pool, more)).best
                 ious = np.array([iou(mask, truth) for mask in pool.masks])
                 got = iou(best.mask, truth), iou(was.mask, truth)
                 way = f"innermost {number}"

@@ -378,6 +378,7 @@ class Case:
     judged: Masks | None = None
 
 
+JUDGED = Path(__file__).with_name("judged.json")
 FAULTS = {
     "half": "unchanged",
     "half bw": "unchanged",
@@ -385,7 +386,7 @@ FAULTS = {
     "leak": "outside",
     "other place": "shared",
     "wrong colour": "as_asked",
-    "faint": "strength",
+    "faint": "as_asked",
     "rim": "rim",
     "ghost": "rim",
     "shine": "shines_through",
@@ -393,8 +394,8 @@ FAULTS = {
     "undone half paint": "missed",
     "undone bw": "missed",
     "undone half bw": "missed",
-    "torn": "missed",
-    "dissolved": "missed",
+    "torn": "torn",
+    "dissolved": "torn",
 }
 """The signal that shall name each way of editing badly."""
 
@@ -550,11 +551,13 @@ def edits() -> None:
         python benchmarks/verdict.py edits DATA --keep FOLDER --json ROWS.jsonl [--only fox mug]
         edit3r judge --fit ROWS.jsonl [--write]
 
-    DATA is a folder of photo sets, as for `clicks.py`; objects are those of `clicks.json` and
-    `outlines.json` that are outlined on two photos. Each is edited in whole runs of 256 pixels:
+    DATA is a folder of photo sets, as for `clicks.py`, with the photos of `judged.json` in it
+    (`outlines.py DATA fetch`); objects are those of `clicks.json`, `outlines.json` and
+    `judged.json` that are outlined on two photos. Each is edited in whole runs of 256 pixels:
     well, and badly in each of the ways of `FAULTS`, which are made on the edited photos, in the
     masks or in what the scene shows. A fault that nobody sees is none: one is left out where less
-    than a tenth of what is selected looks other than in the good edit (6, CIE Lab).
+    than a tenth of what is selected looks other than in the good edit (6, CIE Lab). What was made
+    well and looks bad is bad: `judged.json` has what was seen of edits, before their verdict.
 
     An object takes a minute. With --keep its edits stay in FOLDER and are not made again; signals
     are then measured anew in seconds. --sheet draws each kind of edit of the objects in --only.
@@ -569,7 +572,8 @@ def edits() -> None:
     parser.add_argument("--sheet", type=Path, help="image of the edits")
     args = parser.parse_args()
     args.keep.mkdir(exist_ok=True)
-    rows, shown = [], {}
+    looked = json.loads(JUDGED.read_text())
+    rows, shown, seen = [], {}, looked["seen"] | looked["seen_after"]
     for seed, (name, photos) in enumerate(objects().items()):
         path = args.keep / f"{name.replace('/', '-').replace(' ', '_')}.pt"
         if args.only and name not in args.only:
@@ -584,12 +588,9 @@ def edits() -> None:
         found = torch.load(path, weights_only=False)
         for kind, edit in found.items():
             if is_seen(kind, found):
+                fault = FAULTS.get(kind) or seen.get(f"{name}, {kind}")
                 row = {"object": name, "place": next(iter(photos)).split("/")[0]}
-                row |= {
-                    "kind": kind,
-                    "fault": FAULTS.get(kind),
-                    "figures": measured(edit),
-                }
+                row |= {"kind": kind, "fault": fault, "figures": measured(edit)}
                 rows.append(row)
                 picture = edit.rendered if "undone" in kind else edit.after
                 shown[f"{name}, {kind}"] = picture.images[0].float()
@@ -603,8 +604,9 @@ def edits() -> None:
 def objects() -> dict[str, dict]:
     """Outlines by photo of the objects that are outlined on two."""
     found = {}
-    for file in ("clicks.json", "outlines.json"):
-        for name, one in json.loads(Path(__file__).with_name(file).read_text()).items():
+    for file in ("clicks.json", "outlines.json", JUDGED.name):
+        listed = json.loads(JUDGED.with_name(file).read_text())
+        for name, one in listed.get("objects", listed).items():
             photos = one.get("photos", one)
             if len(photos) > 1:
                 found[f"{file.split('.')[0]}/{name}"] = photos

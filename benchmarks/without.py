@@ -59,10 +59,6 @@ PARTS = {
     "walkers": Part("what passed by", settings={"transients": "keep"}),
     "simplify": Part("Gaussians, seconds", settings={"gaussians": "all"}),
     "refine": Part("sharpness", settings={"refine": 0}),
-    "second-layer": Part(
-        "views beside the photos",
-        settings={"recon": {"name": "edit3r", "second_layer": 0}},
-    ),
     "main-plane": Part(
         "ground and walls beyond the overlap",
         place="edit3r_geometry.completion:main_plane",

@@ -3,17 +3,14 @@
 import argparse
 from abc import ABC, abstractmethod
 
-from edit3r.contract.settings import Settings
+from edit3r.contract.component import Configured
 
 
-class Command(ABC):
+class Command(Configured, ABC):
     """One command of the program, `edit3r NAME`.
 
     The summary of its component is its line in `edit3r --help`.
     """
-
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
 
     @abstractmethod
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:

@@ -47,10 +47,7 @@ class Tensors:
             moved = tensor.to(*args, **kwargs)
             return moved if tensor.is_floating_point() else tensor.to(moved.device)
 
-        changes = {
-            one.name: _moved(getattr(self, one.name), to) for one in fields(self)
-        }
-        return replace(self, **changes)
+        return _moved(self, to)
 
     def __repr__(self) -> str:
         """Name and fields; of tensors the shape alone."""

@@ -33,7 +33,7 @@ class SelectionVerdict:
         return f"{self.label}, confidence {self.confidence:.0%}"
 
     def __str__(self) -> str:
-        return self.reason
+        return f"{self.label}, {self.reason}"
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal
 
 from edit3r.contract.errors import MissingDependencyError, RunError
 from edit3r.kit.children import SAFE_PATH, restore_path, safe_path
@@ -71,44 +71,24 @@ class WorkerDied(Exception):
         )
 
 
-class WorkerPool(Protocol):
-    """Starts workers and takes their answers. A ticket stands for something that will be there."""
-
-    tries: int
-    """How many workers may die of a job."""
-
-    def start(self) -> tuple[Any, Any]:
-        """A new worker, and the ticket of its being ready; None: it is."""
-
-    def give(self, worker: Any, job: KeyedJob) -> Any:
-        """Begin a job; returns its ticket."""
-
-    def first(self, tickets: list[Any], any_ready: bool) -> Any:
-        """Wait for one ticket; `any_ready`: some worker has been there."""
-
-    def answer(self, ticket: Any) -> Any:
-        """What a job's ticket brought; raises what the job raised, and WorkerDied."""
-
-    def end(self) -> None:
-        """End all workers."""
-
-
-def pool_of(task: Task, workers: Workers) -> WorkerPool:
-    """The pool that `workers.spread` names."""
-    return OnRay(task, workers) if workers.spread == "ray" else InProcesses(task)
-
-
 class InProcesses:
-    """Workers as new processes: forking one that has used torch's threads can hang."""
+    """Workers as new processes: forking one that has used torch's threads can hang.
 
-    tries = 1  # what a job did to one process, it does to the next one on this machine
+    As `OnRay`, it starts workers, gives them jobs and takes their answers, each by a ticket: what
+    stands for something that will be there.
+    """
+
+    tries = 1  # workers that may die of a job: here the next one would die of it too
 
     def __init__(self, task: Task) -> None:
         self._task = task
         self._pools: list[ProcessPoolExecutor] = []
 
     def start(self) -> tuple[ProcessPoolExecutor, None]:
-        """A pool of one, so that it is known which job a process died of."""
+        """A new worker, and the ticket of its being ready; None: it is.
+
+        It is a pool of one, so that it is known which job a process died of.
+        """
         context = multiprocessing.get_context("spawn")
         arguments = (self._task, os.environ.get(SAFE_PATH))
         with safe_path():  # its locks already start a process that watches them
@@ -123,9 +103,11 @@ class InProcesses:
             return pool.submit(_call_task, job)
 
     def first(self, futures: list[Future], any_ready: bool) -> Future:
+        """Wait for one ticket; `any_ready`: some worker has been there."""
         return next(iter(wait(futures, return_when=FIRST_COMPLETED).done))
 
     def answer(self, future: Future) -> KeyedRow:
+        """What a job brought; raises what the job raised, and WorkerDied."""
         try:
             return future.result()
         except BrokenProcessPool:
@@ -238,3 +220,11 @@ class OnRay:
     def end(self) -> None:
         if self._started:
             self._ray.shutdown()
+
+
+WorkerPool = InProcesses | OnRay
+
+
+def pool_of(task: Task, workers: Workers) -> WorkerPool:
+    """The pool that `workers.spread` names."""
+    return OnRay(task, workers) if workers.spread == "ray" else InProcesses(task)

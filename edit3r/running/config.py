@@ -11,7 +11,6 @@ from edit3r.contract.errors import SettingsError, UnknownComponentError
 from edit3r.contract.settings import PartChoice, Settings, Share, make_settings, merge
 from edit3r.kit.files.configs import read_yaml
 from edit3r.loading.registry import Registry
-from edit3r.running.quality import read_quality, with_quality
 
 DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
 
@@ -220,7 +219,11 @@ class RunConfig(Settings):
 
     def set_by_the_user(self) -> set[str]:
         """Names of the settings that were given, other than by the preset."""
-        preset = read_quality().preset(self.quality).settings if self.quality else {}
+        preset: Mapping[str, Any] = {}
+        if self.quality is not None:
+            from edit3r.running.quality import read_quality
+
+            preset = read_quality().preset(self.quality).settings
         given = self.model_fields_set
         return {name for name in given if getattr(self, name) != preset.get(name)}
 
@@ -275,7 +278,10 @@ def make_run_config(*layers: Mapping[str, Any]) -> RunConfig:
         merged = merge(
             merged, {key: _named(key, value) for key, value in layer.items()}
         )
-    merged = with_quality(merged)
+    if merged.get("quality") is not None:
+        from edit3r.running.quality import with_quality
+
+        merged = with_quality(merged)
     for key in PART_KEYS:
         given = merged.get(key)
         has_default = isinstance(RunConfig.model_fields[key].default, PartChoice)

@@ -14,7 +14,6 @@ from edit3r.loading.registry import Registry, default_registry
 from edit3r.running.config import check_components
 from edit3r.running.job import RunJob
 from edit3r.running.parts import Parts, undone, with_reader
-from edit3r.running.quality import note_quality
 from edit3r.running.records import Inputs, Preview, Records
 from edit3r.running.scale import to_given_scale, to_working_scale
 from edit3r.running.steps.edit import edit, edit_alone
@@ -114,7 +113,10 @@ def _begin(
     """The job's photos in their own unit, its factor, and the components of the run."""
     require_device(job.config.device)
     check_components(job.config, registry, job.components)
-    note_quality(job.config)
+    if job.config.quality is not None:
+        from edit3r.running.quality import note_quality
+
+        note_quality(job.config)
     job = undone(with_reader(job, registry))
     parts = Parts(job.config, registry, job)
     inputs, factor = to_working_scale(read(job, parts.lens))

@@ -128,8 +128,6 @@ def note_quality(config: Settings) -> None:
     """Note for `run.json` what the chosen preset says, what it costs, and what differs from it."""
     values = config.model_dump()
     name = values["quality"]
-    if name is None:
-        return
     quality = read_quality()
     point = quality.preset(name)
     differing = [k for k, v in point.settings.items() if not _agrees(values.get(k), v)]

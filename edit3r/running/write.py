@@ -164,7 +164,11 @@ class RunResult:
     @in_usual_torch
     def view(self) -> Path:
         """Open the scene in the browser; returns the page, a temporary file."""
-        return open_viewer(self)
+        import webbrowser
+
+        page = _shown(self, "page", Path(tempfile.mkdtemp(prefix="edit3r-")))
+        webbrowser.open(page.as_uri())
+        return page
 
     @in_usual_torch
     def compare(self, other: "RunResult") -> Image.Image:
@@ -172,7 +176,18 @@ class RunResult:
 
         Raises InputError for a result of other photos.
         """
-        return comparison(self, other)
+        names = self.photos.names
+        if other.photos.names != names:
+            raise InputError(
+                f"these are results of different photos: {', '.join(names)}, and "
+                f"{', '.join(other.photos.names)}."
+            )
+        columns = {"photo": images_of(self.photos)}
+        lines = []
+        for each, name in ((self, "first"), (other, "second")):
+            columns[name] = images_of(each.rendered)
+            lines.append(f"{name}: {each.config.prompt} ({each.verdict.label})")
+        return draw_sheet(columns, names=names, subtitle="; ".join(lines))
 
     def __repr__(self) -> str:
         made = f"{self.gaussians.count:,} Gaussians from {self.photos.count} photos"
@@ -180,7 +195,20 @@ class RunResult:
 
     @in_usual_torch
     def _repr_html_(self) -> str:
-        return as_html(self)
+        """The sheet and the viewer as one piece of HTML that needs no other file."""
+        with tempfile.TemporaryDirectory() as folder:
+            picture, page = (
+                _shown(self, what, Path(folder)) for what in ("picture", "page")
+            )
+            content = io.BytesIO()
+            Image.open(picture, formats=("PNG",)).save(content, "WEBP", quality=85)
+            text = html.escape(page.read_text(encoding="utf-8"))
+        code = base64.b64encode(content.getvalue()).decode("ascii")
+        return (
+            f'<p>{html.escape(repr(self))}</p><img style="max-width:100%" '
+            f'src="data:image/webp;base64,{code}">'
+            f'<iframe style="width:100%;height:520px;border:0" srcdoc="{text}"></iframe>'
+        )
 
 
 def write_result(root: Path, result: RunResult) -> None:
@@ -216,32 +244,6 @@ def write_scene(writer: Writer, path: Path, scene: SceneToWrite) -> None:
     with errors_named_after(writer):
         writer.write(path, scene)
     check_written(writer, path)
-
-
-def as_html(result: RunResult) -> str:
-    """The sheet and the viewer as one piece of HTML that needs no other file, for notebooks."""
-    with tempfile.TemporaryDirectory() as folder:
-        picture, page = (
-            _shown(result, what, Path(folder)) for what in ("picture", "page")
-        )
-        content = io.BytesIO()
-        Image.open(picture, formats=("PNG",)).save(content, "WEBP", quality=85)
-        text = html.escape(page.read_text(encoding="utf-8"))
-    code = base64.b64encode(content.getvalue()).decode("ascii")
-    return (
-        f'<p>{html.escape(repr(result))}</p><img style="max-width:100%" '
-        f'src="data:image/webp;base64,{code}">'
-        f'<iframe style="width:100%;height:520px;border:0" srcdoc="{text}"></iframe>'
-    )
-
-
-def open_viewer(result: RunResult) -> Path:
-    """Write the viewer's page to a temporary file and open it in the browser."""
-    import webbrowser
-
-    page = _shown(result, "page", Path(tempfile.mkdtemp(prefix="edit3r-")))
-    webbrowser.open(page.as_uri())
-    return page
 
 
 def _shown(result: RunResult, what: str, folder: Path) -> Path:
@@ -379,22 +381,6 @@ def _about(result: RunResult) -> str:
     if left_out is not None:
         line += f"; left out: {', '.join(left_out.names)}"
     return line
-
-
-def comparison(result: RunResult, other: RunResult) -> Image.Image:
-    """The sheet of two results of the same photos: photo, the one scene, the other scene."""
-    names = result.photos.names
-    if other.photos.names != names:
-        raise InputError(
-            f"these are results of different photos: {', '.join(names)}, and "
-            f"{', '.join(other.photos.names)}."
-        )
-    columns = {"photo": images_of(result.photos)}
-    lines = []
-    for each, name in ((result, "first"), (other, "second")):
-        columns[name] = images_of(each.rendered)
-        lines.append(f"{name}: {each.config.prompt} ({each.verdict.label})")
-    return draw_sheet(columns, names=names, subtitle="; ".join(lines))
 
 
 def preview_sheet(made: Preview, prompt: str) -> Image.Image:

@@ -15,9 +15,7 @@ LOCAL = ("127.0.0.1", "::1")
 
 
 class AppCommand(Command):
-    """Edit in the browser: drop photos, click the object, say what to change, and see before and
-    after in 3D.
-    """
+    """Edit in the browser: drop photos, click the object, say what to change, see it in 3D."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument

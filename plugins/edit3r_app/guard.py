@@ -25,9 +25,7 @@ HEADERS = {
 
 
 class Guard:
-    """ASGI middleware: refuses foreign hosts (DNS rebinding), foreign origins, missing tokens, and
-    endless bodies.
-    """
+    """ASGI middleware: refuses foreign hosts and origins, missing tokens, and endless bodies."""
 
     def __init__(self, app: ASGIApp, *, token: str | None, max_bytes: int) -> None:
         self.app = app

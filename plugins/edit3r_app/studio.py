@@ -237,9 +237,7 @@ class Studio:
         }
 
     def candidates(self, state: str, name: str) -> list[dict[str, Any]]:
-        """The marks that take what may be meant on a photo; their pictures are asked for by
-        number.
-        """
+        """The marks that take what may be meant on a photo; pictures are asked for by number."""
         self._is_state(state)
         return [asdict(mark) for mark, _ in self.looker.candidates(state, name)]
 

@@ -90,9 +90,7 @@ def crops(images: Images) -> Images:
 
 
 class ClipSimilarity:
-    """Cosines between images and texts by a frozen CLIP (the paper's CLIP t2i), about 0.2 to 0.3
-    for good pairs.
-    """
+    """Cosines of images and texts by a frozen CLIP (the paper's t2i); good pairs 0.2 to 0.3."""
 
     def __init__(self, model: str = CLIP_MODEL, local_files_only: bool = False) -> None:
         weights = ChosenWeights(model, "clip.model", local_files_only=local_files_only)

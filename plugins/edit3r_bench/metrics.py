@@ -22,7 +22,7 @@ from edit3r.contract.types import Cameras
 from edit3r.kit.compute.changes import change_uptake
 from edit3r.kit.geometry.cameras import invert_rigid, to_pixels
 from edit3r.kit.geometry.maps import dilate
-from edit3r.kit.geometry.warping import find_correspondences, warp
+from edit3r.kit.geometry.warping import shared_surface, warp
 
 Image = Float[np.ndarray, "height width 3"]
 Images = Float[np.ndarray, "view height width 3"]
@@ -40,9 +40,6 @@ LOW_PASS = 0.015
 is a little blurred or shifted has not been edited.
 """
 
-# A warped point whose depth differs from what the other view sees by more than this share is hidden
-# there
-DEPTH_TOLERANCE = 0.03
 
 REGIONS = ("edit", "band", "background")
 
@@ -165,14 +162,10 @@ def warped_difference(
 def warped_image(
     image: TorchImage, depth: DepthMap, other_depth: DepthMap, cameras: Cameras
 ) -> tuple[TorchImage, Bool[Tensor, "height width"]]:
-    """Return the second camera's `image` as the first sees it, and where both see one point;
-    `depth` is the first's.
-    """
-    depths = torch.stack((depth, other_depth))[None]
-    found = find_correspondences(depths, cameras.intrinsics, cameras.c2w)
-    off = (found.depth_ratio[0, 0].exp() - 1).abs()
-    seen = (found.inside[0, 0] > 0) & (depth > 0) & (off <= DEPTH_TOLERANCE)
-    return warp(image, found.coordinates[0, 0]), seen
+    """The second camera's `image` as the first, of `depth`, sees it, and where both see it."""
+    depths = torch.stack((depth, other_depth))
+    grid, seen = shared_surface(depths, cameras.intrinsics[0], cameras.c2w[0])
+    return warp(image, grid), seen
 
 
 def matched_points(first: Image, second: Image) -> tuple[Points, Points]:

@@ -249,9 +249,7 @@ class PhotoBuild:
         return [sentence for sentence, holds in said.items() if holds]
 
     def _objects(self, scene: PhotoFolder) -> dict[str, Boxes]:
-        """Return what the scene shows, with boxes: what the detector finds in all photos, else what
-        the user says.
-        """
+        """What the scene shows, with boxes: found in all photos, else as the user says."""
         if "detector" not in self.parts:
             return dict.fromkeys(self.labels, ())
         # One by one, since they may have several shapes.

@@ -84,9 +84,7 @@ def read_results(folder: Path) -> dict[str, ItemResult]:
 
 
 def _result(row: Mapping[str, Any]) -> ItemResult:
-    """The result that a line holds, the score among its metrics. Raises ValueError and the like for
-    one of something else.
-    """
+    """The result that a line holds, with its score. Raises ValueError and the like."""
     metrics = {
         metric: math.nan if value is None else value
         for metric, value in row["metrics"].items()

@@ -152,9 +152,7 @@ def read_edit(
 def _as_it_lies(
     image: Image.Image, cut: Image.Image, photo: Image.Image
 ) -> tuple[Image.Image, str]:
-    """The picture squashed or turned where it clearly lies on the photo then, and how; else as it
-    was cut.
-    """
+    """The picture squashed or turned where that clearly lies on the photo, and how; else as cut."""
     turned = {-90: Image.Transpose.ROTATE_270, 90: Image.Transpose.ROTATE_90}
     ways = {"squashed": image}
     for angle, turn in turned.items():

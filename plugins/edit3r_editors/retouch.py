@@ -326,9 +326,7 @@ def _carried(
 
 
 def _spanned(values: Float[Tensor, "height width"]) -> Float[Tensor, "height width"]:
-    """The map with its zeros filled by a membrane between all other values, which continues planes
-    as planes; on the CPU.
-    """
+    """The map, its zeros filled by a membrane that continues planes; on the CPU."""
     return torch.from_numpy(_membrane(values.numpy(force=True)))
 
 

@@ -268,9 +268,7 @@ def _options(threshold: float, free_focal: bool) -> pycolmap.BundleAdjustmentOpt
 def _poses_of(
     scene: pycolmap.Reconstruction, placed: Sequence[int], before: dict[int, Pose]
 ) -> dict[int, Pose]:
-    """The adjusted poses in the frame of the first view, scaled so that the cameras are as far from
-    it as they were.
-    """
+    """The adjusted poses in the first view's frame, as far from it in the median as before."""
     found = {}
     for view in placed:
         matrix = scene.image(view + 1).cam_from_world().matrix()

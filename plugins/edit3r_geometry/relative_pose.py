@@ -214,9 +214,7 @@ def support(
 def refine(
     matches: Matches, pose: Pose, threshold: float, rounds: int = _REFINEMENT_ROUNDS
 ) -> Pose:
-    """Minimise the robust Sampson error over rotation and translation direction, reselecting
-    inliers between the `rounds`.
-    """
+    """Minimise the robust Sampson error; inliers are chosen anew between the `rounds`."""
     for _ in range(rounds):
         near = np.abs(sampson_errors(matches, pose)) < _NEAR * threshold
         if near.sum() < MIN_INLIERS:
@@ -249,9 +247,7 @@ def _settled(matches: Matches, pose: Pose, scale: float) -> Pose:
 def _error_slopes(
     matches: Matches, products: Float[np.ndarray, "match 9"], pose: Pose
 ) -> Float[np.ndarray, "5 match"]:
-    """How `sampson_errors` change with the five numbers of `_moved`; `products` are those of the
-    two rays of each match.
-    """
+    """Slopes of `sampson_errors` in the five numbers of `_moved`; `products` of the rays."""
     across = cross_matrix(pose.translation)
     turned = [across @ cross_matrix(axis) @ pose.rotation for axis in np.eye(3)]
     slid = [cross_matrix(slide) @ pose.rotation for slide in _slides(pose)]

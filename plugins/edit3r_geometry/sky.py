@@ -26,9 +26,7 @@ MAX_CLOUD = 0.05  # area of what is brighter than the sky and within it [images]
 def find_skies(
     images: Sequence[Float[np.ndarray, "height width 3"]],
 ) -> list[Bool[np.ndarray, "height width"]] | None:
-    """The sky on each of the images (colours in [0, 1]) of one scene; None where they show too
-    little of it to be sure.
-    """
+    """The sky on images (colours in [0, 1]) of one scene; None: too little to be sure."""
     skies = [_sky_mask(image) for image in images]
     sure = [sky.mean() * (sky[0].mean() > MIN_TOP) for sky in skies]
     return skies if np.mean(sure) >= MIN_SHARE else None

@@ -1,11 +1,9 @@
 """The critic `limits`: figures of edit and scene, held to limits that were fitted to known ones."""
 
-from collections.abc import Iterator, Mapping
-
 from edit3r.contract.interfaces import Critic, EditToJudge, SceneToJudge
 from edit3r.contract.verdicts import EditVerdict, Verdict
 from edit3r_judge.between import guessed_between
-from edit3r_judge.signals import SIGNALS, limits_of_edits, measured
+from edit3r_judge.signals import faults_of, fitted_limits, measured
 from edit3r_judge.verdict import Doubt, judge
 
 FLAT = (
@@ -27,52 +25,26 @@ class LimitsCritic(Critic):
 
     def judge_edit(self, edit: EditToJudge) -> EditVerdict:
         figures = measured(edit)
-        faults = (*edit.faults, *faults_of(figures, limits_of_edits()).values())
+        faults = (*edit.faults, *faults_of(figures, fitted_limits("edit")).values())
         measures = {**figures, "faults": list(edit.faults), "moved": list(edit.moved)}
         if faults:
             return EditVerdict("doubtful", "; ".join(faults), measures)
-        return EditVerdict("good", "; ".join(_praise(edit)), measures)
+        return EditVerdict("good", _praise(edit), measures)
 
     def judge_scene(self, scene: SceneToJudge) -> Verdict:
         guessed = None
         if scene.geometry is not None:
             used = [view for view, there in enumerate(scene.placed) if there]
             guessed = guessed_between(scene.geometry, scene.photos)[:, used]
-        return judge(
-            scene.edited,
-            scene.first,
-            scene.rendered,
-            scene.placed,
-            scene.measured,
-            doubt_of(scene),
-            scene.transient,
-            guessed,
-        )
+        return judge(scene, guessed, doubt_of(scene))
 
 
-def faults_of(
-    figures: Mapping[str, float | None], limits: Mapping[str, float]
-) -> dict[str, str]:
-    """What is said of each signal that lies beyond its limit, by its name."""
-    found = {}
-    for name, signal in SIGNALS.items():
-        figure, limit = figures[name], limits[name]
-        if figure is None:
-            continue
-        if figure < limit if signal.at_least else figure > limit:
-            found[name] = signal.fault.format(max(figure, 0.0))
-    return found
-
-
-def _praise(edit: EditToJudge) -> Iterator[str]:
+def _praise(edit: EditToJudge) -> str:
     """What was measured of an edit that nothing speaks against."""
     what = "the whole picture" if edit.masks is None else "what was selected"
-    done = (
-        "is gone"
-        if any(one.action == "remove" for one in edit.instructions)
-        else "changed as asked"
-    )
-    yield f"{what} {done}" + (", in 3D too" if edit.rendered is not None else "")
+    removed = any(one.action == "remove" for one in edit.instructions)
+    done = "is gone" if removed else "changed as asked"
+    return f"{what} {done}" + (", in 3D too" if edit.rendered is not None else "")
 
 
 def doubt_of(scene: SceneToJudge) -> Doubt | None:

@@ -14,9 +14,13 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError
 from edit3r.contract.verdicts import LABELS
+from edit3r.kit.files.configs import read_yaml
+from edit3r_judge import signals
 
 NEVER = 3  # each third place of edits is fitted on by nobody
 # hardly any scene fails, so what parts poor and failed is not fitted
@@ -25,21 +29,17 @@ NEEDED = {"edit": {"place", "fault", "kind", "figures"}}
 NEEDED["scene"] = {"place", "label", "figures"}
 Row = Mapping[str, Any]
 Limits = Mapping[str, Any]
+Judged = Iterable[tuple[Row, Limits]]
 
 
 class JudgeCommand(Command):
     """`edit3r judge`."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        add = parser.add_argument
-        add(
-            "--fit",
-            required=True,
-            metavar="ROWS",
-            help="edits, or scenes, of which it is known whether they are good, one JSON object a "
-            "line",
-        )
-        add("--write", action="store_true", help="write the limits into the package")
+        known = "edits, or scenes, of which it is known whether they are good, one JSON object each"
+        parser.add_argument("--fit", required=True, metavar="ROWS", help=known)
+        text = "write the limits into the package"
+        parser.add_argument("--write", action="store_true", help=text)
 
     def main(self, args: argparse.Namespace) -> int:
         what, rows = read_rows(args.fit)
@@ -47,15 +47,12 @@ class JudgeCommand(Command):
         never = places[::NEVER] if what == "edit" else []
         known = [row for row in rows if row["place"] not in never]
         fit, report = WAYS[what]
+        limits = fit(known)
         print(f"{len(known)} {what}s, each by limits without its place")
         print(report(left_out(known, fit)))
-        limits = fit(known)
-        if never:
-            print(f"never fitted on: {', '.join(never)}")
-            print(report([(row, limits) for row in rows if row["place"] in never]))
-        else:
-            print("by limits fitted to all")
-            print(report([(row, limits) for row in rows]))
+        print(f"never fitted on: {', '.join(never)}" if never else "fitted to all")
+        rest = [row for row in rows if row["place"] in never] or rows
+        print(report([(row, limits) for row in rest]))
         print(json.dumps(limits, indent=1))
         if args.write:
             write_limits({what: limits})
@@ -66,13 +63,11 @@ def left_out(
     rows: Sequence[Row], fit: Callable[[Sequence[Row]], Limits]
 ) -> list[tuple[Row, Limits]]:
     """Each row with limits that were fitted without its place."""
-    return [
-        (row, limits)
-        for place in sorted({row["place"] for row in rows})
-        for limits in [fit([row for row in rows if row["place"] != place])]
-        for row in rows
-        if row["place"] == place
-    ]
+    places = sorted({row["place"] for row in rows})
+    limits = {
+        place: fit([row for row in rows if row["place"] != place]) for place in places
+    }
+    return [(row, limits[row["place"]]) for row in rows]
 
 
 def read_rows(path: str) -> tuple[str, list[Row]]:
@@ -90,39 +85,29 @@ def read_rows(path: str) -> tuple[str, list[Row]]:
 
 
 def write_limits(limits: Mapping[str, Limits]) -> None:
-    """Put limits into the package; comments and all that is not in `limits` stay."""
-    from edit3r_judge.signals import FITTED
+    """Put limits into the package; what is not in `limits` stays, and the comment on top."""
 
-    lines = FITTED.read_text().splitlines(keepends=True)
-    path: list[str] = []
-    for number, line in enumerate(lines):
-        name, _, value = line.strip().partition(":")
-        if line.startswith("#") or not name:
-            continue
-        path = [*path[: (len(line) - len(line.lstrip())) // 2], name]
-        found: Any = limits
-        for key in path:
-            found = found.get(key, {}) if isinstance(found, Mapping) else {}
-        if value and not isinstance(found, Mapping):
-            lines[number] = line.replace(value, f" {found:.3g}")
-    FITTED.write_text("".join(lines))
+    def merged(old: Any, new: Any) -> Any:
+        if isinstance(new, Mapping):
+            return old | {key: merged(old.get(key, {}), new[key]) for key in new}
+        return float(f"{new:.3g}")
+
+    text = signals.FITTED.read_text()
+    comment = [line for line in text.splitlines(True) if line.startswith("#")]
+    kept = yaml.safe_dump(merged(read_yaml(signals.FITTED), limits), sort_keys=False)
+    signals.FITTED.write_text("".join(comment) + kept)
 
 
 def limits_of_edits(rows: Sequence[Row]) -> Limits:
     """For each signal the limit between edits without a fault and those with its own; a good edit
     beyond it counts twice.
     """
-    from edit3r_judge.signals import SIGNALS
-
     limits = {}
-    for name, signal in SIGNALS.items():
+    for name, signal in signals.SIGNALS.items():
         sign = -1 if signal.at_least else 1
+        told = [row for row in rows if row["figures"][name] is not None]
         good, bad = (
-            [
-                sign * row["figures"][name]
-                for row in rows
-                if row["fault"] == fault and row["figures"][name] is not None
-            ]
+            [sign * row["figures"][name] for row in told if row["fault"] == fault]
             for fault in (None, name)
         )
         limits[name] = sign * between(good, bad, 2 / len(good), 1 / len(bad))
@@ -132,14 +117,14 @@ def limits_of_edits(rows: Sequence[Row]) -> Limits:
 def limits_of_scenes(rows: Sequence[Row]) -> Limits:
     """By label, for each signal the limit with which fewest scenes are wrong, the other's given."""
     limits: dict[str, dict[str, float]] = {}
-    for label in FITTED_LABELS:
+    for number, label in enumerate(FITTED_LABELS):
         limits[label] = {"agreement": -math.inf, "guessed": math.inf}
         for name, sign in 2 * (("agreement", -1), ("guessed", 1)):
-            open_ones = {label: limits[label] | {name: sign * math.inf}}
+            limits[label][name] = sign * math.inf
             both: tuple[list[float], list[float]] = [], []
             for row in rows:
-                if reaches(row["figures"], open_ones[label]):
-                    worse = LABELS.index(row["label"]) > LABELS.index(label)
+                if reaches(row["figures"], limits[label]):
+                    worse = LABELS.index(row["label"]) > number
                     both[worse].append(sign * row["figures"][name])
             if all(both):
                 limits[label][name] = sign * between(*both, 1, 1)
@@ -158,52 +143,49 @@ def between(
     """The limit above which fewest `good` values and below which fewest `bad` ones lie, where a
     good one counts `over` and a bad one `under`; of equal limits the middle of the widest gap.
     """
-    values = sorted({*good, *bad})
-    limits = [(low + high) / 2 for low, high in pairwise(values)]
-    gaps = [high - low for low, high in pairwise(values)]
 
-    def wrong(limit: float) -> float:
-        beyond = over * sum(value > limit for value in good)
-        return round(beyond + under * sum(value <= limit for value in bad), 9)
+    def rank(pair: tuple[float, float]) -> tuple[float, float]:
+        beyond = over * sum(value >= pair[1] for value in good)
+        wrong = beyond + under * sum(value <= pair[0] for value in bad)
+        return -round(wrong, 9), pair[1] - pair[0]
 
-    errors = [wrong(limit) for limit in limits]
-    return max(zip(errors, gaps, limits), key=lambda one: (-one[0], one[1]))[2]
+    low, high = max(pairwise(sorted({*good, *bad})), key=rank)
+    return (low + high) / 2
 
 
-def report_of_scenes(judged: Sequence[tuple[Row, Limits]]) -> str:
+def report_of_scenes(judged: Judged) -> str:
     """How often `good` and `fair` scenes hold and the others do not, and how often `good` is."""
     lines = []
-    for label, word in zip(FITTED_LABELS, ("good", "good or fair")):
-        kind = hard = 0
-        for row, limits in judged:
-            called = reaches(row["figures"], limits[label])
-            holds = LABELS.index(row["label"]) <= LABELS.index(label)
-            kind, hard = kind + (called > holds), hard + (called < holds)
-        right = 1 - (kind + hard) / max(1, len(judged))
+    for number, (label, word) in enumerate(
+        zip(FITTED_LABELS, ("good", "good or fair"))
+    ):
+        over = [
+            reaches(row["figures"], limits[label])
+            - (LABELS.index(row["label"]) <= number)
+            for row, limits in judged
+        ]
+        kind, hard = over.count(1), over.count(-1)
+        right = over.count(0) / max(1, len(over))
         lines.append(f"{word}: right {right:.1%}, too kind {kind}, too hard {hard}")
     return "\n".join(lines)
 
 
-def report_of_edits(judged: Iterable[tuple[Row, Mapping[str, float]]]) -> str:
+def report_of_edits(judged: Judged) -> str:
     """How often the verdict is right, and how often each kind of fault is named as that."""
-    from edit3r_judge.critic import faults_of
-
-    named = [(row, faults_of(row["figures"], limits)) for row, limits in judged]
-    called = [row for row, faults in named if not faults]
-    good = [faults for row, faults in named if row["fault"] is None]
-    right = sum(row["fault"] is None for row in called)
+    named = [(row, signals.faults_of(row["figures"], limits)) for row, limits in judged]
+    called = [row["fault"] is None for row, faults in named if not faults]
+    doubted = [bool(faults) for row, faults in named if row["fault"] is None]
+    right = sum(called) / max(1, len(called))
     lines = [
-        f"called good {len(called)}, are {right} ({right / max(1, len(called)):.1%})",
-        f"good ones doubted {sum(map(bool, good))} of {len(good)}",
+        f"called good {len(called)}, are {sum(called)} ({right:.1%})",
+        f"good ones doubted {sum(doubted)} of {len(doubted)}",
     ]
-    for kind in dict.fromkeys(row["kind"] for row, _ in named):
-        own = [(row["fault"], faults) for row, faults in named if row["kind"] == kind]
-        fault = own[0][0]
-        if fault is None:
-            count, said = sum(not faults for _, faults in own), "good"
-        else:
-            count, said = sum(fault in faults for _, faults in own), fault
-        lines.append(f"  {kind:18} called {said:15} {count} of {len(own)}")
+    for kind, fault in dict.fromkeys((row["kind"], row["fault"]) for row, _ in named):
+        own = [
+            said for row, said in named if (row["kind"], row["fault"]) == (kind, fault)
+        ]
+        count = sum(fault in said if fault else not said for said in own)
+        lines.append(f"  {kind:18} called {fault or 'good':15} {count} of {len(own)}")
     return "\n".join(lines)
 
 

@@ -5,7 +5,7 @@ A signal is None where it cannot be told. Its limit stands in `fitted.yaml`, bey
 is doubtful; `edit3r judge --fit` chooses it by edits that were made well and badly on purpose.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import permutations
@@ -30,32 +30,21 @@ FITTED = Path(__file__).with_name("fitted.yaml")
 SIDE = 256  # longer side at which pictures are looked at [pixels]
 SEEN = 6.0  # difference of colours that one sees [CIE Lab]
 CLEAR = 12.0  # difference of colours that nobody overlooks [CIE Lab]
-GREY = 8.0  # chroma below which a colour is grey [CIE Lab]
 BAND = 3  # pixels about an outline: its rim, and what blurs across it
 SAME_SURFACE = 0.05  # relative difference of depths within which it is one surface
-HUE = 25.0  # how far a hue may be from the one that was asked for [degrees]
 BIN = 10.0  # difference within which colours are one [CIE Lab]
 LIKE = 0.1  # share of a colour that changed, from which all of it could
 FEW = 30  # pixels below which nothing is told
 
 Maps = Float[Tensor, "view height width"]
 Where = Bool[Tensor, "view height width"]
+Picture = Float[Tensor, "channel height width"]
 
 
 @cache
-def limits_of_edits() -> Mapping[str, float]:
-    """By signal; see `fitted.yaml`."""
-    return _limits()["edit"]
-
-
-@cache
-def limits_of_scenes() -> Mapping[str, Mapping[str, float]]:
-    """By label and signal; see `fitted.yaml`."""
-    return _limits()["scene"]
-
-
-def _limits() -> dict[str, Any]:
-    return read_yaml(FITTED)
+def fitted_limits(of: str) -> Mapping[str, Any]:
+    """Of an "edit" by signal, of a "scene" by label and signal."""
+    return read_yaml(FITTED)[of]
 
 
 class Pictures:
@@ -67,66 +56,58 @@ class Pictures:
         self.old, self.new = (
             _lab(one.images[0, views]) for one in (edit.before, edit.after)
         )
-        self.shown = (
-            None if edit.rendered is None else _lab(edit.rendered.images[0, views])
-        )
-        whole = torch.ones_like(self.old[:, 0])
-        masks = whole if edit.masks is None else _small(edit.masks[0, views])
+        drawn = edit.rendered
+        self.shown = None if drawn is None else _lab(drawn.images[0, views])
+        self.change = (self.new - self.old).norm(dim=1)
+        masks = torch.ones_like(self.change)
+        if edit.masks is not None:
+            masks = _small(edit.masks[0, views])
         self.inside = masks > 0.5
         self.touched = masks > 0.02  # soft edges may change a little
+        self.core = ~_grown(~self.inside, BAND)  # without its rim
         self.confined = not bool(self.inside.all())
-        self.kinds = {
-            change.kind
-            for instruction in edit.instructions
-            for change in instruction.changes
-        }
+        self.actions = {one.action for one in edit.instructions}
+        self.removes = "remove" in self.actions
         self.asked = [
-            change.colour.rgb
-            for instruction in edit.instructions
+            (number, change)
+            for number, instruction in enumerate(edit.instructions)
             for change in instruction.changes
-            if change.colour is not None
         ]
-        self.removes = any(
-            instruction.action == "remove" for instruction in edit.instructions
-        )
-
-    @cached_property
-    def change(self) -> Maps:
-        """How much each pixel changed [CIE Lab]."""
-        return (self.new - self.old).norm(dim=1)
+        self.kinds = {change.kind for _, change in self.asked}
 
     @cached_property
     def can_change(self) -> Where:
         """What is selected and does not look as asked already: grey has no colour to lose."""
         if self.kinds == {"greyscale"}:
-            return self.inside & (self.old[:, 1:].norm(dim=1) > GREY)
+            return self.inside & (self.old[:, 1:].norm(dim=1) > SEEN)
         can = self.inside
-        for rgb in self.asked if self.kinds == {"paint"} else ():
-            goal = _lab_of(rgb).to(self.old)[:, None, None]
-            can = can & ((self.old - goal).norm(dim=1) > 2 * CLEAR)
+        for _, change in self.asked if self.kinds == {"paint"} else ():
+            if change.colour is not None:
+                goal = _lab_of(change.colour.rgb)[:, None, None]
+                can = can & ((self.old - goal).norm(dim=1) > 2 * CLEAR)
         return can
 
     @cached_property
     def could_change(self) -> Where:
-        """What can change, and has a colour of which some did; all of it where nothing did.
-
-        The tyres of a bike that is painted stay black.
+        """What can change, and has a colour of which some did, or of whose neighbours; all of it
+        where nothing did. The tyres of a bike that is painted stay black.
         """
         could = self.can_change.clone()
+        if self.kinds == {"greyscale"}:
+            return could  # of everything
+        reach = 0.0 if "brightness" in self.kinds else 1.5  # dark ones change less
         for old, change, can in zip(self.old, self.change, could):
-            did = (change[can] >= SEEN).double()
+            did = (change[can] >= SEEN).float()
             if not len(did) or float(did.mean()) <= LIKE:
                 continue
             colours = (old[:, can] / BIN).round()
-            which = torch.unique(colours, dim=1, return_inverse=True)[1]
-            often = torch.bincount(which, did) / torch.bincount(which)
+            colours, which = torch.unique(colours, dim=1, return_inverse=True)
+            near = (torch.cdist(colours.T, colours.T) <= reach).float()
+            often = (near @ torch.bincount(which, did)) / (
+                near @ torch.bincount(which).float()
+            )
             can[can.clone()] = often[which] > LIKE
         return could
-
-    @cached_property
-    def core(self) -> Where:
-        """What is selected without its rim."""
-        return ~_grown(~self.inside, BAND)
 
 
 @dataclass(frozen=True)
@@ -140,13 +121,10 @@ class Signal:
 
 
 def unchanged(found: Pictures) -> float | None:
-    """Share of what can change that did not, though its like did; the worst photo counts.
-
-    Its like: pixels of its own colour. The tyres of a bike that is painted stay black.
-    """
+    """Share of what can change that did not, though its like did; the worst photo counts."""
     if found.removes:
         return None  # what was behind it may look like it
-    if any(instruction.action == "other" for instruction in found.edit.instructions):
+    if "other" in found.actions:
         # who puts a hat on a head leaves most of it as it was
         return None if bool((found.change >= SEEN).any()) else 1.0
     return _worst(
@@ -159,30 +137,15 @@ def unchanged(found: Pictures) -> float | None:
 
 
 def outside(found: Pictures) -> float | None:
-    """How much beside what is selected changed: in the photos all of it, in the scene the largest
-    patch that changed like it. As a share of what is selected; the worst photo counts.
-    """
+    """How much beside what is selected changed, as a share of what is selected; the worst photo."""
     if not found.confined:
         return None
-    shares = []
-    for view, inside in enumerate(found.inside):
-        area = int(inside.sum())
-        if area < FEW:
-            continue
-        beside = ~_grown(found.touched[[view]], 1)[0]
-        shares.append(float((beside & (found.change[view] >= SEEN)).sum()) / area)
-        did = inside & (found.change[view] >= SEEN)
-        wanted = (found.new - found.old)[view][:, did].mean(1)
-        size = float(wanted.norm())
-        if found.shown is None or found.removes or not size > 2 * CLEAR:
-            continue  # a small change is like what scenes miss anyway
-        moved = _blurred((found.shown - found.old)[view])
-        along = (moved * wanted[:, None, None]).sum(0) / size
-        across = (moved.square().sum(0) - along.square()).clamp(min=0).sqrt()
-        like = (along > size / 2) & (across < along / 2)
-        beside = ~_grown(found.touched[[view]], 2 * BAND)[0]
-        shares.append(_largest(like & beside) / area)
-    return _worst(shares)
+    changed = ~_grown(found.touched, 1) & (found.change >= SEEN)
+    return _worst(
+        float(beside.sum()) / int(inside.sum())
+        for beside, inside in zip(changed, found.inside)
+        if int(inside.sum()) >= FEW
+    )
 
 
 def shared(found: Pictures) -> float | None:
@@ -191,93 +154,53 @@ def shared(found: Pictures) -> float | None:
     As far as outlines are sure: pixels within a rim of the other's outline agree. The mean of all
     pairs of photos.
     """
-    edit = found.edit
+    edit, cameras = found.edit, found.edit.cameras
     # where something was removed, the scene has no surface of it
-    if (
-        found.removes
-        or edit.masks is None
-        or edit.rendered is None
-        or edit.cameras is None
-    ):
+    if found.removes or edit.masks is None or edit.rendered is None or cameras is None:
         return None
     things = [one.masks[:, 0] for one in edit.selected] or [edit.masks[0]]
     masks = _small(torch.stack(things).amax(0))
-    depths = _small(edit.rendered.depths[0, :, 0])
-    cameras, overlaps = edit.cameras, []
-    for first, second in permutations(range(len(masks)), 2):
-        pair = [first, second]
-        grid, same = shared_surface(
-            depths[pair],
-            cameras.intrinsics[0, pair],
-            cameras.c2w[0, pair],
-            SAME_SURFACE,
-        )
-        there = warp(masks[second, None], grid, padding="zeros")[0] > 0.5
-        here, seen = masks[first] > 0.5, same > 0.5
-        near = [_grown(one[None], BAND)[0] for one in (here, there)]
-        agree = int((seen & here & near[1]).sum()) + int((seen & there & near[0]).sum())
-        either = int((seen & here).sum()) + int((seen & there).sum())
+    depths, overlaps = _small(edit.rendered.depths[0, :, 0]), []
+    for pair in map(list, permutations(range(len(masks)), 2)):
+        lenses, poses = cameras.intrinsics[0, pair], cameras.c2w[0, pair]
+        grid, seen = shared_surface(depths[pair], lenses, poses, SAME_SURFACE)
+        there = warp(masks[pair[1], None], grid, padding="zeros")[0] > 0.5
+        both = torch.stack((masks[pair[0]] > 0.5, there))
+        either = int((seen & both).sum())
         if either >= 2 * FEW:
-            overlaps.append(agree / either)
+            agreed = seen & both & _grown(both.flip(0), BAND)
+            overlaps.append(int(agreed.sum()) / either)
     return float(np.mean(overlaps)) if overlaps else None
 
 
 def as_asked(found: Pictures) -> float | None:
-    """Share of the change that has the hue, the grey or the brightness that was asked for.
+    """How far what changed came to what was asked for: 1: all the way, 0 or less: elsewhere.
 
-    By how much pixels changed, not by their number. The least of the instructions; None where
-    nothing can be compared.
+    To a colour, or to black and white: in hue and saturation, the median. Of brightness the share
+    of the change that has the right sign. The least of the changes; None where nothing tells.
     """
     shares = []
-    for number, instruction in enumerate(found.edit.instructions):
-        where = found.inside & (found.change > SEEN) & _region(found, number)
+    for number, change in found.asked:
+        where = found.inside & (found.change > SEEN / 2) & _region(found, number)
         if int(where.sum()) < FEW:
             continue
         old, new = (one.movedim(1, -1)[where] for one in (found.old, found.new))
-        size = (new - old).norm(dim=1)
-        for change in instruction.changes:
-            right = None
-            if change.kind == "paint" and change.colour is not None:
-                right = _has_hue(new, _lab_of(change.colour.rgb).to(new))
-            elif change.kind == "greyscale":
-                right = new[:, 1:].norm(dim=1) < GREY
-            elif change.kind == "brightness":
-                right = (new[:, 0] - old[:, 0]) * change.amount > 0
-            if right is not None:
-                shares.append(float((size * right).sum() / size.sum()))
-    return min(shares, default=None)
-
-
-def strength(found: Pictures) -> float | None:
-    """How far colours went towards the one that was asked for; 1: as saturated as it.
-
-    Of black and white how much of the colour is gone. The median over what could change; the least
-    of the instructions; None of all else.
-    """
-    shares = []
-    for number, instruction in enumerate(found.edit.instructions):
-        where = found.core & (found.change > SEEN / 2) & _region(found, number)
-        if int(where.sum()) < FEW:
-            continue
-        old, new = (one.movedim(1, -1)[where] for one in (found.old, found.new))
-        for change in instruction.changes:
-            goal = torch.zeros_like(new)
-            if change.kind == "paint" and change.colour is not None:
-                goal = _lab_of(change.colour.rgb).to(new).expand_as(new)
-            elif change.kind != "greyscale":
-                continue
-            way, went = (goal - old)[:, 1:], (new - old)[:, 1:]
-            far = way.norm(dim=1) > CLEAR
-            if int(far.sum()) >= FEW:
-                done = (way * went).sum(1) / way.square().sum(1).clamp(min=1)
-                shares.append(float(done[far].median()))
+        goal = torch.zeros(3) if change.kind == "greyscale" else None
+        if change.kind == "paint" and change.colour is not None:
+            goal = _lab_of(change.colour.rgb)
+        if goal is not None:
+            before, left = ((goal - one)[:, 1:].norm(dim=1) for one in (old, new))
+            shares.append(float((1 - left / before.clamp(min=CLEAR)).median()))
+        elif change.kind == "brightness":
+            size, lighter = (new - old).norm(dim=1), (new - old)[:, 0]
+            shares.append(float(size[lighter * change.amount > 0].sum() / size.sum()))
     return min(shares, default=None)
 
 
 def rim(found: Pictures) -> float | None:
-    """Share of the rim of what is selected that stayed as it was beside what changed.
-
-    Of what is removed only a rim counts that differs from what is around it. The worst photo.
+    """Share of the rim of what is selected that stayed as it was, though the change beside it is
+    clear to see; of what is removed, though it differs clearly from what is around it. The worst
+    photo.
     """
     if not found.confined:
         return None
@@ -290,11 +213,12 @@ def rim(found: Pictures) -> float | None:
         band = ~found.core[view] & beside[view] & found.could_change[view]
         if int(band.sum()) < FEW:
             continue
-        still = band & (found.change[view] < SEEN)
         if found.removes:
-            around = _mean_around(found.old[view], ~inside)
-            still &= (found.old[view] - around).norm(dim=0) > CLEAR
-        shares.append(float(still.sum() / band.sum()))
+            lacks = _mean_around(found.old[view], ~inside) - found.old[view]
+        else:
+            lacks = _mean_around((found.new - found.old)[view], did[view])
+        left = band & (found.change[view] < SEEN) & (lacks.norm(dim=0) > CLEAR)
+        shares.append(float(left.sum() / band.sum()))
     return _worst(shares)
 
 
@@ -309,112 +233,112 @@ def shines_through(found: Pictures) -> float | None:
     for view, inside in enumerate(found.inside):
         if int(inside.sum()) < FEW:
             continue
-        old = _steps(found.old[view, 0])[:, inside].flatten()
+        old = _steps(found.old[view, 0])[:, inside]
         for picture in (found.new, found.shown):
             if picture is not None:
-                new = _steps(picture[view, 0])[:, inside].flatten()
+                new = _steps(picture[view, 0])[:, inside]
                 # of what is left, not how alike: a faint ghost shows, a new texture does not
-                likeness.append(
-                    float((old * new).sum() / old.square().sum().clamp(min=1e-6))
-                )
+                left = (old * new).sum() / old.square().sum().clamp(min=1e-6)
+                likeness.append(float(left))
     return _worst(likeness)
 
 
 def missed(found: Pictures) -> float | None:
     """Largest patch of what changed in a photo that the scene shows as it was, as a share of all
-    that changed there; or what is torn half-way between two photos. The worst place counts.
+    that changed there; the worst photo counts.
     """
     if found.shown is None:
         return None
-    shares = list(_torn(found))
+    shares = []
     for old, new, shown in zip(found.old, found.new, found.shown):
         wanted, got = new - old, shown - old
         changed = wanted.norm(dim=0) > SEEN
         if int(changed.sum()) < FEW:
             continue
-        arrived, asked = (
-            _blurred((wanted * got).sum(0, keepdim=True))[0],
-            _blurred((wanted * wanted).sum(0, keepdim=True))[0],
-        )
+        arrived, asked = _blurred(torch.stack([wanted * got, wanted * wanted]).sum(1))
         shares.append(_largest(changed & (arrived < 0.4 * asked)) / int(changed.sum()))
     return _worst(shares)
 
 
-def _torn(found: Pictures) -> Iterator[float]:
-    """Of what is selected the share that looks, half-way between two photos, like neither of them.
+def torn(found: Pictures) -> float | None:
+    """Of what is selected the share that looks, half-way between two photos, like neither of them;
+    the worst place counts.
 
     Each point that the scene shows there is looked up in both photos, in or out of sight: a thing
     that is torn shows what lies behind it, one that dissolves a mixture.
     """
-    between = found.edit.half_way
-    if between is None or not found.confined or found.edit.cameras is None:
-        return
+    between, cameras = found.edit.half_way, found.edit.cameras
+    if between is None or not found.confined or cameras is None:
+        return None
+    shares = []
     depths = _small(between.rendered.depths[0, :, 0])
     shown = _lab(between.rendered.images[0])
-    cameras = found.edit.cameras
+    points = unproject(
+        depths, between.cameras.intrinsics[0], between.cameras.c2w[0]
+    ).flatten(1, 2)
     for number, pair in enumerate(between.pairs):
         if not {*pair} <= {*found.views}:
             continue
-        one = [number]
-        lens, pose = between.cameras.intrinsics[0, one], between.cameras.c2w[0, one]
-        points = unproject(depths[one], lens, pose).flatten(1, 2)
-        thing = torch.zeros_like(depths[number], dtype=torch.bool)
-        alike = thing.clone()
+        thing = alike = torch.zeros_like(depths[number], dtype=torch.bool)
         for view in pair:
-            lens, pose = cameras.intrinsics[0, [view]], cameras.c2w[0, [view]]
-            places, away = project(points, lens, pose)
-            grid = (2 * places - 1).view(1, *thing.shape, 2)
-            there = (grid[0].abs() < 1).all(-1) & (away.view_as(thing) > 0)
-            at = found.views.index(view)
+            at, lens = found.views.index(view), cameras.intrinsics[0, [view]]
+            places, away = project(points[[number]], lens, cameras.c2w[0, [view]])
+            places, away = places.view(*thing.shape, 2), away.view_as(thing)
+            there = ((places > 0) & (places < 1)).all(-1) & (away > 0)
             picture = torch.cat((_blurred(found.new[at]), found.inside[[at]].float()))
-            seen = F.grid_sample(picture[None], grid, align_corners=False)[0]
-            thing |= there & (seen[3] > 0.5)
-            alike |= there & ((_blurred(shown[number]) - seen[:3]).norm(dim=0) < CLEAR)
+            *colour, inside = warp(picture, places)
+            off = (_blurred(shown[number]) - torch.stack(colour)).norm(dim=0)
+            thing, alike = thing | there & (inside > 0.5), alike | there & (off < CLEAR)
         if int(thing.sum()) >= FEW:
-            yield float((thing & ~alike).sum() / thing.sum())
+            shares.append(float((thing & ~alike).sum() / thing.sum()))
+    return _worst(shares)
 
 
 SIGNALS = {
-    "unchanged": Signal(
-        unchanged,
-        "a part ({:.0%}) of what was selected did not change ('all of it' changes that too)",
-    ),
-    "outside": Signal(
-        outside,
-        "it spread beyond what was selected, by {:.0%} of it (--mask holds it in)",
-        in_scene=True,
-    ),
-    "shared": Signal(
-        shared,
-        "it lies at different places in the photos, which share {:.0%} of it (mark it on each: "
-        "--point N:X,Y)",
-        at_least=True,
-        in_scene=True,
-    ),
-    "as_asked": Signal(
-        as_asked,
-        "only {:.0%} of the change looks as asked (another --editor may do it)",
-        at_least=True,
-    ),
-    "strength": Signal(
-        strength,
-        "it is too faint, {:.0%} of what was asked (ask again with --from this run)",
-        at_least=True,
-    ),
-    "rim": Signal(
-        rim,
-        "a rim of the old colours is left along {:.0%} of the outline (--grow 2 takes it too)",
-    ),
-    "shines_through": Signal(
-        shines_through,
-        "what was removed shines through, {:.0%} of it (--grow 4 takes more around it)",
-        in_scene=True,
-    ),
-    "missed": Signal(
-        missed,
-        "a part ({:.0%}) of it is missing or torn in the 3D scene (a photo from between helps)",
-        in_scene=True,
-    ),
+    signal.measure.__name__: signal
+    for signal in (
+        Signal(
+            unchanged,
+            "a part ({:.0%}) of what was selected did not change ('all of it' changes that too)",
+        ),
+        Signal(
+            outside,
+            "it spread beyond what was selected, by {:.0%} of it (--mask holds it in)",
+        ),
+        Signal(
+            shared,
+            "it lies at different places in the photos, which share {:.0%} of it (mark it on "
+            "each: --point N:X,Y)",
+            at_least=True,
+            in_scene=True,
+        ),
+        Signal(
+            as_asked,
+            "it went only {:.0%} of the way to what was asked (ask again with --from this run, or "
+            "another --editor)",
+            at_least=True,
+        ),
+        Signal(
+            rim,
+            "a rim of the old colours is left along {:.0%} of the outline (--grow 2 takes it too)",
+        ),
+        Signal(
+            shines_through,
+            "what was removed shines through, {:.0%} of it (--grow 4 takes more around it)",
+            in_scene=True,
+        ),
+        Signal(
+            missed,
+            "a part ({:.0%}) of it is missing in the 3D scene (a photo from between helps)",
+            in_scene=True,
+        ),
+        Signal(
+            torn,
+            "{:.0%} of it is torn or blurred half-way between the photos (a photo from between "
+            "helps)",
+            in_scene=True,
+        ),
+    )
 }
 """All are shares, of 1; said in percent."""
 
@@ -429,6 +353,18 @@ def measured(edit: EditToJudge) -> dict[str, float | None]:
     }
 
 
+def faults_of(
+    figures: Mapping[str, float | None], limits: Mapping[str, float]
+) -> dict[str, str]:
+    """What is said of each signal that lies beyond its limit, by its name."""
+    found = {}
+    for name, signal in SIGNALS.items():
+        sign, figure = -1 if signal.at_least else 1, figures[name]
+        if figure is not None and sign * figure > sign * limits[name]:
+            found[name] = signal.fault.format(max(figure, 0.0))
+    return found
+
+
 def _worst(values: Iterable[float]) -> float | None:
     return max(values, default=None)
 
@@ -441,11 +377,11 @@ def _region(found: Pictures, number: int) -> Where:
 
 
 def _small(maps: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch h w"]:
-    """Maps with `SIDE` pixels on the longer side, at most."""
+    """Maps with `SIDE` pixels on the longer side, at most, on the CPU."""
     height, width = maps.shape[-2:]
     scale = min(1.0, SIDE / max(height, width))
     size = (round(scale * height), round(scale * width))
-    flat = maps.reshape(-1, 1, height, width)
+    flat = maps.reshape(-1, 1, height, width).cpu()
     return F.adaptive_avg_pool2d(flat, size).view(*maps.shape[:-2], *size)
 
 
@@ -457,39 +393,17 @@ def _lab_of(rgb: tuple[float, float, float]) -> Float[Tensor, "3"]:
     return rgb_to_lab(torch.tensor(rgb)[:, None, None])[:, 0, 0]
 
 
-def _has_hue(
-    colours: Float[Tensor, "pixel 3"], wanted: Float[Tensor, "3"]
-) -> Bool[Tensor, "pixel"]:
-    """Whether each has the hue of a colour, or is as grey as it."""
-    if float(wanted[1:].norm()) < 2 * GREY:
-        return colours[:, 1:].norm(dim=1) < 2 * GREY
-    apart = torch.atan2(colours[:, 2], colours[:, 1]) - torch.atan2(
-        wanted[2], wanted[1]
-    )
-    return torch.rad2deg(torch.atan2(apart.sin(), apart.cos()).abs()) < HUE
-
-
 def _grown(where: Where, pixels: int) -> Where:
     return torch.stack([dilate(one.float(), pixels) > 0 for one in where])
 
 
-def _blurred(
-    maps: Float[Tensor, "channel height width"],
-) -> Float[Tensor, "channel height width"]:
+def _blurred(maps: Picture) -> Picture:
     """Over two pixels: scenes are softer than photos."""
-    return torch.stack(
-        [
-            torch.from_numpy(cv2.GaussianBlur(one.numpy(force=True), (0, 0), 2.0)).to(
-                one
-            )
-            for one in maps
-        ]
-    )
+    smooth = [cv2.GaussianBlur(one.numpy(), (0, 0), 2.0) for one in maps]
+    return torch.from_numpy(np.stack(smooth))
 
 
-def _mean_around(
-    picture: Float[Tensor, "channel height width"], where: Bool[Tensor, "height width"]
-) -> Float[Tensor, "channel height width"]:
+def _mean_around(picture: Picture, where: Bool[Tensor, "height width"]) -> Picture:
     """The mean colour about each pixel of what lies in `where`."""
     weight = _blurred(where[None].float())
     return _blurred(picture * where) / weight.clamp(min=1e-3)
@@ -497,17 +411,14 @@ def _mean_around(
 
 def _steps(light: Float[Tensor, "height width"]) -> Float[Tensor, "2 height width"]:
     """How light changes to the right and downwards, over two pixels."""
-    smooth = cv2.GaussianBlur(light.numpy(force=True), (0, 0), 1.0)
+    smooth = cv2.GaussianBlur(light.numpy(), (0, 0), 1.0)
     steps = [cv2.Sobel(smooth, cv2.CV_32F, *way) for way in ((1, 0), (0, 1))]
-    return torch.from_numpy(np.stack(steps)).to(light)
+    return torch.from_numpy(np.stack(steps))
 
 
 def _largest(where: Bool[Tensor, "height width"]) -> int:
     """Pixels of the largest connected patch, without hairs of it."""
-    thick = cv2.morphologyEx(
-        where.numpy(force=True).astype(np.uint8),
-        cv2.MORPH_OPEN,
-        np.ones((3, 3), np.uint8),
-    )
+    patch = where.numpy().astype(np.uint8)
+    thick = cv2.morphologyEx(patch, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
     areas = cv2.connectedComponentsWithStats(thick)[2][1:, cv2.CC_STAT_AREA]
     return int(areas.max(initial=0))

@@ -104,9 +104,7 @@ class PredictedScene:
         return relative_pose(self.inputs[-1], self.inputs[0])
 
     def camera_of(self, photo: PosedPhoto) -> Cameras:
-        """Return the true camera of a photo, in the unit that makes the predicted distance of the
-        inputs the true one.
-        """
+        """True camera of a photo, in the unit in which the inputs' distance is the true one."""
         pose = relative_pose(photo, self.inputs[0])
         predicted = np.linalg.norm(self.predicted_pose[:3, 3])
         pose[:3, 3] *= predicted / np.linalg.norm(self.true_pose[:3, 3])

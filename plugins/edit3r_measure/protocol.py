@@ -122,9 +122,7 @@ def _index_scene(
 def photos_of(
     places: Sequence[str | Dataset], scene: str, indices: Sequence[int], size: int
 ) -> list[PosedPhoto]:
-    """Load frames of a scene: of a folder of that name among the places or inside one, or of a data
-    set that has it.
-    """
+    """Frames of a scene: of a folder of its name, or one inside, or of a data set."""
     for place in places:
         if isinstance(place, Dataset):
             if not hasattr(place, "photos"):

@@ -113,9 +113,7 @@ def photo_scene(
 def sample_scene(
     name: str, index: int, samples: Sequence[SceneSample]
 ) -> EvaluationScene:
-    """Return a sample of the data set called `name` as a scene: context views, first target, the
-    true edit if known.
-    """
+    """A sample of data set `name` as a scene: context, first target, the true edit if known."""
     sample = samples[index]
     between = sample.target_cameras.select([0])
     inputs = _photos(sample.context, sample.context_cameras)

@@ -27,9 +27,7 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 def summarize(rows: Rows, effort: Mapping[str, Any]) -> Quality:
-    """Return the points that were measured, and on which machine with what `effort`. Raises
-    RunError without a point.
-    """
+    """The points that were measured, on which machine, with what `effort`. Raises RunError."""
     points = measured_points(rows)
     if not points:
         failures = dict.fromkeys(row.get("failure", "") for row in rows)

@@ -2,7 +2,7 @@
 
     unedited images ──► matcher ──► poses, depths ──► backbone ──► features ──► head ──► Gaussians
     edited images ────────────────────────────────────────────────────────────┘
-    ──► rim, background layer and second layer around and behind them
+    ──► rim and background layer around and behind them
 
 Every image pixel becomes one Gaussian, at the image's own resolution and sharpness.
 """
@@ -20,10 +20,11 @@ from edit3r.contract.interfaces import Geometry
 from edit3r.contract.settings import Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.compute.layers import one_thread
-from edit3r.kit.geometry.background_fill import background_layer, rim, second_layer
+from edit3r.kit.geometry.background_fill import background_layer, rim
 from edit3r.kit.geometry.cameras import scale_poses
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.geometry.maps import resize, size_of
+from edit3r_model.guesses import pushed_back
 from edit3r_model.network import GaussianNetwork
 from edit3r_model.small_backbone import averaged
 
@@ -44,8 +45,6 @@ class MatchedSettings(config.Settings):
     """opacity of that rim"""
     background_layer: Share = 0.9
     """opacity of the blurred layer behind depth edges and guesses; 0: none"""
-    second_layer: Share = 0.9
-    """opacity of the second layer right behind faint measured surfaces; 0: none"""
 
 
 class MatchedForm:
@@ -72,6 +71,7 @@ class MatchedForm:
             # Silu, sigmoid and others round the last few values of what each thread is given in
             # another way.
             with one_thread(), torch.no_grad():
+                geometry = pushed_back(geometry, source.intrinsics)
                 made = self._of_pixels(views, source, geometry)
                 coarse = views.at(grid), source.at(grid)
                 made = self._with_background_fill(made, *coarse, geometry)
@@ -117,23 +117,19 @@ class MatchedForm:
         """Continue the fused images beyond their borders and behind their surfaces; say what
         fusing added.
 
-        Where a pixel has several Gaussians, its colour is their mean, and it is as opaque as the
-        most opaque; where they are not made pixel by pixel, the views' own colours count, and all
-        is opaque.
+        Where a pixel has several Gaussians, its colour is their mean; where they are not made pixel
+        by pixel, the views' own colours count.
         """
         chosen, each = self.settings, made.per_pixel
-        shape = (*source.images.shape[:2], *source.image_size, each)
-        colours, opacities = views.images, torch.ones_like(geometry.depths)
+        colours = views.images
         if each:
+            shape = (*source.images.shape[:2], *source.image_size, each, 3)
             plain = dc_to_colour(made.gaussians.harmonics[:, :, 0])
-            colours = plain.reshape(*shape, 3).mean(4).permute(0, 1, 4, 2, 3)
-            opacities = made.gaussians.opacities.reshape(shape).amax(4)
+            colours = plain.reshape(shape).mean(4).permute(0, 1, 4, 2, 3)
         fused = Views(colours, source.intrinsics)
         parts = [made.gaussians]
         if chosen.background_layer > 0:
             parts.append(background_layer(fused, geometry, chosen.background_layer))
-        if chosen.second_layer > 0:
-            parts.append(second_layer(fused, geometry, opacities, chosen.second_layer))
         if chosen.rim > 0:
             parts.append(rim(fused, geometry, chosen.rim, chosen.rim_opacity))
         fusion = (colours - views.images).detach()

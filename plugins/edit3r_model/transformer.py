@@ -86,9 +86,7 @@ def layer_norm(width: int) -> nn.LayerNorm:
 
 
 class SelfAttention(nn.Module):
-    """Multi-head self-attention with rotary positions; `qkv` features are ordered [q | k | v], each
-    [head, channel].
-    """
+    """Attention with rotary positions; `qkv` is ordered [q | k | v], each [head, channel]."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()

@@ -194,9 +194,7 @@ def what_is_drawn(
 
 
 def without_floaters(run: Run, rasterizer: Rasterizer) -> Gaussians:
-    """The scene without what hangs before all that its cameras see. Raises InputError for one that
-    has no such thing.
-    """
+    """The scene without what hangs before all cameras. Raises InputError where nothing does."""
     shown = render_each(rasterizer, run.gaussians, run.cameras, "look at the scene")
     views = Views(shown.images.clamp(0, 1), run.cameras.intrinsics)
     inputs = RefineInputs(run.cameras, views, rasterizer)

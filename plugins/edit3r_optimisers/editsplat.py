@@ -178,9 +178,7 @@ def attention_of(
 def trim(
     attention: Float[Tensor, "gaussian"], share: float, threshold: float
 ) -> Bool[Tensor, "gaussian"]:
-    """Tell which to keep: all but the most attended `share` of those whose attention is at least
-    `threshold` (3.3).
-    """
+    """Keep all but the most attended `share` of those attended by `threshold` or more (3.3)."""
     attended = attention >= threshold
     count = round(share * int(attended.sum()))
     order = torch.where(attended, attention, -1.0).argsort(descending=True, stable=True)

@@ -233,9 +233,7 @@ def _add_axis(staged, by_pose, axis, gx, gy, gz, offset, f, g, u, v):
 
 @inlined
 def _store_quat_gradients(staged, quat, inverse, by_rotation):
-    """Apply the chain rule from the rotation matrix to a quaternion of any norm; zero for one taken
-    as the identity.
-    """
+    """From the rotation matrix to a quaternion of any norm; zero for the identity's."""
     a, b, c, d = quat
     h0, h1, h2, h3, h4, h5, h6, h7, h8 = by_rotation
     ga = 2.0 * (d * (h3 - h1) + c * (h2 - h6) + b * (h7 - h5))

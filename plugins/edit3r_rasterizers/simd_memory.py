@@ -192,9 +192,7 @@ def _part(builder, lanes, start: int, length: int):
 
 
 def _fold(builder, first, second, group: int):
-    """One step of a transposed sum: groups of 2 * `group` lanes become groups of `group`, those of
-    `first` first.
-    """
+    """One step of a transposed sum: groups of 2 * `group` lanes halve, `first`'s first."""
     starts = [lane for lane in range(2 * FLOATS.width) if lane % (2 * group) < group]
     low = builder.shuffle_vector(first, second, _indices(starts))
     high = builder.shuffle_vector(

@@ -108,9 +108,7 @@ def place_splat(records, start, tile_x, tile_y):
 
 @inlined
 def splat_exponent(scratch, place, ellipse):
-    """Return the terms and log2(alpha) of a splat (see `place_splat`) at the sixteen pixels of the
-    block at `place`.
-    """
+    """Terms and log2(alpha) of a splat (`place_splat`) at the block's sixteen pixels."""
     inv_std_x, shear, shift_x, inv_std_y, shift_y, log_opacity = ellipse
     pixel_y = load(scratch, place + PIXEL_Y)
     across = load(scratch, place + PIXEL_X) * inv_std_x + (

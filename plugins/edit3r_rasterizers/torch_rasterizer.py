@@ -244,9 +244,7 @@ def _image_rows(
     size: Float[Tensor, "2"],
     rotation: Float[Tensor, "3 3"],
 ) -> Float[Tensor, "splat 2 3"]:
-    """Return the Jacobian of the image position by the world position, at tangents clamped near the
-    image's border.
-    """
+    """Jacobian of the image position by the world position, tangents clamped at the border."""
     margin = BORDER * 0.5 * size / focal
     low, high = -(centre / focal + margin), (size - centre) / focal + margin
     x, y = tangents.clamp(low, high).unbind(-1)

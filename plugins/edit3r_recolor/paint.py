@@ -241,9 +241,7 @@ def _commonest_hue(lab: Pixels, weights: Weights, tolerance: float) -> float:
 
 
 def _near_hue(lab: Pixels, own: Paint) -> Weights:
-    """1 up to the paint's tolerance, falling to 0 beyond; noise widens it in the dark, where the
-    paint is not vivid.
-    """
+    """1 up to the paint's tolerance, falling to 0 beyond; noise widens it in the dark."""
     apart = (_hue(lab) - own.hue + math.pi).remainder(2 * math.pi) - math.pi
     light, dark = NOISE_FADES
     faint = 0 < own.saturation < VIVID

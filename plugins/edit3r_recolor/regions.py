@@ -64,9 +64,7 @@ class ProposalFilter(Settings):
 def kept_proposals(
     proposals: Sequence[Proposal], image_size: tuple[int, int], criteria: ProposalFilter
 ) -> tuple[list[Proposal], dict[str, int]]:
-    """Return those that pass, in their order, and how many failed each criterion (by the first one
-    they fail).
-    """
+    """Those that pass, in order, and how many failed each criterion (their first)."""
     objections = [criteria.objection(proposal, image_size) for proposal in proposals]
     kept = [one for one, objection in zip(proposals, objections) if objection is None]
     failed = [objection for objection in objections if objection is not None]
@@ -100,9 +98,7 @@ def processed_views(
 
 
 def soft_masks(tracks: Tracks) -> Float[Tensor, "object view height width"]:
-    """Turn logits into foreground probabilities; exactly 0 where faint, and in views that do not
-    show the object.
-    """
+    """Foreground probabilities of logits; 0 where faint, and in views without the object."""
     masks = tracks.logits.sigmoid() * active_objects(tracks)[..., None, None]
     return torch.where(masks < FAINT, 0, masks).transpose(0, 1)
 
@@ -114,9 +110,7 @@ def tracks_of_masks(masks: Float[Tensor, "object view height width"]) -> Tracks:
 
 
 def proposals_of_masks(masks: Float[Tensor, "object height width"]) -> list[Proposal]:
-    """Turn the data's own masks of the first view into proposals: stable and sure, since they are
-    given.
-    """
+    """The data's own masks of the first view as proposals: stable and sure, as given."""
     inside = [mask > 0.5 for mask in masks]
     proposals = []
     for mask, one in zip(masks, inside):

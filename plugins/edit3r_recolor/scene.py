@@ -152,9 +152,7 @@ class FoundRegions:
 def find_regions(
     images: Images, segmenter: Segmenter, settings: RecoloringSettings
 ) -> FoundRegions:
-    """Filter the first view's proposals and follow them through the others. Raises InputError when
-    none passes.
-    """
+    """The first view's proposals, filtered and followed. Raises InputError when none passes."""
     progress("find objects", 0, 2)
     chosen, rejected = _choose(segmenter.propose(images[0]), size_of(images), settings)
     progress("find objects", 1, 2)
@@ -205,9 +203,7 @@ def make_recipe(
     seed: int,
     source: str,
 ) -> SceneRecipe:
-    """Draw the parameters of every region, and what augmented images get wrong, from `seed`
-    alone.
-    """
+    """Parameters of every region, and what augmented images get wrong, from `seed` alone."""
     used = processed_views(found.active, settings.least_overlap)
     regions = []
     for number, proposal in enumerate(found.proposals, start=1):
@@ -233,9 +229,7 @@ def make_recipe(
 def _draw_faults(
     view: int, shown: Sequence[RegionRecipe], settings: RecoloringSettings, seed: int
 ) -> dict[int, Fault]:
-    """Draw the faults of the regions that one view shows, by their ids; those without a fault are
-    left out.
-    """
+    """Faults of the regions that one view shows, by their ids, where there are any."""
     faults = {}
     for region in shown:
         rng = np.random.default_rng((seed, region.id, view))

@@ -77,7 +77,7 @@ class SimplifyCommand(Command):
         from edit3r.kit.scenes.look import SIDES, look_at
         from edit3r.kit.scenes.ply import save_ply
         from edit3r_refiners.clean import find_floaters
-        from edit3r_refiners.simplify import simplify
+        from edit3r_refiners.simplify import agreement, simplify
 
         if args.out:
             check_new_file(args.out, args.overwrite, source=args.scene)
@@ -110,12 +110,14 @@ class SimplifyCommand(Command):
                 with report.stage("simplify"):
                     most = None if budget == "auto" else budget
                     result = simplify(gaussians, cameras, rasterizer, most, settings)
-                gaussians = result.gaussians
+                fewer = result.gaussians
+                alike = agreement(gaussians, fewer, cameras, rasterizer)
+                gaussians = fewer
                 said.append(
                     f"{result.before:,} Gaussians -> {result.gaussians.count:,}: "
                     f"{result.unseen:,} unseen, {result.doubled:,} doubled, "
                     f"{result.merged:,} merged away; the views' pictures agree to "
-                    f"{result.psnr:.1f} dB"
+                    f"{alike:.1f} dB"
                 )
             if args.out:
                 with report.stage("write scene"):

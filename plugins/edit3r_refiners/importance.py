@@ -37,9 +37,7 @@ def viewpoints(cameras: Cameras) -> tuple[Cameras, ...]:
 def visible_weight(
     gaussians: Gaussians, cameras: Cameras, rasterizer: Rasterizer
 ) -> Float[Tensor, "gaussian"]:
-    """Return the most that each Gaussian adds to the input views or to the others [pixels of the
-    input views].
-    """
+    """The most that each Gaussian adds to the input views or to the others [their pixels]."""
     weights = []
     for seen_from in viewpoints(cameras):
         area = (first_focal(cameras) / first_focal(seen_from)) ** 2

@@ -99,9 +99,7 @@ def same_structure(before: Gaussians, after: Gaussians) -> bool:
 def differing(
     before: Gaussians, after: Gaussians, names: tuple[str, ...] = FIELDS
 ) -> Bool[Tensor, "gaussian"]:
-    """Tell which Gaussians of two scenes (batch 1, same structure) differ in any bit of the named
-    fields.
-    """
+    """Which Gaussians of two scenes (batch 1, one structure) differ in a bit of the fields."""
     differs = torch.zeros(before.count, dtype=torch.bool, device=before.means.device)
     for name in names:
         differs |= (
@@ -191,9 +189,7 @@ def _in_unit_of(
 def _mixed(
     before: Gaussians, after: Gaussians, replaced: Bool[Tensor, "gaussian"]
 ) -> Gaussians:
-    """Take the Gaussians of `after` where `replaced`, else those of `before`; both have the same
-    structure.
-    """
+    """Gaussians of `after` where `replaced`, else of `before`; both have one structure."""
 
     def chosen(name: str) -> Float[Tensor, "1 gaussian *field"]:
         old, new = getattr(before, name), getattr(after, name)

@@ -44,9 +44,7 @@ class Placement:
 
 
 def place(gaussians: Gaussians, cameras: Cameras) -> Placement:
-    """Project the Gaussians of one scene (batch 1) into their views in float64; one without a view
-    into view 0.
-    """
+    """The Gaussians of one scene (batch 1) in their views, in float64; of no view: in view 0."""
     view = gaussians.view_index.clamp(0, cameras.count - 1)
     x, y, depth = (
         torch.zeros(gaussians.count, dtype=torch.float64, device=view.device)
@@ -64,9 +62,7 @@ def place(gaussians: Gaussians, cameras: Cameras) -> Placement:
 def own_pixel_inside(
     gaussians: Gaussians, region: Region, cameras: Cameras
 ) -> Bool[Tensor, "gaussian"]:
-    """Tell which lie on a pixel of the region in their own view; outside the image the nearest
-    pixel counts.
-    """
+    """Which lie on a pixel of the region in their own view; outside the nearest one counts."""
     placement = place(gaussians, cameras)
     height, width = cameras.image_size
     row, column = (
@@ -140,9 +136,7 @@ def _nearest_per_pixel(
     view: int,
     size: tuple[int, int],
 ) -> Int[Tensor, "row column"]:
-    """Return the index of the nearest usable Gaussian at each pixel of `view`, -1 where there is
-    none.
-    """
+    """Index of the nearest usable Gaussian at each pixel of `view`; -1: there is none."""
     height, width = size
     row, column = placement.row, placement.column
     inside = (

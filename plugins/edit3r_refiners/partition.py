@@ -109,9 +109,7 @@ def _measure_block(
 
 
 def partition(cells: Cells, price: float) -> Int[Tensor, "gaussian"]:
-    """Return the group of each Gaussian, or -1 to leave it alone, for the least summed error +
-    `price` per group.
-    """
+    """The group of each Gaussian, -1: left alone, of least summed error + `price` a group."""
     choices, _ = _best_choices(cells, price)
     view, row, column = cells.pixel
     group = torch.full((cells.total,), -1, dtype=torch.long, device=view.device)
@@ -173,9 +171,7 @@ def count_left(cells: Cells, price: float) -> int:
 
 
 def price_for_count(cells: Cells, most: int) -> float:
-    """Find the lowest price, to a few percent, at which at most `most` Gaussians are left, or the
-    highest there is.
-    """
+    """The lowest price, to a few percent, that leaves at most `most`, or the highest there is."""
     low, high = LOWEST_PRICE, HIGHEST_PRICE
     while high / low > PRICE_STEP:
         middle = (low * high) ** 0.5
@@ -188,9 +184,7 @@ def price_for_count(cells: Cells, most: int) -> float:
 def _best_choices(
     cells: Cells, price: float
 ) -> tuple[dict[tuple[int, int], Tensor], Tensor]:
-    """Choose MERGE, ALONG_X, ALONG_Y or STAY for every cell, by level; also count Gaussians left
-    per largest cell.
-    """
+    """MERGE, ALONG_X, ALONG_Y or STAY for every cell by level; Gaussians left per largest cell."""
     cost: dict[tuple[int, int], Tensor] = {}
     left: dict[tuple[int, int], Tensor] = {}
     choices: dict[tuple[int, int], Tensor] = {}
@@ -237,9 +231,7 @@ def _alternatives(
 def _concatenated(
     choices: dict[tuple[int, int], Tensor],
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Return all choices in one row, where each level starts in it, and each level's rows and
-    columns.
-    """
+    """All choices in one row, where each level starts in it, and its rows and columns."""
     tables = [choices[level] for level in sorted(choices)]
     sizes = torch.tensor(
         [0] + [table.numel() for table in tables[:-1]], device=tables[0].device
@@ -253,9 +245,7 @@ def _sum_per_pixel(
     place: Int[Tensor, "member"],
     shape: tuple[int, int, int],
 ) -> Float[Tensor, "channel view row column"]:
-    """Add up what falls on the same pixel; `place` is the flat index in `shape`, (views, rows,
-    columns).
-    """
+    """Sums of what falls on one pixel; `place`: flat index in `shape` (views, rows, columns)."""
     total = torch.zeros((CHANNELS, *shape), device=place.device)
     for own, channel in zip(total, sums):
         own.view(-1).index_add_(0, place, channel)
@@ -265,9 +255,7 @@ def _sum_per_pixel(
 def _padded(
     position: Int[Tensor, "member"], size: int, side: int
 ) -> tuple[Int[Tensor, "member"], int]:
-    """Shift positions to an axis that starts and ends at multiples of `side` and holds them all;
-    also its length.
-    """
+    """Positions on an axis that begins and ends at multiples of `side`, and its length."""
     first, last = (
         (0, size - 1)
         if position.numel() == 0
@@ -280,9 +268,7 @@ def _padded(
 def _near_images(
     placement: Placement, height: int, width: int
 ) -> Bool[Tensor, "gaussian"]:
-    """Tell which Gaussians lie in front of their camera and not further than `MARGIN` outside of
-    its image.
-    """
+    """Which Gaussians lie in front of their camera, at most `MARGIN` outside of its image."""
     near_x = (placement.x >= -int(MARGIN * width)) & (
         placement.x < width + int(MARGIN * width)
     )

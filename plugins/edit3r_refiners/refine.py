@@ -13,7 +13,11 @@ import torch
 from jaxtyping import Bool, Float
 from pydantic import Field
 from torch import Tensor
-from torch.nn.functional import smooth_l1_loss
+from torch.nn.functional import (
+    adaptive_avg_pool2d,
+    adaptive_max_pool2d,
+    smooth_l1_loss,
+)
 
 from edit3r.contract.interfaces import Rasterizer, RefineInputs, Refiner
 from edit3r.contract.reporting import note, progress
@@ -31,6 +35,7 @@ MOST_VIEWS = 20  # whose steps a refinement takes: of more views, each takes few
 TELLING_VIEWS = 8  # that tell the error before and after, where there are more
 # error of a pixel [sRGB] below which its square counts, and beyond which its size
 SQUARED_BELOW = 0.05
+HALF_EVERY = 4  # rounds of large images, of which the first is at half the size
 
 
 class RefineSettings(Settings):
@@ -48,6 +53,10 @@ class RefineSettings(Settings):
     """
     centre: float = Field(0.15, ge=0, le=1)
     """step of the centres [own smallest two scales' mean]"""
+    half_above: int = Field(768, ge=1)
+    """longer side above which a quarter of the steps are at half the size, for less time and so
+    that the scene holds where it is drawn smaller [pixels]
+    """
     held_back: float = Field(0.03, gt=0, lt=1)
     """share of pixels out of the loss, to know the best state"""
     seed: int = Field(0, ge=0)
@@ -105,26 +114,34 @@ def refine(
     before = _errors(gaussians, cameras, images, rasterizer, groups)
     variables = _Variables(gaussians, settings)
     best, taken, errors, rounds = gaussians, 0, [], []
+    large = max(images.shape[-2:]) > settings.half_above
+    small = _halved(images, counts) if large else (images, counts)
+    last_round = (steps - 1) // cameras.count
     for step in range(steps if before[0] > 0 else 0):
-        view = [step % cameras.count]
-        image, out = images[:, view], kept_out[:, view]
+        view, done = [step % cameras.count], step // cameras.count
+        coarse = large and done % HALF_EVERY == 0 and done < last_round
+        image, counted = small if coarse else (images, counts)
+        image, counted = image[:, view], counted[:, view]
+        height, width = image.shape[-2:]
+        camera = cameras.select(view).at((height, width))
         with torch.enable_grad():
-            shown = rasterizer.render(
-                variables.gaussians(), cameras.select(view)
-            ).images
+            shown = rasterizer.render(variables.gaussians(), camera).images
             loss = (
                 smooth_l1_loss(shown, image, reduction="none", beta=SQUARED_BELOW).mean(
                     2
                 )
-                * counts[:, view]
+                * counted
             ).mean()
-        errors.append(float((shown.detach() - image).square().mean(2)[out].mean()))
+        if not coarse:
+            error = (shown.detach() - image).square().mean(2)
+            errors.append(float(error[kept_out[:, view]].mean()))
         # Each view pulls the others' surfaces to itself: shorter steps in the end settle between
         # them.
         past = (step / steps - CALM) / (1 - CALM)
         variables.step(loss, 1 - (1 - LAST_SHARE) * max(0.0, past))
         progress("refine", step + 1, steps)
-        if len(errors) % cameras.count == 0 or step == steps - 1:
+        whole = errors and len(errors) % cameras.count == 0
+        if not coarse and (whole or step == steps - 1):
             rounds.append(sum(errors[-cameras.count :]) / len(errors[-cameras.count :]))
             if rounds[-1] <= min(rounds):
                 best, taken = _detached(variables.gaussians()), step + 1
@@ -147,6 +164,19 @@ def _errors(
     shown = rasterizer.render(gaussians, cameras.select(views)).images
     error = (shown - images[:, views]).square().mean(2)
     return tuple(float(error[group[:, views]].mean()) for group in groups)
+
+
+def _halved(
+    images: Float[Tensor, "batch camera 3 height width"],
+    counts: Bool[Tensor, "batch camera height width"],
+) -> tuple[Tensor, Tensor]:
+    """The images at half the size, and the pixels there of which all four count."""
+    height, width = (max(1, round(side / 2)) for side in images.shape[-2:])
+    half = height, width
+    small = adaptive_avg_pool2d(images.flatten(0, 1), half)
+    whole = -adaptive_max_pool2d(-counts.flatten(0, 1).to(images), half)
+    batch = images.shape[:2]
+    return small.unflatten(0, batch), whole.unflatten(0, batch) > 0
 
 
 class RefineRefiner(Refiner):
@@ -197,9 +227,7 @@ class Adam:
 
     @torch.no_grad()
     def step(self, gradients: Sequence[Tensor], length: float = 1.0) -> None:
-        """One step against the gradients, in the order of the values; `length` is a share of the
-        step sizes.
-        """
+        """One step against the gradients, as the values go; `length` is a share of the sizes."""
         self.steps += 1
         unbiased = [1 - beta**self.steps for beta in BETAS]
         for value, rate, gradient, first, second in zip(

@@ -11,9 +11,7 @@ Budget = Literal["auto", "all"] | int
 
 
 def parse_budget(value: Any) -> Budget:
-    """Return `"auto"`, `"all"`, or a number of at least 1 that may be given as text; anything else
-    is a ValueError.
-    """
+    """`"auto"`, `"all"`, or a number of at least 1, perhaps as text; else a ValueError."""
     if value in ("auto", "all"):
         return value
     try:

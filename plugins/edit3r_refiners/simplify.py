@@ -3,7 +3,7 @@ polish what is left.
 """
 
 from dataclasses import dataclass
-from math import isfinite, log10
+from math import inf, log10
 from typing import Any
 
 import torch
@@ -93,8 +93,6 @@ class Simplified:
     unseen: int  # dropped because no camera sees them
     doubled: int  # dropped because an earlier view shows the same surface
     merged: int  # gone into others
-    # of the cameras' images, of three at most without polish, against those of all Gaussians [dB]
-    psnr: float
 
 
 @torch.no_grad()
@@ -120,7 +118,7 @@ def simplify(
             f"simplify takes one scene at a time, got a batch of {gaussians.means.shape[0]}."
         )
     if gaussians.count <= (1 if most is None else most):
-        return Simplified(gaussians, gaussians.count, 0, 0, 0, float("inf"))
+        return Simplified(gaussians, gaussians.count, 0, 0, 0)
     kept = drop_unneeded_harmonics(
         gaussians, viewpoints(cameras), rasterizer, settings.harmonics
     )
@@ -135,34 +133,36 @@ def simplify(
             weight.argsort(descending=True, stable=True)[:most].sort().values
         )
     merged = kept.count - fewer.count
-    if not settings.polish:  # then a few views tell what was lost
-        cameras = cameras.select(evenly(range(cameras.count), TELLING_VIEWS))
-    images = rasterizer.render(gaussians, cameras).images.clamp(0, 1)
     if settings.polish:
+        images = rasterizer.render(gaussians, cameras).images.clamp(0, 1)
         fewer = refine(
             fewer, cameras, images, rasterizer, settings.polish * cameras.count, POLISH
         ).gaussians
-    again = rasterizer.render(fewer, cameras).images.clamp(0, 1)
-    psnr = _decibels(float((again - images).square().mean()))
     result = Simplified(
-        fewer, gaussians.count, int((~seen).sum()), int(twice.sum()), merged, psnr
+        fewer, gaussians.count, int((~seen).sum()), int(twice.sum()), merged
     )
     _note(result)
     return result
 
 
-def _decibels(squared_error: float) -> float:
-    return -10 * log10(squared_error) if squared_error > 0 else float("inf")
+@torch.no_grad()
+def agreement(
+    gaussians: Gaussians, fewer: Gaussians, cameras: Cameras, rasterizer: Rasterizer
+) -> float:
+    """PSNR [dB] of the pictures of fewer Gaussians against those of all, from a few cameras."""
+    cameras = cameras.select(evenly(range(cameras.count), TELLING_VIEWS))
+    before, after = (
+        rasterizer.render(scene, cameras).images.clamp(0, 1)
+        for scene in (gaussians, fewer)
+    )
+    squared_error = float((after - before).square().mean())
+    return -10 * log10(squared_error) if squared_error > 0 else inf
 
 
 def _note(result: Simplified) -> None:
     for name in ("before", "unseen", "doubled", "merged"):
         note(f"simplify.{name}", getattr(result, name))
     note("simplify.left", result.gaussians.count)
-    note(
-        "simplify.psnr_of_input_views_against_all",
-        round(result.psnr, 3) if isfinite(result.psnr) else None,
-    )
 
 
 def _merge(
@@ -190,9 +190,7 @@ def _merge(
 
 
 def _parallax(placement: Placement, cameras: Cameras) -> float:
-    """Return focal length times the mean distance between neighbouring views [pixels times scene
-    units].
-    """
+    """Focal length times the mean distance of neighbouring views [pixels x scene units]."""
     focal = first_focal(cameras)
     centres = cameras.c2w[0, :, :3, 3]
     if cameras.count == 1:

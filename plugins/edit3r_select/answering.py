@@ -16,12 +16,13 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, as_proposal
 from edit3r.kit.compute.outlines import soft_edged
-from edit3r_select.cues import Asked, Box, Click, Pool, pixel
+from edit3r_select.cues import Asked, Box, Click, Place, Pool, pixel
 from edit3r_select.sum import SURE, Chosen, CueWeights, MaskCandidate, choose, fitted
 
 LONGER = 512  # longer side of a photo whose masks are compared: weights are for this [pixels]
 ON_STROKE = 4  # places of a stroke, or of what is expected, that are asked together
 UNTOLD = 0.5  # quality of a mask that no network made
+CORRECTED = 0.5  # IoU with the answer before from which a further click corrects that
 # Of what stands out where nothing is marked
 GRID = 6  # clicks along each side
 UNMARKED = 256  # longer side of the photo [pixels]
@@ -104,7 +105,27 @@ def _chosen(ask: AnswersMarks, size: Size, marks: Marks) -> Chosen | None:
         chosen = selected(size, Asked(clicks, marks.stroke, marks.box, before), ask)
         if chosen is None:
             return None
+        if before is not None:
+            chosen = changed_at(new[0][0], before, chosen)
     return chosen
+
+
+def changed_at(place: Place, before: np.ndarray, chosen: Chosen) -> Chosen:
+    """The answer to a further click at `place`, with what does not hang together with the click as
+    it was: nobody said that it is wrong. An answer that is largely another thing is taken whole.
+    """
+    after = chosen.best.logits
+    was, now = before > 0, after > 0
+    if (was & now).sum() < CORRECTED * (was | now).sum():
+        return chosen
+    changed = was != now
+    labels = cv2.connectedComponents(changed.astype(np.uint8), connectivity=4)[1]
+    here = labels[pixel(place, changed.shape)]
+    if not here:
+        return chosen
+    logits = np.where(changed & (labels != here), before, after)
+    best = replace(chosen.best, logits=logits)
+    return replace(chosen, candidates=(best, *chosen.candidates[1:]))
 
 
 def selected(

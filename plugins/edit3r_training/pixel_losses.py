@@ -109,9 +109,7 @@ def depth_error(maps: PixelMaps, batch: TrainingBatch) -> Float[Tensor, ""]:
 def opacity_error(
     maps: PixelMaps, batch: TrainingBatch, tolerance: float = 0.08
 ) -> Float[Tensor, ""]:
-    """Cross-entropy to an opacity of 0.95 where the log depth is right within `tolerance`, to 0.3
-    where it is not.
-    """
+    """Cross-entropy to opacity 0.95 where log depth is right within `tolerance`, else 0.3."""
     gap = _log_gap(maps.depths.detach(), batch).abs()
     wished = torch.where(gap < tolerance, 0.95, 0.3)
     return F.binary_cross_entropy(

@@ -64,9 +64,7 @@ class Re10kDataset(PhotoDataset):
         }
 
     def photos(self, key: str, indices: Sequence[int]) -> list[PosedPhoto]:
-        """Return frames of one scene, which an evaluation index file names. Raises InputError for
-        what is not there.
-        """
+        """Frames of one scene, by an index file. Raises InputError for what is not there."""
         if key not in self.places:
             raise InputError(f"{self.settings.root}: no chunk has the scene {key!r}.")
         chunk, place = self.places[key]

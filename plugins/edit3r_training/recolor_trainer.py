@@ -136,9 +136,7 @@ class RecolorRecipe(Recipe):
         return make_batch(samples, *how).to(self.device)
 
     def _match(self, sample: SceneSample, rng: np.random.Generator) -> SimulatedMatch:
-        """What is said of a sample's geometry: now and then what the matcher itself says, where it
-        places all views.
-        """
+        """What is said of a sample's geometry: now and then the matcher's, if it places all."""
         # No draw where nothing is matched: recipes without it keep their random numbers.
         if not self.settings.matched or rng.random() >= self.settings.matched:
             return simulate_match(sample, rng)
@@ -307,9 +305,7 @@ def _free_where_reshaped(
     batch: TrainingBatch,
     made: Reconstruction,
 ) -> Float[Tensor, "batch gaussian 3"]:
-    """The reference's centres, but where the edit may have moved the surface: nothing holds the
-    predicted ones there.
-    """
+    """The reference's centres where the edit left the surface; elsewhere the predicted ones."""
     if batch.reshaped is None:
         return centres
     free = batch.reshaped.flatten(1).repeat_interleave(made.per_pixel, 1)[..., None]

@@ -16,11 +16,17 @@ from edit3r.contract.types import Views
 
 Box = tuple[float, float, float, float]
 """x, y, width, height [shares of a view's sides]."""
-SURE = 0.63  # confidence under which what was found is a question
+SURE = 0.63  # confidence under which the run asks whether the right thing was found
 MOST_GROWN = 100_000  # pixels that an outline may move
-BACKGROUND = "background"  # words for all but what stands out
+BACKGROUND = "background"  # the words for everything but what stands out
 WAYS = ("given", "region", "marked", "words", "guess", "geometry", "pictures")
-"""How a thing is found on a photo; "not found" where it is not."""
+"""How a thing came to be selected on a photo.
+
+On the photo itself: its mask was `given`; a `region` was drawn exactly; clicks, strokes or a box
+`marked` it; its name was found there (`words`); or nobody knew the words, and what stands out was
+taken (`guess`). Carried over from other photos: by `geometry`, or without it by what the `pictures`
+show. A photo that has none of it says "not found" instead.
+"""
 SHARES = "expected shares of its sides, 0 to 1 (x / width, y / height)"
 ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
 """What to do where nobody knows which thing is meant."""
@@ -32,30 +38,32 @@ class Selection:
 
     # clicks on the object: view, x, y
     positive: tuple[tuple[int, float, float], ...] = ()
-    # clicks on what is not the object
+    # clicks beside it, on what is not wanted
     negative: tuple[tuple[int, float, float], ...] = ()
-    boxes: Mapping[int, Box] = field(default_factory=dict)  # view: x, y, width, height
-    # brush in [0, 1], by view
+    # a box around the object, one for each view at most
+    boxes: Mapping[int, Box] = field(default_factory=dict)
+    # what a brush added to the mask of a view, in [0, 1]
     added: Mapping[int, Float[Tensor, "height width"]] = field(default_factory=dict)
-    # eraser, likewise
+    # what an eraser took from it, in [0, 1]
     removed: Mapping[int, Float[Tensor, "height width"]] = field(default_factory=dict)
-    # finished masks, by view
+    # finished masks of views, taken as they are
     masks: Mapping[int, Float[Tensor, "height width"]] = field(default_factory=dict)
-    # what is meant, such as "bike"; looked up where no mark says it all
+    # the object's name, such as "bike": looked for where nothing is marked; beside a click it
+    # helps to tell the object from its parts
     words: str = ""
-    which: tuple[str, ...] = ()  # picks among several: "left", "big", "red", "all"
-    several: bool = False  # the words are a plural: all that are sure are taken
-    # True: what words found unsurely or not at all is refused; else it is taken as a question
+    which: tuple[str, ...] = ()  # which one of several: "left", "big", "red", "all"
+    several: bool = False  # True: a plural, so every one that is found surely is taken
+    # True: raise an error for a name that is not found surely; False: take the likeliest and ask
     sure: bool = False
-    # 1: the most likely reading of clicks, strokes, boxes and words; 2: the next
+    # which candidate is taken: 1 is the likeliest, 2 the next
     reading: int = 1
-    # steps to a larger reading of clicks, boxes and words (> 0), or to a smaller one (< 0)
+    # above 0: so many steps to larger candidates ("the whole car"); below 0: to smaller ones
     larger: int = 0
-    grow: float = 0.0  # moves the outline outwards [pixels], inwards where negative
-    inverted: bool = False  # True: all but the object is meant
-    # lines drawn over the object: view, and places x, y along the line
+    grow: float = 0.0  # pixels by which the outline moves outwards; inwards below 0
+    inverted: bool = False  # True: everything but the object
+    # lines drawn over the object: view, and the places x, y along the line
     strokes: tuple[tuple[int, tuple[tuple[float, float], ...]], ...] = ()
-    # boxes that are taken exactly, whatever lies in them: view, box
+    # boxes whose whole content is selected, whatever it is: view, box
     regions: tuple[tuple[int, Box], ...] = ()
 
     def __post_init__(self) -> None:
@@ -134,7 +142,7 @@ class Selection:
 
     @property
     def says_where(self) -> bool:
-        """Whether any mark says where the object is; one that says where not is none."""
+        """Whether any mark says where the object is. Clicks beside it and the eraser do not."""
         looked_for = (self.positive, self.strokes, self.boxes)
         return any((*looked_for, self.masks, self.added, self.regions))
 
@@ -150,7 +158,9 @@ class Selection:
 
     @property
     def views(self) -> tuple[int, ...]:
-        """Views that carry any mark, in the order in which they say where the object is."""
+        """Views with any mark, those with the most exact ones first: finished masks, then boxes,
+        brush and regions, then strokes and clicks, then the eraser.
+        """
         drawn = [stroke[0] for stroke in self.strokes]
         clicked = [place[0] for place in (*self.positive, *self.negative)]
         exact = (*self.added, *(view for view, _ in self.regions))
@@ -160,12 +170,14 @@ class Selection:
 
 @dataclass(frozen=True)
 class Reading:
-    """One thing that clicks, strokes, a box or words may mean."""
+    """A candidate: one thing that the marks or words may mean, such as a wheel or the whole car."""
 
     view: int
     mask: Float[Tensor, "height width"]  # soft, in [0, 1], on that view
-    score: float  # in [0, 1]: how likely it is what is meant
-    number: int  # of `Selection.reading` and of the flag --reading
+    score: float  # in [0, 1]: how likely this one is meant
+    number: (
+        int  # that takes it, as `Selection.reading` or --reading; 1 is the likeliest
+    )
 
 
 @dataclass(frozen=True)
@@ -174,17 +186,17 @@ class Selected:
 
     # soft, in [0, 1]; 0 everywhere in a view where nothing was found
     masks: Float[Tensor, "view 1 height width"]
-    # by view, one of `WAYS`, or "not found"
+    # for each view one of `WAYS`, or "not found"
     how: tuple[str, ...]
-    # sentences for the user, also sent to `edit3r.contract.reporting`
+    # sentences for the user, which were also sent to `edit3r.contract.reporting`
     warnings: tuple[str, ...] = ()
-    # in [0, 1]: how likely it is what was meant; None: marked exactly, or nobody can tell
+    # in [0, 1]: how likely the right thing was found; None: it was marked exactly, or nobody knows
     confidence: float | None = None
-    # what else may be meant: the most likely first, the one that was taken among them
+    # all candidates, the one that was taken included; the likeliest first
     readings: tuple[Reading, ...] = ()
-    taken: int = 1  # the number of that one
-    called: str = ""  # what was looked for, as people say it: "left cup"
-    # whether words name what was marked; None: nobody looked, knows them or found them
+    taken: int = 1  # the number of the candidate that was taken
+    called: str = ""  # the name that was asked for, such as "left cup"
+    # True: what is marked has that name; False: the name was found elsewhere; None: not checked
     fits: bool | None = None
 
     @property
@@ -213,15 +225,17 @@ class Selector(Configured, ABC):
     def select(
         self, views: Views, selection: Selection, geometry: Geometry | None = None
     ) -> Selected:
-        """Select in one scene (batch 1).
+        """Find the object on all views of one scene (batch 1).
 
-        `geometry` is that of the views where somebody could read it and it can be trusted; without
-        it masks are carried by what the pictures show. The masks obey the marks, and are those of
-        `selection.grow` and `selection.inverted`.
+        `geometry` tells where one view's pixels lie in another; None where the photos could not be
+        placed, so that only the pictures tell. The masks obey every mark, and `selection.grow` and
+        `selection.inverted` are applied to them.
 
-        Words that nobody knows or finds are a question: what stands out, "guess" in `how`. Raises
-        InputError for marks on no photo or of a sort that it does not read, and for what is unsure
-        where `selection.sure`.
+        For words that are unknown or not found, what stands out is taken, with "guess" in `how`.
+
+        Raises:
+            InputError: For marks on a view that does not exist, marks of a kind that this selector
+                cannot read, and, with `selection.sure`, for words that were not found surely.
         """
 
 

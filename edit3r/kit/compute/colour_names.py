@@ -80,8 +80,8 @@ TONES = {
     "faded": (0.25, 0.6),
     "deep": (-0.25, 1.0),
     "darkish": (-0.2, 1.0),
-    "dark": (-0.4, 1.0),
-    "darker": (-0.4, 1.0),
+    "dark": (-0.5, 1.0),
+    "darker": (-0.5, 1.0),
     "deeper": (-0.25, 1.0),
     "brighter": (0.12, 1.2),
     "paler": (0.6, 1.0),
@@ -168,7 +168,9 @@ def _toned(words: list[str]) -> RGB | None:
         and words[0] in _MADE_ON_THE_COLOUR_ITSELF
         and words[1] in BASIC_COLOURS
     )
-    rgb = None if computed and _css("".join(words)) is None else _named("".join(words))
+    # CSS's dark grey is lighter than its grey, and its dark orange is a lamp.
+    computed = computed and (words[0] == "dark" or _css("".join(words)) is None)
+    rgb = None if computed else _named("".join(words))
     if rgb is not None or len(words) == 1:
         return rgb
     if words[0] in NEON:

@@ -1,10 +1,9 @@
-"""Coarse, blurred layers for what no photo shows: around images, behind depth edges and surfaces.
+"""Coarse, blurred layers for what no photo shows: around images and behind depth edges.
 
 The rim continues each image beyond its border, so that a camera that moved a little does not look
 past the edge. The background layer continues the surface behind each depth edge a short way under
-what stands before it, so that a gap shows what surrounds it instead of nothing. The second layer
-repeats measured surfaces right behind themselves, so that no black shows through where they are
-faint. All are made of large soft Gaussians, and none stands before what a photo shows.
+what stands before it, so that a gap shows what surrounds it instead of nothing. Both are made of
+large soft Gaussians, and none stands before what a photo shows.
 """
 
 import math
@@ -25,25 +24,19 @@ from edit3r.kit.geometry.cameras import (
 )
 from edit3r.kit.geometry.warping import seen_by, stands_before_others
 
-__all__ = ["background_layer", "rim", "second_layer"]
+__all__ = ["background_layer", "rim"]
 
 # Side of the square of pixels that one Gaussian stands for.
 RIM_BLOCK = 4
 BACKGROUND_BLOCK = 6
-SECOND_BLOCK = 4
 
 # Standard deviation in blocks: neighbours close up without gaps.
 RIM_FOOTPRINT = 0.6
 BACKGROUND_FOOTPRINT = 0.8
-SECOND_FOOTPRINT = 0.6
 
 REACH = 0.1  # how far a surface goes on behind what stands before it [long sides]
 EDGE = 1.02  # ratio of depths above which one surface stands before another
 BEHIND = 1.01  # relative depth at which the background layer lies behind its surface
-UNDER = 1.1  # relative depth at which the second layer lies behind its surface
-# Ratio of depths among neighbouring blocks below which they are one surface: thin things are none.
-SMOOTH = 1.15
-FAINT = 0.9  # mean opacity of a block's Gaussians below which it gets a second layer
 SURE = 0.9  # share of a block that was measured, above which it counts as measured
 BLURS = 3  # passes of a 3x3 mean, in blocks
 # Share of a rim's width; a fade over all of it costs 0.6 dB where a new view looks past the photos.
@@ -81,49 +74,16 @@ def background_layer(views: Views, geometry: Geometry, opacity: float) -> Gaussi
     smooth = torch.cat((behind.view_as(colour), -farthest), 1)
     for _ in range(BLURS):
         smooth = F.avg_pool2d(smooth, 3, 1, 1, count_include_pad=False)
-    return _hidden_layer(
-        views,
-        geometry,
-        opacity,
-        BACKGROUND_FOOTPRINT,
-        depths=(BEHIND / smooth[:, 3]).unflatten(0, shape),
-        colours=smooth[:, :3].unflatten(0, shape),
-        needed=needed[:, 0].unflatten(0, shape),
+    depths = (BEHIND / smooth[:, 3]).unflatten(0, shape)
+    placed = geometry.registered[..., None, None]
+    points = unproject(depths, views.intrinsics, geometry.c2w)
+    hiding = stands_before_others(
+        points, geometry.depths * placed, views.intrinsics, geometry.c2w
     )
-
-
-def second_layer(
-    views: Views,
-    geometry: Geometry,
-    opacities: Float[Tensor, "batch view height width"],
-    opacity: float,
-) -> Gaussians:
-    """Measured smooth surfaces of registered views, where faint, once more right behind themselves.
-
-    Nothing but what other photos show there shines through then. Guesses stay as faint as they are:
-    something behind a wrong one hides what others show. `opacities` are those of the pixels'
-    Gaussians.
-    """
-    shape = geometry.depths.shape[:2]
-    inverse_depths = 1 / geometry.depths
-    colour, inverse, opaque, sure = _block_means(
-        SECOND_BLOCK, views, inverse_depths, opacities.detach(), geometry.confidence
-    )
-    farthest = -F.adaptive_max_pool2d(
-        -inverse_depths.flatten(0, 1)[:, None], colour.shape[-2:]
-    )
-    highest = F.max_pool2d(inverse, 3, 1, 1)
-    lowest = -F.max_pool2d(-inverse, 3, 1, 1)
-    needed = (highest < SMOOTH * lowest) & (sure >= SURE) & (opaque < FAINT)
-    return _hidden_layer(
-        views,
-        geometry,
-        opacity,
-        SECOND_FOOTPRINT,
-        depths=(UNDER / farthest[:, 0]).unflatten(0, shape),
-        colours=colour.unflatten(0, shape),
-        needed=needed[:, 0].unflatten(0, shape),
-    )
+    shown = needed[:, 0].unflatten(0, shape) & placed & ~hiding
+    coarse = Views(smooth[:, :3].unflatten(0, shape), views.intrinsics)
+    opacities = opacity * shown.to(depths.dtype)
+    return _layer(coarse, depths, geometry, opacities, BACKGROUND_FOOTPRINT)
 
 
 def _block_means(
@@ -135,26 +95,6 @@ def _block_means(
     return F.adaptive_avg_pool2d(stacked, (height, width)).split(
         (3, *(1 for _ in maps)), 1
     )
-
-
-def _hidden_layer(
-    views: Views,
-    geometry: Geometry,
-    opacity: float,
-    footprint: float,
-    depths: Float[Tensor, "batch view rows columns"],
-    colours: Float[Tensor, "batch view 3 rows columns"],
-    needed: Bool[Tensor, "batch view rows columns"],
-) -> Gaussians:
-    """A Gaussian for each block that is `needed` and hides nothing that a registered view shows."""
-    placed = geometry.registered[..., None, None]
-    points = unproject(depths, views.intrinsics, geometry.c2w)
-    hiding = stands_before_others(
-        points, geometry.depths * placed, views.intrinsics, geometry.c2w
-    )
-    opacities = opacity * (needed & placed & ~hiding).to(depths.dtype)
-    coarse = Views(colours, views.intrinsics)
-    return _layer(coarse, depths, geometry, opacities, footprint)
 
 
 def _layer(

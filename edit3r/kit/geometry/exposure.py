@@ -18,8 +18,6 @@ from edit3r.contract.types import Views
 from edit3r.kit.geometry.warping import nearest_views, shared_surface, warp
 
 SIDE = 128  # pixels of the longer side at which photos are compared
-# relative difference in depth within which two views show one surface
-SAME_SURFACE = 0.03
 EXPOSED = (0.03, 0.97)  # sRGB values outside are clipped and tell nothing
 NEAR_VIEWS = 6  # others with which each of many photos is compared
 MIN_PIXELS = 200  # that two photos must share to say anything about each other
@@ -196,10 +194,7 @@ def _shared(
     images = F.adaptive_avg_pool2d(views.images[scene, pair], _reduced_size(views))
     intrinsics = geometry.calibrated(views).intrinsics[scene, pair]
     grid, same = shared_surface(
-        geometry.depths[scene, pair],
-        intrinsics,
-        geometry.c2w[scene, pair],
-        SAME_SURFACE,
+        geometry.depths[scene, pair], intrinsics, geometry.c2w[scene, pair]
     )
     sure = (geometry.confidence[scene, pair, None] >= 0.5).to(images)
     seen = warp(torch.cat((images[1:], sure[1:]), 1), grid[None])[0]

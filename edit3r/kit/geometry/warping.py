@@ -196,7 +196,7 @@ def shared_surface(
     depths: Float[Tensor, "2 height width"],
     intrinsics: Float[Tensor, "2 3 3"],
     c2w: Float[Tensor, "2 4 4"],
-    tolerance: float,
+    tolerance: float = TOLERANCE,
 ) -> tuple[Float[Tensor, "height width 2"], Bool[Tensor, "height width"]]:
     """Where the pixels of the first view lie in the second; whether both show one surface.
 

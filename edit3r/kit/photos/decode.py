@@ -23,7 +23,6 @@ from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.reporting import warn
 from edit3r.kit.files.atomic import digest_of
 from edit3r.kit.photos.damage import damage_of
-from edit3r.kit.photos.hdr import Coding, as_srgb, read_coding
 
 Answer = TypeVar("Answer")
 
@@ -76,6 +75,10 @@ _PROJECTION = re.compile(
     rb"GPano:ProjectionType\W{1,9}(equirectangular|cylindrical|cube\w{0,9}|fisheye)",
     re.I,
 )
+_HEAD = 1 << 16  # bytes in which a file says how its colours are coded
+# The transfer functions PQ (16) and HLG (18) of ITU-T H.273, in a PNG's chunk cICP and in the box
+# colr of HEIC and AVIF.
+_BRIGHT = re.compile(rb"cICP.[\x10\x12]|colrnclx..\x00[\x10\x12]", re.DOTALL)
 _JPEG = ("JPEG", "MPO")
 _OPENING = threading.Lock()  # while Pillow's own limit is set aside
 
@@ -163,12 +166,13 @@ def decode(path: str | Path, enough: int | None = None) -> DecodedImage:
         _check_whole(image, path)
         _check_flat(image, path)
         _tell_damage(image, file, path)
-        digest, coding = _from_start(file, digest_of), _from_start(file, read_coding)
+        _tell_bright(file, path)
+        digest = _from_start(file, digest_of)
         try:
             _draft(image, enough)
             stored = _loaded(image, file, path)
             turn = _orientation(image, path)
-            pixels, alpha = _to_srgb(stored, coding, path)
+            pixels, alpha = _to_srgb(stored, path)
             upright = _upright(pixels, turn)
             alpha = None if alpha is None else _upright(alpha, turn)
         except InputError:
@@ -363,6 +367,14 @@ def _tell_damage(image: Image.Image, file: BinaryIO, path: Path) -> None:
         )
 
 
+def _tell_bright(file: BinaryIO, path: Path) -> None:
+    if _BRIGHT.search(_from_start(file, lambda file: file.read(_HEAD))):
+        warn(
+            f"{path}: coded for bright screens (HDR), which is not undone: its colours are dull; "
+            "export it as sRGB."
+        )
+
+
 def _draft(image: Image.Image, enough: int | None) -> None:
     """Let a large JPEG be decoded at a half, a quarter or an eighth, where that is enough."""
     if enough is None or math.prod(image.size) <= WHOLE_PIXELS:
@@ -437,17 +449,9 @@ def _bits_used(highest: int, path: Path) -> int:
     return bits
 
 
-def _to_srgb(
-    image: Image.Image, coding: Coding | None, path: Path
-) -> tuple[Image.Image, Image.Image | None]:
+def _to_srgb(image: Image.Image, path: Path) -> tuple[Image.Image, Image.Image | None]:
     """Any Pillow mode of 8 bits to RGB in sRGB, and its alpha where some of it is see-through."""
     profile = image.info.get("icc_profile")
-    if coding is not None and coding.name:
-        warn(
-            f"{path}: coded for bright screens ({coding.name}); it is shown as others show it, "
-            "with what is brighter than white pressed together."
-        )
-        return as_srgb(image, coding), None
     if not profile and "srgb" not in image.info:
         image = _through_gamma(image)
     if not image.has_transparency_data:

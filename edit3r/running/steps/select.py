@@ -1,4 +1,4 @@
-"""Step 3: which views are used, and which of their pixels may change."""
+"""Step 3: which pixels of the photos may change, and how many photos are used."""
 
 from dataclasses import replace
 
@@ -27,20 +27,22 @@ from edit3r.running.selecting.regions import RegionFinder
 
 @torch.no_grad()
 def select(inputs: Inputs, parts: Parts) -> SelectedRegions:
-    """Which pixels of the views may change."""
+    """A mask for each instruction on every photo, and where anything may change at all."""
     with stage("select"):
         return _widened(_regions(inputs, parts), inputs, parts)
 
 
 def load(inputs: Inputs, parts: Parts) -> Inputs:
-    """The inputs on the run's device, once its reconstructor takes so few photos."""
+    """Move the inputs to the run's device. Raises InputError for fewer photos than the
+    reconstructor needs.
+    """
     with stage("load components"):
         _require_enough(inputs.start, parts.reconstructor)
         return inputs.to(parts.config.device)
 
 
 def as_many_as_fit(views: Views, reconstructor: Reconstructor) -> list[int]:
-    """The views that the reconstructor takes: above its maximum they are evenly spaced."""
+    """Indices of the views to use: all, or as many as the reconstructor takes, evenly spaced."""
     count, most = views.count, reconstructor.max_views
     if most is None or count <= most:
         return list(range(count))
@@ -59,9 +61,11 @@ def _require_enough(views: Views, reconstructor: Reconstructor) -> None:
 
 
 def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
-    """A region for each instruction, and their union as masks.
+    """A region for each instruction, and `masks`, all of them together.
 
-    An editor that takes any sentence is confined only by marks, or where a segmenter was asked for.
+    Nothing is looked for where the editor changes whole pictures by a sentence (one that is no
+    `EditsRegions`): such an editor is kept to a region only where the user marked one, or chose a
+    segmenter. Masks that the user gave are taken as they are.
     """
     views = inputs.start
     instructions = tuple(
@@ -94,6 +98,7 @@ def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
         raise InputError(f"nothing says which object is meant; {ASK}.")
 
     def hints() -> str:
+        """What the reader of the sentence advises, such as "Did you mean 'bear'?"."""
         return "".join(parts.reader.hint(one) for one in instructions)
 
     try:
@@ -149,7 +154,7 @@ def _narrowed(
 
 
 MARKED = Instruction("other", Thing("marked"))
-"""The instruction of a sentence that could not be read, or of none."""
+"""Stands in where the sentence gives no instruction: something is done to what is marked."""
 
 
 def _finder(index: int, inputs: Inputs, parts: Parts) -> RegionFinder:

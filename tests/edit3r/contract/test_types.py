@@ -164,3 +164,18 @@ def test_views_and_cameras_of_another_size_show_the_same():
     assert cameras.image_size == size and torch.equal(
         cameras.intrinsics, views.intrinsics
     )
+
+
+def test_a_smaller_scene_of_a_batch_repeats_its_last_gaussian_transparently():
+    def of(count):
+        return Gaussians(
+            torch.rand(1, count, 3),
+            torch.ones(1, count, 3),
+            torch.ones(1, count, 4),
+            torch.full((1, count), 0.5),
+            torch.zeros(1, count, 1, 3),
+        )
+
+    both = Gaussians.stack([of(2), of(4)])
+    assert both.opacities.tolist() == [[0.5, 0.5, 0, 0], [0.5] * 4]
+    assert torch.equal(both.means[0, 2], both.means[0, 1])

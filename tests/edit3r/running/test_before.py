@@ -44,3 +44,23 @@ def test_colours_before_are_those_of_the_unedited_photos():
             found[:-1], photos[0, 0].flatten(1).T, atol=1e-4, rtol=0
         )
         torch.testing.assert_close(found[-1], colours[0, -1])
+
+
+def test_what_two_photos_show_gets_its_colour_back_from_the_first_alone():
+    """A Gaussian of no view, of the edit's colour on both photos."""
+    lens = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
+    cameras = Cameras(torch.eye(4).repeat(1, 2, 1, 1), lens, (30, 40))
+    edited = torch.full((1, 2, 3, 30, 40), 0.5)
+    photos = edited + 0.05
+    scene = Gaussians(
+        torch.tensor([[[0.0, 0, 2]]]),
+        torch.ones(1, 1, 3),
+        torch.ones(1, 1, 4),
+        torch.ones(1, 1),
+        colour_to_dc(torch.full((1, 1, 1, 3), 0.5)),
+    )
+    depths = torch.full((1, 2, 1, 30, 40), 2.0)
+    rendered = Rendering(edited, torch.ones_like(depths), depths)
+    views = [Views(images, lens) for images in (photos, edited)]
+    found = colours_before(scene, cameras, *views, rendered)
+    torch.testing.assert_close(found, torch.full((1, 3), 0.55))

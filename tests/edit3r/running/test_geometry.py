@@ -131,6 +131,10 @@ LENS = SCENE.views.intrinsics
         (seen(confidence=3 * true_geometry().confidence), r"confidence in \[0, 1\]"),
         (seen(registered=PLACED.float()), "must return registered in torch.bool"),
         (seen(registered=~PLACED), "must place view 0 and another one"),
+        (
+            seen(registered=PLACED & torch.tensor([False, True, True])),
+            "must place view 0 and another one",
+        ),
         (seen(c2w=0 * true_geometry().c2w), "a rotation; one scales or is singular"),
         (seen(c2w=-true_geometry().c2w), "a rotation; one mirrors"),
         (posed(0, 3, 1e20), "where depths reach; one is 1e[+]20 away"),

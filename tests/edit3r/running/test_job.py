@@ -2,6 +2,7 @@
 
 import re
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -47,3 +48,13 @@ def test_another_editor_does_not_inherit_the_usual_sentence():
     looks = {"editor": {"name": "looks", "look": "sketch"}}
     assert job_from(JobInputs(), looks).config.prompt == ""
     assert job_from(JobInputs(), {}).config.prompt == "paint the motorcycle blue"
+
+
+def test_photos_beside_an_earlier_run_are_edited_from_the_start(monkeypatch):
+    """With its settings, and without its scene."""
+    choice = {"name": "edit3r"}
+    earlier = SimpleNamespace(frames=7, reconstructor=choice, matcher={"name": "auto"})
+    monkeypatch.setattr("edit3r.running.job.read_earlier_run", lambda *_: earlier)
+    job = job_from(JobInputs(photos=("a.png",), earlier="before"))
+    assert job.earlier is None and job.config.frames == 7
+    assert job_from(JobInputs(earlier="before")).earlier is earlier

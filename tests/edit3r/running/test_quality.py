@@ -71,13 +71,6 @@ def test_the_manifest_says_what_was_chosen_and_what_differs():
     assert noted["expected"]["photos"]["psnr"] == 20
 
 
-def test_without_a_preset_nothing_is_noted():
-    report = Report()
-    with collecting(report):
-        note_quality(make_run_config({}))
-    assert report.notes == {}
-
-
 def test_what_is_written_is_read_again(shipped, tmp_path):
     assert (
         read_quality(write_quality(read_quality(), tmp_path / "again.yaml"))

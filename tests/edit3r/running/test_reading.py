@@ -114,3 +114,18 @@ def test_without_any_reader_there_is_something_to_do():
         registry.build_choice("reader", PartChoice(name="grammar"))
     with pytest.raises(UnknownComponentError, match=r"Did you mean 'grammar'\?"):
         edit3r.build("reader", "gramar")
+
+
+def test_an_editor_of_regions_is_not_blended_by_soft_masks_a_second_time():
+    class Brighter(Asked):
+        def edit(self, views, request):
+            weights = request.masks[:, :, None]
+            return Views(views.images + 0.2 * weights, views.intrinsics)
+
+    masks = torch.full((1, 2, 8, 12), 0.5)
+    masks[..., :6] = 0
+    config = edit3r.running.RunConfig(prompt="rouge")
+    parts = {"reader": Counting(), "editor": Brighter()}
+    made = preview(RunJob(config, VIEWS, masks=masks, components=parts))
+    expected = VIEWS.images + 0.2 * masks[:, :, None]
+    assert torch.equal(made.edit.views.images, expected)

@@ -204,3 +204,16 @@ def gaussians_at():
         )
 
     return make
+
+
+def test_given_poses_far_apart_may_differ_by_as_much_more():
+    """By a thousandth of the distance between the cameras, in whatever unit."""
+    c2w = torch.eye(4).repeat(1, 2, 1, 1)
+    c2w[:, 1, 0, 3] = 1000.0
+    lens = torch.eye(3).expand(1, 2, 3, 3)
+    views = Views(torch.zeros(1, 2, 3, 4, 6), lens, c2w=c2w)
+    for off, stands in ((0.5, True), (5.0, False)):
+        moved = c2w.clone()
+        moved[:, 1, 1, 3] = off
+        scene = Reconstruction(gaussians_at(3.0), Cameras(moved, lens, (4, 6)))
+        assert has_given_poses(scene, views).tolist() == [stands]

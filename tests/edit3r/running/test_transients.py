@@ -129,3 +129,17 @@ def test_what_passed_in_one_scene_of_a_batch_stays_in_the_other():
     )
     counts = (left.opacities > 0).sum(1).tolist()
     assert counts == [3 * 64 * 96 - 28 * 16, 3 * 64 * 96]
+
+
+def test_what_was_transparent_before_stays():
+    """Gaussians of a batch belong together: an opacity of 0 may fill a smaller scene."""
+    views = SCENE.views
+    cameras = Cameras(SCENE.cameras.c2w, views.intrinsics, views.image_size)
+    scales = pixel_scales(SCENE.depths, views.intrinsics, 0.35)
+    nothing = torch.zeros_like(SCENE.depths)
+    gaussians = pixels_to_gaussians(
+        views.images, SCENE.depths, cameras, scales, nothing
+    )
+    masks = torch.ones(SCENE.depths.shape, dtype=torch.bool)
+    left = without_transients(gaussians, masks, cameras.c2w, views.intrinsics)
+    assert left.count == gaussians.count

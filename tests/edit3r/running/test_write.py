@@ -15,8 +15,10 @@ import edit3r
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
+    Reading,
     Reconstructor,
     Segmenter,
+    Selected,
     Selection,
     Tracks,
     as_proposal,
@@ -29,6 +31,7 @@ from edit3r.running import write
 from edit3r.running.config import USUAL_OUTPUTS, make_run_config
 from edit3r.running.earlier import read_earlier_run
 from edit3r.running.summary import summary
+from edit3r.running.write import _other_readings
 from edit3r_testing.scenes import photograph
 
 ALL = {
@@ -402,3 +405,18 @@ def test_what_was_found_unsurely_is_a_question_with_candidates_and_no_doubt_of_t
     assert heights[0] > heights[1] + 40  # readings below
     with pytest.raises(InputError, match="--sure"):
         edit3r.run(views, "paint the bear red", sure=True, report=Report(), **asked)
+
+
+def test_other_readings_are_drawn_on_the_photo_they_are_of_where_one_was_not_placed():
+    mask = torch.ones(4, 6)
+    unsure = Selected(
+        torch.ones(2, 1, 4, 6),
+        ("words", "words"),
+        confidence=0.2,
+        readings=(Reading(1, mask, 0.6, 1), Reading(1, mask, 0.4, 2)),
+    )
+    photo = torch.rand(1, 1, 3, 4, 6)
+    photos = Views(photo, torch.eye(3)[None, None], ("second",))
+    (drawn,) = _other_readings((unsure,), photos, (False, True))
+    assert drawn.name == "second" and torch.equal(drawn.photo, photo[0, 0])
+    assert [*drawn.masks] == ["--reading 1 (taken)", "--reading 2"]

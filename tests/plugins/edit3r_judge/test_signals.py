@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_judge.critic import LimitsCritic, faults_of
-from edit3r_judge.signals import SIGNALS, limits_of_edits, measured
+from edit3r_judge.critic import LimitsCritic
+from edit3r_judge.signals import SIGNALS, faults_of, fitted_limits, measured
 
 from edit3r.contract.instructions import Change, Colour, Instruction, Thing
 from edit3r.contract.interfaces import EditToJudge, HalfWay
@@ -118,6 +118,15 @@ def grey(edit):
     return judged(edit, after=views(mean[0]), instructions=(GREYSCALE,))
 
 
+def half_grey(edit):
+    """Black and white, of a thing that has next to no colour to lose."""
+    pale = 0.4 + 0.12 * (edit.before.images - 0.4)
+    mean = pale.mean(2, keepdim=True).expand_as(pale)
+    half = torch.where(torch.arange(SIZE)[:, None] < 48, mean, pale)
+    before, after = views(pale[0]), views(half[0])
+    return judged(edit, before=before, after=after, instructions=(GREYSCALE,))
+
+
 def half_in_3d(edit):
     images = edit.after.images.clone()
     images[:, 1, :, :48] = edit.before.images[:, 1, :, :48]
@@ -151,22 +160,24 @@ FAULTS = {
     "outside": leaked,
     "shared": elsewhere,
     "as_asked": another_colour,
-    "strength": faint,
     "rim": with_rim,
     "shines_through": ghost,
     "missed": half_in_3d,
+    "torn": torn_half_way,
 }
 
 
 def test_there_is_a_made_fault_and_a_limit_for_each_signal():
     """A signal that is taken away, or has no limit, leaves a fault unnamed."""
-    assert list(FAULTS) == list(SIGNALS) == list(limits_of_edits())
+    assert list(FAULTS) == list(SIGNALS) == list(fitted_limits("edit"))
 
 
-@pytest.mark.parametrize("name", FAULTS)
-def test_a_made_fault_is_named(good, name):
-    bad = FAULTS[name](good)
-    named = faults_of(measured(bad), limits_of_edits())
+@pytest.mark.parametrize(
+    ("name", "spoilt"), [*FAULTS.items(), ("as_asked", faint), ("unchanged", half_grey)]
+)
+def test_a_made_fault_is_named(good, name, spoilt):
+    bad = spoilt(good)
+    named = faults_of(measured(bad), fitted_limits("edit"))
     assert name in named
     verdict = LimitsCritic(None).judge_edit(bad)
     assert verdict.label == "doubtful" and named[name] in verdict.reason
@@ -175,10 +186,12 @@ def test_a_made_fault_is_named(good, name):
 
 def test_what_tears_half_way_is_named_though_the_photos_show_it(good):
     bad = measured(torn_half_way(good))
-    assert bad["missed"] == pytest.approx(0.38, abs=0.06)
-    assert list(faults_of(bad, limits_of_edits())) == ["missed"]
+    assert bad["torn"] == pytest.approx(0.38, abs=0.06) and bad["missed"] == 0
+    assert list(faults_of(bad, fitted_limits("edit"))) == ["torn"]
     whole = replace(torn_half_way(good), masks=None, regions=None)
-    assert measured(whole)["missed"] == 0  # of a whole picture it is the scene's matter
+    assert (
+        measured(whole)["torn"] is None
+    )  # of a whole picture it is the scene's matter
 
 
 @pytest.mark.parametrize(
@@ -186,7 +199,7 @@ def test_what_tears_half_way_is_named_though_the_photos_show_it(good):
 )
 def test_what_was_carried_out_well_is_good(good, well):
     edit = well(good)
-    assert faults_of(measured(edit), limits_of_edits()) == {}
+    assert faults_of(measured(edit), fitted_limits("edit")) == {}
     verdict = LimitsCritic(None).judge_edit(edit)
     assert verdict.label == "good" and "in 3D too" in verdict.reason
     flat = LimitsCritic(None).judge_edit(replace(edit, rendered=None, cameras=None))
@@ -230,4 +243,23 @@ def test_a_gleam_that_took_the_colour_makes_no_rim_of_what_is_black_beside_it(go
     after = over(good.after.images[0], (0.1, 0.1, 0.1), black)
     after = over(after, RED, black * gleam * torch.stack([square(x, 3) for x in LEFTS]))
     edit = judged(good, before=views(before), after=views(after))
-    assert measured(edit)["rim"] < limits_of_edits()["rim"]
+    assert measured(edit)["rim"] < fitted_limits("edit")["rim"]
+
+
+def test_a_rim_counts_only_where_the_change_beside_it_is_clear_to_see(good):
+    """A grey bear that is given the grey of its plinth."""
+    stone = torch.full_like(good.before.images[0], 0.5)
+    inner = torch.stack([square(left, 3) for left in LEFTS])
+    for grey, left in ((0.58, 0), (0.9, 1)):
+        after = over(stone, (grey, grey, grey), inner)
+        edit = judged(good, before=views(stone), after=views(after), instructions=())
+        assert measured(edit)["rim"] == pytest.approx(left, abs=0.01)
+
+
+def test_what_lies_in_the_shade_is_painted_too(good):
+    """A pillar whose right half is darker and stays as it was."""
+    shade = torch.where(torch.arange(SIZE) < 48, 1.0, 0.75)
+    before = over(good.before.images[0] * shade, (0.4, 0.4, 0.4), 1 - good.masks[0])
+    done = torch.stack([square(left) for left in LEFTS]) * (shade == 1)
+    edit = judged(good, before=views(before), after=views(over(before, RED, done)))
+    assert measured(edit)["unchanged"] > fitted_limits("edit")["unchanged"]

@@ -4,9 +4,10 @@ was left out.
 
 import pytest
 import torch
-from edit3r_judge.signals import limits_of_scenes
+from edit3r_judge.signals import fitted_limits
 from edit3r_judge.verdict import Doubt, judge
 
+from edit3r.contract.interfaces import SceneToJudge
 from edit3r.contract.types import Rendering, Views
 
 EDITED = Views(
@@ -22,16 +23,22 @@ def rendered(*psnr: float) -> Rendering:
     return Rendering(images, alphas, alphas)
 
 
-def shown(edited, rendering, placed, guessed=None):
-    """The verdict on a scene that no refiner touched, of which so much is guessed half-way."""
+def scene(edited, first, placed=(True,) * 3, final=None, measured=None, **others):
+    """A scene that no refiner touched, where `final` is not given."""
+    final = final or first
+    return SceneToJudge(edited, placed, None, edited, first, final, measured, **others)
+
+
+def shown(edited, rendering, placed=(True,) * 3, guessed=None):
+    """The verdict on it, of which so much is guessed half-way."""
     guessed = None if guessed is None else torch.tensor([guessed])
-    return judge(edited, rendering, rendering, placed, None, None, None, guessed)
+    return judge(scene(edited, rendering, tuple(placed)), guessed)
 
 
 def test_the_figures_are_those_of_the_renderings():
     three = rendered(30.0, 20.0, 10.0)
     measured, guessed = torch.tensor([[[0.9, 0.5, 1.0]], [[0.1, 0.1, 0.3]]])
-    verdict = judge(EDITED, three, three, [True] * 3, measured, guessed=guessed)
+    verdict = judge(scene(EDITED, three, measured=measured), guessed)
     assert verdict.input_psnr == pytest.approx((30, 20, 10), abs=1e-3)
     assert verdict.coverage == pytest.approx(
         (0.75,) * 3
@@ -41,7 +48,7 @@ def test_the_figures_are_those_of_the_renderings():
 
 @pytest.mark.parametrize("label", ["good", "fair", "poor"])
 def test_a_label_needs_the_agreement_of_the_worst_photo(label):
-    worst = limits_of_scenes()[label]["agreement"]
+    worst = fitted_limits("scene")[label]["agreement"]
     enough = shown(EDITED, rendered(45.0, 45.0, worst + 0.1), [True] * 3)
     too_low = shown(EDITED, rendered(45.0, 45.0, worst - 0.1), [True] * 3)
     assert enough.label == label != too_low.label
@@ -59,13 +66,12 @@ def test_where_the_photos_are_not_to_blame_the_advice_is_about_what_is():
     doubt = Doubt("look at the edits")
     for psnr, label in ((40.0, "fair"), (11.5, "poor")):
         rendering = rendered(psnr, psnr, psnr)
-        verdict = judge(EDITED, rendering, rendering, [True] * 3, None, doubt)
+        verdict = judge(scene(EDITED, rendering), doubt=doubt)
         assert verdict.label == label
         assert verdict.reason.endswith("; look at the edits.")
         assert "add photos" not in verdict.reason
-    good = judge(
-        EDITED, *[rendered(40.0, 40.0, 40.0)] * 2, [True] * 3, None, Doubt("x", "good")
-    )
+    fits = scene(EDITED, rendered(40.0, 40.0, 40.0))
+    good = judge(fits, doubt=Doubt("x", "good"))
     assert good.label == "good" and "x" not in good.reason.split("average")[1]
 
 
@@ -103,14 +109,13 @@ def test_a_run_without_most_of_its_photos_failed():
 def test_one_view_between_that_is_guessed_counts_and_its_photo_is_named(
     over, beyond, label
 ):
-    most = limits_of_scenes()[over]["guessed"] + beyond
+    most = fitted_limits("scene")[over]["guessed"] + beyond
     verdict = shown(EDITED, rendered(40.0, 41.0, 42.0), [True] * 3, [0.0, 0.0, most])
     assert verdict.label == label
     assert (label == "good") != ("add photos between it" in verdict.reason)
     if label != "good":
-        assert (
-            f"{most:.0%} of the view from c to its nearest is guessed" in verdict.reason
-        )
+        between = f"between c and the photo nearest to it, {most:.0%} of the picture is guessed"
+        assert between in verdict.reason
         assert "leave c out" in verdict.reason
 
 
@@ -127,9 +132,8 @@ def test_a_rendering_equal_to_the_photo_has_a_finite_figure():
 
 
 def test_steps_towards_the_photos_make_no_bad_scene_good():
-    verdict = judge(
-        EDITED, rendered(30.0, 10.0, 30.0), rendered(30.0, 30.0, 30.0), [True] * 3, None
-    )
+    first, final = rendered(30.0, 10.0, 30.0), rendered(30.0, 30.0, 30.0)
+    verdict = judge(scene(EDITED, first, final=final))
     assert verdict.label == "failed" and verdict.input_psnr[1] == pytest.approx(
         30, abs=1e-3
     )
@@ -140,12 +144,8 @@ def test_steps_towards_the_photos_make_no_bad_scene_good():
 
 
 def test_a_scene_that_refiners_made_worse_is_judged_by_what_is_left():
-    assert (
-        judge(
-            EDITED, rendered(40.0, 40.0, 40.0), rendered(*[10.0] * 3), [True] * 3, None
-        ).label
-        == "failed"
-    )
+    first, final = rendered(40.0, 40.0, 40.0), rendered(*[10.0] * 3)
+    assert judge(scene(EDITED, first, final=final)).label == "failed"
 
 
 def test_where_most_photos_do_not_find_to_the_first_it_is_to_blame():
@@ -163,7 +163,7 @@ def test_what_the_scene_leaves_out_does_not_speak_against_it():
     rendering.images[0, 1, :, :4] = 1.0
     ignored = torch.zeros(1, 3, 8, 8, dtype=torch.bool)
     ignored[0, 1, :4] = True
-    verdict = judge(EDITED, rendering, rendering, [True] * 3, None, None, ignored)
+    verdict = judge(scene(EDITED, rendering, transient=ignored))
     assert verdict.agreement == pytest.approx((30, 30, 30), abs=1e-3)
     assert shown(EDITED, rendering, [True] * 3).label == "failed"
 

@@ -72,9 +72,7 @@ class Repeats(GaussianHead):
 
 @pytest.mark.parametrize("per_pixel", [0, 3])
 def test_surroundings_follow_a_head_of_other_than_one_gaussian_a_pixel(per_pixel):
-    # Where no Gaussian knows its pixel, none is faint enough for a second layer.
-    layers = {} if per_pixel else {"second_layer": 0}
-    plain, other = reconstructor(**layers), reconstructor()
+    plain, other = reconstructor(), reconstructor()
     network = other.reconstructor.network
     network.head = Repeats(network.head, per_pixel)
     expected, made = plain(views_of()), other(views_of())
@@ -299,18 +297,6 @@ def test_a_novel_view_of_contradicting_edits_shows_the_reference_s(shipped):
     assert (shown - truth).abs().mean(0)[inside(2)].mean() < 0.1
 
 
-def test_the_second_layer_keeps_the_background_from_showing_through_faint_gaussians():
-    settings = {"background_layer": 0, "head": {"opacity_repair": 0, "opacity": 0.6}}
-    camera, views = SCENE.cameras.select([1]), views_of()
-    made = [reconstructor(second_layer=n, **settings)(views, views) for n in (0.9, 0)]
-    layered, alone = (
-        build("rasterizer", "torch").render(scene.gaussians.from_view(1), camera).alphas
-        for scene in made
-    )
-    assert layered.median() > max(alone.median() + 0.05, 0.95)
-    assert torch.equal(colours_of(made[0]), colours_of(made[1]))
-
-
 def test_what_lies_away_from_an_edit_stays_bit_for_bit(shipped):
     views, edited = views_of(3), recoloured(views_of(3), (0, 1))
     plain, changed = (shipped(given, views).gaussians for given in (views, edited))
@@ -373,7 +359,7 @@ def test_a_guess_before_what_another_photo_measured_is_next_to_transparent():
     depths[(0, 1, *patch)] *= 0.7
     confidence[(0, 1, *patch)] = 0
     matcher = TrueGeometry(depths=depths, confidence=confidence)
-    made = reconstructor(matcher, rim=0, background_layer=0, second_layer=0)
+    made = reconstructor(matcher, rim=0, background_layer=0)
     view = made(views_of(), views_of()).gaussians.from_view(1)
     opacities = view.opacities[0].view(SIZE)
     assert opacities[patch].median() < 0.2 < 0.4 < opacities.median()

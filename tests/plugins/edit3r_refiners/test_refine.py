@@ -10,7 +10,7 @@ import pytest
 import torch
 from edit3r_refiners.refine import BETAS, Adam, RefineRefiner, RefineSettings, refine
 
-from edit3r.contract.interfaces import RefineInputs
+from edit3r.contract.interfaces import Rasterizer, RefineInputs
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
 from edit3r_testing.scenes import cameras_around, gaussian_cloud
@@ -227,3 +227,32 @@ def test_no_gaussian_grows_by_more_than_it_may(rasterizer, scene, growth):
     refined = refine(small, cameras, images, rasterizer, 20, settings)
     change = refined.gaussians.scales / small.scales
     assert refined.steps > 0 and change.max() == pytest.approx(growth)
+
+
+@pytest.mark.parametrize("large", [False, True])
+def test_of_large_photos_a_quarter_of_the_steps_are_at_half_the_size(
+    rasterizer, scene, large
+):
+    """And never the last ones, whose state is told by the pixels held back."""
+    gaussians, cameras, images = scene
+    height, width = cameras.image_size
+    watch = Sizes(rasterizer)
+    settings = RefineSettings(half_above=max(height, width) - large)
+    result = refine(gaussians, cameras, images, watch, 16, settings)
+    half = [(height // 2, width // 2)] * 2
+    full = [(height, width)] * 6
+    steps = watch.seen[1:-1]
+    assert steps == (2 * [*half, *full] if large else [(height, width)] * 16)
+    assert result.steps == 16
+    assert result.held_back[1] < result.held_back[0]
+
+
+class Sizes(Rasterizer):
+    """Remembers the size of each picture."""
+
+    def __init__(self, rasterizer):
+        self.rasterizer, self.seen = rasterizer, []
+
+    def render(self, gaussians, cameras):
+        self.seen.append(cameras.image_size)
+        return self.rasterizer.render(gaussians, cameras)

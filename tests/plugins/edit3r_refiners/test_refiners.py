@@ -81,7 +81,6 @@ def test_simplify_and_refine_tell_what_they_did(rasterizer):
         < report.notes["simplify.before"]
         == gaussians.count
     )
-    assert report.notes["simplify.psnr_of_input_views_against_all"] > 15
     assert 0 <= report.notes["refine"]["steps"] <= 2 * views.count
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from edit3r_refiners.settings import SimplifySettings
-from edit3r_refiners.simplify import simplify
+from edit3r_refiners.simplify import agreement, simplify
 
 from edit3r.contract.types import Gaussians
 from edit3r.kit.compute.metrics import psnr
@@ -67,7 +67,8 @@ def test_a_textured_scene_loses_two_thirds_and_little_else(rasterizer):
     before, after = (
         pictures(rasterizer, g, cameras) for g in (gaussians, result.gaussians)
     )
-    assert result.psnr == pytest.approx(psnr(after, before), abs=1e-3)
+    alike = agreement(gaussians, result.gaussians, cameras, rasterizer)
+    assert alike == pytest.approx(psnr(after, before), abs=1e-3)
     assert psnr(after, photos.numpy()) > psnr(before, photos.numpy()) - 1
 
 
@@ -99,7 +100,7 @@ def test_a_budget_is_met_and_used(rasterizer, most):
 def test_a_budget_above_the_number_there_is_changes_nothing(rasterizer):
     gaussians, cameras = flat_wall(size=8)
     result = simplify(gaussians, cameras, rasterizer, 64)
-    assert result.gaussians is gaussians and result.psnr == float("inf")
+    assert result.gaussians is gaussians
 
 
 def test_every_gaussian_is_accounted_for(rasterizer):

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 import torch
-from edit3r_select.answering import answered, standing_out
+from edit3r_select.answering import answered, changed_at, standing_out
 from edit3r_select.select import select_masks
+from edit3r_select.sum import Chosen, MaskCandidate
 
 from edit3r.contract.interfaces import (
     Marks,
@@ -133,6 +134,31 @@ class OneBesideTheOther(Plain):
         whole = np.full_like(left, 4.0)
         several = len(clicks) > 1
         return np.stack([left, left] if several else [whole, whole]), np.ones(2)
+
+
+@pytest.mark.parametrize(
+    ("left", "expected"),
+    [
+        # beside a change at the click the answer gained something far from it
+        (20, np.s_[10:40, 25:50]),
+        # it is largely another thing
+        (40, None),
+    ],
+)
+def test_a_further_click_changes_what_hangs_together_with_it(left, expected):
+    before, after, wanted = (np.full((HEIGHT, WIDTH), -4.0) for _ in range(3))
+    before[10:40, 20:50] = 4
+    after[10:40, left + 5 : 50] = 4
+    after[:4, :4] = 4
+    if expected is None:
+        wanted = after
+    else:
+        wanted[expected] = 4
+    others = (MaskCandidate(before, 1.0, 0.5),)
+    told = Chosen((MaskCandidate(after, 2.0, 0.9), *others), 0.7)
+    made = changed_at((22.5 / WIDTH, 0.5), before, told)
+    assert ((made.best.logits > 0) == (wanted > 0)).all()
+    assert made.candidates[1:] == others and made.confidence == 0.7
 
 
 def test_a_click_that_says_nothing_new_is_asked_about_only_once_it_is_disobeyed(image):

@@ -4,7 +4,12 @@ import colorsys
 
 import pytest
 
-from edit3r.kit.compute.colour_names import colour_names, near_colours, read_colour
+from edit3r.kit.compute.colour_names import (
+    BASIC_COLOURS,
+    colour_names,
+    near_colours,
+    read_colour,
+)
 
 
 def test_the_survey_and_css_are_known():
@@ -84,3 +89,10 @@ def test_words_that_are_spelt_nearly_like_a_colour_are_offered_the_plain_one_fir
 def test_rude_names_of_the_survey_are_read_and_never_proposed():
     assert read_colour(["poop"]) is not None
     assert near_colours("poop") == []
+
+
+@pytest.mark.parametrize("name", sorted(set(BASIC_COLOURS) - {"black"}))
+def test_every_dark_colour_is_darker_than_the_colour_itself(name):
+    """CSS's dark grey is lighter than its grey, and its dark orange as bright as a lamp."""
+    dark, plain = (max(read_colour(words)[0].rgb) for words in (["dark", name], [name]))
+    assert dark < 0.75 * plain

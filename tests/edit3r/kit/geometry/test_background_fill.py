@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from edit3r.contract.interfaces import Geometry
-from edit3r.kit.geometry.background_fill import background_layer, rim, second_layer
+from edit3r.kit.geometry.background_fill import background_layer, rim
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r_testing import photograph
@@ -80,13 +80,8 @@ def test_a_line_on_the_border_becomes_no_stripe_of_the_rim(pair, truth):
     assert beside > 0.5 and 0 < far < beside / 2
 
 
-@pytest.mark.parametrize("layers", ["background_layer", "second_layer"])
-def test_no_layer_stands_before_a_photo(pair, truth, layers):
-    layer = (
-        background_layer(pair.views, truth, 0.9)
-        if layers == "background_layer"
-        else _lined(pair, truth)
-    )
+def test_no_layer_stands_before_a_photo(pair, truth):
+    layer = background_layer(pair.views, truth, 0.9)
     assert layer.count > 50
     height, width = pair.views.image_size
     for view in (0, 1):
@@ -110,40 +105,6 @@ def test_a_flat_measured_wall_needs_no_background_layer(pair, truth):
     assert background_layer(pair.views, guessed, 0.9).count > 0
 
 
-def _lined(pair, geometry, faint=0.5):
-    return second_layer(
-        pair.views, geometry, torch.full_like(geometry.depths, faint), 0.9
-    )
-
-
-def test_a_second_layer_follows_right_behind_a_faint_measured_surface_and_ends_before_its_edges(
-    pair, truth
-):
-    here = truth.c2w[:, :1]
-    wall = dataclasses.replace(
-        truth, depths=torch.full_like(truth.depths, 3.0), c2w=here.expand(-1, 2, -1, -1)
-    )
-    assert _lined(pair, wall, faint=0.99).count == 0
-    assert (
-        _lined(
-            pair,
-            dataclasses.replace(wall, confidence=torch.zeros_like(wall.confidence)),
-        ).count
-        == 0
-    )
-    layer = _lined(pair, wall)
-    places, depth = project(layer.means, pair.views.intrinsics[:, 0], here[:, 0])
-    assert layer.count == 2 * 24 * 32
-    assert ((depth > 3) & (depth < 3.6)).all() and ((places > 0) & (places < 1)).all()
-    # A post before the wall, two pixels wide: what is lined beside it would show on both of its
-    # sides.
-    wall.depths[..., 40:42] = 2.0
-    beside = _lined(pair, wall)
-    places, _ = project(beside.means, pair.views.intrinsics[:, 0], here[:, 0])
-    assert layer.count > beside.count > 0.8 * layer.count
-    assert ((places[..., 0] - 41 / 128).abs() > 3 / 128).all()
-
-
-def test_a_view_that_was_not_placed_is_not_lined(pair, truth):
+def test_a_view_that_was_not_placed_has_no_background_layer(pair, truth):
     first = dataclasses.replace(truth, registered=torch.tensor([[True, False]]))
-    assert set(_lined(pair, first).view_index.tolist()) == {0}
+    assert set(background_layer(pair.views, first, 0.9).view_index.tolist()) == {0}

@@ -176,3 +176,9 @@ def test_half_way_cameras_stand_between_each_view_and_its_nearest_once():
     assert cameras.c2w[0, :, 0, 3].tolist() == pytest.approx([0.5, 3.0])
     assert torch.equal(cameras.intrinsics[0], lenses[:2])
     assert cameras.image_size == (4, 6)
+
+
+def test_views_far_apart_before_a_near_scene_are_not_swung_out_of_it():
+    poses = torch.stack((pose(), pose(centre=(10.0, 0, 0))))
+    path = between_and_around(cameras(poses), 40, depth=5.0)
+    assert 0.35 < path.c2w[0, :, 1, 3].abs().max() < 0.41

@@ -6,6 +6,7 @@ import torch
 from edit3r.contract.interfaces import Geometry
 from edit3r.kit.geometry.cameras import unproject
 from edit3r.kit.geometry.warping import (
+    _better_measured,
     contradicted,
     find_correspondences,
     nearest_views,
@@ -13,6 +14,7 @@ from edit3r.kit.geometry.warping import (
     seen_by,
     seen_by_others,
     shared_surface,
+    stands_before_others,
     warp,
 )
 from edit3r_testing import photograph
@@ -136,3 +138,27 @@ def test_the_nearest_views_are_those_that_stand_and_look_alike():
     nearest = nearest_views(c2w, torch.full((1, 6, 4, 4), 5.0), 2)
     assert nearest[0] == [2, 3] and nearest[4] == [3, 5]
     assert nearest_views(c2w, torch.ones(1, 6, 4, 4), 5)[1] == [0, 2, 3, 4, 5]
+
+
+def test_what_is_behind_another_camera_hides_nothing_from_it():
+    """The second camera stands between the first and what that one sees, or before it."""
+    lens = INTRINSICS[:, :2]
+    c2w = torch.eye(4).repeat(1, 2, 1, 1)
+    surfaces = torch.full((1, 2, 48, 64), 4.0)
+    points = torch.tensor([0.0, 0.0, 2.0]).expand(1, 2, 1, 1, 3)
+    for place, hides in ((5.0, False), (1.0, True)):
+        c2w[:, 1, 2, 3] = place
+        found = stands_before_others(points, surfaces, lens, c2w)
+        assert bool(found[0, 0]) == hides
+
+
+def test_a_mostly_guessed_view_yields_to_clearly_more_measured_ones_alone():
+    """A tenth more is not clearly more."""
+    scene = photograph(3, (48, 64))
+    confidence = torch.zeros_like(scene.depths)
+    placed = torch.ones(1, 3, dtype=torch.bool)
+    geometry = Geometry(scene.cameras.c2w, scene.depths, confidence, placed)
+    confidence[0, 1:, :5] = 1
+    assert not _better_measured(geometry).any()
+    confidence[0, 1:, :16] = 1
+    assert _better_measured(geometry)[0, 0].tolist() == [False, True, True]

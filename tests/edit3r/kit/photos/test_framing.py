@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -6,6 +8,7 @@ from PIL import Image
 
 from edit3r.contract.lens import Lens
 from edit3r.kit.photos.framing import Frame, common_size, frame_for
+from edit3r.kit.photos.intrinsics import Intrinsics, as_others_of_its_size
 
 sizes = st.tuples(st.integers(1, 6000), st.integers(1, 6000))
 
@@ -153,3 +156,13 @@ def test_a_lens_of_impossible_numbers_is_none(change):
                 **change,
             }
         )
+
+
+def test_another_lens_of_a_photo_of_that_size_leaves_it_open_which_took_it():
+    bent = Lens((1.0, 1.0), (0.5, 0.5), (0.1,))
+    known = [Intrinsics(torch.eye(3).double(), "a", lens=bent) for _ in range(2)]
+    unknown = Intrinsics(torch.eye(3).double(), "default", assumed=True)
+    sizes = [(30, 40)] * 3
+    assert as_others_of_its_size([*known, unknown], sizes, 2).lens == bent
+    known[1] = replace(known[1], lens=None)
+    assert as_others_of_its_size([*known, unknown], sizes, 2) is unknown

@@ -4,7 +4,7 @@ import pytest
 from PIL import Image
 
 from edit3r.contract.errors import InputError
-from edit3r.kit.photos.masks import masks_by_photo
+from edit3r.kit.photos.masks import masks_by_photo, photo_named
 
 PHOTOS = [("img2.jpg",), ("img10.jpg",)]
 
@@ -132,3 +132,8 @@ def test_what_fits_no_photo_is_an_error_with_the_way_out(masks, tmp_path):
         masks_by_photo([str(tmp_path / "empty")], three)
     with pytest.raises(InputError, match="no such file"):
         masks_by_photo([str(tmp_path / "no*.png")], three)
+
+
+def test_a_number_goes_on_in_another_name():
+    assert photo_named("img1_mask", [("img1.jpg",)]) == 0
+    assert photo_named("img10_mask", [("img1.jpg",)]) is None

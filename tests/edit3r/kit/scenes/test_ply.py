@@ -433,6 +433,8 @@ def test_a_long_comment_is_cut_so_that_the_file_stays_readable(tmp_path):
 @pytest.mark.parametrize(
     "runs",
     [
+        "0:49",
+        "0:25 1:26",
         "0:1000000000000",
         "0:-3 0:53",
         "0:50 1:" + "9" * 5000,

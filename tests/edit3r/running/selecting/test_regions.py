@@ -392,3 +392,12 @@ def test_what_is_kept_is_not_the_thing_to_change_where_its_name_is_unsure(
     assert columns(masks[0]) == changed
     told = any("'pot' is 'door' itself" in text for text in report.warnings)
     assert told == any(changed)
+
+
+def test_all_else_of_all_else_is_the_thing():
+    clicked = Selection(positive=((0, 0.2, 0.5),))
+    all_else = replace(clicked, inverted=True)
+    thing = regions("paint it red", marked=clicked)
+    assert torch.equal(regions("paint it red", all_else, inverted=True), thing)
+    other = regions("paint it red", marked=all_else)
+    assert columns(other[0]) != columns(thing[0])

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from edit3r.contract.interfaces import Reading, Selected
-from edit3r.running.selecting.verdict import verdict_on_selection
+from edit3r.running.records import verdict_on_selection
 
 MASKS = torch.zeros(2, 1, 8, 8)
 OTHERS = tuple(Reading(0, MASKS[0, 0], 0.5, number) for number in (1, 2))
@@ -34,7 +34,7 @@ TAKEN = Selected(
             0.25,
             "most, confidence 25%; if it is another thing, click",
         ),
-        ([TAKEN], "given", None, "^cup$"),
+        ([TAKEN], "given", None, "^given, cup$"),
     ],
 )
 def test_the_least_confident_thing_decides(things, label, confidence, said):
@@ -55,7 +55,7 @@ def test_the_least_confident_thing_decides(things, label, confidence, said):
 def test_what_is_marked_has_the_name_only_where_that_fits(fits, said):
     how = ("marked", "geometry")
     marked = Selected(MASKS, how, confidence=0.98, called="fox", fits=fits)
-    assert str(verdict_on_selection([marked])) == said
+    assert str(verdict_on_selection([marked])) == f"found, {said}"
 
 
 def test_of_nothing_nothing_is_said():
