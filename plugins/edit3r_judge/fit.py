@@ -20,7 +20,6 @@ from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError
 from edit3r.contract.verdicts import LABELS
 from edit3r.kit.files.configs import read_yaml
-from edit3r_judge import signals
 
 NEVER = 3  # each third place of edits is fitted on by nobody
 # hardly any scene fails, so what parts poor and failed is not fitted
@@ -87,23 +86,27 @@ def read_rows(path: str) -> tuple[str, list[Row]]:
 def write_limits(limits: Mapping[str, Limits]) -> None:
     """Put limits into the package; what is not in `limits` stays, and the comment on top."""
 
+    from edit3r_judge.signals import FITTED
+
     def merged(old: Any, new: Any) -> Any:
         if isinstance(new, Mapping):
             return old | {key: merged(old.get(key, {}), new[key]) for key in new}
         return float(f"{new:.3g}")
 
-    text = signals.FITTED.read_text()
+    text = FITTED.read_text()
     comment = [line for line in text.splitlines(True) if line.startswith("#")]
-    kept = yaml.safe_dump(merged(read_yaml(signals.FITTED), limits), sort_keys=False)
-    signals.FITTED.write_text("".join(comment) + kept)
+    kept = yaml.safe_dump(merged(read_yaml(FITTED), limits), sort_keys=False)
+    FITTED.write_text("".join(comment) + kept)
 
 
 def limits_of_edits(rows: Sequence[Row]) -> Limits:
     """For each signal the limit between edits without a fault and those with its own; a good edit
     beyond it counts twice.
     """
+    from edit3r_judge.signals import SIGNALS
+
     limits = {}
-    for name, signal in signals.SIGNALS.items():
+    for name, signal in SIGNALS.items():
         sign = -1 if signal.at_least else 1
         told = [row for row in rows if row["figures"][name] is not None]
         good, bad = (
@@ -172,7 +175,9 @@ def report_of_scenes(judged: Judged) -> str:
 
 def report_of_edits(judged: Judged) -> str:
     """How often the verdict is right, and how often each kind of fault is named as that."""
-    named = [(row, signals.faults_of(row["figures"], limits)) for row, limits in judged]
+    from edit3r_judge.signals import faults_of
+
+    named = [(row, faults_of(row["figures"], limits)) for row, limits in judged]
     called = [row["fault"] is None for row, faults in named if not faults]
     doubted = [bool(faults) for row, faults in named if row["fault"] is None]
     right = sum(called) / max(1, len(called))
