@@ -162,7 +162,7 @@ def shared(found: Pictures) -> float | None:
     masks = _small(torch.stack(things).amax(0))
     depths, overlaps = _small(edit.rendered.depths[0, :, 0]), []
     for pair in map(list, permutations(range(len(masks)), 2)):
-        lenses, poses = cameras.intrinsics[0, pair], cameras.c2w[0, pair]
+        lenses, poses = cameras.intrinsics[0, pair].cpu(), cameras.c2w[0, pair].cpu()
         grid, seen = shared_surface(depths[pair], lenses, poses, SAME_SURFACE)
         there = warp(masks[pair[1], None], grid, padding="zeros")[0] > 0.5
         both = torch.stack((masks[pair[0]] > 0.5, there))
