@@ -27,7 +27,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import note, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import EditRequest, Views
-from edit3r.kit.geometry.cameras import project, unproject
+from edit3r.kit.geometry.cameras import project, project_to_pixels, unproject
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.geometry.warping import warp
 
@@ -311,13 +311,9 @@ def _carried(
 ) -> Float[Tensor, "height width"]:
     """Inverse camera z of the nearest point in each pixel of the hole; 0: there is none."""
     height, width = hole.shape
-    places, z = project(points, intrinsics, c2w)
-    pixels = (places * places.new_tensor([width, height])).floor().long()
-    column, row = pixels.unbind(-1)
-    inside = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    index, z, inside = project_to_pixels(points, intrinsics, c2w, (height, width))
     nearest = z.new_zeros(height * width)
-    index = (row * width + column)[inside]
-    nearest = nearest.scatter_reduce(0, index, 1 / z[inside], "amax")
+    nearest = nearest.scatter_reduce(0, index[inside], 1 / z[inside], "amax")
     nearest = nearest.view(height, width)
     # Points of a farther surface show through the gaps of a nearer one: they do not count beside
     # it.

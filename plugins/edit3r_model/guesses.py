@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import Geometry
-from edit3r.kit.geometry.cameras import project, unproject
+from edit3r.kit.geometry.cameras import project_to_pixels, unproject
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.geometry.warping import nearest_views
 
@@ -73,7 +73,9 @@ def _between(
     for share in ON_THE_WAY:
         start, end = c2w.double()
         pose = interpolate_poses(start, end, start.new_tensor(share)).to(c2w)
-        index, z, inside = _pixels(points, intrinsics[pair[0]], pose, (height, width))
+        index, z, inside = project_to_pixels(
+            points, intrinsics[pair[0]], pose, (height, width)
+        )
         nearest = torch.full((height * width,), torch.inf).to(z)
         nearest.scatter_reduce_(0, index[inside], z[inside], "amin")
         nearest = nearest.view(1, height, width)
@@ -95,28 +97,13 @@ def _behind(
         points = c2w[:3, 3] + rays[left] * (factor * depths[left])[:, None]
         hides = torch.zeros(len(points), dtype=torch.bool, device=depths.device)
         for pose, nearest in places:
-            index, z, inside = _pixels(points, intrinsics, pose, size)
-            surface = nearest.flatten()[index]
-            hides |= inside & surface.isfinite() & (z < (1 - BEFORE) * surface)
+            index, z, inside = project_to_pixels(points, intrinsics, pose, size)
+            surface = nearest.flatten()[index[inside]]
+            before = z[inside] < (1 - BEFORE) * surface
+            hides[inside] |= surface.isfinite() & before
         free = left.clone()
         free[left] = ~hides
         result[free] = factor * depths[free]
         left = left & ~free
         factor *= STEP
     return result
-
-
-def _pixels(
-    points: Float[Tensor, "point 3"],
-    intrinsics: Float[Tensor, "3 3"],
-    c2w: Float[Tensor, "4 4"],
-    size: tuple[int, int],
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Index of the pixel that shows each point, its camera z, and whether it is in the picture."""
-    places, z = project(points, intrinsics, c2w)
-    inside = (z > 0) & ((places >= 0) & (places < 1)).all(-1)
-    row, column = (
-        (places[:, axis] * side).long().clamp(0, side - 1)
-        for axis, side in ((1, size[0]), (0, size[1]))
-    )
-    return row * size[1] + column, z, inside

@@ -8,7 +8,7 @@ apart by name.
 import math
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from edit3r.contract.types import Cameras, Gaussians, Views
@@ -102,6 +102,26 @@ def project(
     safe = torch.where(z.abs() > 1e-12, z, torch.full_like(z, 1e-12))
     image = torch.einsum("...ij,...nj->...ni", intrinsics, camera / safe[..., None])
     return image[..., :2], z
+
+
+def project_to_pixels(
+    points: Float[Tensor, "point 3"],
+    intrinsics: Float[Tensor, "3 3"],
+    c2w: Float[Tensor, "4 4"],
+    image_size: tuple[int, int],
+) -> tuple[Int[Tensor, "point"], Float[Tensor, "point"], Bool[Tensor, "point"]]:
+    """Index of the pixel that shows each point, row by row; its camera z; whether it is in sight.
+
+    The index of a point that is not in sight, beside the picture or behind the camera, means
+    nothing.
+    """
+    height, width = image_size
+    places, z = project(points, intrinsics, c2w)
+    column, row = (
+        (places * places.new_tensor([width, height])).floor().long().unbind(-1)
+    )
+    inside = (z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    return row * width + column, z, inside
 
 
 def invert_rigid(matrices: Float[Tensor, "*batch 4 4"]) -> Float[Tensor, "*batch 4 4"]:

@@ -19,6 +19,17 @@ def _pose(seed):
     return pose
 
 
+def test_points_fall_on_the_pixels_that_show_them_and_others_are_out_of_sight():
+    lens = torch.tensor([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]])
+    ahead = torch.tensor([[-0.4, -0.4, 1], [0.4, 0.4, 1]])  # first and last of 2 by 3
+    hidden = torch.tensor([[0.6, 0, 1], [0, -0.6, 1], [0, 0, -1.0]])
+    points = torch.cat((2 * ahead, hidden))
+    index, z, inside = cameras.project_to_pixels(points, lens, torch.eye(4), (2, 3))
+    assert inside.tolist() == [True, True, False, False, False]
+    assert index[inside].tolist() == [0, 5]
+    assert z.tolist() == [2, 2, 1, 1, -1]
+
+
 def test_unprojected_pixels_project_back_to_their_centres():
     intrinsics = torch.tensor(
         [[0.8, 0, 0.45], [0, 1.1, 0.6], [0, 0, 1]], dtype=torch.float64
