@@ -235,8 +235,8 @@ def _settled(matches: Matches, pose: Pose, scale: float) -> Pose:
     for _ in range(_MOST_STEPS):
         weights = 1 / (1 + errors**2)
         beside = [_moved(pose, step) for step in _SMALL_STEP * np.eye(5)]
-        slopes = [sampson_errors(matches, one) / scales - errors for one in beside]
-        slopes = np.stack(slopes) / _SMALL_STEP
+        grown = [sampson_errors(matches, one) / scales - errors for one in beside]
+        slopes = np.stack(grown) / _SMALL_STEP
         normal, slope = (slopes * weights) @ slopes.T, slopes @ (weights * errors)
         damped = normal + np.diag(damping * normal.diagonal() + 1e-9)
         tried = _moved(pose, -np.linalg.solve(damped, slope))
