@@ -300,8 +300,8 @@ def test_marks_by_stroke_box_keys_and_two_tabs(server, tab):
 
 def test_what_is_asked_while_photos_arrive_begins_with_all_of_them(server, tab):
     page = tab()
-    held = []
-    page.route(re.compile("/upload/[^-]"), lambda route: held.append(route))  # all but the first photo
+    held = []  # all but the first photo
+    page.route(re.compile("/upload/[^-]"), lambda route: held.append(route))
     scene = drop(page, server).rpartition("/")[2]
     page.get_by_label("what to change").fill("make everything grey")
     page.get_by_label("what to change").press("Enter")
