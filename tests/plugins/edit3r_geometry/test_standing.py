@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from edit3r_geometry.cameras import CalibratedImage
 from edit3r_geometry.features import FeatureSettings, find_features
-from edit3r_geometry.standing import MOVED, STILL
+from edit3r_geometry.standing import MOVED, STILL, _still
 from PIL import Image, ImageDraw
 from skimage import data
 
@@ -131,3 +131,13 @@ ORDINARY = {
 @pytest.mark.parametrize("pair", ORDINARY.values(), ids=ORDINARY)
 def test_ordinary_pairs_lose_nothing(pair):
     assert "screen" not in found(*pair)[1]
+
+
+def test_what_is_far_away_and_hardly_moves_stays():
+    """Points at every distance: some stand still, some move a little, many move far."""
+    first = np.random.default_rng(0).uniform(50, 300, (300, 2))
+    second = first + np.column_stack((np.linspace(0, 12, 300), np.zeros(300)))
+    picture = CalibratedImage(np.zeros((345, 512, 3), np.float32), np.eye(3))
+    assert not _still(first, second, picture, picture).any()
+    second[15:100, 0] += 8  # a gap between what stands still and what moves
+    assert _still(first, second, picture, picture).sum() == 15
