@@ -1,8 +1,8 @@
 """Take floaters out of a finished scene: what hangs in the air before everything that cameras see.
 
-A Gaussian is a floater where each camera that has it in the picture sees a surface clearly behind
-it: it veils, and is the surface of nothing. What one camera sees as its surface stays, and so does
-what stands behind the surfaces.
+A Gaussian is a floater where at least two cameras have it in the picture and each of them sees a
+surface clearly behind it: it veils, and is the surface of nothing. What one camera sees as its
+surface stays, and so does what stands behind the surfaces.
 """
 
 from dataclasses import dataclass
@@ -25,6 +25,8 @@ from edit3r.kit.rendering import render_one
 
 OPAQUE = 0.5  # a pixel that is less so shows no surface
 SEEN = 2 / 255  # change of a pixel's colour that counts as one [sRGB]
+# cameras that must see past a floater: one alone sees past what is half opaque before a far sky
+WITNESSES = 2
 
 
 class CleanSettings(Settings):
@@ -78,9 +80,9 @@ def find_floaters(
             f"clean takes one scene at a time, got a batch of {gaussians.means.shape[0]}."
         )
     before = torch.zeros(
-        gaussians.count, dtype=torch.bool, device=gaussians.means.device
+        gaussians.count, dtype=torch.int16, device=gaussians.means.device
     )
-    elsewhere, shown = before.clone(), []
+    elsewhere, shown = before.bool(), []
     for view in range(cameras.count):
         camera = cameras.select([view])
         rendering = render_one(rasterizer, gaussians, camera)
@@ -92,11 +94,11 @@ def find_floaters(
         surface = surface[0, 0, 0]
         there = (depth > 0) & (surface > 0)
         in_front = depth < (1 - settings.before) * surface
-        before |= there & in_front
+        before += there & in_front
         elsewhere |= there & ~in_front
         shown.append(rendering.images.clamp(0, 1))
         progress("look for floaters", view + 1, cameras.count)
-    found = before & ~elsewhere
+    found = (before >= WITNESSES) & ~elsewhere
     if not found.any():
         return Floaters(found, 0.0)
     rest = gaussians.select(~found)
