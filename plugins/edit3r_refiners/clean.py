@@ -1,8 +1,8 @@
 """Take floaters out of a finished scene: what hangs in the air before everything that cameras see.
 
-A Gaussian is a floater where at least two cameras have it in the picture and each of them sees a
-surface clearly behind it: it veils, and is the surface of nothing. What one camera sees as its
-surface stays, and so does what stands behind the surfaces.
+A Gaussian is a floater where each camera that has it in the picture sees a surface clearly behind
+it: it veils, and is the surface of nothing. What one camera sees as its surface stays, and so does
+what stands behind the surfaces, and what veils so much together that little is seen behind.
 """
 
 from dataclasses import dataclass
@@ -25,8 +25,9 @@ from edit3r.kit.rendering import render_one
 
 OPAQUE = 0.5  # a pixel that is less so shows no surface
 SEEN = 2 / 255  # change of a pixel's colour that counts as one [sRGB]
-# cameras that must see past a floater: one alone sees past what is half opaque before a far sky
-WITNESSES = 2
+# Opacity of floaters together from which they are what a pixel shows: rendered depths are means, so
+# that before a far sky a half opaque house stands clearly before its own depth.
+SOLID = 0.75
 
 
 class CleanSettings(Settings):
@@ -80,9 +81,9 @@ def find_floaters(
             f"clean takes one scene at a time, got a batch of {gaussians.means.shape[0]}."
         )
     before = torch.zeros(
-        gaussians.count, dtype=torch.int16, device=gaussians.means.device
+        gaussians.count, dtype=torch.bool, device=gaussians.means.device
     )
-    elsewhere, shown = before.bool(), []
+    elsewhere, shown = before.clone(), []
     for view in range(cameras.count):
         camera = cameras.select([view])
         rendering = render_one(rasterizer, gaussians, camera)
@@ -94,11 +95,11 @@ def find_floaters(
         surface = surface[0, 0, 0]
         there = (depth > 0) & (surface > 0)
         in_front = depth < (1 - settings.before) * surface
-        before += there & in_front
+        before |= there & in_front
         elsewhere |= there & ~in_front
         shown.append(rendering.images.clamp(0, 1))
         progress("look for floaters", view + 1, cameras.count)
-    found = (before >= WITNESSES) & ~elsewhere
+    found = _veiling(before & ~elsewhere, gaussians, cameras, rasterizer)
     if not found.any():
         return Floaters(found, 0.0)
     rest = gaussians.select(~found)
@@ -107,6 +108,31 @@ def find_floaters(
         for view, image in enumerate(shown)
     ]
     return Floaters(found, sum(changed) / len(changed))
+
+
+def _veiling(
+    found: Bool[Tensor, "gaussian"],
+    gaussians: Gaussians,
+    cameras: Cameras,
+    rasterizer: Rasterizer,
+) -> Bool[Tensor, "gaussian"]:
+    """Those `found` that veil: where together they are solid for a camera, they are a surface."""
+    left = found.clone()
+    for view in range(cameras.count if found.any() else 0):
+        camera = cameras.select([view])
+        veil = render_one(rasterizer, gaussians.select(found), camera).alphas
+        places, depth = project(
+            gaussians.means[0], camera.intrinsics[0, 0], camera.c2w[0, 0]
+        )
+        size = veil.shape[-2:]
+        opacity = warp(
+            veil.reshape(1, 1, *size),
+            places[None, None],
+            mode="nearest",
+            padding="zeros",
+        )
+        left &= ~((depth > 0) & (opacity[0, 0, 0] > SOLID))
+    return left
 
 
 def _nearest_surface(
