@@ -110,16 +110,36 @@ class Pictures:
         return could
 
 
+Measure = Callable[[Pictures], float | None]
+
+
 @dataclass(frozen=True)
 class Signal:
     """One figure of an edit: how it is measured, and what is said and done beyond its limit."""
 
-    measure: Callable[[Pictures], float | None]
+    measure: Measure
     fault: str  # said with the figure as {} where it lies beyond the limit
     at_least: bool = False  # the limit is the least that is good, not the most
     in_scene: bool = False  # the scene tells of it too
 
 
+SIGNALS: dict[str, Signal] = {}
+"""All are shares, of 1; said in percent."""
+
+
+def signal(fault: str, **how: bool) -> Callable[[Measure], Measure]:
+    """Makes a signal of a figure, by the name of its function."""
+
+    def added(measure: Measure) -> Measure:
+        SIGNALS[measure.__name__] = Signal(measure, fault, **how)
+        return measure
+
+    return added
+
+
+@signal(
+    "a part ({:.0%}) of what was selected did not change ('all of it' changes that too)"
+)
 def unchanged(found: Pictures) -> float | None:
     """Share of what can change that did not, though its like did; the worst photo counts."""
     if found.removes:
@@ -136,6 +156,7 @@ def unchanged(found: Pictures) -> float | None:
     )
 
 
+@signal("it spread beyond what was selected, by {:.0%} of it (--mask holds it in)")
 def outside(found: Pictures) -> float | None:
     """How much beside what is selected changed, as a share of what is selected; the worst photo."""
     if not found.confined:
@@ -148,6 +169,12 @@ def outside(found: Pictures) -> float | None:
     )
 
 
+@signal(
+    "it lies at different places in the photos, which share {:.0%} of it (mark it on each: "
+    "--point N:X,Y)",
+    at_least=True,
+    in_scene=True,
+)
 def shared(found: Pictures) -> float | None:
     """Overlap of what is selected on two photos, on the surfaces that both show, in [0, 1].
 
@@ -173,6 +200,11 @@ def shared(found: Pictures) -> float | None:
     return float(np.mean(overlaps)) if overlaps else None
 
 
+@signal(
+    "it went only {:.0%} of the way to what was asked (ask again with --from this run, or "
+    "another --editor)",
+    at_least=True,
+)
 def as_asked(found: Pictures) -> float | None:
     """How far what changed came to what was asked for: 1: all the way, 0 or less: elsewhere.
 
@@ -197,6 +229,9 @@ def as_asked(found: Pictures) -> float | None:
     return min(shares, default=None)
 
 
+@signal(
+    "a rim of the old colours is left along {:.0%} of the outline (--grow 2 takes it too)"
+)
 def rim(found: Pictures) -> float | None:
     """Share of the rim of what is selected that stayed as it was, though the change beside it is
     clear to see; of what is removed, though it differs clearly from what is around it. The worst
@@ -222,6 +257,10 @@ def rim(found: Pictures) -> float | None:
     return _worst(shares)
 
 
+@signal(
+    "what was removed shines through, {:.0%} of it (--grow 4 takes more around it)",
+    in_scene=True,
+)
 def shines_through(found: Pictures) -> float | None:
     """How much of what was removed still shows: likeness of its steps of light before and after.
 
@@ -243,6 +282,10 @@ def shines_through(found: Pictures) -> float | None:
     return _worst(likeness)
 
 
+@signal(
+    "a part ({:.0%}) of it is missing in the 3D scene (a photo from between helps)",
+    in_scene=True,
+)
 def missed(found: Pictures) -> float | None:
     """Largest patch of what changed in a photo that the scene shows as it was, as a share of all
     that changed there; the worst photo counts.
@@ -260,6 +303,10 @@ def missed(found: Pictures) -> float | None:
     return _worst(shares)
 
 
+@signal(
+    "{:.0%} of it is torn or blurred half-way between the photos (a photo from between helps)",
+    in_scene=True,
+)
 def torn(found: Pictures) -> float | None:
     """Of what is selected the share that looks, half-way between two photos, like neither of them;
     the worst place counts.
@@ -292,55 +339,6 @@ def torn(found: Pictures) -> float | None:
         if int(thing.sum()) >= FEW:
             shares.append(float((thing & ~alike).sum() / thing.sum()))
     return _worst(shares)
-
-
-SIGNALS = {
-    signal.measure.__name__: signal
-    for signal in (
-        Signal(
-            unchanged,
-            "a part ({:.0%}) of what was selected did not change ('all of it' changes that too)",
-        ),
-        Signal(
-            outside,
-            "it spread beyond what was selected, by {:.0%} of it (--mask holds it in)",
-        ),
-        Signal(
-            shared,
-            "it lies at different places in the photos, which share {:.0%} of it (mark it on "
-            "each: --point N:X,Y)",
-            at_least=True,
-            in_scene=True,
-        ),
-        Signal(
-            as_asked,
-            "it went only {:.0%} of the way to what was asked (ask again with --from this run, or "
-            "another --editor)",
-            at_least=True,
-        ),
-        Signal(
-            rim,
-            "a rim of the old colours is left along {:.0%} of the outline (--grow 2 takes it too)",
-        ),
-        Signal(
-            shines_through,
-            "what was removed shines through, {:.0%} of it (--grow 4 takes more around it)",
-            in_scene=True,
-        ),
-        Signal(
-            missed,
-            "a part ({:.0%}) of it is missing in the 3D scene (a photo from between helps)",
-            in_scene=True,
-        ),
-        Signal(
-            torn,
-            "{:.0%} of it is torn or blurred half-way between the photos (a photo from between "
-            "helps)",
-            in_scene=True,
-        ),
-    )
-}
-"""All are shares, of 1; said in percent."""
 
 
 def measured(edit: EditToJudge) -> dict[str, float | None]:
