@@ -97,7 +97,7 @@ def write_limits(limits: Limits) -> None:
 
 def limits_of_edits(rows: Sequence[Row]) -> Limits:
     """For each signal the limit between edits without a fault and those with its own; a good edit
-    beyond it counts twice.
+    beyond it counts three times: at twice, the limit of `torn` differs from place to place.
     """
     from edit3r_judge.signals import SIGNALS
 
@@ -109,7 +109,7 @@ def limits_of_edits(rows: Sequence[Row]) -> Limits:
     for name, signal in SIGNALS.items():
         sign = -1 if signal.at_least else 1
         good, bad = (values(name, fault, sign) for fault in (None, name))
-        limits[name] = sign * between(good, bad, 2 / len(good), 1 / len(bad))
+        limits[name] = sign * between(good, bad, 3 / len(good), 1 / len(bad))
     return limits
 
 
