@@ -9,7 +9,7 @@ from edit3r.kit.files.text import printable
 
 
 class DescribeCommand(Command):
-    """`edit3r describe`."""
+    """Show a component's settings, licence and needs, and YAML to paste into a configuration."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("kind", choices=KINDS, help="kind of component")

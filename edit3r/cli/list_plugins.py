@@ -13,7 +13,7 @@ COLUMNS = ("kind", "name", "plugin", "version", "licence", "summary")
 
 
 class ListPluginsCommand(Command):
-    """`edit3r list-plugins`."""
+    """List installed plugins and their components, what they lack, and which failed and why."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(

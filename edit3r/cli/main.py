@@ -117,7 +117,7 @@ def _dispatch(argv: list[str]) -> int:
         for photo in takewhile(lambda one: not one.startswith("-"), rest):
             require_there(photo)
     command = find_command(name)
-    parser = Parser(prog=f"edit3r {name}", description=_about(name, command))
+    parser = Parser(prog=f"edit3r {name}", description=command.__doc__)
     command.add_arguments(parser)
     parser.add_argument(
         "--debug", action="store_true", help="show the full traceback of an error"
@@ -142,15 +142,6 @@ def find_command(name: str) -> "Command":
             f"{', '.join(sorted(known))}.{registry.failed()}"
         )
     return registry.build("command", name)
-
-
-def _about(name: str, command: "Command") -> str:
-    """What the command's help begins with: its docstring, or its summary where that says more."""
-    written = command.__doc__ or ""
-    if not written.startswith("`"):
-        return written
-    summary = _summaries()[name.rpartition(":")[2]]
-    return f"{summary[0].upper()}{summary[1:]}."
 
 
 def parse(parser: argparse.ArgumentParser, arguments: list[str]) -> argparse.Namespace:

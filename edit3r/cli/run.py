@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from edit3r.contract.command import Command
 from edit3r.contract.errors import Edit3rError, InputError, RunError, as_known
-from edit3r.kit.command.flags import add_trust_flag
-from edit3r.kit.command.results import add_common
+from edit3r.kit.command.flags import add_common, add_trust_flag
 from edit3r.kit.files.names import require_there
 from edit3r.running.config import PART_KEYS, JobInputs, RunConfig
 from edit3r.running.flags import INPUTS, add_flags, add_mark_flags, given_flags

@@ -31,6 +31,7 @@ from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict
 from edit3r.kit.cache import Cache, using
+from edit3r.kit.compute.outlines import overlap
 from edit3r.kit.contact_sheet import draw_outline, outlined
 from edit3r.kit.files.atomic import atomic_folder, atomic_write
 from edit3r.kit.photos.images import load_photos, save_image, to_bytes
@@ -385,7 +386,9 @@ class Looker:
             proposals = segmenter.propose(image)
         masks: list[Tensor] = []
         for one in proposals:
-            if all(_overlap(one.soft_mask, mask) < ANOTHER for mask in masks):
+            if all(
+                overlap(one.soft_mask > 0.5, mask > 0.5) < ANOTHER for mask in masks
+            ):
                 masks.append(one.soft_mask)
         return tuple((_around(mask, name), mask) for mask in masks[:CANDIDATES])
 
@@ -667,12 +670,6 @@ def _picture(image: Float[Tensor, "3 height width"], mask: Tensor) -> bytes:
     """JPEG of a photo with one thing outlined and the rest darker."""
     dimmed = image * (DIMMED + (1 - DIMMED) * mask)
     return _jpeg(outlined(dimmed, mask), THUMBNAIL)
-
-
-def _overlap(one: Tensor, other: Tensor) -> float:
-    """Intersection over union of two soft masks."""
-    a, b = one > 0.5, other > 0.5
-    return float((a & b).sum() / (a | b).sum().clamp(min=1))
 
 
 def _around(mask: Float[Tensor, "height width"], photo: str) -> Mark:

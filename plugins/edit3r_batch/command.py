@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError, RunError, SettingsError
-from edit3r.kit.command.flags import add_trust_flag
+from edit3r.kit.command.flags import add_common, add_trust_flag
 from edit3r.kit.command.results import (
-    add_common,
     alone_in,
     markdown_table,
     shown_stages,

@@ -8,8 +8,7 @@ report   folders of results               -> tables, a page      report
 import argparse
 
 from edit3r.contract.command import Command
-from edit3r.kit.command.flags import REPEATED, add_trust_flag
-from edit3r.kit.command.results import add_common
+from edit3r.kit.command.flags import REPEATED, add_common, add_trust_flag
 from edit3r.running import add_flags
 from edit3r_bench.options import BuildOptions, RunOptions
 

@@ -51,7 +51,7 @@ GIB = 2**30
 
 
 class DoctorCommand(Command):
-    """`edit3r doctor`."""
+    """Check versions, devices, memory, plugins and rasterizers, and run a tiny job."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument(

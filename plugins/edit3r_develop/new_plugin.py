@@ -28,7 +28,7 @@ MAX_NAME = 40
 
 
 class NewPluginCommand(Command):
-    """`edit3r new-plugin`."""
+    """Write a working plugin package to start from."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         parser.add_argument("kind", choices=KINDS, help="kind of component")

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 
 class WeightsCommand(Command):
-    """`edit3r weights`."""
+    """Learned weights that components can load: list them with licences, fetch them, find them."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         steps = parser.add_subparsers(

@@ -154,15 +154,16 @@ class PipelineEditor(Editor):
             for name in self.settings.model_fields_set & ARGUMENT_OF.keys()
             if getattr(self.settings, name) not in (None, "", 1.0)
         }
-        lacking = sorted(name for name in asked if ARGUMENT_OF[name] not in taken)
-        unknown = sorted(set(self.settings.arguments) - taken)
-        if lacking or unknown:
-            key = lacking[0] if lacking else f"arguments.{unknown[0]}"
-            raise SettingsError(
-                f"editor.{key}: {plain.__name__} has no argument "
-                f"{ARGUMENT_OF.get(key, unknown and unknown[0])}; leave "
-                f"the setting out. It takes: {', '.join(sorted(taken))}."
-            )
+        arguments = {name: ARGUMENT_OF[name] for name in sorted(asked)}
+        arguments |= {
+            f"arguments.{one}": one for one in sorted(self.settings.arguments)
+        }
+        for key, argument in arguments.items():
+            if argument not in taken:
+                raise SettingsError(
+                    f"editor.{key}: {plain.__name__} has no argument {argument}; leave the setting "
+                    f"out. It takes: {', '.join(sorted(taken))}."
+                )
 
     def _denoise(
         self, pipeline: Any, multiple: int, references: list[Image.Image], job: ViewJob

@@ -135,9 +135,13 @@ def read_edit(
     cut, done = frame.cut(image), []
     if frame.cropped > LEAST_CROPPED:
         cut, how = _as_it_lies(image, cut, Image.fromarray(to_bytes(like)))
-        cropped = f"of it {frame.cropped:.0%} is cropped away. Right for an edit of the whole photo"
-        lies = f"it is {how} to lie on its photo"
-        done.append(lies if how else f"{cropped} if that was cropped too")
+        if how:
+            done.append(f"it is {how} to lie on its photo")
+        else:
+            done.append(
+                f"of it {frame.cropped:.0%} is cropped away. Right for an edit of the whole photo "
+                "if that was cropped too"
+            )
     if frame.scale > MOST_ENLARGED:
         done.append(f"it is enlarged {frame.scale:.1f} times, and not sharp")
     if done:

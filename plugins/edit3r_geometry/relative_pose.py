@@ -22,13 +22,13 @@ show.
 """
 _REFINEMENT_ROUNDS = 3
 _MOST_STEPS = 30
+_SMALL_STEP = 1e-6  # by which slopes of the errors are read
 _LEAST_GAIN = 1e-4  # share of the loss below which a step is the last
 _NEAR = 1.5  # times the threshold: matches that take part in the refinement
 # times the threshold: what a good match is off, where it is asked how exactly they agree
 _SHARP = 0.15
-_NOISE = (
-    0.25  # times the threshold: what points that are not wrong are off, for the loss
-)
+# times the threshold: what points that are not wrong are off, for the loss
+_NOISE = 0.25
 
 
 @dataclass(frozen=True)
@@ -167,7 +167,9 @@ def quick_pose(matches: Matches, threshold: float, seed: int) -> Pose | None:
 
 
 def signed_support(matches: Matches, pose: Pose, threshold: float) -> float:
-    """Score of `pose` with the translation's sign for which more points lie in front of both."""
+    """The larger `support` of the two signs of the translation: epipolar geometry tells it but for
+    its sign, which points in front of both cameras tell.
+    """
     return max(
         support(matches, Pose(pose.rotation, sign * pose.translation), threshold)[0]
         for sign in (1, -1)
@@ -197,8 +199,11 @@ def sharp_support(matches: Matches, pose: Pose, threshold: float) -> float:
 def sampson_errors(matches: Matches, pose: Pose) -> Float[np.ndarray, "match"]:
     """Signed first-order distance of each match to the epipolar geometry [pixels]."""
     essential = cross_matrix(pose.translation) @ pose.rotation
-    products = np.einsum("ij,ij->i", matches.rays_b, matches.rays_a @ essential.T)
-    return matches.focal * products / _gradients(*_lines(matches, essential))
+    lines_b, lines_a = matches.rays_a @ essential.T, matches.rays_b @ essential
+    products = np.einsum("ij,ij->i", matches.rays_b, lines_b)
+    gradients = np.hstack((lines_a[:, :2], lines_b[:, :2]))
+    squares = np.einsum("ij,ij->i", gradients, gradients)
+    return matches.focal * products / np.sqrt(squares + 1e-18)
 
 
 def support(
@@ -226,11 +231,12 @@ def refine(
 def _settled(matches: Matches, pose: Pose, scale: float) -> Pose:
     """The pose near `pose` of least Cauchy loss over `scale` [pixels] (Levenberg-Marquardt)."""
     scales = scale if matches.noise is None else scale * matches.noise
-    products = (matches.rays_b[:, :, None] * matches.rays_a[:, None]).reshape(-1, 9)
     errors, damping = sampson_errors(matches, pose) / scales, 1e-3
     for _ in range(_MOST_STEPS):
         weights = 1 / (1 + errors**2)
-        slopes = _error_slopes(matches, products, pose) / scales
+        beside = [_moved(pose, step) for step in _SMALL_STEP * np.eye(5)]
+        grown = [sampson_errors(matches, one) / scales - errors for one in beside]
+        slopes = np.stack(grown) / _SMALL_STEP
         normal, slope = (slopes * weights) @ slopes.T, slopes @ (weights * errors)
         damped = normal + np.diag(damping * normal.diagonal() + 1e-9)
         tried = _moved(pose, -np.linalg.solve(damped, slope))
@@ -242,42 +248,6 @@ def _settled(matches: Matches, pose: Pose, scale: float) -> Pose:
         if abs(gain) < _LEAST_GAIN or damping > 1e9:
             break
     return pose
-
-
-def _error_slopes(
-    matches: Matches, products: Float[np.ndarray, "match 9"], pose: Pose
-) -> Float[np.ndarray, "5 match"]:
-    """Slopes of `sampson_errors` in the five numbers of `_moved`; `products` of the rays."""
-    across = cross_matrix(pose.translation)
-    turned = [across @ cross_matrix(axis) @ pose.rotation for axis in np.eye(3)]
-    slid = [cross_matrix(slide) @ pose.rotation for slide in _slides(pose)]
-    moves = np.stack([*turned, *slid]).reshape(5, 9)
-    essential = across @ pose.rotation
-    lines_b, lines_a = _lines(matches, essential)
-    lengths = _gradients(lines_b, lines_a)
-    constraint = products @ essential.ravel()
-    # Half the slope of the gradient's squared length: the scale of the errors changes too.
-    scale = np.zeros((len(products), 3, 3))
-    scale[:, :2] = lines_b[:, :, None] * matches.rays_a[:, None]
-    scale[:, :, :2] += matches.rays_b[:, :, None] * lines_a[:, None]
-    whole = products - (constraint / lengths**2)[:, None] * scale.reshape(-1, 9)
-    return (moves @ whole.T) * (matches.focal / lengths)
-
-
-def _lines(
-    matches: Matches, essential: Float[np.ndarray, "3 3"]
-) -> tuple[Float[np.ndarray, "match 2"], Float[np.ndarray, "match 2"]]:
-    """The directions across each match's epipolar lines, in the second photo and in the first."""
-    return matches.rays_a @ essential[:2].T, matches.rays_b @ essential[:, :2]
-
-
-def _gradients(
-    lines_b: Float[np.ndarray, "match 2"], lines_a: Float[np.ndarray, "match 2"]
-) -> Float[np.ndarray, "match"]:
-    """Length of the gradient of each match's epipolar constraint."""
-    squares = np.einsum("ij,ij->i", lines_b, lines_b)
-    squares += np.einsum("ij,ij->i", lines_a, lines_a)
-    return np.sqrt(squares + 1e-18)
 
 
 def _slides(pose: Pose) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
@@ -308,7 +278,9 @@ def log_false_alarms(matches: int, inliers: int, chance: float) -> float:
 
 
 def log_chance(matches: int, inliers: int, chance: float) -> float:
-    """log10 of how likely at least `inliers` of random `matches` agree with a known motion."""
+    """log10 of how likely at least `inliers` of random `matches` agree with a known motion, each by
+    `chance` in (0, 1]; an upper bound.
+    """
     return (
         _log_binomial(matches, inliers) + inliers * math.log(min(chance, 1.0))
     ) / math.log(10)

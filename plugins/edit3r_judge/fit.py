@@ -32,7 +32,7 @@ Judged = Iterable[tuple[Row, Limits]]
 
 
 class JudgeCommand(Command):
-    """`edit3r judge`."""
+    """Fit the limits of the verdict to edits of which it is known whether they are good."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         known = "edits, or scenes, of which it is known whether they are good, one JSON object each"

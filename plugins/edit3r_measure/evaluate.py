@@ -6,7 +6,8 @@ from pathlib import Path
 from edit3r.contract.command import Command
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.settings import make_settings, merge
-from edit3r.kit.command.results import add_common, shown_stages, write_json, write_text
+from edit3r.kit.command.flags import add_common
+from edit3r.kit.command.results import shown_stages, write_json, write_text
 from edit3r.kit.files.atomic import check_new_file
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.running import add_flags, given_flags
@@ -14,7 +15,7 @@ from edit3r_measure.evaluate_options import PARTS, EvaluateOptions, Evaluation
 
 
 class EvaluateCommand(Command):
-    """`edit3r evaluate`."""
+    """Measure a reconstructor on photos with known cameras or on generated scenes."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         places = "photos with a cameras.json or transforms.json, or a data set such as procedural"

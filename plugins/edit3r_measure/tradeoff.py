@@ -13,8 +13,8 @@ from pydantic import Field
 
 from edit3r.contract.command import Command
 from edit3r.contract.settings import Settings, make_settings
-from edit3r.kit.command.flags import add_trust_flag
-from edit3r.kit.command.results import add_common, alone_in, shown_stages, write_text
+from edit3r.kit.command.flags import add_common, add_trust_flag
+from edit3r.kit.command.results import alone_in, shown_stages, write_text
 from edit3r.running import add_flags, given_flags
 from edit3r_measure.tradeoff_plan import read_plan
 
@@ -35,7 +35,7 @@ class TradeoffOptions(Settings):
 
 
 class TradeoffCommand(Command):
-    """`edit3r tradeoff`."""
+    """Measure speed against accuracy over the settings of a run, and choose the presets."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError, SettingsError
-from edit3r.kit.command.flags import add_output_flags
+from edit3r.kit.command.flags import OVERWRITE, add_output_flags
 from edit3r.kit.scenes.files import scene_file
 from edit3r.running import add_mark_flags
 
@@ -36,7 +36,7 @@ MAX_NUMBER = 1000  # of a step, an angle or a factor
 
 
 class ObjectsCommand(Command):
-    """`edit3r objects`."""
+    """Take hold of things in a finished scene: remove, move, recolour, copy."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
@@ -55,7 +55,7 @@ class ObjectsCommand(Command):
         about = "for cut, crop and add: what was drawn over the scene, as JSON (docs/objects.md)"
         add("--drawn", metavar="FILE", help=about)
         add("--out", metavar="DIR", help="folder for the new run; RUN is never changed")
-        add_output_flags(parser)
+        add_output_flags(parser, OVERWRITE)
 
     def main(self, args: argparse.Namespace) -> int:
         import torch

@@ -17,6 +17,7 @@ from torch import Tensor
 from edit3r import default_registry
 from edit3r.contract.interfaces import Detection, Detector, Selection, Selector
 from edit3r.contract.types import Cameras, Views
+from edit3r.kit.compute.outlines import overlap
 from edit3r.kit.geometry.warping import shared_surface, warp
 from edit3r.running import usual_selector
 
@@ -181,7 +182,7 @@ def _add(
     fits = SMALLEST <= mask.mean() <= LARGEST and _on_rim(mask) < ON_RIM
     if not fits or (detection is None and confidence < CONFIDENCE):
         return
-    if all(_overlap(mask, one.mask) < SAME for one in found):
+    if all(overlap(mask, one.mask) < SAME for one in found):
         named = () if detection is None else (detection.label, detection.score)
         found.append(_Seen(mask, confidence, *named))
 
@@ -218,7 +219,7 @@ def _seen_again(
     place = ((column + 0.5) / width, (row + 0.5) / height)
     marks = Selection(positive=((0, *place),), boxes={0: _box_of(expected)})
     mask, _ = _selected(photo, marks, selector)
-    return mask if _overlap(mask & known, expected) >= SAME else None
+    return mask if overlap(mask & known, expected) >= SAME else None
 
 
 def _box_of(mask: Mask) -> tuple[float, float, float, float]:
@@ -254,9 +255,3 @@ def _worth(seen: _Seen) -> tuple[bool, float]:
 def _common(one: Mask, other: Mask) -> float:
     """Share of the smaller of two masks that the larger one covers."""
     return float((one & other).sum() / max(min(one.sum(), other.sum()), 1))
-
-
-def _overlap(one: Mask, other: Mask) -> float:
-    """Intersection over union."""
-    union = (one | other).sum()
-    return float((one & other).sum() / union) if union else 0.0

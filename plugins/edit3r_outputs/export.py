@@ -7,7 +7,8 @@ from pathlib import Path
 from edit3r.contract.command import Command
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.settings import PartChoice
-from edit3r.kit.command.results import add_common, shown_stages
+from edit3r.kit.command.flags import add_common
+from edit3r.kit.command.results import shown_stages
 from edit3r.kit.scenes.files import scene_file
 
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError, SettingsError
-from edit3r.kit.command.results import add_common, shown_stages
+from edit3r.kit.command.flags import OVERWRITE, add_common
+from edit3r.kit.command.results import shown_stages
 from edit3r.kit.scenes.files import scene_file
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ MADE = ("pictures", "video", "viewer")
 
 
 class RenderCommand(Command):
-    """`edit3r render`."""
+    """Pictures, a video and a viewer page from a saved scene (3DGS PLY)."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
@@ -50,7 +51,7 @@ class RenderCommand(Command):
         add_common(
             parser,
             settings="such as rasterizer.background=[1,1,1]",
-            overwrite="replace an earlier result in --out even where it was changed",
+            overwrite=OVERWRITE,
         )
 
     def main(self, args: argparse.Namespace) -> int:

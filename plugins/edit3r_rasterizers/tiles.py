@@ -153,8 +153,9 @@ def find_touched_blocks(first, last, entries, records, tile_x, tile_y, touched):
     """Write for each entry of [first, last) the blocks whose pixel centres its ellipse reaches, as
     bits in `touched`.
 
-    One lane per block: over a rectangle the smallest exponent lies on the edge nearest the mean,
-    where x nearest or y nearest is given and the other follows from the ellipse's axes.
+    One lane per block, places relative to the mean. Over a rectangle the exponent is least on the
+    column nearest to the mean or on the row nearest to it, and how far along these follows from the
+    ellipse's axes.
     """
     for entry in range(first, last):
         prefetch(records, U(entries[entry + U(layout.LOOKAHEAD)]) * U(layout.RECORD))
@@ -168,14 +169,13 @@ def find_touched_blocks(first, last, entries, records, tile_x, tile_y, touched):
         left = lane_columns() * F(layout.BLOCK) + (F(0.5) - x)
         top = lane_rows() * F(layout.BLOCK) + (F(0.5) - y)
         right, bottom = left + F(layout.BLOCK - 1), top + F(layout.BLOCK - 1)
-        near_x = minimum(maximum(left, F(0)), right)
-        near_y = minimum(maximum(top, F(0)), bottom)
-        down = minimum(maximum(near_x * y_per_x, top), bottom)
-        by_column = _squares(near_x - down * x_per_y, down, inv_std_x, inv_std_y)
-        axis = near_y * x_per_y
-        by_row = _squares(
-            minimum(maximum(axis, left), right) - axis, near_y, inv_std_x, inv_std_y
-        )
+        column = minimum(maximum(left, F(0)), right)
+        row = minimum(maximum(top, F(0)), bottom)
+        down = minimum(maximum(column * y_per_x, top), bottom)
+        by_column = _squares(column - down * x_per_y, down, inv_std_x, inv_std_y)
+        axis = row * x_per_y
+        across = minimum(maximum(axis, left), right)
+        by_row = _squares(across - axis, row, inv_std_x, inv_std_y)
         limit = broadcast(records[start + layout.CUTOFF] * F(1.001) + F(1e-2))
         touched[entry] = mask_bits(minimum(by_column, by_row) <= limit)
 

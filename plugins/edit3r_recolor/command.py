@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from edit3r.contract.command import Command
-from edit3r.kit.command.results import add_common, shown_stages
+from edit3r.kit.command.flags import add_common
+from edit3r.kit.command.results import shown_stages
 
 if TYPE_CHECKING:
     from edit3r.kit.photos.images import LoadedPhotos
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 
 
 class RecolorCommand(Command):
-    """`edit3r recolor`."""
+    """Recolour the objects of a folder of photos, alike in every view, as training data."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument

@@ -4,6 +4,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from edit3r.contract.command import Command
+from edit3r.kit.command.flags import add_common
 from edit3r.kit.scenes.files import scene_file
 
 if TYPE_CHECKING:
@@ -12,7 +13,7 @@ if TYPE_CHECKING:
 
 
 class SimplifyCommand(Command):
-    """`edit3r simplify`."""
+    """A saved scene (3DGS PLY) with only the Gaussians it requires, or without floaters."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
@@ -47,23 +48,9 @@ class SimplifyCommand(Command):
             metavar="NAME",
             help="rasterizer that judges what is seen (default auto)",
         )
-        add(
-            "--set",
-            action="append",
-            default=[],
-            metavar="KEY=VALUE",
-            help="such as simplify.relative_price=2 or clean.before=0.2",
-        )
-        add(
-            "--plugin",
-            action="append",
-            default=[],
-            metavar="FILE",
-            help="also load this local plugin file",
-        )
         add("--out", metavar="FILE", help="the new scene, as 3DGS PLY")
-        add("--overwrite", action="store_true", help="replace a file that is there")
-        add("--quiet", action="store_true", help="print errors only")
+        settings = "such as simplify.relative_price=2 or clean.before=0.2"
+        add_common(parser, settings, overwrite="replace a file that is there")
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r_outputs.api import load_scene

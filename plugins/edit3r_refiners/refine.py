@@ -140,9 +140,10 @@ def refine(
         past = (step / steps - CALM) / (1 - CALM)
         variables.step(loss, 1 - (1 - LAST_SHARE) * max(0.0, past))
         progress("refine", step + 1, steps)
-        whole = errors and len(errors) % cameras.count == 0
-        if not coarse and (whole or step == steps - 1):
-            rounds.append(sum(errors[-cameras.count :]) / len(errors[-cameras.count :]))
+        # Views differ, so states are compared by their last error of every view.
+        if not coarse and (len(errors) % cameras.count == 0 or step == steps - 1):
+            newest = errors[-cameras.count :]
+            rounds.append(sum(newest) / len(newest))
             if rounds[-1] <= min(rounds):
                 best, taken = _detached(variables.gaussians()), step + 1
     after = _errors(best, cameras, images, rasterizer, groups) if taken else before

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from edit3r.kit.compute.outlines import distance_to
-from edit3r_segmenters.masks import graph_cut, overlap, tidied
+from edit3r.kit.compute.outlines import distance_to, overlap
+from edit3r_segmenters.masks import graph_cut, tidied
 from edit3r_segmenters.salience import Objectness
 from edit3r_segmenters.superpixels import Superpixels
 

@@ -24,7 +24,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
 from edit3r.contract.reporting import warn
 from edit3r.kit.cache import remembered
-from edit3r.kit.compute.outlines import softened
+from edit3r.kit.compute.outlines import overlap, softened
 from edit3r.kit.weights.find import at_hand
 from edit3r_segmenters import U2NETP, tracking
 from edit3r_segmenters.candidates import (
@@ -38,7 +38,6 @@ from edit3r_segmenters.candidates import (
 )
 from edit3r_segmenters.masks import (
     Latest,
-    overlap,
     reduced,
     snapped,
     stepped,

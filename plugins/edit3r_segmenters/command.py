@@ -4,11 +4,12 @@ import argparse
 from pathlib import Path
 
 from edit3r.contract.command import Command
+from edit3r.kit.command.flags import add_common
 from edit3r.running import add_mark_flags
 
 
 class MaskCommand(Command):
-    """`edit3r mask`."""
+    """Masks of the object that clicks, a box or words mean, before anything is reconstructed."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
@@ -39,31 +40,16 @@ class MaskCommand(Command):
             help="longer side photos are reduced to (default 512)",
         )
         add(
-            "--set",
-            action="append",
-            default=[],
-            metavar="KEY=VALUE",
-            help="such as segmenter.learned=false",
-        )
-        add(
-            "--plugin",
-            action="append",
-            default=[],
-            metavar="FILE",
-            help="also load this local plugin file",
-        )
-        add(
             "--out",
             required=True,
             metavar="DIR",
             help="folder for one mask per photo, preview.png, and cache/ for a run with the masks",
         )
-        add(
-            "--overwrite",
-            action="store_true",
-            help="replace an earlier result in --out",
+        add_common(
+            parser,
+            settings="such as segmenter.learned=false",
+            overwrite="replace an earlier result in --out",
         )
-        add("--quiet", action="store_true", help="print errors only")
 
     def main(self, args: argparse.Namespace) -> int:
         from dataclasses import replace

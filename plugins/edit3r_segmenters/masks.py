@@ -131,9 +131,3 @@ def stepped(areas: Sequence[float], best: int, larger: int) -> int:
     """
     order = sorted(range(len(areas)), key=lambda index: areas[index])
     return order[min(max(order.index(best) + larger, 0), len(order) - 1)]
-
-
-def overlap(one: np.ndarray, other: np.ndarray) -> float:
-    """Intersection over union of two bool masks `[H, W]`; 0 when both are empty."""
-    union = np.count_nonzero(one | other)
-    return np.count_nonzero(one & other) / union if union else 0.0

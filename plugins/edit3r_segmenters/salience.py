@@ -10,8 +10,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from edit3r.kit.compute.outlines import distance_to
-from edit3r_segmenters.masks import overlap
+from edit3r.kit.compute.outlines import distance_to, overlap
 from edit3r_segmenters.superpixels import PALETTE, Superpixels
 
 # shares of the image that an object may cover to be proposed

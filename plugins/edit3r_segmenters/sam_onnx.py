@@ -8,6 +8,7 @@ graph; they are made outputs when the file is loaded.
 
 import threading
 from collections.abc import Hashable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -215,22 +216,26 @@ class SamOnnxSegmenter(Segmenter):
         _expect(self._encoder_file)
         files = [str(self._encoder_file), self._encoder_file.stat().st_mtime_ns]
         key = fingerprint(image, files)
+        compute = partial(self._encoded_once, key, image)
+        return key, {
+            name: one.float() for name, one in recall("embed", self, key, compute)
+        }
 
-        def kept() -> Embedding:
-            known = self._embeddings.get(key)
-            if known is not None:
-                return known
+    def _encoded_once(
+        self, key: str, image: Float[Tensor, "3 height width"]
+    ) -> tuple[tuple[str, Tensor], ...]:
+        """What the encoder reads, as float16 to need half the memory, for the last few images."""
+        known = self._embeddings.get(key)
+        if known is None:
             with self._reading:  # who asks for the same meanwhile finds it then
-                if key not in self._embeddings:
-                    known = self._encode(image)
+                known = self._embeddings.get(key)
+                if known is None:
+                    read = self._encode(image)
+                    known = {name: one.half() for name, one in read.items()}
                     if len(self._embeddings) >= MAX_KEPT:  # the first read goes
                         del self._embeddings[next(iter(self._embeddings))]
-                    # half as much to keep
-                    self._embeddings[key] = {n: one.half() for n, one in known.items()}
-                return self._embeddings[key]
-
-        read = recall("embed", self, key, lambda: tuple(kept().items()))
-        return key, {name: one.float() for name, one in read}
+                    self._embeddings[key] = known
+        return tuple(known.items())
 
     def _encode(self, image: Float[Tensor, "3 height width"]) -> Embedding:
         """What the encoder reads: a SAM's the longer side to its size, the rest zero; a SAM 2's

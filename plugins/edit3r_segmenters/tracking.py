@@ -18,8 +18,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import Tracks
-from edit3r.kit.compute.outlines import distance_to, softened
-from edit3r_segmenters.masks import overlap, reduced, snapped, to_bytes
+from edit3r.kit.compute.outlines import distance_to, overlap, softened
+from edit3r_segmenters.masks import reduced, snapped, to_bytes
 
 MIN_CONSISTENT = 0.35  # share under which flow says nothing
 # how far the outline may move when it is snapped [square roots of the area]
@@ -78,11 +78,7 @@ def tracks(
         size,
     )
     soft = torch.from_numpy(found).to(images)
-    present = torch.from_numpy(seen).to(images.device)
-    logits = soft.logit(1e-4)
-    logits = torch.where(soft > 0.5, logits, logits.clamp(max=0))
-    lost = logits.clamp(max=-1e-3)
-    return Tracks(torch.where(present[..., None, None], logits, lost), present)
+    return Tracks(soft.logit(1e-4), torch.from_numpy(seen).to(images.device))
 
 
 def follow(
@@ -157,12 +153,12 @@ def _found_again(
 def _on_colours(
     pixels: np.ndarray, mask: np.ndarray, band: float, unsure: np.ndarray | None = None
 ) -> np.ndarray:
-    """A mask `[h, w]` with its outline on the colours of a view, unless that would change the
-    object itself.
+    """A mask `[h, w]` with its outline on the colours of a view, and without what of it is unsure
+    where colours would change the rest.
     """
     moved = snapped(pixels, mask, band, band, rounds=2, unsure=unsure)
-    sure = mask if unsure is None else mask & ~unsure
-    return moved if overlap(moved | ~sure & mask, mask) > 0.7 else sure
+    rest = mask if unsure is None else mask & ~unsure
+    return moved if overlap(moved | (mask & ~rest), mask) > 0.7 else rest
 
 
 def _likeness(

@@ -6,8 +6,7 @@ import argparse
 from contextlib import nullcontext
 
 from edit3r.contract.command import Command
-from edit3r.kit.command.flags import add_trust_flag
-from edit3r.kit.command.results import add_common
+from edit3r.kit.command.flags import add_common, add_trust_flag
 
 
 class TrainCommand(Command):

@@ -4,12 +4,12 @@ import argparse
 from pathlib import Path
 
 from edit3r.contract.command import Command
-from edit3r.kit.command.flags import add_output_flags
+from edit3r.kit.command.flags import OVERWRITE, add_output_flags
 from edit3r.kit.scenes.files import scene_file
 
 
 class UncertaintyCommand(Command):
-    """`edit3r uncertainty`."""
+    """Show which parts of a finished scene can be trusted in a new view."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         add = parser.add_argument
@@ -27,7 +27,7 @@ class UncertaintyCommand(Command):
             action="store_true",
             help="also write each map as a grey image (white: uncertain)",
         )
-        add_output_flags(parser)
+        add_output_flags(parser, OVERWRITE)
 
     def main(self, args: argparse.Namespace) -> int:
         import torch

@@ -3,16 +3,24 @@
 import argparse
 from typing import Any
 
+OVERWRITE = "replace an earlier result in --out even where it was changed"
 REPEATED: dict[str, Any] = {"action": "append", "default": []}
 
 
-def add_output_flags(parser: argparse.ArgumentParser) -> None:
-    """Add the flags of commands that write a folder `--out`."""
-    parser.add_argument(
-        "--overwrite",
-        action="store_true",
-        help="replace an earlier result in --out even where it was changed",
-    )
+def add_common(
+    parser: argparse.ArgumentParser, settings: str = "", overwrite: str = ""
+) -> None:
+    """Declare `--plugin` and `--quiet`; with help for them `--set` and `--overwrite` too."""
+    if settings:
+        parser.add_argument("--set", metavar="KEY=VALUE", help=settings, **REPEATED)
+    add_plugin_option(parser)
+    add_output_flags(parser, overwrite)
+
+
+def add_output_flags(parser: argparse.ArgumentParser, overwrite: str = "") -> None:
+    """Declare `--quiet`, and with help for it `--overwrite`."""
+    if overwrite:
+        parser.add_argument("--overwrite", action="store_true", help=overwrite)
     parser.add_argument("--quiet", action="store_true", help="print errors only")
 
 

@@ -3,7 +3,6 @@
 Nothing here imports torch, for a command line is parsed without it.
 """
 
-import argparse
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -12,24 +11,10 @@ from typing import Any, TypeVar
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, collecting
-from edit3r.kit.command.flags import REPEATED, add_plugin_option
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.files.text import parse_json
 
 Item = TypeVar("Item")
-
-
-def add_common(
-    parser: argparse.ArgumentParser, settings: str = "", overwrite: str = ""
-) -> None:
-    """Declare `--plugin` and `--quiet`; with help for them `--set` and `--overwrite` too."""
-    add = parser.add_argument
-    if settings:
-        add("--set", metavar="KEY=VALUE", help=settings, **REPEATED)
-    add_plugin_option(parser)
-    if overwrite:
-        add("--overwrite", action="store_true", help=overwrite)
-    add("--quiet", action="store_true", help="print errors only")
 
 
 @contextmanager

@@ -23,6 +23,12 @@ def _words_of(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
+def _lines(name: str) -> list[str]:
+    """The lines of a table beside this file, without comments."""
+    text = files("edit3r.kit.compute").joinpath(name).read_text("utf-8")
+    return [line for line in text.splitlines() if not line.startswith("# ")]
+
+
 BASIC_COLOURS = (
     *("red", "orange", "yellow", "green", "blue", "purple", "pink", "brown", "black"),
     *("white", "grey", "turquoise", "cyan", "magenta", "gold", "silver", "beige"),
@@ -30,62 +36,10 @@ BASIC_COLOURS = (
 )
 """The colours that messages suggest first, and that "more" may stand before."""
 
-_EVERYDAY_COLOURS = {
-    "bronze": "#cd7f32",
-    "burgundy": "#800020",
-    "charcoal": "#36454f",
-    "chrome": "#c4cad2",
-    "copper": "#b87333",
-    "cream": "#fffdd0",
-    "emerald": "#50c878",
-    "barnred": "#7c1c12",
-    "golden": "#ffd700",
-    "lilac": "#c8a2c8",
-    "marble": "#ece9e2",
-    "mint": "#98ff98",
-    "mustard": "#e1ad01",
-    "navyblue": "#000080",
-    "babyblue": "#a0cfec",
-    "ochre": "#cc7722",
-    "rose": "#ff007f",
-    "ruby": "#9b111e",
-    "scarlet": "#ff2400",
-    "silvery": "#c0c0c0",
-    "steel": "#9aa3ad",
-    "terracotta": "#e2725b",
-    "wood": "#8a5a2b",
-    # As a painter would mix them: CSS's pure primaries are lamps, its green is very dark, and its
-    # brown is a red.
-    "brown": "#7a4a26",
-    "red": "#dc1414",
-    "green": "#1e9632",
-    "blue": "#1e50dc",
-    "yellow": "#ffdc00",
-}
-
 TONES = {
-    "light": (0.45, 1.0),
-    "lighter": (0.45, 1.0),
-    "lightish": (0.25, 1.0),
-    "pale": (0.6, 1.0),
-    "pastel": (0.55, 1.0),
-    "soft": (0.25, 0.8),
-    "bright": (0.12, 1.2),
-    "vivid": (0.0, 1.4),
-    "vibrant": (0.0, 1.4),
-    "rich": (-0.1, 1.2),
-    "dull": (0.0, 0.55),
-    "muted": (0.0, 0.5),
-    "dusty": (0.15, 0.55),
-    "faded": (0.25, 0.6),
-    "deep": (-0.25, 1.0),
-    "darkish": (-0.2, 1.0),
-    "dark": (-0.5, 1.0),
-    "darker": (-0.5, 1.0),
-    "deeper": (-0.25, 1.0),
-    "brighter": (0.12, 1.2),
-    "paler": (0.6, 1.0),
-    "medium": (0.0, 1.0),
+    word: (float(tone), float(saturation))
+    for tone, saturation, *words in map(str.split, _lines("colour_tones.txt"))
+    for word in words
 }
 """Shades: the share of the way to white, or (negative) to black, and a factor on saturation."""
 
@@ -156,7 +110,7 @@ def near_colours(word: str, count: int = 3) -> list[str]:
 @cache
 def colour_names() -> tuple[str, ...]:
     """All names of the lists, as they are written."""
-    survey = [name for _, name in _survey()]
+    survey = [line[8:] for line in _lines("colour_names.txt")]
     spaced = {_key(name): name for name in (*ImageColor.colormap, *survey)}
     return tuple(dict.fromkeys((*BASIC_COLOURS, *spaced.values())))
 
@@ -241,16 +195,10 @@ def _key(name: str) -> str:
 
 
 @cache
-def _survey() -> tuple[tuple[str, str], ...]:
-    """Colours and names of the xkcd survey."""
-    text = files("edit3r.kit.compute").joinpath("colour_names.txt").read_text("utf-8")
-    lines = [line for line in text.splitlines() if not line.startswith("# ")]
-    return tuple((line[:7], line[8:]) for line in lines)
-
-
-@cache
 def _listed() -> dict[str, str]:
     """Colours by their names without spaces; everyday words before CSS before the survey."""
-    survey = {_key(name): code for code, name in _survey()}
-    css = {name: name for name in ImageColor.colormap}
-    return {**survey, **css, **_EVERYDAY_COLOURS}
+    survey, everyday = (
+        {_key(line[8:]): line[:7] for line in _lines(name)}
+        for name in ("colour_names.txt", "everyday_colours.txt")
+    )
+    return survey | {name: name for name in ImageColor.colormap} | everyday

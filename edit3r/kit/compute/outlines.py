@@ -1,9 +1,11 @@
-"""Outlines of masks: soft edges that follow the picture's own."""
+"""Outlines of masks, soft edges that follow the picture's own, and how far two masks overlap."""
 
 import cv2
 import numpy as np
 import torch
 from jaxtyping import Bool, Float
+
+Mask = Bool[np.ndarray | torch.Tensor, "height width"]
 
 EDGE_REACH = 0.008  # how far a soft edge may reach [longer sides of the image]
 EDGE_EPSILON = 1e-4  # colour variance under which the guided filter smooths
@@ -61,3 +63,11 @@ def window_around(
     margin = int(np.ceil(margin))
     rows = slice(max(0, y - margin), y + height + margin)
     return rows, slice(max(0, x - margin), x + width + margin)
+
+
+def overlap(one: Mask, other: Mask) -> float:
+    """Intersection over union of two bool masks of one size, arrays or tensors; 0 when both are
+    empty.
+    """
+    union = int((one | other).sum())
+    return int((one & other).sum()) / union if union else 0.0

@@ -4,16 +4,19 @@ const PHOTO = /\.(jpe?g|jpe|jfif|mpo|png|webp|tiff?|hei[cf]|avif|bmp|p[pg]m|jp2)
 const inOrder = (files) =>
   [...files].sort((a, b) => a.name.localeCompare(b.name, undefined, { numeric: true }));
 
-export const arriving = new Map(); // by scene: how far its photos are that are still being sent
+// By scene: how far its photos are that are still being sent, and a promise of all of them.
+export const arriving = new Map();
 
 // Returns the scene and the sentences about what was refused; `told` hears how far it is, and `begun`
 // which scene it is as soon as its first photo is there.
 export async function send(files, scene, folder, told, begun = () => {}) {
   const refused = [];
+  let done;
+  const all = new Promise((resolve) => (done = resolve));
   for (const [index, file] of [...files].entries()) {
     const line = `Sending ${index + 1} of ${files.length}: ${file.name}`;
     told(line);
-    if (scene) arriving.set(scene, line);
+    if (scene) arriving.set(scene, { line, all });
     const headers = {
       "X-Name": encodeURIComponent(file.name),
       "X-Folder": encodeURIComponent(folder || ""),
@@ -33,6 +36,7 @@ export async function send(files, scene, folder, told, begun = () => {}) {
     }
   }
   arriving.delete(scene);
+  done();
   return { scene: scene || "", refused };
 }
 

@@ -7,6 +7,7 @@ system or of `playwright install chromium`.
 
 import contextlib
 import os
+import re
 import shutil
 import signal
 import sys
@@ -295,6 +296,20 @@ def test_marks_by_stroke_box_keys_and_two_tabs(server, tab):
     page.locator(".chip").click()
     kinds([])
     assert tab.problems == []
+
+
+def test_what_is_asked_while_photos_arrive_begins_with_all_of_them(server, tab):
+    page = tab()
+    held = []  # all but the first photo
+    page.route(re.compile("/upload/[^-]"), lambda route: held.append(route))
+    scene = drop(page, server).rpartition("/")[2]
+    page.get_by_label("what to change").fill("make everything grey")
+    page.get_by_label("what to change").press("Enter")
+    page.get_by_text("Begins when all photos are here").wait_for(timeout=10_000)
+    assert "at=" not in page.url
+    held[0].continue_()
+    page.wait_for_url("**at=**")
+    assert len(list((server.folder / scene / "images").iterdir())) == 2
 
 
 def test_an_edit_outlives_a_server_that_is_killed(server, tab):

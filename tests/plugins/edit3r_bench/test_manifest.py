@@ -76,12 +76,12 @@ def test_a_global_edit_has_no_mask(manifest, tmp_path):
 
 
 def test_change_masks_reach_a_little_further_than_the_change():
-    photos = torch.zeros(1, 3, 40, 40)
+    photos = torch.zeros(1, 3, 40, 80)
     truth = photos.clone()
     truth[:, 1, 20, 20] = 0.5
     masks = change_masks(photos, truth)
-    assert masks[0, 19:22, 19:22].all()
-    assert masks.sum() == 9
+    assert masks[0, 18:23, 18:23].all()
+    assert masks.sum() == 25
 
 
 def test_another_image_or_frame_than_the_manifests_is_noticed(manifest, tmp_path):

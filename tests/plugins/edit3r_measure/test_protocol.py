@@ -207,6 +207,14 @@ def test_structure_is_blind_to_brightness_and_contrast_and_sees_a_negative():
     assert structure_likeness(1 - image, image) == pytest.approx(-1, abs=0.03)
 
 
+@pytest.mark.parametrize("shade", [0.1, 0.3, 0.7, 0.9])
+def test_structure_of_a_plain_image_is_a_number(shade):
+    image = torch.rand(1, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+    plain = torch.full_like(image, shade)
+    for pair in ((plain, image), (image, plain)):
+        assert structure_likeness(*pair).isfinite()
+
+
 # ---- alignment ----
 
 

@@ -9,7 +9,7 @@ import sys
 import pytest
 import torch
 from edit3r_model import OFFICIAL
-from edit3r_model.checkpoints import load_weights
+from edit3r_model.checkpoints import LoadedWeights, load_weights, with_parts_of
 from edit3r_model.convert import convert
 from edit3r_model.hub import is_hub_id
 from edit3r_model.network import built
@@ -21,6 +21,7 @@ import edit3r
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError, MissingDependencyError, SettingsError
 from edit3r.contract.reporting import Report, collecting
+from edit3r.contract.settings import PartChoice
 from edit3r_testing import photograph
 
 HEADS = {"heads": 2, "decoder_heads": 3}
@@ -323,3 +324,15 @@ def test_the_official_weights_bring_their_parts_and_their_own_resolution(
     assert report.notes["weights.reconstructor"]["licence"] == OFFICIAL.licence
     means = [made(views, views).gaussians.means for made in (edited, plain)]
     assert torch.equal(*means)
+
+
+@pytest.mark.parametrize("form", [str, lambda name: PartChoice(name=name), dict])
+def test_a_part_is_chosen_in_any_form(form, tmp_path):
+    stored = {"backbone": PartChoice(name="croco", settings={"depth": 2})}
+    loaded = LoadedWeights(tmp_path, "file", "edit3r", {}, stored)
+    given = {"name": "croco"} if form is dict else "croco"
+    filled = with_parts_of(loaded, {"backbone": form(given)})
+    assert filled["backbone"] == {"name": "croco", "depth": 2}
+    if form is not dict:
+        with pytest.raises(SettingsError, match="weights are for 'croco'"):
+            with_parts_of(loaded, {"backbone": form("small")})

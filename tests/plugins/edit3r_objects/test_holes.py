@@ -69,6 +69,19 @@ def test_guesses_are_the_last_ones_and_know_their_view(hidden):
     assert (guesses.objects == -1).all()
 
 
+def test_colours_at_the_rim_of_the_hole_are_not_continued(hidden):
+    """There they are mixed with what went away."""
+    scene, own, cameras = hidden
+    half = scene.means[0, :, :2].abs().amax(1)
+    rim = (scene.means[0, :, 2] == WALL) & (half < 0.53)
+    harmonics = scene.harmonics.clone()
+    harmonics[0, rim, 0] = torch.tensor([0.5, -0.5, -0.5])  # red
+    scene = replace(scene, harmonics=harmonics)
+    whole, guessed = without_object(scene, own, cameras, RASTERIZER)
+    colours = whole.harmonics[0, -guessed:, 0]
+    assert (colours.amax(1) - colours.amin(1)).max() < 0.1
+
+
 def test_what_another_view_shows_beside_the_object_stays(hidden):
     cameras = hidden[2]
     scene = scene_of(torch.cat((plane(1.2, WALL, 60), plane(0.24, PLATE, 24))))

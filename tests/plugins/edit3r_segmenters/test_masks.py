@@ -3,10 +3,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from edit3r_segmenters.masks import overlap, snapped, tidied
+from edit3r_segmenters.masks import snapped, tidied
 from edit3r_segmenters.superpixels import superpixels
 
-from edit3r.kit.compute.outlines import softened
+from edit3r.kit.compute.outlines import overlap, softened
 
 # pytest in importlib mode finds no neighbours
 sys.path.insert(0, str(Path(__file__).parent))

@@ -2,9 +2,10 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from edit3r_segmenters.masks import overlap
 from edit3r_segmenters.salience import measure
 from edit3r_segmenters.superpixels import background_weights, merge_tree, superpixels
+
+from edit3r.kit.compute.outlines import overlap
 
 # pytest in importlib mode finds no neighbours
 sys.path.insert(0, str(Path(__file__).parent))

@@ -2,6 +2,7 @@
 import { go, sceneAddress } from "../app.js";
 import { tell } from "../api.js";
 import { el, icon, toast } from "../dom.js";
+import { arriving } from "../upload.js";
 
 const LONG = 150; // characters that are shown at once
 const BY_HAND = "Changed by hand: go on with Things, or return to an earlier state to say more.";
@@ -91,6 +92,16 @@ export function barOf(page) {
   async function submit(event) {
     event.preventDefault();
     clearTimeout(typing);
+    if (page.s.photos.length < 2 || arriving.has(scene)) {
+      // Whoever types faster than photos arrive means all of them.
+      goButton.disabled = true;
+      page.waiting.long("Begins when all photos are here");
+      await arriving.get(scene)?.all;
+      await page.refresh();
+      page.waiting.long("");
+      goButton.disabled = false;
+      if (page.gone()) return;
+    }
     if (page.s.photos.length < 2) return toast(FEW, true);
     if (!said.value.trim() && !page.s.draft.form.editor) {
       said.focus();

@@ -46,7 +46,7 @@ export function waitingOf(page) {
   }
   const slow = () => {
     const { reading, photos } = page.s;
-    if (arriving.has(page.scene)) return arriving.get(page.scene);
+    if (arriving.has(page.scene)) return arriving.get(page.scene).line;
     if (page.view === "3d") return page.viewer.isDrawn() ? "" : "Drawing the scene";
     if (!reading.photos) return "Reading the photos";
     return !reading.geometry && photos.length > 1
