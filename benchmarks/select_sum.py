@@ -496,7 +496,7 @@ def entries(fits: Fits, scene: str | None) -> dict[str, dict]:
     return {
         kind: {
             "weights": {
-                n: round(float(v), 3)
+                n: float(f"{v:.4g}")
                 for n, v in zip(one.cues, one.values)
                 if abs(v) > 1e-6
             },

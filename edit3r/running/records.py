@@ -201,7 +201,7 @@ class Preview:
 
 @dataclass(frozen=True)
 class Records:
-    """All records of a finished run."""
+    """What each step of a finished run returned."""
 
     inputs: Inputs
     located: Located
@@ -265,7 +265,9 @@ def _said(one: Selected) -> str:
     """A thing as people say it, how confidently it was found, and the photos that lack it."""
     name = one.called or MARKED
     confidence = _confidence(one)
-    if one.called and "marked" in one.how and not one.fits:
+    # words find where nothing else says where; clicks beside the thing then say what it is not
+    is_marked = "marked" in one.how and "words" not in one.how
+    if one.called and is_marked and not one.fits:
         why = "was not checked" if one.fits is None else "was found elsewhere"
         name = f"{MARKED} ({one.called!r} {why})"
     if GUESS in one.how:

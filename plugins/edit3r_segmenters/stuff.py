@@ -8,7 +8,7 @@ import numpy as np
 from edit3r_segmenters.masks import graph_cut, tidied
 from edit3r_segmenters.superpixels import Superpixels
 
-STUFF = ("sky", "ground", "floor")
+STUFF = ("sky", "ground", "floor", "road", "street", "pavement")
 SKY_CHROMA = 14.0  # of a grey or white sky, at most [CIE Lab units]
 SKY_LIGHT = 45.0  # least lightness of a sky
 SMOOTH = 0.22  # most edge strength of a sky

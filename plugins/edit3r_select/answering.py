@@ -142,7 +142,7 @@ def gathered(size: Size, asked: Asked, ask: AnswersMarks) -> Pool | None:
     clicks, before = [*drawn, *asked.clicks], asked.before
     answers = [ask(clicks, asked.box)]
     if asked.kind == "stroke":
-        answers += [ask([drawn[len(drawn) // 2]]), ask(drawn, _around(asked.stroke))]
+        answers.append(ask([drawn[len(drawn) // 2]]))
     if asked.expected is not None:
         given = np.where(asked.expected, SURE, -SURE)[None], np.array([UNTOLD])
         answers += [ask(clicks), ask(clicks[:1]), given]
@@ -231,13 +231,6 @@ def _joined(
 
 def _large(logits: np.ndarray, size: Size) -> np.ndarray:
     return np.stack([cv2.resize(np.float32(one), size[::-1]) for one in logits])
-
-
-def _around(stroke: Sequence) -> Box:
-    """The box around a stroke."""
-    low, high = np.min(stroke, axis=0), np.max(stroke, axis=0)
-    (x, y), (width, height) = low.tolist(), (high - low).tolist()
-    return x, y, width, height
 
 
 def _obeyed(chosen: Chosen | None, size: Size, click: Click) -> bool:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 SMALLEST = 4  # pixels under which a mask shows nothing but its size and quality
-OF_ANY_SIZE = ("quality", "square_of_log_area", "obeyed")
+OF_ANY_SIZE = ("quality", "square_of_log_area", "fourth_power_of_log_area", "obeyed")
 
 Place = tuple[float, float]  # x and y in [0, 1]
 Click = tuple[Place, bool]  # and whether the thing is there
@@ -105,6 +105,11 @@ def square_of_log_area(pool: Pool) -> np.ndarray:
     return np.log(pool.areas + 1e-4) ** 2
 
 
+def fourth_power_of_log_area(pool: Pool) -> np.ndarray:
+    """The square of `square_of_log_area`, with which what speaks for a size is a curve."""
+    return square_of_log_area(pool) ** 2
+
+
 def stability(pool: Pool) -> np.ndarray:
     """IoU of the mask cut at logits +1 and -1, in [0, 1]."""
     loose = np.maximum(1, (pool.logits > -1).sum((1, 2)))
@@ -119,6 +124,11 @@ def centrality(pool: Pool) -> np.ndarray:
     rows, columns = np.array([pixel(place, pool.size) for place in inside]).T
     depths = [_depth(mask) for mask in pool.masks]
     return np.array([d[rows, columns].mean() / max(1, d.max()) for d in depths])
+
+
+def square_of_centrality(pool: Pool) -> np.ndarray:
+    """People click near the middle, or anywhere: that says less of a click further out."""
+    return centrality(pool) ** 2
 
 
 def border(pool: Pool) -> np.ndarray:
@@ -187,8 +197,10 @@ CUES: dict[str, Callable[[Pool], np.ndarray]] = {
     for one in (
         quality,
         square_of_log_area,
+        fourth_power_of_log_area,
         stability,
         centrality,
+        square_of_centrality,
         border,
         largest_piece,
         obeyed,
@@ -197,7 +209,7 @@ CUES: dict[str, Callable[[Pool], np.ndarray]] = {
         expected,
     )
 }
-"""Six of a mask on one photo, then what the marks say of it, then what other photos do."""
+"""Eight of a mask on one photo, then what the marks say of it, then what other photos do."""
 
 
 def table(pool: Pool, names: Sequence[str] = tuple(CUES)) -> np.ndarray:

@@ -205,13 +205,15 @@ def _marked(
         given = clean(selection.masks[view], image)
         return OnPhoto(_painted(selection, given, view), "given"), Described(given)
     before = found.get(view)
+    # what words found, or what stands out, is that without what is said to lie beside it
+    how = "marked" if before is None else before.how
     if before is None and found:
         before = carried(photos, found, {view})[view]
     prior = None
     if before is not None and view not in selection.boxes and before.inside.any():
         prior = before.mask
     marks = replace(selection.marks_on(view), prior=prior, larger=selection.larger)
-    told, how = Described(nothing if prior is None else prior), "marked"
+    told = Described(nothing if prior is None else prior)
     if marks.inside or marks.box is not None or (marks.negative and prior is not None):
         told = _described(photos, selection, view, marks)
     elif prior is None and view in {on for on, _ in selection.regions}:

@@ -58,6 +58,18 @@ def test_what_is_marked_has_the_name_only_where_that_fits(fits, said):
     assert str(verdict_on_selection([marked])) == f"found, {said}"
 
 
+@pytest.mark.parametrize(
+    ("way", "said"),
+    [
+        ("words", "question, fox, confidence 20%"),
+        ("guess", "question, fox: what stands out most, confidence 20%"),
+    ],
+)
+def test_a_click_beside_what_words_found_leaves_it_its_name(way, said):
+    beside = Selected(MASKS, (way, "marked"), confidence=0.2, called="fox")
+    assert str(verdict_on_selection([beside])).startswith(said)
+
+
 def test_of_nothing_nothing_is_said():
     assert verdict_on_selection(()) is None
     assert verdict_on_selection((), confined=True).label == "given"

@@ -470,6 +470,15 @@ def test_words_say_how_far_goes_what_is_clicked_on_and_whether_they_fit(
     assert told == (fits is False)
 
 
+@pytest.mark.parametrize("words, way", [("bike", "words"), ("zorb", "guess")])
+def test_what_is_not_the_thing_leaves_it_what_words_found_or_what_stands_out(
+    words, way
+):
+    beside = Selection(words=words, negative=((0, 0.165, 0.22),))
+    selected = select_masks(IMAGES, beside, Whole())
+    assert selected.how[0] == way and not inside(selected, 0)[5:7, 5:7].any()
+
+
 def test_what_the_words_name_is_one_more_reading_of_a_click():
     class Smaller(Whole):
         """The word's own thing is a part of what the click takes."""
