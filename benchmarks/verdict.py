@@ -389,7 +389,7 @@ FAULTS = {
     "faint": "as_asked",
     "rim": "rim",
     "ghost": "rim",
-    "shine": "shines_through",
+    "shine": "closed",
     "undone paint": "missed",
     "undone half paint": "missed",
     "undone bw": "missed",

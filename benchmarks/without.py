@@ -69,11 +69,6 @@ PARTS = {
             (float(inverse.min()), float(inverse.max())),
         ),
     ),
-    "push-back": Part(
-        "what a neighbour saw through",
-        place="edit3r_geometry.depth_maps:push_back",
-        nothing=lambda inverse, *rest: inverse,
-    ),
     "speckles": Part(
         "depths that agree by chance",
         place="edit3r_geometry.depth_maps:without_speckles",

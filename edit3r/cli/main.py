@@ -43,7 +43,7 @@ MAX_SENTENCE = 4000  # characters of an error: what was given may be megabytes
 
 
 class UsageError(Edit3rError):
-    """Wrong arguments."""
+    """Arguments that no command takes: exit code 2."""
 
 
 class Parser(argparse.ArgumentParser):

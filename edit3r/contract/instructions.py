@@ -80,7 +80,7 @@ ChangeKind = Literal[
 
 @dataclass(frozen=True)
 class Change:
-    """One change of colours."""
+    """One change of the colours of a thing, such as "blue" or "20 % darker"."""
 
     kind: ChangeKind
     colour: Colour | None = None  # of paint and tint

@@ -34,7 +34,7 @@ class PluginFailure:
 
 @dataclass(frozen=True)
 class LoadedPlugins:
-    """The outcome of one search."""
+    """The components of all plugins that loaded, and why the others did not."""
 
     offers: tuple[Offer, ...]
     failures: tuple[PluginFailure, ...]

@@ -174,11 +174,11 @@ class RunConfig(Settings):
 
     @property
     def writers(self) -> tuple[str, ...]:
-        """What of that is made by writers."""
+        """Names of the writers whose files are in `written`; the others the run makes itself."""
         return tuple(name for name in self.written if name not in OWN_OUTPUTS)
 
     def writer_choice(self, name: str) -> PartChoice:
-        """A writer with what is set for it."""
+        """The writer `name` with its settings, which stand under `writer.NAME`."""
         return PartChoice(name=name, settings=self.writer.get(name, {}))
 
     def all_refiners(self, by_default: bool = True) -> tuple[PartChoice, ...]:

@@ -201,7 +201,7 @@ class Preview:
 
 @dataclass(frozen=True)
 class Records:
-    """All records of a finished run."""
+    """What each step of a finished run returned."""
 
     inputs: Inputs
     located: Located

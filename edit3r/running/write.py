@@ -310,7 +310,7 @@ def _good_views(result: RunResult) -> list[int]:
 
 @torch.no_grad()
 def _write_rest(folder: RunFolder, result: RunResult, writers: list[Writer]) -> None:
-    """Write all that is not drawn."""
+    """Write the cache, images, masks and scene, then the files of the writers."""
     wanted = result.config.written
     if "cache" in wanted:
         result.cache.save(folder.root / CACHE)

@@ -11,7 +11,7 @@ from edit3r_app.jobs import AppJob, JobsFolder, manifest_of
 
 @dataclass
 class RunProgress:
-    """What a log says."""
+    """How far a run of the app is, by its log of events."""
 
     # seconds of the finished stages
     done: dict[str, float] = field(default_factory=dict)

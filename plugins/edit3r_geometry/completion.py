@@ -1,6 +1,4 @@
-"""From raw depth to a complete map: keep what neighbours confirm, fill in the rest, clear what they
-saw through.
-"""
+"""From raw depth to a complete map: keep what neighbours confirm, fill in the rest, hide no sky."""
 
 from collections.abc import Sequence
 
@@ -8,13 +6,11 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
-from edit3r.kit.compute.compiling import compiled
 from edit3r.kit.compute.layers import weighted_smooth
 from edit3r_geometry.cameras import CalibratedImage, pixel_rays, project
 from edit3r_geometry.plane_sweep import Neighbour, RawDepth
 
 AGREEMENT = 1.5  # planes by which two measurements of one surface may differ
-CLEARANCE = 2.0  # planes by which a guess may stand before a neighbour's surface
 REACH = 2000.0  # smoothness weight of the fill: a gap of some fifty pixels is bridged
 TOUCH = 15.0  # and for smoothing what was measured
 # 8-bit colour differences at which the smoothness falls to 1/e
@@ -168,38 +164,6 @@ def main_plane(
     return (basis @ solution).reshape(inverse.shape).astype(np.float32), (low, high)
 
 
-def push_back(
-    inverse: Float[np.ndarray, "height width"],
-    measured: Bool[np.ndarray, "height width"],
-    own: RawDepth,
-    reference: CalibratedImage,
-    neighbour: Neighbour,
-    other: RawDepth,
-    other_measured: Bool[np.ndarray, "height2 width2"],
-) -> Float[np.ndarray, "height width"]:
-    """`inverse` with every guess moved away from the camera until it hides nothing that the
-    neighbour measured.
-
-    What a neighbour saw through must be empty. Next to a depth edge this is what occlusion means: a
-    pixel that only one view shows belongs to the background.
-    """
-    intrinsics, pose = neighbour.image.intrinsics, neighbour.pose
-    matrix = intrinsics @ pose.rotation @ np.linalg.inv(reference.intrinsics)
-    shift = intrinsics @ pose.translation
-    limit = CLEARANCE * other.step
-    return _push_back(
-        inverse,
-        measured,
-        own.farthest,
-        own.step,
-        matrix,
-        shift,
-        other.inverse,
-        other_measured,
-        limit,
-    )
-
-
 def pull_forward(
     inverse: Float[np.ndarray, "height width"],
     guessed: Bool[np.ndarray, "height width"],
@@ -250,43 +214,3 @@ def _shown_behind(
     depth = there[:, 2]
     behind = (depth > 0) & (seen * depth < 1 - IN_FRONT)
     return np.where(behind, seen, -1)
-
-
-@compiled(nogil=True)
-def _push_back(
-    inverse, measured, farthest, step, matrix, shift, other, other_measured, limit
-):  # pragma: no cover - compiled
-    height, width = inverse.shape
-    result = inverse.copy()
-    for y in range(height):
-        for x in range(width):
-            if measured[y, x]:
-                continue
-            ray = matrix @ np.array([x + 0.5, y + 0.5, 1.0])
-            guess = inverse[y, x]
-            while guess > farthest and _hides(
-                ray, guess, shift, other, other_measured, limit
-            ):
-                guess -= step
-            result[y, x] = max(guess, farthest)
-    return result
-
-
-@compiled(nogil=True)
-def _hides(
-    ray, inverse, shift, other, other_measured, limit
-):  # pragma: no cover - compiled
-    """Whether a point at `inverse` depth along a reference ray stands before the neighbour's
-    measured surface.
-
-    `ray` is the pixel at infinity in the neighbour's homogeneous pixels; the point appears at `ray
-    + inverse * shift`, its inverse depth there is `inverse / z`.
-    """
-    z = ray[2] + inverse * shift[2]
-    if z <= 1e-9:
-        return True  # behind the neighbour's camera
-    column = int(np.floor((ray[0] + inverse * shift[0]) / z))
-    row = int(np.floor((ray[1] + inverse * shift[1]) / z))
-    if column < 0 or row < 0 or column >= other.shape[1] or row >= other.shape[0]:
-        return False
-    return other_measured[row, column] and inverse / z - other[row, column] > limit

@@ -16,7 +16,6 @@ from edit3r_geometry.completion import (
     confirmed,
     fill,
     pull_forward,
-    push_back,
     without_speckles,
 )
 from edit3r_geometry.plane_sweep import (
@@ -63,10 +62,10 @@ def measure_depths(
     Views that are not registered get inverse depth 1 and confidence 0.
     """
     small = [image.reduced(settings.working_size) for image in images]
-    around, raw, measured = _swept(small, registration, settings)
+    raw, measured = _swept(small, registration, settings)
     if settings.coarse:
         half = [image.reduced(settings.working_size // 2) for image in images]
-        _, rough, confirmed_there = _swept(half, registration, settings)
+        rough, confirmed_there = _swept(half, registration, settings)
         for view in raw:
             raw[view], measured[view] = _with_coarse(
                 raw[view], measured[view], rough[view], confirmed_there[view]
@@ -80,9 +79,7 @@ def measure_depths(
         inverse = fill(
             raw[view].inverse, measured[view], raw[view].step, small[view].pixels
         )
-        inverse = _without_hiding(
-            inverse, small[view], around[view], view, raw, measured
-        )
+        inverse = np.where(measured[view], inverse, cv2.medianBlur(inverse, 5))
         if skies is not None:
             inverse = _before_skies(
                 inverse, view, small, registration, raw, measured, skies
@@ -99,11 +96,10 @@ def _swept(
     registration: Registration,
     settings: DepthSettings,
 ) -> tuple[
-    list[dict[int, Neighbour]],
     dict[int, RawDepth],
     dict[int, Bool[np.ndarray, "height width"]],
 ]:
-    """The neighbours of each view, and of each registered one its depth and what they confirm."""
+    """The depth of each registered view, and what its neighbours confirm of it."""
     around = [
         _neighbours(images, registration, view, settings.neighbours)
         for view in range(len(images))
@@ -123,7 +119,7 @@ def _swept(
             settings.planes,
         )
     measured = {view: _measured(images[view], around[view], view, raw) for view in raw}
-    return around, raw, measured
+    return raw, measured
 
 
 def _with_coarse(
@@ -218,20 +214,3 @@ def _measured(
         for other, neighbour in around.items()
     ]
     return without_speckles(np.any(agrees, axis=0), raw[view])
-
-
-def _without_hiding(
-    inverse: Float[np.ndarray, "height width"],
-    image: CalibratedImage,
-    around: dict[int, Neighbour],
-    view: int,
-    raw: dict[int, RawDepth],
-    measured: dict[int, Bool[np.ndarray, "height width"]],
-) -> Float[np.ndarray, "height width"]:
-    """`inverse` of a view with the guesses pushed back that would hide a neighbour's surface."""
-    own, sure = raw[view], measured[view]
-    for other, neighbour in around.items():
-        inverse = push_back(
-            inverse, sure, own, image, neighbour, raw[other], measured[other]
-        )
-    return np.where(sure, inverse, cv2.medianBlur(inverse, 5))

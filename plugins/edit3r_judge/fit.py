@@ -9,7 +9,7 @@ deserve, and its `figures`.
 import argparse
 import json
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -24,11 +24,9 @@ from edit3r.kit.files.configs import read_yaml
 NEVER = 3  # each third place of edits is fitted on by nobody
 # hardly any scene fails, so what parts poor and failed is not fitted
 FITTED_LABELS = LABELS[:2]
-NEEDED = {"edit": {"place", "fault", "kind", "figures"}}
-NEEDED["scene"] = {"place", "label", "figures"}
 Row = Mapping[str, Any]
 Limits = Mapping[str, Any]
-Judged = Iterable[tuple[Row, Limits]]
+Outcomes = Iterator[tuple[str, bool]]
 
 
 class JudgeCommand(Command):
@@ -45,13 +43,13 @@ class JudgeCommand(Command):
         places = sorted({row["place"] for row in rows})
         never = places[::NEVER] if what == "edit" else []
         known = [row for row in rows if row["place"] not in never]
-        fit, report = WAYS[what]
+        _, fit, outcomes = WAYS[what]
         limits = fit(known)
         print(f"{len(known)} {what}s, each by limits without its place")
-        print(report(left_out(known, fit)))
+        print(report(left_out(known, fit), outcomes))
         print(f"never fitted on: {', '.join(never)}" if never else "fitted to all")
         rest = [row for row in rows if row["place"] in never] or rows
-        print(report([(row, limits) for row in rest]))
+        print(report([(row, limits) for row in rest], outcomes))
         print(json.dumps(limits, indent=1))
         if args.write:
             write_limits({what: limits})
@@ -62,9 +60,9 @@ def left_out(
     rows: Sequence[Row], fit: Callable[[Sequence[Row]], Limits]
 ) -> list[tuple[Row, Limits]]:
     """Each row with limits that were fitted without its place."""
-    places = sorted({row["place"] for row in rows})
     limits = {
-        place: fit([row for row in rows if row["place"] != place]) for place in places
+        place: fit([row for row in rows if row["place"] != place])
+        for place in {row["place"] for row in rows}
     }
     return [(row, limits[row["place"]]) for row in rows]
 
@@ -73,7 +71,7 @@ def read_rows(path: str) -> tuple[str, list[Row]]:
     """The "edit"s or "scene"s of a file. Raises InputError for what is neither."""
     try:
         rows = [json.loads(line) for line in Path(path).read_text().splitlines()]
-        for what, needed in NEEDED.items():
+        for what, (needed, *_) in WAYS.items():
             if all(needed <= {*row} for row in rows):
                 return what, rows
         raise ValueError("a row lacks place, figures, or fault and kind, or label")
@@ -83,9 +81,8 @@ def read_rows(path: str) -> tuple[str, list[Row]]:
         ) from None
 
 
-def write_limits(limits: Mapping[str, Limits]) -> None:
+def write_limits(limits: Limits) -> None:
     """Put limits into the package; what is not in `limits` stays, and the comment on top."""
-
     from edit3r_judge.signals import FITTED
 
     def merged(old: Any, new: Any) -> Any:
@@ -93,27 +90,26 @@ def write_limits(limits: Mapping[str, Limits]) -> None:
             return old | {key: merged(old.get(key, {}), new[key]) for key in new}
         return float(f"{new:.3g}")
 
-    text = FITTED.read_text()
-    comment = [line for line in text.splitlines(True) if line.startswith("#")]
+    comment = [line for line in FITTED.read_text().splitlines(True) if line[0] == "#"]
     kept = yaml.safe_dump(merged(read_yaml(FITTED), limits), sort_keys=False)
     FITTED.write_text("".join(comment) + kept)
 
 
 def limits_of_edits(rows: Sequence[Row]) -> Limits:
     """For each signal the limit between edits without a fault and those with its own; a good edit
-    beyond it counts twice.
+    beyond it counts three times: at twice, the limit of `torn` differs from place to place.
     """
     from edit3r_judge.signals import SIGNALS
+
+    def values(name: str, fault: str | None, sign: int) -> list[float]:
+        own = (row["figures"][name] for row in rows if row["fault"] == fault)
+        return [sign * figure for figure in own if figure is not None]
 
     limits = {}
     for name, signal in SIGNALS.items():
         sign = -1 if signal.at_least else 1
-        told = [row for row in rows if row["figures"][name] is not None]
-        good, bad = (
-            [sign * row["figures"][name] for row in told if row["fault"] == fault]
-            for fault in (None, name)
-        )
-        limits[name] = sign * between(good, bad, 2 / len(good), 1 / len(bad))
+        good, bad = (values(name, fault, sign) for fault in (None, name))
+        limits[name] = sign * between(good, bad, 3 / len(good), 1 / len(bad))
     return limits
 
 
@@ -121,16 +117,16 @@ def limits_of_scenes(rows: Sequence[Row]) -> Limits:
     """By label, for each signal the limit with which fewest scenes are wrong, the other's given."""
     limits: dict[str, dict[str, float]] = {}
     for number, label in enumerate(FITTED_LABELS):
-        limits[label] = {"agreement": -math.inf, "guessed": math.inf}
+        own = limits[label] = {"agreement": -math.inf, "guessed": math.inf}
         for name, sign in 2 * (("agreement", -1), ("guessed", 1)):
-            limits[label][name] = sign * math.inf
+            own[name] = sign * math.inf
             both: tuple[list[float], list[float]] = [], []
             for row in rows:
-                if reaches(row["figures"], limits[label]):
+                if reaches(row["figures"], own):
                     worse = LABELS.index(row["label"]) > number
                     both[worse].append(sign * row["figures"][name])
             if all(both):
-                limits[label][name] = sign * between(*both, 1, 1)
+                own[name] = sign * between(*both, 1, 1)
     return limits
 
 
@@ -156,46 +152,50 @@ def between(
     return (low + high) / 2
 
 
-def report_of_scenes(judged: Judged) -> str:
-    """How often `good` and `fair` scenes hold and the others do not, and how often `good` is."""
-    lines = []
-    for number, (label, word) in enumerate(
-        zip(FITTED_LABELS, ("good", "good or fair"))
-    ):
-        over = [
-            reaches(row["figures"], limits[label])
-            - (LABELS.index(row["label"]) <= number)
-            for row, limits in judged
-        ]
-        kind, hard = over.count(1), over.count(-1)
-        right = over.count(0) / max(1, len(over))
-        lines.append(f"{word}: right {right:.1%}, too kind {kind}, too hard {hard}")
-    return "\n".join(lines)
+def outcomes_of_scenes(row: Row, limits: Limits) -> Outcomes:
+    """How often `good`, and `good` or `fair`, is right, and which of the two errors is made."""
+    for number, label in enumerate(FITTED_LABELS):
+        called = " or ".join(LABELS[: number + 1])
+        deserves = LABELS.index(row["label"]) <= number
+        said = reaches(row["figures"], limits[label])
+        yield f"{called} or not", said == deserves
+        yield (
+            f"  called {called}" if said else f"  not called {called}",
+            said == deserves,
+        )
 
 
-def report_of_edits(judged: Judged) -> str:
+def outcomes_of_edits(row: Row, limits: Limits) -> Outcomes:
     """How often the verdict is right, and how often each kind of fault is named as that."""
     from edit3r_judge.signals import faults_of
 
-    named = [(row, faults_of(row["figures"], limits)) for row, limits in judged]
-    called = [row["fault"] is None for row, faults in named if not faults]
-    doubted = [bool(faults) for row, faults in named if row["fault"] is None]
-    right = sum(called) / max(1, len(called))
-    lines = [
-        f"called good {len(called)}, are {sum(called)} ({right:.1%})",
-        f"good ones doubted {sum(doubted)} of {len(doubted)}",
-    ]
-    for kind, fault in dict.fromkeys((row["kind"], row["fault"]) for row, _ in named):
-        own = [
-            said for row, said in named if (row["kind"], row["fault"]) == (kind, fault)
-        ]
-        count = sum(fault in said if fault else not said for said in own)
-        lines.append(f"  {kind:18} called {fault or 'good':15} {count} of {len(own)}")
-    return "\n".join(lines)
+    fault, said = row["fault"], faults_of(row["figures"], limits)
+    if not said:
+        yield "called good", fault is None
+    if fault is None:
+        yield "good ones not doubted", not said
+    named = fault in said if fault else not said
+    yield f"  {row['kind']} called {fault or 'good'}", named
 
 
-WAYS: Mapping[str, tuple[Callable, Callable]] = {
-    "edit": (limits_of_edits, report_of_edits),
-    "scene": (limits_of_scenes, report_of_scenes),
+def report(judged: Iterable[tuple[Row, Limits]], outcomes: Callable) -> str:
+    """A line for each outcome: how often it was right."""
+    found: dict[str, list[bool]] = {}
+    for row, limits in judged:
+        for what, right in outcomes(row, limits):
+            found.setdefault(what, []).append(right)
+    return "\n".join(
+        f"{what:36} {sum(all_)} of {len(all_)} ({sum(all_) / len(all_):.1%})"
+        for what, all_ in sorted(found.items(), key=lambda one: one[0].startswith(" "))
+    )
+
+
+WAYS = {
+    "edit": (
+        {"place", "fault", "kind", "figures"},
+        limits_of_edits,
+        outcomes_of_edits,
+    ),
+    "scene": ({"place", "label", "figures"}, limits_of_scenes, outcomes_of_scenes),
 }
-"""How limits are fitted, and what is said of them."""
+"""What a row has, how limits are fitted, and what is counted."""

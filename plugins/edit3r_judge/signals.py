@@ -31,6 +31,9 @@ SIDE = 256  # longer side at which pictures are looked at [pixels]
 SEEN = 6.0  # difference of colours that one sees [CIE Lab]
 CLEAR = 12.0  # difference of colours that nobody overlooks [CIE Lab]
 BAND = 3  # pixels about an outline: its rim, and what blurs across it
+NEAR = 20  # pixels about what was removed, whose detail is what its place should have
+WIDE = 12.0  # over how much of it detail is told [pixels]
+FLAT = 0.05  # detail that nobody sees [CIE Lab]
 SAME_SURFACE = 0.05  # relative difference of depths within which it is one surface
 BIN = 10.0  # difference within which colours are one [CIE Lab]
 LIKE = 0.1  # share of a colour that changed, from which all of it could
@@ -83,8 +86,10 @@ class Pictures:
         can = self.inside
         for _, change in self.asked if self.kinds == {"paint"} else ():
             if change.colour is not None:
-                goal = _lab_of(change.colour.rgb)[:, None, None]
-                can = can & ((self.old - goal).norm(dim=1) > 2 * CLEAR)
+                off = self.old - _lab_of(change.colour.rgb)[:, None, None]
+                if bool(can.any()):  # paint keeps light and shade
+                    off[:, 0] = off[:, 0][can].median()
+                can = can & (off.norm(dim=1) > 2 * CLEAR)
         return can
 
     @cached_property
@@ -110,16 +115,36 @@ class Pictures:
         return could
 
 
+Measure = Callable[[Pictures], float | None]
+
+
 @dataclass(frozen=True)
 class Signal:
     """One figure of an edit: how it is measured, and what is said and done beyond its limit."""
 
-    measure: Callable[[Pictures], float | None]
+    measure: Measure
     fault: str  # said with the figure as {} where it lies beyond the limit
     at_least: bool = False  # the limit is the least that is good, not the most
     in_scene: bool = False  # the scene tells of it too
 
 
+SIGNALS: dict[str, Signal] = {}
+"""All are shares, of 1; said in percent."""
+
+
+def signal(fault: str, **how: bool) -> Callable[[Measure], Measure]:
+    """Makes a signal of a figure, by the name of its function."""
+
+    def added(measure: Measure) -> Measure:
+        SIGNALS[measure.__name__] = Signal(measure, fault, **how)
+        return measure
+
+    return added
+
+
+@signal(
+    "a part ({:.0%}) of what was selected did not change ('all of it' changes that too)"
+)
 def unchanged(found: Pictures) -> float | None:
     """Share of what can change that did not, though its like did; the worst photo counts."""
     if found.removes:
@@ -136,6 +161,7 @@ def unchanged(found: Pictures) -> float | None:
     )
 
 
+@signal("it spread beyond what was selected, by {:.0%} of it (--mask holds it in)")
 def outside(found: Pictures) -> float | None:
     """How much beside what is selected changed, as a share of what is selected; the worst photo."""
     if not found.confined:
@@ -148,6 +174,12 @@ def outside(found: Pictures) -> float | None:
     )
 
 
+@signal(
+    "it lies at different places in the photos, which share {:.0%} of it (mark it on each: "
+    "--point N:X,Y)",
+    at_least=True,
+    in_scene=True,
+)
 def shared(found: Pictures) -> float | None:
     """Overlap of what is selected on two photos, on the surfaces that both show, in [0, 1].
 
@@ -173,6 +205,11 @@ def shared(found: Pictures) -> float | None:
     return float(np.mean(overlaps)) if overlaps else None
 
 
+@signal(
+    "it went only {:.0%} of the way to what was asked (ask again with --from this run, or "
+    "another --editor)",
+    at_least=True,
+)
 def as_asked(found: Pictures) -> float | None:
     """How far what changed came to what was asked for: 1: all the way, 0 or less: elsewhere.
 
@@ -197,6 +234,9 @@ def as_asked(found: Pictures) -> float | None:
     return min(shares, default=None)
 
 
+@signal(
+    "a rim of the old colours is left along {:.0%} of the outline (--grow 2 takes it too)"
+)
 def rim(found: Pictures) -> float | None:
     """Share of the rim of what is selected that stayed as it was, though the change beside it is
     clear to see; of what is removed, though it differs clearly from what is around it. The worst
@@ -206,9 +246,7 @@ def rim(found: Pictures) -> float | None:
         return None
     shares = []
     did = found.core & (found.change > SEEN)
-    # of what lies next to a place most changed: a gleam that did is no painted thing
-    most = 2 * _blurred(did.float()) > _blurred(found.core.float())
-    beside = most & _grown(did, 2 * BAND)
+    beside = _grown(did, 2 * BAND)
     for view, inside in enumerate(found.inside):
         band = ~found.core[view] & beside[view] & found.could_change[view]
         if int(band.sum()) < FEW:
@@ -222,44 +260,60 @@ def rim(found: Pictures) -> float | None:
     return _worst(shares)
 
 
-def shines_through(found: Pictures) -> float | None:
-    """How much of what was removed still shows: likeness of its steps of light before and after.
-
-    A correlation, at most 1; of the worst photo, where the scene is known also there.
+@signal(
+    "the place of what was removed is closed to {:.0%}: it shines through, or is a blur (--grow 4 "
+    "takes more around it; another --editor invents what no photo shows)",
+    at_least=True,
+    in_scene=True,
+)
+def closed(found: Pictures) -> float | None:
+    """How well the place of what was removed is closed: 1 where none of its steps of light is left
+    (in the scene, where that is known) and the photo has half of the detail there that is around
+    it: what is filled in is softer, and a large smear has none. The worst photo.
     """
     if not found.removes:
         return None
-    likeness = []
-    for view, inside in enumerate(found.inside):
-        if int(inside.sum()) < FEW:
+    now = found.new if found.shown is None else found.shown
+    shares = []
+    around = _grown(found.inside, NEAR) & ~_grown(found.inside, BAND)
+    fine = (found.new - _blurred(found.new))[:, 0].abs() + FLAT
+    told = _blurred(fine, WIDE)
+    for view, (inside, beside) in enumerate(zip(found.inside, around)):
+        if min(int(inside.sum()), int(beside.sum())) < FEW:
             continue
-        old = _steps(found.old[view, 0])[:, inside]
-        for picture in (found.new, found.shown):
-            if picture is not None:
-                new = _steps(picture[view, 0])[:, inside]
-                # of what is left, not how alike: a faint ghost shows, a new texture does not
-                left = (old * new).sum() / old.square().sum().clamp(min=1e-6)
-                likeness.append(float(left))
-    return _worst(likeness)
+        old, new = (_steps(one[view, 0])[:, inside] for one in (found.old, now))
+        # of what is left, not how alike: a faint ghost shows, a new texture does not
+        left = (old * new).sum() / old.square().sum().clamp(min=1e-6)
+        detail = told[view][inside].median() / fine[view][beside].mean()
+        shares.append(min(1 - float(left), 2 * float(detail), 1.0))
+    return min(shares, default=None)
 
 
+@signal(
+    "a part ({:.0%}) of it is missing in the 3D scene (a photo from between helps)",
+    in_scene=True,
+)
 def missed(found: Pictures) -> float | None:
-    """Largest patch of what changed in a photo that the scene shows as it was, as a share of all
-    that changed there; the worst photo counts.
-    """
+    """Share of what changed in a photo that the scene shows as it was; the worst photo counts."""
     if found.shown is None:
         return None
     shares = []
     for old, new, shown in zip(found.old, found.new, found.shown):
         wanted, got = new - old, shown - old
         changed = wanted.norm(dim=0) > SEEN
-        if int(changed.sum()) < FEW:
-            continue
-        arrived, asked = _blurred(torch.stack([wanted * got, wanted * wanted]).sum(1))
-        shares.append(_largest(changed & (arrived < 0.4 * asked)) / int(changed.sum()))
+        if int(changed.sum()) >= FEW:
+            arrived, asked = _blurred(
+                torch.stack([wanted * got, wanted * wanted]).sum(1)
+            )
+            lost = changed & (arrived < 0.4 * asked)
+            shares.append(float(lost.sum() / changed.sum()))
     return _worst(shares)
 
 
+@signal(
+    "{:.0%} of it is torn or blurred half-way between the photos (a photo from between helps)",
+    in_scene=True,
+)
 def torn(found: Pictures) -> float | None:
     """Of what is selected the share that looks, half-way between two photos, like neither of them;
     the worst place counts.
@@ -292,55 +346,6 @@ def torn(found: Pictures) -> float | None:
         if int(thing.sum()) >= FEW:
             shares.append(float((thing & ~alike).sum() / thing.sum()))
     return _worst(shares)
-
-
-SIGNALS = {
-    signal.measure.__name__: signal
-    for signal in (
-        Signal(
-            unchanged,
-            "a part ({:.0%}) of what was selected did not change ('all of it' changes that too)",
-        ),
-        Signal(
-            outside,
-            "it spread beyond what was selected, by {:.0%} of it (--mask holds it in)",
-        ),
-        Signal(
-            shared,
-            "it lies at different places in the photos, which share {:.0%} of it (mark it on "
-            "each: --point N:X,Y)",
-            at_least=True,
-            in_scene=True,
-        ),
-        Signal(
-            as_asked,
-            "it went only {:.0%} of the way to what was asked (ask again with --from this run, or "
-            "another --editor)",
-            at_least=True,
-        ),
-        Signal(
-            rim,
-            "a rim of the old colours is left along {:.0%} of the outline (--grow 2 takes it too)",
-        ),
-        Signal(
-            shines_through,
-            "what was removed shines through, {:.0%} of it (--grow 4 takes more around it)",
-            in_scene=True,
-        ),
-        Signal(
-            missed,
-            "a part ({:.0%}) of it is missing in the 3D scene (a photo from between helps)",
-            in_scene=True,
-        ),
-        Signal(
-            torn,
-            "{:.0%} of it is torn or blurred half-way between the photos (a photo from between "
-            "helps)",
-            in_scene=True,
-        ),
-    )
-}
-"""All are shares, of 1; said in percent."""
 
 
 def measured(edit: EditToJudge) -> dict[str, float | None]:
@@ -397,10 +402,11 @@ def _grown(where: Where, pixels: int) -> Where:
     return torch.stack([dilate(one.float(), pixels) > 0 for one in where])
 
 
-def _blurred(maps: Picture) -> Picture:
+def _blurred(maps: Tensor, pixels: float = 2.0) -> Tensor:
     """Over two pixels: scenes are softer than photos."""
-    smooth = [cv2.GaussianBlur(one.numpy(), (0, 0), 2.0) for one in maps]
-    return torch.from_numpy(np.stack(smooth))
+    flat = maps.reshape(-1, *maps.shape[-2:]).numpy()
+    smooth = [cv2.GaussianBlur(one, (0, 0), pixels) for one in flat]
+    return torch.from_numpy(np.stack(smooth)).view(maps.shape)
 
 
 def _mean_around(picture: Picture, where: Bool[Tensor, "height width"]) -> Picture:
@@ -414,11 +420,3 @@ def _steps(light: Float[Tensor, "height width"]) -> Float[Tensor, "2 height widt
     smooth = cv2.GaussianBlur(light.numpy(), (0, 0), 1.0)
     steps = [cv2.Sobel(smooth, cv2.CV_32F, *way) for way in ((1, 0), (0, 1))]
     return torch.from_numpy(np.stack(steps))
-
-
-def _largest(where: Bool[Tensor, "height width"]) -> int:
-    """Pixels of the largest connected patch, without hairs of it."""
-    patch = where.numpy().astype(np.uint8)
-    thick = cv2.morphologyEx(patch, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    areas = cv2.connectedComponentsWithStats(thick)[2][1:, cv2.CC_STAT_AREA]
-    return int(areas.max(initial=0))

@@ -86,46 +86,44 @@ def _label(
     """The best label whose conditions hold, and one sentence for it."""
     evidence = [min(pair) for pair in zip(before, psnr)]
     worst, names, count = min(evidence), scene.edited.called, len(scene.placed)
-    guessed = max((share for share in between if share is not None), default=0.0)
-    left_out = scene.placed.count(False)
+    guesses = [share or 0.0 for share in between]
+    guessed, left_out = max(guesses), scene.placed.count(False)
     limits = fitted_limits("scene")
 
     def holds(label: Label) -> bool:
-        seen = guessed <= limits[label]["guessed"]
-        lost = left_out > limits[label]["left_out"] * count
-        return worst >= limits[label]["agreement"] and seen and not lost
+        limit = limits[label]
+        agrees = worst >= limit["agreement"] and guessed <= limit["guessed"]
+        return agrees and left_out <= limit["left_out"] * count
 
-    found = next((label for label in LABELS[:-1] if holds(label)), LABELS[-1])
+    label = next(filter(holds, LABELS[:-1]), LABELS[-1])
     if doubt is not None:
-        found = max(found, doubt.best, key=LABELS.index)
-    blamed = names[evidence.index(worst)]
+        label = max(label, doubt.best, key=LABELS.index)
     shown = f"the scene shows its photos at {sum(psnr) / len(psnr):.1f} dB on average"
-    if found != "good":
-        mean = sum(evidence) / len(evidence)
-        shown += f", and they fit together at {mean:.1f} dB, the worst ({blamed}) at {worst:.1f} dB"
+    if label == "good":
+        return label, f"{shown}."
+    blamed, mean = names[evidence.index(worst)], sum(evidence) / len(evidence)
+    shown += f", and they fit together at {mean:.1f} dB, the worst ({blamed}) at {worst:.1f} dB"
     if left_out:
         shown += f"; {left_out} of {count} photos could not be placed"
     if guessed > limits["good"]["guessed"]:
-        least_known = names[between.index(guessed)]
+        least_known = names[guesses.index(guessed)]
         shown += (
             f"; half-way between {least_known} and the photo nearest to it, {guessed:.0%} of the "
             "picture is guessed, since no photo shows it well enough"
         )
-        better = LABELS[max(0, LABELS.index(found) - 1)]
-        if worst >= limits[better]["agreement"]:
+        if worst >= limits[LABELS[LABELS.index(label) - 1]]["agreement"]:
             blamed = least_known
-    if doubt is not None and found != "good":
-        return found, f"{shown}; {doubt.clause}."
-    return found, shown + _way_out(found, blamed, names, left_out) + "."
+    way = doubt.clause if doubt else _way_out(blamed, names, left_out)
+    return label, f"{shown}; {way}."
 
 
-def _way_out(label: Label, blamed: str, names: Sequence[str], left_out: int) -> str:
+def _way_out(blamed: str, names: Sequence[str], left_out: int) -> str:
     """What to do; the first photo is to blame where the others do not find to it."""
-    if label == "good":
-        return ""
     if left_out > len(names):
-        first = f"; the others are placed by what they share with {names[0]}"
-        return f"{first}: begin with another photo"
+        return (
+            f"the others are placed by what they share with {names[0]}: begin with another "
+            "photo"
+        )
     if len(names) > 2:
-        return f"; leave {blamed} out, or add photos between it and the others"
-    return "; take photos nearer to each other, or add some in between"
+        return f"leave {blamed} out, or add photos between it and the others"
+    return "take photos nearer to each other, or add some in between"

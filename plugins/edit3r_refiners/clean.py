@@ -2,7 +2,7 @@
 
 A Gaussian is a floater where each camera that has it in the picture sees a surface clearly behind
 it: it veils, and is the surface of nothing. What one camera sees as its surface stays, and so does
-what stands behind the surfaces.
+what stands behind the surfaces, and what veils so much together that little is seen behind.
 """
 
 from dataclasses import dataclass
@@ -25,6 +25,9 @@ from edit3r.kit.rendering import render_one
 
 OPAQUE = 0.5  # a pixel that is less so shows no surface
 SEEN = 2 / 255  # change of a pixel's colour that counts as one [sRGB]
+# Opacity of floaters together from which they are what a pixel shows: rendered depths are means, so
+# that before a far sky a half opaque house stands clearly before its own depth.
+SOLID = 0.75
 
 
 class CleanSettings(Settings):
@@ -96,7 +99,7 @@ def find_floaters(
         elsewhere |= there & ~in_front
         shown.append(rendering.images.clamp(0, 1))
         progress("look for floaters", view + 1, cameras.count)
-    found = before & ~elsewhere
+    found = _veiling(before & ~elsewhere, gaussians, cameras, rasterizer)
     if not found.any():
         return Floaters(found, 0.0)
     rest = gaussians.select(~found)
@@ -105,6 +108,31 @@ def find_floaters(
         for view, image in enumerate(shown)
     ]
     return Floaters(found, sum(changed) / len(changed))
+
+
+def _veiling(
+    found: Bool[Tensor, "gaussian"],
+    gaussians: Gaussians,
+    cameras: Cameras,
+    rasterizer: Rasterizer,
+) -> Bool[Tensor, "gaussian"]:
+    """Those `found` that veil: where together they are solid for a camera, they are a surface."""
+    left = found.clone()
+    for view in range(cameras.count if found.any() else 0):
+        camera = cameras.select([view])
+        veil = render_one(rasterizer, gaussians.select(found), camera).alphas
+        places, depth = project(
+            gaussians.means[0], camera.intrinsics[0, 0], camera.c2w[0, 0]
+        )
+        size = veil.shape[-2:]
+        opacity = warp(
+            veil.reshape(1, 1, *size),
+            places[None, None],
+            mode="nearest",
+            padding="zeros",
+        )
+        left &= ~((depth > 0) & (opacity[0, 0, 0] > SOLID))
+    return left
 
 
 def _nearest_surface(

@@ -42,7 +42,7 @@ HALF_EVERY = 4  # rounds of large images, of which the first is at half the size
 class RefineSettings(Settings):
     """Step sizes of Adam, in units that do not depend on the scene, and what is held back."""
 
-    colour: float = Field(0.04, ge=0, le=1)
+    colour: float = Field(0.05, ge=0, le=1)
     """step of the harmonics"""
     opacity: float = Field(0.55, ge=0, le=1)
     """step of the opacities' logits"""
@@ -52,7 +52,7 @@ class RefineSettings(Settings):
     """most times as large as it was that a Gaussian may become: what grows over a depth edge at the
     photos stands before others' surfaces between them
     """
-    centre: float = Field(0.15, ge=0, le=1)
+    centre: float = Field(0.2, ge=0, le=1)
     """step of the centres [own smallest two scales' mean]"""
     half_above: int = Field(768, ge=1)
     """longer side above which a quarter of the steps are at half the size, for less time and so

@@ -76,7 +76,7 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One reading of the marks."""
+    """A mask that the marks may mean, and how likely it is meant beside others of one image."""
 
     mask: np.ndarray  # [h, w] bool
     score: float

@@ -50,7 +50,7 @@ def named(
 
 
 def _knowing(text: str) -> str | None:
-    """The detector that is asked."""
+    """The first usable detector that knows the words; None: there is none."""
     for detector in DETECTORS:
         if usable(detector) and (detector != "coco" or coco_classes(text)):
             return detector

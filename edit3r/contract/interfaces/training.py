@@ -103,7 +103,7 @@ class TrainingJob:
 
 
 class Trainer(Configured, ABC):
-    """A training recipe."""
+    """A way to train a reconstructor: what a step shows it, and what it is held to."""
 
     @abstractmethod
     def train(self, job: TrainingJob) -> Path:

@@ -12,7 +12,7 @@ import lazy_loader
 import pytest
 
 import edit3r
-from edit3r.cli.main import at_home, main
+from edit3r.cli.main import Parser, at_home, main, parse
 from edit3r.kit.command.console import StageConsole
 from edit3r.loading.registry import default_registry
 
@@ -204,3 +204,11 @@ def test_a_disk_that_takes_no_more_is_one_sentence_with_the_way_out(
     monkeypatch.setattr("edit3r.cli.main._dispatch", full)
     assert main(["run"]) == 1
     assert told in capsys.readouterr().err
+
+
+def test_after_two_dashes_nothing_is_an_option():
+    parser = Parser(prog="edit3r")
+    parser.add_argument("photos", nargs="*")
+    parser.add_argument("--quiet", action="store_true")
+    found = parse(parser, ["--quiet", "--", "--b.jpg", "--quiet"])
+    assert found.quiet and found.photos == ["--b.jpg", "--quiet"]

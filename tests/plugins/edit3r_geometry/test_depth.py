@@ -11,7 +11,6 @@ from edit3r_geometry.completion import (
     fill,
     main_plane,
     pull_forward,
-    push_back,
     without_speckles,
 )
 from edit3r_geometry.depth_maps import (
@@ -153,15 +152,20 @@ def test_a_photo_that_shares_little_confirms_depths_and_measures_none(
     }
     registration = Registration((Pose.identity(),) * 4, np.ones(4, bool), pairs)
     monkeypatch.setattr(Registration, "shared_depths", lambda *_: np.ones(9))
-    swept = []
+    swept, asked = [], []
+
+    def confirm(*_):
+        asked.append(1)
+        return np.ones(SIZE, bool)
 
     def sweep(reference, neighbours, *_):
         swept.append(len(neighbours))
         return raw(0.1)
 
     monkeypatch.setattr(depth_maps, "sweep_depth", sweep)
-    around, _, _ = depth_maps._swept(images, registration, DepthSettings())
-    assert [len(near) for near in around] == [3, 1, 1, 1]
+    monkeypatch.setattr(depth_maps, "confirmed", confirm)
+    depth_maps._swept(images, registration, DepthSettings())
+    assert len(asked) == 3 + 1 + 1 + 1
     assert swept == [measured_by, 1, 1, 1]
 
 
@@ -293,46 +297,6 @@ def test_main_plane_ignores_a_smaller_second_surface():
     found, limits = main_plane(inverse, np.ones(SIZE, bool))
     assert np.abs(found - plane).max() < 0.003
     assert limits[0] >= inverse.min() and limits[1] <= inverse.max()
-
-
-def test_a_guess_is_pushed_behind_what_the_neighbour_measured(noise):
-    own, other = raw(0.1), raw(0.1)
-    guess = np.full(SIZE, 0.4, np.float32)
-    sure, nothing = np.ones(SIZE, bool), np.zeros(SIZE, bool)
-    picture, beside = CalibratedImage(noise, INTRINSICS), neighbour(noise)
-    pushed = push_back(guess, nothing, own, picture, beside, other, sure)
-    assert np.abs(pushed[:, 20:] - 0.1).max() < 3.5 * other.step
-    assert (push_back(guess, sure, own, picture, beside, other, sure) == guess).all()
-    assert (
-        push_back(guess, nothing, own, picture, beside, other, nothing) == guess
-    ).all()
-
-
-@pytest.mark.parametrize(("before", "stays"), [(1.9, True), (2.1, False), (4.0, False)])
-def test_a_guess_may_stand_two_planes_before_what_the_neighbour_measured(
-    noise, before, stays
-):
-    own, other = raw(0.1), raw(0.1)
-    guess = np.full(SIZE, 0.1 + before * other.step, np.float32)
-    sure, nothing = np.ones(SIZE, bool), np.zeros(SIZE, bool)
-    picture, beside = CalibratedImage(noise, INTRINSICS), neighbour(noise)
-    pushed = push_back(guess, nothing, own, picture, beside, other, sure)[:, 20:]
-    if stays:
-        assert (pushed == guess[:, 20:]).all()
-    else:
-        assert (pushed <= 0.1 + 2 * other.step + 1e-6).all()
-        assert (pushed > 0.1 + other.step - 1e-6).all()
-
-
-def test_a_guess_is_pushed_before_the_neighbour_s_camera(noise):
-    """The neighbour stands three units ahead, and the reference sees nothing of it."""
-    own, other = raw(0.1), raw(0.1)
-    ahead = Pose(np.eye(3), np.array([0, 0, -3.0]))
-    beside = Neighbour(CalibratedImage(noise, INTRINSICS), ahead)
-    guess, nothing = np.full(SIZE, 0.4, np.float32), np.zeros(SIZE, bool)
-    picture = CalibratedImage(noise, INTRINSICS)
-    pushed = push_back(guess, nothing, own, picture, beside, other, nothing)
-    assert (pushed < 1 / 3).all() and (pushed > 1 / 3 - 1.01 * own.step).all()
 
 
 def test_what_hides_another_s_sky_is_moved_until_the_others_look_past_it(noise):

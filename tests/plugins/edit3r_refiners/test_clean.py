@@ -20,7 +20,7 @@ from .scenes import flat_wall, textured
 def with_haze(gaussians, opacity=0.4, count=5):
     """The scene, and blobs half-way to it that all cameras have in the middle of the picture."""
     haze = gaussians.select(torch.arange(count))
-    means = torch.tensor([[[0.05, 0.01 * i, 0.9] for i in range(count)]])
+    means = torch.tensor([[[0.05 + 0.06 * (i - 2), 0.0, 0.9] for i in range(count)]])
     haze = replace(
         haze,
         means=means,
@@ -67,6 +67,16 @@ def test_what_one_camera_sees_as_its_surface_stays(rasterizer):
     haze = with_haze(gaussians, opacity=0.3)
     assert find_floaters(haze, aside.select([0]), rasterizer).found.any()
     assert not find_floaters(haze, aside, rasterizer).found.any()
+
+
+def test_what_is_solid_together_stays(rasterizer):
+    """Rendered depths are means: a heap, each of it half opaque, stands before its own."""
+    gaussians, cameras = flat_wall(2)
+    thin = find_floaters(with_haze(gaussians, 0.3, 1), cameras, rasterizer)
+    assert thin.found.sum() == 1
+    heap = with_haze(gaussians, 0.3, 1)
+    heap = Gaussians.cat((heap, *[heap.select(thin.found)] * 4))
+    assert not find_floaters(heap, cameras, rasterizer).found.any()
 
 
 def test_a_batch_is_refused(rasterizer):

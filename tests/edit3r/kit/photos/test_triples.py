@@ -18,6 +18,12 @@ def test_triples_are_pairs_of_the_wanted_angle_with_a_photo_between():
     assert choose_triples(cameras[:2], 9) == []
 
 
+def test_a_photo_that_looks_aside_is_between_no_pair():
+    ends, aside = [pose(0, 0), pose(1, -10)], pose(0.5, 90)
+    assert choose_triples([*ends, aside], 9, (8, 30)) == []
+    assert choose_triples([*ends, aside, pose(0.6, -5)], 9, (8, 30)) == [(0, 1, 3)]
+
+
 def test_triples_are_spread_over_all_pairs():
     cameras = [pose(0.1 * i, -2.5 * i) for i in range(12)]
     every = choose_triples(cameras, 999)
