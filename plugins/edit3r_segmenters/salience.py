@@ -141,7 +141,8 @@ def clearness(salience: np.ndarray) -> float:
     return float(HIGHEST_CLEARNESS * clear)
 
 
-_MEAN, _STD = np.float32(IMAGENET_MEAN), np.float32(IMAGENET_STD)
+_MEAN = np.array(IMAGENET_MEAN, np.float32)
+_STD = np.array(IMAGENET_STD, np.float32)
 
 
 def reader(path: Path) -> Callable[[], cv2.dnn.Net]:
