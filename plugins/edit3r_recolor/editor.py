@@ -24,15 +24,12 @@ from edit3r_recolor.recoloring import (
 from edit3r_recolor.steps import apply_change
 
 METALS = {
-    name: (red / 255, green / 255, blue / 255)
-    for name, (red, green, blue) in {
-        "gold": bytes.fromhex("db9e29"),
-        "silver": bytes.fromhex("b2b8bf"),
-        "bronze": bytes.fromhex("ab6b38"),
-        "copper": bytes.fromhex("c27352"),
-        "chrome": bytes.fromhex("a8b2bf"),
-        "steel": bytes.fromhex("99a1ab"),
-    }.items()
+    "gold": (0.86, 0.62, 0.16),
+    "silver": (0.70, 0.72, 0.75),
+    "bronze": (0.67, 0.42, 0.22),
+    "copper": (0.76, 0.45, 0.32),
+    "chrome": (0.66, 0.70, 0.75),
+    "steel": (0.60, 0.63, 0.67),
 }
 """sRGB in [0, 1] of metals under plain light, between shade and highlight."""
 
