@@ -21,6 +21,7 @@ from edit3r.contract.types import Views
 from edit3r.contract.weights import Weights
 from edit3r.kit.cache import remembered
 from edit3r.kit.checks import require_matchable
+from edit3r.kit.compute.perceptual import IMAGENET_MEAN, IMAGENET_STD
 from edit3r.kit.files.names import expanded
 from edit3r.kit.geometry.cameras import from_pixels, invert_rigid, relative_to_first
 from edit3r.kit.geometry.maps import resize, size_of
@@ -29,7 +30,6 @@ from edit3r.kit.weights.load import out_of_memory_told
 from edit3r_geometry import DEPTH_ANYTHING_3
 from edit3r_geometry.upsampling import upsample_depth
 
-IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
 PATCH = 14
 """Sides of the images the network sees are multiples of this [pixels]."""
 MIN_SIZE = 32

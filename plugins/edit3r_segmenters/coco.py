@@ -9,6 +9,7 @@ from torch import Tensor
 
 import edit3r
 from edit3r.contract.interfaces import Detection, Detector
+from edit3r.kit.compute.perceptual import IMAGENET_MEAN, IMAGENET_STD
 from edit3r.kit.weights.find import find
 from edit3r_segmenters import NANODET
 from edit3r_segmenters.sam import best_boxes
@@ -17,8 +18,8 @@ from edit3r_segmenters.words import COCO, coco_classes
 
 SIDE = 416  # of the network's input [pixels]
 BINS = 11  # a distance to a side of the box is a distribution over 0 to 10 strides
-MEAN = np.array([103.53, 116.28, 123.675], np.float32)  # BGR
-STD = np.array([57.375, 57.12, 58.395], np.float32)
+MEAN = np.float32(255 * np.array(IMAGENET_MEAN[::-1]))  # BGR
+STD = np.float32(255 * np.array(IMAGENET_STD[::-1]))
 LEVELS = (
     ("Identity", "Identity_3"),
     ("Identity_1", "Identity_4"),

@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from edit3r.kit.compute.outlines import distance_to, overlap
+from edit3r.kit.compute.perceptual import IMAGENET_MEAN, IMAGENET_STD
 from edit3r_segmenters.superpixels import PALETTE, Superpixels
 
 # shares of the image that an object may cover to be proposed
@@ -140,8 +141,8 @@ def clearness(salience: np.ndarray) -> float:
     return float(HIGHEST_CLEARNESS * clear)
 
 
-_MEAN = np.array([0.485, 0.456, 0.406], np.float32)
-_STD = np.array([0.229, 0.224, 0.225], np.float32)
+_MEAN = np.array(IMAGENET_MEAN, np.float32)
+_STD = np.array(IMAGENET_STD, np.float32)
 
 
 def reader(path: Path) -> Callable[[], cv2.dnn.Net]:

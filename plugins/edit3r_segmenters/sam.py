@@ -33,6 +33,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import note, progress
 from edit3r.contract.settings import PartChoice, Settings
 from edit3r.kit.cache import fingerprint, remembered
+from edit3r.kit.compute.perceptual import IMAGENET_MEAN, IMAGENET_STD
 from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.weights.load import (
@@ -372,7 +373,7 @@ class Sam2Segmenter(SamSegmenter):
     session = (
         "transformers.models.sam2_video.modeling_sam2_video:Sam2VideoInferenceSession"
     )
-    mean, std = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+    mean, std = IMAGENET_MEAN, IMAGENET_STD
     threshold_key = "segmenter.detector.box_threshold"
 
     class Settings(SamSettings):

@@ -24,6 +24,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
 from edit3r.contract.weights import Weights
 from edit3r.kit.cache import fingerprint, recall
+from edit3r.kit.compute.perceptual import IMAGENET_MEAN, IMAGENET_STD
 from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.weights.find import at_hand, find
@@ -32,8 +33,8 @@ from edit3r_segmenters import SMALL, tracking
 from edit3r_segmenters.masks import Latest, stepped
 from edit3r_segmenters.sam import best_boxes, boxes_of, enlarge, proposal
 
-MEAN = np.array([123.675, 116.28, 103.53], np.float32)
-STD = np.array([58.395, 57.12, 57.375], np.float32)
+MEAN = np.float32(255 * np.array(IMAGENET_MEAN))
+STD = np.float32(255 * np.array(IMAGENET_STD))
 MASK_SIDE = 256  # of a mask that is told with clicks [pixels]
 SURELY_OUT = 10.0  # logit of what lies beside the image, below zero
 # answers that stay in memory: a click is asked for its photo, then for all, then with steps; what

@@ -17,7 +17,15 @@ from edit3r.contract.errors import MissingDependencyError
 if TYPE_CHECKING:
     from efficientnet_lite_pytorch import EfficientNet
 
-__all__ = ["efficientnet_input", "frozen_efficientnet"]
+__all__ = [
+    "IMAGENET_MEAN",
+    "IMAGENET_STD",
+    "efficientnet_input",
+    "frozen_efficientnet",
+]
+
+IMAGENET_MEAN, IMAGENET_STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+"""Of the sRGB values in [0, 1] of ImageNet's photos, by which most networks scale their input."""
 
 
 def frozen_efficientnet() -> "EfficientNet":
