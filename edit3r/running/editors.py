@@ -177,18 +177,9 @@ def _nobody(instruction: Instruction, reader: Reader, registry: Registry) -> str
         reason = f"{look} is no look that an editor here knows"
     if unread:
         reason = f"{unread} in {instruction.text!r} {verb} not understood"
-    learned = [
-        offer.component.name
-        for offer in registry.offers("editor")
-        if "other" in offer.component.actions
-    ]
-    more = ""
-    if learned:
-        more = (
-            f" Editors with a model of their own may do it: {', '.join(learned)} (edit3r "
-            "list-plugins --kind editor says what each needs)."
-        )
-    return f"{reason}.{reader.hint(instruction)} {reader.abilities}{more}"
+    learned = any("other" in one.component.actions for one in registry.offers("editor"))
+    more = " Editors with a model of their own may do more (edit3r list-plugins --kind editor)."
+    return f"{reason}.{reader.hint(instruction)} {reader.abilities}{more if learned else ''}"
 
 
 @cache

@@ -119,6 +119,8 @@ def _begin(
         note_quality(job.config)
     job = undone(with_reader(job, registry))
     parts = Parts(job.config, registry, job)
+    # A sentence that nobody can carry out ends the run before photos are read.
+    _ = parts.tasks
     inputs, factor = to_working_scale(read(job, parts.lens))
     parts.settle_matcher(inputs.photos)
     return inputs, factor, parts

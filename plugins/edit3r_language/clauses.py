@@ -127,6 +127,19 @@ def content_of(tokens: list[str]) -> list[str]:
     return [t for t in tokens if t not in ignored or t in pronouns]
 
 
+def blamed(tokens: list[str]) -> tuple[str, ...]:
+    """Which words of a clause that asks for nothing known are to blame.
+
+    "nice" of "make it nice"; none of "paint the wall", which does not say in which colour.
+    """
+    nice = tuple(token for token in tokens if token in words.NICE)
+    content = [token for token in content_of(tokens) if token not in words.PRONOUNS]
+    # "the wall", not "it rain"
+    named = not content or bool(set(tokens) & (words.DETERMINERS - words.PRONOUNS))
+    named = named and all(map(is_noun, content))
+    return nice or (() if named else unread_of(content))
+
+
 # ---- what is left out of the thing ----
 
 
@@ -280,8 +293,7 @@ def _only_names(tokens: list[str], clause: Clause, origin: Colour | None) -> Cla
         clause.thing = read_region(tokens)
         return clause
     if says_more or origin is not None or not content or not begins or unclear:
-        unread = unread_of([t for t in content if t not in words.PRONOUNS])
-        return clause.not_understood(*(unclear or unread or tokens))
+        return clause.not_understood(*(unclear or blamed(tokens)))
     clause.thing = read_thing(tokens)
     return clause
 

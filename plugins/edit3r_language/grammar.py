@@ -47,12 +47,8 @@ class GrammarReader(Reader):
     """Knows colours, looks, places and everyday things; other words are named, never guessed."""
 
     abilities = (
-        "Without learned weights these are understood: paint (paint the bike red; sage green, "
-        "matte black, the colour of the door; from grey to brown; only the red parts; everything "
-        "but the bike; gold, silver, bronze, wood, marble, snow), brighter, darker, warmer, "
-        "colder, more or less saturated or contrast, black and white, sepia, inverted, looks (as a "
-        "pencil sketch, like autumn), of things or of places (the left half of the picture), and "
-        "remove (remove the bin)."
+        "Say what it shall become: a colour, gold, wood, brighter, darker, warmer, black and "
+        "white, a look (autumn, a pencil sketch); or what to remove."
     )
 
     def read(self, prompt: str) -> tuple[Instruction, ...]:

@@ -21,6 +21,7 @@ from edit3r.kit.weights.load import (
     out_of_memory_told,
 )
 from edit3r_language.answers import instructions_of_answer, system_prompt
+from edit3r_language.grammar import GrammarReader
 
 Message = dict[str, str]
 
@@ -35,11 +36,7 @@ class ModelSettings(Settings):
 class AskingReader(Reader, ABC):
     """Asks for instructions as JSON, and sends a malformed answer back with what is wrong."""
 
-    abilities = (
-        "Without learned weights these are carried out, however they are said: painting, brighter, "
-        "darker, warmer, colder, saturation, contrast, black and white, sepia, inverted, looks, of "
-        "things or of places, and removing."
-    )
+    abilities = GrammarReader.abilities
     settings: ModelSettings
     who: str  # in messages
 

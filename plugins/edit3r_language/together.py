@@ -6,9 +6,8 @@ from dataclasses import replace
 from edit3r.contract.errors import PromptError
 from edit3r.contract.instructions import EVERY, Instruction, Thing
 from edit3r_language import vocabulary as words
-from edit3r_language.clauses import Clause, content_of
+from edit3r_language.clauses import Clause, blamed
 from edit3r_language.nouns import is_plural
-from edit3r_language.unknown_words import unread_of
 
 
 def instructions_of(
@@ -36,9 +35,7 @@ def _shared(clauses: list[Clause]) -> list[Clause]:
         if clause.action:
             filled.append(clause)
         elif giver is None or giver.action == "other":
-            content = content_of(clause.text.split())
-            unread = unread_of([t for t in content if t not in words.PRONOUNS])
-            filled.append(clause.not_understood(*(unread or content)))
+            filled.append(clause.not_understood(*blamed(clause.text.split())))
         else:
             filled.append(_with_change_of(clause, giver))
     return filled

@@ -56,7 +56,9 @@ NEON = ("neon", "fluorescent", "fluoro")
 VERY = ("very", "really", "super", "extremely")
 
 _MADE_ON_THE_COLOUR_ITSELF = ("dark", "deep", "light", "bright", "pale")
-"""Tones that with a basic colour are computed: the survey's dark colours are nearly black."""
+"""Tones that with a basic colour are computed; dark ones where the survey's is nearly black."""
+
+_NEARLY_BLACK = 0.5  # the largest of red, green and blue
 
 # Names of the lists that here mean another thing: a material, a look, an adjustment, a shade.
 _NO_COLOURS = _words_of(
@@ -122,19 +124,26 @@ def _toned(words: list[str]) -> RGB | None:
         and words[0] in _MADE_ON_THE_COLOUR_ITSELF
         and words[1] in BASIC_COLOURS
     )
+    name = "".join(words)
     # CSS's dark grey is lighter than its grey, and its dark orange is a lamp.
-    computed = computed and (words[0] == "dark" or _css("".join(words)) is None)
-    rgb = None if computed else _named("".join(words))
+    computed = computed and (words[0] == "dark" or _css(name) is None)
+    rgb = _dark_of_survey(words[0], name) if computed else _named(name)
     if rgb is not None or len(words) == 1:
         return rgb
     if words[0] in NEON:
         return _glowing(_toned(words[1:]))
-    strength = 1.0
-    if words[0] in VERY and len(words) > 2:
-        strength, words = 1.5, words[1:]
+    if words[0] in VERY and len(words) > 2 and words[1] in TONES:  # half as much again
+        return _shaded(_toned(words[1:]), TONES[words[1]][0] / 2, 1.0)
     if words[0] not in TONES:
         return _kind_of_basic(words)
-    return _shaded(_toned(words[1:]), *TONES[words[0]], strength)
+    return _shaded(_toned(words[1:]), *TONES[words[0]])
+
+
+def _dark_of_survey(tone: str, name: str) -> RGB | None:
+    """What people call a dark colour, unless it is nearly black: dark pink is no darkened pink."""
+    given = _given("colour_names.txt").get(name)
+    rgb = _rgb(given) if given and TONES[tone][0] < 0 else None
+    return rgb if rgb and max(rgb) >= _NEARLY_BLACK else None
 
 
 def _kind_of_basic(words: list[str]) -> RGB | None:
@@ -146,16 +155,12 @@ def _kind_of_basic(words: list[str]) -> RGB | None:
     return kind if near else None
 
 
-def _shaded(
-    rgb: RGB | None, tone: float, saturation: float, strength: float
-) -> RGB | None:
-    """A colour on the way to white or black, at most most of the way, with other saturation."""
+def _shaded(rgb: RGB | None, tone: float, saturation: float) -> RGB | None:
+    """A colour mixed with white or black, with other saturation."""
     if rgb is None:
         return None
-    tone = max(-0.75, min(0.75, strength * tone))
-    hue, lightness, chroma = colorsys.rgb_to_hls(*rgb)
-    lightness *= 1 + min(tone, 0)
-    lightness += max(tone, 0) * (1 - lightness)
+    mixed = [x * (1 - abs(tone)) + max(tone, 0) for x in rgb]
+    hue, lightness, chroma = colorsys.rgb_to_hls(*mixed)
     return colorsys.hls_to_rgb(hue, lightness, min(1.0, saturation * chroma))
 
 
@@ -195,10 +200,13 @@ def _key(name: str) -> str:
 
 
 @cache
+def _given(file: str) -> dict[str, str]:
+    """Colours of a list by their names without spaces."""
+    return {_key(line[8:]): line[:7] for line in _lines(file)}
+
+
+@cache
 def _listed() -> dict[str, str]:
-    """Colours by their names without spaces; everyday words before CSS before the survey."""
-    survey, everyday = (
-        {_key(line[8:]): line[:7] for line in _lines(name)}
-        for name in ("colour_names.txt", "everyday_colours.txt")
-    )
-    return survey | {name: name for name in ImageColor.colormap} | everyday
+    """Colours of all lists; everyday words before CSS before the survey."""
+    css = {name: name for name in ImageColor.colormap}
+    return _given("colour_names.txt") | css | _given("everyday_colours.txt")

@@ -40,7 +40,7 @@ def test_the_editor_that_can_do_it_is_taken(prompt, editors):
 
 def test_what_none_can_do_names_the_words_and_who_might():
     with pytest.raises(
-        PromptError, match=r"'polar'.* not understood.*instruct-pix2pix"
+        PromptError, match=r"'polar'.* not understood.*model of their own"
     ):
         chosen("make it a polar bear")
 

@@ -99,6 +99,12 @@ def test_a_sentence_that_cannot_be_read_is_for_editors_that_take_any():
         instructions_for(Asked(), "paint it red and blue")
 
 
+def test_a_sentence_that_nobody_can_carry_out_is_told_before_photos_are_read():
+    for editor in (None, "recolor"):
+        with pytest.raises(PromptError, match="'nice' in 'make it nice'"):
+            edit3r.run(["no-such-file.jpg"], "make it nice", editor=editor)
+
+
 def test_an_editor_without_instructions_says_how_to_get_them():
     with pytest.raises(PromptError, match=r"usual_reader\(\)\.read"):
         edit3r.EditRequest("paint it red").asked()

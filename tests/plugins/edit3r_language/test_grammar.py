@@ -163,7 +163,8 @@ def test_a_sentence_is_read(sentence, reading):
         ("a red dragon", "dragon"),
         ("paint the bike red with flames", "flames"),
         ("add a red hat", "add"),
-        ("paint the bike", "bike"),
+        ("make it nice", "nice"),
+        ("make the sky beautiful", "beautiful"),
         ("make the bear happy and the wall white", "happy"),
         ("make the car glossy", "glossy"),
         ("replace the bike with a car", "replace"),
@@ -179,6 +180,12 @@ def test_what_is_not_understood_is_named(sentence, unread):
         instruction for instruction in read(sentence) if instruction.action == "other"
     ]
     assert others and unread in others[0].unread
+
+
+@pytest.mark.parametrize("sentence", ["paint the bike", "make it", "the bike"])
+def test_no_word_is_to_blame_where_the_change_is_not_said(sentence):
+    (instruction,) = read(sentence)
+    assert (instruction.action, instruction.unread) == ("other", ())
 
 
 @pytest.mark.parametrize(

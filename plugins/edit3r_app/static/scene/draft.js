@@ -11,8 +11,9 @@ const undone = new Map(); // of each scene: the states that undo went back from,
 export function draftOf(page) {
   const { scene } = page;
   async function change(kind, value) {
+    if (kind === "say") soonPoint(value);
     const draft = await page.attempt(() => tell(["draft", page.state()], { do: kind, value }));
-    if (!draft) return;
+    if (!draft) return soonPoint("");
     took(draft);
     await answer();
   }
@@ -38,6 +39,7 @@ export function draftOf(page) {
   let asking = 0,
     asked = null,
     late = 0,
+    searched = "", // the words that it waits for
     adjusting = 0;
   // How much of the edit is taken: the photo shows it at once, what is said of it follows.
   async function adjust(name, value) {
@@ -50,15 +52,21 @@ export function draftOf(page) {
     clearTimeout(adjusting);
     adjusting = setTimeout(answer, 1000);
   }
+  // Words that are not answered in time lead to pointing, however long the server takes.
+  function soonPoint(words) {
+    const wait = !page.s.draft.selects && !page.s.byHand && words ? words.trim() : "";
+    if (wait && wait === searched) return;
+    clearTimeout(late);
+    searched = wait;
+    if (wait) late = setTimeout(() => page.question.point("Still looking for it."), PATIENCE);
+  }
   async function answer() {
     // what the draft means, on every photo
     const number = ++asking,
       { draft } = page.s;
     page.waiting.busy(draft.selects || draft.form.prompt ? "Finding it on every photo" : "");
     page.picture.preview();
-    clearTimeout(late);
-    if (draft.form.prompt && !draft.selects && !page.s.byHand)
-      late = setTimeout(() => page.question.point("Still looking for it."), PATIENCE);
+    soonPoint(draft.form.prompt);
     // One question at a time: of those that wait the last is asked. A sentence alone is read at once.
     while (asked && draft.selects) await asked;
     if (number !== asking || page.gone()) return;
@@ -68,7 +76,7 @@ export function draftOf(page) {
     const found = await mine;
     if (asked === mine) asked = null;
     if (number !== asking) return;
-    clearTimeout(late);
+    soonPoint("");
     page.waiting.busy("");
     if (!found || page.gone()) return;
     page.look = found;

@@ -1,6 +1,7 @@
 """Names of colours: the longest is read, shades are computed, and things stay things."""
 
 import colorsys
+import math
 
 import pytest
 
@@ -10,6 +11,12 @@ from edit3r.kit.compute.colour_names import (
     near_colours,
     read_colour,
 )
+
+
+def brightness(name):
+    """Relative luminance, by Rec. 709."""
+    linear = (((x + 0.055) / 1.055) ** 2.4 for x in read_colour(name.split())[0].rgb)
+    return sum(x * weight for x, weight in zip(linear, (0.2126, 0.7152, 0.0722)))
 
 
 def test_the_survey_and_css_are_known():
@@ -94,8 +101,21 @@ def test_rude_names_of_the_survey_are_read_and_never_proposed():
 @pytest.mark.parametrize("name", sorted(set(BASIC_COLOURS) - {"black"}))
 def test_every_dark_colour_is_darker_than_the_colour_itself(name):
     """CSS's dark grey is lighter than its grey, and its dark orange as bright as a lamp."""
-    dark, plain = (
-        colorsys.rgb_to_hls(*read_colour(words)[0].rgb)[1]
-        for words in (["dark", name], [name])
-    )
-    assert dark < 0.6 * plain
+    dark, plain = (brightness(words) for words in (f"dark {name}", name))
+    assert dark < 0.75 * plain
+
+
+@pytest.mark.parametrize(
+    ("shade", "like", "unlike"),
+    [
+        ("dark pink", "#cb416b", "crimson"),
+        ("dark yellow", "#d5b60a", "olive"),
+        ("light purple", "lilac", "magenta"),
+        ("light teal", "pale turquoise", "cyan"),
+        ("dark cream", "khaki", "yellow"),
+    ],
+)
+def test_a_shade_stays_of_its_hue(shade, like, unlike):
+    colours = (read_colour(name.split())[0].rgb for name in (shade, like, unlike))
+    shade, like, unlike = colours
+    assert math.dist(shade, like) < math.dist(shade, unlike)
