@@ -261,8 +261,8 @@ def rim(found: Pictures) -> float | None:
 
 
 @signal(
-    "the place of what was removed is closed to {:.0%}: it shines through, or is a blur (--grow 4 "
-    "takes more around it; another --editor invents what no photo shows)",
+    "what was removed shines through, or left a blur: its place is only {:.0%} like what is around "
+    "it (--grow 4 takes more around it; another --editor invents what no photo shows)",
     at_least=True,
     in_scene=True,
 )

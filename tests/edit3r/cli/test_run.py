@@ -153,7 +153,8 @@ def test_nothing_is_kept_of_a_run_that_edited_nothing(tmp_path, monkeypatch):
 
 def test_refine_poses_without_poses_is_an_error(posed_photos, tmp_path, capsys):
     photos = [str(path) for path in sorted(posed_photos.glob("?.png"))]
-    assert main(["run", *photos, "--out", str(tmp_path / "out"), "--refine-poses"]) == 2
+    options = ["--out", str(tmp_path / "out"), "--editor", "none", "--refine-poses"]
+    assert main(["run", *photos, *options]) == 2
     assert "--cameras" in capsys.readouterr().err and not (tmp_path / "out").exists()
 
 

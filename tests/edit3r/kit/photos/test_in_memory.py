@@ -1,6 +1,7 @@
 """Photos that a program holds in memory, and what is no photo."""
 
 import io
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -116,7 +117,7 @@ def test_the_lens_and_the_turn_of_a_pil_image_are_read(tmp_path):
     ],
 )
 def test_what_is_no_picture_is_told_with_what_to_do(photos, told):
-    for call in (load_views, edit3r.run):
+    for call in (load_views, partial(edit3r.run, editor="none")):
         with pytest.raises(InputError, match=told):
             call(photos)
 
