@@ -86,7 +86,7 @@ def test_one_that_finds_geometry_by_itself_is_a_full_part(by_name):
     assert None not in made.verdict.guessed_between
     assert made.verdict.guessed_between == by_name.verdict.guessed_between
     with pytest.raises(SettingsError, match="finds geometry by itself"):
-        edit3r.run(PHOTOS, recon=recon, matcher="classical", **PLAIN)
+        edit3r.run(PHOTOS, "paint it red", recon=recon, matcher="classical", **PLAIN)
 
 
 def test_ours_built_by_hand_makes_the_same_bytes(by_name, tmp_path):
