@@ -43,6 +43,9 @@ def guessed_between(geometry: Geometry, photos: Views) -> Float[Tensor, "batch v
 def _of_scene(
     geometry: Geometry, views: Views, scene: int, placed: Tensor
 ) -> Float[Tensor, "placed"]:
+    """Of each view that is `placed` in one scene the share that is guessed between it and its
+    nearest one.
+    """
     lenses, size = views.intrinsics[scene, placed], views.image_size
     c2w, depths = geometry.c2w[scene, placed], geometry.depths[scene, placed]
     colours = views.images[scene, placed].permute(0, 2, 3, 1).flatten(1, 2)

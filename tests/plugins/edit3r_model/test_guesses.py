@@ -10,6 +10,7 @@ from edit3r.contract.interfaces import Geometry
 
 SIZE, WALL = (24, 32), 2.0
 LENS = torch.tensor([[1.0, 0, 0.5], [0, 4 / 3, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
+WIDE_LENS = torch.tensor([[1.0, 0, 0.5], [0, 24, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
 
 
 @pytest.fixture
@@ -34,6 +35,22 @@ def test_a_guess_before_a_measured_wall_goes_back_to_it(wall):
     assert torch.equal(
         result.depths[wall.confidence > 0], wall.depths[wall.confidence > 0]
     )
+
+
+@pytest.mark.parametrize("view, guess, strip", [(0, 80, 32), (1, 15, 63)])
+def test_a_guess_moves_that_hides_something_from_the_other_photo_alone(
+    view, guess, strip
+):
+    """A quarter of the way from there, the guess stands three pixels beside the strip."""
+    c2w = torch.eye(4).repeat(1, 2, 1, 1)
+    c2w[0, 1, 0, 3] = 0.75
+    depths = torch.full((1, 2, 4, 96), WALL)
+    depths[0, view, :, guess] = 1.5
+    confidence = torch.zeros_like(depths)
+    confidence[0, 1 - view, :, strip] = 1
+    registered = torch.ones(1, 2, dtype=torch.bool)
+    result = pushed_back(Geometry(c2w, depths, confidence, registered), WIDE_LENS)
+    assert (result.depths[0, view, :, guess] > 1.5).all()
 
 
 @pytest.mark.parametrize("depth", [WALL, 1.5 * WALL])
