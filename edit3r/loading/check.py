@@ -123,7 +123,10 @@ def _check_parts(offer: Offer, cls: type, settings: type[Settings]) -> str:
         part for part in offer.component.parts if part not in settings.model_fields
     ]
     if unfilled and offer.kind not in PARTS_FROM_OUTSIDE:
-        return f"part {unfilled[0]!r} is declared but Settings has no field of that name to choose it"
+        return (
+            f"part {unfilled[0]!r} is declared but Settings has no field of that name to "
+            "choose it"
+        )
     parts = dict.fromkeys(offer.component.parts)
     try:
         inspect.signature(cls).bind(None, **parts)

@@ -327,7 +327,8 @@ def _write_scene(folder: RunFolder, result: RunResult) -> None:
     if result.gaussians.degree > VIEWER_DEGREE:
         was = result.gaussians.degree
         warn(
-            f"scene.ply holds harmonics up to degree {VIEWER_DEGREE} of {was}: viewers refuse more."
+            f"scene.ply holds harmonics up to degree {VIEWER_DEGREE} of {was}: viewers "
+            "refuse more."
         )
     prompt = " ".join(result.config.prompt.split())
     save_ply(
@@ -370,7 +371,10 @@ def _write_masks(folder: RunFolder, result: RunResult) -> None:
 
 def _about(result: RunResult) -> str:
     """Who made the scene, and the verdicts, in one line."""
-    line = f"editor {result.parts.editor_names}, reconstructor {component_name(result.reconstructor)}"
+    line = (
+        f"editor {result.parts.editor_names}, "
+        f"reconstructor {component_name(result.reconstructor)}"
+    )
     line += _answers(result.records.selection, result.edit_verdict)
     line += f"; scene: {result.verdict.label}"
     left_out = result.records.made.left_out

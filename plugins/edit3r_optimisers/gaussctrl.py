@@ -23,7 +23,10 @@ from edit3r_optimisers.method import (
     rendered,
 )
 
-ALIGNMENT = "views are not aligned to reference views by attention, only the second fit makes them agree"
+ALIGNMENT = (
+    "views are not aligned to reference views by attention, only the second fit "
+    "makes them agree"
+)
 DEPTH = "edits are not conditioned on the fitted depth"
 OPAQUE = 0.5  # alpha from which a pixel's depth is the scene's
 
