@@ -103,10 +103,11 @@ def select_masks(
         fits = told.fits if fits is None else fits
         sure.append(told.confidence)
     found |= carried(photos, found, set(range(len(images))) - set(found))
-    for view in [view for view, one in found.items() if one.how == "not found"]:
-        again = named_again(photos, selection, named, view)
-        if again is not None:
-            found[view] = OnPhoto(again, "words")
+    if not all_else:
+        found = {
+            view: named_again(photos, selection, named, view, one)
+            for view, one in found.items()
+        }
     if not named.each:
         found = agreed(photos, found, set(selection.added))
     masks = [
