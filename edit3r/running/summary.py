@@ -83,9 +83,9 @@ def _field_of_view(result: RunResult) -> str:
     if not any(result.photos.assumed):
         source = "known"
     elif "lens.alike" in result.report.notes:
-        source = "guessed, for the photos do not tell it; --fov or --cameras does"
+        source = "guessed, since the photos do not show it; set it with --fov or --cameras"
     elif "matcher.fov" in result.report.notes:
         source = "read from the photos"
     else:
-        source = "assumed, for nothing tells it; --fov or --cameras does"
+        source = "assumed; set it with --fov or --cameras"
     return f"field of view {degrees:.0f} degrees ({source})"
