@@ -23,9 +23,8 @@ def summary(out: Path, result: RunResult) -> str:
     lines = [
         *answers(result.records.selection, result.edit_verdict),
         f"scene: {result.verdict.label}, {result.verdict.reason}",
-        f"{_named_settings(result)} settings, {width}x{height}: "
-        f"{result.gaussians.count:,} Gaussians from {result.photos.count} photos in "
-        f"{seconds:.1f} s; {_field_of_view(result)}",
+        f"{_named_settings(result)} settings, {width}x{height}: {result.gaussians.count:,} "
+        f"Gaussians from {result.photos.count} photos in {seconds:.1f} s; {_field_of_view(result)}",
     ]
     folder = RunFolder(out)
     places = (
