@@ -20,6 +20,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import say
 from edit3r.kit.geometry.warping import warp
 from edit3r_select.answering import answered, standing_out
+from edit3r_select.obeying import MEASURED
 from edit3r_select.photos import Mask, Named, OnPhoto, Photos, overlap
 from edit3r_select.sum import SAME
 from edit3r_select.which import pick
@@ -89,14 +90,39 @@ def _own(
 
 
 def named_again(
-    photos: Photos, selection: Selection, named: Named, view: int
-) -> Mask | None:
-    """What words find on a photo where it was lost, as surely as elsewhere."""
-    if named.confidence is None or selection.which or selection.larger:
-        return None
-    for one in _text(photos, selection, view)[0]:
-        return one.soft_mask if one.confidence >= named.least else None
-    return None
+    photos: Photos, selection: Selection, named: Named, view: int, lost: OnPhoto
+) -> OnPhoto:
+    """What words find, as surely as elsewhere, on a photo where the thing was lost, or was carried
+    to by depths that are mostly guessed; what is there already where they find the same or nothing.
+    """
+    again = lost.how == "not found" or (
+        lost.how == "geometry" and _guessed(photos, named)
+    )
+    only = not selection.which and not selection.larger
+    if named.confidence is None or not (again and only):
+        return lost
+    there = _text(photos, selection, view)[0]
+    sure = [one.soft_mask for one in there if one.confidence >= named.least]
+    if not sure:
+        return lost
+    likeliest = max(sure, key=lambda mask: overlap(mask, lost.mask))
+    is_same = overlap(likeliest, lost.mask) >= SAME_THING
+    return lost if is_same else OnPhoto(likeliest, "words")
+
+
+def _guessed(photos: Photos, named: Named) -> bool:
+    """Whether the depths of most of what words found were guessed, so that a place in another photo
+    is a guess as well.
+    """
+    if photos.geometry is None:
+        return False
+    sure = photos.geometry.confidence[0] >= MEASURED
+    shares = [
+        float(sure[view][one.inside].double().mean())
+        for view, one in named.found.items()
+        if one.inside.any()
+    ]
+    return max(shares, default=0.0) < SEES
 
 
 def _asked(
