@@ -82,7 +82,9 @@ def _field_of_view(result: RunResult) -> str:
     if not any(result.photos.assumed):
         source = "known"
     elif "lens.alike" in result.report.notes:
-        source = "guessed, since the photos do not show it; set it with --fov or --cameras"
+        source = (
+            "guessed, since the photos do not show it; set it with --fov or --cameras"
+        )
     elif "matcher.fov" in result.report.notes:
         source = "read from the photos"
     else:
