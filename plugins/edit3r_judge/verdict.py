@@ -42,12 +42,10 @@ def judge(
     """
     before, psnr = (_psnr(scene, shown) for shown in (scene.first, scene.rendered))
     coverage = scene.rendered.alphas.mean((2, 3, 4)).amin(0).tolist()
-    filled: list[float | None] = [None] * len(psnr)
-    between = filled
-    if scene.measured is not None:
-        filled = (1 - scene.measured.amin(0)).tolist()
-    if guessed is not None:
-        between = guessed.amax(0).tolist()
+    unknown = [None] * len(psnr)
+    measured = scene.measured
+    filled = unknown if measured is None else (1 - measured.amin(0)).tolist()
+    between = unknown if guessed is None else guessed.amax(0).tolist()
     label, reason = _label(scene, before, psnr, between, doubt)
     at_photos, at_first, covered, guesses, on_the_way = (
         tuple(next(rest) if there else None for there in scene.placed)

@@ -50,6 +50,15 @@ def test_its_own_light_is_given_back_to_every_photo():
     assert torch.allclose(again, relit, atol=1e-6)
 
 
+def test_a_photo_of_less_contrast_alone_becomes_as_the_first():
+    images = SCENE.views.images.clone()
+    mean = images[:, 1].mean((2, 3), keepdim=True)
+    images[:, 1] = mean + 0.6 * (images[:, 1] - mean)
+    exposure = estimate_exposure(replace(SCENE.views, images=images), _geometry())
+    found = exposure.to_reference(images)
+    assert (found - SCENE.views.images)[:, 1].abs().mean() < 0.01
+
+
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_photos_of_one_light_stay_as_they_are(noise):
     generator = torch.Generator().manual_seed(0)
