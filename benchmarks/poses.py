@@ -41,7 +41,7 @@ from edit3r_training.procedural_scenes import (
     texture_bank,
 )
 from edit3r_training.raycaster import cast
-from harness import for_tuning, run_benchmark
+from harness import Row as TableRow, for_tuning, run_benchmark
 from jaxtyping import Float
 
 import edit3r
@@ -226,7 +226,6 @@ COUNTS = (3, 4, 6)
 SIZE = (288, 384)  # of the generated photos
 MATCHER = {k: v for k, v in DEFAULTS["matcher"].items() if k != "name"}
 """The matcher of a run, as defaults.yaml has it."""
-RIGHT = 6.0  # largest error of a lens that is read rightly [degrees]
 
 
 @dataclass(frozen=True)
@@ -342,77 +341,38 @@ def shown(photos: PhotoSet, fov: float) -> float:
     return float(np.mean([_unseen(result, photos.views, placed, t) for t in targets]))
 
 
-def summary(rows: Sequence[tuple[PhotoSet, float | None, bool]]) -> str:
-    """How many sets of each kind are right, and of the others how many were said to be unsure."""
-    lines = [
-        "| sets | within 6° | else unsure | else refused | wrong, unsaid | right, yet unsure |"
-    ]
-    lines += ["| --- | --: | --: | --: | --: | --: |"]
-    kinds = (
-        ("90° and wider, of 3", lambda p: p.fov > 85 and p.given < 4),
-        ("90° and wider, of 4 and 6", lambda p: p.fov > 85 and p.given >= 4),
-        ("narrower, of 3", lambda p: p.fov <= 85 and p.given < 4),
-        ("narrower, of 4 and 6", lambda p: p.fov <= 85 and p.given >= 4),
-    )
-    for kind, belongs in kinds:
-        own = [row for row in rows if belongs(row[0])]
-        right = [r for r in own if r[1] is not None and abs(r[1] - r[0].fov) <= RIGHT]
-        refused = sum(r[1] is None for r in own)
-        unsure = sum(r[2] for r in own if r not in right)
-        wrong = len(own) - len(right) - refused - unsure
-        doubted = sum(r[2] for r in right)
-        lines.append(
-            f"| {kind} | {len(right)} of {len(own)} | {unsure} | {refused} | {wrong} | {doubted} |"
-        )
-    return "\n".join(lines)
-
-
-def lenses() -> None:
+def lenses(
+    *, folders: Sequence[Path] = (), size: int = 384, repeats: int = 4, show: int = 0
+) -> Iterator[TableRow]:
     """Is the lens read from the photos the true one, and does the run say where it is not sure?
 
         python benchmarks/poses.py lenses
-        python benchmarks/poses.py lenses FOLDER... --show 2
+        python benchmarks/poses.py lenses --folders FOLDER... --show 2
 
     Without folders: rooms of the data set `procedural`, seen by lenses of 90 to 120 degrees (across
-    the longer side) and by narrow ones, in sets of 3, 4 and 6 photos. With folders: photos with a
-    cameras.json, whose lens is kept from the run; sets of 3, 4 and 6 at two distances. A row a set:
-    the true field of view, the one that was read, whether the run said that it is unsure, and
-    processor seconds. `--show N`: for every N-th set, the PSNR of photos between that were not
-    given, by the default run with the true lens and with the one read. Below that how many sets are
-    within 6 degrees, and of the others how many were said to be unsure.
+    the longer side) and by narrow ones, `--repeats` sets of 3, 4 and 6 photos of each. With
+    folders: photos with a cameras.json, whose lens is kept from the run; sets of 3, 4 and 6 at two
+    distances. A row a set: the true field of view, the one that was read and how far off it is,
+    whether the run said that it is unsure, and processor seconds. `--show N`: for every N-th set,
+    the PSNR of photos between that were not given, by the default run with the true lens and with
+    the one read.
     """
-    parser = argparse.ArgumentParser(
-        description=lenses.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("folders", nargs="*", type=Path)
-    parser.add_argument("--size", type=int, default=384)
-    parser.add_argument("--repeats", type=int, default=4, help="generated sets a kind")
-    parser.add_argument("--show", type=int, default=0, metavar="N")
-    args = parser.parse_args()
-    folders = [
-        set_ for f in for_tuning(args.folders) for set_ in from_folder(f, args.size)
-    ]
-    rows: list[tuple[PhotoSet, float | None, bool]] = []
-    print(
-        "| photos | n | true | read | unsure | CPU s | not given, true, read lens, dB |"
-    )
-    print("| --- | --: | --: | --: | --- | --: | --- |")
-    for number, photos in enumerate(
-        folders if args.folders else generated(args.repeats)
-    ):
+    sets = [set_ for f in for_tuning(folders) for set_ in from_folder(f, size)]
+    for number, photos in enumerate(sets or generated(repeats)):
         fov, unsure, seconds = read(photos)
-        rows.append((photos, fov, unsure))
         psnr = ""
-        if args.show and fov is not None and number % args.show == 0:
+        if show and fov is not None and number % show == 0:
             psnr = ", ".join(f"{shown(photos, lens):.1f}" for lens in (photos.fov, fov))
-        told = "refused" if fov is None else f"{fov:.1f}"
-        cells = (photos.name, photos.given, f"{photos.fov:.1f}", told)
-        print(
-            f"| {' | '.join(map(str, cells))} | {'unsure' if unsure else ''} | {seconds:.1f} "
-            f"| {psnr} |",
-            flush=True,
-        )
-    print(f"\n{summary(rows)}")
+        yield {
+            "photos": photos.name,
+            "n": (photos.given, "d"),
+            "true": (photos.fov, ".1f"),
+            "read": "refused" if fov is None else (fov, ".1f"),
+            "off": "refused" if fov is None else (abs(fov - photos.fov), ".1f"),
+            "unsure": "unsure" if unsure else "",
+            "CPU s": (seconds, ".1f"),
+            "not given, true, read lens, dB": psnr,
+        }
 
 
 # ---- depths ----

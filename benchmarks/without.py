@@ -80,8 +80,8 @@ PARTS = {
         nothing=lambda keypoints, pairs, images: pairs,
     ),
     "lens-prior": Part(
-        "poses where nobody knows the lens",
-        "scenes.py held-out {data}",
+        "the lens where nobody knows it",
+        "poses.py lenses --repeats 1",
         place="edit3r_geometry.calibration:_FocalSearch._penalty",
         nothing=lambda self, log_focal: 0.0,
     ),

@@ -338,8 +338,7 @@ def require_gives(
     if any(one not in rasterizer.gives for one in needed):
         raise SettingsError(
             f"rasterizer {name!r} gives {' and '.join(rasterizer.gives) or 'nothing'}, and {who} "
-            f"needs {', '.join(needed)}; choose another "
-            "(edit3r list-plugins --kind rasterizer)."
+            f"needs {', '.join(needed)}; choose another (edit3r list-plugins --kind rasterizer)."
         )
 
 

@@ -219,8 +219,7 @@ class Registry:
             call = ", ".join(["settings", *(f"{part}=..." for part in parts)])
             raise PluginError(
                 f"{kind} {offer.component.name!r} of plugin {offer.plugin!r} could not be "
-                "constructed as "
-                f"{cls.__name__}({call}) ({type(error).__name__}: {error})."
+                f"constructed as {cls.__name__}({call}) ({type(error).__name__}: {error})."
             ) from error
         component.settings, component.offer, component.parts = settings, offer, parts
         return component

@@ -110,8 +110,7 @@ def _read(root: str | Path, reader: Callable[[Path, dict[str, Any]], Read]) -> R
         if not needed.is_file():
             raise InputError(
                 f"{root}: not the folder of an earlier run that can be continued, it lacks "
-                f"{needed.name}; "
-                f"--from takes what edit3r run wrote with --out."
+                f"{needed.name}; --from takes what edit3r run wrote with --out."
             )
     try:
         manifest = read_json(folder.manifest)
@@ -126,8 +125,7 @@ def _read(root: str | Path, reader: Callable[[Path, dict[str, Any]], Read]) -> R
     ) as error:
         raise InputError(
             f"{folder.manifest}: lacks what is needed to continue ({type(error).__name__}: "
-            f"{error}); "
-            f"start again from the photos."
+            f"{error}); start again from the photos."
         ) from None
 
 

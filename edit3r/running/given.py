@@ -87,8 +87,7 @@ def _check_numbers(name: str, values: Tensor, expected: str) -> None:
     """Raise InputError unless there are values, in float32, all finite."""
     if values.dtype != torch.float32:
         raise InputError(
-            f"{name}: got {_short(values.dtype)}, expected {expected}; give "
-            ".to(torch.float32)."
+            f"{name}: got {_short(values.dtype)}, expected {expected}; give .to(torch.float32)."
         )
     if values.numel() == 0:
         raise InputError(

@@ -13,7 +13,7 @@ MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "sure"}
 """Settings that may differ from the defaults without the run being another kind of run."""
 
 # measured by `scenes.py dial`, at the default's size and at 1024 pixels
-BEST_COSTS, LARGE_COSTS = "half as long again", "about four times as long"
+BEST_COSTS, LARGE_COSTS = "half as long again", "two to three times as long"
 
 
 def summary(out: Path, result: RunResult) -> str:
@@ -23,9 +23,8 @@ def summary(out: Path, result: RunResult) -> str:
     lines = [
         *answers(result.records.selection, result.edit_verdict),
         f"scene: {result.verdict.label}, {result.verdict.reason}",
-        f"{_named_settings(result)} settings, {width}x{height}: "
-        f"{result.gaussians.count:,} Gaussians from {result.photos.count} photos in "
-        f"{seconds:.1f} s; {_field_of_view(result)}",
+        f"{_named_settings(result)} settings, {width}x{height}: {result.gaussians.count:,} "
+        f"Gaussians from {result.photos.count} photos in {seconds:.1f} s; {_field_of_view(result)}",
     ]
     folder = RunFolder(out)
     places = (
@@ -83,9 +82,11 @@ def _field_of_view(result: RunResult) -> str:
     if not any(result.photos.assumed):
         source = "known"
     elif "lens.alike" in result.report.notes:
-        source = "guessed, for the photos do not tell it; --fov or --cameras does"
+        source = (
+            "guessed, since the photos do not show it; set it with --fov or --cameras"
+        )
     elif "matcher.fov" in result.report.notes:
         source = "read from the photos"
     else:
-        source = "assumed, for nothing tells it; --fov or --cameras does"
+        source = "assumed; set it with --fov or --cameras"
     return f"field of view {degrees:.0f} degrees ({source})"

@@ -122,8 +122,7 @@ def _workers(args: argparse.Namespace) -> "Workers":
             raise SettingsError(f"{name} is asked of Ray; give --ray too.")
     if args.gpus_per_worker > 1 and args.gpus_per_worker % 1:
         raise SettingsError(
-            "--gpus-per-worker: a part of one GPU, or a whole number, got "
-            f"{args.gpus_per_worker}."
+            f"--gpus-per-worker: a part of one GPU, or a whole number, got {args.gpus_per_worker}."
         )
     return Workers(
         args.workers,

@@ -75,8 +75,7 @@ def run(args: argparse.Namespace) -> None:
     if args.config:
         if named:
             raise SettingsError(
-                "--config says which methods are run; leave out --editor, --recon and "
-                "--rasterizer."
+                "--config says which methods are run; leave out --editor, --recon and --rasterizer."
             )
         methods = read_methods(read_config(args.config, args.trust_config), settings)
         labels = [method.label for method in methods]

@@ -116,9 +116,8 @@ def check_name(name: str) -> None:
     """Raise InputError unless `name` can name a component, a package and a module, all new."""
     if not NAME.fullmatch(name) or len(name) > MAX_NAME:
         raise InputError(
-            f"name {name!r}: expected lower-case letters, digits and single dashes, starting "
-            "with a letter, "
-            f"at most {MAX_NAME} characters, such as {_nearest(name)!r}."
+            f"name {name!r}: expected lower-case letters, digits and single dashes, starting with "
+            f"a letter, at most {MAX_NAME} characters, such as {_nearest(name)!r}."
         )
     if keyword.iskeyword(name):
         raise InputError(f"name {name!r} is a Python keyword; choose another.")

@@ -41,8 +41,7 @@ def edit_consistently(
     if mode == "reference-first" and not several:
         raise SettingsError(
             "editor.consistency: this pipeline takes one picture, and reference-first needs one "
-            "that takes several "
-            "(flux2-klein, qwen-image-edit); use grid, which works with any."
+            "that takes several (flux2-klein, qwen-image-edit); use grid, which works with any."
         )
     ways = {"reference-first": _reference_first, "grid": _grid}
     if mode == "independent" or views.count < 2:

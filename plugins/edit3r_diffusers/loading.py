@@ -146,9 +146,8 @@ def _place(pipeline: Any, settings: DiffusionSettings, device: torch.device) -> 
     """Move a pipeline to the device, or leave the moving to accelerate."""
     if settings.offload != "none" and device.type == "cpu":
         raise SettingsError(
-            f"editor.offload: {settings.offload!r} moves parts between main memory and a GPU, "
-            "but the editor runs on "
-            f"the CPU; use --set editor.offload=none, or --device cuda."
+            f"editor.offload: {settings.offload!r} moves parts between main memory and a GPU, but "
+            "the editor runs on the CPU; use --set editor.offload=none, or --device cuda."
         )
     with out_of_memory_told("loading the weights"):
         if settings.offload == "model":
@@ -165,8 +164,7 @@ def _place(pipeline: Any, settings: DiffusionSettings, device: torch.device) -> 
 def out_of_memory_told(doing: str) -> AbstractContextManager[None]:
     """Turn running out of memory into a sentence with the settings that help."""
     advice = (
-        "try --set editor.offload=model, then editor.low_memory=true, a smaller "
-        "editor.resolution, and last "
-        "editor.offload=sequential"
+        "try --set editor.offload=model, then editor.low_memory=true, a smaller editor.resolution, "
+        "and last editor.offload=sequential"
     )
     return pretrained.out_of_memory_told(doing, advice)

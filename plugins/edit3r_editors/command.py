@@ -118,8 +118,7 @@ class CommandEditor(Editor):
         except subprocess.TimeoutExpired:
             raise RunError(
                 f"editor.command: {program!r} ran longer than {limit:g} s and was ended; raise "
-                "editor.timeout if it "
-                "needs more."
+                "editor.timeout if it needs more."
             ) from None
         if done.returncode != 0:
             text = log.read_text(encoding="utf-8", errors="replace")

@@ -80,8 +80,7 @@ def match_files(files: list[Path], names: list[str]) -> list[Path]:
     if len(files) != len(names):
         raise InputError(
             f"editor.path: no file is named like a view ({', '.join(names)}) and {len(files)} "
-            "pictures cannot be "
-            f"matched to {len(names)} views in order; found {found}."
+            f"pictures cannot be matched to {len(names)} views in order; found {found}."
         )
     pairs = ", ".join(f"{name} <- {file.name}" for name, file in zip(names, files))
     reporting.warn(

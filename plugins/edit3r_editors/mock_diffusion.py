@@ -50,9 +50,8 @@ class MockDiffusionEditor(Editor):
 
     def edit(self, views: Views, request: EditRequest) -> Views:
         reporting.warn(
-            "editor 'mock-diffusion' is a stand-in: it changes colours and textures from a hash "
-            "of the prompt and "
-            "does not understand it. Use a real editor for real results."
+            "editor 'mock-diffusion' is a stand-in: it changes colours and textures from a hash of "
+            "the prompt and does not understand it. Use a real editor for real results."
         )
         shared = torch.rand(6, generator=_generator(request.prompt, request.seed))
         apart, results = self.settings.disagreement, []

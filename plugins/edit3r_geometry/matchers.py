@@ -380,8 +380,7 @@ class PosedMatcher(_RememberingMatcher):
         reporting.say(
             "poses.refined",
             f"turned by up to {np.degrees(max(turns)):.2f} degrees, moved by up to "
-            f"{max(steps):.1%} of "
-            "the distance between the cameras",
+            f"{max(steps):.1%} of the distance between the cameras",
         )
         return tuple(moved[view] for view in range(len(poses)))
 

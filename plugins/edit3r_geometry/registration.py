@@ -85,9 +85,8 @@ class Registration:
         placed = np.array([any(view in pair for pair in pairs) for view in views])
         if not placed[0]:
             raise MatchingError(
-                "view 0 shares too few features with the other photos on the lines that the "
-                "known poses give; "
-                "look whether poses and photos belong together."
+                "view 0 shares too few features with the other photos on the lines that the known "
+                "poses give; look whether poses and photos belong together."
             )
         return Registration(
             tuple(poses.get(view, Pose.identity()) for view in views),

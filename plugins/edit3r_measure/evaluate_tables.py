@@ -45,48 +45,46 @@ def as_markdown(scores: Scores) -> str:
     return "\n".join(lines) + "\n"
 
 
-NOVEL_VIEW_HEAD = """\
-| scene | pairs | failed | PSNR | best-blurred photo | gain | gain, covered pixels | SSIM gain \
-| coverage | median rotation error | under 2° | CPU s a pair |
-| --- | --: | --: | --: | --: | --: | --: | --: | --: | --: | --: | --: |"""
-
-
 def novel_view_table(scores: Scores) -> str:
     """Return one row a scene and one for all pairs: means over the pairs that did not fail."""
     groups = grouped(scores, lambda score: score.scene) | {"all pairs": list(scores)}
-    lines = [NOVEL_VIEW_HEAD]
+    rows = []
     for name, group in groups.items():
         done = _done(group)
-        row = _novel_view_cells(done) if done else " - |" * 9
-        lines.append(f"| {name} | {len(group)} | {len(group) - len(done)} |{row}")
-    return "\n".join(lines)
+        failed = len(group) - len(done)
+        row = {"scene": name, "pairs": f"{len(group)}", "failed": f"{failed}"}
+        rows.append(row | (_novel_view_cells(done) if done else {}))
+    return markdown_table(rows)
 
 
-def _novel_view_cells(pairs: Sequence[Mapping[str, float]]) -> str:
+def _novel_view_cells(pairs: Sequence[Mapping[str, float]]) -> dict[str, str]:
     mean = {name: fmean(pair[name] for pair in pairs) for name in pairs[0]}
     rotations = [pair["rotation_error"] for pair in pairs]
-    gain = mean["psnr"] - mean["blurred_psnr"]
     covered_gain = mean["covered_psnr"] - mean["covered_blurred_psnr"]
-    ssim_gain = mean["ssim"] - mean["blurred_ssim"]
-    under_2 = fmean(rotation < 2 for rotation in rotations)
-    return (
-        f" {mean['psnr']:.2f} | {mean['blurred_psnr']:.2f} | {gain:+.2f} | {covered_gain:+.2f} |"
-        f" {ssim_gain:+.3f} | {mean['coverage']:.3f} | {median(rotations):.2f}° |"
-        f" {under_2:.0%} | {mean['seconds']:.1f} |"
-    )
+    return {
+        "PSNR": f"{mean['psnr']:.2f}",
+        "best-blurred photo": f"{mean['blurred_psnr']:.2f}",
+        "gain": f"{mean['psnr'] - mean['blurred_psnr']:+.2f}",
+        "gain, covered pixels": f"{covered_gain:+.2f}",
+        "SSIM gain": f"{mean['ssim'] - mean['blurred_ssim']:+.3f}",
+        "coverage": f"{mean['coverage']:.3f}",
+        "median rotation error": f"{median(rotations):.2f}°",
+        "under 2°": f"{fmean(rotation < 2 for rotation in rotations):.0%}",
+        "CPU s a pair": f"{mean['seconds']:.1f}",
+    }
 
 
 def edit_table(scores: Scores) -> str:
     """Return one row a measure of how edits are carried and fused."""
     done = _done(scores)
-    lines = ["| carried edits | scenes | mean | median |", "| --- | --: | --: | --: |"]
+    rows = []
     for name in done[0] if done else ():
         values = [own[name] for own in done if not math.isnan(own[name])]
-        cells = "- | -"
+        row = {"carried edits": name, "scenes": f"{len(values)}"}
         if values:
-            cells = f"{fmean(values):.3f} | {median(values):.3f}"
-        lines.append(f"| {name} | {len(values)} | {cells} |")
-    return "\n".join(lines)
+            row |= {"mean": f"{fmean(values):.3f}", "median": f"{median(values):.3f}"}
+        rows.append(row)
+    return markdown_table(rows)
 
 
 def protocol_table(scores: Scores) -> str:

@@ -22,8 +22,7 @@ OFFICIAL = Weights(
     "the full network as the paper's authors trained it, for two views of 512x512",
     2_500_000_000,  # about: 612 million parameters in float32
     "as the card of its repository says: read it first; the network starts from NoPoSplat's and "
-    "MASt3R's weights, "
-    "which are CC BY-NC-SA 4.0",
+    "MASt3R's weights, which are CC BY-NC-SA 4.0",
     "unclear",
     "hub:jiagengliu02/edit3r",
     files=(("edit3r.ckpt", ""),),

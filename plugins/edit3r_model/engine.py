@@ -9,7 +9,7 @@ layers, which can be trained.
 import time
 from dataclasses import dataclass
 from functools import cache
-from typing import Literal
+from typing import Literal, TypeGuard
 
 import torch
 from torch import nn
@@ -107,7 +107,7 @@ def _clock(device: torch.device) -> float:
     return time.perf_counter()
 
 
-def _is_wide(leaf: nn.Module) -> bool:
+def _is_wide(leaf: nn.Module) -> TypeGuard[nn.Linear | nn.Conv2d]:
     """Whether a layer has enough channels for int8."""
     if not isinstance(leaf, nn.Linear | nn.Conv2d):
         return False
@@ -120,12 +120,9 @@ def prepare_leaf(
     """Convert the leaf called `name` in place: dtype, memory layout, device, or its int8 form."""
     form = plan.backbone if name.startswith("backbone.") else plan.head
     if form == "int8" and _is_wide(leaf):
-        if isinstance(leaf, nn.Linear):
-            network.set_submodule(name, Int8Linear(leaf))
-            return
-        if isinstance(leaf, nn.Conv2d):
-            network.set_submodule(name, Int8Conv(leaf))
-            return
+        made = Int8Linear(leaf) if isinstance(leaf, nn.Linear) else Int8Conv(leaf)
+        network.set_submodule(name, made)
+        return
     leaf.to(device=plan.device, dtype=DTYPES.get(form, torch.float32))
     if isinstance(leaf, nn.Conv2d | nn.ConvTranspose2d):
         # torch's stubs lack it

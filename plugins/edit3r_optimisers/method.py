@@ -206,9 +206,8 @@ def edited_from(
             answer = editor.edit_from(views, start, request, strength)
         return _confined(editor, views, answer, request)
     warn(
-        f"editor {component_name(editor)!r} cannot start from a given picture, so each new edit "
-        "is mixed with it: "
-        "a stand-in for the partial denoising of the published method."
+        f"editor {component_name(editor)!r} cannot start from a given picture, so each new edit is "
+        "mixed with it: a stand-in for the partial denoising of the published method."
     )
     anew = edited(editor, views, request)
     mixed = torch.lerp(start.clamp(0, 1), anew.images, strength)

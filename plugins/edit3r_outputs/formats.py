@@ -4,6 +4,7 @@ import math
 import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -55,42 +56,47 @@ class PlyWriter(Writer):
         save_ply(path, scene.gaussians, degree=VIEWER_DEGREE)
 
 
-class SpzWriter(Writer):
+class GaussforgeWriter(Writer):
+    """A format that gaussforge writes, by its name there."""
+
+    form: ClassVar[str]
+    spz_version: ClassVar[int] = 3
+
+    def write(self, path: Path, scene: SceneToWrite) -> None:
+        _write(path, scene.gaussians, self.form, self.spz_version)
+
+
+class SpzWriter(GaussforgeWriter):
     """SPZ of version 3, one gzip stream."""
 
-    def write(self, path: Path, scene: SceneToWrite) -> None:
-        _write(path, scene.gaussians, "spz")
+    form = "spz"
 
 
-class Spz4Writer(Writer):
+class Spz4Writer(GaussforgeWriter):
     """SPZ of version 4, which is coded with zstd."""
 
-    def write(self, path: Path, scene: SceneToWrite) -> None:
-        _write(path, scene.gaussians, "spz", spz_version=4)
+    form, spz_version = "spz", 4
 
 
-class SogWriter(Writer):
+class SogWriter(GaussforgeWriter):
     """SOG, PlayCanvas' images of quantised columns."""
 
-    def write(self, path: Path, scene: SceneToWrite) -> None:
-        _write(path, scene.gaussians, "sog")
+    form = "sog"
 
 
-class SplatWriter(Writer):
+class SplatWriter(GaussforgeWriter):
     """The 32 bytes a Gaussian of the first web viewers."""
 
-    def write(self, path: Path, scene: SceneToWrite) -> None:
-        _write(path, scene.gaussians, "splat")
+    form = "splat"
 
 
-class CompressedPlyWriter(Writer):
+class CompressedPlyWriter(GaussforgeWriter):
     """PlayCanvas' PLY of quantised columns."""
 
-    def write(self, path: Path, scene: SceneToWrite) -> None:
-        _write(path, scene.gaussians, "compressed.ply")
+    form = "compressed.ply"
 
 
-def _write(path: Path, gaussians: Gaussians, form: str, spz_version: int = 3) -> None:
+def _write(path: Path, gaussians: Gaussians, form: str, spz_version: int) -> None:
     """Let gaussforge write one of its formats, and say what is lost that a viewer would show."""
     tell_of_losses(gaussians, form)
     placement = FilePlacement()

@@ -15,18 +15,17 @@ def choose(registry: Registry, device: str) -> tuple[Offer, str]:
     """The installed rasterizer made for a type of device that gives what one usually does, else
     one made for the CPU; and why.
     """
-    offers = [
-        offer for offer in registry.offers("rasterizer") if not registry.missing(offer)
-    ]
-    for offer in offers:
-        if device in offer.component.devices and _gives_all(registry, offer):
-            return offer, f"made for {device}, where the Gaussians are"
-    on_cpu = next(
+    offer = next(
         offer
-        for offer in offers
-        if "cpu" in offer.component.devices and _gives_all(registry, offer)
+        for kind in (device, "cpu")
+        for offer in registry.offers("rasterizer")
+        if kind in offer.component.devices
+        and not registry.missing(offer)
+        and _gives_all(registry, offer)
     )
-    return on_cpu, (
+    if device in offer.component.devices:
+        return offer, f"made for {device}, where the Gaussians are"
+    return offer, (
         f"no rasterizer made for {device} is installed, so the Gaussians are copied to the CPU"
     )
 

@@ -122,6 +122,5 @@ def _require_built_in(settings: RasterizerSettings) -> None:
         if getattr(settings, name) != fixed:
             raise SettingsError(
                 f"rasterizer.{name}: gsplat's kernels have {fixed:g} built in, got "
-                f"{getattr(settings, name):g}; "
-                f"leave it at its default, or use 'numba' or 'torch'."
+                f"{getattr(settings, name):g}; leave it at its default, or use 'numba' or 'torch'."
             )

@@ -104,10 +104,9 @@ def _sort(keys: np.ndarray, boxes: np.ndarray) -> np.ndarray:
 def _check_total(total: int) -> None:
     if total > MAX_ENTRIES:
         raise RunError(
-            f"rasterizer 'numba': {total} pairs of Gaussian and tile, at most {MAX_ENTRIES} can "
-            "be listed; "
-            "the Gaussians cover the picture too many times over. Use fewer, smaller ones, or a "
-            "smaller picture."
+            f"rasterizer 'numba': {total} pairs of Gaussian and tile, at most {MAX_ENTRIES} can be "
+            "listed; the Gaussians cover the picture too many times over. Use fewer, smaller ones, "
+            "or a smaller picture."
         )
 
 

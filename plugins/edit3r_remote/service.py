@@ -113,9 +113,8 @@ class ImageService(ABC):
             )
         if status == 429:
             return RunError(
-                f"{self.label} is over its rate limit or budget after "
-                f"{self.settings.attempts} tries for {request.name} ({said}); wait, or lower "
-                "editor.concurrent."
+                f"{self.label} is over its rate limit or budget after {self.settings.attempts} "
+                f"tries for {request.name} ({said}); wait, or lower editor.concurrent."
             )
         return RunError(
             f"{self.label} failed on {request.name} with status {status}: {said}"

@@ -32,7 +32,6 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import note, say, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
-from edit3r.kit.geometry.maps import shown
 from edit3r_select.answering import answered
 from edit3r_select.carrying import agreed, carried
 from edit3r_select.held import HeldSegmenter
@@ -104,10 +103,11 @@ def select_masks(
         fits = told.fits if fits is None else fits
         sure.append(told.confidence)
     found |= carried(photos, found, set(range(len(images))) - set(found))
-    for view in [view for view, one in found.items() if one.how == "not found"]:
-        again = named_again(photos, selection, named, view)
-        if again is not None:
-            found[view] = OnPhoto(again, "words")
+    if not all_else:
+        found = {
+            view: named_again(photos, selection, named, view, one)
+            for view, one in found.items()
+        }
     if not named.each:
         found = agreed(photos, found, set(selection.added))
     masks = [
@@ -128,8 +128,7 @@ def select_masks(
     final, warnings = grown(torch.stack(masks)[:, None], grow), [*named.warnings]
     warnings += _told(selection, len(options), how, fits)
     if selection.inverted != all_else:
-        warnings += _told_empty(final, how)
-        final = (1 - final) * shown(final)
+        final = 1 - final
     for text in warnings:
         warn(text)
     return Selected(
@@ -341,18 +340,7 @@ def _told(
     for view, one in enumerate(how):
         if one == "not found":
             told.append(
-                f"the object was not found again on photo {view + 1}, which stays as it is; click "
-                "on it there."
+                f"the object was not found on photo {view + 1}, which is edited as if it were not "
+                "there; click on it if it is."
             )
     return told
-
-
-def _told_empty(
-    masks: Float[Tensor, "view 1 height width"], how: Sequence[str]
-) -> list[str]:
-    """Which photos stay as they are because nothing is selected there."""
-    return [
-        f"nothing is selected on photo {view + 1}, so all but that is nothing: it stays as it is."
-        for view, some in enumerate(shown(masks).flatten().tolist())
-        if not some and how[view] != "not found"  # that was said
-    ]

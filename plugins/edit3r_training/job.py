@@ -113,8 +113,7 @@ def _check_free(out: Path, may_hold_training: bool) -> None:
     if held and not may_hold_training:
         raise InputError(
             f"{out}: holds a training already ({held}); give --resume to go on with it, another "
-            "--out to keep it, or "
-            "--overwrite to begin anew in its place."
+            "--out to keep it, or --overwrite to begin anew in its place."
         )
 
 

@@ -122,8 +122,7 @@ class _NoCache(numba.core.caching.NullCache):
 
     def save_overload(self, sig: Any, data: Any) -> None:
         warn(
-            "No folder to keep compiled kernels in: they are compiled anew in every process, "
-            "which takes seconds. "
-            "Name a writable folder, by its full path, in the environment variable "
+            "No folder to keep compiled kernels in: they are compiled anew in every process, which "
+            "takes seconds. Name a writable folder, by its full path, in the environment variable "
             "NUMBA_CACHE_DIR."
         )

@@ -59,8 +59,7 @@ def refuse_elsewhere(path: str | Path) -> None:
     address = _ADDRESS.match(text)
     if address and not Path(text[:200]).exists():
         raise InputError(
-            f"{text[:200]}: a web address; download what lies there, and give the "
-            "files."
+            f"{text[:200]}: a web address; download what lies there, and give the files."
         )
     if _ARCHIVE.search(text) and Path(text).is_file():
         raise InputError(f"{path}: an archive; unpack it, and give the folder.")

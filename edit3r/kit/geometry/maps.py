@@ -16,7 +16,6 @@ __all__ = [
     "feathered",
     "resampled",
     "resize",
-    "shown",
     "size_of",
 ]
 
@@ -111,8 +110,3 @@ def resampled(
     flat = images.flatten(0, -4)
     sized = F.interpolate(flat, size, mode="bicubic", antialias=True).clamp(0, 1)
     return sized.unflatten(0, images.shape[:-3])
-
-
-def shown(masks: Float[Tensor, "view *_ height width"]) -> Tensor:
-    """1 for a view where anything is selected, else 0: all but nothing is nothing."""
-    return (masks > 0.5).any(-1, keepdim=True).any(-2, keepdim=True).to(masks)

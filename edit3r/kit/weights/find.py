@@ -50,9 +50,8 @@ def find(weights: Weights, chosen: str | Path | None = None) -> Path:
     place = at_hand(weights, chosen)
     if place is None:
         raise MissingDependencyError(
-            f"the weights {weights.name!r} ({weights.purpose}) are not on this machine; fetch "
-            f"them with: {weights.get} "
-            f"({weights.terms})"
+            f"the weights {weights.name!r} ({weights.purpose}) are not on this machine; fetch them "
+            f"with: {weights.get} ({weights.terms})"
         )
     return place
 

@@ -110,8 +110,7 @@ def load_whole_network(cls: Any, weights: ChosenWeights, **given: Any) -> Any:
     if lacking:
         raise InputError(
             f"{weights.key}: {weights.model!r} lacks {len(lacking)} weights of {cls.__name__}, "
-            f"such as {lacking[0]}; "
-            "with random ones in their place its answers would mean nothing."
+            f"such as {lacking[0]}; with random ones in their place its answers would mean nothing."
         )
     return network
 

@@ -31,7 +31,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import note, say, warn
 from edit3r.contract.types import Views
 from edit3r.kit.checks import check_selected, errors_named_after
-from edit3r.kit.geometry.maps import dilate, shown
+from edit3r.kit.geometry.maps import dilate
 from edit3r.running.selecting.near_colour import near_colour
 
 PLAIN = Selection()
@@ -193,7 +193,7 @@ class RegionFinder:
         thing = instruction.thing
         mask = self._base(instruction, marked_thing)
         for kept in instruction.without:
-            rest = mask * self._all_but(kept, marked_thing)
+            rest = mask * (1 - self._mask(kept, marked_thing))
             if self._is_denied(mask, rest, kept, instruction):
                 continue
             mask = rest
@@ -244,24 +244,14 @@ class RegionFinder:
     def _background(self) -> Masks:
         """All but what is marked, or what the segmenter takes for the background."""
         if self._marked is not None:
-            return self._inverse(self._look_for(None, self._marked))
+            return 1 - self._look_for(None, self._marked).masks[:, 0]
         if self._known:  # all but what earlier runs named
             named = torch.stack(list(self._known.values())).amax(0)
-            return (1 - named) * shown(named)
+            return 1 - named
         asked = Selection(words=BACKGROUND)
         selected = self._look_for(Thing("background"), asked)
         masks = selected.masks[:, 0]
-        return self._inverse(selected) if "guess" in selected.how else masks
-
-    def _inverse(self, selected: Selected) -> Masks:
-        masks = selected.masks[:, 0]
-        return (1 - masks) * shown(masks)
-
-    def _all_but(self, thing: Thing, marked_thing: Thing | None) -> Masks:
-        """All but a thing; a view that lost it stays as it is."""
-        masks = 1 - self._mask(thing, marked_thing)
-        selected = self._found.get(replace(thing, part=None), self._found.get(None))
-        return masks if selected is None else masks * shown(selected.masks[:, 0])
+        return 1 - masks if "guess" in selected.how else masks
 
     def _mask(self, thing: Thing | None, marked_thing: Thing | None) -> Masks:
         """Masks of a thing: what is marked where the marks stand for it, else by its name."""

@@ -39,9 +39,7 @@ def judge(
     text, size = "render input views", inputs.start.image_size
     with stage("check"):
         first, rendered = (
-            _in_own_exposure(
-                render_each(parts.rasterizer, scene, cameras, text), located
-            )
+            located.in_own_exposure(render_each(parts.rasterizer, scene, cameras, text))
             for scene, cameras in (
                 (made.reconstruction.gaussians, made.cameras),
                 (gaussians, made.cameras.at(size)),
@@ -75,13 +73,6 @@ def judge(
             inputs, selection, edit, rendered, cameras, half, parts
         )
     return Judged(rendered, verdict, edit_verdict)
-
-
-def _in_own_exposure(rendering: Rendering, located: Located) -> Rendering:
-    """The scene from the photos' places, in the light in which each photo was taken."""
-    if located.exposure is None:
-        return rendering
-    return replace(rendering, images=located.exposure.to_own(rendering.images))
 
 
 def _edit_verdict(

@@ -30,6 +30,7 @@ def test_marks_that_are_no_numbers_are_refused(marks):
         ({"grow": 1e9}, r"grow: got 1e\+09"),
         ({"words": 5}, "words: got 5"),
         ({"positive": ((1.5, 0.5, 0.5),)}, "view 1.5"),
+        ({"strokes": ((0, ((0.5, 0.5),)), (1, ()))}, "photo 2 has no place"),
         ({"masks": {"left": torch.ones(2, 2)}}, "view 'left'"),
         ({"masks": {0: [[1]]}}, "a list"),
         ({"added": {0: torch.ones(1, 2, 2)}}, r"shape \[1, 2, 2\]"),

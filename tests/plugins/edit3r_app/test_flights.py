@@ -2,10 +2,12 @@
 
 import pytest
 import torch
-from edit3r_app.flights import PER_LEG, path_along, read_keys
+from edit3r_app.flights import PER_LEG, film, path_along, read_keys
+from edit3r_app.jobs import JobsFolder
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.types import Cameras
+from edit3r.loading.registry import default_registry
 
 EYE = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]
 KEY = {"r": EYE, "t": [0, 0, 0], "K": [0.9, 1.2, 0.5, 0.5], "zoom": 1}
@@ -46,3 +48,9 @@ def test_axes_of_a_viewer_that_are_nearly_right_become_a_rotation():
 def test_what_is_no_flight_is_refused(asked, told):
     with pytest.raises(InputError, match=told):
         read_keys(asked)
+
+
+def test_a_run_without_a_scene_is_told_so(tmp_path):
+    (tmp_path / "jar").mkdir()
+    with pytest.raises(InputError, match="no scene to fly through yet"):
+        film(JobsFolder(tmp_path), "jar", [KEY] * 2, default_registry())

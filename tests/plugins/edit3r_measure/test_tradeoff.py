@@ -24,6 +24,7 @@ from edit3r.contract.errors import InputError, SettingsError
 from edit3r.kit.command.results import alone_in
 from edit3r.kit.workers import read_rows
 from edit3r.loading.registry import default_registry
+from edit3r.running import quality
 from edit3r.running.config import PART_KEYS, RunConfig, make_run_config
 from edit3r.running.quality import PRESETS, Expected, MeasuredPoint, read_quality
 
@@ -134,10 +135,25 @@ points: {base: {}, wrong: {reconstructor: nobody}}
 """
 
 
+def test_all_scenes_of_a_place_are_measured(tmp_path, monkeypatch):
+    asked = []
+
+    def measured(points, scenes, out, **effort):
+        asked.extend(scenes)
+        return []
+
+    monkeypatch.setattr(tradeoff_measure, "measure_points", measured)
+    (tmp_path / "plan.yaml").write_text(PLAN)
+    command = f"tradeoff --plan {tmp_path}/plan.yaml --scenes 3 --out {tmp_path}/out"
+    assert main(command.split()) != 0  # of nothing there are no presets
+    assert len(asked) == 3
+
+
 @pytest.mark.slow
 def test_the_command_measures_runs_and_says_which_failed(
-    tmp_path, capsys, forked_workers
+    tmp_path, capsys, forked_workers, monkeypatch
 ):
+    monkeypatch.setattr(quality, "SHIPPED", tmp_path / "never.yaml")
     (tmp_path / "plan.yaml").write_text(PLAN)
     out = tmp_path / "out"
     command = f"tradeoff --plan {tmp_path}/plan.yaml --scenes 1 --repeats 1 --threads 1"

@@ -167,6 +167,29 @@ def test_photos_of_one_surface_agree_what_belongs_to_the_thing(measured):
         assert torch.equal(inside(found, view), wanted)
 
 
+@pytest.mark.parametrize(
+    ("measured", "elsewhere", "how"),
+    [(0.2, 16, "words"), (0.8, 16, "geometry"), (0.2, 3, "geometry")],
+)
+def test_a_name_outweighs_a_place_that_depths_only_guess(measured, elsewhere, how):
+    """A man walks between two photos; where words find what geometry carried, that stays."""
+
+    class Walker(Squares):
+        def segment_text(self, image, text):
+            column = 2 if image.mean() < 0.5 else elsewhere
+            return (replace(self._proposal(square(2, column)), confidence=0.9),)
+
+    ones = torch.ones(1, 2, 24, 32)
+    c2w, placed = torch.eye(4).expand(1, 2, 4, 4), torch.ones(1, 2, dtype=torch.bool)
+    geometry = Geometry(c2w, 2 * ones, measured * ones, placed)
+    lenses = torch.tensor([[1.0, 0, 0.5], [0, 1.0, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
+    images = torch.stack((torch.zeros(3, 24, 32), torch.ones(3, 24, 32)))
+    found = select_masks(images, Selection(words="man"), Walker(), geometry, lenses)
+    assert found.how == ("words", how)
+    column = elsewhere if how == "words" else 2
+    assert torch.equal(inside(found, 1), square(2, column).bool())
+
+
 def test_geometry_carries_before_pictures_do():
     scene = photograph(2, (48, 64))
     views = scene.views
@@ -268,13 +291,12 @@ def test_a_click_where_it_was_lost_starts_anew_and_ends_the_warning():
     assert (inside(selected, 1) == square(6, 16).bool()).all() and not selected.warnings
 
 
-@pytest.mark.parametrize("grow", [0, -30])
-def test_all_but_an_empty_mask_is_nothing_and_said(grow):
-    given = {0: square(4, 4), 1: torch.zeros(24, 32) if not grow else square(4, 4)}
-    marks = Selection(masks=given, inverted=True, grow=grow)
-    selected = select_masks(IMAGES[:2], marks, Squares())
-    assert not selected.masks[1].any() and bool(selected.masks[0].any()) != bool(grow)
-    assert "nothing is selected on photo 2" in selected.warnings[-1]
+def test_all_but_an_empty_mask_is_everything():
+    given = {0: square(4, 4), 1: torch.zeros(24, 32)}
+    selected = select_masks(
+        IMAGES[:2], Selection(masks=given, inverted=True), Squares()
+    )
+    assert not selected.masks[0].all() and selected.masks[1].all()
 
 
 class Surroundings(Squares):

@@ -4,6 +4,7 @@ import pytest
 from PIL import Image
 
 from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.photos.masks import masks_by_photo, photo_named
 
 PHOTOS = [("img2.jpg",), ("img10.jpg",)]
@@ -50,6 +51,15 @@ def test_each_goes_to_the_photo_of_its_name(masks, tmp_path, names, how):
         "wildcard": [str(tmp_path / "*[02]*")],
     }
     assert paired(given[how]) == list(names[::-1])
+
+
+def test_how_a_folder_was_paired_is_said(masks, tmp_path):
+    masks("img2_mask.png", "img10_mask.png")
+    called = [("img2.jpg", "left"), ("img10.jpg", "right")]
+    with collecting(Report()) as report:
+        masks_by_photo([str(tmp_path)], called)
+    pairs = "img2.jpg <- img2_mask.png, img10.jpg <- img10_mask.png"
+    assert report.notes["selection.masks"] == f"paired with the photos by name: {pairs}"
 
 
 @pytest.mark.parametrize("given", ["", "*/1.png", "*"])

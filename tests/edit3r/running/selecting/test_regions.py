@@ -167,7 +167,7 @@ def test_what_is_not_known_is_a_question_and_refused_where_it_must_be_sure(
     assert why in report.warnings[0] and "--point" in report.warnings[0]
 
 
-def test_a_view_that_lost_what_is_left_out_stays_as_it_is():
+def test_all_of_a_view_changes_where_what_is_left_out_is_not_found():
     class Lost(Halves):
         """Finds the door on the first photo that it is asked about, and nowhere else."""
 
@@ -177,16 +177,16 @@ def test_a_view_that_lost_what_is_left_out_stays_as_it_is():
     lost = Lost(found_in=(0,))
     with collecting(Report()) as report:
         found = regions("paint everything except the door red", None, lost)[0]
-    assert found[0].any() and not found[1].any()
+    assert not found[0].all() and found[1].all()
     assert any("photo 2" in text for text in report.warnings)
 
 
 @pytest.mark.parametrize("rest", ["the background", "everything except the door"])
-def test_all_but_a_given_mask_is_nothing_where_that_is_empty(rest):
+def test_all_but_a_given_mask_is_everything_where_that_is_empty(rest):
     door = torch.zeros(HEIGHT, WIDTH)
     given = Selection(masks={0: (door + 1).tril(), 1: door})
     found = regions(f"paint {rest} red", given)[0]
-    assert found[0].any() and not found[1].any()
+    assert not found[0].all() and found[1].all()
 
 
 @pytest.mark.parametrize(("near", "third"), [("grey", 0), ("red", 1), ("blue", 2)])
