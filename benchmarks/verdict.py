@@ -110,11 +110,8 @@ def measure(folder: Path, chosen: list[int], size: int, unseen: list[int]) -> di
     verdict = result.verdict
     for name in ("label", "input_psnr", "agreement", "placed"):
         row[name] = getattr(verdict, name)
-    row["half_way"] = max(
-        guessed + unlike
-        for guessed, unlike in zip(verdict.guessed_between, verdict.unlike_between)
-        if None not in (guessed, unlike)
-    )
+    shares = zip(verdict.guessed_between, verdict.unlike_between)
+    row["half_way"] = max((sum(pair) for pair in shares if None not in pair), default=2)
     alike = [
         _held_out(result, views, (k, k + 1), placed.index(k), target)
         for k, target in asked
