@@ -8,7 +8,6 @@ deserve, and its `figures`.
 
 import argparse
 import json
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, pairwise
 from pathlib import Path
@@ -105,26 +104,14 @@ def limits_of_edits(rows: Sequence[Row]) -> Limits:
 
 
 def limits_of_scenes(rows: Sequence[Row]) -> Limits:
-    """By label, for each signal the limit with which fewest scenes are wrong, the other's given."""
-    limits: dict[str, dict[str, float]] = {}
+    """By label the limit half-way with which fewest scenes are wrong."""
+    limits: dict[str, Any] = {}
     for number, label in enumerate(FITTED_LABELS):
-        own = limits[label] = {"agreement": -math.inf, "guessed": math.inf}
-        for name, sign in 2 * (("agreement", -1), ("guessed", 1)):
-            own[name] = sign * math.inf
-            both: tuple[list[float], list[float]] = [], []
-            for row in rows:
-                if reaches(row["figures"], own):
-                    worse = LABELS.index(row["label"]) > number
-                    both[worse].append(sign * row["figures"][name])
-            if all(both):
-                own[name] = sign * between(*both, 1, 1)
+        both: tuple[list[float], list[float]] = [], []
+        for row in rows:
+            both[LABELS.index(row["label"]) > number].append(row["figures"]["half_way"])
+        limits[label] = {"half_way": between(*both, 1, 1)}
     return limits
-
-
-def reaches(figures: Mapping[str, float], limits: Mapping[str, float]) -> bool:
-    """Whether a scene has what a label needs of the fitted signals."""
-    agrees = figures["agreement"] >= limits["agreement"]
-    return agrees and figures["guessed"] <= limits["guessed"]
 
 
 def between(
@@ -139,14 +126,15 @@ def between(
         wrong = beyond + under * sum(value <= pair[0] for value in bad)
         return -round(wrong, 9), pair[1] - pair[0]
 
-    return sum(max(pairwise(sorted({*good, *bad})), key=rank)) / 2
+    low, high = max(pairwise(sorted({*good, *bad})), key=rank)
+    return (low + high) / 2
 
 
 def outcomes_of_scenes(row: Row, limits: Limits) -> Outcomes:
     """How often `good`, and `good` or `fair`, is right, and which of the two errors is made."""
     for number, label in enumerate(FITTED_LABELS):
         called = " or ".join(LABELS[: number + 1])
-        said = reaches(row["figures"], limits[label])
+        said = row["figures"]["half_way"] <= limits[label]["half_way"]
         right = said == (LABELS.index(row["label"]) <= number)
         yield f"{called} or not", right
         yield f"  {'' if said else 'not '}called {called}", right

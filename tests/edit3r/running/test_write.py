@@ -364,6 +364,12 @@ def test_things_are_judged_and_drawn_on_the_photos_that_were_placed():
     assert len(bear.masks) == len(bear.how) == 2
     assert all(one.view in (0, 1) for one in bear.readings)
     assert result.edit_verdict.measures["shared"] is not None
+    # of the photo that was left out nothing is known
+    assert [one is None for one in result.verdict.unlike_between] == [
+        True,
+        False,
+        False,
+    ]
 
 
 def test_what_was_found_unsurely_is_a_question_with_candidates_and_no_doubt_of_the_edit(
