@@ -248,7 +248,7 @@ def test_the_last_line_says_how_to_get_a_default_run_sharper(result, tmp_path):
 
     assert last().endswith("--quality best takes half as long again")
     assert last(longest=4032).endswith(
-        "best scales photos to 1024 pixels and not 512, and takes two to three times as long"
+        "best scales photos to 1024 pixels and not 512, and takes two to four times as long"
     )
     assert "best shows photos at their full size, and" in last(longest=800)
     assert "half as long again" in last(longest=512)
