@@ -7,10 +7,11 @@
 Objects are those of `clicks.json`, `outlines.json` and `elsewhere.json`; outlines of two photos
 that geometry can place are carried from the first to the second. Clicks lie uniformly in
 the object, at its rim too; innermost clicks, strokes and boxes are those of `clicks.py`. Weights
-are fitted to what the other scenes show, an object's figures are those of weights that never saw
-its scene. Scenes that are never fitted on are left out of all but the last look, --never-fitted.
---write puts weights fitted to all other scenes into `fitted.yaml`; --left-out keeps those
-of each scene left out, with which `clicks.py` measures the whole product.
+are fitted to what the other scenes show, those of a first click before SAM is asked again; an
+object's figures are those of weights that never saw its scene. Scenes that are never fitted on
+are left out of all but the last look, --never-fitted. --write puts weights fitted to all other
+scenes into `fitted.yaml`; --left-out keeps those of each scene left out, with which `clicks.py`
+measures the whole product.
 """
 
 import argparse
@@ -46,6 +47,7 @@ from edit3r_select.answering import (
     asked_by,
     changed_at,
     gathered,
+    selected,
     spread,
 )
 from edit3r_select.carrying import expected_on
@@ -96,7 +98,7 @@ class Row:
     way: str  # anywhere, innermost 1 to 3, stroke, box
     cues: np.ndarray  # [n, cue]
     ious: np.ndarray  # [n]
-    # IoU of the mask that was taken, and before the click, where one answer led to the next
+    # IoU of the mask that was taken, where one answer led to the next, and of the one before
     got: tuple[float, float] | None = None
 
 
@@ -132,6 +134,8 @@ def main() -> None:
             args.kept.write_bytes(pickle.dumps(kept))
         thing.rows = list(kept[thing.name])
     fits = folds(things, (*FIRST, CARRIED, UNKNOWN))
+    for thing in things:
+        bench.taken(thing, fits["click", thing.scene])
     fits |= corrections(things, bench, fits, args.rounds)
     print(report([one for one in things if not one.never_fitted], fits))
     print(calibration([one for one in things if not one.never_fitted], fits))
@@ -212,13 +216,22 @@ class Bench:
     def first_rows(self, thing: Thing) -> list[Row]:
         """Questions that need no earlier answer."""
         answers, truth = self.looked(thing)
-        asked = [("anywhere", one) for one in anywhere(truth, thing)]
-        asked += [("innermost 1", Asked(clicks=(innermost(truth),)))]
+        asked = [*first_clicks(truth, thing)]
         asked += [("stroke", one) for one in strokes(truth)]
         asked += [("box", one) for one in boxes(truth)]
         with remembering(self.cache):
             rows = [self.row(thing, way, one, answers, truth) for way, one in asked]
             return [*rows, *self.unmarked(thing), *self.carried(thing)]
+
+    def taken(self, thing: Thing, click: CueWeights) -> None:
+        """Notes in the rows of first clicks what is taken, asked again."""
+        answers, truth = self.looked(thing)
+        rows = [one for one in thing.rows if one.kind == "click"]
+        with remembering(self.cache):
+            for row, (_, asked) in zip(rows, first_clicks(truth, thing), strict=True):
+                best = selected(truth.shape, asked, answers, click).best
+                sums = row.cues @ click.values
+                row.got = iou(best.mask, truth), float(row.ious[sums.argmax()])
 
     def unmarked(self, thing: Thing) -> Iterator[Row]:
         """Which of all that a photo shows is named, where only its photo is known."""
@@ -262,7 +275,7 @@ class Bench:
         """The second and third innermost click, each in the middle of what is wrong."""
         answers, truth = self.looked(thing)
         clicks: tuple = (innermost(truth),)
-        best = choose(gathered(truth.shape, Asked(clicks), answers), click).best
+        best = selected(truth.shape, Asked(clicks), answers, click).best
         rows = []
         with remembering(self.cache):
             for number in (2, 3):
@@ -288,6 +301,11 @@ def row_of(thing: Thing, way: str, pool: Pool, truth: np.ndarray) -> Row:
 
 def innermost(truth: np.ndarray) -> tuple:
     return next_click(np.zeros_like(truth), truth)[1], True
+
+
+def first_clicks(truth: np.ndarray, thing: Thing) -> Iterator[tuple[str, Asked]]:
+    yield from (("anywhere", one) for one in anywhere(truth, thing))
+    yield "innermost 1", Asked(clicks=(innermost(truth),))
 
 
 def anywhere(truth: np.ndarray, thing: Thing) -> list[Asked]:
@@ -470,7 +488,8 @@ def calibration(things: list[Thing], fits: Fits) -> str:
             weights = fits[row.kind, thing.scene]
             sums = row.cues @ weights.values
             sure = confidence(seen(row.cues, sums), weights)
-            right = row.ious[sums.argmax()] >= RIGHT
+            right = row.ious[sums.argmax()] if row.got is None else row.got[0]
+            right = right >= RIGHT
             for group in (row.kind, "all", "parts" if thing.part else "things"):
                 found[group].append((sure, right))
     told = []

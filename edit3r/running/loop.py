@@ -18,7 +18,7 @@ from edit3r.running.records import Inputs, Preview, Records, SelectedRegions
 from edit3r.running.scale import to_given_scale, to_working_scale
 from edit3r.running.steps.edit import edit, edit_alone
 from edit3r.running.steps.judge import judge
-from edit3r.running.steps.locate import locate
+from edit3r.running.steps.locate import light_of_edit, locate
 from edit3r.running.steps.read import read
 from edit3r.running.steps.reconstruct import reconstruct
 from edit3r.running.steps.refine import refine
@@ -67,6 +67,7 @@ def _made(
     before, after = inputs.start.images, edited.views.images
     if on_edited is not None and not torch.equal(before, after):
         on_edited(edited.views)
+    located = light_of_edit(inputs, located, selection, edited, parts)
     made = reconstruct(inputs, located, selection, edited, parts)
     placed = made.used
     inputs, located = inputs.select(placed), located.select(placed)

@@ -18,7 +18,7 @@ from edit3r.contract.instructions import Instruction
 from edit3r.contract.interfaces import ASK, Geometry, Selected, Selection
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
-from edit3r.kit.geometry.exposure import Exposure
+from edit3r.kit.geometry.exposure import Exposure, ExposureOfEdit
 from edit3r.kit.photos.images import Photo
 
 Masks = Float[Tensor, "batch view height width"]
@@ -82,19 +82,38 @@ class Located:
     exposure: Exposure | None = None
     # what one photo alone shows where others see through its place; None: nothing
     transient: Bool[Tensor, "batch view height width"] | None = None
+    # how the edited photos' colours become the first one's; None: as the photos'
+    exposure_of_edit: Exposure | ExposureOfEdit | None = None
 
     def select(self, indices: list[int]) -> "Located":
         """The same with the views at `indices` only; the geometry stays that of all photos."""
-        exposure = None if self.exposure is None else self.exposure.select(indices)
+        photos, edit = self.exposure, self.exposure_of_edit
         return replace(
-            self, exposure=exposure, transient=_of_views(self.transient, indices)
+            self,
+            exposure=None if photos is None else photos.select(indices),
+            exposure_of_edit=None if edit is None else edit.select(indices),
+            transient=_of_views(self.transient, indices),
         )
 
-    def in_one_exposure(self, views: Views) -> Views:
-        """Photos of this scene, edited or not, as they would look in the first one's exposure."""
+    def in_one_exposure(self, photos: Views) -> Views:
+        """Unedited photos as they would look in the first one's exposure."""
         if self.exposure is None:
-            return views
-        return replace(views, images=self.exposure.to_reference(views.images))
+            return photos
+        return replace(photos, images=self.exposure.to_reference(photos.images))
+
+    def edited_in_one_exposure(self, edited: Views) -> Views:
+        """Edited photos as they would look in the first one's exposure."""
+        exposure = self.exposure_of_edit or self.exposure
+        if exposure is None:
+            return edited
+        return replace(edited, images=exposure.to_reference(edited.images))
+
+    def in_own_exposure(self, rendering: Rendering) -> Rendering:
+        """The edited scene from the photos' places, in the light in which each was taken."""
+        exposure = self.exposure_of_edit or self.exposure
+        if exposure is None:
+            return rendering
+        return replace(rendering, images=exposure.to_own(rendering.images))
 
 
 @dataclass(frozen=True)

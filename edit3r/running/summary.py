@@ -13,7 +13,7 @@ MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "sure"}
 """Settings that may differ from the defaults without the run being another kind of run."""
 
 # measured by `scenes.py dial`, at the default's size and at 1024 pixels
-BEST_COSTS, LARGE_COSTS = "half as long again", "about four times as long"
+BEST_COSTS, LARGE_COSTS = "half as long again", "two to four times as long"
 
 
 def summary(out: Path, result: RunResult) -> str:
@@ -82,7 +82,9 @@ def _field_of_view(result: RunResult) -> str:
     if not any(result.photos.assumed):
         source = "known"
     elif "lens.alike" in result.report.notes:
-        source = "guessed, since the photos do not show it; set it with --fov or --cameras"
+        source = (
+            "guessed, since the photos do not show it; set it with --fov or --cameras"
+        )
     elif "matcher.fov" in result.report.notes:
         source = "read from the photos"
     else:

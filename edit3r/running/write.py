@@ -283,8 +283,9 @@ def _scene(result: RunResult, flight: Flight | None = None) -> SceneToWrite:
 
 
 def _look_before(result: RunResult) -> SecondLook:
-    in_one_exposure = result.records.located.in_one_exposure
-    photos, edited = map(in_one_exposure, (result.photos, result.edited))
+    located = result.records.located
+    photos = located.in_one_exposure(result.photos)
+    edited = located.edited_in_one_exposure(result.edited)
     colours = colours_before(
         result.gaussians, result.cameras, photos, edited, result.rendered
     )

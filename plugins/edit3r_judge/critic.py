@@ -40,11 +40,10 @@ class LimitsCritic(Critic):
 
 
 def _praise(edit: EditToJudge) -> str:
-    """What was measured of an edit that nothing speaks against."""
-    what = "the whole picture" if edit.masks is None else "what was selected"
-    removed = any(one.action == "remove" for one in edit.instructions)
-    done = "is gone" if removed else "changed as asked"
-    return f"{what} {done}" + (", in 3D too" if edit.rendered is not None else "")
+    """What was measured of an edit that nothing speaks against; not that it was what was meant."""
+    where = "the whole picture" if edit.masks is None else "what was selected"
+    shown = "" if edit.rendered is None else ", in 3D too"
+    return f"carried out as asked on {where}{shown}"
 
 
 def doubt_of(scene: SceneToJudge) -> Doubt | None:

@@ -8,9 +8,8 @@ deserve, and its `figures`.
 
 import argparse
 import json
-import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.verdicts import LABELS
 from edit3r.kit.files.configs import read_yaml
 
-NEVER = 3  # each third place of edits is fitted on by nobody
+NEVER = 3  # each third place is fitted on by nobody
 # hardly any scene fails, so what parts poor and failed is not fitted
 FITTED_LABELS = LABELS[:2]
 Row = Mapping[str, Any]
@@ -40,39 +39,30 @@ class JudgeCommand(Command):
 
     def main(self, args: argparse.Namespace) -> int:
         what, rows = read_rows(args.fit)
+        fit, outcomes = WAYS[what]
         places = sorted({row["place"] for row in rows})
-        never = places[::NEVER] if what == "edit" else []
+        never = places[::NEVER]
         known = [row for row in rows if row["place"] not in never]
-        _, fit, outcomes = WAYS[what]
-        limits = fit(known)
+        limits, without = fit(known), {}
+        for place in {*places} - {*never}:
+            without[place] = fit([row for row in known if row["place"] != place])
         print(f"{len(known)} {what}s, each by limits without its place")
-        print(report(left_out(known, fit), outcomes))
-        print(f"never fitted on: {', '.join(never)}" if never else "fitted to all")
-        rest = [row for row in rows if row["place"] in never] or rows
-        print(report([(row, limits) for row in rest], outcomes))
+        print(report(outcomes(row, without[row["place"]]) for row in known))
+        print(f"never fitted on: {', '.join(never)}")
+        rest = (row for row in rows if row["place"] in never)
+        print(report(outcomes(row, limits) for row in rest))
         print(json.dumps(limits, indent=1))
         if args.write:
             write_limits({what: limits})
         return 0
 
 
-def left_out(
-    rows: Sequence[Row], fit: Callable[[Sequence[Row]], Limits]
-) -> list[tuple[Row, Limits]]:
-    """Each row with limits that were fitted without its place."""
-    limits = {
-        place: fit([row for row in rows if row["place"] != place])
-        for place in {row["place"] for row in rows}
-    }
-    return [(row, limits[row["place"]]) for row in rows]
-
-
 def read_rows(path: str) -> tuple[str, list[Row]]:
     """The "edit"s or "scene"s of a file. Raises InputError for what is neither."""
     try:
         rows = [json.loads(line) for line in Path(path).read_text().splitlines()]
-        for what, (needed, *_) in WAYS.items():
-            if all(needed <= {*row} for row in rows):
+        for what, needed in ("edit", {"fault", "kind"}), ("scene", {"label"}):
+            if all(needed | {"place", "figures"} <= {*row} for row in rows):
                 return what, rows
         raise ValueError("a row lacks place, figures, or fault and kind, or label")
     except (OSError, ValueError, TypeError) as error:
@@ -101,39 +91,27 @@ def limits_of_edits(rows: Sequence[Row]) -> Limits:
     """
     from edit3r_judge.signals import SIGNALS
 
-    def values(name: str, fault: str | None, sign: int) -> list[float]:
-        own = (row["figures"][name] for row in rows if row["fault"] == fault)
-        return [sign * figure for figure in own if figure is not None]
-
     limits = {}
     for name, signal in SIGNALS.items():
         sign = -1 if signal.at_least else 1
-        good, bad = (values(name, fault, sign) for fault in (None, name))
+        figures = [(row["fault"], row["figures"][name]) for row in rows]
+        good, bad = (
+            [sign * one for fault, one in figures if fault == what and one is not None]
+            for what in (None, name)
+        )
         limits[name] = sign * between(good, bad, 3 / len(good), 1 / len(bad))
     return limits
 
 
 def limits_of_scenes(rows: Sequence[Row]) -> Limits:
-    """By label, for each signal the limit with which fewest scenes are wrong, the other's given."""
-    limits: dict[str, dict[str, float]] = {}
+    """By label the limit half-way with which fewest scenes are wrong."""
+    limits: dict[str, Any] = {}
     for number, label in enumerate(FITTED_LABELS):
-        own = limits[label] = {"agreement": -math.inf, "guessed": math.inf}
-        for name, sign in 2 * (("agreement", -1), ("guessed", 1)):
-            own[name] = sign * math.inf
-            both: tuple[list[float], list[float]] = [], []
-            for row in rows:
-                if reaches(row["figures"], own):
-                    worse = LABELS.index(row["label"]) > number
-                    both[worse].append(sign * row["figures"][name])
-            if all(both):
-                own[name] = sign * between(*both, 1, 1)
+        both: tuple[list[float], list[float]] = [], []
+        for row in rows:
+            both[LABELS.index(row["label"]) > number].append(row["figures"]["half_way"])
+        limits[label] = {"half_way": between(*both, 1, 1)}
     return limits
-
-
-def reaches(figures: Mapping[str, float], limits: Mapping[str, float]) -> bool:
-    """Whether a scene has what a label needs of the fitted signals."""
-    agrees = figures["agreement"] >= limits["agreement"]
-    return agrees and figures["guessed"] <= limits["guessed"]
 
 
 def between(
@@ -156,13 +134,10 @@ def outcomes_of_scenes(row: Row, limits: Limits) -> Outcomes:
     """How often `good`, and `good` or `fair`, is right, and which of the two errors is made."""
     for number, label in enumerate(FITTED_LABELS):
         called = " or ".join(LABELS[: number + 1])
-        deserves = LABELS.index(row["label"]) <= number
-        said = reaches(row["figures"], limits[label])
-        yield f"{called} or not", said == deserves
-        yield (
-            f"  called {called}" if said else f"  not called {called}",
-            said == deserves,
-        )
+        said = row["figures"]["half_way"] <= limits[label]["half_way"]
+        right = said == (LABELS.index(row["label"]) <= number)
+        yield f"{called} or not", right
+        yield f"  {'' if said else 'not '}called {called}", right
 
 
 def outcomes_of_edits(row: Row, limits: Limits) -> Outcomes:
@@ -174,16 +149,14 @@ def outcomes_of_edits(row: Row, limits: Limits) -> Outcomes:
         yield "called good", fault is None
     if fault is None:
         yield "good ones not doubted", not said
-    named = fault in said if fault else not said
-    yield f"  {row['kind']} called {fault or 'good'}", named
+    yield f"  {row['kind']} called {fault or 'good'}", fault in (said or [None])
 
 
-def report(judged: Iterable[tuple[Row, Limits]], outcomes: Callable) -> str:
+def report(outcomes: Iterable[Outcomes]) -> str:
     """A line for each outcome: how often it was right."""
     found: dict[str, list[bool]] = {}
-    for row, limits in judged:
-        for what, right in outcomes(row, limits):
-            found.setdefault(what, []).append(right)
+    for what, right in chain.from_iterable(outcomes):
+        found.setdefault(what, []).append(right)
     return "\n".join(
         f"{what:36} {sum(all_)} of {len(all_)} ({sum(all_) / len(all_):.1%})"
         for what, all_ in sorted(found.items(), key=lambda one: one[0].startswith(" "))
@@ -191,11 +164,7 @@ def report(judged: Iterable[tuple[Row, Limits]], outcomes: Callable) -> str:
 
 
 WAYS = {
-    "edit": (
-        {"place", "fault", "kind", "figures"},
-        limits_of_edits,
-        outcomes_of_edits,
-    ),
-    "scene": ({"place", "label", "figures"}, limits_of_scenes, outcomes_of_scenes),
+    "edit": (limits_of_edits, outcomes_of_edits),
+    "scene": (limits_of_scenes, outcomes_of_scenes),
 }
-"""What a row has, how limits are fitted, and what is counted."""
+"""How limits are fitted, and what is counted."""

@@ -5,7 +5,7 @@ A signal is None where it cannot be told. Its limit stands in `fitted.yaml`, bey
 is doubtful; `edit3r judge --fit` chooses it by edits that were made well and badly on purpose.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import permutations
@@ -19,11 +19,12 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import EditToJudge
-from edit3r.kit.compute.colour import rgb_to_lab
+from edit3r.contract.instructions import Change
+from edit3r.contract.interfaces import EditToJudge, HalfWay, SceneToJudge
+from edit3r.kit.compute.colour import linear_to_srgb, rgb_to_lab, srgb_to_linear
 from edit3r.kit.files.configs import read_yaml
-from edit3r.kit.geometry.cameras import project, unproject
-from edit3r.kit.geometry.maps import dilate
+from edit3r.kit.geometry.cameras import pixel_grid
+from edit3r.kit.geometry.maps import dilate, size_of
 from edit3r.kit.geometry.warping import shared_surface, warp
 
 FITTED = Path(__file__).with_name("fitted.yaml")
@@ -31,9 +32,7 @@ SIDE = 256  # longer side at which pictures are looked at [pixels]
 SEEN = 6.0  # difference of colours that one sees [CIE Lab]
 CLEAR = 12.0  # difference of colours that nobody overlooks [CIE Lab]
 BAND = 3  # pixels about an outline: its rim, and what blurs across it
-NEAR = 20  # pixels about what was removed, whose detail is what its place should have
-WIDE = 12.0  # over how much of it detail is told [pixels]
-FLAT = 0.05  # detail that nobody sees [CIE Lab]
+WIDE = 12  # pixels over which detail is told, and about what was removed, for its place
 SAME_SURFACE = 0.05  # relative difference of depths within which it is one surface
 BIN = 10.0  # difference within which colours are one [CIE Lab]
 LIKE = 0.1  # share of a colour that changed, from which all of it could
@@ -78,18 +77,23 @@ class Pictures:
         ]
         self.kinds = {change.kind for _, change in self.asked}
 
+    def is_as_asked(self, change: Change, picture: Tensor) -> Where:
+        """Where a picture has what a change asks for, light and shade apart."""
+        if change.kind == "greyscale":
+            return picture[:, 1:].norm(dim=1) <= SEEN
+        if change.kind != "paint" or change.colour is None:
+            return torch.zeros_like(self.inside)
+        off = picture - _lab_of(change.colour.rgb)[:, None, None]
+        if bool(self.inside.any()):
+            off[:, 0] = off[:, 0][self.inside].median()
+        return off.norm(dim=1) <= 2 * CLEAR
+
     @cached_property
     def can_change(self) -> Where:
         """What is selected and does not look as asked already: grey has no colour to lose."""
-        if self.kinds == {"greyscale"}:
-            return self.inside & (self.old[:, 1:].norm(dim=1) > SEEN)
         can = self.inside
-        for _, change in self.asked if self.kinds == {"paint"} else ():
-            if change.colour is not None:
-                off = self.old - _lab_of(change.colour.rgb)[:, None, None]
-                if bool(can.any()):  # paint keeps light and shade
-                    off[:, 0] = off[:, 0][can].median()
-                can = can & (off.norm(dim=1) > 2 * CLEAR)
+        for _, change in self.asked if len(self.kinds) == 1 else ():
+            can = can & ~self.is_as_asked(change, self.old)
         return can
 
     @cached_property
@@ -152,13 +156,14 @@ def unchanged(found: Pictures) -> float | None:
     if "other" in found.actions:
         # who puts a hat on a head leaves most of it as it was
         return None if bool((found.change >= SEEN).any()) else 1.0
-    return _worst(
+    shares = [
         float((could & (change < SEEN)).sum()) / int(can.sum())
         for could, change, can in zip(
             found.could_change, found.change, found.can_change
         )
         if int(can.sum()) >= FEW
-    )
+    ]
+    return max(shares, default=None)
 
 
 @signal("it spread beyond what was selected, by {:.0%} of it (--mask holds it in)")
@@ -167,11 +172,12 @@ def outside(found: Pictures) -> float | None:
     if not found.confined:
         return None
     changed = ~_grown(found.touched, 1) & (found.change >= SEEN)
-    return _worst(
+    shares = [
         float(beside.sum()) / int(inside.sum())
         for beside, inside in zip(changed, found.inside)
         if int(inside.sum()) >= FEW
-    )
+    ]
+    return max(shares, default=None)
 
 
 @signal(
@@ -213,8 +219,9 @@ def shared(found: Pictures) -> float | None:
 def as_asked(found: Pictures) -> float | None:
     """How far what changed came to what was asked for: 1: all the way, 0 or less: elsewhere.
 
-    To a colour, or to black and white: in hue and saturation, the median. Of brightness the share
-    of the change that has the right sign. The least of the changes; None where nothing tells.
+    To a colour, or to black and white: in hue and saturation, but for what nobody sees, the median;
+    what had the colour and has it still is all the way. Of brightness the share of the change that
+    has the right sign. The least of the changes; None where nothing tells.
     """
     shares = []
     for number, change in found.asked:
@@ -227,7 +234,11 @@ def as_asked(found: Pictures) -> float | None:
             goal = _lab_of(change.colour.rgb)
         if goal is not None:
             before, left = ((goal - one)[:, 1:].norm(dim=1) for one in (old, new))
-            shares.append(float((1 - left / before.clamp(min=CLEAR)).median()))
+            share = 1 - (left - SEEN).clamp(min=0) / before.clamp(min=CLEAR)
+            if change.colour is not None:
+                paint = change.colour.rgb
+                share[_painted(old, paint) & _painted(new, paint)] = 1
+            shares.append(float(share.median()))
         elif change.kind == "brightness":
             size, lighter = (new - old).norm(dim=1), (new - old)[:, 0]
             shares.append(float(size[lighter * change.amount > 0].sum() / size.sum()))
@@ -257,7 +268,7 @@ def rim(found: Pictures) -> float | None:
             lacks = _mean_around((found.new - found.old)[view], did[view])
         left = band & (found.change[view] < SEEN) & (lacks.norm(dim=0) > CLEAR)
         shares.append(float(left.sum() / band.sum()))
-    return _worst(shares)
+    return max(shares, default=None)
 
 
 @signal(
@@ -275,8 +286,8 @@ def closed(found: Pictures) -> float | None:
         return None
     now = found.new if found.shown is None else found.shown
     shares = []
-    around = _grown(found.inside, NEAR) & ~_grown(found.inside, BAND)
-    fine = (found.new - _blurred(found.new))[:, 0].abs() + FLAT
+    around = _grown(found.inside, WIDE) & ~_grown(found.inside, BAND)
+    fine = (found.new - _blurred(found.new))[:, 0].abs() + 0.01  # flat walls have none
     told = _blurred(fine, WIDE)
     for view, (inside, beside) in enumerate(zip(found.inside, around)):
         if min(int(inside.sum()), int(beside.sum())) < FEW:
@@ -307,45 +318,23 @@ def missed(found: Pictures) -> float | None:
             )
             lost = changed & (arrived < 0.4 * asked)
             shares.append(float(lost.sum() / changed.sum()))
-    return _worst(shares)
+    return max(shares, default=None)
 
 
 @signal(
-    "{:.0%} of it is torn or blurred half-way between the photos (a photo from between helps)",
+    "it is torn or blurred half-way between the photos, by {:.0%} (a photo from between helps)",
     in_scene=True,
 )
 def torn(found: Pictures) -> float | None:
-    """Of what is selected the share that looks, half-way between two photos, like neither of them;
-    the worst place counts.
-
-    Each point that the scene shows there is looked up in both photos, in or out of sight: a thing
-    that is torn shows what lies behind it, one that dissolves a mixture.
+    """How much what is selected looks, half-way between two photos, like neither of them: 1 where
+    its colours are off by twice what nobody overlooks; the worst place counts.
     """
-    between, cameras = found.edit.half_way, found.edit.cameras
-    if between is None or not found.confined or cameras is None:
+    between = found.edit.half_way
+    if between is None or not found.confined:
         return None
-    shares = []
-    depths = _small(between.rendered.depths[0, :, 0])
-    shown = _lab(between.rendered.images[0])
-    points = unproject(
-        depths, between.cameras.intrinsics[0], between.cameras.c2w[0]
-    ).flatten(1, 2)
-    for number, pair in enumerate(between.pairs):
-        if not {*pair} <= {*found.views}:
-            continue
-        thing = alike = torch.zeros_like(depths[number], dtype=torch.bool)
-        for view in pair:
-            at, lens = found.views.index(view), cameras.intrinsics[0, [view]]
-            places, away = project(points[[number]], lens, cameras.c2w[0, [view]])
-            places, away = places.view(*thing.shape, 2), away.view_as(thing)
-            there = ((places > 0) & (places < 1)).all(-1) & (away > 0)
-            picture = torch.cat((_blurred(found.new[at]), found.inside[[at]].float()))
-            *colour, inside = warp(picture, places)
-            off = (_blurred(shown[number]) - torch.stack(colour)).norm(dim=0)
-            thing, alike = thing | there & (inside > 0.5), alike | there & (off < CLEAR)
-        if int(thing.sum()) >= FEW:
-            shares.append(float((thing & ~alike).sum() / thing.sum()))
-    return _worst(shares)
+    photos, masks = (dict(zip(found.views, one)) for one in (found.new, found.inside))
+    unlike = unlike_either(between, photos, masks, 2 * CLEAR, 1)
+    return max((share for _, share in unlike), default=None)
 
 
 def measured(edit: EditToJudge) -> dict[str, float | None]:
@@ -358,6 +347,44 @@ def measured(edit: EditToJudge) -> dict[str, float | None]:
     }
 
 
+def unlike_either(
+    between: HalfWay,
+    photos: Mapping[int, Picture],
+    masks: Mapping[int, Bool[Tensor, "height width"]],
+    wholly: float,
+    soft: float,
+) -> Iterator[tuple[tuple[int, int], float]]:
+    """Pairs of photos, and how much of what is masked looks half-way like neither of the two: 1
+    where colours are off by `wholly` [CIE Lab], over `soft` pixels.
+
+    Each pixel is compared where optical flow finds it in the photos: a thing that is torn or
+    dissolved is found in none, one that lies a little aside is.
+    """
+    for pair, shown in zip(between.pairs, _lab(between.rendered.images[0])):
+        if not {*pair} <= {*photos} or min(shown.shape[1:]) < FEW:
+            continue
+        thing, off = torch.zeros_like(shown[0]), torch.full_like(shown[0], torch.inf)
+        for view in pair:
+            picture = (_blurred(photos[view], soft), masks[view][None].float())
+            *colour, inside = warp(torch.cat(picture), _found_in(photos[view], shown))
+            unlike = (_blurred(shown, soft) - torch.stack(colour)).norm(dim=0)
+            off, thing = torch.minimum(off, unlike), torch.maximum(thing, inside)
+        if int((thing > 0.5).sum()) >= FEW:
+            yield pair, float((off / wholly).clamp(max=1)[thing > 0.5].mean())
+
+
+def unlike_between(scene: SceneToJudge) -> list[float | None]:
+    """For each placed photo how much of the view half-way to its nearest looks like neither."""
+    photos = dict(enumerate(_lab(scene.edited.images[0])))
+    shares: list[float | None] = [None] * len(photos)
+    if scene.half_way is not None:
+        all_ = {view: torch.ones_like(one[0]) > 0 for view, one in photos.items()}
+        for pair, share in unlike_either(scene.half_way, photos, all_, CLEAR, 2):
+            for view in pair:
+                shares[view] = max(shares[view] or 0.0, share)
+    return shares
+
+
 def faults_of(
     figures: Mapping[str, float | None], limits: Mapping[str, float]
 ) -> dict[str, str]:
@@ -368,10 +395,6 @@ def faults_of(
         if figure is not None and sign * figure > sign * limits[name]:
             found[name] = signal.fault.format(max(figure, 0.0))
     return found
-
-
-def _worst(values: Iterable[float]) -> float | None:
-    return max(values, default=None)
 
 
 def _region(found: Pictures, number: int) -> Where:
@@ -398,15 +421,36 @@ def _lab_of(rgb: tuple[float, float, float]) -> Float[Tensor, "3"]:
     return rgb_to_lab(torch.tensor(rgb)[:, None, None])[:, 0, 0]
 
 
+def _painted(
+    pixels: Float[Tensor, "pixel 3"], paint: tuple[float, float, float]
+) -> Tensor:
+    """Which pixels have a paint's hue and saturation, in whatever light [bool]."""
+    light = 8 * torch.linspace(0, 1, 257) ** 2
+    lit = (srgb_to_linear(torch.tensor(paint))[:, None] * light).clamp(max=1)
+    shades = rgb_to_lab(linear_to_srgb(lit)[:, None])[:, 0]
+    shade = torch.searchsorted(shades[0], pixels[:, 0].contiguous()).clamp(max=256)
+    goal = shades[1:, shade]
+    return (pixels[:, 1:].T - goal).norm(dim=0) < goal.norm(dim=0) / 4
+
+
 def _grown(where: Where, pixels: int) -> Where:
     return torch.stack([dilate(one.float(), pixels) > 0 for one in where])
 
 
-def _blurred(maps: Tensor, pixels: float = 2.0) -> Tensor:
+def _blurred(maps: Tensor, pixels: float = 2) -> Tensor:
     """Over two pixels: scenes are softer than photos."""
     flat = maps.reshape(-1, *maps.shape[-2:]).numpy()
     smooth = [cv2.GaussianBlur(one, (0, 0), pixels) for one in flat]
     return torch.from_numpy(np.stack(smooth)).view(maps.shape)
+
+
+def _found_in(picture: Picture, other: Picture) -> Float[Tensor, "height width 2"]:
+    """Where in a picture each pixel of the other lies, normalised: DIS, Kroeger et al. 2016."""
+    light = [(2.55 * one[0]).byte().numpy() for one in (other, picture)]
+    engine = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+    flow = torch.from_numpy(engine.calc(*light, None))  # type: ignore[call-overload]
+    size = size_of(picture)
+    return pixel_grid(size, flow) + flow / flow.new_tensor(size[::-1])
 
 
 def _mean_around(picture: Picture, where: Bool[Tensor, "height width"]) -> Picture:

@@ -1,8 +1,8 @@
 """Refine Gaussians by photometric steps on the input views; the cameras stay.
 
 Each step renders one input view, in turn, and moves colours, opacities, sizes and centres a little
-towards its image. A share of the pixels is held back from the loss; the best state by them is
-returned: it is never worse on them than the start.
+towards its image. A share of the pixels is held back from the loss; the latest state that is about
+the best by them is returned: it is never worse on them than the start.
 """
 
 import math
@@ -36,6 +36,9 @@ MOST_VIEWS = 20  # whose steps a refinement takes: of more views, each takes few
 TELLING_VIEWS = 8  # that tell the error before and after, where there are more
 # error of a pixel [sRGB] below which its square counts, and beyond which its size
 SQUARED_BELOW = 0.05
+# times the least error of the held-back pixels up to which a later state counts as good: few pixels
+# tell no less, and what is stopped early is soft
+AS_GOOD = 1.02
 HALF_EVERY = 4  # rounds of large images, of which the first is at half the size
 
 
@@ -144,7 +147,7 @@ def refine(
         if not coarse and (len(errors) % cameras.count == 0 or step == steps - 1):
             newest = errors[-cameras.count :]
             rounds.append(sum(newest) / len(newest))
-            if rounds[-1] <= min(rounds):
+            if rounds[-1] <= AS_GOOD * min(rounds):
                 best, taken = _detached(variables.gaussians()), step + 1
     after = _errors(best, cameras, images, rasterizer, groups) if taken else before
     if after[0] >= before[0]:

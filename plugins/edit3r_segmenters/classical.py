@@ -40,7 +40,6 @@ from edit3r_segmenters.masks import (
     Latest,
     reduced,
     snapped,
-    stepped,
     tidied,
     to_bytes,
 )
@@ -62,6 +61,8 @@ from edit3r_segmenters.superpixels import (
 )
 from edit3r_segmenters.words import plain
 
+MAX_OBJECTS = 24  # that are proposed
+REFINED = 4  # of the most salient, whose outline is refined
 SAME_OBJECT = 0.6  # intersection over union above which two candidates are one object
 # how far an outline may move in and out when it is refined [square roots of the area]
 SNAP = (0.06, 0.25)
@@ -107,14 +108,8 @@ class ClassicalSegmenter(Segmenter):
     class Settings(edit3r.Settings):
         size: int = Field(256, ge=32, le=2048)
         """longer side of the picture while looking for objects [pixels]"""
-        max_objects: int = Field(24, ge=1, le=500)
-        """how many candidates `propose` returns at most"""
-        refined: int = Field(4, ge=0, le=500)
-        """how many of the most salient get their outline refined"""
         learned: bool = True
         """use learned salience where the weights u2netp are at hand"""
-        track_size: int = Field(512, ge=64, le=4096)
-        """longer side of the picture while following [pixels]"""
 
     settings: Settings
 
@@ -134,20 +129,12 @@ class ClassicalSegmenter(Segmenter):
             for mask in analysis.masks()
         ]
         scored = _distinct(
-            [(mask, cues) for mask, cues in measured if cues is not None],
-            self.settings.max_objects,
+            [(mask, cues) for mask, cues in measured if cues is not None]
         )
-        refined = [
-            _refined(analysis, *candidate)
-            for candidate in scored[: self.settings.refined]
-        ]
-        chosen = _distinct(
-            refined + scored[self.settings.refined :], self.settings.max_objects
-        )
+        refined = [_refined(analysis, *candidate) for candidate in scored[:REFINED]]
+        chosen = _distinct(refined + scored[REFINED:])
         masks = [mask for mask, _ in chosen]
-        masks[: self.settings.refined] = [
-            self._fine(rgb, mask) for mask in masks[: self.settings.refined]
-        ]
+        masks[:REFINED] = [self._fine(rgb, mask) for mask in masks[:REFINED]]
         found = tuple(
             _proposal(rgb, mask, cues.quality, image)
             for mask, (_, cues) in zip(masks, chosen)
@@ -161,7 +148,7 @@ class ClassicalSegmenter(Segmenter):
             if overlap(*(q.soft_mask.numpy(force=True) > 0.5 for q in (p, first)))
             < SAME_OBJECT
         ]
-        return (first, *others)[: self.settings.max_objects]
+        return (first, *others)[:MAX_OBJECTS]
 
     def _subject(self, rgb: np.ndarray, analysis: _Analysis) -> np.ndarray | None:
         """The subject of an image by learned salience, bool at working size; None without weights
@@ -180,8 +167,8 @@ class ClassicalSegmenter(Segmenter):
         if marks.prior is not None and not (marks.inside or marks.negative):
             return self._expected(rgb, image, marks.prior)
         ordered, best = by_size(self._found(rgb, marks))
-        areas = [one.mask.sum() for one in ordered]
-        chosen = ordered[stepped(areas, best, marks.larger)]
+        place = min(max(best + marks.larger, 0), len(ordered) - 1)
+        chosen = ordered[place]
         return self._drawn(rgb, image, marks, chosen)
 
     def readings(
@@ -364,7 +351,7 @@ class ClassicalSegmenter(Segmenter):
         """Snap the outline of a bool mask `[h, w]` found at working size once more, at tracking
         size.
         """
-        larger = to_bytes(reduced(rgb, self.settings.track_size))
+        larger = to_bytes(reduced(rgb, tracking.LONGER))
         enlarged = (
             cv2.resize(
                 mask.astype(np.float32),
@@ -382,7 +369,7 @@ class ClassicalSegmenter(Segmenter):
         images: Float[Tensor, "view 3 height width"],
         masks: Float[Tensor, "object height width"],
     ) -> Tracks:
-        return tracking.tracks(images, masks, self.settings.track_size)
+        return tracking.tracks(images, masks)
 
 
 def _analyse(rgb: np.ndarray, size: int) -> _Analysis:
@@ -394,14 +381,14 @@ def _analyse(rgb: np.ndarray, size: int) -> _Analysis:
 
 
 def _distinct(
-    candidates: list[tuple[np.ndarray, Objectness]], limit: int
+    candidates: list[tuple[np.ndarray, Objectness]],
 ) -> list[tuple[np.ndarray, Objectness]]:
     """Keep the most salient of each group of candidates (bool `[H, W]`) that overlap, most salient
     first.
     """
     kept: list[tuple[np.ndarray, Objectness]] = []
     for mask, cues in sorted(candidates, key=lambda c: -c[1].salience):
-        if len(kept) == limit:
+        if len(kept) == MAX_OBJECTS:
             break
         if all(overlap(mask, other) < SAME_OBJECT for other, _ in kept):
             kept.append((mask, cues))

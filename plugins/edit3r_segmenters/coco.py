@@ -4,7 +4,6 @@ import cv2
 import numpy as np
 import torch
 from jaxtyping import Float
-from pydantic import Field
 from torch import Tensor
 
 import edit3r
@@ -16,6 +15,8 @@ from edit3r_segmenters.sam import best_boxes
 from edit3r_segmenters.tfjs import TfjsGraph
 from edit3r_segmenters.words import COCO, coco_classes
 
+MIN_SCORE = 0.1  # of a box
+SAME_BOX = 0.5  # overlap above which two boxes are one thing
 SIDE = 416  # of the network's input [pixels]
 BINS = 11  # a distance to a side of the box is a distribution over 0 to 10 strides
 MEAN = np.float32(255 * np.array(IMAGENET_MEAN[::-1]))  # BGR
@@ -33,16 +34,8 @@ class CocoDetector(Detector):
     all that it knows.
     """
 
-    class Settings(edit3r.Settings):
-        min_score: float = Field(0.1, ge=0, le=1)
-        """least score of a box"""
-        overlap: float = Field(0.5, ge=0, le=1)
-        """overlap above which two boxes are one thing"""
-
-    settings: Settings
-
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
+    def __init__(self, settings: edit3r.Settings) -> None:
+        super().__init__(settings)
         self._graph = TfjsGraph(find(NANODET) / "nanodet.json")
 
     def knows(self, text: str) -> bool:
@@ -59,12 +52,12 @@ class CocoDetector(Detector):
         boxes, scores = self._boxes(image)
         score, which = scores[:, list(classes)].max(1)
         boxes = boxes.clamp(0, 1) * torch.tensor([width, height, width, height])
-        likely = score >= self.settings.min_score
+        likely = score >= MIN_SCORE
         likely &= (boxes[:, 2:] > boxes[:, :2]).all(1)  # not on the rim
         boxes, score, which = boxes[likely], score[likely], which[likely]
         boxes[:, 2:] -= boxes[:, :2]
         found = []
-        for index in best_boxes(boxes, score, self.settings.overlap):
+        for index in best_boxes(boxes, score, SAME_BOX):
             label = COCO[classes[int(which[index])]]
             box = tuple(boxes[index].tolist())
             found.append(Detection(label, float(score[index]), box))

@@ -130,15 +130,7 @@ class SamSegmenter(Segmenter):
     def segment_marks(
         self, image: Float[Tensor, "3 height width"], marks: Marks
     ) -> Proposal:
-        points, box, (height, width) = (
-            [*marks.inside, *marks.negative],
-            marks.box,
-            image.shape[-2:],
-        )
-        # where it is expected, as the box around that
-        if box is None and marks.prior is not None:
-            x, y, w, h = as_proposal(marks.prior).box
-            box = (x / width, y / height, w / width, h / height) if w else None
+        points, box = [*marks.inside, *marks.negative], box_of(marks)
         model = self._model(self.image_class, image.device)
         on = [True] * len(marks.inside) + [False] * len(marks.negative)
         prompts = self._prompts(model, points, on, box)
@@ -153,9 +145,8 @@ class SamSegmenter(Segmenter):
             areas = (output.pred_masks[0, 0] > 0).sum((1, 2)).tolist()
             best = int(output.iou_scores[0, 0].argmax())
             best = stepped(areas, best, marks.larger)
-            logits = enlarge(output.pred_masks[0, 0, best : best + 1], (height, width))[
-                0
-            ]
+            small = output.pred_masks[0, 0, best : best + 1]
+            logits = enlarge(small, size_of(image))[0]
         return proposal(logits, float(output.iou_scores[0, 0, best]))
 
     def ask(
@@ -476,6 +467,15 @@ def proposal(logits: Float[Tensor, "height width"], predicted_iou: float) -> Pro
     return Proposal(
         logits.sigmoid(), area, stable, iou, tuple(boxes_of(inside[None])[0].tolist())
     )
+
+
+def box_of(marks: Marks) -> tuple[float, float, float, float] | None:
+    """The box of marks [shares of the sides]; else that around where it is expected."""
+    if marks.box is not None or marks.prior is None:
+        return marks.box
+    height, width = marks.prior.shape
+    x, y, across, down = as_proposal(marks.prior).box
+    return (x / width, y / height, across / width, down / height) if across else None
 
 
 def stability(logits: Float[Tensor, "n height width"]) -> Float[Tensor, "n"]:

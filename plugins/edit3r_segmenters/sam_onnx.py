@@ -31,7 +31,7 @@ from edit3r.kit.weights.find import at_hand, find
 from edit3r.kit.weights.load import foreign
 from edit3r_segmenters import SMALL, tracking
 from edit3r_segmenters.masks import Latest, stepped
-from edit3r_segmenters.sam import best_boxes, boxes_of, enlarge, proposal
+from edit3r_segmenters.sam import best_boxes, box_of, boxes_of, enlarge, proposal
 
 MEAN = np.float32(255 * np.array(IMAGENET_MEAN))
 STD = np.float32(255 * np.array(IMAGENET_STD))
@@ -78,8 +78,6 @@ class SamOnnxSegmenter(Segmenter):
         """grid on which objects are looked for without marks"""
         min_predicted_iou: float = Field(0.8, ge=0, le=1)
         """least quality of an object found without marks"""
-        track_size: int = Field(512, ge=64, le=4096)
-        """longer side of the image while following [pixels]"""
 
     settings: Settings
 
@@ -132,12 +130,7 @@ class SamOnnxSegmenter(Segmenter):
     ) -> Proposal:
         clicks = [(place, True) for place in marks.inside]
         clicks += [(place, False) for place in marks.negative]
-        box = marks.box
-        # expected there: in the box around that
-        if box is None and marks.prior is not None:
-            x, y, w, h = as_proposal(marks.prior).box
-            height, width = image.shape[-2:]
-            box = (x / width, y / height, w / width, h / height) if w else None
+        box = box_of(marks)
         if box is None and not clicks:
             return as_proposal(torch.zeros_like(image[0]))
         logits, quality = self.ask(image, clicks, box)
@@ -152,7 +145,7 @@ class SamOnnxSegmenter(Segmenter):
         images: Float[Tensor, "view 3 height width"],
         masks: Float[Tensor, "object height width"],
     ) -> Tracks:
-        return tracking.tracks(images, masks, self.settings.track_size)
+        return tracking.tracks(images, masks)
 
     def ask(
         self,

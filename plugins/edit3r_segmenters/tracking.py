@@ -21,6 +21,7 @@ from edit3r.contract.interfaces import Tracks
 from edit3r.kit.compute.outlines import distance_to, overlap, softened
 from edit3r_segmenters.masks import reduced, snapped, to_bytes
 
+LONGER = 512  # longer side of the pictures while following [pixels]
 MIN_CONSISTENT = 0.35  # share under which flow says nothing
 # how far the outline may move when it is snapped [square roots of the area]
 SNAP_BAND = 0.04
@@ -68,21 +69,17 @@ class _View:
 def tracks(
     images: Float[Tensor, "view 3 height width"],
     masks: Float[Tensor, "object height width"],
-    size: int,
 ) -> Tracks:
     """`follow` on tensors: what a segmenter's `track` returns."""
     pixels = images.detach().cpu().float().permute(0, 2, 3, 1).numpy()
-    found, seen = follow(
-        [np.ascontiguousarray(one) for one in pixels],
-        masks.detach().cpu().numpy(),
-        size,
-    )
+    frames = [np.ascontiguousarray(one) for one in pixels]
+    found, seen = follow(frames, masks.detach().cpu().numpy())
     soft = torch.from_numpy(found).to(images)
     return Tracks(soft.logit(1e-4), torch.from_numpy(seen).to(images.device))
 
 
 def follow(
-    images: list[np.ndarray], masks: np.ndarray, size: int
+    images: list[np.ndarray], masks: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Follow `masks` `[R, H, W]` on the first of `images` (float RGB `[H, W, 3]`, one size) through
     all of them.
@@ -90,7 +87,7 @@ def follow(
     Returns soft masks float32 `[V, R, H, W]` in [0, 1], zero where lost, and bool `[V, R]`: which
     view shows which.
     """
-    views = [_view(image, size) for image in images]
+    views = [_view(image) for image in images]
     height, width = views[0].grey.shape
     first = [
         cv2.resize(mask, (width, height), interpolation=cv2.INTER_AREA) > 0.5
@@ -113,9 +110,9 @@ def follow(
     return soft, present
 
 
-def _view(image: np.ndarray, size: int) -> _View:
+def _view(image: np.ndarray) -> _View:
     """Reduce a float RGB image `[H, W, 3]` to tracking size."""
-    pixels = to_bytes(reduced(image, size))
+    pixels = to_bytes(reduced(image, LONGER))
     return _View(pixels, cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY))
 
 

@@ -22,7 +22,7 @@ from edit3r_select.sum import SURE, Chosen, CueWeights, MaskCandidate, choose, f
 LONGER = 512  # longer side of a photo whose masks are compared: weights are for this [pixels]
 ON_STROKE = 4  # places of a stroke, or of what is expected, that are asked together
 UNTOLD = 0.5  # quality of a mask that no network made
-CORRECTED = 0.5  # IoU with the answer before from which a further click corrects that
+CORRECTED = 0.5  # IoU with the answer before from which a further one corrects that
 # Of what stands out where nothing is marked
 GRID = 6  # clicks along each side
 UNMARKED = 256  # longer side of the photo [pixels]
@@ -116,7 +116,7 @@ def changed_at(place: Place, before: np.ndarray, chosen: Chosen) -> Chosen:
     """
     after = chosen.best.logits
     was, now = before > 0, after > 0
-    if (was & now).sum() < CORRECTED * (was | now).sum():
+    if not _is_same(was, now):
         return chosen
     changed = was != now
     labels = cv2.connectedComponents(changed.astype(np.uint8), connectivity=4)[1]
@@ -132,8 +132,33 @@ def selected(
     size: Size, asked: Asked, ask: AnswersMarks, weights: CueWeights | None = None
 ) -> Chosen | None:
     """What is meant by marks on one photo, its masks at `size`; None where `ask` has none."""
-    pool = gathered(size, asked, ask)
-    return None if pool is None else choose(pool, weights or fitted(asked.kind))
+    pool, weights = gathered(size, asked, ask), weights or fitted(asked.kind)
+    if pool is None:
+        return None
+    chosen = choose(pool, weights)
+    return refined(pool, chosen, ask, weights) if asked.kind == "click" else chosen
+
+
+def refined(
+    pool: Pool, chosen: Chosen, ask: AnswersMarks, weights: CueWeights
+) -> Chosen:
+    """The first mask, or a better one of the same thing: people click anywhere, also at the rim, so
+    that a second click is asked about, in the middle of the first mask, which is told with it.
+    """
+    first = chosen.best
+    if not first.mask.any():
+        return chosen
+    place, _ = innermost(first.mask)
+    answer = ask([*pool.asked.clicks, (place, True)], before=first.logits)
+    if answer is None:
+        return chosen
+    again = choose(
+        replace(pool, logits=_large(answer[0], pool.size), quality=answer[1]), weights
+    )
+    for one in again.candidates:
+        if one.score > first.score and _is_same(one.mask, first.mask):
+            return replace(chosen, candidates=(one, *chosen.candidates[1:]))
+    return chosen
 
 
 def gathered(size: Size, asked: Asked, ask: AnswersMarks) -> Pool | None:
@@ -200,15 +225,22 @@ def asked_by(marks: Marks, size: Size) -> Asked:
     rest = there.astype(np.uint8)
     clicks: list[Click] = []
     while rest.any() and len(clicks) < ON_STROKE:
-        padded = cv2.distanceTransform(np.pad(rest, 1), cv2.DIST_L2, 5)
-        depth = padded[1:-1, 1:-1]
-        row, column = map(int, np.unravel_index(depth.argmax(), size))
-        place = (column + 0.5) / size[1], (row + 0.5) / size[0]
+        place, depth = innermost(rest)
         clicks.append((place, True))
-        cv2.circle(rest, (column, row), round(2 * depth.max()), 0, cv2.FILLED)
+        row, column = pixel(place, size)
+        cv2.circle(rest, (column, row), round(2 * depth), 0, cv2.FILLED)
     x, y, width, height = cv2.boundingRect(there.astype(np.uint8))
     box = x / size[1], y / size[0], width / size[1], height / size[0]
     return Asked(tuple(clicks), box=box, expected=there & known, known=known)
+
+
+def innermost(mask: np.ndarray) -> tuple[Place, float]:
+    """The place deepest inside of a mask that is not empty, and how deep it lies [pixels]."""
+    padded = np.pad(mask.astype(np.uint8), 1)
+    depth = cv2.distanceTransform(padded, cv2.DIST_L2, 5)[1:-1, 1:-1]
+    height, width = mask.shape
+    row, column = map(int, np.unravel_index(depth.argmax(), mask.shape))
+    return ((column + 0.5) / width, (row + 0.5) / height), float(depth.max())
 
 
 def along(stroke: Sequence) -> list:
@@ -231,6 +263,11 @@ def _joined(
 
 def _large(logits: np.ndarray, size: Size) -> np.ndarray:
     return np.stack([cv2.resize(np.float32(one), size[::-1]) for one in logits])
+
+
+def _is_same(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two masks show one thing, more or less of it."""
+    return bool((one & other).sum() >= CORRECTED * (one | other).sum())
 
 
 def _obeyed(chosen: Chosen | None, size: Size, click: Click) -> bool:

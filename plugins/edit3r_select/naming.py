@@ -63,30 +63,52 @@ def looked_up(photos: Photos, selection: Selection) -> Named:
     if _on_every_photo(selection, weighed[best], named, best):
         return _on_others(photos, selection, named, best)
     own = {
-        view: _own(photos, view, there, best, named.found[best].mask)
+        view: _own(photos, view, there, best, named)
         for view, there in weighed.items()
         if view != best and not selection.which and selection.words != BACKGROUND
     }
-    kept = {view: OnPhoto(one, "words") for view, one in own.items() if one is not None}
-    return replace(named, found={**kept, **named.found})
+    return _kept(selection, named, {view: one for view, one in own.items() if one})
 
 
 def _own(
-    photos: Photos, view: int, there: Proposals, best: int, mask: Mask
-) -> Mask | None:
+    photos: Photos, view: int, there: Proposals, best: int, named: Named
+) -> Proposal | None:
     """What a photo finds itself is never thrown away because another one is surer; None where
-    geometry says that none of it is what that other one shows.
+    geometry says that none of it is what that other one shows. What geometry confirms is as sure as
+    there.
     """
-    surface = photos.shared(view, best)
+    surface, mask = photos.shared(view, best), named.found[best].mask
     if not there or surface is None:
-        return there[0].soft_mask if there else None
+        return there[0] if there else None
     grid, same = surface
     moved = warp(mask[None], grid, padding="zeros")[0] * same
     if (moved > 0.5).sum() < SEES * (mask > 0.5).sum():
-        return there[0].soft_mask
+        return there[0]
     shares = [overlap(one.soft_mask * same, moved) for one in there]
     likeliest = max(range(len(there)), key=shares.__getitem__)
-    return there[likeliest].soft_mask if shares[likeliest] >= SAME_THING else None
+    if shares[likeliest] < SAME_THING:
+        return None
+    return replace(there[likeliest], confidence=named.confidence or 0.0)
+
+
+def _kept(selection: Selection, named: Named, own: Mapping[int, Proposal]) -> Named:
+    """What was named, with what other photos found themselves: it is as sure as the least of it."""
+    if not own:
+        return named
+    view, least = min(own.items(), key=lambda pair: pair[1].confidence)
+    confidence = min(named.confidence or 0.0, least.confidence)
+    warnings = named.warnings
+    if confidence < SURE <= (named.confidence or 0.0):
+        what = f"{selection.words!r} was found on photo {view + 1}"
+        _refuse_unsure(selection, f"{what}, but", confidence)
+        warnings += (
+            f"{what} with a confidence of only {confidence:.0%}: look at its outline there. To "
+            f"correct it: {ASK}.",
+        )
+    kept = {view: OnPhoto(one.soft_mask, "words") for view, one in own.items()}
+    return replace(
+        named, found={**kept, **named.found}, confidence=confidence, warnings=warnings
+    )
 
 
 def named_again(

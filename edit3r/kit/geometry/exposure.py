@@ -15,6 +15,7 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Views
+from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.geometry.warping import nearest_views, shared_surface, warp
 
 SIDE = 128  # pixels of the longer side at which photos are compared
@@ -26,6 +27,7 @@ MIN_CORRELATION = 0.6  # of what they share; below, they show other things
 MIN_CHANGE = 0.02
 MAX_LEFT = 2 / 3  # share of the photos' differences that remains in one light, at most
 MAX_GAIN = 4.0
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # of red, green and blue (Rec. 709)
 
 Images = Float[Tensor, "batch view 3 height width"]
 
@@ -50,8 +52,48 @@ class Exposure:
         """Images in the reference's exposure as each photo would show them."""
         return (images - self.offset) / self.gain
 
+    @property
+    def of_lightness(self) -> "Exposure":
+        """The same for all channels, as a grey changes: light without its tint."""
+        grey = self.gain.new_tensor(LUMINANCE).view(3, 1, 1)
+        values = (
+            (value * grey).sum(2, keepdim=True) for value in (self.gain, self.offset)
+        )
+        return Exposure(*(value.expand_as(self.gain) for value in values))
+
     def select(self, indices: list[int]) -> "Exposure":
         return Exposure(self.gain[:, indices], self.offset[:, indices])
+
+
+@dataclass(frozen=True)
+class ExposureOfEdit:
+    """How edited photos' colours become the reference's: what was edited may follow other light
+    than the photos, as a drawing does.
+    """
+
+    photos: Exposure
+    edit: Exposure
+    region: Bool[Tensor, "batch view height width"]  # where `edit` counts
+
+    def to_reference(self, images: Images) -> Images:
+        """Edited photos as they would look in the reference's exposure, in [0, 1]."""
+        return self._either(
+            self.edit.to_reference(images), self.photos.to_reference(images)
+        )
+
+    def to_own(self, images: Images) -> Images:
+        """Images of the edited scene in the reference's exposure as each photo would show them."""
+        return self._either(self.edit.to_own(images), self.photos.to_own(images))
+
+    def select(self, indices: list[int]) -> "ExposureOfEdit":
+        photos, edit = self.photos.select(indices), self.edit.select(indices)
+        return ExposureOfEdit(photos, edit, self.region[:, indices])
+
+    def _either(self, edit: Images, photos: Images) -> Images:
+        region = self.region.to(edit)
+        if size_of(region) != size_of(edit):
+            region = F.interpolate(region, size_of(edit), mode="nearest")
+        return torch.where(region[:, :, None] > 0, edit, photos)
 
 
 @dataclass(frozen=True)
@@ -91,18 +133,48 @@ def estimate_exposure(views: Views, geometry: Geometry) -> Exposure | None:
     return Exposure(gain.to(views.images), offset.to(views.images))
 
 
+def exposure_of_edit(
+    photos: Exposure,
+    edited: Views,
+    region: Bool[Tensor, "batch view height width"],
+    geometry: Geometry,
+) -> Exposure | ExposureOfEdit:
+    """Return how edited photos become the reference's, given how the photos do.
+
+    What an edit draws or paints may follow a photo's light in full (what a removed thing hid), in
+    lightness (black and white) or not at all (paper), so in the `region` that was edited the light
+    counts in which the photos then agree best about the surfaces that they share; the photos' own
+    where they share none.
+    """
+    plain = Exposure(torch.ones_like(photos.gain), torch.zeros_like(photos.offset))
+    ways = [photos, photos.of_lightness, plain]
+    # not cut off at 1: white that gets lighter is not the white of the reference
+    shown = [way.gain * edited.images + way.offset for way in ways]
+    size = _reduced_size(edited)
+    maps = F.adaptive_avg_pool2d(
+        torch.cat([*shown, region[:, :, None].to(shown[0])], 2).flatten(0, 1), size
+    ).unflatten(0, edited.images.shape[:2])
+    geometry = geometry.at(size)
+    unlike = torch.zeros(len(ways), dtype=torch.float64)
+    for scene in range(len(maps)):
+        for pair in _near_pairs(geometry, scene):
+            first, second = _of_both(maps, edited, geometry, scene, pair)
+            both = (first[:, -1] > 0.5) & (second[:, -1] > 0.5)
+            apart = (first - second)[both, :-1].abs().sum(0)
+            unlike += apart.unflatten(0, (len(ways), 3)).sum(1)
+    best = ways[int(unlike.argmin())]  # of equal ones the first
+    return photos if best is photos else ExposureOfEdit(photos, best, region)
+
+
 def _of_scene(
     views: Views, geometry: Geometry, scene: int
 ) -> tuple[Float[Tensor, "view 3"], Float[Tensor, "view 3"]]:
     """Gains and offsets of one scene of the batch."""
     count = views.count
     geometry = geometry.at(_reduced_size(views))
-    nearest = nearest_views(geometry.c2w, geometry.depths, NEAR_VIEWS)
-    near = {(min(a, b), max(a, b)) for a, row in enumerate(nearest) for b in row}
     pairs = [
-        _Pair(*ends, *_shared(views, geometry, scene, list(ends)))
-        for ends in sorted(near)
-        if geometry.registered[scene, list(ends)].all()
+        _Pair(first, second, *_shared(views, geometry, scene, [first, second]))
+        for first, second in _near_pairs(geometry, scene)
     ]
     pairs = [pair for pair in pairs if pair.tells]
     middles = [_middles(pair) for pair in pairs]
@@ -185,21 +257,44 @@ def _reduced_size(views: Views) -> tuple[int, int]:
     return round(scale * height), round(scale * width)
 
 
+def _near_pairs(geometry: Geometry, scene: int) -> list[list[int]]:
+    """Placed views with their nearest ones, each pair once."""
+    nearest = nearest_views(geometry.c2w, geometry.depths, NEAR_VIEWS)
+    near = {(min(a, b), max(a, b)) for a, row in enumerate(nearest) for b in row}
+    pairs = map(list, sorted(near))
+    return [ends for ends in pairs if geometry.registered[scene, ends].all()]
+
+
 def _shared(
     views: Views, geometry: Geometry, scene: int, pair: list[int]
 ) -> tuple[Float[Tensor, "pixel 3"], Float[Tensor, "pixel 3"]]:
-    """Colours of the surfaces that two views surely show, as each shows them, on the CPU: what is
-    settled from them is small. The geometry is at the reduced size.
+    """Exposed colours of the surfaces that two views surely show, as each shows them. The geometry
+    is at the reduced size.
     """
-    images = F.adaptive_avg_pool2d(views.images[scene, pair], _reduced_size(views))
+    batch, size = views.images.shape[:2], _reduced_size(views)
+    images = F.adaptive_avg_pool2d(views.images.flatten(0, 1), size).unflatten(0, batch)
+    first, second = _of_both(images, views, geometry, scene, pair)
+    exposed = [((c > EXPOSED[0]) & (c < EXPOSED[1])).all(1) for c in (first, second)]
+    return first[exposed[0] & exposed[1]], second[exposed[0] & exposed[1]]
+
+
+def _of_both(
+    maps: Float[Tensor, "batch view channel height width"],
+    views: Views,
+    geometry: Geometry,
+    scene: int,
+    pair: list[int],
+) -> tuple[Float[Tensor, "pixel channel"], Float[Tensor, "pixel channel"]]:
+    """What the maps of two views are where both surely show one surface, on the CPU: what is
+    settled from it is small. Maps and geometry are at the reduced size.
+    """
     intrinsics = geometry.calibrated(views).intrinsics[scene, pair]
     grid, same = shared_surface(
         geometry.depths[scene, pair], intrinsics, geometry.c2w[scene, pair]
     )
-    sure = (geometry.confidence[scene, pair, None] >= 0.5).to(images)
-    seen = warp(torch.cat((images[1:], sure[1:]), 1), grid[None])[0]
-    same = same & (sure[0, 0] > 0) & (seen[3] > 0.99)
-    for image in (images[0], seen[:3]):
-        same &= ((image > EXPOSED[0]) & (image < EXPOSED[1])).all(0)
-    first, second = (image[:, same].T.double().cpu() for image in (images[0], seen[:3]))
+    sure = (geometry.confidence[scene, pair, None] >= 0.5).to(maps)
+    own, other = maps[scene, pair]
+    seen = warp(torch.cat((other[None], sure[1:]), 1), grid[None])[0]
+    same = same & (sure[0, 0] > 0) & (seen[-1] > 0.99)
+    first, second = (each[:, same].T.double().cpu() for each in (own, seen[:-1]))
     return first, second

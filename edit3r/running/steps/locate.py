@@ -10,10 +10,20 @@ from edit3r.contract.interfaces import Geometry
 from edit3r.contract.reporting import note, say, stage
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.cameras import field_of_view
-from edit3r.kit.geometry.exposure import Exposure, estimate_exposure
+from edit3r.kit.geometry.exposure import (
+    Exposure,
+    estimate_exposure,
+    exposure_of_edit,
+)
 from edit3r.running.geometry import lies_flat
 from edit3r.running.parts import Parts
-from edit3r.running.records import Inputs, Located
+from edit3r.running.records import (
+    EditedPhotos,
+    Inputs,
+    Located,
+    SelectedRegions,
+    is_confined,
+)
 
 
 @torch.no_grad()
@@ -36,6 +46,35 @@ def locate(inputs: Inputs, parts: Parts) -> tuple[Inputs, Located]:
         return inputs, Located(
             geometry, flat, lenses, exposure, _transient(photos, geometry, parts)
         )
+
+
+@torch.no_grad()
+def light_of_edit(
+    inputs: Inputs,
+    located: Located,
+    selection: SelectedRegions,
+    edit: EditedPhotos,
+    parts: Parts,
+) -> Located:
+    """How the edited photos come into one light, where the photos were taken in several.
+
+    What stands elsewhere after the edit, as behind a removed thing, follows the photos' light:
+    their geometry does not tell what the edited photos share.
+    """
+    if located.exposure is None or parts.changes_shape:
+        return located
+    photos, edited = inputs.photos, edit.views
+    changed = (edited.images != photos.images).any(2)
+    geometry = parts.geometry.of(photos).geometry
+    if geometry is None or not bool(changed.any()):
+        return located
+    # Inside the masks what an edit left as it was, as white under black and white, belongs to it.
+    count = parts.edited_count(edited)
+    masks = selection.masks
+    region = masks > 0 if is_confined(masks) else torch.ones_like(changed)
+    changed[:, :count] |= region[:, :count]
+    exposure = exposure_of_edit(located.exposure, edited, changed, geometry)
+    return replace(located, exposure_of_edit=exposure)
 
 
 def _fitting(inputs: Inputs, parts: Parts) -> tuple[Inputs, Geometry]:

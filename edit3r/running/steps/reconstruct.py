@@ -133,7 +133,7 @@ def _reconstructed(
     parts: Parts,
 ) -> Reconstruction:
     """The edited views in 3D; their geometry is that of the photos, unless things come or go."""
-    recon, edited = parts.reconstructor, located.in_one_exposure(edit.views)
+    recon, edited = parts.reconstructor, located.edited_in_one_exposure(edit.views)
     source = edited if parts.changes_shape else located.in_one_exposure(inputs.photos)
     reshaped = edited if parts.changes_shape else None
     geometry = _geometry(inputs, located, parts, reshaped)

@@ -69,7 +69,7 @@ def _as_fused(located: Located, views: Views, made: Reconstructed) -> Views:
 
     Outside the masks nothing may change, so there the fused edit does not count either.
     """
-    edited = located.in_one_exposure(views)
+    edited = located.edited_in_one_exposure(views)
     fusion = made.reconstruction.fusion
     if fusion is None:
         return edited

@@ -3,7 +3,7 @@
 import torch
 
 from edit3r.contract.types import Views
-from edit3r.kit.geometry.exposure import Exposure
+from edit3r.kit.geometry.exposure import Exposure, ExposureOfEdit
 from edit3r.running.records import (
     EditedPhotos,
     Inputs,
@@ -37,7 +37,12 @@ def test_inputs_of_some_views():
 def test_what_was_located_of_some_views():
     gain = BY_VIEW.view(1, 3, 1, 1, 1)
     exposure = Exposure(gain, gain + 1)
-    some = Located(exposure=exposure, transient=MAPS).select(KEPT)
+    edit = ExposureOfEdit(exposure, Exposure(gain + 2, gain), MAPS)
+    some = Located(exposure=exposure, exposure_of_edit=edit, transient=MAPS)
+    some = some.select(KEPT)
+    assert some.exposure_of_edit.photos.gain.flatten().tolist() == KEPT
+    assert some.exposure_of_edit.edit.gain.flatten().tolist() == [2, 4]
+    assert told(some.exposure_of_edit.region) == KEPT
     assert some.exposure.gain.flatten().tolist() == KEPT
     assert some.exposure.offset.flatten().tolist() == [1, 3]
     assert told(some.transient) == KEPT

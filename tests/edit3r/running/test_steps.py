@@ -561,6 +561,48 @@ def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_one
         assert (given.images - scene.views.images).abs().mean() < 0.01
 
 
+class Greys(Editor):
+    """Black and white by the mean of the channels."""
+
+    def edit(self, views, request):
+        grey = views.images.mean(2, keepdim=True).expand_as(views.images)
+        return replace(views, images=grey.contiguous())
+
+
+class GreysElsewhere(Greys, ChangesShape):
+    pass
+
+
+def test_a_black_and_white_scene_has_no_tint_of_the_photos_light():
+    scene = photograph(2, (48, 64))
+    images, tint = scene.views.images.clone(), torch.tensor([0.6, 0.8, 0.9])
+    images[:, 1] = tint.view(3, 1, 1) * images[:, 1]
+    views = replace(scene.views, images=images)
+    recon = FindsTruth(scene)
+    result = run(views, "x", editor=Greys(), recon=recon, **PLAIN)
+    edited, source = recon.given[0]
+    assert torch.allclose(edited.images[:, :, 0], edited.images[:, :, 2])
+    assert (
+        edited.images - scene.views.images.mean(2, keepdim=True)
+    ).abs().mean() < 0.03
+    assert (source.images - scene.views.images).abs().mean() < 0.01
+    drawn = render_each(result.rasterizer, result.gaussians, result.cameras, "again")
+    exposure = result.records.located.exposure_of_edit
+    assert torch.equal(result.rendered.images, exposure.to_own(drawn.images))
+    masks = torch.zeros_like(images[:, :, 0])
+    masks[..., 32:] = 1
+    run(views, "x", editor=Greys(), recon=recon, masks=masks, **PLAIN)
+    edited, _ = recon.given[1]
+    assert torch.allclose(edited.images[..., 0, :, 32:], edited.images[..., 2, :, 32:])
+    outside = (edited.images - scene.views.images)[..., :32]
+    assert outside.abs().mean() < 0.01
+    # What stands elsewhere afterwards cannot be compared, so the photos' light counts.
+    result = run(views, "x", editor=GreysElsewhere(), recon=recon, **PLAIN)
+    edited, _ = recon.given[-1]
+    exposure = result.records.located.exposure
+    assert torch.equal(edited.images, exposure.to_reference(result.edited.images))
+
+
 def test_a_photo_keeps_its_light_where_one_before_it_could_not_be_placed():
     class WithoutTheSecond(FindsTruth):
         def __call__(self, views, source=None, geometry=None, grid=None):

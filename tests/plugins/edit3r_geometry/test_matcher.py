@@ -38,6 +38,14 @@ def matcher():
 @pytest.fixture(scope="module")
 def quick():
     """Looks at less, for those whose claim is no exactness."""
+    return edit3r.build(
+        "matcher", "classical", working_size=96, planes=24, detection_size=320
+    )
+
+
+@pytest.fixture(scope="module")
+def thorough():
+    """Finds enough features for photos from wide apart."""
     return edit3r.build("matcher", "classical", working_size=96, planes=24)
 
 
@@ -190,13 +198,13 @@ def test_photos_of_two_scenes_raise_with_the_reason_and_advice(quick, make_room)
 
 
 def test_photos_from_wide_apart_are_matched_again_as_seen_from_aside(
-    plain, quick, make_room
+    plain, thorough, make_room
 ):
     wide_pair = make_room([(-1.956, 0, 52.5), (1.956, 0, -52.5)])
     with pytest.raises(MatchingError):
         plain.match(wide_pair.views)
     with collecting(Report()) as report:
-        geometry = quick.match(wide_pair.views)
+        geometry = thorough.match(wide_pair.views)
     assert pose_errors(geometry, wide_pair, 1)[0] < 1
     assert "of tilted images too" in report.notes["matcher.matches"]
 
@@ -208,10 +216,10 @@ def test_photos_that_are_placed_are_not_matched_again(matcher, pair, monkeypatch
     assert "tilted" not in report.notes["matcher.matches"]
 
 
-def test_photos_from_wide_apart_are_told_that_their_lens_is_unsure(quick, make_room):
+def test_photos_from_wide_apart_are_told_that_their_lens_is_unsure(thorough, make_room):
     views = make_room([(-1.956, 0, 52.5), (1.956, 0, -52.5)]).views
     with pytest.warns(UserWarning, match="Give --fov if you know it"):
-        quick.match(replace(views, assumed=(True, True)))
+        thorough.match(replace(views, assumed=(True, True)))
 
 
 def test_a_second_try_that_places_fewer_photos_is_not_taken(

@@ -65,35 +65,30 @@ SCENES = [
     {
         "place": place,
         "label": label,
-        "figures": {"agreement": agreement, "guessed": part},
+        "figures": {"half_way": part},
     }
-    for place in ("a", "b", "c")
-    for label, agreement, part in (
-        ("good", 30.0, 0.1),
-        ("fair", 30.0, 0.3),
-        ("fair", 20.0, 0.1),
-        ("poor", 30.0, 0.6),
-        ("poor", 10.0, 0.1),
-    )
+    for place in ("a", "b", "c", "d")
+    for label, part in (("good", 0.1), ("fair", 0.3), ("poor", 0.6))
 ]
 
 
-def test_both_limits_of_a_label_lie_between_scenes_that_deserve_it_and_others():
+def test_the_limit_of_a_label_lies_between_scenes_that_deserve_it_and_others():
     limits = limits_of_scenes(SCENES)
-    assert limits["good"] == {"agreement": 25.0, "guessed": pytest.approx(0.2)}
-    assert limits["fair"] == {"agreement": 15.0, "guessed": pytest.approx(0.45)}
+    assert limits["good"] == {"half_way": pytest.approx(0.2)}
+    assert limits["fair"] == {"half_way": pytest.approx(0.45)}
 
 
 def test_scenes_are_reported_without_their_place_and_by_all(tmp_path, capsys):
     path = tmp_path / "rows.jsonl"
-    kind = {"place": "d", "label": "poor", "figures": {"agreement": 30, "guessed": 0.1}}
+    kind = {"place": "b", "label": "poor", "figures": {"half_way": 0.1}}
     path.write_text("\n".join(map(json.dumps, [*SCENES, kind])))
     assert JudgeCommand(None).main(argparse.Namespace(fit=str(path), write=False)) == 0
     said = capsys.readouterr().out
-    assert said.startswith("16 scenes, each by limits without its place")
+    assert said.startswith("7 scenes, each by limits without its place")
     words = " ".join(said.split())
-    assert "good or fair or not 15 of 16 (93.8%)" in words
-    assert "called good or fair 9 of 10 (90.0%)" in words
+    assert "good or fair or not 6 of 7 (85.7%)" in words
+    assert "called good or fair 4 of 5 (80.0%)" in words
+    assert "never fitted on: a, d good or not 6 of 6 (100.0%)" in words
 
 
 def test_limits_are_written_beside_those_of_scenes(tmp_path, monkeypatch):
@@ -104,7 +99,7 @@ def test_limits_are_written_beside_those_of_scenes(tmp_path, monkeypatch):
     was, now = (read_yaml(path) for path in (FITTED, own))
     assert now["edit"] == dict.fromkeys(SIGNALS, 0.123)
     assert now["scene"] == was["scene"] and own.read_text().startswith("#")
-    fit.write_limits({"scene": {"fair": {"agreement": 7.25}}})
+    fit.write_limits({"scene": {"fair": {"half_way": 0.25}}})
     again = read_yaml(own)
-    assert again["scene"].pop("fair") == was["scene"].pop("fair") | {"agreement": 7.25}
+    assert again["scene"].pop("fair") == was["scene"].pop("fair") | {"half_way": 0.25}
     assert again["scene"] == was["scene"] and again["edit"] == now["edit"]

@@ -10,7 +10,7 @@ from edit3r import Cameras, Gaussians, build
 
 SIZE = 64
 PLATE, WALL = 1.0, 2.0  # depths
-RASTERIZER = build("rasterizer", "torch")
+RASTERIZER = build("rasterizer", "numba")
 
 
 def plane(half, depth, count):

@@ -46,6 +46,20 @@ def test_the_state_that_was_best_by_held_back_pixels_is_returned(rasterizer, sce
     assert result.held_back[1] <= result.held_back[0]
 
 
+def test_a_later_state_about_as_good_counts_and_one_that_fits_noise_does_not(
+    rasterizer, scene, monkeypatch
+):
+    gaussians, cameras, images = scene
+    noise = torch.randn(images.shape, generator=torch.Generator().manual_seed(0))
+    asked = gaussians, cameras, images + 0.05 * noise, rasterizer, 30
+    later = refine(*asked)
+    monkeypatch.setattr("edit3r_refiners.refine.AS_GOOD", 1)
+    best = refine(*asked)
+    assert best.steps < later.steps < 30
+    assert later.fitted[1] < best.fitted[1]
+    assert best.held_back[1] < later.held_back[1] < 1.05 * best.held_back[1]
+
+
 def test_more_photos_get_more_steps(rasterizer):
     truth = gaussian_cloud(40)
     spoilt = replace(truth, harmonics=truth.harmonics * 0.5 + 0.1)

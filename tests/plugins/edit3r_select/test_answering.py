@@ -52,7 +52,7 @@ class Discs(Plain):
         self.asked.append((len(clicks), box is not None, before is not None))
         x, y = clicks[-1][0] if clicks else CENTRE
         away = np.hypot(COLUMNS - x * WIDTH, ROWS - y * HEIGHT)
-        logits = np.stack([radius - away for radius in (12.0, 5.0, 12.0, 20.0)])
+        logits = np.stack([radius - away for radius in (12.0, 8.0, 12.0, 20.0)])
         return logits.astype(np.float32), np.array([0.9, 0.6, 0.9, 0.2])
 
     def track(self, images, masks):
@@ -122,8 +122,32 @@ def test_each_click_is_asked_with_the_answer_before_it_and_all_are_obeyed(image)
     assert all(held) and not mask[int(0.3 * HEIGHT), WIDTH // 2]
 
 
+class FarBetterInTheMiddle(Plain):
+    """A click at the rim brings half of the disc, one in the middle of that the whole."""
+
+    def __init__(self):
+        self.asked = []
+
+    def ask(self, image, clicks, box=None, before=None):
+        self.asked.append((clicks, before))
+        shown = DISC if len(clicks) > 1 else DISC & (COLUMNS < 32)
+        logits = np.where(shown, 4.0, -4.0).astype(np.float32)[None]
+        return logits, np.array([0.95 if len(clicks) > 1 else 0.6])
+
+
+def test_a_first_click_is_asked_again_in_the_middle_of_what_it_found(image):
+    network, rim = FarBetterInTheMiddle(), (0.37, 0.55)
+    found = readings(network, image, Marks(positive=(rim,)))
+    assert overlap(inside(found[0]), DISC) > 0.95
+    (first, _), (second, before) = network.asked
+    assert first == [(rim, True)] and second[0] == (rim, True)
+    (x, y), wanted = second[1]
+    assert wanted and np.hypot(x * WIDTH - 26, y * HEIGHT - 24) < 3
+    assert (before > 0).sum() < 0.6 * DISC.sum()  # what the first click found
+
+
 class OneBesideTheOther(Plain):
-    """All of the photo for one click; for more the left half, so that one outside is obeyed."""
+    """All of the photo; once a click lies outside the left half, so that it is obeyed."""
 
     def __init__(self):
         self.asked = []
@@ -132,8 +156,8 @@ class OneBesideTheOther(Plain):
         self.asked.append(tuple(wanted for _, wanted in clicks))
         left = np.where(COLUMNS < 32, 4.0, -4.0).astype(np.float32)
         whole = np.full_like(left, 4.0)
-        several = len(clicks) > 1
-        return np.stack([left, left] if several else [whole, whole]), np.ones(2)
+        outside = not all(wanted for _, wanted in clicks)
+        return np.stack([left, left] if outside else [whole, whole]), np.ones(2)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from edit3r_select.held import HeldSegmenter
 from edit3r_select.naming import SURER, UNCONFIRMED, looked_up
 from edit3r_select.photos import Photos
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Segmenter, Selection, Tracks, as_proposal
 from edit3r.kit.geometry.cameras import pixel_grid
 
@@ -71,7 +72,8 @@ STILL, HIDDEN, UNKNOWN = True, False, None
         ([(0.6, 0)], [], UNKNOWN, 0, 0.6),  # nobody knows
         ([(0.6, 0), (0.5, 2)], [(0.5, 2)], STILL, 0, 0.5),  # the confirmed one wins
         ([], [(0.5, 1)], HIDDEN, 1, 0.5),  # only the other shows it
-        ([(0.3, 0)], [(0.3 * SURER + 0.01, 0)], UNKNOWN, 1, 0.3 * SURER + 0.01),
+        # surer there, and this photo keeps its own
+        ([(0.3, 0)], [(0.3 * SURER + 0.01, 0)], UNKNOWN, 1, 0.3),
         ([(0.3, 0)], [(0.3 * SURER - 0.01, 0)], UNKNOWN, 0, 0.3),  # hardly surer
     ],
 )
@@ -106,6 +108,28 @@ def rows(named):
 def test_a_photo_keeps_its_own_finding_beside_a_surer_one(sees, first, other, own):
     named = looked_up(photos(sees, first, other), Selection(words="horse"))
     assert rows(named) == own
+
+
+@pytest.mark.parametrize(
+    ("sees", "confidence", "told"),
+    [
+        # a table that is surely there, and something else on the first photo
+        (UNKNOWN, 0.3, 1),
+        (HIDDEN, 0.3, 1),
+        (STILL, 0.8, 0),  # the same place on both
+    ],
+)
+def test_what_no_photo_confirms_is_as_sure_as_the_least(sees, confidence, told):
+    first, other = [(0.3, 2)], [(0.8, 2)]
+    named = looked_up(photos(sees, first, other), Selection(words="table"))
+    assert rows(named) == {0: 2, 1: 2}
+    assert named.confidence == pytest.approx(confidence)
+    assert sum(
+        "photo 1 with a confidence of only 30%" in w for w in named.warnings
+    ) == (told)
+    if told:
+        with pytest.raises(InputError, match="photo 1"):
+            looked_up(photos(sees, first, other), Selection(words="table", sure=True))
 
 
 def test_found_on_no_photo_what_stands_out_is_a_question():

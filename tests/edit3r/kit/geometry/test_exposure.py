@@ -7,7 +7,11 @@ import torch
 
 from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Views
-from edit3r.kit.geometry.exposure import estimate_exposure
+from edit3r.kit.geometry.exposure import (
+    ExposureOfEdit,
+    estimate_exposure,
+    exposure_of_edit,
+)
 from edit3r_testing import photograph
 
 SCENE = photograph(3, (96, 128))
@@ -140,3 +144,62 @@ def test_clipped_pixels_tell_nothing_of_the_light():
     assert float((images[:, 1] > 0.97).float().mean()) > 0.1
     exposure = estimate_exposure(views, _geometry())
     assert torch.allclose(exposure.gain[0, 1], torch.tensor(1 / 1.6), atol=0.02)
+
+
+EVERYWHERE = torch.ones_like(SCENE.depths, dtype=torch.bool)
+
+
+def _exposure_of(images, region=EVERYWHERE):
+    photos = estimate_exposure(_relit(), _geometry())
+    edited = replace(SCENE.views, images=images)
+    return photos, exposure_of_edit(photos, edited, region, _geometry())
+
+
+def test_black_and_white_follows_the_light_of_photos_without_its_tint():
+    grey = _relit().images.mean(2, keepdim=True).expand(-1, -1, 3, -1, -1)
+    photos, exposure = _exposure_of(grey)
+    found = exposure.to_reference(grey)
+    assert torch.allclose(found[:, :, 0], found[:, :, 2])
+    assert (found - grey[:, :1].mean()).abs().mean() < (
+        grey - grey[:, :1].mean()
+    ).abs().mean()
+    tinted = photos.to_reference(grey)
+    assert (tinted[:, 1, 0] - tinted[:, 1, 2]).abs().mean() > 0.02
+    again = exposure.to_own(exposure.edit.gain * grey + exposure.edit.offset)
+    assert torch.allclose(again, grey, atol=1e-6)
+
+
+def test_what_is_drawn_alike_on_every_photo_stays_as_it_is():
+    """White stays white, though in another light it would be cut off at white as well."""
+    drawing = (SCENE.views.images.mean(2, keepdim=True) > 0.5).float()
+    drawing = drawing.expand(-1, -1, 3, -1, -1)
+    _, exposure = _exposure_of(drawing)
+    assert torch.equal(exposure.to_reference(drawing), drawing)
+    assert torch.equal(exposure.to_own(drawing), drawing)
+
+
+def test_an_edit_in_the_colours_of_its_photo_follows_its_light():
+    photos, exposure = _exposure_of(0.9 * _relit().images)
+    assert exposure is photos
+
+
+def test_light_of_an_edit_counts_only_where_it_was_made():
+    region = EVERYWHERE.clone()
+    region[..., 48:, :] = False
+    images = _relit().images.clone()
+    images[..., :48, :] = SCENE.views.images[..., :48, :]
+    photos, exposure = _exposure_of(images, region)
+    found, relit = exposure.to_reference(images), photos.to_reference(images)
+    assert torch.equal(found[..., :48, :], images[..., :48, :])
+    assert torch.equal(found[..., 48:, :], relit[..., 48:, :])
+    small = torch.nn.functional.interpolate(images[0], scale_factor=0.5)[None]
+    found = exposure.to_reference(small)  # of another size
+    assert torch.equal(found[..., :24, :], small[..., :24, :])
+    assert (found[:, 1:, :, 24:] - small[:, 1:, :, 24:]).abs().mean() > 0.05
+
+
+def test_an_edit_of_what_no_two_photos_share_follows_the_photos():
+    region = EVERYWHERE.clone()
+    region[:, 1:] = False
+    photos, exposure = _exposure_of(SCENE.views.images, region)
+    assert exposure is photos and not isinstance(exposure, ExposureOfEdit)
