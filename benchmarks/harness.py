@@ -8,7 +8,7 @@ A script is a docstring that says what it measures, and a function that yields r
     if __name__ == "__main__":
         run_benchmark(main)
 
-Several functions make a script with a subcommand for each: `run_benchmark(exposure, walkers)`.
+Several functions make a script with a subcommand for each: `run_benchmark(exposure, occluders)`.
 Its parameters are the arguments of the command line: those before the `*` by their place, the
 others as flags. A row is cells by title: text, or a number with the form it is printed in. Rows are
 printed as they come; `--json FILE` keeps them with the arguments, and numbers as they are.

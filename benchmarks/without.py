@@ -56,7 +56,6 @@ PARTS = {
         settings={"matcher": {"name": "classical", "sky": False}},
     ),
     "one-light": Part("photos of other exposure", settings={"exposure": "own"}),
-    "walkers": Part("what passed by", settings={"transients": "keep"}),
     "simplify": Part("Gaussians, seconds", settings={"gaussians": "all"}),
     "refine": Part("sharpness", settings={"refine": 0}),
     "main-plane": Part(

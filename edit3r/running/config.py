@@ -83,9 +83,6 @@ class RunConfig(Settings):
     moved_edits: Literal["undo", "keep"] = "undo"
     """undo: an edited picture that is shifted, zoomed, turned or mirrored against its photo is
     moved back; keep: it is taken as it is"""
-    transients: Literal["leave-out", "keep"] = "leave-out"
-    """leave-out: what only one photo shows while two others see through its place, such as a
-    passer-by, is left out of the scene; keep: it is drawn"""
     seed: int = Field(0, ge=0, lt=2**31)
     """one seed for all views"""
     size: int = Field(512, ge=8, le=8192)

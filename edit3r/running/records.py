@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import TypeGuard
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.instructions import Instruction
@@ -80,8 +80,6 @@ class Located:
     lenses: tuple[float, float] | None = None
     # how the photos' colours become the first one's; None: they are taken as they are
     exposure: Exposure | None = None
-    # what one photo alone shows where others see through its place; None: nothing
-    transient: Bool[Tensor, "batch view height width"] | None = None
     # how the edited photos' colours become the first one's; None: as the photos'
     exposure_of_edit: Exposure | ExposureOfEdit | None = None
 
@@ -92,7 +90,6 @@ class Located:
             self,
             exposure=None if photos is None else photos.select(indices),
             exposure_of_edit=None if edit is None else edit.select(indices),
-            transient=_of_views(self.transient, indices),
         )
 
     def in_one_exposure(self, photos: Views) -> Views:
@@ -180,8 +177,6 @@ class Reconstructed:
     masks: Masks | None = None
     # the scene as it was before this edit, where a refiner needs it
     before: Reconstruction | None = None
-    # what one photo alone shows, which the scene leaves out; None: nothing
-    transient: Bool[Tensor, "batch view height width"] | None = None
 
     @property
     def cameras(self) -> Cameras:

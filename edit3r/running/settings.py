@@ -39,7 +39,6 @@ class RunSettings(TypedDict, total=False):
     strength: float
     feather: float
     moved_edits: Literal["undo", "keep"]
-    transients: Literal["leave-out", "keep"]
     seed: int
     size: int
     fov: float

@@ -10,10 +10,8 @@ docs/notes/verdict.md.
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn.functional import interpolate
 
 from edit3r.contract.interfaces import SceneToJudge
 from edit3r.contract.types import Rendering
@@ -57,7 +55,7 @@ def judge(
 
 
 def _psnr(scene: SceneToJudge, shown: Rendering) -> list[float]:
-    """PSNR [dB] of each placed view at the size of its rendering, over what the scene keeps."""
+    """PSNR [dB] of each placed view at the size of its rendering."""
     height, width = shown.images.shape[-2:]
     size, found = (height, width), []
     # view by view: of many large photos, squares in double precision fill the memory
@@ -65,11 +63,7 @@ def _psnr(scene: SceneToJudge, shown: Rendering) -> list[float]:
         image = shown.images[:, view].clamp(0, 1)
         difference = image - scene.edited.select([view]).at(size).images[:, 0]
         squares = difference.double().square().mean(1)
-        counts = torch.ones_like(squares)
-        if scene.transient is not None:
-            ignored = scene.transient[:, [view]].to(counts)
-            counts -= interpolate(ignored, size, mode="nearest-exact")[:, 0]
-        error = (squares * counts).mean((1, 2)) / counts.mean((1, 2)).clamp(min=1e-3)
+        error = squares.mean((1, 2))
         found.append(float(-10 * error.amax().clamp(min=1e-10).log10()))
     return found
 

@@ -102,18 +102,14 @@ def refine(
     rasterizer: Rasterizer,
     steps: int,
     settings: RefineSettings | None = None,
-    ignored: Bool[Tensor, "batch camera height width"] | None = None,
 ) -> Refined:
     """Take up to `steps` steps, each towards one of `images` as seen from `cameras`.
 
-    Pixels that are `ignored` count neither in the loss nor among those held back. The same inputs
-    give the same result on one device. Works under `torch.no_grad()` too.
+    The same inputs give the same result on one device. Works under `torch.no_grad()` too.
     """
     settings = settings or RefineSettings()
     kept_out = _held_back(images, settings)
     counts = ~kept_out
-    if ignored is not None and (kept_out & ~ignored).any():
-        kept_out, counts = kept_out & ~ignored, counts & ~ignored
     groups = kept_out, counts
     before = _errors(gaussians, cameras, images, rasterizer, groups)
     variables = _Variables(gaussians, settings)
@@ -209,7 +205,6 @@ class RefineRefiner(Refiner):
             inputs.rasterizer,
             steps,
             self.settings,
-            None if inputs.ignored is None else inputs.ignored[:, : views.count],
         )
         note("refine", refined.facts)
         return refined.gaussians

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.component import Configured
@@ -62,8 +62,6 @@ class SceneToJudge:
     first: Rendering  # the scene before any refiner, from the photos' places
     rendered: Rendering  # the final one
     measured: Float[Tensor, "batch view"] | None  # share of pixels with measured depth
-    # what one photo alone shows, which the scene leaves out
-    transient: Bool[Tensor, "batch view height width"] | None = None
     # nobody knows the lens, and all that the photos share lies on one plane
     flat: bool = False
     # fields of view [degrees] that explain the photos alike, where they do not tell their lens

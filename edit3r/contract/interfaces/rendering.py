@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.component import Configured
@@ -125,8 +125,6 @@ class RefineInputs:
     masks: Float[Tensor, "batch camera height width"] | None = None
     before: Gaussians | None = None  # the scene before the edit, where it is known
     seed: int = 0
-    # pixels whose photos show what the scene leaves out; None: none
-    ignored: Bool[Tensor, "batch camera height width"] | None = None
 
     @property
     def confined(self) -> bool:

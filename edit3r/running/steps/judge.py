@@ -60,7 +60,6 @@ def judge(
                 first=first,
                 rendered=rendered,
                 measured=made.reconstruction.measured,
-                transient=made.transient,
                 flat=located.flat,
                 lenses=located.lenses,
                 edit=edit.verdict,

@@ -3,8 +3,6 @@
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool
-from torch import Tensor
 
 from edit3r.contract.interfaces import Geometry
 from edit3r.contract.reporting import note, say, stage
@@ -28,7 +26,7 @@ from edit3r.running.records import (
 
 @torch.no_grad()
 def locate(inputs: Inputs, parts: Parts) -> tuple[Inputs, Located]:
-    """Read geometry, exposure and what passed from the photos before anything is edited.
+    """Read geometry and exposure from the photos before anything is edited.
 
     Where the reconstructor uses no geometry, nothing is read here: selecting may ask for it. EXIF
     that does not fit the photos is not believed. Raises MatchingError for photos that cannot be
@@ -43,9 +41,7 @@ def locate(inputs: Inputs, parts: Parts) -> tuple[Inputs, Located]:
         flat = any(photos.assumed) and lies_flat(geometry, photos)
         lenses = _note_lens(inputs, geometry)
         exposure = _exposure(photos, geometry, parts)
-        return inputs, Located(
-            geometry, flat, lenses, exposure, _transient(photos, geometry, parts)
-        )
+        return inputs, Located(geometry, flat, lenses, exposure)
 
 
 @torch.no_grad()
@@ -135,14 +131,3 @@ def _exposure(photos: Views, geometry: Geometry, parts: Parts) -> Exposure | Non
             "that of the first (--exposure own: each its own)",
         )
     return exposure
-
-
-def _transient(
-    photos: Views, geometry: Geometry, parts: Parts
-) -> Bool[Tensor, "batch view height width"] | None:
-    """What passed while the photos were taken."""
-    if parts.config.transients == "keep" or photos.count < 3:
-        return None
-    from edit3r.running.transients import find_transients
-
-    return find_transients(geometry, photos)

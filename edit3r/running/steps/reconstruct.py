@@ -4,8 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import torch
-from jaxtyping import Bool
-from torch import Tensor
 
 from edit3r.contract.component import component_name
 from edit3r.contract.interfaces import (
@@ -56,17 +54,14 @@ def reconstruct(
         cameras = known_cameras(before).at(known_cameras(made).image_size)
         made = replace(made, cameras=cameras)
     placed = _placed(made, inputs.photos.count)
-    transient = _beside(located.transient, masks)
-    _tell_of_transient(inputs.photos, transient)
     used = [view for view, there in enumerate(placed) if there]
     _tell_of_turned(inputs.photos.select(used), known_cameras(made))
     return Reconstructed(
-        reconstruction=_without_transients(made, transient, used),
+        reconstruction=made,
         photos=inputs.photos,
         placed=placed,
         masks=None if masks is None else masks[:, used],
         before=before,
-        transient=None if transient is None else transient[:, used],
     )
 
 
@@ -80,49 +75,6 @@ def _tell_of_turned(photos: Views, cameras: Cameras) -> None:
                 f"{', '.join(turned.names) or 'A photo'}: not held as the other photos are, so a "
                 f"part may be cut off and things are hard to name. Turn the file {way}, run again."
             )
-
-
-def _beside(
-    transient: Bool[Tensor, "batch view height width"] | None, masks: Masks | None
-) -> Bool[Tensor, "batch view height width"] | None:
-    """What passed while the photos were taken, but for what the user selected."""
-    if transient is not None and is_confined(masks):
-        transient = transient & (masks <= 0)
-    return transient if transient is not None and bool(transient.any()) else None
-
-
-def _without_transients(
-    made: Reconstruction,
-    transient: Bool[Tensor, "batch view height width"] | None,
-    used: list[int],
-) -> Reconstruction:
-    """The reconstruction without what passed while the placed photos were taken."""
-    if transient is None:
-        return made
-    from edit3r.running.transients import without_transients
-
-    cameras = known_cameras(made)
-    gaussians = without_transients(
-        made.gaussians, transient[:, used], cameras.c2w, cameras.intrinsics
-    )
-    return replace(made, gaussians=gaussians)
-
-
-def _tell_of_transient(
-    photos: Views, transient: Bool[Tensor, "batch view height width"] | None
-) -> None:
-    """Warn of what is left out since one photo alone shows it."""
-    if transient is None:
-        return
-    shares = transient.float().mean((0, 2, 3)).tolist()
-    note("transient", [round(share, 4) for share in shares])
-    names = [
-        f"{share:.1%} of {name}" for name, share in zip(photos.called, shares) if share
-    ]
-    warn(
-        f"{', '.join(names)}: shown by this photo alone where others see through its place, as a "
-        "walker is; left out of the scene (--transients keep: not)."
-    )
 
 
 def _reconstructed(

@@ -44,7 +44,6 @@ def refine(
         masks=made.masks,
         before=None if made.before is None else made.before.gaussians,
         seed=parts.config.seed,
-        ignored=made.transient,
     )
     gaussians = made.reconstruction.gaussians
     for refiner in refiners:

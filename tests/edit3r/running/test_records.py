@@ -38,14 +38,12 @@ def test_what_was_located_of_some_views():
     gain = BY_VIEW.view(1, 3, 1, 1, 1)
     exposure = Exposure(gain, gain + 1)
     edit = ExposureOfEdit(exposure, Exposure(gain + 2, gain), MAPS)
-    some = Located(exposure=exposure, exposure_of_edit=edit, transient=MAPS)
-    some = some.select(KEPT)
+    some = Located(exposure=exposure, exposure_of_edit=edit).select(KEPT)
     assert some.exposure_of_edit.photos.gain.flatten().tolist() == KEPT
     assert some.exposure_of_edit.edit.gain.flatten().tolist() == [2, 4]
     assert told(some.exposure_of_edit.region) == KEPT
     assert some.exposure.gain.flatten().tolist() == KEPT
     assert some.exposure.offset.flatten().tolist() == [1, 3]
-    assert told(some.transient) == KEPT
     assert Located().select(KEPT) == Located()
 
 

@@ -190,16 +190,6 @@ def test_where_most_photos_do_not_find_to_the_first_it_is_to_blame():
     assert "share with a: begin with another photo" in verdict.reason
 
 
-def test_what_the_scene_leaves_out_does_not_speak_against_it():
-    rendering = rendered(30.0, 30.0, 30.0)
-    rendering.images[0, 1, :, :4] = 1.0
-    ignored = torch.zeros(1, 3, 8, 8, dtype=torch.bool)
-    ignored[0, 1, :4] = True
-    verdict = judge(scene(EDITED, rendering, transient=ignored))
-    assert verdict.agreement == pytest.approx((30, 30, 30), abs=1e-3)
-    assert shown(EDITED, rendering, [True] * 3).label == "failed"
-
-
 def test_of_several_scenes_the_worst_counts():
     one, other = rendered(40.0, 10.0, 40.0), rendered(40.0, 40.0, 12.0)
     both = Rendering(

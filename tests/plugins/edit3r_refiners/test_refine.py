@@ -220,19 +220,6 @@ def test_no_compiler_is_loaded():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_what_photos_show_that_the_scene_leaves_out_pulls_at_nothing(rasterizer, scene):
-    start, cameras, images = scene
-    spoilt, ignored = images.clone(), torch.zeros_like(images[:, :, 0]) > 1
-    half = images.shape[-1] // 2
-    spoilt[:, 0, :, :, :half], ignored[:, 0, :, :half] = 1.0, True
-    clean, ghost, kept = (
-        refine(start, cameras, shown, rasterizer, 12, None, mask).gaussians
-        for shown, mask in ((images, ignored), (spoilt, None), (spoilt, ignored))
-    )
-    assert torch.equal(kept.harmonics, clean.harmonics)
-    assert not torch.allclose(ghost.harmonics, clean.harmonics, atol=0.01)
-
-
 @pytest.mark.parametrize("growth", [1.0, 1.2])
 def test_no_gaussian_grows_by_more_than_it_may(rasterizer, scene, growth):
     small, cameras, images = scene

@@ -29,7 +29,7 @@ def located(source, known, unknown):
     records = tuple(SimpleNamespace(intrinsics_source=source) for _ in range(2))
     parts = SimpleNamespace(
         uses_geometry=True,
-        config=SimpleNamespace(exposure="own", transients="keep"),
+        config=SimpleNamespace(exposure="own"),
         geometry=SimpleNamespace(
             of=lambda photos: GeometryAnswer(
                 unknown if photos.assumed else known, "too few points"
@@ -89,7 +89,7 @@ def test_photos_of_one_plane_are_told_only_where_nobody_knows_a_lens(assumed):
     photos = replace(PHOTOS, assumed=assumed)
     parts = SimpleNamespace(
         uses_geometry=True,
-        config=SimpleNamespace(exposure="own", transients="keep"),
+        config=SimpleNamespace(exposure="own"),
         geometry=SimpleNamespace(of=lambda photos: GeometryAnswer(geometry())),
     )
     with collecting(Report()):

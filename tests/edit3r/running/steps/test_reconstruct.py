@@ -2,38 +2,10 @@
 
 from types import SimpleNamespace
 
-import pytest
 import torch
 
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction
-from edit3r.running.steps.reconstruct import _beside, _masks_of_change, _only_placed
-
-PASSED = torch.zeros(1, 3, 4, 6, dtype=torch.bool)
-PASSED[:, 1, :, :4] = True
-LEFT = torch.zeros(1, 3, 4, 6)
-LEFT[..., :2] = 0.5
-
-
-@pytest.mark.parametrize(
-    "masks, columns",
-    [
-        (None, [0, 1, 2, 3]),
-        (torch.ones(1, 3, 4, 6), [0, 1, 2, 3]),  # nothing was selected
-        (LEFT, [2, 3]),
-        (PASSED.float(), []),
-    ],
-)
-def test_what_the_user_selected_is_no_passing_thing(masks, columns):
-    left = _beside(PASSED, masks)
-    if not columns:
-        assert left is None
-        return
-    assert left[0].any(1)[1].nonzero()[:, 0].tolist() == columns
-    assert not left[:, [0, 2]].any()
-
-
-def test_where_nothing_passed_nothing_is_left_out():
-    assert _beside(None, LEFT) is _beside(PASSED & False, None) is None
+from edit3r.running.steps.reconstruct import _masks_of_change, _only_placed
 
 
 def test_gaussians_of_no_photo_stay_where_a_photo_has_no_place():
