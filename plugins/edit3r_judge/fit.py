@@ -86,8 +86,8 @@ def write_limits(limits: Limits) -> None:
 
 
 def limits_of_edits(rows: Sequence[Row]) -> Limits:
-    """For each signal the limit between edits without a fault and those with its own; a good edit
-    beyond it counts three times: at twice, the limit of `torn` differs from place to place.
+    """For each signal the limit between edits without a fault and those with its own; good ones
+    count twice: at once, the limit of `torn` differs from place to place.
     """
     from edit3r_judge.signals import SIGNALS
 
@@ -99,32 +99,30 @@ def limits_of_edits(rows: Sequence[Row]) -> Limits:
             [sign * one for fault, one in figures if fault == what and one is not None]
             for what in (None, name)
         )
-        limits[name] = sign * between(good, bad, 3 / len(good), 1 / len(bad))
+        limits[name] = sign * between(good, bad, 2)
     return limits
 
 
 def limits_of_scenes(rows: Sequence[Row]) -> Limits:
-    """By label the limit half-way with which fewest scenes are wrong."""
+    """By label the limit half-way between scenes that deserve it and those that do not."""
     limits: dict[str, Any] = {}
     for number, label in enumerate(FITTED_LABELS):
         both: tuple[list[float], list[float]] = [], []
         for row in rows:
             both[LABELS.index(row["label"]) > number].append(row["figures"]["half_way"])
-        limits[label] = {"half_way": between(*both, 1, 1)}
+        limits[label] = {"half_way": between(*both)}
     return limits
 
 
-def between(
-    good: Sequence[float], bad: Sequence[float], over: float, under: float
-) -> float:
-    """The limit above which fewest `good` values and below which fewest `bad` ones lie, where a
-    good one counts `over` and a bad one `under`; of equal limits the middle of the widest gap.
+def between(good: Sequence[float], bad: Sequence[float], over: float = 1) -> float:
+    """The limit above which the least share of `good` values, which counts `over` times, and below
+    which the least of `bad` ones lies; of equal limits the middle of the widest gap.
     """
 
     def rank(pair: tuple[float, float]) -> tuple[float, float]:
-        beyond = over * sum(value >= pair[1] for value in good)
-        wrong = beyond + under * sum(value <= pair[0] for value in bad)
-        return -round(wrong, 9), pair[1] - pair[0]
+        beyond = over * sum(value >= pair[1] for value in good) / len(good)
+        below = sum(value <= pair[0] for value in bad) / len(bad)
+        return -round(beyond + below, 9), pair[1] - pair[0]
 
     low, high = max(pairwise(sorted({*good, *bad})), key=rank)
     return (low + high) / 2

@@ -19,7 +19,6 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.instructions import Change
 from edit3r.contract.interfaces import EditToJudge, HalfWay, SceneToJudge
 from edit3r.kit.compute.colour import linear_to_srgb, rgb_to_lab, srgb_to_linear
 from edit3r.kit.files.configs import read_yaml
@@ -77,23 +76,19 @@ class Pictures:
         ]
         self.kinds = {change.kind for _, change in self.asked}
 
-    def is_as_asked(self, change: Change, picture: Tensor) -> Where:
-        """Where a picture has what a change asks for, light and shade apart."""
-        if change.kind == "greyscale":
-            return picture[:, 1:].norm(dim=1) <= SEEN
-        if change.kind != "paint" or change.colour is None:
-            return torch.zeros_like(self.inside)
-        off = picture - _lab_of(change.colour.rgb)[:, None, None]
-        if bool(self.inside.any()):
-            off[:, 0] = off[:, 0][self.inside].median()
-        return off.norm(dim=1) <= 2 * CLEAR
-
     @cached_property
     def can_change(self) -> Where:
         """What is selected and does not look as asked already: grey has no colour to lose."""
         can = self.inside
-        for _, change in self.asked if len(self.kinds) == 1 else ():
-            can = can & ~self.is_as_asked(change, self.old)
+        if self.kinds == {"greyscale"}:
+            return can & (self.old[:, 1:].norm(dim=1) > SEEN)
+        for _, change in self.asked if self.kinds == {"paint"} else ():
+            if change.colour is not None and bool(self.inside.any()):
+                off = self.old - _lab_of(change.colour.rgb)[:, None, None]
+                off[:, 0] = off[:, 0][
+                    self.inside
+                ].median()  # paint keeps light and shade
+                can = can & (off.norm(dim=1) > 2 * CLEAR)
         return can
 
     @cached_property
@@ -229,19 +224,16 @@ def as_asked(found: Pictures) -> float | None:
         if int(where.sum()) < FEW:
             continue
         old, new = (one.movedim(1, -1)[where] for one in (found.old, found.new))
-        goal = torch.zeros(3) if change.kind == "greyscale" else None
-        if change.kind == "paint" and change.colour is not None:
-            goal = _lab_of(change.colour.rgb)
-        if goal is not None:
-            before, left = ((goal - one)[:, 1:].norm(dim=1) for one in (old, new))
-            share = 1 - (left - SEEN).clamp(min=0) / before.clamp(min=CLEAR)
-            if change.colour is not None:
-                paint = change.colour.rgb
-                share[_painted(old, paint) & _painted(new, paint)] = 1
-            shares.append(float(share.median()))
-        elif change.kind == "brightness":
+        if change.kind == "brightness":
             size, lighter = (new - old).norm(dim=1), (new - old)[:, 0]
             shares.append(float(size[lighter * change.amount > 0].sum() / size.sum()))
+        elif change.kind == "greyscale" or (change.kind == "paint" and change.colour):
+            paint = change.colour.rgb if change.colour else (0.0, 0.0, 0.0)
+            goal = _lab_of(paint)
+            before, left = ((goal - one)[:, 1:].norm(dim=1) for one in (old, new))
+            share = 1 - (left - SEEN).clamp(min=0) / before.clamp(min=CLEAR)
+            share[_painted(old, paint) & _painted(new, paint)] = 1
+            shares.append(float(share.median()))
     return min(shares, default=None)
 
 

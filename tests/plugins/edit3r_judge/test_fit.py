@@ -37,10 +37,11 @@ def test_limits_lie_midway_between_good_and_bad_edits():
     assert limits == {n: pytest.approx(0.25 + 0.5 * (CLEAN[n] == 1)) for n in SIGNALS}
 
 
-def test_a_good_edit_counts_more_than_a_fault():
-    assert between([0.1, 0.2, 0.6], [0.5, 0.7, 0.8], 2, 1) == pytest.approx(0.65)
-    assert between([0.1, 0.2], [0.15, 0.9], 2, 1) == pytest.approx(0.55)
-    assert between([0.1, 0.6], [0.3, 0.4, 0.7, 0.8], 1, 1) == pytest.approx(0.2)
+def test_good_and_bad_count_alike_however_many_there_are():
+    good, bad = [0.1, 0.2, 0.6], [0.5, 0.7, 0.8]
+    assert between(good, bad) == between(3 * good, bad) == pytest.approx(0.35)
+    assert between([0.1, 0.6], [0.3, 0.4, 0.7, 0.8]) == pytest.approx(0.2)
+    assert between([0.1, 0.6], [0.3, 0.4, 0.7, 0.8], 2) == pytest.approx(0.65)
 
 
 def test_the_report_says_what_is_named_where_nothing_was_fitted(tmp_path, capsys):
