@@ -303,7 +303,7 @@ def test_what_is_seen_before_go_is_what_go_makes(looker, scene, sentence, found)
     whole = looking.preview(look.job, looker.registry).edit.views.images[0, 0]
     shown = looker.edited(scene, draft, look.views.names[0], found)
     image = torch.from_numpy(np.array(Image.open(io.BytesIO(shown)))) / 255
-    assert (image.permute(2, 0, 1) - whole).abs().mean() < 0.02
+    assert (image.permute(2, 0, 1) - whole).abs().mean() < 0.06  # as JPEG
 
 
 def test_a_sentence_is_said_as_it_was_read(looker, scene):
