@@ -47,6 +47,14 @@ def looked_up(photos: Photos, selection: Selection) -> Named:
 
     Raises InputError for what is not sure where only sure things may be taken.
     """
+    named = _named(photos, selection)
+    if named.confidence is not None and SURE <= named.confidence < 1:
+        what = " ".join((*selection.which, selection.words)).strip()
+        say("selection.words", f"{what}: found, confidence {named.confidence:.0%}")
+    return named
+
+
+def _named(photos: Photos, selection: Selection) -> Named:
     first = selection.views[0] if selection.views else 0
     found, known = _asked(photos, selection, first)
     weighed = {view: _weighed(photos, view, found) for view in found}
@@ -251,8 +259,6 @@ def _taken(photos: Photos, selection: Selection, view: int, found: Proposals) ->
             f"{named!r} was found on photo {view + 1} with a confidence of only {confidence:.0%}: "
             f"look at its outline. To correct it{f', take {flags}, or' if flags else ':'} {ASK}."
         )
-    elif confidence < 1:
-        say("selection.words", f"{named}: found, confidence {confidence:.0%}")
     here = {view: OnPhoto(mask, "words")}
     return Named(here, confidence, least, options, tuple(warnings))
 

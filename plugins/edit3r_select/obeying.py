@@ -12,8 +12,8 @@ from edit3r.kit.geometry.cameras import pixel_grid, project, unproject
 from edit3r_select.answering import Image, answered
 from edit3r_select.cues import pixel
 from edit3r_select.photos import SAME_SURFACE, Mask, Photos
-from edit3r_select.sum import DOT
 
+DOT = 0.006  # radius of what a mark is worth where nothing follows it [longer sides]
 MEASURED = 0.5  # confidence from which a depth was measured
 
 
@@ -108,7 +108,7 @@ def joined_change(before: Mask, after: Mask, point: Point) -> Mask:
 def _dotted(mask: Mask, point: Point) -> Mask:
     """The mask with a dot at a point that is not obeyed."""
     height, width = mask.shape
-    radius = max(1, DOT * max(height, width))
+    radius = max(1.5, DOT * max(height, width))
     x, y = pixel_grid((height, width), like=mask).unbind(-1)
     away = ((x - point.place[0]) * width).hypot((y - point.place[1]) * height)
     return torch.where(away <= radius, float(point.wanted), mask)
