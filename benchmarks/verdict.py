@@ -108,8 +108,10 @@ def measure(folder: Path, chosen: list[int], size: int, unseen: list[int]) -> di
     placed = [i for i, there in enumerate(result.verdict.placed) if there]
     asked = [(k, target) for k, target in asked if {k, k + 1} <= set(placed)]
     verdict = result.verdict
-    for name in ("label", "input_psnr", "agreement", "placed", "guessed_between"):
+    for name in ("label", "input_psnr", "agreement", "placed"):
         row[name] = getattr(verdict, name)
+    shares = zip(verdict.guessed_between, verdict.unlike_between)
+    row["half_way"] = max((sum(pair) for pair in shares if None not in pair), default=2)
     alike = [
         _held_out(result, views, (k, k + 1), placed.index(k), target)
         for k, target in asked
@@ -169,11 +171,7 @@ def deserved(alike: Likeness) -> str:
 
 def row_for_fitting(row: dict) -> dict:
     """A row for `edit3r judge --fit`."""
-    pairs = zip(row["agreement"], row["input_psnr"])
-    figures = {
-        "agreement": min(min(pair) for pair in pairs if None not in pair),
-        "guessed": max(one for one in row["guessed_between"] if one is not None),
-    }
+    figures = {"half_way": row["half_way"]}
     return {"place": row["scene"], "label": row["deserved"], "figures": figures}
 
 

@@ -156,7 +156,7 @@ class CriticContract(Contract):
                 value is None or (there and isfinite(value)),
                 f"{told}; return None where nothing is known, as of a photo without a place.",
             )
-            shares = name in ("coverage", "filled", "guessed_between")
+            shares = name in ("coverage", "filled", "guessed_between", "unlike_between")
             self.require(
                 value is None or not shares or 0 <= value <= 1,
                 f"{told}; it is a share of the picture, in [0, 1].",

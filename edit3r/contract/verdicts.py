@@ -53,6 +53,8 @@ class Verdict:
     filled: tuple[float | None, ...]
     # share of the picture half-way to the nearest view whose depth was guessed; None: not known
     guessed_between: tuple[float | None, ...]
+    # how much of that picture looks like neither of the two views; None: not known
+    unlike_between: tuple[float | None, ...]
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from edit3r.loading.registry import Registry, default_registry
 from edit3r.running.config import check_components
 from edit3r.running.job import RunJob
 from edit3r.running.parts import Parts, undone, with_reader
-from edit3r.running.records import Inputs, Preview, Records
+from edit3r.running.records import Inputs, Preview, Records, SelectedRegions
 from edit3r.running.scale import to_given_scale, to_working_scale
 from edit3r.running.steps.edit import edit, edit_alone
 from edit3r.running.steps.judge import judge
@@ -100,12 +100,20 @@ def preview(
 
 
 @in_usual_torch
-def preview_photo(job: RunJob, registry: Registry | None = None) -> Views:
-    """The 2D edit of the job's photos, of which one is enough: nothing is said of it."""
+def preview_photo(
+    job: RunJob,
+    registry: Registry | None = None,
+    selection: SelectedRegions | None = None,
+) -> Views:
+    """The 2D edit of the job's photos, of which one is enough: nothing is said of it.
+
+    `selection` is what was found on these photos; None: it is looked for.
+    """
     with collecting(Report()), using(job.cache or Cache()):
         inputs, _, parts = _begin(job, registry or default_registry())
         inputs = inputs.to(parts.config.device)
-        return edit_alone(inputs, select(inputs, parts), parts).views
+        selection = selection or select(inputs, parts)
+        return edit_alone(inputs, selection, parts).views
 
 
 def _begin(

@@ -13,7 +13,7 @@ MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "sure"}
 """Settings that may differ from the defaults without the run being another kind of run."""
 
 # measured by `scenes.py dial`, at the default's size and at 1024 pixels
-BEST_COSTS, LARGE_COSTS = "half as long again", "two to three times as long"
+BEST_COSTS, LARGE_COSTS = "half as long again", "two to four times as long"
 
 
 def summary(out: Path, result: RunResult) -> str:

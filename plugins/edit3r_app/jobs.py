@@ -7,6 +7,7 @@ NAME/                  a set of photos (`NAME/images`, as `edit3r run NAME` take
                        line has none
 .edit3r-app/NAME.log   the child process's progress, one line of JSON an event
 .edit3r-app/NAME/      its masks and preview, or the marks on a set of photos
+.deleted/              a folder of the same kind, with the scenes that were deleted
 """
 
 import itertools
@@ -32,6 +33,7 @@ from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import find_photos, save_image
 
 PRIVATE = ".edit3r-app"
+DELETED = ".deleted"
 PREVIEW = "preview"
 KINDS = ("images", "inputs", "edited", "renders", PREVIEW)
 """Folders of images: of a set of photos, of a run, and of what a run will edit."""
@@ -126,6 +128,7 @@ class JobsFolder:
             taken = [path.name for path in self.root.iterdir()]
             taken += [path.stem for path in self.private.glob("*.json")]
             taken += [path.name for path in self.private.iterdir() if path.is_dir()]
+            taken += [path.name for path in (self.root / DELETED).glob("*")]
             wanted = wanted.strip(". ") or "scene"
             name = unique_names([*sorted(set(taken)), wanted])[-1]
             (self.root / name / "images").mkdir(parents=True)
@@ -138,6 +141,26 @@ class JobsFolder:
         there = [self.root / name for name in names if (self.root / name).is_dir()]
         there.sort(key=lambda path: path.stat().st_mtime, reverse=True)
         return [path.name for path in there]
+
+    def delete(self, scene: str) -> None:
+        """Move a scene and all that was made of it to `.deleted`: nothing of it is lost.
+
+        Raises InputError where an edit of it waits or is being made.
+        """
+        self.own(scene)
+        jobs = self.history(scene)
+        if any(job.is_active for job in jobs):
+            raise InputError(
+                f"{scene}: an edit of it is still being made; cancel it first."
+            )
+        there = _no_link(self.root / DELETED)
+        with _NAMING:
+            (there / PRIVATE).mkdir(parents=True, exist_ok=True)
+            for name in dict.fromkeys([*(job.name for job in jobs), scene]):
+                beside = (f"{name}.json", f"{name}.log", name)
+                for path in (name, *(f"{PRIVATE}/{one}" for one in beside)):
+                    with suppress(FileNotFoundError):
+                        (self.root / path).rename(there / path)
 
     # ---- jobs ----
 
@@ -175,7 +198,8 @@ class JobsFolder:
         while True:
             name = f"{stem}-{next(numbers)}"
             with _NAMING, suppress(FileExistsError):
-                if not (self.root / name).exists():
+                roots = (self.root, self.root / DELETED)
+                if not any((root / name).exists() for root in roots):
                     (self.private / name).mkdir()
                     return name
 

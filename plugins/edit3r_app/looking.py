@@ -96,8 +96,9 @@ class DraftAnswer:
     confidence: float | None = None
     is_sure: bool = True  # False: the user is asked whether it is this one
     readings: tuple[Reading, ...] = ()  # what else may be meant, the most likely first
-    # the run that it asks for; None where something is missing
+    # the run that it asks for, and what it would select; None where something is missing
     job: RunJob | None = None
+    found: Preview | None = None
     is_quick: bool = False  # whether its editors answer at once
 
 
@@ -265,6 +266,12 @@ class Looker:
             for kept in (self._looks, self._points, self._edits, self._found):
                 kept.cache_clear()
 
+    def forget(self, state: str) -> None:
+        """Read a state anew where its name comes back."""
+        with self._opening:
+            self._known = {one for one in self._known if one[0] != state}
+            self._opened.cache_clear()
+
     def changes(self, state: str, before: Draft, after: Draft) -> bool:
         """Whether two drafts select different things."""
         old = self.look(state, before).masks
@@ -300,34 +307,40 @@ class Looker:
         view = _place(opened.views, name)
         with suppress(Edit3rError):
             # Who points meanwhile waits for no answer in full.
-            masks = self.look(state, draft).masks if found else None
+            look = self.look(state, draft) if found else None
             with self._pointing:
-                mask = None if masks is None else masks[view]
-                if edit := self._edited_on(opened, draft, view, mask, found):
+                if look is not None:
+                    edit = self._edited_as_found(opened, look, view)
+                else:
+                    edit = self._edited_on(opened, draft, view)
+                if edit is not None:
                     return _jpeg(edit.images[0, 0])
         return _jpeg(torch.zeros(3, 1, 1))
 
-    def _edited_on(
-        self,
-        opened: _Opened,
-        draft: Draft,
-        view: int,
-        mask: Tensor | None,
-        found: bool,
+    def _edited_as_found(
+        self, opened: _Opened, look: DraftAnswer, view: int
     ) -> Views | None:
+        """What is found is no mark: "all but the bear" would take the bear for it."""
+        if look.job is None or look.found is None or not look.is_quick:
+            return None
+        job = _job_on(opened, look.job.config, None, [view])
+        return preview_photo(job, self.registry, look.found.selection.select([view]))
+
+    def _edited_on(self, opened: _Opened, draft: Draft, view: int) -> Views | None:
+        """By the marks on that photo alone."""
         config = make_run_config(run_settings(draft, self.registry))
-        if not found and draft.selects:
+        marks = None
+        if draft.selects:
             mask = self._marked_on(opened, draft, opened.views.names[view])
             if mask is None:  # it is marked on another photo
                 return None
-        marks = None
-        if mask is not None:  # outlines are moved already
+            # outlines are moved already
             marks = Selection(masks={0: mask})
             plain = {"larger": 0, "reading": 1, "grow": 0.0, "invert": False}
             config = config.model_copy(update=plain)
         job = _job_on(opened, config, marks, [view])
         parts = Parts(config, self.registry, job)
-        if not is_quick(parts) or (mask is None and _names_things(parts)):
+        if not is_quick(parts) or (marks is None and _names_things(parts)):
             return None  # what is named is looked for once, for the answer in full
         return preview_photo(job, self.registry)
 
@@ -542,13 +555,14 @@ class Looker:
         if look.marked is not None:
             marked = Selection(masks=dict(enumerate(look.marked)))
         job = _job_on(opened, parts.config, marked)
-        selection = preview(job, self.registry, edits=False).selection
-        things = selection.selected
+        found = preview(job, self.registry, edits=False)
+        selection, things = found.selection, found.selection.selected
         confidences = [one.confidence for one in things if one.confidence is not None]
         return replace(
             look,
             masks=None if selection.masks is None else selection.masks[0],
             job=job,
+            found=found,
             confidence=min(confidences, default=look.confidence),
             is_sure=look.is_sure and all(one.is_sure for one in things),
             readings=look.readings or _readings(things),

@@ -162,6 +162,7 @@ class Answers:
             post("/api/draw/{run}", studio.draw, "run"),
             post("/api/cancel/{run}", self.cancel, "run"),
             post("/api/remove/{scene}", self.take_out, "scene"),
+            post("/api/delete/{scene}", self.delete, "scene"),
             post("/api/prepare/{run}", self.prepare, "run"),
             post("/api/film/{run}", self.film, "run"),
             post("/api/phone", self.phone),
@@ -207,6 +208,9 @@ class Answers:
 
     def take_out(self, scene: str, asked: dict[str, Any]) -> None:
         self.studio.take_out(scene, str(asked.get("photo", "")))
+
+    def delete(self, scene: str, asked: dict[str, Any]) -> None:
+        self.studio.delete(scene)
 
     def prepare(self, run: str, asked: dict[str, Any]) -> int:
         """Make a download, and return its size [bytes]."""

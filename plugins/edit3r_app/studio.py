@@ -311,6 +311,15 @@ class Studio:
     def take_out(self, scene: str, photo: str) -> None:
         uploads.remove(self.folder, scene, photo)
 
+    def delete(self, scene: str) -> None:
+        """Take a scene away with its edits; they stay in a folder of their own."""
+        if scene not in self.folder.scenes():
+            raise InputError(f"{scene[:60]!r}: no scene of that name.")
+        states = [scene, *(job.name for job in self.folder.history(scene))]
+        self.folder.delete(scene)
+        for state in states:
+            self.looker.forget(state)
+
     def files(self, run: str) -> list[dict[str, Any]]:
         """What there is to download of a run."""
         return offered_files(self.folder, run)

@@ -221,10 +221,8 @@ def _points(
     rays = {
         view: rays_through(keypoints[view], images[view].intrinsics) for view in poses
     }
-    widest, points = (
-        np.full(len(sightings), MIN_PARALLAX),
-        np.full((len(sightings), 3), np.nan),
-    )
+    widest = np.full(len(sightings), MIN_PARALLAX)
+    points = np.full((len(sightings), 3), np.nan)
     for a, b in combinations(sorted(poses), 2):
         both = np.flatnonzero((sightings[:, [a, b]] >= 0).all(1))
         rays_a, rays_b = (rays[view][sightings[both, view]] for view in (a, b))

@@ -168,11 +168,9 @@ def triangulate(
     either sign.
     """
     turned = rays_a @ pose.rotation.T
-    aa, bb, ab = (
-        (turned * turned).sum(1),
-        (rays_b * rays_b).sum(1),
-        (turned * rays_b).sum(1),
-    )
+    aa = (turned * turned).sum(1)
+    bb = (rays_b * rays_b).sum(1)
+    ab = (turned * rays_b).sum(1)
     at, bt = turned @ pose.translation, rays_b @ pose.translation
     determinant = np.maximum(aa * bb - ab * ab, 1e-12)
     return (ab * bt - at * bb) / determinant, (aa * bt - ab * at) / determinant

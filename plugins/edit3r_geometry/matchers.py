@@ -355,10 +355,8 @@ class PosedMatcher(_RememberingMatcher):
         """The poses settled on what the photos share; the first, and the unit of length, stay."""
         from edit3r_geometry.bundle_adjustment import adjust
 
-        points, limit = (
-            [keypoints.points for keypoints in features.keypoints],
-            max(images[0].size) / 256,
-        )
+        points = [keypoints.points for keypoints in features.keypoints]
+        limit = max(images[0].size) / 256
         matches = {
             pair: view.indices
             for pair, view in agreeing_pairs(images, features, 1.0, 0)[0].items()

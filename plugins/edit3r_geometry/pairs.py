@@ -100,10 +100,8 @@ class PairView:
     @property
     def usefulness(self) -> float:
         """Number of matches, each by how well its depth, and the surface around it, can be read."""
-        readable, alike = (
-            self.parallax / ENOUGH_PARALLAX,
-            (MOST_PARALLAX / np.maximum(self.parallax, 1e-9)) ** 2,
-        )
+        readable = self.parallax / ENOUGH_PARALLAX
+        alike = (MOST_PARALLAX / np.maximum(self.parallax, 1e-9)) ** 2
         return float(np.minimum(np.minimum(readable, alike), 1).sum())
 
 

@@ -47,11 +47,9 @@ class ClassicalReconstructor(Reconstructor):
     ) -> Reconstruction:
         geometry = require_geometry(self, geometry)
         grid = grid or views.image_size
-        measured, views, geometry = (
-            geometry.measured,
-            geometry.calibrated(views).at(grid),
-            geometry.at(grid),
-        )
+        measured = geometry.measured
+        views = geometry.calibrated(views).at(grid)
+        geometry = geometry.at(grid)
         chosen = self.settings
         guessed = torch.where(
             seen_by_others(geometry, views.intrinsics),

@@ -69,10 +69,8 @@ class Registration:
         pairs = {}
         for (a, b), indices in features.indices.items():
             if a in poses and b in poses:
-                matches, pose = (
-                    features.matches(images, a, b),
-                    poses[b].after(poses[a].inverse()),
-                )
+                matches = features.matches(images, a, b)
+                pose = poses[b].after(poses[a].inverse())
                 _, kept = support(matches, pose, threshold)
                 if (
                     log_chance(
@@ -275,12 +273,10 @@ class _IncrementalRegistration:
 
         Two are settled by their epipolar geometry already.
         """
-        views, images, poses, zoom = (
-            range(len(self.images)),
-            self.images,
-            self.poses,
-            1.0,
-        )
+        views = range(len(self.images))
+        images = self.images
+        poses = self.poses
+        zoom = 1.0
         placed = np.array([view in poses for view in views])
         found = Registration(
             tuple(poses.get(view, Pose.identity()) for view in views),
@@ -331,10 +327,8 @@ class _IncrementalRegistration:
         """PnP with RANSAC, refined on its inliers; None when too few points agree."""
         if len(indices) < MIN_INLIERS:
             return None
-        intrinsics, pixels = (
-            self.images[view].intrinsics,
-            self.features.keypoints[view].points[indices],
-        )
+        intrinsics = self.images[view].intrinsics
+        pixels = self.features.keypoints[view].points[indices]
         threshold = 2 * self.threshold * max(self.images[view].size) / 256
         cv2.setRNGSeed(self.seed)
         found, turn, shift, inliers = cv2.solvePnPRansac(

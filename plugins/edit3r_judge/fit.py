@@ -8,7 +8,6 @@ deserve, and its `figures`.
 
 import argparse
 import json
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, pairwise
 from pathlib import Path
@@ -87,8 +86,8 @@ def write_limits(limits: Limits) -> None:
 
 
 def limits_of_edits(rows: Sequence[Row]) -> Limits:
-    """For each signal the limit between edits without a fault and those with its own; a good edit
-    beyond it counts three times: at twice, the limit of `torn` differs from place to place.
+    """For each signal the limit between edits without a fault and those with its own; good ones
+    count twice: at once, the limit of `torn` differs from place to place.
     """
     from edit3r_judge.signals import SIGNALS
 
@@ -100,53 +99,40 @@ def limits_of_edits(rows: Sequence[Row]) -> Limits:
             [sign * one for fault, one in figures if fault == what and one is not None]
             for what in (None, name)
         )
-        limits[name] = sign * between(good, bad, 3 / len(good), 1 / len(bad))
+        limits[name] = sign * between(good, bad, 2)
     return limits
 
 
 def limits_of_scenes(rows: Sequence[Row]) -> Limits:
-    """By label, for each signal the limit with which fewest scenes are wrong, the other's given."""
-    limits: dict[str, dict[str, float]] = {}
+    """By label the limit half-way between scenes that deserve it and those that do not."""
+    limits: dict[str, Any] = {}
     for number, label in enumerate(FITTED_LABELS):
-        own = limits[label] = {"agreement": -math.inf, "guessed": math.inf}
-        for name, sign in 2 * (("agreement", -1), ("guessed", 1)):
-            own[name] = sign * math.inf
-            both: tuple[list[float], list[float]] = [], []
-            for row in rows:
-                if reaches(row["figures"], own):
-                    worse = LABELS.index(row["label"]) > number
-                    both[worse].append(sign * row["figures"][name])
-            if all(both):
-                own[name] = sign * between(*both, 1, 1)
+        both: tuple[list[float], list[float]] = [], []
+        for row in rows:
+            both[LABELS.index(row["label"]) > number].append(row["figures"]["half_way"])
+        limits[label] = {"half_way": between(*both)}
     return limits
 
 
-def reaches(figures: Mapping[str, float], limits: Mapping[str, float]) -> bool:
-    """Whether a scene has what a label needs of the fitted signals."""
-    agrees = figures["agreement"] >= limits["agreement"]
-    return agrees and figures["guessed"] <= limits["guessed"]
-
-
-def between(
-    good: Sequence[float], bad: Sequence[float], over: float, under: float
-) -> float:
-    """The limit above which fewest `good` values and below which fewest `bad` ones lie, where a
-    good one counts `over` and a bad one `under`; of equal limits the middle of the widest gap.
+def between(good: Sequence[float], bad: Sequence[float], over: float = 1) -> float:
+    """The limit above which the least share of `good` values, which counts `over` times, and below
+    which the least of `bad` ones lies; of equal limits the middle of the widest gap.
     """
 
     def rank(pair: tuple[float, float]) -> tuple[float, float]:
-        beyond = over * sum(value >= pair[1] for value in good)
-        wrong = beyond + under * sum(value <= pair[0] for value in bad)
-        return -round(wrong, 9), pair[1] - pair[0]
+        beyond = over * sum(value >= pair[1] for value in good) / len(good)
+        below = sum(value <= pair[0] for value in bad) / len(bad)
+        return -round(beyond + below, 9), pair[1] - pair[0]
 
-    return sum(max(pairwise(sorted({*good, *bad})), key=rank)) / 2
+    low, high = max(pairwise(sorted({*good, *bad})), key=rank)
+    return (low + high) / 2
 
 
 def outcomes_of_scenes(row: Row, limits: Limits) -> Outcomes:
     """How often `good`, and `good` or `fair`, is right, and which of the two errors is made."""
     for number, label in enumerate(FITTED_LABELS):
         called = " or ".join(LABELS[: number + 1])
-        said = reaches(row["figures"], limits[label])
+        said = row["figures"]["half_way"] <= limits[label]["half_way"]
         right = said == (LABELS.index(row["label"]) <= number)
         yield f"{called} or not", right
         yield f"  {'' if said else 'not '}called {called}", right

@@ -5,7 +5,7 @@ A signal is None where it cannot be told. Its limit stands in `fitted.yaml`, bey
 is doubtful; `edit3r judge --fit` chooses it by edits that were made well and badly on purpose.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property
 from itertools import permutations
@@ -19,8 +19,7 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.instructions import Change
-from edit3r.contract.interfaces import EditToJudge
+from edit3r.contract.interfaces import EditToJudge, HalfWay, SceneToJudge
 from edit3r.kit.compute.colour import linear_to_srgb, rgb_to_lab, srgb_to_linear
 from edit3r.kit.files.configs import read_yaml
 from edit3r.kit.geometry.cameras import pixel_grid
@@ -77,23 +76,19 @@ class Pictures:
         ]
         self.kinds = {change.kind for _, change in self.asked}
 
-    def is_as_asked(self, change: Change, picture: Tensor) -> Where:
-        """Where a picture has what a change asks for, light and shade apart."""
-        if change.kind == "greyscale":
-            return picture[:, 1:].norm(dim=1) <= SEEN
-        if change.kind != "paint" or change.colour is None:
-            return torch.zeros_like(self.inside)
-        off = picture - _lab_of(change.colour.rgb)[:, None, None]
-        if bool(self.inside.any()):
-            off[:, 0] = off[:, 0][self.inside].median()
-        return off.norm(dim=1) <= 2 * CLEAR
-
     @cached_property
     def can_change(self) -> Where:
         """What is selected and does not look as asked already: grey has no colour to lose."""
         can = self.inside
-        for _, change in self.asked if len(self.kinds) == 1 else ():
-            can = can & ~self.is_as_asked(change, self.old)
+        if self.kinds == {"greyscale"}:
+            return can & (self.old[:, 1:].norm(dim=1) > SEEN)
+        for _, change in self.asked if self.kinds == {"paint"} else ():
+            if change.colour is not None and bool(self.inside.any()):
+                off = self.old - _lab_of(change.colour.rgb)[:, None, None]
+                off[:, 0] = off[:, 0][
+                    self.inside
+                ].median()  # paint keeps light and shade
+                can = can & (off.norm(dim=1) > 2 * CLEAR)
         return can
 
     @cached_property
@@ -229,19 +224,16 @@ def as_asked(found: Pictures) -> float | None:
         if int(where.sum()) < FEW:
             continue
         old, new = (one.movedim(1, -1)[where] for one in (found.old, found.new))
-        goal = torch.zeros(3) if change.kind == "greyscale" else None
-        if change.kind == "paint" and change.colour is not None:
-            goal = _lab_of(change.colour.rgb)
-        if goal is not None:
-            before, left = ((goal - one)[:, 1:].norm(dim=1) for one in (old, new))
-            share = 1 - (left - SEEN).clamp(min=0) / before.clamp(min=CLEAR)
-            if change.colour is not None:
-                paint = change.colour.rgb
-                share[_painted(old, paint) & _painted(new, paint)] = 1
-            shares.append(float(share.median()))
-        elif change.kind == "brightness":
+        if change.kind == "brightness":
             size, lighter = (new - old).norm(dim=1), (new - old)[:, 0]
             shares.append(float(size[lighter * change.amount > 0].sum() / size.sum()))
+        elif change.kind == "greyscale" or (change.kind == "paint" and change.colour):
+            paint = change.colour.rgb if change.colour else (0.0, 0.0, 0.0)
+            goal = _lab_of(paint)
+            before, left = ((goal - one)[:, 1:].norm(dim=1) for one in (old, new))
+            share = 1 - (left - SEEN).clamp(min=0) / before.clamp(min=CLEAR)
+            share[_painted(old, paint) & _painted(new, paint)] = 1
+            shares.append(float(share.median()))
     return min(shares, default=None)
 
 
@@ -328,28 +320,13 @@ def missed(found: Pictures) -> float | None:
 def torn(found: Pictures) -> float | None:
     """How much what is selected looks, half-way between two photos, like neither of them: 1 where
     its colours are off by twice what nobody overlooks; the worst place counts.
-
-    Each pixel is compared where optical flow finds it in the photos: a thing that is torn or
-    dissolved is found in none, one that lies a little aside is.
     """
     between = found.edit.half_way
     if between is None or not found.confined:
         return None
-    shares = []
-    for number, shown in enumerate(_lab(between.rendered.images[0])):
-        pair, soft = between.pairs[number], _blurred(shown, 1)
-        if not {*pair} <= {*found.views} or min(shown.shape[1:]) < FEW:
-            continue
-        thing, off = torch.zeros_like(shown[0]), torch.full_like(shown[0], torch.inf)
-        for at in map(found.views.index, pair):
-            soft_photo = _blurred(found.new[at], 1)
-            picture = torch.cat((soft_photo, found.inside[[at]].float()))
-            *colour, inside = warp(picture, _found_in(found.new[at], shown))
-            off = torch.minimum(off, (soft - torch.stack(colour)).norm(dim=0))
-            thing = torch.maximum(thing, inside)
-        if int((thing > 0.5).sum()) >= FEW:
-            shares.append(float((off / CLEAR / 2).clamp(max=1)[thing > 0.5].mean()))
-    return max(shares, default=None)
+    photos, masks = (dict(zip(found.views, one)) for one in (found.new, found.inside))
+    unlike = unlike_either(between, photos, masks, 2 * CLEAR, 1)
+    return max((share for _, share in unlike), default=None)
 
 
 def measured(edit: EditToJudge) -> dict[str, float | None]:
@@ -360,6 +337,44 @@ def measured(edit: EditToJudge) -> dict[str, float | None]:
         name: known[name] if name in known and not one.in_scene else one.measure(found)
         for name, one in SIGNALS.items()
     }
+
+
+def unlike_either(
+    between: HalfWay,
+    photos: Mapping[int, Picture],
+    masks: Mapping[int, Bool[Tensor, "height width"]],
+    wholly: float,
+    soft: float,
+) -> Iterator[tuple[tuple[int, int], float]]:
+    """Pairs of photos, and how much of what is masked looks half-way like neither of the two: 1
+    where colours are off by `wholly` [CIE Lab], over `soft` pixels.
+
+    Each pixel is compared where optical flow finds it in the photos: a thing that is torn or
+    dissolved is found in none, one that lies a little aside is.
+    """
+    for pair, shown in zip(between.pairs, _lab(between.rendered.images[0])):
+        if not {*pair} <= {*photos} or min(shown.shape[1:]) < FEW:
+            continue
+        thing, off = torch.zeros_like(shown[0]), torch.full_like(shown[0], torch.inf)
+        for view in pair:
+            picture = (_blurred(photos[view], soft), masks[view][None].float())
+            *colour, inside = warp(torch.cat(picture), _found_in(photos[view], shown))
+            unlike = (_blurred(shown, soft) - torch.stack(colour)).norm(dim=0)
+            off, thing = torch.minimum(off, unlike), torch.maximum(thing, inside)
+        if int((thing > 0.5).sum()) >= FEW:
+            yield pair, float((off / wholly).clamp(max=1)[thing > 0.5].mean())
+
+
+def unlike_between(scene: SceneToJudge) -> list[float | None]:
+    """For each placed photo how much of the view half-way to its nearest looks like neither."""
+    photos = dict(enumerate(_lab(scene.edited.images[0])))
+    shares: list[float | None] = [None] * len(photos)
+    if scene.half_way is not None:
+        all_ = {view: torch.ones_like(one[0]) > 0 for view, one in photos.items()}
+        for pair, share in unlike_either(scene.half_way, photos, all_, CLEAR, 2):
+            for view in pair:
+                shares[view] = max(shares[view] or 0.0, share)
+    return shares
 
 
 def faults_of(

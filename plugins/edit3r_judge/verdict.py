@@ -1,9 +1,10 @@
 """How good a scene came out, judged without any truth: does it show its own input views?
 
-A scene whose rendering of a photo differs much from that (edited) photo shows other viewpoints no
-better, and one that is guessed half-way between them shows nothing there. Three signals, whose
-limits for each label stand in `fitted.yaml`: the agreement of the worst photo [dB], what is guessed
-half-way, and how many photos are left out [shares]. See docs/notes/verdict.md.
+Half-way between photos it shows what was guessed, or what looks like no photo, where it does not
+hold. Three signals, whose limits for each label stand in `fitted.yaml`: the sum of both shares in
+the worst view half-way, how many photos are left out [share], and the agreement of the worst photo
+[dB]: a scene whose rendering of a photo differs much from it shows other viewpoints no better. See
+docs/notes/verdict.md.
 """
 
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ from torch.nn.functional import interpolate
 from edit3r.contract.interfaces import SceneToJudge
 from edit3r.contract.types import Rendering
 from edit3r.contract.verdicts import LABELS, Label, Verdict
-from edit3r_judge.signals import fitted_limits
+from edit3r_judge.signals import fitted_limits, unlike_between
 
 
 @dataclass(frozen=True)
@@ -42,18 +43,17 @@ def judge(
     """
     before, psnr = (_psnr(scene, shown) for shown in (scene.first, scene.rendered))
     coverage = scene.rendered.alphas.mean((2, 3, 4)).amin(0).tolist()
-    unknown = [None] * len(psnr)
+    unknown: list[float | None] = [None] * len(psnr)
     measured = scene.measured
     filled = unknown if measured is None else (1 - measured.amin(0)).tolist()
     between = unknown if guessed is None else guessed.amax(0).tolist()
-    label, reason = _label(scene, before, psnr, between, doubt)
-    at_photos, at_first, covered, guesses, on_the_way = (
+    unlike = unlike_between(scene)
+    label, reason = _label(scene, before, psnr, between, unlike, doubt)
+    at_photos, at_first, *others = (
         tuple(next(rest) if there else None for there in scene.placed)
-        for rest in map(iter, (psnr, before, coverage, filled, between))
+        for rest in map(iter, (psnr, before, coverage, filled, between, unlike))
     )
-    return Verdict(
-        label, reason, at_photos, at_first, scene.placed, covered, guesses, on_the_way
-    )
+    return Verdict(label, reason, at_photos, at_first, scene.placed, *others)
 
 
 def _psnr(scene: SceneToJudge, shown: Rendering) -> list[float]:
@@ -79,18 +79,19 @@ def _label(
     before: list[float],
     psnr: list[float],
     between: list[float | None],
+    unlike: list[float | None],
     doubt: Doubt | None,
 ) -> tuple[Label, str]:
     """The best label whose conditions hold, and one sentence for it."""
     evidence = [min(pair) for pair in zip(before, psnr)]
     worst, names, count = min(evidence), scene.edited.called, len(scene.placed)
-    guesses = [share or 0.0 for share in between]
-    guessed, left_out = max(guesses), scene.placed.count(False)
+    half_way = [(one or 0.0) + (other or 0.0) for one, other in zip(between, unlike)]
+    bad, left_out = max(half_way), scene.placed.count(False)
     limits = fitted_limits("scene")
 
     def holds(label: Label) -> bool:
         limit = limits[label]
-        agrees = worst >= limit["agreement"] and guessed <= limit["guessed"]
+        agrees = worst >= limit["agreement"] and bad <= limit["half_way"]
         return agrees and left_out <= limit["left_out"] * count
 
     label = next(filter(holds, LABELS[:-1]), LABELS[-1])
@@ -103,14 +104,16 @@ def _label(
     shown += f", and they fit together at {mean:.1f} dB, the worst ({blamed}) at {worst:.1f} dB"
     if left_out:
         shown += f"; {left_out} of {count} photos could not be placed"
-    if guessed > limits["good"]["guessed"]:
-        least_known = names[guesses.index(guessed)]
+    if bad > limits["good"]["half_way"]:
+        view = half_way.index(bad)
+        guessed, off = (one[view] or 0.0 for one in (between, unlike))
         shown += (
-            f"; half-way between {least_known} and the photo nearest to it, {guessed:.0%} of the "
-            "picture is guessed, since no photo shows it well enough"
+            f"; half-way between {names[view]} and the photo nearest to it, {guessed:.0%} of the "
+            f"picture is guessed, since no photo shows it well enough, and {off:.0%} looks like no "
+            "photo"
         )
         if worst >= limits[LABELS[LABELS.index(label) - 1]]["agreement"]:
-            blamed = least_known
+            blamed = names[view]
     way = doubt.clause if doubt else _way_out(blamed, names, left_out)
     return label, f"{shown}; {way}."
 

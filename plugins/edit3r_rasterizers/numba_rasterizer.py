@@ -183,10 +183,8 @@ class _Rasterize(torch.autograd.Function):
         ]
         for b, c in product(range(batch), range(count)):
             near = settings.model_copy(update={"near": nears[b]})
-            camera, shown = (
-                _array(cameras[b, c]),
-                _images_of((images, alphas, depths), b, c),
-            )
+            camera = _array(cameras[b, c])
+            shown = _images_of((images, alphas, depths), b, c)
             frame = project_scene(near, threads, scenes[b], camera, grid, learns)
             if frame is None:
                 check_finite(Gaussians(*(field.detach() for field in fields)))

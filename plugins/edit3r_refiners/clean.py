@@ -35,8 +35,8 @@ class CleanSettings(Settings):
 
     before: float = Field(0.1, gt=0, lt=1)
     """share of the surface's depth by which a floater stands before it"""
-    beside: float = Field(1 / 256, ge=0, le=0.1)
-    """the nearest surface so far around it counts, which spares thin things [long sides]"""
+    beside: float = Field(3 / 256, ge=0, le=0.1)
+    """the nearest surface so far around counts: what frays beside an edge stays [long sides]"""
 
 
 @dataclass(frozen=True)

@@ -69,6 +69,7 @@ class SceneToJudge:
     # fields of view [degrees] that explain the photos alike, where they do not tell their lens
     lenses: tuple[float, float] | None = None
     edit: EditVerdict | None = None  # what is said of the edit in 2D
+    half_way: HalfWay | None = None  # None: there is one photo alone
 
 
 class Critic(Configured, ABC):

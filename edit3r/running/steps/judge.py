@@ -46,6 +46,9 @@ def judge(
             )
         )
         uses_geometry = parts.uses_geometry
+        cameras, half = made.cameras.at(size), None
+        if cameras.count > 1:
+            half = seen_half_way(parts.rasterizer, gaussians, cameras)
         verdict = parts.critic.judge_scene(
             SceneToJudge(
                 photos=made.photos,
@@ -61,12 +64,13 @@ def judge(
                 flat=located.flat,
                 lenses=located.lenses,
                 edit=edit.verdict,
+                half_way=half,
             )
         )
         check_verdict(parts.critic, verdict)
         selection = replace(selection, masks=made.masks)
         edit_verdict = _edit_verdict(
-            inputs, selection, edit, made, rendered, gaussians, parts
+            inputs, selection, edit, rendered, cameras, half, parts
         )
     return Judged(rendered, verdict, edit_verdict)
 
@@ -75,9 +79,9 @@ def _edit_verdict(
     inputs: Inputs,
     selection: SelectedRegions,
     edit: EditedPhotos,
-    made: Reconstructed,
     rendered: Rendering,
-    gaussians: Gaussians,
+    cameras: Cameras,
+    half: HalfWay | None,
     parts: Parts,
 ) -> EditVerdict | None:
     """The verdict on the edit, with what the scene tells of it."""
@@ -85,10 +89,6 @@ def _edit_verdict(
         return None
     count = parts.edited_count(inputs.start)
     asked = edit_to_judge(inputs, selection, edit, parts.tasks, count)
-    cameras = made.cameras.at(inputs.start.image_size)
-    half = None
-    if cameras.count > 1:
-        half = seen_half_way(parts.rasterizer, gaussians, cameras)
     verdict = parts.critic.judge_edit(
         replace(asked, rendered=rendered, cameras=cameras, half_way=half)
     )

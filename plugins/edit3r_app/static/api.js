@@ -15,17 +15,16 @@ async function answer(response) {
 async function reach(address, options) {
   try {
     return await fetch(address, options);
-  } catch {
+  } catch (error) {
+    if (options?.signal?.aborted) throw error;
     throw new Error("The app does not answer; is it still running?");
   }
 }
-export const ask = async (...parts) =>
-  answer(
-    await reach(
-      path("api", ...parts.filter((one) => typeof one === "string")) + query(parts.at(-1)),
-    ),
-  );
-const query = (last) => (typeof last === "object" ? "?" + new URLSearchParams(last) : "");
+// The parts of an address, and at the end what its query says; `signal` aborts the request.
+export async function ask(...parts) {
+  const { signal, ...query } = typeof parts.at(-1) === "object" ? parts.pop() : {};
+  return answer(await reach(`${path("api", ...parts)}?${new URLSearchParams(query)}`, { signal }));
+}
 export const tell = async (parts, body = {}) =>
   answer(
     await reach(path("api", ...parts), {

@@ -1,7 +1,7 @@
 // The first page: what this is, how to take photos that work, and the scenes that are there.
 import { go, sceneAddress } from "./app.js";
 import { ask, path, tell } from "./api.js";
-import { button, el, icon, toast } from "./dom.js";
+import { button, dialog, el, icon, toast } from "./dom.js";
 import { ADVICE, STORY } from "./pictures.js";
 import { choose, dropAnywhere, send } from "./upload.js";
 
@@ -151,7 +151,7 @@ export function home(page) {
       if (found.scenes.length && story.classList.contains("unready")) story.before(yours);
       if (!tries.children.length) tries.replaceChildren(...found.made.map(madeCard));
       yours.hidden = !found.scenes.length;
-      scenes.replaceChildren(...found.scenes.map(card));
+      scenes.replaceChildren(...found.scenes.map((one) => card(one, refresh)));
       showEssentials(essentials, found.essentials, refresh);
       if (found.essentials.fetching) timer = setTimeout(refresh, 700);
     } catch (error) {
@@ -168,7 +168,7 @@ export function home(page) {
   };
 }
 
-function card({ name, photos, count, edits, at, shown }) {
+function card({ name, photos, count, edits, at, shown }, refresh) {
   const source = shown.length
     ? path("image", at, "renders", shown[0])
     : photos.length && path("thumbnail", name, photos[0]);
@@ -183,6 +183,33 @@ function card({ name, photos, count, edits, at, shown }) {
       el("span", { class: "cover" }, image),
       el("span", { class: "name" }, name),
       el("small", {}, facts),
+    ),
+    button("clear", `delete ${name}`, () => askToDelete(name, facts, refresh), { class: "icon out" }),
+  );
+}
+function askToDelete(name, facts, refresh) {
+  async function act() {
+    asked.close();
+    try {
+      await tell(["delete", name]);
+      toast(`${name} is deleted.`);
+    } catch (error) {
+      toast(error.message, true);
+    }
+    refresh();
+  }
+  const asked = dialog(
+    `Delete ${name}?`,
+    el(
+      "p",
+      {},
+      `It goes with all that was made of it: ${facts}. The files stay in the folder .deleted of the jobs folder until you empty it.`,
+    ),
+    el(
+      "div",
+      { class: "row" },
+      el("button", { type: "button", class: "primary", onclick: act }, "Delete"),
+      el("button", { type: "button", onclick: () => asked.close() }, "Cancel"),
     ),
   );
 }

@@ -49,6 +49,7 @@ def manifest(tmp_path):
             (1.0, None),
             (0.1, None),
             (0.2, None),
+            (0.3, None),
         ),
         edit_verdict=None,
         selection_verdict=None,

@@ -248,7 +248,7 @@ def test_the_last_line_says_how_to_get_a_default_run_sharper(result, tmp_path):
 
     assert last().endswith("--quality best takes half as long again")
     assert last(longest=4032).endswith(
-        "best scales photos to 1024 pixels and not 512, and takes two to three times as long"
+        "best scales photos to 1024 pixels and not 512, and takes two to four times as long"
     )
     assert "best shows photos at their full size, and" in last(longest=800)
     assert "half as long again" in last(longest=512)
@@ -364,6 +364,12 @@ def test_things_are_judged_and_drawn_on_the_photos_that_were_placed():
     assert len(bear.masks) == len(bear.how) == 2
     assert all(one.view in (0, 1) for one in bear.readings)
     assert result.edit_verdict.measures["shared"] is not None
+    # of the photo that was left out nothing is known
+    assert [one is None for one in result.verdict.unlike_between] == [
+        True,
+        False,
+        False,
+    ]
 
 
 def test_what_was_found_unsurely_is_a_question_with_candidates_and_no_doubt_of_the_edit(

@@ -6,7 +6,6 @@ system or of `playwright install chromium`.
 """
 
 import contextlib
-import os
 import re
 import shutil
 import signal
@@ -16,13 +15,14 @@ import time
 import urllib.request
 import zipfile
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from pathlib import Path
 
 import pytest
 from edit3r_app.draft import read_draft
 from edit3r_app.jobs import JobsFolder
 
 from edit3r.kit.photos.images import packaged_pair
+
+from ..looks import AXE_FILE, serious
 
 pytestmark = pytest.mark.slow
 
@@ -328,8 +328,6 @@ def test_an_edit_outlives_a_server_that_is_killed(server, tab):
     page.locator(".stage iframe").wait_for()  # without a reload
 
 
-AXE_FILE = os.environ.get("EDIT3R_AXE", "")  # axe.min.js of the npm package axe-core
-
 PHOTO_VIEWS = {
     "settings": "Settings",
     "history": "History",
@@ -351,10 +349,7 @@ def test_nothing_serious_for_those_who_do_not_see_or_point(server, tab, theme, s
     page.add_init_script(f"localStorage.setItem('edit3r-theme', '{theme}')")
 
     def check():
-        page.evaluate(Path(AXE_FILE).read_text(encoding="utf-8"))
-        found = page.evaluate("axe.run(document, {iframes: false})")["violations"]
-        serious = [one for one in found if one["impact"] in ("serious", "critical")]
-        assert [(one["id"], one["nodes"][0]["html"]) for one in serious] == []
+        assert serious(page) == []
 
     page.goto(server.address)
     page.get_by_text("Photos that work").wait_for()

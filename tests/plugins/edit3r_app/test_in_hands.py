@@ -2,24 +2,18 @@
 that can be read, words that fail, photos that do not fit, the way back.
 """
 
-import os
 import time
-from pathlib import Path
 
 import pytest
 from PIL import Image
 
 from edit3r.kit.photos.images import packaged_pair
 
+from ..looks import EVERY_LOOK, LOOKS, cut_off, id_of, serious
+
 pytestmark = pytest.mark.slow
 pytest.importorskip("playwright.sync_api", reason="needs playwright")
 
-AXE_FILE = os.environ.get("EDIT3R_AXE", "")  # axe.min.js of the npm package axe-core
-WIDE, PHONE = (1440, 900), (390, 844)
-EVERY_LOOK = [(size, theme) for size in (WIDE, PHONE) for theme in ("dark", "light")]
-LOOKS = [(WIDE, "dark"), (PHONE, "light")]
-if os.environ.get("EDIT3R_EVERY_LOOK"):
-    LOOKS = EVERY_LOOK
 MESSAGES = (
     ".line",
     ".toast",
@@ -30,17 +24,6 @@ MESSAGES = (
     ".told",
 )
 """Elements that hold sentences."""
-CUT_OFF = """(names) => names.flatMap((name) => [...document.querySelectorAll(name)])
-  .filter((one) => one.checkVisibility())
-  .filter((one) => {
-    const {overflowY, overflowX} = getComputedStyle(one), scrolls = ["auto", "scroll"];
-    const area = one.getBoundingClientRect();
-    return (one.scrollHeight > one.clientHeight + 1 && !scrolls.includes(overflowY))
-      || (one.scrollWidth > one.clientWidth + 1 && !scrolls.includes(overflowX))
-      || area.left < -1 || area.right > innerWidth + 1
-      || area.top < -1 || area.bottom > innerHeight + 1;
-  })
-  .map((one) => one.className + ": " + one.textContent)"""
 FAILING = (
     "paint the zeppelin red",
     "make the flibbertigibbet golden",
@@ -50,14 +33,33 @@ FAILING = (
 )
 
 
-@pytest.fixture(params=EVERY_LOOK, ids=lambda look: f"{look[0][0]}-{look[1]}")
+COLOUR = """async ([name, [x, y]]) => {
+  const image = document.querySelector(".box " + name);
+  await image.decode();
+  const ink = document.createElement("canvas");
+  [ink.width, ink.height] = [image.naturalWidth, image.naturalHeight];
+  const pen = ink.getContext("2d");
+  pen.drawImage(image, 0, 0);
+  return [...pen.getImageData(x * ink.width, y * ink.height, 1, 1).data].slice(0, 3);
+}"""
+
+
+def colour(page, place, layer):
+    """Of the photo that is shown, or of the edit that lies over it, at a place in shares."""
+    return page.evaluate(COLOUR, [layer, place])
+
+
+def apart(one, other):
+    return max(abs(a - b) for a, b in zip(one, other))
+
+
+@pytest.fixture(params=EVERY_LOOK, ids=id_of)
 def page(request, tab):
     return open_tab(tab, *request.param)
 
 
-@pytest.fixture(params=LOOKS, ids=lambda look: f"{look[0][0]}-{look[1]}")
+@pytest.fixture(params=LOOKS, ids=id_of)
 def page_once(request, tab):
-    """For what takes long: in half of the looks, or in all with EDIT3R_EVERY_LOOK=1."""
     return open_tab(tab, *request.param)
 
 
@@ -90,15 +92,11 @@ def say(page, sentence):
 
 
 def all_can_be_read(page):
-    assert page.evaluate(CUT_OFF, list(MESSAGES)) == []
+    assert cut_off(page, MESSAGES) == []
     shown = page.locator("body").inner_text()
     for word in ("--", "edit3r list", "pip install"):
         assert word not in shown, "a command line"
-    if AXE_FILE:
-        page.evaluate(Path(AXE_FILE).read_text(encoding="utf-8"))
-        found = page.evaluate("axe.run(document, {iframes: false})")["violations"]
-        serious = [one for one in found if one["impact"] in ("serious", "critical")]
-        assert [(one["id"], one["nodes"][0]["html"]) for one in serious] == []
+    assert serious(page) == []
 
 
 def test_messages_can_be_read_whole(server, page):
@@ -164,27 +162,60 @@ def test_the_edit_is_seen_while_it_is_typed(server, page_once):
         page.locator(".line", has_text="edit: ").wait_for()
     assert min(took) <= 1000, took
 
-    def shown():
-        return page.evaluate(
-            """() => {
-              const image = document.querySelector(".box .edit");
-              const ink = document.createElement("canvas");
-              [ink.width, ink.height] = [image.naturalWidth, image.naturalHeight];
-              const pen = ink.getContext("2d");
-              pen.drawImage(image, 0, 0);
-              return [...pen.getImageData(ink.width / 2, ink.height / 2, 1, 1).data];
-            }"""
-        )
-
-    golden = shown()
+    golden = colour(page, (0.5, 0.5), ".edit")
     page.get_by_label("strength").fill("0")
     until = time.monotonic() + 20
-    while max(abs(a - b) for a, b in zip(golden, shown())) <= 20:
+    while apart(golden, colour(page, (0.5, 0.5), ".edit")) <= 20:
         assert time.monotonic() < until, "the slider does it"
         page.wait_for_timeout(100)
     for name in ("Undo", "Redo"):
         assert page.get_by_text(name, exact=True).locator("visible=true").count() == 1
     all_can_be_read(page)
+
+
+def test_the_background_does_not_hold_what_was_edited(server, page_once):
+    """Whoever painted a thing and then says "the background" means all else, wherever it lies."""
+    page, thing, elsewhere = page_once, (0.15, 0.15), (0.5, 0.5)
+    drop(page, server)
+    read_photos(page)
+    page.keyboard.press("l")  # a corner, which nothing but the edit before sets apart
+    place = page.locator(".box").bounding_box()
+
+    def go_to(x, y):
+        page.mouse.move(
+            place["x"] + x * place["width"], place["y"] + y * place["height"], steps=4
+        )
+
+    go_to(0.05, 0.05)
+    page.mouse.down()
+    for corner in ((0.25, 0.05), (0.25, 0.25), (0.05, 0.25)):
+        go_to(*corner)
+    page.mouse.up()
+    page.locator(".chip", has_text="marked").wait_for()
+    say(page, "paint it blue")
+    page.locator(".line", has_text="edit: ").wait_for()
+    page.get_by_role("button", name="Go", exact=True).click()
+    page.frame_locator(".stage iframe").locator("body[data-drawn]").wait_for()
+    page.get_by_role("button", name="Photos", exact=True).click()
+    page.locator(".box .base").wait_for()
+    blue = colour(page, thing, ".base")
+    assert blue[2] > 60 + max(blue[:2]), blue
+
+    say(page, "make the background red")
+    page.locator(".line", has_text="edit: ").wait_for()
+    page.locator(".box .edit").wait_for()
+    assert apart(colour(page, thing, ".edit"), blue) < 10, "what was painted stays"
+    red = colour(page, elsewhere, ".edit")
+    assert red[0] > 60 + max(red[1:]), red
+    all_can_be_read(page)
+    made = page.url
+    page.get_by_role("button", name="Go", exact=True).click()
+    page.wait_for_url(lambda address: address != made)
+    page.frame_locator(".stage iframe").locator("body[data-drawn]").wait_for()
+    page.get_by_role("button", name="Photos", exact=True).click()
+    page.locator(".box .base").wait_for()
+    assert apart(colour(page, thing, ".base"), blue) < 10
+    assert apart(colour(page, elsewhere, ".base"), red) < 10
 
 
 def test_photos_that_cannot_be_placed_are_told_first(server, page_once, tmp_path):
@@ -238,6 +269,48 @@ def test_a_scene_reopens_where_it_was_left(server, page_once):
     page.wait_for_url(lambda address: "/s/" in address)
     assert page.url == left
     page.locator(".stage iframe").wait_for()
+
+
+def test_a_scene_is_deleted_after_a_question(server, page):
+    drop(page, server)
+    name = page.url.rpartition("/")[2]
+    page.goto(server.address)
+    card = page.locator(".scenes li", has=page.locator(f"a[href='/s/{name}']"))
+    card.get_by_role("button", name="delete").press("Enter")
+    page.get_by_role("heading", name=f"Delete {name}?").wait_for()
+    all_can_be_read(page)
+    page.get_by_role("button", name="Cancel").click()
+    assert card.count() == 1
+    card.get_by_role("button", name="delete").press("Enter")
+    page.get_by_role("button", name="Delete", exact=True).click()
+    page.get_by_text(f"{name} is deleted").wait_for()
+    card.wait_for(state="detached")
+    all_can_be_read(page)
+    assert (server.folder / ".deleted" / name / "images").is_dir()
+
+
+def test_what_is_asked_about_words_ends_with_them(server, page_once):
+    page, held, ended = page_once, [], []
+    drop(page, server)
+    read_photos(page)
+    page.route("**/api/look/**", lambda route: held.append(route), times=1)
+    page.on("requestfailed", lambda request: ended.append(request.url))
+    say(page, "make everything grey")
+    page.get_by_text("Reading your words").wait_for()
+    until = time.monotonic() + 20
+    while not held and time.monotonic() < until:
+        page.wait_for_timeout(50)
+    say(page, "make everything red")
+    page.get_by_text("Understood: ", exact=False).filter(has_text="red").wait_for()
+    assert held[0].request.url in ended
+
+
+def test_a_refusal_leaves_the_photos_of_the_strip_in_sight(server, page):
+    drop(page, server)
+    say(page, "make her happier and blorp the snark and the flibbertigibbet too")
+    page.locator(".line.problem").wait_for()
+    line, strip = (page.locator(name).bounding_box() for name in (".line", ".strip"))
+    assert line["y"] >= strip["y"] + strip["height"] or line["x"] >= strip["width"]
 
 
 def test_what_is_drawn_in_3d_is_chosen_removed_and_taken_back(server, page_once):

@@ -4,6 +4,7 @@ tree.
 
 import json
 import os
+from dataclasses import replace
 
 import pytest
 from edit3r_app import jobs
@@ -225,6 +226,27 @@ def test_the_history_of_a_run_of_the_command_line_begins_with_itself(folder):
         (0, "mine"),
         (1, job.name),
     ]
+
+
+def test_a_deleted_scene_is_whole_in_a_folder_of_its_own(folder):
+    folder.new_scene("bear")
+    (folder.root / "bear" / "images" / "a.png").write_bytes(b"a photo")
+    job = folder.new_job(AppJob("", "bear", settings={"prompt": "gold"}))
+    with pytest.raises(InputError, match="cancel it first"):
+        folder.delete("bear")
+    make_run(folder, job.name, prompt="gold")
+    folder.write(replace(job, state="done"))
+    left = folder.new_scene("other")
+    folder.delete("bear")
+    assert folder.scenes() == [left] and not folder.history("bear")
+    for name in ("bear", job.name, f".edit3r-app/{job.name}.json"):
+        assert not (folder.root / name).exists()
+    deleted = JobsFolder(folder.root / ".deleted")
+    assert deleted.scenes() == ["bear"]
+    assert [one.prompt for one in deleted.history("bear")] == ["gold"]
+    # nothing new takes a name that is there
+    assert folder.new_scene("bear") != "bear"
+    assert folder.new_job(AppJob("", "bear")).name != job.name
 
 
 def test_a_jobs_folder_that_cannot_be_made_is_said(tmp_path):

@@ -8,6 +8,7 @@ from pathlib import Path
 from threading import Event, Thread
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 from edit3r_app import looking, uploads
@@ -282,6 +283,27 @@ def test_who_points_waits_for_no_search(looker, scene):
     named = Draft(form={"prompt": "paint the zeppelin red"})
     with looker._working:
         assert len(looker.edited(scene, named, name)) < 1000  # a clear pixel, at once
+
+
+@pytest.mark.parametrize(
+    "sentence",
+    [
+        "make the background red",
+        "paint everything but this red",
+        "make it blue and the background red",
+    ],
+)
+@pytest.mark.parametrize("found", [False, True])
+def test_what_is_seen_before_go_is_what_go_makes(looker, scene, sentence, found):
+    """Where the edit applies is no mark of the thing, of which "the background" is all else."""
+    paint = stroke(looker, scene, "paint", 0.1, [(0.2, 0.2), (0.4, 0.2)])
+    draft = Draft([paint], form={"prompt": sentence})
+    look = looker.look(scene, draft)
+    assert look.job is not None, look.problem
+    whole = looking.preview(look.job, looker.registry).edit.views.images[0, 0]
+    shown = looker.edited(scene, draft, look.views.names[0], found)
+    image = torch.from_numpy(np.array(Image.open(io.BytesIO(shown)))) / 255
+    assert (image.permute(2, 0, 1) - whole).abs().mean() < 0.02
 
 
 def test_a_sentence_is_said_as_it_was_read(looker, scene):

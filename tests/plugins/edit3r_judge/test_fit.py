@@ -37,10 +37,11 @@ def test_limits_lie_midway_between_good_and_bad_edits():
     assert limits == {n: pytest.approx(0.25 + 0.5 * (CLEAN[n] == 1)) for n in SIGNALS}
 
 
-def test_a_good_edit_counts_more_than_a_fault():
-    assert between([0.1, 0.2, 0.6], [0.5, 0.7, 0.8], 2, 1) == pytest.approx(0.65)
-    assert between([0.1, 0.2], [0.15, 0.9], 2, 1) == pytest.approx(0.55)
-    assert between([0.1, 0.6], [0.3, 0.4, 0.7, 0.8], 1, 1) == pytest.approx(0.2)
+def test_good_and_bad_count_alike_however_many_there_are():
+    good, bad = [0.1, 0.2, 0.6], [0.5, 0.7, 0.8]
+    assert between(good, bad) == between(3 * good, bad) == pytest.approx(0.35)
+    assert between([0.1, 0.6], [0.3, 0.4, 0.7, 0.8]) == pytest.approx(0.2)
+    assert between([0.1, 0.6], [0.3, 0.4, 0.7, 0.8], 2) == pytest.approx(0.65)
 
 
 def test_the_report_says_what_is_named_where_nothing_was_fitted(tmp_path, capsys):
@@ -65,35 +66,30 @@ SCENES = [
     {
         "place": place,
         "label": label,
-        "figures": {"agreement": agreement, "guessed": part},
+        "figures": {"half_way": part},
     }
-    for place in ("a", "b", "c")
-    for label, agreement, part in (
-        ("good", 30.0, 0.1),
-        ("fair", 30.0, 0.3),
-        ("fair", 20.0, 0.1),
-        ("poor", 30.0, 0.6),
-        ("poor", 10.0, 0.1),
-    )
+    for place in ("a", "b", "c", "d")
+    for label, part in (("good", 0.1), ("fair", 0.3), ("poor", 0.6))
 ]
 
 
-def test_both_limits_of_a_label_lie_between_scenes_that_deserve_it_and_others():
+def test_the_limit_of_a_label_lies_between_scenes_that_deserve_it_and_others():
     limits = limits_of_scenes(SCENES)
-    assert limits["good"] == {"agreement": 25.0, "guessed": pytest.approx(0.2)}
-    assert limits["fair"] == {"agreement": 15.0, "guessed": pytest.approx(0.45)}
+    assert limits["good"] == {"half_way": pytest.approx(0.2)}
+    assert limits["fair"] == {"half_way": pytest.approx(0.45)}
 
 
 def test_scenes_are_reported_without_their_place_and_by_all(tmp_path, capsys):
     path = tmp_path / "rows.jsonl"
-    kind = {"place": "d", "label": "poor", "figures": {"agreement": 30, "guessed": 0.1}}
+    kind = {"place": "b", "label": "poor", "figures": {"half_way": 0.1}}
     path.write_text("\n".join(map(json.dumps, [*SCENES, kind])))
     assert JudgeCommand(None).main(argparse.Namespace(fit=str(path), write=False)) == 0
     said = capsys.readouterr().out
-    assert said.startswith("16 scenes, each by limits without its place")
+    assert said.startswith("7 scenes, each by limits without its place")
     words = " ".join(said.split())
-    assert "good or fair or not 15 of 16 (93.8%)" in words
-    assert "called good or fair 9 of 10 (90.0%)" in words
+    assert "good or fair or not 6 of 7 (85.7%)" in words
+    assert "called good or fair 4 of 5 (80.0%)" in words
+    assert "never fitted on: a, d good or not 6 of 6 (100.0%)" in words
 
 
 def test_limits_are_written_beside_those_of_scenes(tmp_path, monkeypatch):
@@ -104,7 +100,7 @@ def test_limits_are_written_beside_those_of_scenes(tmp_path, monkeypatch):
     was, now = (read_yaml(path) for path in (FITTED, own))
     assert now["edit"] == dict.fromkeys(SIGNALS, 0.123)
     assert now["scene"] == was["scene"] and own.read_text().startswith("#")
-    fit.write_limits({"scene": {"fair": {"agreement": 7.25}}})
+    fit.write_limits({"scene": {"fair": {"half_way": 0.25}}})
     again = read_yaml(own)
-    assert again["scene"].pop("fair") == was["scene"].pop("fair") | {"agreement": 7.25}
+    assert again["scene"].pop("fair") == was["scene"].pop("fair") | {"half_way": 0.25}
     assert again["scene"] == was["scene"] and again["edit"] == now["edit"]

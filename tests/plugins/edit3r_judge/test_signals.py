@@ -266,6 +266,13 @@ def test_a_red_thing_in_the_shade_that_is_painted_red_came_all_the_way(good):
     assert measured(judged(edit, after=views(blue)))["as_asked"] < 0
 
 
+def test_what_nobody_sees_does_not_speak_against_black_and_white(good):
+    pale = 0.4 + 0.15 * (good.before.images - 0.4)
+    left = pale + 0.6 * (pale.mean(2, keepdim=True) - pale)
+    edit = replace(good, before=views(pale[0]), instructions=(GREYSCALE,))
+    assert measured(judged(edit, after=views(left[0])))["as_asked"] == 1
+
+
 def test_faults_of_the_editors_pictures_are_said(good):
     verdict = LimitsCritic(None).judge_edit(replace(good, faults=("it is black",)))
     assert verdict.label == "doubtful" and verdict.reason == "it is black"

@@ -2,13 +2,17 @@
 was left out.
 """
 
+from dataclasses import replace
+
 import pytest
 import torch
 from edit3r_judge.signals import fitted_limits
 from edit3r_judge.verdict import Doubt, judge
+from torch.nn.functional import interpolate
 
-from edit3r.contract.interfaces import SceneToJudge
+from edit3r.contract.interfaces import HalfWay, SceneToJudge
 from edit3r.contract.types import Rendering, Views
+from edit3r_testing.scenes import cameras_around
 
 EDITED = Views(
     torch.full((1, 3, 3, 8, 8), 0.5), torch.eye(3).expand(1, 3, 3, 3), ("a", "b", "c")
@@ -46,7 +50,7 @@ def test_the_figures_are_those_of_the_renderings():
     assert verdict.guessed_between == pytest.approx((0.1, 0.1, 0.3))
 
 
-@pytest.mark.parametrize("label", ["good", "fair", "poor"])
+@pytest.mark.parametrize("label", ["good", "poor"])
 def test_a_label_needs_the_agreement_of_the_worst_photo(label):
     worst = fitted_limits("scene")[label]["agreement"]
     enough = shown(EDITED, rendered(45.0, 45.0, worst + 0.1), [True] * 3)
@@ -109,7 +113,7 @@ def test_a_run_without_most_of_its_photos_failed():
 def test_one_view_between_that_is_guessed_counts_and_its_photo_is_named(
     over, beyond, label
 ):
-    most = fitted_limits("scene")[over]["guessed"] + beyond
+    most = fitted_limits("scene")[over]["half_way"] + beyond
     verdict = shown(EDITED, rendered(40.0, 41.0, 42.0), [True] * 3, [0.0, 0.0, most])
     assert verdict.label == label
     assert (label == "good") != ("add photos between it" in verdict.reason)
@@ -117,6 +121,34 @@ def test_one_view_between_that_is_guessed_counts_and_its_photo_is_named(
         between = f"between c and the photo nearest to it, {most:.0%} of the picture is guessed"
         assert between in verdict.reason
         assert "leave c out" in verdict.reason
+
+
+PATTERN = torch.rand(3, 1, 12, 12, generator=torch.Generator().manual_seed(0))
+PICTURES = Views(
+    interpolate(PATTERN, (96, 96)).expand(3, 3, 96, 96)[None],
+    torch.eye(3).expand(1, 3, 3, 3),
+    ("a", "b", "c"),
+)
+
+
+def test_a_view_half_way_that_looks_like_neither_photo_counts_and_its_photos_are_named():
+    """Half-way between a and b stands a; half-way between b and c half of the picture is grey."""
+    alphas = torch.ones(1, 3, 1, 96, 96)
+    images = PICTURES.images[:, :2].clone()
+    images[0, 1, :, 48:] = 0.5
+    seen = Rendering(images, alphas[:, :2], alphas[:, :2])
+    half_way = HalfWay(seen, cameras_around(2), ((0, 1), (1, 2)))
+    shown = Rendering(PICTURES.images, alphas, alphas)
+    given = scene(PICTURES, shown)
+    assert judge(given).label == "good" and judge(given).unlike_between == (None,) * 3
+    verdict = judge(replace(given, half_way=half_way))
+    one, two, three = verdict.unlike_between
+    assert one == pytest.approx(0, abs=0.01) and two == three > 0.3
+    assert verdict.label == "fair" and "half-way between b" in verdict.reason
+    assert f"{two:.0%} looks like no photo" in verdict.reason
+    # what is guessed there and what looks like no photo count together
+    guessed = torch.tensor([[0.0, 0.6, 0.0]])
+    assert judge(replace(given, half_way=half_way), guessed).label == "poor"
 
 
 def test_a_rendering_equal_to_the_photo_has_a_finite_figure():

@@ -14,6 +14,8 @@ from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.loading.registry import build
 
+from ..looks import EVERY_LOOK, cut_off, id_of, serious
+
 playwright = pytest.importorskip(
     "playwright.sync_api", reason="needs playwright: pip install playwright"
 )
@@ -534,20 +536,52 @@ LYING_OVER = """() => {
 }"""
 
 
-@pytest.mark.parametrize("size", [(1440, 900), (390, 844)], ids=["desktop", "phone"])
-def test_a_strangers_first_look(page, size):
-    """Nothing lies over anything else, help opens and closes, and a phone's window is filled."""
-    page.set_viewport_size(dict(zip(("width", "height"), size)))
+MESSAGES = (
+    "header h1",
+    "header p",
+    "#beyond",
+    "#help",
+    "#cut span",
+    "#command",
+    "#sureness",
+    "#problem",
+    "footer > button",
+)
+"""Elements that hold sentences."""
+LONG = "the red motorcycle with its helmet on the handlebar, beside the shelf"
+
+
+def looked_at(page, look):
+    """The page opened anew in one of the looks."""
+    (width, height), theme = look
+    page.emulate_media(color_scheme=theme)
+    page.set_viewport_size({"width": width, "height": height})
     page.reload()
     page.wait_for_selector("body[data-drawn]", timeout=60_000)
-    page.keyboard.press("c")
+
+
+def all_can_be_read(page):
     assert page.evaluate(LYING_OVER) == []
+    assert cut_off(page, MESSAGES) == []
+    # a name that is too long for its button is read where the mouse rests
+    hides = """[...document.querySelectorAll("button")].filter((one) => one.checkVisibility()
+      && one.scrollWidth > one.clientWidth + 1 && !one.title.includes(one.textContent))"""
+    assert page.evaluate(f"{hides}.map((one) => one.textContent)") == []
+    assert serious(page) == []
+
+
+@pytest.mark.parametrize("look", EVERY_LOOK, ids=id_of)
+def test_a_strangers_first_look(page, look):
+    """Nothing lies over anything else, help opens and closes, and a phone's window is filled."""
+    looked_at(page, look)
+    page.keyboard.press("c")
+    all_can_be_read(page)
     filled = "zoom * Math.min(canvas.width / lens.width, canvas.height / lens.height)"
     assert page.evaluate(f"{filled} * lens.height / canvas.height") > 0.5
     page.keyboard.press("c")  # the handle goes: the help lies over it on phones
     page.keyboard.press("?")
     assert page.get_by_text("fly to a photo").is_visible()
-    assert page.evaluate(LYING_OVER) == []
+    all_can_be_read(page)
     page.keyboard.press("Escape")
     assert page.get_by_text("fly to a photo").is_hidden()
     page.get_by_role("button", name="help").click()
@@ -559,7 +593,29 @@ def test_a_strangers_first_look(page, size):
     told = page.get_by_text("No photo shows the scene from here.")
     ground = told.evaluate("(one) => getComputedStyle(one).backgroundColor")
     assert told.is_visible() and ground.startswith("rgba(22, 22, 24, 0.9")
-    assert page.evaluate(LYING_OVER) == []
+    all_can_be_read(page)
+
+
+@pytest.mark.parametrize("look", EVERY_LOOK, ids=id_of)
+def test_a_scene_with_objects_and_long_names_can_be_read(
+    browser, balls, cameras, tmp_path, look
+):
+    names = NamedObjects({LONG: 7, "other": 3}, GO_ON)
+    photos = [f"{LONG}, left.jpg", "right.jpg"]
+    save_viewer(
+        tmp_path / "v.html", balls, cameras, title=LONG, names=photos, objects=names
+    )
+    page = browser.new_page()
+    page.goto((tmp_path / "v.html").as_uri())
+    looked_at(page, look)
+    all_can_be_read(page)
+    page.locator("#names button").first.press("Enter")
+    page.locator("#command").wait_for()
+    all_can_be_read(page)
+    page.locator("#hide").press("Enter")
+    page.get_by_text("show all").wait_for()
+    all_can_be_read(page)
+    page.close()
 
 
 @pytest.mark.parametrize("kind", ["lasso", "brush"])

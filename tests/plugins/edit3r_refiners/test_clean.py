@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from edit3r_refiners.api import find_floaters
+from edit3r_refiners.clean import CleanSettings
 
 import edit3r
 from edit3r.cli.main import main
@@ -54,6 +55,22 @@ def test_an_opaque_thing_before_a_wall_stays(rasterizer):
     gaussians, cameras = flat_wall(2)
     thing = with_haze(gaussians, opacity=0.99)
     assert not find_floaters(thing, cameras, rasterizer).found.any()
+
+
+def test_what_frays_beside_an_edge_stays(rasterizer):
+    gaussians, cameras = flat_wall(2)
+    thing = with_haze(gaussians, opacity=0.99)
+    fringe = thing.select(torch.tensor([thing.count - 1]))
+    fringe = replace(
+        fringe,
+        means=fringe.means + torch.tensor([0.02, 0, 0]),
+        scales=0.3 * fringe.scales,
+        opacities=torch.full_like(fringe.opacities, 0.3),
+    )
+    frayed = Gaussians.cat((thing, fringe))
+    assert not find_floaters(frayed, cameras, rasterizer).found.any()
+    close = CleanSettings(beside=1 / 256)
+    assert find_floaters(frayed, cameras, rasterizer, close).found[-1]
 
 
 def test_what_one_camera_sees_as_its_surface_stays(rasterizer):

@@ -55,6 +55,7 @@ export function barOf(page) {
   // What was said of the words before is not said of these.
   function forget() {
     page.look = null;
+    page.draft.newWords();
     line.classList.remove("problem");
     say(said.value.trim() ? "Reading your words" : hint());
     page.picture.setEdit("");

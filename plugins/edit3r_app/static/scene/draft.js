@@ -40,7 +40,13 @@ export function draftOf(page) {
     asked = null,
     late = 0,
     searched = "", // the words that it waits for
-    adjusting = 0;
+    adjusting = 0,
+    words = new AbortController(); // of what is asked about the present sentence
+  // Nobody waits any more for what was asked about the words before.
+  function newWords() {
+    words.abort();
+    words = new AbortController();
+  }
   // How much of the edit is taken: the photo shows it at once, what is said of it follows.
   async function adjust(name, value) {
     const draft = await page.attempt(() =>
@@ -72,7 +78,8 @@ export function draftOf(page) {
     if (number !== asking || page.gone()) return;
     const version = page.s.draft.version,
       place = page.state();
-    const mine = (asked = page.attempt(() => ask("look", place, { v: version })));
+    const { signal } = words;
+    const mine = (asked = page.attempt(() => ask("look", place, { v: version, signal })));
     const found = await mine;
     if (asked === mine) asked = null;
     if (number !== asking) return;
@@ -93,7 +100,7 @@ export function draftOf(page) {
       });
     }
     if (!found.runs) return;
-    const judged = await ask("verdict", place, { v: version }).catch(() => null);
+    const judged = await ask("verdict", place, { v: version, signal }).catch(() => null);
     if (number === asking && judged) {
       page.look.judged = judged;
       page.bar.drawUnderstood();
@@ -134,6 +141,7 @@ export function draftOf(page) {
     redo,
     canUndo,
     canRedo,
+    newWords,
     endRedo: () => undone.delete(scene),
     leave: () => [late, adjusting].forEach(clearTimeout),
     openNames,

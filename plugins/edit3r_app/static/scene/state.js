@@ -38,12 +38,12 @@ export function newPage(scene, at, beside) {
   return page;
 }
 
-// What `work` returns; null where the server refused, which is said.
+// What `work` returns; null where the server refused, which is said, or where it was aborted.
 async function attempt(work) {
   try {
     return await work();
   } catch (error) {
-    toast(error.message, true);
+    if (error.name !== "AbortError") toast(error.message, true);
     return null;
   }
 }
