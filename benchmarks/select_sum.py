@@ -45,7 +45,6 @@ from clicks import (
 from edit3r_select.answering import (
     UNMARKED,
     asked_by,
-    changed_at,
     gathered,
     selected,
     spread,
@@ -284,7 +283,7 @@ class Bench:
                 asked = Asked(clicks, before=best.logits)
                 pool = gathered(truth.shape, asked, answers)
                 was = best
-                best = changed_at(place, was.logits, choose(pool, more)).best
+                best = choose(pool, more).best
                 ious = np.array([iou(mask, truth) for mask in pool.masks])
                 got = iou(best.mask, truth), iou(was.mask, truth)
                 way = f"innermost {number}"

@@ -17,7 +17,15 @@ from torch import Tensor
 from edit3r.contract.interfaces import Marks, Proposal, Segmenter, as_proposal
 from edit3r.kit.compute.outlines import soft_edged
 from edit3r_select.cues import Asked, Box, Click, Place, Pool, pixel
-from edit3r_select.sum import SURE, Chosen, CueWeights, MaskCandidate, choose, fitted
+from edit3r_select.sum import (
+    SURE,
+    Chosen,
+    CueWeights,
+    MaskCandidate,
+    choose,
+    fitted,
+    obeying,
+)
 
 LONGER = 512  # longer side of a photo whose masks are compared: weights are for this [pixels]
 ON_STROKE = 4  # places of a stroke, or of what is expected, that are asked together
@@ -105,27 +113,24 @@ def _chosen(ask: AnswersMarks, size: Size, marks: Marks) -> Chosen | None:
         chosen = selected(size, Asked(clicks, marks.stroke, marks.box, before), ask)
         if chosen is None:
             return None
-        if before is not None:
-            chosen = changed_at(new[0][0], before, chosen)
     return chosen
 
 
-def changed_at(place: Place, before: np.ndarray, chosen: Chosen) -> Chosen:
-    """The answer to a further click at `place`, with what does not hang together with the click as
-    it was: nobody said that it is wrong. An answer that is largely another thing is taken whole.
+def changed_at(pool: Pool) -> Pool:
+    """The masks that answer a further click, with what does not hang together with the click as it
+    was: nobody said that it is wrong. One that is largely another thing is taken whole.
     """
-    after = chosen.best.logits
-    was, now = before > 0, after > 0
-    if not _is_same(was, now):
-        return chosen
-    changed = was != now
-    labels = cv2.connectedComponents(changed.astype(np.uint8), connectivity=4)[1]
-    here = labels[pixel(place, changed.shape)]
-    if not here:
-        return chosen
-    logits = np.where(changed & (labels != here), before, after)
-    best = replace(chosen.best, logits=logits)
-    return replace(chosen, candidates=(best, *chosen.candidates[1:]))
+    before, (place, _) = pool.asked.before, pool.asked.clicks[-1]
+    assert before is not None
+    kept = []
+    for after in (obeying(pool, one) for one in pool.logits):
+        changed = (before > 0) != (after > 0)
+        labels = cv2.connectedComponents(changed.astype(np.uint8), connectivity=4)[1]
+        here = labels[pixel(place, changed.shape)]
+        if here and _is_same(before > 0, after > 0):
+            after = np.where(changed & (labels != here), before, after)
+        kept.append(after)
+    return replace(pool, logits=np.stack(kept))
 
 
 def selected(
@@ -179,7 +184,8 @@ def gathered(size: Size, asked: Asked, ask: AnswersMarks) -> Pool | None:
     if answers[0] is None:
         return None
     logits = np.concatenate([_large(some, size) for some, _ in known])
-    return Pool(asked, logits, np.concatenate([good for _, good in known]))
+    pool = Pool(asked, logits, np.concatenate([good for _, good in known]))
+    return changed_at(pool) if asked.kind == "more" and before is not None else pool
 
 
 def standing_out(segmenter: Segmenter, image: Image) -> tuple[Proposal, ...]:

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 from edit3r_select.answering import answered, changed_at, standing_out
+from edit3r_select.cues import Asked, Pool
 from edit3r_select.select import select_masks
-from edit3r_select.sum import Chosen, MaskCandidate
 
 from edit3r.contract.interfaces import (
     Marks,
@@ -178,11 +178,11 @@ def test_a_further_click_changes_what_hangs_together_with_it(left, expected):
         wanted = after
     else:
         wanted[expected] = 4
-    others = (MaskCandidate(before, 1.0, 0.5),)
-    told = Chosen((MaskCandidate(after, 2.0, 0.9), *others), 0.7)
-    made = changed_at((22.5 / WIDTH, 0.5), before, told)
-    assert ((made.best.logits > 0) == (wanted > 0)).all()
-    assert made.candidates[1:] == others and made.confidence == 0.7
+    asked = Asked((((22.5 / WIDTH, 0.5), False),), before=before)
+    made = changed_at(Pool(asked, np.stack([after, before]), np.ones(2)))
+    assert (made.masks[0] == (wanted > 0)).all()
+    # the one that changed nothing is no other, but for a dot that obeys
+    assert (made.masks[1] != (before > 0)).sum() < 10
 
 
 def test_a_click_that_says_nothing_new_is_asked_about_only_once_it_is_disobeyed(image):
