@@ -152,9 +152,9 @@ def test_the_edit_is_seen_while_it_is_typed(server, page_once):
     page.locator(".line", has_text="edit: ").wait_for()
     took = []
     # A machine that does other things beside can only be slower: the best of some counts.
-    for colour in ("red", "green", "brown", "pink", "golden"):
+    for asked in ("red", "green", "brown", "pink", "golden"):
         page.evaluate("delete document.body.dataset.previewed")
-        say(page, f"paint it {colour}")
+        say(page, f"paint it {asked}")
         line = page.locator(".line").inner_text()
         assert "edit: " not in line, "the old verdict is gone"
         page.wait_for_function("document.body.dataset.previewed")
