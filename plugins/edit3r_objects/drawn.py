@@ -26,7 +26,6 @@ __all__ = ["Drawn", "choose_drawn", "read_drawn"]
 
 LOOKED_AT = 384  # longer side of the picture in which a stroke is read [pixels]
 BEHIND = 0.4  # relative difference of depth from which a Gaussian is behind a surface
-FARTHEST = 0.98  # quantile of depth [of what is drawn] that is its farthest surface
 RIM = 0.018  # where a hand strays from the thing [longer sides]
 REACH = 0.01  # how far a step of growing goes [share of the middle distance from the camera]
 NEXT = 1.5  # the same at least, so that a coarse scene grows [distances to the next Gaussian]
@@ -158,7 +157,7 @@ def _behind(
     )
     depths = shown.depths[0, :, 0]
     surface = warp(depths[None], places[None, None], mode="nearest")[0, 0, 0]
-    farthest = torch.quantile(depths[0][mask > 0.5], FARTHEST)
+    farthest = depths[0][mask > 0.5].max()
     return (depth > (1 + BEHIND) * surface) & (depth > farthest)
 
 
