@@ -64,9 +64,9 @@ def screens(page: Page, address: str) -> Iterator[str]:
     choosing.value.set_files(packaged_pair()[0])
     page.wait_for_function("document.querySelector('.box .base')?.naturalWidth > 0")
     place = page.locator(".box").bounding_box()  # and on it the tank
-    tank = {"x": 0.55 * place["width"], "y": 0.4 * place["height"]}
+    tank = {"x": 0.5 * place["width"], "y": 0.45 * place["height"]}
     page.locator(".box").click(position=tank)
-    page.get_by_label("what to change").fill("paint it golden")
+    page.get_by_label("what to change").fill("paint it green")
     page.locator(".line", has_text="edit: ").wait_for(timeout=200_000)
     yield "dark"
     yield from dialogs(page, "what else may be meant", "settings")
