@@ -85,9 +85,8 @@ class Pictures:
         for _, change in self.asked if self.kinds == {"paint"} else ():
             if change.colour is not None and bool(self.inside.any()):
                 off = self.old - _lab_of(change.colour.rgb)[:, None, None]
-                off[:, 0] = off[:, 0][
-                    self.inside
-                ].median()  # paint keeps light and shade
+                # paint keeps light and shade
+                off[:, 0] = off[:, 0][self.inside].median()
                 can = can & (off.norm(dim=1) > 2 * CLEAR)
         return can
 

@@ -55,6 +55,7 @@ def looked_up(photos: Photos, selection: Selection) -> Named:
 
 
 def _named(photos: Photos, selection: Selection) -> Named:
+    """The same as `looked_up`, which says how sure it is."""
     first = selection.views[0] if selection.views else 0
     found, known = _asked(photos, selection, first)
     weighed = {view: _weighed(photos, view, found) for view in found}

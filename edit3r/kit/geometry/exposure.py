@@ -150,11 +150,8 @@ def exposure_of_edit(
     ways = [photos, photos.of_lightness, plain]
     # not cut off at 1: white that gets lighter is not the white of the reference
     shown = [way.gain * edited.images + way.offset for way in ways]
-    size = _reduced_size(edited)
-    maps = F.adaptive_avg_pool2d(
-        torch.cat([*shown, region[:, :, None].to(shown[0])], 2).flatten(0, 1), size
-    ).unflatten(0, edited.images.shape[:2])
-    geometry = geometry.at(size)
+    maps = _reduced(edited, torch.cat([*shown, region[:, :, None].to(shown[0])], 2))
+    geometry = geometry.at(_reduced_size(edited))
     unlike = torch.zeros(len(ways), dtype=torch.float64)
     for scene in range(len(maps)):
         for pair in _near_pairs(geometry, scene):
@@ -172,8 +169,9 @@ def _of_scene(
     """Gains and offsets of one scene of the batch."""
     count = views.count
     geometry = geometry.at(_reduced_size(views))
+    images = _reduced(views, views.images)
     pairs = [
-        _Pair(first, second, *_shared(views, geometry, scene, [first, second]))
+        _Pair(first, second, *_shared(images, views, geometry, scene, [first, second]))
         for first, second in _near_pairs(geometry, scene)
     ]
     pairs = [pair for pair in pairs if pair.tells]
@@ -265,14 +263,20 @@ def _near_pairs(geometry: Geometry, scene: int) -> list[list[int]]:
     return [ends for ends in pairs if geometry.registered[scene, ends].all()]
 
 
+def _reduced(
+    views: Views, maps: Float[Tensor, "batch view channel height width"]
+) -> Float[Tensor, "batch view channel height2 width2"]:
+    """Maps of the views at the size at which they are compared."""
+    size = _reduced_size(views)
+    return F.adaptive_avg_pool2d(maps.flatten(0, 1), size).unflatten(0, maps.shape[:2])
+
+
 def _shared(
-    views: Views, geometry: Geometry, scene: int, pair: list[int]
+    images: Images, views: Views, geometry: Geometry, scene: int, pair: list[int]
 ) -> tuple[Float[Tensor, "pixel 3"], Float[Tensor, "pixel 3"]]:
-    """Exposed colours of the surfaces that two views surely show, as each shows them. The geometry
-    is at the reduced size.
+    """Exposed colours of the surfaces that two views surely show, as each shows them. Images and
+    geometry are at the reduced size.
     """
-    batch, size = views.images.shape[:2], _reduced_size(views)
-    images = F.adaptive_avg_pool2d(views.images.flatten(0, 1), size).unflatten(0, batch)
     first, second = _of_both(images, views, geometry, scene, pair)
     exposed = [((c > EXPOSED[0]) & (c < EXPOSED[1])).all(1) for c in (first, second)]
     return first[exposed[0] & exposed[1]], second[exposed[0] & exposed[1]]
