@@ -48,7 +48,6 @@ from edit3r.running.components import Components
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.records import Inputs, Masks, Preview, Records, SelectedRegions
 from edit3r.running.run_folder import (
-    THINGS,
     VIEWS,
     EarlierRun,
     RunFolder,
@@ -330,11 +329,11 @@ def _write_rest(folder: RunFolder, result: RunResult, writers: list[Writer]) -> 
     if "cache" in wanted:
         result.cache.save(folder.cache)
     if "images" in wanted:
-        folder.write_images(result)
-        if things := result.records.selection.things:
-            note(THINGS, list(things))
+        things = result.records.selection.things
+        folder.write_images(result.photos, result.edited, result.rendered, things)
     if "scene" in wanted:
-        folder.write_scene(result)
+        names, prompt = result.photos.names, result.config.prompt
+        folder.write_scene(result.gaussians, result.cameras, names, prompt)
     _write_by(writers, folder.root, _scene(result))
 
 

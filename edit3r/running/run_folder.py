@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import torch
@@ -21,9 +21,9 @@ from pydantic import TypeAdapter
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.reporting import warn
+from edit3r.contract.reporting import note, warn
 from edit3r.contract.settings import of_file
-from edit3r.contract.types import Reconstruction, Views
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.kit.contact_sheet import images_of
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.files.names import unique_names
@@ -45,9 +45,6 @@ from edit3r.kit.photos.images import (
 from edit3r.kit.provenance import installed_versions, recorded
 from edit3r.kit.scenes.ply import VIEWER_DEGREE, load_ply, save_ply
 from edit3r.running.records import Inputs
-
-if TYPE_CHECKING:
-    from edit3r.running.result import RunResult
 
 Read = TypeVar("Read")
 FORMAT = 1
@@ -222,42 +219,52 @@ class RunFolder:
 
     # writing
 
-    def write_images(self, result: "RunResult") -> None:
+    def write_images(
+        self,
+        photos: Views,
+        edited: Views,
+        rendered: Rendering,
+        things: Mapping[str, Float[Tensor, "view height width"]],
+    ) -> None:
         """Photos, 2D edits, the scene from the photos' places, and masks of what was named, which
         a further edit knows by these names.
         """
-        names = result.photos.names
         shown = {
-            self.made("inputs"): images_of(result.photos),
-            self.made("edited"): images_of(result.edited),
-            self.made("renders"): images_of(result.rendered),
+            self.made("inputs"): images_of(photos),
+            self.made("edited"): images_of(edited),
+            self.made("renders"): images_of(rendered),
         }
         jobs = [
             (picture, directory / f"{name}.png")
             for directory, pictures in shown.items()
-            for name, picture in zip(names, pictures)
+            for name, picture in zip(photos.names, pictures)
         ]
         with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
             list(pool.map(lambda job: save_image(*job), jobs))
-        for place, masks in enumerate(result.records.selection.things.values()):
+        for place, masks in enumerate(things.values()):
             folder = self.made("masks") / str(place)
             folder.mkdir()
-            for name, mask in zip(names, masks):
+            for name, mask in zip(photos.names, masks):
                 save_pixels(to_bytes(mask.expand(3, -1, -1)), folder / f"{name}.png")
+        if things:
+            note(THINGS, list(things))
 
-    def write_scene(self, result: "RunResult") -> None:
-        """`scene.ply` is for viewers, and common ones refuse harmonics above degree 3."""
-        gaussians = result.gaussians
+    def write_scene(
+        self, gaussians: Gaussians, cameras: Cameras, names: Sequence[str], prompt: str
+    ) -> None:
+        """The scene and the cameras of its photos.
+
+        `scene.ply` is for viewers, and common ones refuse harmonics above degree 3.
+        """
         if gaussians.degree > VIEWER_DEGREE:
             warn(
                 f"scene.ply holds harmonics up to degree {VIEWER_DEGREE} of {gaussians.degree}: "
                 "viewers refuse more."
             )
-        prompt = " ".join(result.config.prompt.split())
-        comment = [f"prompt: {prompt}"]
+        comment = [f"prompt: {' '.join(prompt.split())}"]
         save_ply(self.scene, gaussians, degree=VIEWER_DEGREE, comment_lines=comment)
-        names = [f"inputs/{name}.png" for name in result.photos.names]
-        write_cameras(self.cameras, posed_cameras(result.cameras, names))
+        files = [f"inputs/{name}.png" for name in names]
+        write_cameras(self.cameras, posed_cameras(cameras, files))
 
     def write_manifest(self, facts: Mapping[str, Any]) -> None:
         """Write run.json: these facts in their order, mappings in them sorted, secrets blanked,

@@ -160,7 +160,8 @@ def test_a_sequence_of_edits_keeps_the_first_and_its_outside(
     assert again(folders, "--prompt", "B", "--mask", *masks_of(folders, 1)) == 0
     one, two = (RunFolder(folders / name).read().inputs for name in ("first", "second"))
     before, after = (
-        render(rasterizer, run.scene.gaussians, run.scene.cameras) for run in (one, two)
+        render(rasterizer, run.before.gaussians, run.before.cameras)
+        for run in (one, two)
     )
     change = (after - before).abs().amax(1)
     outside = planted.masks[1, 0] == 0
