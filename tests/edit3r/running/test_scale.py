@@ -193,7 +193,7 @@ def test_a_reconstructor_that_finds_poses_itself_keeps_its_unit(gaussians_at):
         assert torch.equal(back.photos.c2w, given.c2w)
         assert torch.equal(back.edited.c2w, given.c2w)
         assert float(back.gaussians.means.max()) == pytest.approx(expected)
-        assert has_given_poses(back.as_earlier().inputs.before, given) == (
+        assert has_given_poses(Reconstruction(back.gaussians, back.cameras), given) == (
             made is on_poses
         )
     refined = result_of(inputs, made, refined=True)
