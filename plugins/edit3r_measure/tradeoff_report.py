@@ -12,9 +12,9 @@ import yaml
 
 from edit3r.contract.errors import Edit3rError, RunError
 from edit3r.kit.command.results import grouped
+from edit3r.kit.compute.lpips import lpips_weights
 from edit3r.kit.run_folder import installed_versions
 from edit3r.running import PRESETS, Expected, MeasuredPoint, Quality, write_quality
-from edit3r_measure.lpips import lpips_weights
 
 # How many times as quick each preset is as the next, at least: the default lies between two.
 APART = 1.5
