@@ -1,7 +1,7 @@
 """How alike a rendering and its photo are, as the benchmarks that decide say it: four figures.
 
 PSNR and SSIM ask each pixel; LPIPS (edit3r/kit/compute/lpips.py, shift-tolerant) and the share of
-detail say what a person sees. Needs `pip install "edit3r[lpips]"`. Photos that no run was given
+detail say what a person sees. Needs `pip install "edit3r[stlpips]"`. Photos that no run was given
 are shown from where they stand beside the nearest one that it placed.
 """
 
@@ -14,7 +14,7 @@ import torch
 from scipy.ndimage import gaussian_filter
 
 import edit3r
-from edit3r.kit.compute.lpips import lpips_of
+from edit3r.kit.compute.lpips import lpips_distance
 from edit3r.kit.compute.metrics import Image, psnr, ssim
 
 FINE = 1.0  # detail is what a Gaussian blur of so many pixels takes away
@@ -41,7 +41,7 @@ def likeness(image: Image, photo: Image) -> Likeness:
     return Likeness(
         psnr(image, photo),
         ssim(image, photo),
-        lpips_of(image, photo),
+        lpips_distance(image, photo),
         _energy(image) / max(_energy(photo), 1e-12),
     )
 

@@ -18,7 +18,7 @@ from edit3r.contract.errors import MatchingError, PluginError
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.compute.changes import change_error, change_uptake
-from edit3r.kit.compute.lpips import lpips_of, lpips_weights
+from edit3r.kit.compute.lpips import lpips_distance, lpips_weights
 from edit3r.kit.compute.metrics import Image, Region, psnr, ssim
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.photos.posed_folder import PosedPhoto
@@ -187,7 +187,7 @@ def novel_view(
         "covered_blurred_psnr": covered_blurred_psnr,
         "ssim": ssim(shown.image, target),
         "blurred_ssim": blurred_ssim,
-        "lpips": lpips_of(shown.image, target) if lpips_weights() else np.nan,
+        "lpips": lpips_distance(shown.image, target) if lpips_weights() else np.nan,
         "coverage": float(shown.covered.mean()),
         "rotation_error": rotation_error,
         "direction_error": direction_error,

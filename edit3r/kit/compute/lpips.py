@@ -2,7 +2,7 @@
 
 Poses of a pair are off by a fraction of a degree, and a sharp picture a pixel beside its place is
 no worse to look at. The weights are a file of the package `stlpips-pytorch` (BSD-2-Clause;
-`pip install "edit3r[lpips]"`), whose own code needs torchvision. The figures do not compare with
+`pip install "edit3r[stlpips]"`), whose own code needs torchvision. The figures do not compare with
 those of other LPIPS.
 """
 
@@ -20,7 +20,7 @@ from torch import Tensor
 from edit3r.contract.errors import MissingDependencyError
 from edit3r.kit.compute.metrics import Image
 
-__all__ = ["PACKAGE", "lpips", "lpips_of", "lpips_weights"]
+__all__ = ["PACKAGE", "lpips_distance", "lpips_distances", "lpips_weights"]
 
 PACKAGE, FILE = "stlpips_pytorch", "weights/vST0.0/alex_shift_tolerant.pth"
 # Convolutions by their names in the file, with what is padded; features are compared after each.
@@ -46,7 +46,7 @@ def lpips_weights() -> str:
     return f"shift-tolerant AlexNet of {name} {importlib.metadata.version(name)}"
 
 
-def lpips(images: Images, photos: Images) -> Float[Tensor, "n"]:
+def lpips_distances(images: Images, photos: Images) -> Float[Tensor, "n"]:
     """Return the distances of images in [0, 1] of one size, with gradients; 0 for equal ones.
 
     Raises MissingDependencyError where the package of the weights is not installed.
@@ -62,13 +62,13 @@ def lpips(images: Images, photos: Images) -> Float[Tensor, "n"]:
 
 
 @torch.no_grad()
-def lpips_of(image: Image, photo: Image) -> float:
-    """Return the distance of two images `[height, width, 3]`. Raises as `lpips` does."""
+def lpips_distance(image: Image, photo: Image) -> float:
+    """Return the distance of two images `[height, width, 3]`. Raises as `lpips_distances` does."""
     batches = (
         torch.from_numpy(np.ascontiguousarray(own)).float().permute(2, 0, 1)[None]
         for own in (image, photo)
     )
-    return float(lpips(*batches))
+    return float(lpips_distances(*batches))
 
 
 def _features(images: Images) -> list[Tensor]:
@@ -100,7 +100,7 @@ def _weights(device: torch.device) -> dict[str, Tensor]:
     spec = importlib.util.find_spec(PACKAGE)
     if spec is None:
         raise MissingDependencyError(
-            f'LPIPS needs {PACKAGE}; install with: pip install "edit3r[lpips]"'
+            f'LPIPS needs {PACKAGE}; install with: pip install "edit3r[stlpips]"'
         )
     file = Path(next(iter(spec.submodule_search_locations or ()))) / FILE
     return torch.load(file, map_location=device, weights_only=True)

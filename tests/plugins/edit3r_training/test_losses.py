@@ -198,7 +198,7 @@ def squared(monkeypatch):
     """In the place of LPIPS, whose package may be missing; it has tests of its own."""
     monkeypatch.setattr("edit3r.loading.registry._installed", lambda module: True)
     distance = lambda images, photos: (images - photos).square().mean((1, 2, 3))  # noqa: E731
-    monkeypatch.setattr("edit3r_training.losses.lpips", distance)
+    monkeypatch.setattr("edit3r_training.losses.lpips_distances", distance)
 
 
 def test_lpips_is_the_mean_over_all_images(squared):
@@ -220,7 +220,9 @@ def test_without_the_package_the_install_command_is_named(monkeypatch):
     monkeypatch.setattr(
         "edit3r.loading.registry._installed", lambda module: module != "stlpips_pytorch"
     )
-    with pytest.raises(MissingDependencyError, match=r'pip install "edit3r\[lpips\]"'):
+    with pytest.raises(
+        MissingDependencyError, match=r'pip install "edit3r\[stlpips\]"'
+    ):
         edit3r.build("loss", "lpips")
 
 

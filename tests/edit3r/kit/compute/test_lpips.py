@@ -9,7 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from edit3r.contract.errors import MissingDependencyError
 from edit3r.kit.compute import lpips as module
-from edit3r.kit.compute.lpips import lpips, lpips_of, lpips_weights
+from edit3r.kit.compute.lpips import lpips_distance, lpips_distances, lpips_weights
 
 RECORDED = 0.0698, 0.0056  # of two pictures, and of one that is shifted by a pixel
 CHANNELS, KERNELS = (3, 4, 6, 8, 6, 6), (11, 5, 3, 3, 3)
@@ -38,7 +38,10 @@ def test_what_is_blurred_more_is_further_away_and_a_picture_is_like_itself(
     photo = picture()
     blurred, more = (gaussian_filter(photo, (sigma, sigma, 0)) for sigma in (1, 2))
     assert (
-        0 == lpips_of(photo, photo) < lpips_of(blurred, photo) < lpips_of(more, photo)
+        0
+        == lpips_distance(photo, photo)
+        < lpips_distance(blurred, photo)
+        < lpips_distance(more, photo)
     )
 
 
@@ -50,10 +53,10 @@ def test_a_step_against_the_gradient_brings_an_image_nearer_even_from_black(
     photos = torch.from_numpy(np.stack([picture(seed, (48, 48)) for seed in (0, 1)]))
     photos = photos.permute(0, 3, 1, 2).float()
     for start in (image, (photos * 0.8).detach().requires_grad_()):
-        before = lpips(start, photos)
+        before = lpips_distances(start, photos)
         (slope,) = torch.autograd.grad(before.sum(), start)
         assert before.shape == (2,) and slope.isfinite().all()
-    assert (lpips(start - 0.01 * slope.sign(), photos) < before).all()
+    assert (lpips_distances(start - 0.01 * slope.sign(), photos) < before).all()
 
 
 @pytest.mark.skipif(
@@ -63,8 +66,8 @@ def test_a_step_against_the_gradient_brings_an_image_nearer_even_from_black(
 def test_distances_are_those_of_the_package_s_own_code():
     """0.0.2, its code run once beside stand-ins for torchvision and IPython."""
     shifted = np.roll(picture(), 1, axis=1)
-    assert lpips_of(picture(1), picture()) == pytest.approx(RECORDED[0], abs=2e-4)
-    assert lpips_of(shifted, picture()) == pytest.approx(RECORDED[1], abs=2e-4)
+    assert lpips_distance(picture(1), picture()) == pytest.approx(RECORDED[0], abs=2e-4)
+    assert lpips_distance(shifted, picture()) == pytest.approx(RECORDED[1], abs=2e-4)
     assert "stlpips-pytorch 0." in lpips_weights()
 
 
@@ -72,5 +75,5 @@ def test_a_missing_package_is_named_and_said_beforehand(monkeypatch):
     monkeypatch.setattr(module, "PACKAGE", "no_such_package")
     module._weights.cache_clear()
     assert lpips_weights() == ""
-    with pytest.raises(MissingDependencyError, match=r"edit3r\[lpips\]"):
-        lpips_of(picture(), picture())
+    with pytest.raises(MissingDependencyError, match=r"edit3r\[stlpips\]"):
+        lpips_distance(picture(), picture())
