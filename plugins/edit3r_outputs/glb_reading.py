@@ -21,9 +21,8 @@ from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
 from edit3r.kit.scenes.axes import UP_AND_BACK, flipped, turned
 
 OWN = "KHR_gaussian_splatting"
-SPZ_INSIDE = (
-    f"{OWN}_compression_spz"  # how the names of extensions that hold an SPZ begin
-)
+# how the names of extensions that hold an SPZ begin
+SPZ_INSIDE = f"{OWN}_compression_spz"
 _KNOWN = {OWN, "KHR_mesh_quantization"}
 FLOAT = 5126  # glTF's number of float32
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}

@@ -149,9 +149,8 @@ def _nearest_per_pixel(
     index = ((placement.view == view) & inside & usable).nonzero()[:, 0]
     index = index[placement.depth[index].argsort(descending=True, stable=True)]
     nearest = torch.full((height * width,), -1, dtype=torch.long, device=index.device)
-    nearest[row[index] * width + column[index]] = (
-        index  # of several, the last written is the nearest
-    )
+    # of several, the last written is the nearest
+    nearest[row[index] * width + column[index]] = index
     return nearest.view(height, width)
 
 

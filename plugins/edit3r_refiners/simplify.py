@@ -46,9 +46,8 @@ POLISH = RefineSettings(
     colour=0.015, opacity=0.08, scale=0.08, centre=0.04, growth=1000
 )
 TELLING_VIEWS = 3  # that tell what simplifying lost, where there are more
-LONE_BASELINE = (
-    0.1  # how far new views of a lone photo are taken to be [its median depth]
-)
+# how far new views of a lone photo are taken to be [its median depth]
+LONE_BASELINE = 0.1
 
 
 class SimplifyRefiner(Refiner):

@@ -153,9 +153,8 @@ def test_a_global_edit_has_no_band_and_no_background(item):
 
 def test_disagreement_of_the_2d_edits_stands_beside_what_is_left_of_it(item):
     edited = item.truth[:2].clone()
-    edited[1] += (
-        0.06  # the second view's edit is off by that, and the scene takes a third of it over
-    )
+    # the second view's edit is off by that, and the scene takes a third of it over
+    edited[1] += 0.06
     images = item.truth.clone()
     images[1] += 0.02
     found = measured(item, images, edited)
