@@ -17,7 +17,9 @@ from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r_training.batches import TrainingBatch
 
 CHANGED = 0.02
-"""A pixel whose true change is below this [sRGB, mean over channels] counts as outside the edit."""
+"""A pixel whose true change is below this [sRGB, mean over channels] counts as outside the edit.
+Not measured.
+"""
 
 
 Depths = Float[Tensor, "batch view height width"]

@@ -33,7 +33,8 @@ CONVOLUTIONS = {
 }
 # The constants are those of the package's code.
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # of images in [-1, 1]
-BLUR, PADDING = (0.25, 0.5, 0.25), 2  # before every second pixel is taken
+# before every second pixel is taken; from the package's code
+BLUR, PADDING = (0.25, 0.5, 0.25), 2
 
 Images = Float[Tensor, "n 3 height width"]
 
