@@ -173,7 +173,7 @@ def remark(found: Mapping[str, float]) -> str:
     strength = found.get("edit-strength-2d", math.nan)
     shown = found.get("edit-uptake-2d", math.nan)
     if strength < LEFT_ALONE:
-        return "the 2D editor left the reference as it was."
+        return "the 2D editor left the reference unchanged."
     if shown < NOT_CARRIED:
         return (
             f"edit ran, scene unchanged: the scene shows {shown:.0%} of the 2D edit (mean change "

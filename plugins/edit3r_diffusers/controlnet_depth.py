@@ -178,8 +178,8 @@ def matched_disparity(
     """1 / depth [1 / scene units] of one scene's views by the matcher, so that views agree."""
     if views.count < 2:
         raise InputError(
-            "controlnet-depth measures depth from two or more photos but is to edit one; leave "
-            "out --edit-views first."
+            "controlnet-depth needs two or more photos to measure depth, but is to edit one; "
+            "leave out --edit-views first."
         )
     geometry = matcher.match(views)
     placed = geometry.registered[0].tolist()

@@ -261,7 +261,7 @@ def carried_edit(
     region = unedited[0].covered & unedited[1].covered
     region &= _is_edited(target, edited_target)
     if np.isnan(edit["uptake"]) or not region.any():
-        raise MatchingError("the edit is not seen by both photos.")
+        raise MatchingError("the edit is not visible in both photos.")
     changes = [after.image - before.image for before, after in zip(unedited, contrary)]
     disagreement = _mean_size(changes[0] - changes[1], region)
     asked = edited_target.image - _opposite(target, edited_target).image

@@ -142,7 +142,9 @@ def photos_of(
                         "with known cameras."
                     )
                 return [folder.load(index, size) for index in indices]
-    raise InputError(f"{scene}: a scene of the index that no folder given is or holds.")
+    raise InputError(
+        f"{scene}: none of the given folders is or holds this scene of the index."
+    )
 
 
 def align(

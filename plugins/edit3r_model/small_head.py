@@ -133,7 +133,7 @@ class EditFusionHead(GaussianHead):
     ) -> Gaussians:
         if geometry is None:
             raise InputError(
-                "edit-fusion needs geometry: hand over what a matcher read from `source`."
+                "edit-fusion needs geometry: pass what a matcher read from `source`."
             )
         grid = size_of(geometry.depths)
         changed = replace(source, images=images)

@@ -151,7 +151,7 @@ def attention_maps(
         maps = editor.attention(photos, request)
         told_by = "the editor's cross-attention"
     elif request.masks is not None:
-        maps, told_by = request.masks, "the masks, the editor gives no attention"
+        maps, told_by = request.masks, "the masks; the editor gives no attention"
     else:
         maps = (edits.images - photos.images).abs().mean(2)
         told_by = "the change of each pixel, no attention or masks"

@@ -107,7 +107,7 @@ def _placed_meshes(
     while waiting:
         index, place = waiting.pop(0)
         if index in seen or len(seen) > MOST_NODES:
-            raise ValueError("its nodes go round in circles, or are very many")
+            raise ValueError("its nodes form a circle, or are too many")
         seen.add(index)
         place = place @ _matrix(nodes[index])
         if "mesh" in nodes[index]:

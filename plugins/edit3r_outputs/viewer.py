@@ -64,8 +64,8 @@ def viewer_page(scene: SceneToWrite) -> str:
     drawn = torch.nonzero(gaussians.opacities[0] >= LEAST_OPACITY)[:, 0]
     if len(drawn) > EASY_GAUSSIANS:
         warn(
-            f"The viewer page holds {len(drawn):,} Gaussians and may turn slowly; --gaussians "
-            "auto leaves fewer."
+            f"The viewer page holds {len(drawn):,} Gaussians and may be slow; --gaussians auto "
+            "leaves fewer."
         )
     if before is not None:
         before = before[drawn.to(before.device)].cpu()

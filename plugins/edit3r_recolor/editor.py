@@ -114,7 +114,7 @@ def _colour_of(change: Change) -> Colour:
     """The colour of a paint. Raises PromptError for that of a thing which nobody looked for."""
     if change.colour is None:
         raise PromptError(
-            f"nobody looked for the thing in {str(change)!r}, so its colour is not known; name the "
+            f"the thing in {str(change)!r} was not looked for, so its colour is unknown; name the "
             "colour, such as beige or #8a7f70."
         )
     return change.colour

@@ -120,7 +120,7 @@ def _pixels(content: bytes, view: str) -> np.ndarray:
     except (OSError, ValueError, SyntaxError):
         start = content[:40].decode("utf-8", "replace")
         raise RunError(
-            f"the answer for {view} is no image ({len(content)} bytes, starting {start!r})."
+            f"the answer for {view} is not an image ({len(content)} bytes, starting {start!r})."
         ) from None
     raise RunError(f"the answer for {view} has far too many pixels.")
 

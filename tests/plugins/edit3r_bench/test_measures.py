@@ -222,7 +222,7 @@ def test_an_edit_that_ran_without_reaching_the_scene_is_said_in_words(item):
         "edit ran, scene unchanged: the scene shows 0% of the 2D edit (mean change 0."
     )
     assert remark(measured(item, item.truth)) == ""
-    assert "left the reference as it was" in remark(
+    assert "left the reference unchanged" in remark(
         measured(item, item.truth, item.photos.images[0, :2])
     )
     assert ItemResult("a", "s", "Modify", found).remark == remark(found)
