@@ -77,6 +77,9 @@ class RunCommand(Command):
             help="json: one line an event, for other programs",
         )
 
+    def configuration(self) -> type[RunConfig]:
+        return RunConfig
+
     def main(self, args: argparse.Namespace) -> int:
         for path in args.photos if args.preview is None else ():
             require_there(path)  # before torch is imported, which takes seconds
