@@ -113,7 +113,7 @@ def spread(
             return own.worker.do(job)
         except WorkerDied as error:
             if not workers.may_die:
-                raise RunError(f"{error} What is done is kept.") from None
+                raise RunError(f"{error} Finished jobs are kept.") from None
             return job[0], {"failure": str(error)}
         finally:
             if not todo:  # others may need its room

@@ -50,7 +50,7 @@ class Progress:
     total: int
     seconds_left: float
 
-    def said(self, what: str, of: str = "") -> str:
+    def line(self, what: str, of: str = "") -> str:
         """One line about the job, with what it is `of`, what came of it and the time left."""
         left = self.seconds_left
         size, unit = (
@@ -135,7 +135,7 @@ def read_rows(
             rows[row[key_name]] = read(row)
         except (ValueError, TypeError, KeyError, AttributeError):
             raise InputError(
-                f"{path}, line {number}: not a result; delete the line to measure it anew."
+                f"{path}, line {number}: not a result; delete the line to run that job again."
             ) from None
     return rows
 

@@ -115,7 +115,7 @@ def align_edit(
                 images[scene, view] = _undone(
                     judged, photos[scene, view], images[scene, view]
                 )
-                moved.append(f"{name} was {judged.said}")
+                moved.append(f"{name} was {judged.in_words}")
             elif judged and not (confined and judged.of_all):
                 faults.append(judged.text.format(name=name, other=names[judged.other]))
     return AlignedEdit(images, tuple(moved), tuple(faults))
@@ -214,7 +214,7 @@ class _Motion:
         return not self.mirrored and float(np.abs(moved).max()) < LIMITS.stayed
 
     @property
-    def said(self) -> str:
+    def in_words(self) -> str:
         """What happened to the picture, in words."""
         height, width = self.size
         linear = self.matrix[:, :2]
@@ -324,7 +324,7 @@ def _explained(edit: _Picture, photo: _Picture) -> _Motion | _Fault | None:
         if fits <= LIMITS.most_off:
             continue
         if shown.mean() < LIMITS.least_shown:
-            share = f"{shown.mean():.0%} of its photo only ({motion.said})"
+            share = f"{shown.mean():.0%} of its photo only ({motion.in_words})"
             return _Fault(f"the edit of {{name}} shows {share}")
         return replace(motion, fits=fits)
     return None

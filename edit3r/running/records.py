@@ -276,7 +276,7 @@ def verdict_on_selection(
     """
     if not things:
         return SelectionVerdict("given", MARKED, None) if confined else None
-    listed = "; ".join(dict.fromkeys(_said(one) for one in things))
+    listed = "; ".join(dict.fromkeys(_in_words(one) for one in things))
     open_ones = [one for one in things if _confidence(one) is not None]
     if not open_ones:
         return SelectionVerdict("given", listed, None)
@@ -297,7 +297,7 @@ def _confidence(one: Selected) -> float | None:
     return None if one.taken > 1 else one.confidence
 
 
-def _said(one: Selected) -> str:
+def _in_words(one: Selected) -> str:
     """A thing as people say it, how confidently it was found, and the photos that lack it."""
     name = one.called or MARKED
     confidence = _confidence(one)

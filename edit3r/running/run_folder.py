@@ -212,7 +212,7 @@ class RunFolder:
             masks = self._images(f"masks/{place}", photos.names)[0, :, 0]
             if tuple(masks.shape[1:]) != photos.image_size:
                 raise ValueError(
-                    f"masks/{place} has masks of another size than the photos"
+                    f"masks/{place} has masks that differ in size from the photos"
                 )
             things[name] = masks
         return things

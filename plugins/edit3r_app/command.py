@@ -42,22 +42,22 @@ class AppCommand(Command):
                 "--size: expected 8 to 8192 pixels; --port: expected 0 to 65535."
             )
         host = LOCAL[0] if args.host == "localhost" else args.host
-        port = free_port(host, args.port)
-        folder = JobsFolder(args.jobs)
         # No process that this one starts looks for modules in the current folder.
         os.environ["PYTHONSAFEPATH"] = "1"
         from edit3r_app.server import serve
         from edit3r_app.uploads import copied
 
+        start = "/"
+        with temporary_photos():
+            photos = find_photos(args.photos) if args.photos else []
+            port = free_port(host, args.port)
+            folder = JobsFolder(args.jobs)
+            if photos:
+                name = Path(args.photos[0]).resolve().stem
+                start = f"/s/{quote(copied(folder, name, photos))}"
         token = None
         if host not in LOCAL:
             token = os.environ.get("EDIT3R_APP_TOKEN") or secrets.token_urlsafe(24)
-        start = "/"
-        if args.photos:
-            name = Path(args.photos[0]).resolve().stem
-            with temporary_photos():
-                scene = copied(folder, name, find_photos(args.photos))
-            start = f"/s/{quote(scene)}"
         serve(
             folder,
             host=host,

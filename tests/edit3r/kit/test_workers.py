@@ -61,7 +61,7 @@ def dies_of_two(job):
 
 @pytest.mark.slow
 def test_a_worker_that_dies_is_the_row_of_its_job_alone_where_it_may(path):
-    with pytest.raises(RunError, match=r"worker process died.*What is done is kept"):
+    with pytest.raises(RunError, match=r"worker process died.*Finished jobs are kept"):
         run_resumable(JOBS, dies_of_two, path, workers=Workers(2))
     for count in (1, 2):
         own = path.with_name(f"{count}.jsonl")
