@@ -95,7 +95,7 @@ def instructions_of_answer(answer: str, prompt: str) -> tuple[Instruction, ...]:
     """The instructions of a model's answer to a sentence.
 
     Raises ValueError, with what is wrong, for an answer of another form; PromptError where the
-    sentence asks for nothing, or for two colours on one thing.
+    sentence asks for nothing, or contradicts itself.
     """
     found = re.search(r"\{.*\}", answer[:MAX_ANSWER], re.DOTALL)
     if found is None:

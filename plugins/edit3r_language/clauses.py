@@ -88,7 +88,8 @@ def read_clause(tokens: list[str]) -> Clause:
     plain = [token for token in tokens if token not in shares]
     clause = _read_plain(plain, Clause(text=" ".join(tokens)))
     kinds = {change.kind for change in clause.changes}
-    if shares and (not kinds or "paint" in kinds):  # "30% red"
+    nothing = any(int(share[:-1]) <= 0 for share in shares)  # "-20% darker"
+    if shares and (nothing or not kinds or "paint" in kinds):  # "30% red"
         return clause.not_understood(*dict.fromkeys((*shares, *clause.unread)))
     return clause
 
@@ -190,6 +191,9 @@ def _unsupported(tokens: list[str]) -> tuple[str, ...]:
     """The words of a clause that say at once that nobody here can carry it out."""
     if "or" in tokens:
         return ("or",)
+    pairs = tuple(t for t in tokens if "/" in t and read_colour([t]) is None)
+    if pairs:  # "red/blue" is one of them, or both
+        return pairs
     negated = tuple(token for token in tokens if token in words.NEGATIONS)
     if negated:
         return negated
@@ -246,7 +250,9 @@ def _split_around(
     in_front = not content_of(before) and bool(content_of(after))
     if in_front and not _may_follow(group[-1], tokens):
         named, other = [], after
-    unread = [t for t in content_of(other) if t not in words.PARTS | FLOOD]
+    unread = [
+        t for t in content_of(other) if t not in words.PARTS | FLOOD | words.PICTURE
+    ]
     unread = list(unread_of(unread))
     if set(unread) <= words.PLACES:  # "paint the vase red on the left"
         named, unread = [*unread, *named], []
@@ -254,6 +260,10 @@ def _split_around(
         unread += [t for t in named if t in words.MORE | words.LESS | words.UNSUPPORTED]
     unread += unclear_place(named)
     unread += unknown_words(named, before_change=named == before and bool(before))
+    colour = read_colour(named)
+    joined = set(tokens) & (words.FILLERS | words.PAINT)
+    if colour is not None and colour[1] == len(named) and not joined:  # "red blue"
+        unread += tokens
     return named, tuple(dict.fromkeys(unread))
 
 
@@ -277,7 +287,7 @@ def _as_told(tokens: list[str]) -> list[str]:
     thing = tokens[paint.length :]
     plain = bool(content_of(thing)) and not find_changes(thing) and not _look(thing)
     all_known = not set(thing) & words.FILLERS
-    return [*thing, *tokens[: paint.length]] if plain and all_known else tokens
+    return ["the", *thing, *tokens[: paint.length]] if plain and all_known else tokens
 
 
 def _only_names(tokens: list[str], clause: Clause, origin: Colour | None) -> Clause:
@@ -336,6 +346,8 @@ def _may_follow(change: Found, tokens: list[str]) -> bool:
     if first in words.IMPERATIVES | words.RANDOM or first in words.TINTS:
         return True
     if first in words.ADJUSTMENTS and first.endswith("er"):  # "a darker sky"
+        return True
+    if set(after) <= words.PICTURE:  # "sepia photo"
         return True
     joined = after[0] in ("in", "on", "for", "of") and len(after) > 1
     return joined or after[0] in words.DETERMINERS

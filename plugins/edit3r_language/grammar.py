@@ -40,7 +40,9 @@ _UNDO = re.compile(
     re.IGNORECASE,
 )
 _RGB = re.compile(r"\brgb ?\(? ?(\d{1,3})[, ]+(\d{1,3})[, ]+(\d{1,3})\)?")
-_TOKEN = re.compile(r"#[0-9a-z]+|\d+%|[^\W_]+(?:['-][^\W_]+)*")
+_TOKEN = re.compile(
+    r"#[0-9a-z]+|(?<!\w)-?\d+%|\d+%|[^\W_]+(?:(?:['-]|\s*/\s*)[^\W_]+)*"
+)
 
 
 class GrammarReader(Reader):
@@ -82,6 +84,8 @@ class GrammarReader(Reader):
         for word in instruction.unread:
             if word in words.INSTEAD:
                 hints.append(f" {words.INSTEAD[word]}")
+            elif "/" in word:
+                hints.append(f" Say which is meant of {word!r}, or join them by 'and'.")
             elif not is_known(word):
                 said = instruction.text.split()
                 hints.append(_near(word) or _beside_colour(word, said))

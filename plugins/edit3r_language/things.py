@@ -29,7 +29,7 @@ def _read_named(tokens: list[str]) -> Thing:
     part, named = _colour_of_part(_naming(tokens), tokens)
     nouns = [t for t in named if t not in words.WHOLE | EVERY]
     if set(nouns) & words.REST or (set(nouns) and set(nouns) <= words.BACKGROUND):
-        return Thing("background", part=part)
+        return Thing("background", of=_foreground(of), part=part)
     which = [t for t in nouns if t in words.PLACES | words.SIZES | words.BACKGROUND]
     nouns = [t for t in nouns if t not in which]
     one = bool(set(tokens) & {"one", "ones"})
@@ -49,6 +49,12 @@ def _read_named(tokens: list[str]) -> Thing:
     several = not picks and bool(nouns) and is_plural(nouns[-1])
     unknown = () if not nouns or not is_noun(nouns[-1]) else _unknown(nouns[:-1])
     return Thing("named", name, picks, whole, part, several=several, unknown=unknown)
+
+
+def _foreground(of: list[str]) -> str:
+    """What stands before "the background of the fox"; the room itself in "that of the room"."""
+    content = [t for t in of if t not in words.FILLERS | words.DETERMINERS]
+    return "" if not content or set(content) <= words.SCENES else _named_whole(of)
 
 
 def _unknown(adjectives: list[str]) -> tuple[str, ...]:
@@ -96,7 +102,10 @@ def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:
         inner = [t for t in tokens[:start] if t not in words.FILLERS | words.PAINT]
         if token in _JOINING and content and inner:
             places = words.PLACES | words.BACKGROUND | {"foreground"}
-            if set(content) & places:  # "the cup on the left"
+            around = (
+                token == "of" and set(inner) <= words.BACKGROUND | words.DETERMINERS
+            )
+            if set(content) & places and not around:  # "the cup on the left"
                 picked = [t for t in content if t in places]
                 return tokens[:start] + picked, _wearer([token, *rest], content, places)
             if set(inner) <= words.WHOLE | words.DETERMINERS | {"colour", "tone"}:
