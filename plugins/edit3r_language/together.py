@@ -5,10 +5,10 @@ from dataclasses import replace
 
 from edit3r.contract.errors import PromptError
 from edit3r.contract.instructions import EVERY, Instruction, Thing
-from edit3r_language import vocabulary as words
 from edit3r_language.clauses import Clause, blamed
 from edit3r_language.nouns import is_plural
 from edit3r_language.things import read_thing
+from edit3r_language.vocabulary import WORDS
 
 
 def instructions_of(
@@ -119,8 +119,8 @@ def _owner(last: Thing, said: Sequence[str]) -> str:
 
 def _other_side(region: Thing, clause: Clause, last: Thing) -> Thing:
     """ "The lower part" after "the upper part of the statue": the statue's, not the picture's."""
-    sides = [word for word in clause.text.split() if word in words.PLACES]
-    if not last.of or last.name not in words.PLACES or not sides:
+    sides = [word for word in clause.text.split() if word in WORDS.places]
+    if not last.of or last.name not in WORDS.places or not sides:
         return region
     return Thing("named", " ".join(sides), of=last.of)
 
