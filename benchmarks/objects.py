@@ -31,7 +31,7 @@ from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.rendering import render_numbers
-from edit3r.running import read_earlier_run, usual_selector
+from edit3r.running import RunFolder, usual_selector
 
 # ---- masks ----
 
@@ -244,8 +244,8 @@ def drawn():
     rasterizer, segmenter = build("rasterizer", "auto"), build("segmenter", "auto")
     found = []
     for folder in args.runs:
-        run = read_earlier_run(folder)
-        scene, cameras = run.scene.gaussians, run.scene.cameras
+        run = RunFolder(folder).read().inputs
+        scene, cameras = run.before.gaussians, run.before.cameras
         camera = between(cameras)
         for masks in things(run, segmenter, args.most):
             truth = lift(scene, cameras, masks, rasterizer)

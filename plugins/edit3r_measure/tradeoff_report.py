@@ -12,7 +12,7 @@ import yaml
 
 from edit3r.contract.errors import Edit3rError, RunError
 from edit3r.kit.command.results import grouped
-from edit3r.kit.run_folder import installed_versions
+from edit3r.kit.provenance import installed_versions
 from edit3r.running import PRESETS, Expected, MeasuredPoint, Quality, write_quality
 from edit3r_measure.lpips import lpips_weights
 
