@@ -18,7 +18,7 @@ from edit3r_language.places import read_region, unclear_place
 from edit3r_language.shades import read_taken
 from edit3r_language.things import read_thing
 from edit3r_language.unknown_words import is_known, unknown_words, unread_of
-from edit3r_language.vocabulary import ADJUSTMENTS, BASIC, TINTS, WORDS
+from edit3r_language.vocabulary import ADJUSTMENTS, TINTS, WORDS
 
 
 @dataclass
@@ -294,15 +294,14 @@ def _only_names(tokens: list[str], clause: Clause, origin: Colour | None) -> Cla
     """A clause without a change: a thing that shares a neighbour's, or something unknown."""
     says_more = set(tokens) & (WORDS.more | WORDS.less | WORDS.negations)
     content = content_of(tokens)
-    if clause.without and read_thing(tokens).scope == "whole":  # the change follows
-        clause.thing = read_thing(tokens)
-        return clause
-    begins = tokens[0] in WORDS.paint | WORDS.determiners or len(content) == 1
+    follows = clause.without and read_thing(tokens).scope == "whole"  # a change
+    begins = (
+        follows or tokens[0] in WORDS.paint | WORDS.determiners or len(content) == 1
+    )
     unclear = unclear_place(tokens)
-    if read_region(tokens) is not None:
-        clause.thing = read_region(tokens)
-        return clause
-    if says_more or origin is not None or not content or not begins or unclear:
+    if read_region(tokens) is None and (
+        says_more or origin is not None or not content or not begins or unclear
+    ):
         return clause.not_understood(*(unclear or blamed(tokens)))
     clause.thing = read_thing(tokens)
     return clause
@@ -322,16 +321,6 @@ def _origin(tokens: list[str]) -> tuple[list[str], Colour | None]:
 
 def _painted_thing(named: list[str], origin: Colour | None) -> Thing:
     """The thing of a change. "Turn red into blue" is about what is red."""
-    content = [t for t in named if t not in WORDS.fillers | WORDS.paint]
-    colour = read_colour(content)
-    of_things = {"the", "a", "an", "my"}
-    if colour is not None and colour[0].name in BASIC:
-        of_things -= set() if is_noun(colour[0].name) else {"the"}  # "the blue darker"
-    of_things |= {"one", "ones"}
-    determined = bool(set(named) & of_things)
-    only_colour = colour is not None and colour[1] == len(content)
-    if origin is None and colour is not None and only_colour and not determined:
-        return Thing("whole", part=colour[0])
     thing = read_thing(named)
     if origin is None:
         return thing
@@ -346,8 +335,6 @@ def _may_follow(change: Found, tokens: list[str]) -> bool:
     if first in WORDS.imperatives | WORDS.random or first in TINTS:
         return True
     if first in ADJUSTMENTS and first.endswith("er"):  # "a darker sky"
-        return True
-    if set(after) <= WORDS.picture:  # "sepia photo"
         return True
     joined = after[0] in ("in", "on", "for", "of") and len(after) > 1
     return joined or after[0] in WORDS.determiners

@@ -24,7 +24,6 @@ from edit3r_language.together import instructions_of
 from edit3r_language.unknown_words import is_known
 from edit3r_language.vocabulary import (
     ADJUSTMENTS,
-    BASIC,
     INSTEAD,
     PHRASES,
     SPELLINGS,
@@ -145,10 +144,7 @@ def _parts_before(tokens: list[str]) -> list[str]:
     found = read_colour(tokens[start + 1 :])
     if found is None:
         return [token for token in tokens if token != "thatis"]
-    colour, length = found
-    if colour.name not in BASIC and length > 1:  # "that is red blue"
-        colour, length = read_colour(tokens[start + 1 : start + 2]) or found
-    end = start + 1 + length
+    end = start + 1 + found[1]
     return [*tokens[:start], *tokens[start + 1 : end], "parts", *tokens[end:]]
 
 

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from edit3r.contract.instructions import EVERY, FLOOD, Colour, Thing
+from edit3r.contract.instructions import EVERY, Colour, Thing
 from edit3r.kit.compute.colour_names import read_colour
 from edit3r_language.nouns import is_noun, is_plural, is_thing_too
 from edit3r_language.paints import LIGHT_WORDS
@@ -66,7 +66,6 @@ def _naming(tokens: list[str]) -> list[str]:
     """The words that say which thing, without those that only join them."""
     ignored = WORDS.fillers | WORDS.paint | WORDS.determiners | WORDS.pronouns
     ignored |= WORDS.object | WORDS.weak | WORDS.strong | WORDS.random | WORDS.nice
-    ignored |= FLOOD
     return [t for t in tokens if t not in ignored or t == "everything"]
 
 
@@ -88,8 +87,6 @@ def _unnamed(tokens: list[str], part: Colour | None) -> Thing:
 
 def _named_whole(tokens: list[str]) -> str:
     """The words for what a thing is a part of, or is known by: "red jacket"."""
-    if not tokens:
-        return ""
     whole = read_thing(tokens)
     return " ".join((*whole.which, *whole.name.split()))
 
@@ -108,14 +105,10 @@ def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:
             if set(content) & places and not around:  # "the cup on the left"
                 picked = [t for t in content if t in places]
                 return tokens[:start] + picked, _wearer([token, *rest], content, places)
-            if set(inner) <= WORDS.whole | WORDS.determiners | {"colour", "tone"}:
-                return rest, []
             return tokens[:start], rest
         if token in ("at", "to") and set(content) & WORDS.places and inner:
             return tokens[:start] + [t for t in content if t in WORDS.places], []
         if token.endswith("'s") and content:
-            if set(content) <= {"colour", "colours", "tone"}:
-                return [*tokens[:start], token.removesuffix("'s")], []
             return rest, [*tokens[:start], token.removesuffix("'s")]
     return tokens, []
 
