@@ -74,7 +74,7 @@ def _run(parser: argparse.ArgumentParser) -> None:
 def _report(parser: argparse.ArgumentParser) -> None:
     """Write tables and one page from the results of several methods."""
     add = parser.add_argument
-    folders = "folders of edit3r bench run, or folders of such"
+    folders = "folders of edit3r bench run, or folders that hold such folders"
     add("folders", nargs="+", metavar="DIR", help=folders)
     out = "folder for the report (default: report/ in the first folder)"
     add("--out", metavar="DIR", help=out)

@@ -53,7 +53,8 @@ class Method(Settings):
     def _usable_as_a_folder(cls, value: str) -> str:
         if value and not LABEL.fullmatch(value):
             raise ValueError(
-                "must be letters, digits, blanks, dots, dashes, plus signs and underscores"
+                "may contain only letters, digits, spaces, dots, dashes, plus signs and "
+                "underscores"
             )
         return value
 

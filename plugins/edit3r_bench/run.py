@@ -156,9 +156,7 @@ def run_bench(
     is at work there.
     """
     if not run.manifest.items:
-        raise InputError(
-            f"{run.manifest_file}: no edit is left to do with these limits."
-        )
+        raise InputError(f"{run.manifest_file}: these limits leave no edit to run.")
     options = run.options
     spread: Literal["ray", "processes"] = "ray" if options.ray else "processes"
     with alone_in(run.out):
@@ -199,7 +197,7 @@ def _claim_folder(run: BenchRun) -> None:
     others = [path for path in run.out.iterdir() if not path.name.startswith(".")]
     if others:
         raise InputError(
-            f"{run.out}: holds files that are not of a benchmark run; choose another --out."
+            f"{run.out}: holds files that do not belong to a benchmark run; choose another --out."
         )
     more = {
         "version": VERSION,

@@ -78,7 +78,7 @@ class Run:
         """The run with one more name. Raises InputError for a name that is taken or unfit."""
         if name in self.names:
             raise InputError(
-                f"{self.root}: has an object {name!r} already; choose another."
+                f"{self.root}: already has an object {name!r}; choose another name."
             )
         if not (name.isprintable() and 0 < len(name) <= MAX_NAME):
             raise InputError(f"a name has 1 to {MAX_NAME} printable characters.")
@@ -188,7 +188,7 @@ def what_is_drawn(
         raise InputError(f"{file}: expected JSON with strokes ({error}).") from None
     chosen = choose_drawn(run.gaussians, strokes, rasterizer, grown)
     if not chosen.any() or chosen.all():
-        raise InputError("what is drawn chooses nothing, or all of the scene.")
+        raise InputError("the strokes select nothing, or the whole scene.")
     return chosen
 
 
@@ -222,7 +222,7 @@ def find_objects(run: Run, rasterizer: Rasterizer) -> Run:
     depths = rendered.depths[0, :, 0]
     things = find_things(images, depths, run.cameras, usual_tools())
     if not things:
-        raise InputError(f"{run.root}: no thing was found; mark one with: add NAME.")
+        raise InputError(f"{run.root}: nothing was found; mark a thing with: add NAME.")
     masks = torch.stack([thing.masks for thing in things])
     lifted = lift_all(run.gaussians, run.cameras, masks, rasterizer)
     index = run.gaussians.objects.clone()

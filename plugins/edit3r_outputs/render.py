@@ -150,7 +150,7 @@ def _rasterizer(args: argparse.Namespace) -> "Rasterizer":
     settings = parse_assignments(args.set)
     for other in sorted(set(settings) - {"rasterizer"}):
         raise SettingsError(
-            f"--set {other}: render has settings of the rasterizer only (rasterizer.KEY)."
+            f"--set {other}: render takes only settings of the rasterizer (rasterizer.KEY)."
         )
     flag = {"rasterizer": args.rasterizer} if args.rasterizer else {}
     choice = make_run_config(settings, flag).rasterizer

@@ -106,8 +106,8 @@ def _check_inside(out: object) -> None:
     if not isinstance(out, FileText) or here in (here / out).resolve().parents:
         return
     raise InputError(
-        f"training.out: the file says {out}, outside of the current folder; give --out a folder, "
-        "or --trust-config."
+        f"training.out: the file says {out}, which is outside the current folder; give --out a "
+        "folder, or --trust-config."
     )
 
 

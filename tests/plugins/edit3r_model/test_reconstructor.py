@@ -93,7 +93,7 @@ def test_a_file_that_names_no_parts_fills_those_of_the_settings(tmp_path):
     save_weights(tmp_path / WEIGHTS, made.network.state_dict())
     assert same_weights(made, small(weights=str(tmp_path), **NARROW))
     with pytest.raises(
-        InputError, match=r"not weights of this network: .* wrong shape"
+        InputError, match=r"these weights do not fit this network: .* wrong shape"
     ):
         small(weights=str(tmp_path))
 
@@ -128,7 +128,7 @@ def test_a_damaged_description_is_an_error_that_names_the_file(tmp_path):
     state = small(weights="untrained", **NARROW).network.state_dict()
     for backbone in ("no JSON", "{}", '{"name": 3}'):
         save_weights(tmp_path / WEIGHTS, state, {"backbone": backbone, "head": "{}"})
-        with pytest.raises(InputError, match=f"{WEIGHTS}: its metadata do not say"):
+        with pytest.raises(InputError, match=f"{WEIGHTS}: its metadata do not name"):
             small(weights=str(tmp_path))
 
 
@@ -153,7 +153,7 @@ def test_a_plain_head_is_the_single_pass_with_any_plain_backbone(registry, tmp_p
 
 def test_parts_that_do_not_go_together_are_an_error(registry):
     head = parse_assignments(["head=wall", "weights=untrained"])
-    with pytest.raises(SettingsError, match="needs matched geometry, and this head"):
+    with pytest.raises(SettingsError, match="needs matched geometry, but the head"):
         registry.build("reconstructor", "edit3r", **head)
     with pytest.raises(SettingsError, match="use the reconstructor edit3r"):
         build("reconstructor", "noposplat", weights="shipped")
