@@ -301,8 +301,8 @@ def _share_of_opacity(
 def _opacity_in(region: Region, other: RenderedView, scene: PredictedScene) -> float:
     gaussians = scene.reconstruction.gaussians.from_view(1)
     camera = scene.cameras.select([1])
-    found = project(gaussians.means, camera.intrinsics[:, 0], camera.c2w[:, 0])
-    places, depths = (values[0].cpu().numpy() for values in found)
+    projected = project(gaussians.means, camera.intrinsics[:, 0], camera.c2w[:, 0])
+    places, depths = (values[0].cpu().numpy() for values in projected)
     visible = ((places > 0) & (places < 1)).all(-1)
     height, width = region.shape
     columns, rows = (places[visible] * (width, height)).astype(int).T

@@ -170,8 +170,8 @@ def attention_of(
     It is 0 for a Gaussian that no pixel shows.
     """
     weights = torch.stack((maps[0], torch.ones_like(maps[0])), 1)
-    found = rasterizer.contributions(gaussians, cameras, weights)
-    attended, drawn = found.unbind(-1)
+    sums = rasterizer.contributions(gaussians, cameras, weights)
+    attended, drawn = sums.unbind(-1)
     return torch.where(drawn > 1e-6, attended / drawn.clamp(min=1e-6), 0.0)
 
 

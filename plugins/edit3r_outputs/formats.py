@@ -117,10 +117,10 @@ def _write(path: Path, gaussians: Gaussians, form: str, spz_version: int) -> Non
     if form == "compressed.ply":
         in_file = _by_colour(_in_chunks(in_file))
     with tempfile.TemporaryDirectory() as scratch:
-        plain, made = Path(scratch) / "scene.ply", Path(scratch) / "made"
+        plain, target = Path(scratch) / "scene.ply", Path(scratch) / "written"
         save_ply(plain, in_file, degree=VIEWER_DEGREE)
-        convert(plain, made, "ply", form, spz_version=spz_version)
-        content = made.read_bytes()
+        convert(plain, target, "ply", form, spz_version=spz_version)
+        content = target.read_bytes()
     if placement != FilePlacement():
         content = with_placement(content, form, placement)
         say(

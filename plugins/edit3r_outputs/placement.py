@@ -213,9 +213,9 @@ def placement_of(path: Path, form: str) -> FilePlacement:
         text = start.partition(b"end_header")[0]
     else:
         text = start
-    found = _TEXT.search(text)
+    match = _TEXT.search(text)
     try:
-        numbers = [float(number) for number in found.groups()] if found else []
+        numbers = [float(number) for number in match.groups()] if match else []
     except ValueError:
         numbers = []
     if not (numbers and np.isfinite(numbers).all() and numbers[0] > 0):

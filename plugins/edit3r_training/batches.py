@@ -126,8 +126,8 @@ def _with_tensors(function: Callable[..., Tensor], *values: Any) -> Any:
         return function(*values)
     if not is_dataclass(first) or isinstance(first, type):
         return first
-    made = {}
+    moved = {}
     for name in (field.name for field in fields(first)):
         inner = (getattr(value, name) for value in values)
-        made[name] = _with_tensors(function, *inner)
-    return replace(first, **made)
+        moved[name] = _with_tensors(function, *inner)
+    return replace(first, **moved)
