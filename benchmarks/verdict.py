@@ -457,7 +457,7 @@ def edits_of(photos: dict, data: Path, seed: int) -> dict[str, EditToJudge]:
         except Edit3rError as error:
             print(f"{case.kind}: {str(error)[:90]}")
             continue
-        records, tasks = made.records, made.parts.tasks
+        records, tasks = made.records, made.components.tasks
         edit = edit_to_judge(records.inputs, records.selection, records.edit, tasks, 2)
         seen = functools.partial(seen_half_way, made.rasterizer, cameras=made.cameras)
         edit = replace(

@@ -6,11 +6,15 @@ report   folders of results               -> tables, a page      report
 """
 
 import argparse
+from typing import TYPE_CHECKING
 
 from edit3r.contract.command import Command
 from edit3r.kit.command.flags import REPEATED, add_common, add_trust_flag
 from edit3r.running import add_flags
 from edit3r_bench.options import BuildOptions, RunOptions
+
+if TYPE_CHECKING:
+    from edit3r.contract.settings import Settings
 
 
 class BenchCommand(Command):
@@ -27,6 +31,11 @@ class BenchCommand(Command):
             declare(step)
             debug = "show the full traceback of an error"
             step.add_argument("--debug", action="store_true", help=debug)
+
+    def configuration(self) -> "type[Settings]":
+        from edit3r_bench.method import BenchConfig
+
+        return BenchConfig
 
     def main(self, args: argparse.Namespace) -> int | None:
         """Do the step that was named."""

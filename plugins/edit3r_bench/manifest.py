@@ -33,7 +33,7 @@ from edit3r.kit.geometry.cameras import relative_to_first
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.photos.images import load_photos, read_image
 from edit3r.kit.photos.masks import load_masks
-from edit3r.kit.run_folder import installed_versions
+from edit3r.kit.provenance import installed_versions
 from edit3r.running import MAX_PROMPT
 
 Images = Float[Tensor, "frame 3 height width"]

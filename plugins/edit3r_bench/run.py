@@ -20,7 +20,7 @@ from edit3r.contract.errors import (
 )
 from edit3r.contract.reporting import Report, StageRecord, collecting
 from edit3r.kit.command.results import alone_in, read_json, write_json
-from edit3r.kit.run_folder import installed_versions
+from edit3r.kit.provenance import installed_versions
 from edit3r.kit.workers import Progress, Workers, read_rows, run_resumable
 from edit3r_bench.item import ItemRunner, save_sheet
 from edit3r_bench.manifest import ItemRecord, Manifest, load_item, read_bench_manifest

@@ -13,7 +13,7 @@ import yaml
 from edit3r.contract.errors import Edit3rError, RunError
 from edit3r.kit.command.results import grouped, markdown_table
 from edit3r.kit.compute.lpips import lpips_weights
-from edit3r.kit.run_folder import installed_versions
+from edit3r.kit.provenance import installed_versions
 from edit3r.running import PRESETS, Expected, MeasuredPoint, Quality, write_quality
 
 # The numbers of this block: not measured.
