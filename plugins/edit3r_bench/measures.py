@@ -65,7 +65,7 @@ BY_REGION = {
 given.
 """
 
-# The numbers of this block: not measured.
+# The numbers of this block: no figures kept.
 # Change of the 2D edit below which the editor did nothing [sRGB, low-passed]
 LEFT_ALONE = 0.005
 NOT_CARRIED = 0.15  # share of the 2D edit below which the scene counts as unchanged

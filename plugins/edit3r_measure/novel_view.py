@@ -26,7 +26,7 @@ from edit3r.kit.photos.triples import Pose, rotation_degrees
 from edit3r.kit.reconstructing import WithMatcher
 from edit3r_measure.scene_sources import EvaluationScene
 
-# The numbers of this block: not measured.
+# The numbers of this block: no figures kept.
 # Standard deviations tried for the best-blurred copy [pixels]
 BLURS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 COVERED = 0.5  # alpha above which a pixel of a rendering counts as covered

@@ -18,12 +18,12 @@ CHANGE = 2 / 255
 
 SAME_SURFACE = 0.05
 """Largest difference of log depth at which a pixel and its point in the reference are taken for one
-surface. By eye.
+surface. No figure kept.
 """
 
 ALIKE = 0.1
 """Mean difference of colours [sRGB] above which two images do not show one surface, whatever the
-depths say. By eye.
+depths say. No figure kept.
 """
 
 FITS = 6

@@ -29,7 +29,7 @@ MIN_INT8_CHANNELS = 64
 WORTHWHILE = 1.2
 """How much faster bfloat16 must be than float32 to be chosen; less would cost digits for nothing.
 """
-MEASURED_SECONDS = 0.05  # not measured
+MEASURED_SECONDS = 0.05  # no figure kept
 CPU = torch.device("cpu")
 
 

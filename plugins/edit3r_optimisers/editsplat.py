@@ -30,11 +30,11 @@ from edit3r_optimisers.method import (
 
 DEPTH_TOLERANCE = 0.03
 """Relative difference of depths at which a neighbour's weight has fallen to exp(-1/2): it sees
-another surface. By eye.
+another surface. No figure kept.
 """
 OWN_WEIGHT = 0.25
 """Of the view's own edit beside its neighbours' weights of up to 1 each; it alone counts where no
-neighbour looks. By eye.
+neighbour looks. No figure kept.
 """
 
 

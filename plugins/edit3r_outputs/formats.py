@@ -25,7 +25,7 @@ from edit3r_outputs.placement import (
 )
 from edit3r_outputs.reading import convert
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 CHUNK = 256  # Gaussians of a compressed PLY that share a box
 STEPS = 1024  # of an axis of a box
 MANY_OFF = 0.02  # share of the Gaussians that may miss their place without a word
@@ -43,7 +43,7 @@ class Held:
     further: float  # and of the degrees above
 
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 _HELD = {
     "spz": Held(math.exp(5.9375), 10 / 3, 1.0),
     "compressed.ply": Held(math.exp(20), math.inf, 4.0),

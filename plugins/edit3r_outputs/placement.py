@@ -22,7 +22,7 @@ from edit3r.contract.types import Gaussians
 from edit3r.kit.scenes.axes import LEAST_OPACITY
 from edit3r.kit.scenes.ply import MOST_HEADER_BYTES
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 SPZ_RANGE = 2047.0  # the format
 SPZ_STEP = 1 / 4096
 # size of a Gaussian: its logarithm is kept from -10 to 5.9; the format

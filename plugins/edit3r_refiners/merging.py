@@ -18,7 +18,7 @@ Region = Bool[Tensor, "view height width"]
 
 FAR_OUTSIDE = 1e6  # positions are clamped to this [pixels]
 OPAQUE = 0.5
-# an earlier view may show the surface with pixels this much larger; not measured
+# an earlier view may show the surface with pixels this much larger; no figure kept
 AS_FINE = 1.25
 AROUND = tuple((dy, dx) for dy in (0, -1, 1) for dx in (0, -1, 1))
 LEAST_WEIGHT = 1e-4  # transparent Gaussians still have a position
