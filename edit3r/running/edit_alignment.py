@@ -17,7 +17,6 @@ from torch import Tensor
 
 from edit3r.kit.photos.images import Pixels, to_bytes
 
-# The numbers of this block: docs/notes/ledger.md.
 SIDE = 384  # pixels of the longer side at which pictures are compared
 LEAST_SIDE = 32  # below which nothing can be told [pixels]
 TILE = 40  # least side of a tile [pixels]

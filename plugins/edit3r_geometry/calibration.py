@@ -29,7 +29,7 @@ FIELDS_OF_VIEW = (
     *(20.0, 25.0, 31.0, 38.0, 46.0, 55.0, 65.0),
     *(75.0, 85.0, 95.0, 104.0, 112.0, 119.0, 125.0),
 )
-"""Across the longer side [degrees], from a telephoto lens to an action camera. Sanity: a grid."""
+"""Across the longer side [degrees], from a telephoto lens to an action camera. No figure kept."""
 
 PointPairs = Mapping[tuple[int, int], Matches]
 """Matches of two images, their rays made with the intrinsics that the images have now."""
