@@ -75,8 +75,8 @@ class FeatureSettings(config.Settings):
     """a match must be this much nearer than its second choice (Lowe's test)"""
     matches: Literal["auto", "sift", "learned"] = "auto"
     """'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r weights get
-    aliked-lightglue` fetches; 'auto': so for two of at most seven photos with few matches, where
-    those weights are at hand
+    aliked-lightglue` fetches; 'auto': so for two of at most seven photos with few matches, or whose
+    matches do not tell the lens, where those weights are at hand
     """
     learned_keypoints: int = Field(1024, ge=128, le=4096)
     """most learned features a photo"""
@@ -244,6 +244,22 @@ def with_tilted(
         for more in tilted[1:]:
             keypoints[view] = keypoints[view].followed_by(more)
     return FoundFeatures(tuple(keypoints), found.indices | matches, tilted=True)
+
+
+def with_learned(
+    found: FoundFeatures,
+    images: Sequence[CalibratedImage],
+    settings: FeatureSettings,
+) -> FoundFeatures:
+    """Add learned matches of every pair, for few images that SIFT's tell too little about; the same
+    where they are there already, not wanted, or their weights are not at hand.
+    """
+    if found.helper or settings.matches != "auto" or len(images) > MAX_LEARNED:
+        return found
+    folder = at_hand(ALIKED)
+    if folder is None:
+        return found
+    return _with_learned(found, list(found.indices), images, folder, settings)
 
 
 def _with_learned(

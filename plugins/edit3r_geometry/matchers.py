@@ -32,6 +32,7 @@ from edit3r_geometry.features import (
     FeatureSettings,
     FoundFeatures,
     find_features,
+    with_learned,
     with_tilted,
 )
 from edit3r_geometry.pairs import NEARLY_ALL, agreeing_pairs, on_a_plane
@@ -187,6 +188,12 @@ class ClassicalMatcher(_RememberingMatcher):
         images = calibrated_images(views, scene)
         features = find_features(images, self.settings)
         found = self._attempt(views, images, features)
+        if isinstance(found, _Registered) and found.lenses is not None:
+            helped = with_learned(features, images, self.settings)
+            if helped is not features:
+                again = self._attempt(views, images, helped)
+                if len(lost_in(again, views.count)) <= len(lost_in(found, views.count)):
+                    features, found = helped, again
         lost = lost_in(found, views.count)
         if lost and self.settings.tilted and not features.helper:
             tilted = with_tilted(features, images, lost, self.settings)
