@@ -188,7 +188,8 @@ class ClassicalMatcher(_RememberingMatcher):
         images = calibrated_images(views, scene)
         features = find_features(images, self.settings)
         found = self._attempt(views, images, features)
-        if isinstance(found, _Registered) and found.lenses is not None:
+        # Of three photos and more, bundle adjustment settles the lens.
+        if len(images) == 2 and isinstance(found, _Registered) and found.lenses:
             helped = with_learned(features, images, self.settings)
             if helped is not features:
                 again = self._attempt(views, images, helped)
