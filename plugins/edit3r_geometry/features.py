@@ -75,8 +75,8 @@ class FeatureSettings(config.Settings):
     """a match must be this much nearer than its second choice (Lowe's test)"""
     matches: Literal["auto", "sift", "learned"] = "auto"
     """'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r weights get
-    aliked-lightglue` fetches; 'auto': so for two of at most seven photos with few matches, and for a
-    pair whose matches do not tell the lens, where those weights are at hand
+    aliked-lightglue` fetches; 'auto': so for two of at most seven photos with few matches and for
+    pairs whose matches do not tell the lens, where those weights are at hand
     """
     learned_keypoints: int = Field(1024, ge=128, le=4096)
     """most learned features a photo"""
