@@ -33,7 +33,9 @@ def entries(monkeypatch, tmp_path, text):
 @pytest.mark.parametrize("one", directory.listed(), ids=lambda one: one.name)
 def test_an_entry_of_this_repository_says_what_its_package_says(one):
     package = ROOT / one.home
-    project = tomllib.loads((package / "pyproject.toml").read_text())["project"]
+    project = pytest.importorskip("tomllib").loads(
+        (package / "pyproject.toml").read_text()
+    )["project"]
     declared = (package / f"{one.name.replace('-', '_')}" / "__init__.py").read_text()
     assert project["name"] == one.name and one.install.endswith(one.home)
     assert f"EDIT3R_API = {one.api}" in declared
