@@ -12,6 +12,7 @@ from edit3r.kit.contact_sheet import draw_outline, outlined
 from edit3r.kit.photos.images import to_bytes
 from edit3r_app.draft import Mark
 
+# The numbers of this block: no figures kept.
 DIMMED = 0.55
 """Brightness of what is not selected."""
 DRAWN = 1024

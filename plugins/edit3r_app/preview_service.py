@@ -51,6 +51,7 @@ from edit3r_app.sessions import (
     as_in_a_run,
 )
 
+# The numbers of this block: no figures kept.
 GEOMETRY_PATIENCE = 10.0
 """[s] that the full answer waits for poses and depths where they are nearly there; else masks are
 carried by what the photos show, and it is answered anew later.

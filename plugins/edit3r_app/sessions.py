@@ -37,6 +37,7 @@ from edit3r.running import (
 )
 from edit3r_app.jobs import JobsFolder
 
+# The numbers of this block: no figures kept.
 USUAL_PACE = 2.0
 """[s] that the geometry of one photo takes, as long as this machine has not shown its own."""
 LOOKED_FIRST = 8.0
