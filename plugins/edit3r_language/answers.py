@@ -23,7 +23,7 @@ from edit3r.contract.instructions import (
     Colour,
     Finish,
     Instruction,
-    Thing,
+    Target,
 )
 from edit3r.kit.compute.colour_names import read_colour
 from edit3r_language.paints import MATERIALS
@@ -125,7 +125,10 @@ def _forgotten(instructions: list[Instruction], prompt: str) -> Iterator[Instruc
     forgotten = [word for word in _words(prompt) if word not in told | polite]
     if forgotten:
         yield Instruction(
-            "other", Thing("whole"), text=prompt, unread=tuple(dict.fromkeys(forgotten))
+            "other",
+            Target("whole"),
+            text=prompt,
+            unread=tuple(dict.fromkeys(forgotten)),
         )
 
 
@@ -155,19 +158,19 @@ class _Reading:
             return instruction
         unread = tuple(dict.fromkeys(self.unread))
         text = said.text or " ".join(unread)
-        return Instruction("other", instruction.thing, text=text, unread=unread)
+        return Instruction("other", instruction.target, text=text, unread=unread)
 
-    def _thing(self, said: SaidThing) -> Thing:
+    def _thing(self, said: SaidThing) -> Target:
         part = self._colour(said.part) if said.part else None
         if said.scope == "region":
             place = read_region(said.name.lower().split())
             if place is None:
                 self.unread.append(said.name or "place")
-            return place or Thing("whole")
+            return place or Target("whole")
         known = [word for word in said.which if _picks(word)]
         others = [word for word in said.which if not _picks(word)]  # "striped"
         name = " ".join((*others, said.name)).strip()
-        return Thing(said.scope, name, tuple(known), said.of, part)
+        return Target(said.scope, name, tuple(known), said.of, part)
 
     def _change(self, said: SaidChange) -> Change:
         material = MATERIALS.get(said.material, "")
