@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 from edit3r.contract.instructions import FLOOD, Action, Change, Colour, Target
 from edit3r.kit.compute.colour_names import read_colour
 from edit3r_language.changes import (
-    Found,
+    ChangeSpan,
     amount_of,
     find_changes,
     is_percentage,
@@ -219,10 +219,10 @@ def _repaints(tokens: list[str]) -> bool:
 
 def _read_change(tokens: list[str], clause: Clause) -> Clause:
     """A clause that changes colours, gives a look, or only names a thing."""
-    told = _as_told(tokens)
-    tokens, origin = _origin(told)
+    ordered = _target_first(tokens)
+    tokens, origin = _origin(ordered)
     if not tokens:  # "from red" names neither a thing nor what it shall become
-        return clause.not_understood(*told)
+        return clause.not_understood(*ordered)
     look = _look(tokens)
     if look is not None:
         return _read_look(*look, clause)
@@ -242,7 +242,7 @@ def _read_change(tokens: list[str], clause: Clause) -> Clause:
 
 
 def _split_around(
-    tokens: list[str], group: list[Found]
+    tokens: list[str], group: list[ChangeSpan]
 ) -> tuple[list[str], tuple[str, ...]]:
     """The words that name what is changed, and those that nobody understands."""
     before, after = tokens[: group[0].start], tokens[group[-1].end :]
@@ -276,7 +276,7 @@ def _flooded(target: Target, tokens: list[str]) -> Target:
     )
 
 
-def _as_told(tokens: list[str]) -> list[str]:
+def _target_first(tokens: list[str]) -> list[str]:
     """Read the purple door of "I want a purple door" as "door purple"; so "purple door"."""
     paint = None
     if tokens[0] == "turned":
@@ -330,7 +330,7 @@ def _painted_target(named: list[str], origin: Colour | None) -> Target:
     return replace(target, scope=scope, part=origin)
 
 
-def _may_follow(change: Found, tokens: list[str]) -> bool:
+def _may_follow(change: ChangeSpan, tokens: list[str]) -> bool:
     """Whether the thing may follow: "darken walls", "more contrast in the sky"."""
     after = [t for t in tokens[change.end :] if t not in WORDS.paint]
     first = tokens[change.start]

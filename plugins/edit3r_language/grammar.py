@@ -61,8 +61,8 @@ class GrammarReader(Reader):
     )
 
     def read(self, prompt: str) -> tuple[Instruction, ...]:
-        said = prompt.split()
-        if len(said) > MAX_WORDS or max(map(len, said), default=0) > 200:
+        typed = prompt.split()
+        if len(typed) > MAX_WORDS or max(map(len, typed), default=0) > 200:
             text = " ".join(prompt[:200].split())
             return (Instruction("other", Target("whole"), text=text, unread=("...",)),)
         clauses: list[Clause] = []
@@ -94,8 +94,8 @@ class GrammarReader(Reader):
             elif "/" in word:
                 hints.append(f" Say which is meant of {word!r}, or join them by 'and'.")
             elif not is_known(word):
-                said = instruction.text.split()
-                hints.append(_near(word) or _beside_colour(word, said))
+                clause = instruction.text.split()
+                hints.append(_near(word) or _beside_colour(word, clause))
         named = [] if instruction.unread else instruction.target.name.split()
         hints += [_did_you_mean(near_nouns(word)) for word in named]
         return "".join(hints)
@@ -171,9 +171,9 @@ def _pieces(token: str) -> list[str]:
 # ---- what to say instead ----
 
 
-def _beside_colour(word: str, said: list[str]) -> str:
+def _beside_colour(word: str, clause: list[str]) -> str:
     """What to say for a word before a colour, which is no shade that is known."""
-    after = said[said.index(word) + 1 :] if word in said else []
+    after = clause[clause.index(word) + 1 :] if word in clause else []
     if read_colour(after) is None:
         return ""
     return (

@@ -164,5 +164,5 @@ def _as_text(tokenizer: Any, messages: Sequence[Message]) -> str:
         return tokenizer.apply_chat_template(
             list(messages), tokenize=False, add_generation_prompt=True
         )
-    said = [f"{one['role']}: {one['content']}" for one in messages]
-    return "\n".join((*said, "assistant: "))
+    lines = [f"{one['role']}: {one['content']}" for one in messages]
+    return "\n".join((*lines, "assistant: "))

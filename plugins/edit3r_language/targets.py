@@ -24,7 +24,7 @@ def read_target(tokens: list[str]) -> Target:
 
 def _read_named(tokens: list[str]) -> Target:
     """The thing by its noun, with what picks it among several and the whole it is a part of."""
-    said = set(tokens)
+    possessive = bool(set(tokens) & WORDS.possessives)
     tokens, of = _whole_of(tokens)
     part, named = _colour_of_part(_naming(tokens), tokens)
     nouns = [t for t in named if t not in WORDS.whole | EVERY]
@@ -44,7 +44,7 @@ def _read_named(tokens: list[str]) -> Target:
     picks = tuple(dict.fromkeys((*every, *which, *colours)))
     name = " ".join(nouns).removesuffix("'s")
     whole = _named_whole(of)
-    if nouns and said & WORDS.possessives:
+    if nouns and possessive:
         whole = whole or "it"
     several = not picks and bool(nouns) and is_plural(nouns[-1])
     unknown = () if not nouns or not is_noun(nouns[-1]) else _unknown(nouns[:-1])
@@ -113,11 +113,11 @@ def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:
     return tokens, []
 
 
-def _wearer(said: list[str], content: list[str], places: frozenset[str]) -> list[str]:
+def _wearer(words: list[str], content: list[str], places: frozenset[str]) -> list[str]:
     """The whole in "the jacket of the man on the left"; in "of the left" there is none."""
     ignored = places | _JOINING | WORDS.parts | WORDS.picture | WORDS.determiners
     others = [t for t in content if t not in ignored | WORDS.shares]
-    return others if "of" in said else []
+    return others if "of" in words else []
 
 
 def _colour_of_part(

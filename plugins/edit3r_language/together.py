@@ -90,13 +90,13 @@ def _with_change_of(clause: Clause, giver: Clause) -> Clause:
 def _resolved(clauses: list[Clause], kept: list[Target]) -> Iterator[Instruction]:
     """The clauses as instructions, pronouns resolved, and what is kept left out of the thing."""
     last: Target | None = None
-    said: list[str] = []  # the words that named it
+    clause_before: list[str] = []  # the words that named it
     for clause in clauses:
         target = clause.target or Target()
         if target.scope == "named" and not target.name and last is not None:
             target = replace(target, name=last.name)  # "the blue one"
         if target.of == "it" and last is not None:  # "its wheels"
-            target = replace(target, of=_owner(last, said))
+            target = replace(target, of=_owner(last, clause_before))
         if target.scope == "region" and last is not None:
             target = _other_side(target, clause, last)
         kept = [_named_like(one, target) for one in kept]
@@ -106,14 +106,14 @@ def _resolved(clauses: list[Clause], kept: list[Target]) -> Iterator[Instruction
         without = [*own, *(one for one in kept if _matters(one, target))]
         target = _pointed_at(target, last, clause, without)
         if target.scope != "whole" or last is None:
-            last, said = target, clause.text.split()
+            last, clause_before = target, clause.text.split()
         yield _instruction(clause, _all_of_name(target, without), without)
 
 
-def _owner(last: Target, said: Sequence[str]) -> str:
+def _owner(last: Target, clause: Sequence[str]) -> str:
     """What "its" stands for: after "the house's door" it is the house, after "the cup" the cup."""
     whole = last.of.split()[-1:]
-    belongs = "of" in said or any(f"{word}'s" in said for word in whole)
+    belongs = "of" in clause or any(f"{word}'s" in clause for word in whole)
     return last.of if whole and belongs else last.name
 
 
@@ -151,12 +151,12 @@ def _pointed_at(
         return last
     kinds = {change.kind for change in clause.changes}
     adjusts = bool(kinds) and not kinds & {"paint", "random"}
-    said = target.name == "it"
+    is_it = target.name == "it"
     if without:
-        return Target("marked" if said else "whole")
+        return Target("marked" if is_it else "whole")
     if clause.action == "look" or adjusts:
-        return Target("whole", "it" if said and not target.qualifiers else "")
-    return replace(target, name="") if said else target
+        return Target("whole", "it" if is_it and not target.qualifiers else "")
+    return replace(target, name="") if is_it else target
 
 
 def _all_of_name(target: Target, without: Sequence[Target]) -> Target:
