@@ -276,7 +276,7 @@ class Editing(Stage):
             config = config.model_copy(update=plain)
         job = session.job(config, marks, [view])
         components = Components(config, self.registry, job)
-        named = any(one.thing.scope == "named" for one in _instructions(components))
+        named = any(one.target.scope == "named" for one in _instructions(components))
         if not _all_quick(components) or (marks is None and named):
             return None  # what is named is looked for once, for the answer in full
         return preview_photo(job, self.registry)
