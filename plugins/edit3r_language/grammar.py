@@ -82,6 +82,8 @@ class GrammarReader(Reader):
         for word in instruction.unread:
             if word in words.INSTEAD:
                 hints.append(f" {words.INSTEAD[word]}")
+            elif word.startswith("#"):
+                hints.append(" A colour is #ff8800, without digits for its opacity.")
             elif not is_known(word):
                 said = instruction.text.split()
                 hints.append(_near(word) or _beside_colour(word, said))
