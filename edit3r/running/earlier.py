@@ -30,6 +30,7 @@ from edit3r.kit.photos.cameras import (
 from edit3r.kit.photos.images import Photo, read_image
 from edit3r.kit.run_folder import RunFolder
 from edit3r.kit.scenes.ply import load_ply
+from edit3r.running.records import READ_LENS
 
 Read = TypeVar("Read")
 NOTE = "views"  # note in run.json with what the images do not hold: intrinsics and known poses
@@ -143,7 +144,7 @@ def _earlier_run(root: Path, manifest: dict[str, Any]) -> EarlierRun:
         edited=edited,
         scene=Reconstruction(load_ply(root / "scene.ply", visible=True), cameras),
         prompts=tuple(str(prompt) for prompt in manifest["notes"]["edits"]),
-        records=_records(manifest["inputs"], len(names)),
+        records=_records(manifest, len(names)),
         reconstructor=_flat(run["reconstructor"]),
         matcher=_flat(run["matcher"]),
         frames=int(run["frames"]),
@@ -215,9 +216,9 @@ def _things(
     return things
 
 
-def _records(value: Any, count: int) -> tuple[Photo, ...]:
+def _records(manifest: dict[str, Any], count: int) -> tuple[Photo, ...]:
     """How each of `count` photos became a view; raises ValueError for anything else."""
-    records = TypeAdapter(tuple[Photo, ...]).validate_python(value)
+    records = TypeAdapter(tuple[Photo, ...]).validate_python(manifest["inputs"])
     if len(records) != count:
         raise ValueError(
             f"{len(records)} inputs, expected one for each of {count} views"
@@ -233,4 +234,7 @@ def _records(value: Any, count: int) -> tuple[Photo, ...]:
             raise ValueError(
                 f"{record.name} is cut from {record.frame.box} of {width}x{height} pixels"
             )
+    lens = [str(one) for one in manifest["notes"].get("lens.source", ())]
+    if lens and lens[0].startswith(READ_LENS):
+        return tuple(replace(one, intrinsics_source=lens[0]) for one in records)
     return records

@@ -199,3 +199,25 @@ def test_a_local_file_may_not_take_the_name_of_another_module(installed, tmp_pat
 def test_a_local_file_that_is_not_there_is_the_user_s_error(installed, tmp_path):
     with pytest.raises(InputError, match="no such file"):
         load_plugins([tmp_path / "absent.py"])
+
+
+def test_what_a_plugin_prints_on_import_never_reaches_standard_output(installed, capfd):
+    loud = "import os\nprint('hello')\nos.system('echo there')\n"
+    installed(loud=f"{loud}{DECLARATION}")
+    (offer,) = load_plugins().offers
+    assert offer.component.name == "loud"
+    out, err = capfd.readouterr()
+    assert not out and "hello" in err and "there" in err
+
+
+def test_the_folder_of_a_new_plugin_stands_for_its_only_package(installed, tmp_path):
+    for name in ("edit3r_sepia", "tests"):
+        (tmp_path / "edit3r-sepia" / name).mkdir(parents=True)
+        source = DECLARATION.format(name="sepia", module=name)
+        (tmp_path / "edit3r-sepia" / name / "__init__.py").write_text(source)
+    (offer,) = load_plugins([tmp_path / "edit3r-sepia"]).offers
+    assert offer.component.name == "sepia" and offer.plugin == "edit3r_sepia"
+    (tmp_path / "edit3r-sepia" / "another").mkdir()
+    (tmp_path / "edit3r-sepia" / "another" / "__init__.py").touch()
+    with pytest.raises(InputError, match=r"give one: .*another, .*edit3r_sepia"):
+        load_plugins([tmp_path / "edit3r-sepia"])
