@@ -33,7 +33,7 @@ from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
 from edit3r.running import default_matcher, geometry_of as geometry_read, usual_reader
-from edit3r.running.geometry import GeometryOfRun
+from edit3r.running.geometry import find_geometry
 
 # ---- marks ----
 
@@ -239,7 +239,7 @@ class Bench:
             row = self.corrected(name, images, truths, depth)
             row["anywhere"], row["shares"] = anywhere(*first, "", depth)
         if self.named and not self.strokes:
-            said = usual_reader().read_thing(word).name
+            said = usual_reader().read_target(word).name
             row["named"], _ = anywhere(*first, said, depth)
         row["strokes"] = stroked(*first, depth)
         row["depth"] = depth[0] is not None
@@ -374,7 +374,7 @@ def depth_of(photo, matcher, known):
         lens = intrinsics_from_fov(FOV, tuple(frames.shape[-2:]))
         lens = lens.expand(1, len(frames), 3, 3)
         views = Views(frames[None], lens, assumed=(True,) * len(frames))
-        found = GeometryOfRun(matcher).of(views)
+        found = find_geometry(matcher, views)
         if (
             found.geometry is None
             or found.problem
@@ -743,8 +743,8 @@ def beside(file: Path, size: tuple[int, int]) -> torch.Tensor:
 
 def answer(tensor, text, segmenter, truth) -> tuple[float, float | None, float]:
     """Overlap, confidence (None: not found) and seconds."""
-    thing = usual_reader().read_thing(text)
-    asked = Selection(words=thing.name, which=thing.which)
+    thing = usual_reader().read_target(text)
+    asked = Selection(words=thing.name, qualifiers=thing.qualifiers)
     start = time.perf_counter()
     try:
         lens = intrinsics_from_fov(FOV, tensor.shape[-2:]).expand(1, len(tensor), 3, 3)

@@ -20,21 +20,23 @@ from edit3r.contract.settings import PartChoice
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.cache import Cache
+from edit3r.kit.photos.coverage import temporary_photos
 from edit3r.kit.photos.in_memory import Pictures, as_files
 from edit3r.loading.registry import Registry
 from edit3r.running.config import PART_KEYS, make_run_config
-from edit3r.running.earlier import EarlierRun, read_earlier_run
 from edit3r.running.given import check_cameras, check_views, checked_masks
 from edit3r.running.job import RunJob, inherited, with_cameras
 from edit3r.running.loop import run as run_job
+from edit3r.running.result import RunResult
+from edit3r.running.run_folder import EarlierRun, RunFolder
 from edit3r.running.selecting.marks import MarkTexts
 from edit3r.running.settings import Choice, RunSettings
-from edit3r.running.write import RunResult
 
 Files = str | Path | Sequence[str | Path]
 
 
 @in_usual_torch
+@temporary_photos()
 def run(
     photos: Views | Pictures = (),
     prompt: str | None = None,
@@ -93,7 +95,7 @@ def run(
         *built,
     }:
         built["reconstructor"] = earlier.reconstructor
-        if (matcher := earlier.parts.job.components.get("matcher")) is not None:
+        if (matcher := earlier.components.job.components.get("matcher")) is not None:
             built.setdefault("matcher", matcher)
     before = _earlier(earlier)
     layers = [{key: _plain(value) for key, value in given.items()}]
@@ -120,7 +122,7 @@ def run(
         result = run_job(job, registry, own_report)
     if report is None and not progress:
         for text in own_report.warnings:
-            warnings.warn(text, stacklevel=3)  # of the caller, past the decorator
+            warnings.warn(text, stacklevel=4)  # of the caller, past the decorators
     return result
 
 
@@ -175,4 +177,4 @@ def _masks(
 def _earlier(earlier: RunResult | EarlierRun | str | Path | None) -> EarlierRun | None:
     if isinstance(earlier, RunResult):
         return earlier.as_earlier()
-    return read_earlier_run(earlier) if isinstance(earlier, str | Path) else earlier
+    return RunFolder(earlier).read() if isinstance(earlier, str | Path) else earlier

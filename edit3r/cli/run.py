@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from edit3r.contract.reporting import Report
     from edit3r.contract.types import Views
     from edit3r.running.job import RunJob
-    from edit3r.running.write import RunResult
+    from edit3r.running.result import RunResult
 
 
 PREVIEW = "edit3r-preview.png"
@@ -77,6 +77,9 @@ class RunCommand(Command):
             help="json: one line an event, for other programs",
         )
 
+    def configuration(self) -> type[RunConfig]:
+        return RunConfig
+
     def main(self, args: argparse.Namespace) -> int:
         for path in args.photos if args.preview is None else ():
             require_there(path)  # before torch is imported, which takes seconds
@@ -111,8 +114,8 @@ class RunCommand(Command):
             from edit3r.kit.photos.images import save_pixels
             from edit3r.loading.registry import default_registry
             from edit3r.running.loop import preview
+            from edit3r.running.result import preview_sheet
             from edit3r.running.summary import answers
-            from edit3r.running.write import preview_sheet
 
             # `--preview a.jpg b.jpg` would take the first photo for the file to write.
             check_new_file(args.preview, args.overwrite or args.preview == PREVIEW)
@@ -141,7 +144,7 @@ class RunCommand(Command):
             from edit3r.kit.files.atomic import atomic_folder, check_apart
             from edit3r.loading.registry import default_registry
             from edit3r.running.loop import run
-            from edit3r.running.write import write_result
+            from edit3r.running.result import write_result
 
             check_apart(args.out, *map(Path, (*args.photos, *args.mask)))
             job = _job(args)
@@ -177,6 +180,7 @@ def _with_edits_kept(error: Exception, out: Path, edited: "Views") -> Edit3rErro
 
 def _check_preview(file: Path, photos: list[str]) -> None:
     """Raise InputError for a file that would be no image, or that is one of the photos."""
+    from edit3r.kit.photos.coverage import temporary_photos
     from edit3r.kit.photos.images import find_photos
 
     if file.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
@@ -184,7 +188,8 @@ def _check_preview(file: Path, photos: list[str]) -> None:
             f"--preview {file}: expected the name of an image, such as look.png."
         )
     if file.exists() and photos:
-        used = {photo.resolve() for photo in find_photos(photos)}
+        with temporary_photos():
+            used = {photo.resolve() for photo in find_photos(photos)}
         if file.resolve() in used:
             raise InputError(
                 f"--preview {file}: this is one of the photos; give another name."

@@ -48,23 +48,23 @@ def request_of(
 def edit_to_judge(
     inputs: Inputs,
     selection: SelectedRegions,
-    made: EditedPhotos,
+    edit: EditedPhotos,
     tasks: tuple[EditorTask, ...],
     count: int,
 ) -> EditToJudge:
     """What a critic is told of the edit of the first `count` views."""
     return EditToJudge(
         before=inputs.start,
-        after=made.views,
+        after=edit.views,
         edited=range(count),
         instructions=selection.instructions
         or tuple(instruction for task in tasks for instruction in task.instructions),
         selected=selection.selected,
         masks=selection.masks,
         regions=selection.regions,
-        faults=made.faults,
-        moved=made.moved,
-        in_2d=made.verdict,
+        faults=edit.faults,
+        moved=edit.moved,
+        in_2d=edit.verdict,
     )
 
 
@@ -198,8 +198,8 @@ def read(prompt: str, reader: Reader | None = None) -> tuple[Instruction, ...]:
     reader = reader or usual_reader()
     if not prompt.strip():
         raise PromptError(
-            "nothing is asked for; say it with --prompt, or take --editor none for the photos as "
-            f"they are. {reader.abilities}"
+            "there is nothing to do; say what to change with --prompt, or keep the photos as they "
+            f"are with --editor none. {reader.abilities}"
         )
     with errors_named_after(reader):
         instructions = reader.read(prompt)

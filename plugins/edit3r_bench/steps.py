@@ -49,7 +49,7 @@ def build(args: argparse.Namespace) -> None:
             f"{manifest.sha256}"
         )
         for difference in manifest.notes.get("not_as_the_paper", ()):
-            print(f"  not as the paper: {difference}.")
+            print(f"  unlike the paper: {difference}.")
 
 
 def _from_photos(build: PhotoBuild) -> Manifest | None:
@@ -122,7 +122,7 @@ def _print_progress(label: str, progress: Progress) -> None:
     if label:
         failure = progress.row["failure"]
         what = f"failed: {failure[:100]}" if failure else "done"
-        print(progress.said(what, f"{label}, "), file=sys.stderr, flush=True)
+        print(progress.line(what, f"{label}, "), file=sys.stderr, flush=True)
 
 
 def report(args: argparse.Namespace) -> None:

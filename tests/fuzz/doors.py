@@ -41,15 +41,15 @@ from edit3r.kit.photos.cameras import (
     read_scene_cameras,
     write_cameras,
 )
-from edit3r.kit.photos.coverage import take_frames
+from edit3r.kit.photos.coverage import take_frames, temporary_photos
 from edit3r.kit.photos.images import load_photos, save_image
 from edit3r.kit.photos.masks import load_masks
-from edit3r.kit.run_folder import recorded
+from edit3r.kit.provenance import recorded
 from edit3r.kit.scenes.ply import load_ply, save_ply
 from edit3r.kit.weights.files import load_weights as load_trained
 from edit3r.loading.registry import build, default_registry
 from edit3r.running.config import make_run_config
-from edit3r.running.earlier import read_earlier_run
+from edit3r.running.run_folder import RunFolder
 
 SIZE = (24, 32)
 
@@ -288,8 +288,9 @@ def plies(rng, folder, given):
 
 def videos(rng, folder, given):
     (folder / "clip.mp4").write_bytes(mangled_bytes(rng, given.files["clip.mp4"]))
-    for file in take_frames(folder / "clip.mp4", 3):
-        assert load_photos([given.photos[0], file], size=32).views.count == 2
+    with temporary_photos():
+        for file in take_frames(folder / "clip.mp4", 3):
+            assert load_photos([given.photos[0], file], size=32).views.count == 2
 
 
 def exports(rng, folder, given):
@@ -317,18 +318,16 @@ def run_folders(rng, folder, given):
     (run / damaged).write_bytes(
         mangled_bytes(rng, content) if tree is None else json_bytes(rng, tree)
     )
-    earlier = read_earlier_run(run)
-    _sound(earlier.scene.gaussians)
-    for views in (earlier.photos, earlier.edited):
+    earlier = RunFolder(run).read().inputs
+    _sound(earlier.before.gaussians)
+    for views in (earlier.photos, earlier.start):
         assert (
             torch.isfinite(views.images).all()
             and torch.isfinite(views.intrinsics).all()
         )
         for name in views.names:
             assert (folder / "out" / f"{name}.png").resolve().parent == folder / "out"
-    assert (
-        len(set(earlier.photos.names)) == len(earlier.records) == earlier.photos.count
-    )
+    assert len(set(earlier.photos.names)) == len(earlier.files) == earlier.photos.count
     mask = folder / "mask.png"
     Image.new("L", (32, 24), 255).save(mask)
     load_masks(

@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from typing import ClassVar
 
 from edit3r.contract.component import Configured
-from edit3r.contract.instructions import Instruction, Thing
+from edit3r.contract.instructions import Instruction, Target
 
 
 class Reader(Configured, ABC):
@@ -25,11 +25,12 @@ class Reader(Configured, ABC):
         """The instructions of a sentence, in its order, at least one.
 
         The same sentence gives the same ones, unless the component says `supports_seed=False`.
-        Raises PromptError for a sentence that asks for nothing, or for two colours on one thing.
+        Raises PromptError for a sentence that asks for nothing, or that contradicts itself, as by
+        two colours on one thing.
         """
 
     @abstractmethod
-    def read_thing(self, words: str) -> Thing:
+    def read_target(self, words: str) -> Target:
         """The thing that words name, such as "the left cup" (`--thing`)."""
 
     def hint(self, instruction: Instruction) -> str:

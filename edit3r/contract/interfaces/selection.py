@@ -16,7 +16,8 @@ from edit3r.contract.types import Views
 
 Box = tuple[float, float, float, float]
 """x, y, width, height [shares of a view's sides]."""
-SURE = 0.63  # confidence under which the run asks whether the right thing was found
+# confidence under which the run asks whether the right thing was found; docs/notes/selecting.md
+SURE = 0.63
 MOST_GROWN = 100_000  # pixels that an outline may move
 BACKGROUND = "background"  # the words for everything but what stands out
 WAYS = ("given", "region", "marked", "words", "guess", "geometry", "pictures")
@@ -51,7 +52,9 @@ class Selection:
     # the object's name, such as "bike": looked for where nothing is marked; beside a click it
     # helps to tell the object from its parts
     words: str = ""
-    which: tuple[str, ...] = ()  # which one of several: "left", "big", "red", "all"
+    qualifiers: tuple[
+        str, ...
+    ] = ()  # which one of several: "left", "big", "red", "all"
     several: bool = False  # True: a plural, so every one that is found surely is taken
     # True: raise an error for a name that is not found surely; False: take the likeliest and ask
     sure: bool = False

@@ -201,6 +201,16 @@ def test_a_local_file_that_is_not_there_is_the_user_s_error(installed, tmp_path)
         load_plugins([tmp_path / "absent.py"])
 
 
+def test_a_local_file_that_offers_nothing_is_named_each_time_it_is_asked_for(
+    installed, tmp_path
+):
+    """A plugin that failed is not taken for one that is loaded already."""
+    file = tmp_path / "empty_handed.py"
+    file.write_text("x = 1")
+    failures = load_plugins([file, file]).failures
+    assert len(failures) == 2 and "offers nothing" in failures[1].reason
+
+
 def test_what_a_plugin_prints_on_import_never_reaches_standard_output(installed, capfd):
     loud = "import os\nprint('hello')\nos.system('echo there')\n"
     installed(loud=f"{loud}{DECLARATION}")

@@ -101,7 +101,7 @@ def test_two_tabs_that_go_at_once_each_get_their_sentence(tmp_path, monkeypatch)
         asked.append(draft.form["prompt"])
         raise InputError("enough.")
 
-    monkeypatch.setattr(type(studio.looker), "look", staticmethod(look))
+    monkeypatch.setattr(type(studio.previews), "look", staticmethod(look))
     with ThreadPoolExecutor(2) as pool:
         said = [pool.submit(studio.go, scene, "", say) for say in ("gold", "blue")]
     assert all(isinstance(one.exception(), InputError) for one in said)
