@@ -31,6 +31,7 @@ from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.rendering import render_numbers
+from edit3r.kit.segmenting import automatic_masks
 from edit3r.running import read_earlier_run, usual_selector
 
 # ---- masks ----
@@ -164,7 +165,7 @@ def things(run, segmenter, most):
     """Masks on all photos of the things that all photos show."""
     photos = run.photos
     found = []
-    for proposal in segmenter.propose(photos.images[0, 0]):
+    for proposal in automatic_masks(segmenter, photos.images[0, 0]):
         mask = proposal.soft_mask > 0.5
         area = float(mask.float().mean())
         overlaps = [

@@ -15,13 +15,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import torch
-from edit3r_geometry.sky import find_skies
 from harness import Row, for_tuning, run_benchmark
 from skimage.io import imread, imsave
 from skimage.transform import resize
 
 import edit3r
 from edit3r.contract.errors import MatchingError
+from edit3r.kit.compute.sky import find_skies
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
 from edit3r.kit.photos.cameras import CAMERA_FILES, PosedCamera
 from edit3r.kit.photos.posed_folder import read_posed_folder

@@ -25,7 +25,7 @@ from torch import Tensor
 from edit3r import Registry
 from edit3r.contract.component import Component
 from edit3r.contract.errors import Edit3rError, InputError, PromptError
-from edit3r.contract.interfaces import Marks, Reading, Selected, Selection
+from edit3r.contract.interfaces import Reading, Selected, Selection
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
@@ -35,6 +35,7 @@ from edit3r.kit.compute.outlines import overlap
 from edit3r.kit.contact_sheet import draw_outline, outlined
 from edit3r.kit.files.atomic import atomic_folder, atomic_write
 from edit3r.kit.photos.images import load_photos, save_image, to_bytes
+from edit3r.kit.segmenting import automatic_masks
 from edit3r.running import (
     CACHE,
     DEFAULTS,
@@ -186,7 +187,7 @@ class Looker:
         choice = PartChoice(name=DEFAULTS["segmenter"])
         with collecting(Report()), suppress(Edit3rError):
             segmenter = self.registry.build_choice("segmenter", choice)
-            segmenter.segment_text(torch.zeros(3, 48, 64), "sky")
+            segmenter.words(torch.zeros(3, 48, 64), "sky")
 
     def begin(self, state: str) -> BeingRead:
         """Read a state's photos in the background, from the first call on; say how far it is."""
@@ -396,7 +397,7 @@ class Looker:
         choice = PartChoice(name=DEFAULTS["segmenter"])
         with _working_with(opened.cache):
             segmenter = self.registry.build_choice("segmenter", choice)
-            proposals = segmenter.propose(image)
+            proposals = automatic_masks(segmenter, image)
         masks: list[Tensor] = []
         for one in proposals:
             if all(
@@ -497,10 +498,9 @@ class Looker:
     def _click(self, opened: _Opened, view: int) -> None:
         """Click on a photo, so that the segmenter has read it when the user does."""
         choice = PartChoice(name=DEFAULTS["segmenter"])
-        middle = Marks(positive=((0.5, 0.5),))
         with _working_with(opened.cache), suppress(Edit3rError):
             segmenter = self.registry.build_choice("segmenter", choice)
-            segmenter.segment_marks(opened.views.images[0, view], middle)
+            segmenter.masks(opened.views.images[0, view], [((0.5, 0.5), True)])
 
     def _answers(self, state: str) -> Path:
         """Where what was read from a set of photos is kept; changed by nothing but this."""
