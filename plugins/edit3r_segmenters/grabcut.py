@@ -25,7 +25,7 @@ from edit3r.contract.interfaces import (
     Segmenter,
 )
 from edit3r.kit.cache import remembered
-from edit3r.kit.compute.outlines import soft_edged
+from edit3r.kit.compute.outlines import distance_to, soft_edged, window_around
 from edit3r.kit.weights.find import at_hand
 from edit3r_segmenters import U2NETP
 from edit3r_segmenters.masks import graph_cut, reduced, tidied, to_bytes
@@ -33,8 +33,16 @@ from edit3r_segmenters.stuff import STUFF, stuff
 from edit3r_segmenters.subject import clearness, reader, salience
 from edit3r_segmenters.words import plain
 
-REACHES = (0.08, 0.16, 0.3)  # of things around a click [longer sides]
-BEYOND = 2.0  # reaches, from which a click's thing surely ends
+WINDOWS = (
+    0.15,
+    0.3,
+    0.55,
+    1.0,
+)  # around clicks, the thing in their half [longer sides]
+SCALES = (100, 300, 800, 2000)  # of the graph segmentation: larger regions
+LEAST = 60  # pixels of one of its regions
+CORE = 0.4  # share of a box's sides in which an ellipse surely is the thing
+AROUND = 0.3  # what is looked at beside what may be the thing [longer sides]
 DOT = 0.012  # radius of what a click surely says [longer sides]
 MARGIN = 0.05  # of a frame around what may stand out [sides]
 LOGIT = 4.0  # of a pixel inside
@@ -60,17 +68,20 @@ class GrabCutSegmenter(Segmenter):
         box: Box | None = None,
         before: Float[Tensor, "h w"] | None = None,
     ) -> MaskLogits:
-        """Cuts from three reaches around the clicks; from a box, or what was there before, one."""
+        """Cuts in windows around the clicks, and regions of like colours at them; from a box, or from
+        what was there before, cuts alone.
+        """
         picture = self._picture(image)
+        size = picture.shape[:2]
         if before is not None:
-            trimaps = [_around_mask(before, picture.shape[:2])]
+            masks = [_corrected(picture, before, clicks, one) for one in WINDOWS[:3]]
         elif box is not None:
-            trimaps = [_within(box, picture.shape[:2])]
+            masks = [_cut(picture, _within(box, size), clicks)]
         else:
-            trimaps = [
-                _around_clicks(clicks, reach, picture.shape[:2]) for reach in REACHES
-            ]
-        return _logits([_cut(picture, trimap, clicks) for trimap in trimaps])
+            trimaps = [_around(clicks, window, size) for window in WINDOWS]
+            masks = [_cut(picture, trimap, clicks) for trimap in trimaps]
+            masks += [_regions(picture, clicks, scale) for scale in SCALES]
+        return MaskLogits(torch.from_numpy(LOGIT * (2 * np.float32(masks) - 1)))
 
     @remembered
     def words(
@@ -115,44 +126,56 @@ class GrabCutSegmenter(Segmenter):
         return np.ascontiguousarray(reduced(pixels, self.settings.size))
 
 
-def _around_clicks(
-    clicks: Sequence[Click], reach: float, size: tuple[int, int]
+def _around(
+    clicks: Sequence[Click], window: float, size: tuple[int, int]
 ) -> np.ndarray:
     """Likely the thing near each place on it, surely not far from all of them."""
-    longer = max(size)
-    near = np.full(size, np.inf, np.float32)
-    rows, columns = np.mgrid[: size[0], : size[1]]
-    for place, wanted in clicks:
-        if wanted:
-            row, column = _pixel(place, size)
-            near = np.minimum(near, np.hypot(rows - row, columns - column) / longer)
+    away = _distance([place for place, wanted in clicks if wanted], size)
     trimap = np.full(size, cv2.GC_BGD, np.uint8)
-    trimap[near < BEYOND * reach] = cv2.GC_PR_BGD
-    trimap[near < reach] = cv2.GC_PR_FGD
+    trimap[away <= window / 2] = cv2.GC_PR_BGD
+    trimap[away <= window / 4] = cv2.GC_PR_FGD
     return trimap
 
 
 def _within(box: Box, size: tuple[int, int]) -> np.ndarray:
-    """Likely the thing in a box [shares of the sides], surely not around it."""
-    (top, left), (bottom, right) = (
-        (round(y * size[0]), round(x * size[1]))
-        for x, y in ((box[0], box[1]), (box[0] + box[2], box[1] + box[3]))
-    )
+    """Likely the thing in a box [shares of the sides], surely in its middle and not around it."""
+    (height, width), (x, y, across, down) = size, box
+    top, left = _pixel((x, y), size)
+    bottom, right = _pixel((x + across, y + down), size)
     trimap = np.full(size, cv2.GC_BGD, np.uint8)
-    trimap[top : max(bottom, top + 1), left : max(right, left + 1)] = cv2.GC_PR_FGD
-    return trimap
+    trimap[top : bottom + 1, left : right + 1] = cv2.GC_PR_FGD
+    middle = ((x + across / 2) * width, (y + down / 2) * height)
+    sides = (max(1.0, CORE * across * width), max(1.0, CORE * down * height))
+    return cv2.ellipse(trimap, (middle, sides, 0.0), cv2.GC_FGD, cv2.FILLED)
 
 
-def _around_mask(before: Float[Tensor, "h w"], size: tuple[int, int]) -> np.ndarray:
-    """Likely the thing where it was before."""
-    logits = cv2.resize(before.float().numpy(force=True), size[::-1])
-    return np.where(logits > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+def _corrected(
+    picture: np.ndarray,
+    before: Float[Tensor, "h w"],
+    clicks: Sequence[Click],
+    window: float,
+) -> np.ndarray:
+    """What was there before, changed around the last click alone."""
+    size = picture.shape[:2]
+    known = cv2.resize(before.float().numpy(force=True), size[::-1]) > 0
+    place, wanted = clicks[-1]
+    away = _distance([place], size)
+    trimap = np.where(known, cv2.GC_FGD, cv2.GC_BGD).astype(np.uint8)
+    likely = np.where(known, cv2.GC_PR_FGD, cv2.GC_PR_BGD).astype(np.uint8)
+    trimap = np.where(away <= window / 2, likely, trimap)
+    trimap[away <= window / 4] = cv2.GC_PR_FGD if wanted else cv2.GC_PR_BGD
+    return _cut(picture, trimap, clicks, whole=True)
 
 
 def _cut(
-    picture: np.ndarray, trimap: np.ndarray, clicks: Sequence[Click]
+    picture: np.ndarray,
+    trimap: np.ndarray,
+    clicks: Sequence[Click],
+    whole: bool = False,
 ) -> np.ndarray:
-    """The bool mask `[h, w]` of a cut that obeys the clicks, without pieces apart from them."""
+    """The bool mask `[h, w]` of a cut that obeys the clicks, by the colours of what may be the
+    thing and around it; without pieces apart from the clicks unless it stays `whole`.
+    """
     radius = max(1, round(DOT * max(trimap.shape)))
     seeds = np.zeros(trimap.shape, np.uint8)
     for place, wanted in clicks:
@@ -161,12 +184,36 @@ def _cut(
         cv2.circle(trimap, (column, row), radius, sure, cv2.FILLED)
         if wanted:
             cv2.circle(seeds, (column, row), radius, 1, cv2.FILLED)
-    inside = graph_cut(picture, trimap)
-    return tidied(inside, seeds > 0 if seeds.any() else inside)
+    inside = np.zeros(trimap.shape, dtype=bool)
+    if (trimap != cv2.GC_BGD).any():
+        window = window_around(trimap != cv2.GC_BGD, AROUND * max(trimap.shape))
+        inside[window] = graph_cut(
+            np.ascontiguousarray(picture[window]), trimap[window]
+        )
+    return tidied(inside, inside if whole or not seeds.any() else seeds > 0)
 
 
-def _logits(masks: Sequence[np.ndarray]) -> MaskLogits:
-    return MaskLogits(torch.from_numpy(LOGIT * (2 * np.float32(masks) - 1)))
+def _regions(picture: np.ndarray, clicks: Sequence[Click], scale: int) -> np.ndarray:
+    """The regions at places on the thing, of a graph segmentation (Felzenszwalb and Huttenlocher
+    2004): bool `[h, w]`.
+    """
+    lab = cv2.cvtColor(to_bytes(picture), cv2.COLOR_RGB2LAB)
+    cut = cv2.ximgproc.segmentation.createGraphSegmentation(0.8, scale, LEAST)
+    labels = cut.processImage(lab)
+    seeds = np.zeros(labels.shape, dtype=bool)
+    for place, wanted in clicks:
+        seeds[_pixel(place, labels.shape)] |= wanted
+    return tidied(np.isin(labels, labels[seeds]), seeds)
+
+
+def _distance(
+    places: Sequence[tuple[float, float]], size: tuple[int, int]
+) -> np.ndarray:
+    """How far each pixel is from the nearest place [longer sides]."""
+    there = np.zeros(size, dtype=bool)
+    for place in places:
+        there[_pixel(place, size)] = True
+    return distance_to(there) / max(size)
 
 
 def _pixel(place: tuple[float, float], size: Sequence[int]) -> tuple[int, int]:

@@ -91,8 +91,8 @@ def test_the_segmenter_has_read_the_photos_before_the_first_click(folder, scene)
     clicked = []
 
     class Watched:
-        def segment_marks(self, image, marks):
-            clicked.append((image, marks))
+        def masks(self, image, clicks, box=None, before=None):
+            clicked.append((image, clicks))
             raise InputError("nothing at this click")
 
     looker.registry.build_choice = lambda kind, choice, *parts: (
@@ -104,15 +104,13 @@ def test_the_segmenter_has_read_the_photos_before_the_first_click(folder, scene)
     deadline = time.monotonic() + 60
     while len(clicked) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
-    for (image, marks), photo in zip(clicked, images, strict=True):
-        assert torch.equal(image, photo) and marks.positive
+    for (image, clicks), photo in zip(clicked, images, strict=True):
+        assert torch.equal(image, photo) and clicks == [((0.5, 0.5), True)]
 
 
 def test_two_who_ask_at_once_get_one_component(folder):
     looker, found = Looker(folder, default_registry(), SIZE), []
-    ask = partial(
-        looker.registry.build_choice, "segmenter", PartChoice(name="classical")
-    )
+    ask = partial(looker.registry.build_choice, "segmenter", PartChoice(name="grabcut"))
     threads = [Thread(target=lambda: found.append(ask())) for _ in range(4)]
     for one in threads:
         one.start()
