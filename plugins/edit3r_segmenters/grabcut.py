@@ -68,7 +68,7 @@ class GrabCutSegmenter(Segmenter):
         box: Box | None = None,
         before: Float[Tensor, "h w"] | None = None,
     ) -> MaskLogits:
-        """Cuts in windows around the clicks, and regions of like colours at them; from a box, or from
+        """Cuts in windows around the clicks, and regions of like colours at them; from a box, or
         what was there before, cuts alone.
         """
         picture = self._picture(image)
@@ -190,7 +190,9 @@ def _cut(
         inside[window] = graph_cut(
             np.ascontiguousarray(picture[window]), trimap[window]
         )
-    return tidied(inside, inside if whole or not seeds.any() else seeds > 0)
+    if whole or not seeds.any():
+        return tidied(inside, inside)
+    return tidied(inside, seeds > 0, smallest=0)
 
 
 def _regions(picture: np.ndarray, clicks: Sequence[Click], scale: int) -> np.ndarray:
@@ -203,7 +205,7 @@ def _regions(picture: np.ndarray, clicks: Sequence[Click], scale: int) -> np.nda
     seeds = np.zeros(labels.shape, dtype=bool)
     for place, wanted in clicks:
         seeds[_pixel(place, labels.shape)] |= wanted
-    return tidied(np.isin(labels, labels[seeds]), seeds)
+    return tidied(np.isin(labels, labels[seeds]), seeds, smallest=0)
 
 
 def _distance(
