@@ -20,7 +20,7 @@ from edit3r.contract.errors import (
 )
 from edit3r.contract.reporting import Report, StageRecord, collecting
 from edit3r.kit.command.results import alone_in, read_json, write_json
-from edit3r.kit.run_folder import installed_versions
+from edit3r.kit.provenance import installed_versions
 from edit3r.kit.workers import Progress, Workers, read_rows, run_resumable
 from edit3r_bench.item import ItemRunner, save_sheet
 from edit3r_bench.manifest import ItemRecord, Manifest, load_item, read_bench_manifest
@@ -70,12 +70,12 @@ _RESULT = TypeAdapter(ItemResult)
 
 def read_run(folder: Path) -> dict[str, Any]:
     """Return what a folder's results are of. Raises InputError for those of another version."""
-    found = read_json(folder / RUN)
-    if not isinstance(found, dict) or found.get("version") != VERSION:
+    content = read_json(folder / RUN)
+    if not isinstance(content, dict) or content.get("version") != VERSION:
         raise InputError(
             f"{folder}: holds results of another version of the benchmark; run it again."
         )
-    return found
+    return content
 
 
 def read_results(folder: Path) -> dict[str, ItemResult]:
@@ -156,9 +156,7 @@ def run_bench(
     is at work there.
     """
     if not run.manifest.items:
-        raise InputError(
-            f"{run.manifest_file}: no edit is left to do with these limits."
-        )
+        raise InputError(f"{run.manifest_file}: these limits leave no edit to run.")
     options = run.options
     spread: Literal["ray", "processes"] = "ray" if options.ray else "processes"
     with alone_in(run.out):
@@ -187,9 +185,9 @@ def _claim_folder(run: BenchRun) -> None:
         "threads": run.options.threads,
     }
     if (run.out / RUN).is_file():
-        found = read_run(run.out)
+        earlier = read_run(run.out)
         for key, value in asked.items():
-            if found.get(key) != value:
+            if earlier.get(key) != value:
                 what = key.replace("_", " ")
                 raise InputError(
                     f"{run.out}: holds results with another {what}; choose another --out."
@@ -199,7 +197,7 @@ def _claim_folder(run: BenchRun) -> None:
     others = [path for path in run.out.iterdir() if not path.name.startswith(".")]
     if others:
         raise InputError(
-            f"{run.out}: holds files that are not of a benchmark run; choose another --out."
+            f"{run.out}: holds files that do not belong to a benchmark run; choose another --out."
         )
     more = {
         "version": VERSION,

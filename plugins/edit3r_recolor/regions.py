@@ -15,7 +15,9 @@ from edit3r.contract.settings import Settings
 from edit3r.kit.segmenting import AutomaticMask
 
 FAINT = 0.01
-"""A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value."""
+"""A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value.
+No figure kept.
+"""
 
 
 class ProposalFilter(Settings):

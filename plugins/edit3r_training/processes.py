@@ -55,8 +55,10 @@ class Processes:
         )
         dist.all_reduce(message)
         sizes = [*(p.numel() for p in parameters), len(parameters), 1]
-        *averaged, found, mean = (message / self.count).split(sizes)
-        for parameter, grad, anywhere in zip(parameters, averaged, found.tolist()):
+        *averaged, with_gradient, mean = (message / self.count).split(sizes)
+        for parameter, grad, anywhere in zip(
+            parameters, averaged, with_gradient.tolist()
+        ):
             parameter.grad = grad.view_as(parameter) if anywhere else None
         return mean[0]
 
@@ -97,8 +99,8 @@ def own_device(name: str) -> torch.device:
     index = own if device.index is None else device.index
     if index >= torch.cuda.device_count():
         raise SettingsError(
-            f"trainer.device: cuda:{index} asked for, but {torch.cuda.device_count()} GPUs are "
-            "there."
+            f"trainer.device: cuda:{index} was asked for, but this machine has "
+            f"{torch.cuda.device_count()} GPUs."
         )
     return torch.device("cuda", index)
 

@@ -43,17 +43,19 @@ class Re10kDataset(PhotoDataset):
     @cached_property
     def scenes(self) -> list[tuple[Path, int]]:
         """(chunk, index in it) of every scene; reading all chunks once is the price of knowing."""
-        found = []
+        scenes_found = []
         for chunk in sorted(Path(self.settings.root).glob("*.torch")):
             try:
-                found += [(chunk, place) for place in range(len(_read_chunk(chunk)))]
+                scenes_found += [
+                    (chunk, place) for place in range(len(_read_chunk(chunk)))
+                ]
             except InputError as error:
                 self._skip(chunk.name, str(error))
-        if not found:
+        if not scenes_found:
             raise InputError(
                 f"{self.settings.root}: no readable .torch chunk with scenes in it."
             )
-        return found
+        return scenes_found
 
     @cached_property
     def places(self) -> dict[str, tuple[Path, int]]:
@@ -72,7 +74,7 @@ class Re10kDataset(PhotoDataset):
         count = len(scene["images"])
         if max(indices) >= count:
             raise InputError(
-                f"scene {key}: frame {max(indices)} is asked for, it has {count}."
+                f"scene {key}: frame {max(indices)} was asked for, but it has {count}."
             )
         drawn = self._drawn(scene, list(indices))
         return [
@@ -154,7 +156,7 @@ def _square(
         content = io.BytesIO(file.numpy().tobytes())
         image = Image.open(content, formats=FORMATS).convert("RGB")
     except (OSError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"scene {key}: a frame is no image ({error}).") from None
+        raise InputError(f"scene {key}: a frame is not an image ({error}).") from None
     frame = frame_for((image.height, image.width), (size, size))
     fx, fy, cx, cy = camera[:4].tolist()
     k = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)
