@@ -109,7 +109,7 @@ class SceneRecipe:
     """How a scene was recoloured: enough to do it again, on the same photos at any size."""
 
     seed: int
-    masks: str  # where they came from, such as "segmenter classical"
+    masks: str  # where they came from, such as "segmenter auto"
     regions: tuple[RegionRecipe, ...]
     views: tuple[ViewRecipe, ...]
     # proposals that failed each criterion

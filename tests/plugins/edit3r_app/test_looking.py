@@ -121,7 +121,7 @@ def test_two_who_ask_at_once_get_one_component(folder):
 
 def test_what_pointing_needs_is_loaded_once_before_there_are_photos(folder):
     looker, asked = Looker(folder, default_registry(), SIZE), []
-    segmenter = SimpleNamespace(segment_text=lambda image, text: asked.append(text))
+    segmenter = SimpleNamespace(words=lambda image, text: asked.append(text))
     looker.registry.build_choice = lambda *_: segmenter
     for _ in range(2):
         looker.prepare()
