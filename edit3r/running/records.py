@@ -128,7 +128,7 @@ class SelectedRegions:
     @property
     def verdict(self) -> SelectionVerdict | None:
         """What was selected and how likely it is what was meant; None: nothing was looked for."""
-        said = dict.fromkeys(str(one.thing) for one in self.instructions)
+        said = dict.fromkeys(str(one.target) for one in self.instructions)
         exactly = "; ".join(said) or MARKED
         return verdict_on_selection(self.selected, exactly if self.confined else "")
 

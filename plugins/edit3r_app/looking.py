@@ -586,7 +586,7 @@ def is_quick(components: Components) -> bool:
 def _names_things(components: Components) -> bool:
     """Whether the sentence is about things that words must find."""
     asked = [one for task in components.tasks for one in task.instructions]
-    return any(one.thing.scope == "named" for one in asked)
+    return any(one.target.scope == "named" for one in asked)
 
 
 def _is_quick(component: Component) -> bool:
