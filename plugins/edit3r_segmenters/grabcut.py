@@ -33,6 +33,7 @@ from edit3r_segmenters.stuff import STUFF, stuff
 from edit3r_segmenters.subject import clearness, reader, salience
 from edit3r_segmenters.words import plain
 
+# The numbers of this block: no figures kept.
 WINDOWS = (
     0.15,
     0.3,
