@@ -28,7 +28,13 @@ from edit3r.kit.cache import remembered
 from edit3r.kit.compute.outlines import distance_to, soft_edged, window_around
 from edit3r.kit.weights.find import at_hand
 from edit3r_segmenters import U2NETP
-from edit3r_segmenters.masks import graph_cut, reduced, tidied, to_bytes
+from edit3r_segmenters.masks import (
+    SMALLEST_PART,
+    graph_cut,
+    reduced,
+    tidied,
+    to_bytes,
+)
 from edit3r_segmenters.stuff import STUFF, stuff
 from edit3r_segmenters.subject import clearness, reader, salience
 from edit3r_segmenters.words import plain
@@ -183,17 +189,18 @@ def _cut(
         row, column = _pixel(place, trimap.shape)
         sure = cv2.GC_FGD if wanted else cv2.GC_BGD
         cv2.circle(trimap, (column, row), radius, sure, cv2.FILLED)
-        if wanted:
-            cv2.circle(seeds, (column, row), radius, 1, cv2.FILLED)
+        said = 1 if wanted else 2
+        cv2.circle(seeds, (column, row), radius, said, cv2.FILLED)
     inside = np.zeros(trimap.shape, dtype=bool)
     if (trimap != cv2.GC_BGD).any():
         window = window_around(trimap != cv2.GC_BGD, AROUND * max(trimap.shape))
         inside[window] = graph_cut(
             np.ascontiguousarray(picture[window]), trimap[window]
         )
-    if whole or not seeds.any():
-        return tidied(inside, inside)
-    return tidied(inside, seeds > 0, smallest=0)
+    on, beside = seeds == 1, seeds == 2
+    whole |= not on.any()
+    kept = tidied(inside, inside if whole else on, SMALLEST_PART if whole else 0)
+    return kept & ~beside  # a dot is no hole to fill
 
 
 def _regions(picture: np.ndarray, clicks: Sequence[Click], scale: int) -> np.ndarray:

@@ -51,7 +51,7 @@ def salience(read: Callable[[], cv2.dnn.Net], pixels: np.ndarray) -> np.ndarray:
     shrinks = max(pixels.shape[:2]) > SEEN
     way = cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR
     square = cv2.resize(pixels, (SEEN, SEEN), interpolation=way)
-    mean, std = np.float32(IMAGENET_MEAN), np.float32(IMAGENET_STD)
+    mean, std = (np.array(one, np.float32) for one in (IMAGENET_MEAN, IMAGENET_STD))
     scaled = (square.astype(np.float32) / max(1, int(square.max())) - mean) / std
     network = read()
     network.setInput(np.ascontiguousarray(scaled.transpose(2, 0, 1)[None]))
