@@ -10,15 +10,7 @@ import cv2
 import numpy as np
 import yaml
 
-from edit3r_select.cues import (
-    Pool,
-    expected,
-    obeyed,
-    pixel,
-    quality,
-    stability,
-    table,
-)
+from edit3r_select.cues import Pool, pixel, quality, stability, table
 
 FITTED = Path(__file__).with_name("fitted.yaml")
 SAME = 0.85
@@ -99,7 +91,7 @@ def scores(pool: Pool, weights: CueWeights) -> np.ndarray:
 
 def choose(pool: Pool, weights: CueWeights, same: float = SAME) -> Chosen:
     """The masks of a pool, the one that is meant first; of those with an IoU of `same` the best."""
-    values = scores(pool, weights) if pool.is_told else agreed(pool)
+    values = scores(pool, weights)
     order: list[int] = []
     for index in np.argsort(-values, kind="stable").tolist():
         alike = any(pool.overlaps[index, order] > same)
@@ -118,22 +110,15 @@ def choose(pool: Pool, weights: CueWeights, same: float = SAME) -> Chosen:
     return Chosen(candidates, sure)
 
 
-def agreed(pool: Pool) -> np.ndarray:
-    """How much each mask `[n]` agrees with the others, the marks and what is expected: what counts
-    where nobody tells how good the masks are, which the weights are fitted for.
-    """
-    return pool.overlaps.mean(1) + obeyed(pool) + expected(pool)
-
-
 def obeying(pool: Pool, logits: np.ndarray) -> np.ndarray:
     """Logits that obey every click: a dot of the mask is set or cleared where one does not."""
-    changed = logits.copy()
+    obeyed = logits.copy()
     radius = max(1, round(DOT * max(pool.size)))
     for place, wanted in pool.asked.clicks:
         row, column = pixel(place, pool.size)
-        if (changed[row, column] > 0) != wanted:
-            cv2.circle(changed, (column, row), radius, SURE if wanted else -SURE, -1)
-    return changed
+        if (obeyed[row, column] > 0) != wanted:
+            cv2.circle(obeyed, (column, row), radius, SURE if wanted else -SURE, -1)
+    return obeyed
 
 
 def evidence(pool: Pool, values: np.ndarray) -> np.ndarray:
