@@ -154,8 +154,8 @@ def _box(flag: str, text: str, frames: list[Frame]) -> tuple[int, Box]:
     height, width = frame.target
     if (right - left) * width < 1 or (bottom - top) * height < 1:
         raise InputError(
-            f"{flag} {text}: holds no pixel of photo {view + 1} as it is used ({width} x {height} "
-            "pixels); give a larger one."
+            f"{flag} {text}: contains no pixel of photo {view + 1} as it is used "
+            f"({width} x {height} pixels); give a larger one."
         )
     return view, (left, top, min(1.0, right) - left, min(1.0, bottom) - top)
 

@@ -104,7 +104,7 @@ def _regions(
         return SelectedRegions(things=inputs.things)
     marked_alone = any(one.target.scope == "marked" for one in instructions)
     if inputs.marked is None and marked_alone and not components.config.prompt:
-        raise InputError(f"nothing says which object is meant; {ASK}.")
+        raise InputError(f"it is not clear which object is meant; {ASK}.")
 
     def hints() -> str:
         """What the reader of the sentence advises, such as "Did you mean 'bear'?"."""
