@@ -30,7 +30,7 @@ from edit3r.contract.interfaces.reconstruction import (
     GaussianHead as GaussianHead,
     Geometry as Geometry,
     Matcher as Matcher,
-    MatchesLevelled as MatchesLevelled,
+    MatchesCorrected as MatchesCorrected,
     Reconstructor as Reconstructor,
 )
 from edit3r.contract.interfaces.rendering import (
