@@ -25,11 +25,9 @@ from edit3r.contract.interfaces import Reading, Selected, Selection
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict
-from edit3r.kit.compute.outlines import overlap
 from edit3r.kit.contact_sheet import outlined
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.photos.images import save_image
-from edit3r.kit.segmenting import automatic_masks
 from edit3r.running import (
     Components,
     Preview,
@@ -54,13 +52,11 @@ from edit3r_app.sessions import (
 
 # The numbers of this block: no figures kept.
 GEOMETRY_PATIENCE = 10.0
-"""[s] that the full answer waits for poses and depths where they are nearly there; else masks are
-carried by what the photos show, and it is answered anew later.
+"""[s] that the full answer waits for poses and depths where they are nearly there; else photos
+without marks wait, and it is answered anew later.
 """
 AGAIN = 0.2
 """[s] after which one who waits asks whether the answer is still wanted."""
-CANDIDATES = 5  # that are shown of what may be meant
-ANOTHER = 0.6  # overlap from which two of them are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,17 +137,11 @@ class Candidates(Stage):
         super().__init__(registry, self._find, kept=16)
 
     def _find(self, session: Session, name: str) -> tuple[tuple[Mark, Tensor], ...]:
-        image = session.views.images[0, session.place(name)]
-        with as_in_a_run(session.cache):
-            segmenter = self.registry.build_choice("segmenter", SEGMENTER)
-            proposals = automatic_masks(segmenter, image)
-        masks: list[Tensor] = []
-        for one in proposals:
-            if all(
-                overlap(one.soft_mask > 0.5, mask > 0.5) < ANOTHER for mask in masks
-            ):
-                masks.append(one.soft_mask)
-        return tuple((around(mask, name), mask) for mask in masks[:CANDIDATES])
+        alone = session.views.select([session.place(name)])
+        with as_in_a_run(session.cache), suppress(Edit3rError):
+            found = usual_selector().select(alone, Selection())
+            return tuple((around(one.mask, name), one.mask) for one in found.readings)
+        return ()
 
 
 class DraftSelection(Stage):

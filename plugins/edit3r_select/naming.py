@@ -188,7 +188,7 @@ def _text(photos: Photos, selection: Selection, view: int) -> tuple[Proposals, b
     """What the words name on a photo, and whether the segmenter knows them."""
     image = photos.images[view]
     if selection.words == BACKGROUND:
-        told = _background(photos.segmenter, image)
+        told: Proposals | None = _background(photos.segmenter, image)
     else:
         told = photos.segmenter.words(image, selection.words)
     likely = [one for one in told or () if one.confidence >= FOUND_AT_ALL]
