@@ -46,7 +46,7 @@ from edit3r_app.pictures import around, jpeg, over, picture
 from edit3r_app.sessions import (
     SEGMENTER,
     KeepingRegistry,
-    Progress,
+    PhotosProgress,
     Session,
     Sessions,
     as_in_a_run,
@@ -154,7 +154,7 @@ class Candidates(Stage):
         return tuple((around(mask, name), mask) for mask in masks[:CANDIDATES])
 
 
-class Selecting(Stage):
+class DraftSelection(Stage):
     """What a whole draft selects on all photos, and how its sentence is read."""
 
     def __init__(self, registry: Registry) -> None:
@@ -294,7 +294,7 @@ class PreviewService:
         # Pointing never waits for an answer in full. The segmenter is the same, so that what it
         # read of the photos is read once.
         self.pointing = Pointing(self.registry)
-        self.selecting = Selecting(self.registry)
+        self.selecting = DraftSelection(self.registry)
         self.editing = Editing(self.registry, self.pointing)
         self._candidates = Candidates(self.registry)
         self._prepared = threading.Event()
@@ -311,7 +311,7 @@ class PreviewService:
             segmenter = self.registry.build_choice("segmenter", SEGMENTER)
             segmenter.words(torch.zeros(3, 48, 64), "sky")
 
-    def begin(self, state: str) -> Progress:
+    def begin(self, state: str) -> PhotosProgress:
         """Read a state's photos in the background, from the first call on; say how far it is."""
         return self.sessions.begin(state)
 
