@@ -13,6 +13,7 @@ from edit3r.contract.types import (
     EditRequest,
     Features,
     Gaussians,
+    GivenScene,
     Reconstruction,
     Tensors,
     Views,
@@ -162,6 +163,20 @@ class FindsGeometry(ABC):
         """Geometry of unedited photos, at their resolution.
 
         Raises MatchingError when view 0 cannot be placed relative to any other view.
+        """
+
+
+class StartsFromScene(ABC):
+    """A reconstructor that goes on from a scene that is there, where the run is given one."""
+
+    needs_scene: bool = False
+    """Whether it can do nothing without one."""
+
+    @abstractmethod
+    def starting_from(self, scene: GivenScene) -> "Reconstructor":
+        """The same reconstructor for pictures of `scene`, whose cameras are those of the views.
+
+        Its answer has these cameras, and `kept` where it changes the scene's own Gaussians.
         """
 
 
