@@ -93,6 +93,18 @@ def test_lasting_trouble_is_one_sentence_without_the_key(
     assert caught.value.__cause__ is None and caught.value.__suppress_context__
 
 
+@pytest.mark.parametrize("status", [301, 302, 303, 307, 308])
+def test_neither_key_nor_photo_follows_to_another_host(
+    build, fake, elsewhere, two_views, status
+):
+    fake.script.extend([f"elsewhere:{status} {elsewhere.url}"] * 2)
+    with pytest.raises(
+        RunError, match=r"leads elsewhere, which is not followed.*editor\.base_url"
+    ):
+        build(attempts=1).edit(two_views, ASK)
+    assert len(fake.requests) == 2 and not elsewhere.requests
+
+
 def test_attempts_are_the_tries_for_each_photo(build, fake, two_views):
     fake.script.extend(["status:500"] * 8)
     with pytest.raises(RunError):
