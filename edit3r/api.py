@@ -18,14 +18,14 @@ from edit3r.contract.interfaces import Editor, Reconstructor, Selection
 from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.torch_state import in_usual_torch
-from edit3r.contract.types import Cameras, Views
+from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.cache import Cache
 from edit3r.kit.photos.in_memory import Pictures, as_files
 from edit3r.loading.registry import Registry
-from edit3r.running.config import PART_KEYS, make_run_config
+from edit3r.running.config import DEFAULTS, PART_KEYS, make_run_config
 from edit3r.running.earlier import EarlierRun, read_earlier_run
 from edit3r.running.given import check_cameras, check_views, checked_masks
-from edit3r.running.job import RunJob, inherited, with_cameras
+from edit3r.running.job import RunJob, inherited, scene_among, with_cameras
 from edit3r.running.loop import run as run_job
 from edit3r.running.selecting.marks import MarkTexts
 from edit3r.running.settings import Choice, RunSettings
@@ -36,7 +36,7 @@ Files = str | Path | Sequence[str | Path]
 
 @in_usual_torch
 def run(
-    photos: Views | Pictures = (),
+    photos: Views | Pictures | Gaussians = (),
     prompt: str | None = None,
     *,
     editor: Choice | Editor | None = None,
@@ -51,14 +51,15 @@ def run(
     progress: bool = False,
     **settings: Unpack[RunSettings],
 ) -> RunResult:
-    """Edit photos as `prompt` says and reconstruct them in 3D.
+    """Edit photos as `prompt` says and reconstruct them in 3D, or edit a scene that is there.
 
     Settings that are not given have the defaults of `edit3r run --help`, which tells them.
 
     Args:
         photos: Loaded views; photo files, folders and videos; or pictures in memory, of any sizes:
             arrays [height, width, 3], tensors [3, height, width], PIL images. May be left out with
-            `earlier`.
+            `earlier`. Or a scene: its file (.ply, .spz, .sog, .splat, .glb), or its Gaussians;
+            `RunResult.scene` is then the edited one in its own frame.
         prompt: What to change, such as "paint the bike red".
         editor, recon: Names, names with settings, or built objects; `recon` is the reconstructor.
         masks: Where pixels may change: masks in [0, 1] of all views, mask files, or a Selection
@@ -99,14 +100,19 @@ def run(
     layers = [{key: _plain(value) for key, value in given.items()}]
     if before is not None:
         layers.insert(0, inherited(before, layers))
+    scene = _scene(photos)
+    if scene is not None:
+        photos = ()
+        layers.insert(0, DEFAULTS["of_scenes"])
     photos = _photos(photos, cameras)
     job = RunJob(
         config=make_run_config(*layers),
         photos=photos,
+        scene=scene,
         cameras=Path(cameras) if isinstance(cameras, str) else cameras,
         refine_poses=refine_poses,
         masks=_masks(masks),
-        earlier=None if photos else before,
+        earlier=None if photos or scene is not None else before,
         cache=cache,
         components=built,
     )
@@ -135,6 +141,17 @@ def _plain(value: Any) -> Any:
     return (
         [_plain(item) for item in value] if isinstance(value, list | tuple) else value
     )
+
+
+def _scene(photos: Views | Pictures | Gaussians) -> Path | Gaussians | None:
+    """The scene that is given in place of photos."""
+    if isinstance(photos, Gaussians):
+        return photos
+    if isinstance(photos, str | Path):
+        return scene_among((photos,))
+    if isinstance(photos, list | tuple):
+        return scene_among([one for one in photos if isinstance(one, str | Path)])
+    return None
 
 
 def _photos(

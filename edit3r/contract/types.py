@@ -399,11 +399,13 @@ def _joined(parts: Iterable[Gaussians], axis: int) -> dict[str, Tensor]:
 
 @dataclass(frozen=True, repr=False)
 class GivenScene(Tensors):
-    """A scene that was there before the run (batch 1), and what its pictures show of its geometry."""
+    """A scene that was there before the run (batch 1), and pictures of it."""
 
     gaussians: Gaussians  # in the frame of view 0
     cameras: Cameras  # of the pictures; that of view 0 is the identity
-    images: Float[Tensor, "batch view 3 height width"]  # sRGB in [0, 1], over a background
+    images: Float[
+        Tensor, "batch view 3 height width"
+    ]  # sRGB in [0, 1], over a background
     background: float  # grey behind it all, in [0, 1]
     # expected camera z of the pictures' pixels, 0 where nothing is
     depths: Float[Tensor, "batch view height width"]

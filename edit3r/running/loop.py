@@ -130,6 +130,8 @@ def _begin(
     parts = Parts(job.config, registry, job)
     # A sentence that nobody can carry out ends the run before photos are read.
     _ = parts.tasks
-    inputs, factor = to_working_scale(read(job, parts.lens))
+    inputs, factor = to_working_scale(read(job, parts.lens, lambda: parts.rasterizer))
+    if inputs.scene is not None:
+        parts.start_from(inputs.scene.views.scene)
     parts.settle_matcher(inputs.photos)
     return inputs, factor, parts

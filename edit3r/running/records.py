@@ -20,6 +20,7 @@ from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering,
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
 from edit3r.kit.geometry.exposure import Exposure, ExposureOfEdit
 from edit3r.kit.photos.images import Photo
+from edit3r.running.scene_input import SceneInput
 
 Masks = Float[Tensor, "batch view height width"]
 """In [0, 1]; 1: may change."""
@@ -46,6 +47,7 @@ class Inputs:
         default_factory=dict
     )
     before: Reconstruction | None = None  # an earlier run's scene
+    scene: SceneInput | None = None  # the given one that the photos are pictures of
 
     def select(self, indices: list[int]) -> "Inputs":
         """The same with the views at `indices` only."""

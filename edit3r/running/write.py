@@ -32,7 +32,7 @@ from edit3r.contract.interfaces import (
     Selected,
     Writer,
 )
-from edit3r.contract.reporting import Report, collecting, note, warn
+from edit3r.contract.reporting import Report, collecting, note, say, warn
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
@@ -61,6 +61,7 @@ from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.earlier import CACHE, THINGS, EarlierRun, note_views
 from edit3r.running.parts import Parts
 from edit3r.running.records import Masks, Preview, Records, SelectedRegions
+from edit3r.running.scene_input import SceneInput
 
 FITS = 15.0
 """PSNR [dB] of a photo in the scene from which the camera path comes near it."""
@@ -101,6 +102,16 @@ class RunResult:
     def gaussians(self) -> Gaussians:
         """The edited scene, in the frame of view 0."""
         return self.records.gaussians
+
+    @property
+    def scene(self) -> Gaussians:
+        """The edited scene; of a given one in its own frame and unit, with the bits it came with
+        where nothing changed.
+        """
+        given = self.records.inputs.scene
+        if given is None:
+            return self.gaussians
+        return given.edited(self.records.made.reconstruction, self.gaussians)
 
     @property
     def cameras(self) -> Cameras:
@@ -325,6 +336,13 @@ def _write_rest(folder: RunFolder, result: RunResult, writers: list[Writer]) -> 
 
 def _write_scene(folder: RunFolder, result: RunResult) -> None:
     """`scene.ply` is for viewers, and common ones refuse harmonics above degree 3."""
+    names = [f"inputs/{name}.png" for name in result.photos.names]
+    given = result.records.inputs.scene
+    if given is not None:
+        _write_given(folder.root, result, given)
+        own = given.cameras_in_own_frame(result.cameras)
+        write_cameras(folder.cameras, posed_cameras(own, names))
+        return
     if result.gaussians.degree > VIEWER_DEGREE:
         was = result.gaussians.degree
         warn(
@@ -338,8 +356,27 @@ def _write_scene(folder: RunFolder, result: RunResult) -> None:
         degree=VIEWER_DEGREE,
         comment_lines=[f"prompt: {prompt}"],
     )
-    names = [f"inputs/{name}.png" for name in result.photos.names]
     write_cameras(folder.cameras, posed_cameras(result.cameras, names))
+
+
+def _write_given(root: Path, result: RunResult, given: SceneInput) -> None:
+    """The edited scene in the format that it came in."""
+    content = given.content(result.records.made.reconstruction, result.gaussians)
+    file = root / f"scene{given.suffix}"
+    note("scene.file", file.name)
+    if content is not None:
+        file.write_bytes(content)
+        return
+    writer = DEFAULTS["writer_of_format"].get(given.form)
+    if writer is None:
+        save_ply(file, result.scene)
+        return
+    say(
+        "scene.rewritten",
+        f"{given.form} keeps its Gaussians together, so all of them were written anew, as exactly "
+        "as it can",
+    )
+    write_scene(result.parts.writer(writer), file, SceneToWrite(result.scene))
 
 
 def _write_images(folder: RunFolder, result: RunResult) -> None:
@@ -470,7 +507,17 @@ def _manifest(result: RunResult) -> RunManifest:
         stages=report.stages,
         warnings=report.warnings,
         notes=notes,
+        **_own_frame(result),
     )
+
+
+def _own_frame(result: RunResult) -> dict[str, str]:
+    """What run.json says of the frame where it is a given scene's."""
+    if result.records.inputs.scene is None:
+        return {}
+    return {
+        "frame": "the given scene's own; OpenCV axes in c2w; its own unit of length"
+    }
 
 
 def plugin_records(component: Any) -> list[PluginRecord]:

@@ -24,7 +24,7 @@ def register_selectors() -> list[Component]:
         Component(
             "in-scene",
             "edit3r_in_place.in_scene:InSceneSelector",
-            "marks and words on one or two pictures of a given scene, carried to all by its Gaussians",
+            "marks and words on few pictures of a given scene, carried to all by its Gaussians",
             parts=("segmenter",),
         )
     ]

@@ -61,9 +61,11 @@ def belonging(gaussians: Gaussians, shown: Evidence) -> Float[Tensor, "gaussian"
     if not bool(inside.any()):
         return torch.zeros_like(share)
     points = gaussians.means[0]
-    low, high = points[inside].quantile(torch.tensor([0.02, 0.98]), 0) if int(
-        inside.sum()
-    ) < 1_000_000 else (points[inside].amin(0), points[inside].amax(0))
+    low, high = (
+        points[inside].quantile(torch.tensor([0.02, 0.98]), 0)
+        if int(inside.sum()) < 1_000_000
+        else (points[inside].amin(0), points[inside].amax(0))
+    )
     size = float((high - low).max().clamp(min=1e-9))
     near = ((points > low - ROUND * size) & (points < high + ROUND * size)).all(1)
     unseen = near & ~seen

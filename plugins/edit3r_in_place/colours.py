@@ -19,7 +19,9 @@ from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
 
 STEPS = 6  # of the conjugate gradients: further ones fit the noise of single pixels
 HELD = 0.02  # weight of the mean change beside the pictures [of what a Gaussian shows]
-SEEN = 0.05  # share of a pixel, over all pictures, below which neighbours tell the change
+SEEN = (
+    0.05  # share of a pixel, over all pictures, below which neighbours tell the change
+)
 NEIGHBOURS = 4
 OFFSET = 4.0  # added to signed colours: a rasterizer draws none below 0
 
@@ -104,7 +106,7 @@ def _with_neighbours(
     weights: Float[Tensor, "gaussian"],
     found: Colours,
 ) -> Colours:
-    """The changes, where nobody sees a chosen Gaussian those of its neighbours in place and colour."""
+    """The changes; of a chosen Gaussian that nobody sees, those of its neighbours."""
     known = (chosen & (weights > SEEN)).nonzero()[:, 0]
     asked = (chosen & (weights <= SEEN)).nonzero()[:, 0]
     if not len(known) or not len(asked):

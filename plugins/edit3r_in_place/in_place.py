@@ -34,9 +34,7 @@ LEAST = 1 / 255  # change of a picture [sRGB] that counts
 SOLID = 0.5  # alpha from which a pixel has a depth
 
 
-class InPlaceReconstructor(
-    Reconstructor, EditsViews, FindsGeometry, StartsFromScene
-):
+class InPlaceReconstructor(Reconstructor, EditsViews, FindsGeometry, StartsFromScene):
     """Changes colours of the Gaussians that an edit shows on, and takes out what is removed.
 
     All else of the scene stays bit for bit. Needs a given scene.
@@ -52,7 +50,6 @@ class InPlaceReconstructor(
     min_views = 1
     uses_geometry = True
     fuses_by_itself = True
-    needs_scene = True
     scene: GivenScene | None = None
 
     def __init__(self, settings: Settings, rasterizer: Rasterizer) -> None:
@@ -107,7 +104,9 @@ class InPlaceReconstructor(
             )
         masks = request.masks
         if masks is None:
-            raise PromptError("in-place: nothing says what is to be removed; click on it.")
+            raise PromptError(
+                "in-place: nothing says what is to be removed; click on it."
+            )
         chosen = self._chosen(scene, masks[0])
         if not bool(chosen.any()) or bool(chosen.all()):
             which = "all" if bool(chosen.any()) else "none"

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
@@ -167,16 +167,14 @@ class FindsGeometry(ABC):
 
 
 class StartsFromScene(ABC):
-    """A reconstructor that goes on from a scene that is there, where the run is given one."""
-
-    needs_scene: bool = False
-    """Whether it can do nothing without one."""
+    """A reconstructor or selector that uses the scene that is there, where a run is given one."""
 
     @abstractmethod
-    def starting_from(self, scene: GivenScene) -> "Reconstructor":
-        """The same reconstructor for pictures of `scene`, whose cameras are those of the views.
+    def starting_from(self, scene: GivenScene) -> Any:
+        """The same component for views that are pictures of `scene`.
 
-        Its answer has these cameras, and `kept` where it changes the scene's own Gaussians.
+        A reconstructor answers with the scene's cameras, and with `kept` where it changes the
+        scene's own Gaussians.
         """
 
 

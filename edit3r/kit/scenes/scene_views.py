@@ -28,7 +28,7 @@ UPS = {
 }
 AROUND = 50.0  # horizontal field of view of places around a thing [degrees]
 WITHIN = 75.0  # and of those in a room
-DISTANCE = 2.2  # of places around a thing [radii of the thing]
+DISTANCE = 2.5  # of places around a thing [radii of the thing]
 CORE = 0.98  # share of the Gaussians that a radius takes in
 HEIGHTS = (0.25, 0.7)  # of places around a thing above its middle, by turns [radii]
 COVERED = 0.9  # alpha of what is seen all around from within a room
@@ -79,7 +79,7 @@ def look_around(
     core = _core(gaussians)
     upward = torch.tensor(UPS[up] if up else up_of(core))
     points = core.means[0]
-    low, middle, high = points.quantile(torch.tensor([0.01, 0.5, 0.99]), 0)
+    low, high = points.quantile(torch.tensor([0.01, 0.99]), 0)
     centre = (low + high) / 2
     radius = float((points - centre).norm(dim=1).quantile(CORE))
     if not radius > 0:

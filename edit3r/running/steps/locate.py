@@ -6,7 +6,6 @@ import torch
 
 from edit3r.contract.interfaces import Geometry
 from edit3r.contract.reporting import note, say, stage
-from edit3r.contract.types import Views
 from edit3r.kit.geometry.cameras import field_of_view
 from edit3r.kit.geometry.exposure import (
     Exposure,
@@ -40,7 +39,7 @@ def locate(inputs: Inputs, parts: Parts) -> tuple[Inputs, Located]:
         photos = inputs.photos
         flat = any(photos.assumed) and lies_flat(geometry, photos)
         lenses = _note_lens(inputs, geometry)
-        exposure = _exposure(photos, geometry, parts)
+        exposure = _exposure(inputs, geometry, parts)
         return inputs, Located(geometry, flat, lenses, exposure)
 
 
@@ -117,11 +116,11 @@ def _note_lens(inputs: Inputs, geometry: Geometry | None) -> tuple[float, float]
     return geometry.lenses
 
 
-def _exposure(photos: Views, geometry: Geometry, parts: Parts) -> Exposure | None:
-    """How the photos' colours become the first one's."""
-    if parts.config.exposure == "own":
+def _exposure(inputs: Inputs, geometry: Geometry, parts: Parts) -> Exposure | None:
+    """How the photos' colours become the first one's; pictures of a scene have one already."""
+    if parts.config.exposure == "own" or inputs.scene is not None:
         return None
-    exposure = estimate_exposure(photos, geometry)
+    exposure = estimate_exposure(inputs.photos, geometry)
     if exposure is not None:
         for name, value in (("gain", exposure.gain), ("offset", exposure.offset)):
             note(f"exposure.{name}", value[0, ..., 0, 0].tolist())

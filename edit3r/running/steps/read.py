@@ -7,7 +7,7 @@ from pathlib import Path
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Reader, Selection
+from edit3r.contract.interfaces import Rasterizer, Reader, Selection
 from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say, stage, warn
 from edit3r.contract.types import Views
@@ -19,19 +19,29 @@ from edit3r.kit.photos.masks import read_mask
 from edit3r.running.earlier import EarlierRun
 from edit3r.running.job import RunJob
 from edit3r.running.records import Inputs
+from edit3r.running.scene_input import read_scene
 from edit3r.running.selecting.marks import MarkTexts
 
 _MOST_OF_A_THING = 0.5
 """Share of the photos [mean of the masks] above which masks are of no thing."""
 
 
-def read(job: RunJob, read_lens: Callable[[Views], Lens | None]) -> Inputs:
+def read(
+    job: RunJob,
+    read_lens: Callable[[Views], Lens | None],
+    rasterizer: Callable[[], Rasterizer],
+) -> Inputs:
     """The photos of the job, or of the earlier run that it goes on from, and their marks.
 
-    `read_lens` says of photos whose lens nobody knows what bends straight lines in them.
+    `read_lens` says of photos whose lens nobody knows what bends straight lines in them; the
+    `rasterizer` makes the pictures of a given scene.
     """
     with stage("read photos"):
         masks = job.masks
+        if job.scene is not None:
+            inputs = _read_scene(job, rasterizer())
+            inputs = replace(inputs, prompts=(job.config.prompt,))
+            return _with_marks(inputs, masks, job.components["reader"])
         if job.earlier is not None:
             inputs = _read_earlier(job.earlier)
         elif isinstance(job.photos, Views):
@@ -47,6 +57,22 @@ def read(job: RunJob, read_lens: Callable[[Views], Lens | None]) -> Inputs:
                 inputs = _with_masks_of_cameras(inputs)
         inputs = replace(inputs, prompts=(*inputs.prompts, job.config.prompt))
         return _with_marks(inputs, masks, job.components["reader"])
+
+
+def _read_scene(job: RunJob, rasterizer: Rasterizer) -> Inputs:
+    """Pictures of the given scene in place of photos."""
+    assert job.scene is not None
+    config = job.config
+    scene = read_scene(
+        job.scene,
+        rasterizer,
+        views=config.views,
+        size=config.size if "size" in config.set_by_the_user() else None,
+        up=config.up,
+        cameras=job.cameras,
+    )
+    pictures = scene.views.pictures
+    return Inputs(pictures, pictures, scene.records(), scene=scene)
 
 
 def _read_earlier(earlier: EarlierRun) -> Inputs:

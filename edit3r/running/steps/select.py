@@ -21,6 +21,7 @@ from edit3r.contract.types import Views
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.parts import Parts
 from edit3r.running.records import Inputs, SelectedRegions
+from edit3r.running.scene_input import SceneInput
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.regions import RegionFinder
 
@@ -29,7 +30,8 @@ from edit3r.running.selecting.regions import RegionFinder
 def select(inputs: Inputs, parts: Parts) -> SelectedRegions:
     """A mask for each instruction on every photo, and where anything may change at all."""
     with stage("select"):
-        return _widened(_regions(inputs, parts), inputs, parts)
+        selection = _widened(_regions(inputs, parts), inputs, parts)
+        return selection if inputs.scene is None else _on_scene(selection, inputs.scene)
 
 
 def load(inputs: Inputs, parts: Parts) -> Inputs:
@@ -139,6 +141,17 @@ def _widened(
     )
     wide = torch.maximum(selection.masks, regions.amax(0))
     return replace(selection, regions=regions, masks=wide)
+
+
+def _on_scene(selection: SelectedRegions, scene: SceneInput) -> SelectedRegions:
+    """The selection without what is background in the pictures of a given scene."""
+    alphas = scene.views.scene.alphas
+    masks, regions = selection.masks, selection.regions
+    return replace(
+        selection,
+        masks=alphas if masks is None else masks * alphas,
+        regions=None if regions is None else regions * alphas,
+    )
 
 
 def _narrowed(
