@@ -104,15 +104,15 @@ def run(
     if scene is not None:
         photos = ()
         layers.insert(0, DEFAULTS["of_scenes"])
-    photos = _photos(photos, cameras)
+    loaded = () if isinstance(photos, Gaussians) else _photos(photos, cameras)
     job = RunJob(
         config=make_run_config(*layers),
-        photos=photos,
+        photos=loaded,
         scene=scene,
         cameras=Path(cameras) if isinstance(cameras, str) else cameras,
         refine_poses=refine_poses,
         masks=_masks(masks),
-        earlier=None if photos or scene is not None else before,
+        earlier=None if loaded or scene is not None else before,
         cache=cache,
         components=built,
     )

@@ -21,6 +21,12 @@ from edit3r.version import __version__
 FORMAT = 1
 """Version of the layout of `run.json`; raised when a field changes its meaning or goes."""
 
+FRAME = (
+    "camera of view 0; OpenCV axes (x right, y down, z forward); c2w; "
+    "the length unit is arbitrary"
+)
+"""Of a scene and its cameras, unless `RunManifest.frame` says another."""
+
 _PACKAGES = (
     *("torch", "numpy", "pillow", "opencv-contrib-python-headless", "kornia"),
     *("scikit-image", "scipy", "pycolmap", "numba", "llvmlite"),
@@ -94,10 +100,7 @@ class RunManifest:
     stages: Sequence[StageRecord]
     warnings: Sequence[str]
     notes: Mapping[str, Any]
-    frame: str = (
-        "camera of view 0; OpenCV axes (x right, y down, z forward); c2w; "
-        "the length unit is arbitrary"
-    )
+    frame: str = FRAME
     versions: Mapping[str, str] = field(default_factory=lambda: installed_versions())
     format: int = FORMAT
 

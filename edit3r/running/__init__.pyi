@@ -40,6 +40,11 @@ from .quality import (
     write_quality as write_quality,
 )
 from .records import Preview as Preview
+from .scene_input import (
+    SceneInput as SceneInput,
+    read_scene as read_scene,
+    scene_of_run as scene_of_run,
+)
 from .selecting.call import select_with as select_with, usual_selector as usual_selector
 from .selecting.marks import MarkTexts as MarkTexts
 from .write import (

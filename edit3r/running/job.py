@@ -20,7 +20,7 @@ from edit3r.kit.cache import Cache
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.running.config import DEFAULTS, JobInputs, RunConfig, make_run_config
 from edit3r.running.earlier import CACHE, EarlierRun, read_earlier_run
-from edit3r.running.scene_input import is_scene
+from edit3r.running.scene_input import SceneInput, is_scene, scene_of_run
 from edit3r.running.selecting.marks import MarkTexts
 
 
@@ -31,7 +31,8 @@ class RunJob:
     config: RunConfig
     # files, folders and videos, or loaded views; () where an earlier run brings them
     photos: Views | tuple[Path, ...] = ()
-    scene: Path | Gaussians | None = None  # edited in place of photos
+    # edited in place of photos: a file, Gaussians, or both read and looked at
+    scene: Path | Gaussians | SceneInput | None = None
     # of loaded photos: a camera file, or the cameras of all of them
     cameras: Path | Cameras | None = None
     refine_poses: bool = False  # the given poses may move to where the photos want them
@@ -52,8 +53,13 @@ def job_from(
     Without photos and without an earlier run it is the packaged pair. Raises InputError for an
     earlier run that cannot be read, SettingsError for wrong settings. `trusted`: its run.json is.
     """
-    earlier = read_earlier_run(inputs.earlier, trusted) if inputs.earlier else None
     cache = _answers(inputs)
+    continued = scene_of_run(Path(inputs.earlier)) if inputs.earlier else None
+    if continued is not None and not inputs.photos:
+        file, cameras = map(str, continued)
+        again = {"photos": (file,), "cameras": inputs.cameras or cameras}
+        inputs = inputs.model_copy(update={**again, "earlier": None})
+    earlier = read_earlier_run(inputs.earlier, trusted) if inputs.earlier else None
     if earlier is not None:
         layers = (inherited(earlier, layers), *layers)
     elif not inputs.photos and not _names_another("editor", DEFAULTS["editor"], layers):

@@ -14,11 +14,13 @@ from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.reporting import available_memory, say
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction
 from edit3r.kit.files.atomic import sha256_of
-from edit3r.kit.files.names import unique_names
+from edit3r.kit.files.names import is_plain_name, unique_names
+from edit3r.kit.files.text import read_json
 from edit3r.kit.geometry.cameras import to_pixels
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import Photo
+from edit3r.kit.run_folder import RunFolder
 from edit3r.kit.scenes.axes import turned
 from edit3r.kit.scenes.files import LOOSE, is_loose_sog
 from edit3r.kit.scenes.look import camera_file_of
@@ -33,11 +35,12 @@ from edit3r.kit.scenes.scene_views import (
 )
 from edit3r.kit.scenes.spz_header import GZIP
 
-ENDINGS = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb")
+SCENE_ENDINGS = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb")
 USUAL_VIEWS = 8
 USUAL_SIZE = 384  # of the longer side of a picture [pixels]
 BYTES_OF_ONE = 1100  # most that a run holds for a Gaussian: measured with degree 3
 NAME = "the given scene"
+ZSTD = "spz of zstd"  # SPZ from version 4 on
 
 
 @dataclass(frozen=True)
@@ -55,17 +58,18 @@ class SceneInput:
 
     @property
     def form(self) -> str:
-        """Its format, as `edit3r.kit.scenes.reading.form_of` calls it; an SPZ of version 4 "spz4"."""
+        """Its format, as `edit3r.kit.scenes.reading.form_of` calls it; "spz of zstd" is SPZ 4."""
         if self.file is None:
             return "ply"
         form = form_of(self.file)
-        packed = self.file.open("rb").read(2) == GZIP if form == "spz" else True
-        return form if packed else "spz4"
+        if form == "spz" and not self.file.read_bytes().startswith(GZIP):
+            return ZSTD
+        return form
 
     @property
     def suffix(self) -> str:
         """How the name of a file of its format ends."""
-        form = {"spz4": "spz", "ksplat": "ply"}.get(self.form, self.form)
+        form = {ZSTD: "spz", "ksplat": "ply"}.get(self.form, self.form)
         return f".{form}"
 
     def records(self) -> tuple[Photo, ...]:
@@ -153,7 +157,21 @@ def is_scene(path: str | Path) -> bool:
     path = Path(path)
     if path.is_dir():
         return False
-    return path.suffix.lower() in ENDINGS or (path.name == LOOSE and is_loose_sog(path))
+    return path.suffix.lower() in SCENE_ENDINGS or (
+        path.name == LOOSE and is_loose_sog(path)
+    )
+
+
+def scene_of_run(root: Path) -> tuple[Path, Path] | None:
+    """The scene and the camera file of a run that edited a given scene; None of another one."""
+    manifest = RunFolder(root).manifest
+    try:
+        name = read_json(manifest)["notes"]["scene.file"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    if not is_plain_name(name) or not (root / name).is_file():
+        raise InputError(f"{root}: lacks its scene, which run.json calls {name!r:.80}.")
+    return root / name, RunFolder(root).cameras
 
 
 def read_scene(
@@ -163,15 +181,15 @@ def read_scene(
     views: int | None = None,
     size: int | None = None,
     up: str | None = None,
-    cameras: Path | Cameras | None = None,
+    cameras: str | Path | Cameras | None = None,
 ) -> SceneInput:
     """The scene, and pictures of it from given cameras, those beside its file, or around it.
 
-    Raises InputError for a file without Gaussians, a scene too large for the memory, and cameras
-    that see nothing of it.
+    `cameras` may be "none": not even those beside the file. Raises InputError for a file without
+    Gaussians, a scene too large for the memory, and cameras that see nothing of it.
     """
     file = scene if isinstance(scene, Path) else None
-    given = load_scene(file) if file is not None else _checked(scene)
+    given = _checked(scene) if isinstance(scene, Gaussians) else load_scene(scene)
     _check_memory(given, NAME if file is None else str(file))
     with torch.no_grad():
         places = _places(given, file, rasterizer, views, size, up, cameras)
@@ -198,7 +216,7 @@ def _places(
     views: int | None,
     size: int | None,
     up: str | None,
-    cameras: Path | Cameras | None,
+    cameras: str | Path | Cameras | None,
 ) -> Places:
     longer = size or USUAL_SIZE
     beside = camera_file_of(file) if file is not None and cameras is None else None

@@ -49,6 +49,7 @@ from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image, save_pixels, to_bytes
 from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.kit.run_folder import (
+    FRAME,
     PluginRecord,
     RunFolder,
     RunManifest,
@@ -63,6 +64,8 @@ from edit3r.running.parts import Parts
 from edit3r.running.records import Masks, Preview, Records, SelectedRegions
 from edit3r.running.scene_input import SceneInput
 
+OWN_FRAME = "that of the given scene; OpenCV axes in c2w; its own unit of length"
+"""What run.json says of the frame of a given scene and its cameras."""
 FITS = 15.0
 """PSNR [dB] of a photo in the scene from which the camera path comes near it."""
 
@@ -507,17 +510,8 @@ def _manifest(result: RunResult) -> RunManifest:
         stages=report.stages,
         warnings=report.warnings,
         notes=notes,
-        **_own_frame(result),
+        frame=FRAME if result.records.inputs.scene is None else OWN_FRAME,
     )
-
-
-def _own_frame(result: RunResult) -> dict[str, str]:
-    """What run.json says of the frame where it is a given scene's."""
-    if result.records.inputs.scene is None:
-        return {}
-    return {
-        "frame": "the given scene's own; OpenCV axes in c2w; its own unit of length"
-    }
 
 
 def plugin_records(component: Any) -> list[PluginRecord]:

@@ -44,12 +44,14 @@ from edit3r.running import (
     Preview,
     RunConfig,
     RunJob,
+    SceneInput,
     default_matcher,
     geometry_answer,
     make_run_config,
     preview,
     preview_photo,
     read_earlier_run,
+    read_scene,
     usual_selector,
 )
 from edit3r_app.draft import DRAFT, Draft, Mark
@@ -132,6 +134,7 @@ class _Opened:
     cache: Cache
     began: float  # when they began to be read [seconds since 1970]
     earlier: EarlierRun | None  # the run, without its scene; None of photos
+    splat: SceneInput | None = None  # the scene of which these are pictures
     geometry: "Future[GeometryAnswer]" = field(default_factory=Future)
     read: dict[int, "Future[None]"] = field(default_factory=dict)
     """By photo: that the segmenter has read it."""
@@ -450,7 +453,11 @@ class Looker:
         """Read a state's photos as a run does; `names` says which there are."""
         path = self.folder.path(state)
         began, earlier = time.time(), None
-        if self.folder.is_run(state):
+        splat = self._read_splat(state)
+        if splat is not None:
+            cache = Cache(self._answers(state))
+            photos = views = splat.views.pictures
+        elif self.folder.is_run(state):
             cache = Cache(path / CACHE)
             earlier = replace(read_earlier_run(path), scene=None)
             photos, views = earlier.photos, earlier.edited
@@ -459,7 +466,7 @@ class Looker:
             files = list(self.folder.photos(state).values())
             with _working_with(cache):
                 photos = views = load_photos(files, size=self.size).views
-        opened = _Opened(views, cache, began, earlier)
+        opened = _Opened(views, cache, began, earlier, splat)
         opened.geometry.add_done_callback(_said)
         if photos is views:  # else the scene is looked at first
             self._begin_reading(opened, 0)
@@ -475,7 +482,7 @@ class Looker:
         """
         wait(list(opened.read.values()))
         try:
-            opened.geometry.set_result(self._geometry(photos, opened.cache))
+            opened.geometry.set_result(self._geometry(photos, opened))
         except Exception as error:  # told with each answer
             opened.geometry.set_exception(error)
         if photos is not opened.views:
@@ -518,9 +525,24 @@ class Looker:
                 with atomic_folder(self._answers(state), overwrite=True) as partial:
                     cache.save(partial)
 
-    def _geometry(self, photos: Views, cache: Cache) -> GeometryAnswer:
+    def _read_splat(self, state: str) -> SceneInput | None:
+        """The scene of a state, read and looked at; None where it is of photos."""
+        splat = self.folder.splat(state)
+        if splat is None:
+            return None
+        file, cameras = splat
+        rasterizer = self.registry.build_choice("rasterizer", RunConfig().rasterizer)
+        return read_scene(file, rasterizer, cameras=cameras)
+
+    def _geometry(self, photos: Views, opened: _Opened) -> GeometryAnswer:
         """Poses and depths, as a run with the default reconstructor finds them."""
-        began = time.time()
+        began, cache = time.time(), opened.cache
+        if opened.splat is not None:
+            choice = PartChoice(name=DEFAULTS["of_scenes"]["reconstructor"])
+            recon = self.registry.build_choice("reconstructor", choice)
+            return geometry_answer(
+                recon.starting_from(opened.splat.views.scene), photos
+            )
         with _working_with(cache):
             found = geometry_answer(default_matcher(self.registry), photos)
         if "match" in cache.computed:
@@ -533,8 +555,10 @@ class Looker:
         look = DraftAnswer(opened.views)
         with _working_with(opened.cache) as told:
             try:
-                config = make_run_config(run_settings(draft, self.registry))
+                config = _config_on(opened, run_settings(draft, self.registry))
                 parts = Parts(config, self.registry, RunJob(config))
+                if opened.splat is not None:
+                    parts.start_from(opened.splat.views.scene)
                 if draft.selects:
                     look = _with_marks(look, draft, opened, parts)
                 if config.prompt or config.editor is not None:
@@ -585,6 +609,12 @@ def _is_quick(component: Component) -> bool:
     return not (component.weights or component.needs_network)
 
 
+def _config_on(opened: _Opened, settings: dict[str, Any]) -> RunConfig:
+    """The settings of a run on what was opened."""
+    layers = [DEFAULTS["of_scenes"]] if opened.splat is not None else []
+    return make_run_config(*layers, settings)
+
+
 def _job_on(
     opened: _Opened,
     config: RunConfig,
@@ -593,6 +623,8 @@ def _job_on(
 ) -> RunJob:
     """The run of a draft: on photos, or on from what an earlier run left; of some views alone."""
     if opened.earlier is None:
+        if opened.splat is not None and views is None:
+            return RunJob(config, scene=opened.splat, masks=marks, cache=opened.cache)
         photos = opened.views if views is None else opened.views.select(views)
         return RunJob(config, photos, masks=marks, cache=opened.cache)
     earlier = opened.earlier

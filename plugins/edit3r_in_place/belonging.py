@@ -23,7 +23,7 @@ ROUND = 1.0  # sizes of the thing around it, beyond which nothing unseen belongs
 
 
 @dataclass(frozen=True)
-class Evidence:
+class Contribution:
     """What pictures show of each Gaussian of one scene [pixels]."""
 
     within: Float[Tensor, "gaussian"]  # inside the masks
@@ -33,8 +33,8 @@ class Evidence:
     def seen(self) -> Bool[Tensor, "gaussian"]:
         return self.total > SEEN
 
-    def __add__(self, other: "Evidence") -> "Evidence":
-        return Evidence(self.within + other.within, self.total + other.total)
+    def __add__(self, other: "Contribution") -> "Contribution":
+        return Contribution(self.within + other.within, self.total + other.total)
 
 
 def evidence(
@@ -42,14 +42,14 @@ def evidence(
     cameras: Cameras,
     masks: Float[Tensor, "camera height width"],
     rasterizer: Rasterizer,
-) -> Evidence:
+) -> Contribution:
     """Of one scene (batch 1) by the masks of all these cameras, in [0, 1]."""
     weights = torch.stack((masks, torch.ones_like(masks)), 1)
     within, total = rasterizer.contributions(gaussians, cameras, weights)[0].T
-    return Evidence(within, total)
+    return Contribution(within, total)
 
 
-def belonging(gaussians: Gaussians, shown: Evidence) -> Float[Tensor, "gaussian"]:
+def belonging(gaussians: Gaussians, shown: Contribution) -> Float[Tensor, "gaussian"]:
     """How much each Gaussian of one scene belongs to the thing, in [0, 1].
 
     Of what no picture shows, the nearest that one shows decides, by place and colour, and then the

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 import edit3r
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
     Geometry,
     Rasterizer,
@@ -27,12 +28,13 @@ from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import GivenScene, Views
 from edit3r.kit.rendering import render_numbers
 from edit3r.running import usual_selector
-from edit3r_in_place.belonging import SHARE, Evidence, belonging, evidence
+from edit3r_in_place.belonging import SHARE, Contribution, belonging, evidence
 
 LOOKS = 3  # pictures on which a segmenter is asked, at most
 WORDS_ON = 3  # pictures on which words are looked for
 NEW = 0.15  # share of the thing in a picture that no other picture showed, for another look
 SAME = 0.55  # overlap from which a further look confirms what is expected
+SOLID = 0.2  # alpha from which a place is on the scene
 SMALLEST = 3e-4  # share of a picture under which a thing does not show
 CERTAIN = 0.9  # share of a thing's pixels around which it is clicked on
 
@@ -68,6 +70,7 @@ class InSceneSelector(Selector, StartsFromScene):
     ) -> Selected:
         if self.scene is None or len(selection.masks) == views.count:
             return self.usual.select(views, selection, geometry)
+        _check_places(selection, self.scene)
         looked_at = list(selection.views) or _spread(views.count, WORDS_ON)
         plain = replace(selection, inverted=False, grow=0.0)
         part = None if geometry is None else _of_views(geometry, looked_at)
@@ -138,13 +141,13 @@ class _Lifting:
     scene: GivenScene
     rasterizer: Rasterizer
 
-    def evidence_of(self, masks: Mapping[int, Mask]) -> Evidence:
+    def evidence_of(self, masks: Mapping[int, Mask]) -> Contribution:
         views = sorted(masks)
         stacked = torch.stack([masks[view] for view in views])
         cameras = self.scene.cameras.select(views)
         return evidence(self.scene.gaussians, cameras, stacked, self.rasterizer)
 
-    def next_view(self, shown: Evidence, done: set[int]) -> int | None:
+    def next_view(self, shown: Contribution, done: set[int]) -> int | None:
         """The picture that shows most of the thing that no other one showed; None for little."""
         share = belonging(self.scene.gaussians, shown)
         news = share * (~shown.seen)
@@ -174,6 +177,22 @@ class _Lifting:
         ]
         share = torch.stack(every) / self.scene.alphas[0].clamp(min=1e-3)
         return torch.where(share > 0.02, share, 0.0).clamp(0, 1)
+
+
+def _check_places(selection: Selection, scene: GivenScene) -> None:
+    """Raise InputError for a click on the background of a scene."""
+    alphas = scene.alphas[0]
+    height, width = alphas.shape[1:]
+    strokes = [(view, *places[0]) for view, places in selection.strokes]
+    for view, x, y in (*selection.positive, *strokes):
+        if view >= len(alphas):
+            continue
+        row, column = min(int(y * height), height - 1), min(int(x * width), width - 1)
+        if float(alphas[view, row, column]) < SOLID:
+            raise InputError(
+                f"the mark at {x:.2f}, {y:.2f} of picture {view + 1} lies on nothing, beside the "
+                "scene; look at the pictures with --preview and mark a thing."
+            )
 
 
 def _spread(count: int, wanted: int) -> list[int]:

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from edit3r.contract.types import Gaussians
 from edit3r.kit.geometry.harmonics import DC
 from edit3r.kit.scenes.axes import drawable
-from edit3r.kit.scenes.ply import from_table, read_header, to_table
+from edit3r.kit.scenes.ply import PlyHeader, from_table, read_header, to_table
 from edit3r.kit.scenes.reading import form_of
 from edit3r.kit.scenes.spz_header import GZIP
 
@@ -131,7 +131,14 @@ def _with_count(start: bytes, before: int, after: int) -> bytes:
     return b"\n".join(lines)
 
 
-def _text_ply(content, start, header, table, rows, change) -> bytes:  # type: ignore[no-untyped-def]
+def _text_ply(
+    content: bytes,
+    start: bytes,
+    header: PlyHeader,
+    table: np.ndarray,
+    rows: np.ndarray,
+    change: SceneChange,
+) -> bytes:
     lines = content[len(start) :].splitlines(keepends=True)
     body = table.copy()
     _recolour(body, rows[change.changed], change)
@@ -144,8 +151,10 @@ def _text_ply(content, start, header, table, rows, change) -> bytes:  # type: ig
         lines[row] = b" ".join(words) + ending
     gone = set(rows[~change.kept].tolist())
     stays = [line for row, line in enumerate(lines) if row not in gone]
-    more = [] if change.added is None else _added(change.added, body.dtype)
-    new = [b" ".join(b"%.9g" % value for value in one) + b"\n" for one in more]
+    new: list[bytes] = []
+    if change.added is not None:
+        more = _added(change.added, body.dtype).tolist()
+        new = [b" ".join(b"%.9g" % value for value in one) + b"\n" for one in more]
     vertices = header.count - len(gone)
     stays[vertices:vertices] = new
     return _with_count(start, header.count, vertices + len(new)) + b"".join(stays)

@@ -6,7 +6,7 @@ import torch
 
 from edit3r.contract.interfaces import HalfWay, Rasterizer, SceneToJudge
 from edit3r.contract.reporting import stage
-from edit3r.contract.types import Cameras, Gaussians, Rendering
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering
 from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.checks import check_edit_verdict, check_verdict
 from edit3r.kit.geometry.paths import half_way
@@ -21,6 +21,7 @@ from edit3r.running.records import (
     Reconstructed,
     SelectedRegions,
 )
+from edit3r.running.scene_input import SceneInput
 
 HALF_WAY_SIZE = 256  # longer side [pixels]: critics look at no finer pictures
 
@@ -47,7 +48,8 @@ def judge(
         )
         uses_geometry = parts.uses_geometry
         cameras, half = made.cameras.at(size), None
-        if cameras.count > 1:
+        # Half-way between places around a scene is a place like any other.
+        if cameras.count > 1 and inputs.scene is None:
             half = seen_half_way(parts.rasterizer, gaussians, cameras)
         verdict = parts.critic.judge_scene(
             SceneToJudge(
@@ -67,11 +69,32 @@ def judge(
             )
         )
         check_verdict(parts.critic, verdict)
+        if inputs.scene is not None and made.reconstruction.kept is not None:
+            told = _compared(inputs.scene, made.reconstruction)
+            verdict = replace(verdict, reason=f"{verdict.reason}; {told}")
         selection = replace(selection, masks=made.masks)
         edit_verdict = _edit_verdict(
             inputs, selection, edit, rendered, cameras, half, parts
         )
     return Judged(rendered, verdict, edit_verdict)
+
+
+def _compared(scene: SceneInput, made: Reconstruction) -> str:
+    """What an edit in place did to the Gaussians of the given scene, as a clause."""
+    kept, before = made.kept, scene.views.scene.gaussians
+    assert kept is not None
+    count = int(kept.sum())
+    others = (made.gaussians.harmonics[0, :count] != before.harmonics[0, kept]).flatten(
+        1
+    )
+    told = [
+        f"{int(others.any(1).sum()):,} of {before.count:,} Gaussians changed colour"
+    ]
+    if count < before.count:
+        told.append(f"{before.count - count:,} were taken out")
+    if made.gaussians.count > count:
+        told.append(f"{made.gaussians.count - count:,} are guesses of what was behind")
+    return ", ".join((*told, "all others are as they came"))
 
 
 def _edit_verdict(

@@ -19,7 +19,7 @@ from edit3r.kit.photos.masks import read_mask
 from edit3r.running.earlier import EarlierRun
 from edit3r.running.job import RunJob
 from edit3r.running.records import Inputs
-from edit3r.running.scene_input import read_scene
+from edit3r.running.scene_input import SceneInput, read_scene
 from edit3r.running.selecting.marks import MarkTexts
 
 _MOST_OF_A_THING = 0.5
@@ -63,14 +63,16 @@ def _read_scene(job: RunJob, rasterizer: Rasterizer) -> Inputs:
     """Pictures of the given scene in place of photos."""
     assert job.scene is not None
     config = job.config
-    scene = read_scene(
-        job.scene,
-        rasterizer,
-        views=config.views,
-        size=config.size if "size" in config.set_by_the_user() else None,
-        up=config.up,
-        cameras=job.cameras,
-    )
+    scene = job.scene
+    if not isinstance(scene, SceneInput):
+        scene = read_scene(
+            scene,
+            rasterizer,
+            views=config.views,
+            size=config.size if "size" in config.set_by_the_user() else None,
+            up=config.up,
+            cameras=job.cameras,
+        )
     pictures = scene.views.pictures
     return Inputs(pictures, pictures, scene.records(), scene=scene)
 
