@@ -23,13 +23,13 @@ from edit3r.kit.cache import Cache
 from edit3r.kit.photos.in_memory import Pictures, as_files
 from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS, PART_KEYS, make_run_config
-from edit3r.running.earlier import EarlierRun, read_earlier_run
 from edit3r.running.given import check_cameras, check_views, checked_masks
 from edit3r.running.job import RunJob, inherited, scene_among, with_cameras
 from edit3r.running.loop import run as run_job
+from edit3r.running.result import RunResult
+from edit3r.running.run_folder import EarlierRun, RunFolder
 from edit3r.running.selecting.marks import MarkTexts
 from edit3r.running.settings import Choice, RunSettings
-from edit3r.running.write import RunResult
 
 Files = str | Path | Sequence[str | Path]
 
@@ -88,23 +88,28 @@ def run(
         )
     named = {"prompt": prompt, "editor": editor, "reconstructor": recon}
     given = {k: v for k, v in {**settings, **named}.items() if v is not None}
+    scene, cameras = _scene(photos, cameras, earlier)
+    if scene is not None:  # an earlier run is its scene
+        earlier = None
     built = {key: given.pop(key) for key in PART_KEYS if _is_built(given.get(key))}
     if isinstance(earlier, RunResult) and not {"reconstructor", "quality"} & {
         *given,
         *built,
     }:
         built["reconstructor"] = earlier.reconstructor
-        if (matcher := earlier.parts.job.components.get("matcher")) is not None:
+        if (matcher := earlier.components.job.components.get("matcher")) is not None:
             built.setdefault("matcher", matcher)
     before = _earlier(earlier)
     layers = [{key: _plain(value) for key, value in given.items()}]
     if before is not None:
         layers.insert(0, inherited(before, layers))
-    scene = _scene(photos)
     if scene is not None:
-        photos = ()
         layers.insert(0, DEFAULTS["of_scenes"])
-    loaded = () if isinstance(photos, Gaussians) else _photos(photos, cameras)
+    loaded = (
+        ()
+        if scene is not None or isinstance(photos, Gaussians)
+        else _photos(photos, cameras)
+    )
     job = RunJob(
         config=make_run_config(*layers),
         photos=loaded,
@@ -112,7 +117,7 @@ def run(
         cameras=Path(cameras) if isinstance(cameras, str) else cameras,
         refine_poses=refine_poses,
         masks=_masks(masks),
-        earlier=None if loaded or scene is not None else before,
+        earlier=None if loaded else before,
         cache=cache,
         components=built,
     )
@@ -143,15 +148,25 @@ def _plain(value: Any) -> Any:
     )
 
 
-def _scene(photos: Views | Pictures | Gaussians) -> Path | Gaussians | None:
-    """The scene that is given in place of photos."""
+def _scene(
+    photos: Views | Pictures | Gaussians,
+    cameras: str | Path | Cameras | None,
+    earlier: RunResult | EarlierRun | str | Path | None,
+) -> tuple[Path | Gaussians | None, str | Path | Cameras | None]:
+    """The scene that is given in place of photos, or was by an earlier run, and its cameras."""
     if isinstance(photos, Gaussians):
-        return photos
-    if isinstance(photos, str | Path):
-        return scene_among((photos,))
-    if isinstance(photos, list | tuple):
-        return scene_among([one for one in photos if isinstance(one, str | Path)])
-    return None
+        return photos, cameras
+    paths = (photos,) if isinstance(photos, str | Path) else photos
+    if isinstance(paths, list | tuple) and len(paths):
+        files = [one for one in paths if isinstance(one, str | Path)]
+        return scene_among(files), cameras
+    if isinstance(earlier, RunResult) and earlier.records.inputs.scene is not None:
+        given = earlier.records.inputs.scene
+        return earlier.scene, cameras or given.cameras_in_own_frame(earlier.cameras)
+    if isinstance(earlier, str | Path):
+        file, beside = RunFolder(earlier).given_scene() or (None, None)
+        return file, cameras or beside
+    return None, cameras
 
 
 def _photos(
@@ -192,4 +207,4 @@ def _masks(
 def _earlier(earlier: RunResult | EarlierRun | str | Path | None) -> EarlierRun | None:
     if isinstance(earlier, RunResult):
         return earlier.as_earlier()
-    return read_earlier_run(earlier) if isinstance(earlier, str | Path) else earlier
+    return RunFolder(earlier).read() if isinstance(earlier, str | Path) else earlier

@@ -14,13 +14,11 @@ from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.reporting import available_memory, say
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction
 from edit3r.kit.files.atomic import sha256_of
-from edit3r.kit.files.names import is_plain_name, unique_names
-from edit3r.kit.files.text import read_json
+from edit3r.kit.files.names import unique_names
 from edit3r.kit.geometry.cameras import to_pixels
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import Photo
-from edit3r.kit.run_folder import RunFolder
 from edit3r.kit.scenes.axes import turned
 from edit3r.kit.scenes.files import LOOSE, is_loose_sog
 from edit3r.kit.scenes.look import camera_file_of
@@ -160,18 +158,6 @@ def is_scene(path: str | Path) -> bool:
     return path.suffix.lower() in SCENE_ENDINGS or (
         path.name == LOOSE and is_loose_sog(path)
     )
-
-
-def scene_of_run(root: Path) -> tuple[Path, Path] | None:
-    """The scene and the camera file of a run that edited a given scene; None of another one."""
-    manifest = RunFolder(root).manifest
-    try:
-        name = read_json(manifest)["notes"]["scene.file"]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return None
-    if not is_plain_name(name) or not (root / name).is_file():
-        raise InputError(f"{root}: lacks its scene, which run.json calls {name!r:.80}.")
-    return root / name, RunFolder(root).cameras
 
 
 def read_scene(

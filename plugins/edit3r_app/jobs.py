@@ -32,7 +32,7 @@ from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.files.names import expanded, is_plain_name, unique_names
 from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import find_photos, save_image
-from edit3r.running import scene_of_run
+from edit3r.running import RunFolder
 
 PRIVATE = ".edit3r-app"
 DELETED = ".deleted"
@@ -114,7 +114,7 @@ class JobsFolder:
         """The file and the cameras of a scene that was dropped, or of a run that edited one."""
         path = self.path(name)
         if self.is_run(name):
-            return scene_of_run(path)
+            return RunFolder(path).given_scene()
         cameras = path / SPLAT / "cameras.json"
         files = [one for one in sorted((path / SPLAT).glob("*")) if one != cameras]
         if not files or not cameras.is_file():

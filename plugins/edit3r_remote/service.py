@@ -113,7 +113,7 @@ class ImageService(ABC):
             )
         if 300 <= status < 400:
             return RunError(
-                f"{self.label}: its address leads elsewhere, which is not followed (status "
+                f"{self.label}: its address redirects elsewhere, which is not followed (status "
                 f"{status}); give the right one as editor.base_url."
             )
         if status == 429:

@@ -11,10 +11,11 @@ from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.checks import check_edit_verdict, check_verdict
 from edit3r.kit.geometry.paths import half_way
 from edit3r.kit.rendering import render_each
+from edit3r.running.components import Components
 from edit3r.running.editors import edit_to_judge
-from edit3r.running.parts import Parts
 from edit3r.running.records import (
     EditedPhotos,
+    ExposureCorrected,
     Inputs,
     Judged,
     Located,
@@ -32,49 +33,48 @@ def judge(
     located: Located,
     selection: SelectedRegions,
     edit: EditedPhotos,
-    made: Reconstructed,
+    corrected: ExposureCorrected,
+    reconstructed: Reconstructed,
     gaussians: Gaussians,
-    parts: Parts,
+    components: Components,
 ) -> Judged:
     """The refined scene from its input views, and the verdicts."""
     text, size = "render input views", inputs.start.image_size
     with stage("check"):
         first, rendered = (
-            located.in_own_exposure(render_each(parts.rasterizer, scene, cameras, text))
+            corrected.undone(render_each(components.rasterizer, scene, cameras, text))
             for scene, cameras in (
-                (made.reconstruction.gaussians, made.cameras),
-                (gaussians, made.cameras.at(size)),
+                (reconstructed.reconstruction.gaussians, reconstructed.cameras),
+                (gaussians, reconstructed.cameras.at(size)),
             )
         )
-        uses_geometry = parts.uses_geometry
-        cameras, half = made.cameras.at(size), None
+        cameras, half = reconstructed.cameras.at(size), None
         # Half-way between places around a scene is a place like any other.
         if cameras.count > 1 and inputs.scene is None:
-            half = seen_half_way(parts.rasterizer, gaussians, cameras)
-        verdict = parts.critic.judge_scene(
+            half = seen_half_way(components.rasterizer, gaussians, cameras)
+        verdict = components.critic.judge_scene(
             SceneToJudge(
-                photos=made.photos,
-                placed=made.placed,
-                geometry=parts.geometry.of(made.photos).geometry
-                if uses_geometry
-                else None,
+                photos=reconstructed.photos,
+                placed=reconstructed.placed,
+                geometry=located.geometry,
                 edited=edit.views,
                 first=first,
                 rendered=rendered,
-                measured=made.reconstruction.measured,
+                measured=reconstructed.reconstruction.measured,
                 flat=located.flat,
                 lenses=located.lenses,
                 edit=edit.verdict,
                 half_way=half,
             )
         )
-        check_verdict(parts.critic, verdict)
-        if inputs.scene is not None and made.reconstruction.kept is not None:
-            told = _compared(inputs.scene, made.reconstruction)
+        check_verdict(components.critic, verdict)
+        made = reconstructed.reconstruction
+        if inputs.scene is not None and made.kept is not None:
+            told = _compared(inputs.scene, made)
             verdict = replace(verdict, reason=f"{verdict.reason}; {told}")
-        selection = replace(selection, masks=made.masks)
+        selection = replace(selection, masks=reconstructed.masks)
         edit_verdict = _edit_verdict(
-            inputs, selection, edit, rendered, cameras, half, parts
+            inputs, selection, edit, rendered, cameras, half, components
         )
     return Judged(rendered, verdict, edit_verdict)
 
@@ -84,12 +84,9 @@ def _compared(scene: SceneInput, made: Reconstruction) -> str:
     kept, before = made.kept, scene.views.scene.gaussians
     assert kept is not None
     count = int(kept.sum())
-    others = (made.gaussians.harmonics[0, :count] != before.harmonics[0, kept]).flatten(
-        1
-    )
-    told = [
-        f"{int(others.any(1).sum()):,} of {before.count:,} Gaussians changed colour"
-    ]
+    others = made.gaussians.harmonics[0, :count] != before.harmonics[0, kept]
+    repainted = int(others.flatten(1).any(1).sum())
+    told = [f"{repainted:,} of {before.count:,} Gaussians changed colour"]
     if count < before.count:
         told.append(f"{before.count - count:,} were taken out")
     if made.gaussians.count > count:
@@ -104,17 +101,17 @@ def _edit_verdict(
     rendered: Rendering,
     cameras: Cameras,
     half: HalfWay | None,
-    parts: Parts,
+    components: Components,
 ) -> EditVerdict | None:
     """The verdict on the edit, with what the scene tells of it."""
     if edit.verdict is None:
         return None
-    count = parts.edited_count(inputs.start)
-    asked = edit_to_judge(inputs, selection, edit, parts.tasks, count)
-    verdict = parts.critic.judge_edit(
+    count = components.edited_count(inputs.start)
+    asked = edit_to_judge(inputs, selection, edit, components.tasks, count)
+    verdict = components.critic.judge_edit(
         replace(asked, rendered=rendered, cameras=cameras, half_way=half)
     )
-    check_edit_verdict(parts.critic, verdict)
+    check_edit_verdict(components.critic, verdict)
     return verdict
 
 

@@ -1,4 +1,4 @@
-"""Step 1: the photos, as views, and what is marked on them."""
+"""Step 1: the photos, as views in a unit of their own, and what is marked on them."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,9 +16,9 @@ from edit3r.kit.files.names import unique_names
 from edit3r.kit.photos.coverage import USUAL_FRAMES, choose_photos, origin
 from edit3r.kit.photos.images import LoadedPhotos, find_photos, load_photos
 from edit3r.kit.photos.masks import read_mask
-from edit3r.running.earlier import EarlierRun
 from edit3r.running.job import RunJob
 from edit3r.running.records import Inputs
+from edit3r.running.scale import has_given_poses, own_unit
 from edit3r.running.scene_input import SceneInput, read_scene
 from edit3r.running.selecting.marks import MarkTexts
 
@@ -43,7 +43,7 @@ def read(
             inputs = replace(inputs, prompts=(job.config.prompt,))
             return _with_marks(inputs, masks, job.components["reader"])
         if job.earlier is not None:
-            inputs = _read_earlier(job.earlier)
+            inputs = job.earlier.inputs
         elif isinstance(job.photos, Views):
             names = tuple(unique_names(job.photos.called))
             photos = replace(job.photos, names=names)
@@ -56,14 +56,14 @@ def read(
             if masks is None and job.config.prompt:
                 inputs = _with_masks_of_cameras(inputs)
         inputs = replace(inputs, prompts=(*inputs.prompts, job.config.prompt))
-        return _with_marks(inputs, masks, job.components["reader"])
+        inputs = _with_marks(inputs, masks, job.components["reader"])
+        return _in_own_unit(inputs)
 
 
 def _read_scene(job: RunJob, rasterizer: Rasterizer) -> Inputs:
     """Pictures of the given scene in place of photos."""
-    assert job.scene is not None
-    config = job.config
-    scene = job.scene
+    config, scene = job.config, job.scene
+    assert scene is not None
     if not isinstance(scene, SceneInput):
         scene = read_scene(
             scene,
@@ -77,15 +77,14 @@ def _read_scene(job: RunJob, rasterizer: Rasterizer) -> Inputs:
     return Inputs(pictures, pictures, scene.records(), scene=scene)
 
 
-def _read_earlier(earlier: EarlierRun) -> Inputs:
-    return Inputs(
-        photos=earlier.photos,
-        start=earlier.edited,
-        files=earlier.records,
-        prompts=earlier.prompts,
-        things=earlier.things,
-        before=earlier.scene,
-    )
+def _in_own_unit(inputs: Inputs) -> Inputs:
+    """The inputs in a unit in which the given cameras stand about 1 apart."""
+    unit, before = own_unit(inputs.photos), inputs.before
+    if before is not None:
+        stands = has_given_poses(before, inputs.photos)
+        before = unit.where(stands).reconstruction(before)
+    photos, start = unit.views(inputs.photos), unit.views(inputs.start)
+    return replace(inputs, photos=photos, start=start, before=before, unit=unit)
 
 
 def _read_files(

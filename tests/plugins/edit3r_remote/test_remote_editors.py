@@ -151,7 +151,7 @@ def test_an_answer_that_cannot_be_kept_is_used(build, fake, two_views, tmp_path)
         edited = build(cache=str(tmp_path / "file")).edit(two_views, ASK)
     assert torch.allclose(edited.images, 1 - two_views.images, atol=0.02)
     assert any(
-        "cannot be kept in editor.cache" in warning for warning in report.warnings
+        "could not be saved in editor.cache" in warning for warning in report.warnings
     )
 
 
@@ -180,7 +180,8 @@ def test_an_answer_of_another_size_and_the_same_shape_is_scaled_and_said(
 def test_a_broken_run_goes_on_without_paying_twice(build, fake, two_views):
     fake.script.extend(["ok", "refusal"])
     with pytest.raises(
-        PromptError, match=r"1 of 2 views have their answer in .* cost nothing again"
+        PromptError,
+        match=r"1 of 2 views have their answer in .* will not be charged again",
     ):
         build().edit(two_views, ASK)
     report = Report()
