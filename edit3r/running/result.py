@@ -62,7 +62,7 @@ from edit3r.running.scene_input import SceneInput
 OWN_FRAME = "that of the given scene; OpenCV axes in c2w; its own unit of length"
 """What run.json says of the frame of a given scene and its cameras."""
 FITS = 15.0
-"""PSNR [dB] of a photo in the scene from which the camera path comes near it."""
+"""PSNR [dB] of a photo in the scene from which the camera path comes near it. No figure kept."""
 
 
 @dataclass(frozen=True, repr=False)

@@ -24,10 +24,12 @@ from edit3r_geometry.keypoints import Keypoints
 from edit3r_geometry.relative_pose import Matches
 from edit3r_geometry.standing import without_standing
 
+# The numbers of this block: no figures kept.
 LEARNED = "ALIKED + LightGlue"
 """What the learned matches are called."""
 LEARNED_NOISE = 4.0
 """How many times less exact than SIFT's the learned points are taken to be where a pose is refined.
+No figure kept.
 """
 MAX_TILTED_PAIRS = 30
 """Pairs of images that are tilted and matched again; each takes a third of a second."""
@@ -40,7 +42,9 @@ SAMPLES = 5000
 MANY_KEYPOINTS, MANY_SIZE = 2400, 512
 """Most features of one of more images, and the long side at which they are looked for [pixels]."""
 MANY_ENLARGEMENT = 1.5
-"""How much images are enlarged for that at most: the rest is for two that share little."""
+"""How much images are enlarged for that at most: the rest is for two that share little.
+No figure kept.
+"""
 DIRECTIONS = 96
 """Numbers that tell features of more images apart."""
 MAX_LEARNED = 7
@@ -50,13 +54,18 @@ places nearly all, and tilted images place more of the rest in less time.
 ENOUGH_MATCHES = 250
 """Matches of SIFT that place two views without help."""
 TILTS = ((2**0.5, 0.0), (2.0, 0.0), (2.0, 36.0), (2.0, 144.0))
-"""How a surface is looked at from aside: foreshortened so many times, across so many degrees."""
+"""How a surface is looked at from aside: foreshortened so many times, across so many degrees.
+No figure kept.
+"""
 TILTED_RATIO = 0.7
-"""Lowe's ratio between tilted images: so many are compared that more would be wrong than right."""
+"""Lowe's ratio between tilted images: so many are compared that more would be wrong than right.
+No figure kept.
+"""
 # In pixels of an image with a long side of 512:
 _ONE_WITNESS = 2.0  # tilted matches nearer to each other in both images count as one
 _ONE_PLACE = 1.5  # features of several tilts nearer to each other are one
 
+# The numbers of this block: no figures kept.
 _LARGEST_ENLARGEMENT = 4.0
 _CONTRAST = 0.01  # of SIFT; low, because weak features still match when both ways agree
 _EDGE = 15.0

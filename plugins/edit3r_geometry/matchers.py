@@ -41,11 +41,11 @@ MIN_SIZE = 32
 """Images with a shorter side than this show too little to match [pixels]."""
 LEAST_DISTORTION = 0.03
 """Radial distortion (k1) below which a lens is taken for a plain one: so much is found on straight
-photos too.
+photos too. See docs/notes/classical.md.
 """
 LEAST_GAIN = 0.05
 """Share of the points' distance from their pixels that a distortion must explain before it is
-believed.
+believed. No figure kept.
 """
 
 
