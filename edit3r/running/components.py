@@ -28,6 +28,7 @@ from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import GivenScene, Views
 from edit3r.kit.checks import errors_named_after
 from edit3r.kit.rendering import OverBackground
+from edit3r.kit.scenes.scene_views import SceneGeometry
 from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.editors import EditorTask, tasks_for_editor, tasks_without_editor
@@ -126,7 +127,7 @@ class Components:
             )
         self.__dict__["reconstructor"] = recon.starting_from(scene)
         self.__dict__["rasterizer"] = OverBackground(self.rasterizer, scene.background)
-        self.__dict__.pop("geometry_source", None)
+        self.__dict__["geometry_source"] = SceneGeometry(scene)
         self._scene = scene
 
     @cached_property

@@ -26,12 +26,12 @@ from edit3r.contract.types import (
     Views,
 )
 from edit3r.kit.geometry.harmonics import dc_to_colour
+from edit3r.kit.scenes.scene_views import SceneGeometry
 from edit3r_in_place.belonging import SHARE, belonging, evidence
 from edit3r_in_place.colours import bounded, repainted, shine_of, solved
 from edit3r_in_place.filling import filled
 
 LEAST = 1 / 255  # change of a picture [sRGB] that counts
-SOLID = 0.5  # alpha from which a pixel has a depth
 
 
 class InPlaceReconstructor(Reconstructor, EditsViews, FindsGeometry, StartsFromScene):
@@ -63,15 +63,7 @@ class InPlaceReconstructor(Reconstructor, EditsViews, FindsGeometry, StartsFromS
 
     def find_geometry(self, views: Views) -> Geometry:
         """That of the scene itself, whatever the pictures show."""
-        scene = self._given(views)
-        solid = scene.alphas > SOLID
-        far = 1.5 * scene.depths[solid].max()
-        return Geometry(
-            scene.cameras.c2w,
-            torch.where(solid, scene.depths, far),
-            solid.to(scene.depths),
-            torch.ones(scene.cameras.c2w.shape[:2], dtype=torch.bool),
-        )
+        return SceneGeometry(self._given(views)).find_geometry(views)
 
     def __call__(
         self,

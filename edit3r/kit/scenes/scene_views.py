@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Rasterizer
+from edit3r.contract.interfaces import FindsGeometry, Geometry, Rasterizer
 from edit3r.contract.types import Cameras, Gaussians, GivenScene, Views
 from edit3r.kit.geometry.cameras import intrinsics_from_fov, invert_rigid, up_direction
 from edit3r.kit.geometry.rotations import quats_to_matrices
@@ -39,6 +39,8 @@ TRIES = 6
 LEVEL = 0.9  # cosine under which a surface is not level
 FLOOR = 0.12  # share of the area of all surfaces that a floor has, at least
 SLAB = 0.1  # thickness of what counts as floor [extents of the scene]
+SOLID = 0.5  # alpha from which a pixel has a depth
+FAR = 1.5  # depth of the background [farthest depths]
 MOST = 200_000  # Gaussians that places are chosen by
 
 
@@ -135,6 +137,25 @@ def pictures_of(
     pictures = Views(images, cameras.intrinsics, places.names)
     scene = GivenScene(moved, cameras, images, BACKGROUND, depths / unit, alphas)
     return SceneViews(pictures, scene, first, unit)
+
+
+class SceneGeometry(FindsGeometry):
+    """The geometry of a given scene, whatever its pictures show after an edit."""
+
+    def __init__(self, scene: GivenScene) -> None:
+        self.scene = scene
+
+    def find_geometry(self, views: Views) -> Geometry:
+        """Exact where the scene covers a pixel; behind it all where it does not."""
+        scene = self.scene
+        solid = scene.alphas > SOLID
+        far = FAR * scene.depths[solid].max()
+        return Geometry(
+            scene.cameras.c2w,
+            torch.where(solid, scene.depths, far),
+            solid.to(scene.depths),
+            torch.ones(scene.cameras.c2w.shape[:2], dtype=torch.bool),
+        )
 
 
 def over_background(
