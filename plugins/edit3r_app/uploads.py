@@ -20,7 +20,7 @@ from edit3r.contract.errors import Edit3rError, InputError
 from edit3r.kit.files.atomic import sha256_of
 from edit3r.kit.files.names import unique_names
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
-from edit3r.kit.photos.coverage import VIDEO_SUFFIXES, take_frames
+from edit3r.kit.photos.coverage import VIDEO_SUFFIXES, take_frames, temporary_photos
 from edit3r.kit.photos.decode import READABLE, decode
 from edit3r.kit.photos.images import SUFFIXES, save_image
 from edit3r.running import SCENE_ENDINGS, read_scene
@@ -102,6 +102,7 @@ async def receive(
         return await asyncio.to_thread(accept, folder, scene, name, draft)
 
 
+@temporary_photos()
 def accept(folder: JobsFolder, scene: str, name: str, draft: Path) -> Path:
     """Keep the file `draft` as a photo of the scene; of a video the frames `edit3r run` would use.
 

@@ -76,7 +76,7 @@ _DOUBLING_SHIFT = 0.25
 class FeatureSettings(config.Settings):
     """How features are found and matched."""
 
-    keypoints: int = Field(4000, ge=200, le=20000)
+    keypoints: int = Field(2500, ge=200, le=20000)
     """most features a photo"""
     detection_size: int = Field(640, ge=128, le=4096)
     """long side at which features are looked for [pixels]; larger finds more"""
@@ -84,8 +84,8 @@ class FeatureSettings(config.Settings):
     """a match must be this much nearer than its second choice (Lowe's test)"""
     matches: Literal["auto", "sift", "learned"] = "auto"
     """'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r weights get
-    aliked-lightglue` fetches; 'auto': so for two of at most seven photos with few matches, where
-    those weights are at hand
+    aliked-lightglue` fetches; 'auto': so for two of at most seven photos with few matches and for
+    pairs whose matches do not tell the lens, where those weights are at hand
     """
     learned_keypoints: int = Field(1024, ge=128, le=4096)
     """most learned features a photo"""
@@ -253,6 +253,21 @@ def with_tilted(
         for more in tilted[1:]:
             keypoints[view] = keypoints[view].followed_by(more)
     return FoundFeatures(tuple(keypoints), found.indices | matches, tilted=True)
+
+
+def with_learned(
+    found: FoundFeatures,
+    images: Sequence[CalibratedImage],
+    settings: FeatureSettings,
+) -> FoundFeatures:
+    """Add learned matches of every pair; the same where they are there already, not wanted, or
+    their weights are not at hand.
+    """
+    wanted = settings.matches == "auto" and not found.helper
+    folder = at_hand(ALIKED) if wanted else None
+    if folder is None:
+        return found
+    return _with_learned(found, list(found.indices), images, folder, settings)
 
 
 def _with_learned(

@@ -3,7 +3,7 @@
 import pytest
 from edit3r_app.draft import Draft, Mark
 from edit3r_app.jobs import AppJob, JobsFolder
-from edit3r_app.looking import Looker
+from edit3r_app.preview_service import PreviewService
 from edit3r_app.runner import command_of
 from edit3r_app.uploads import accept, most_bytes, refuse_unwanted, remove
 
@@ -69,7 +69,7 @@ def test_its_edit_runs_on_the_file_from_the_pictures_cameras(dropped):
 @pytest.mark.slow
 def test_what_is_drawn_on_one_picture_is_answered_on_all(dropped):
     folder, scene = dropped
-    looker = Looker(folder, edit3r.default_registry(), 512)
+    looker = PreviewService(folder, edit3r.default_registry(), 512)
     box = [(0.3, 0.3), (0.6, 0.3), (0.6, 0.6), (0.3, 0.6)]
     draft = Draft([Mark("lasso", "place_1", box)])
     draft.form["prompt"] = "paint it blue"

@@ -154,7 +154,7 @@ def test_describe_lists_every_look(capsys):
             ],
             "not a word",
         ),
-        ([], "nothing is asked for"),
+        ([], "there is nothing to do"),
         (
             [
                 "--prompt",
