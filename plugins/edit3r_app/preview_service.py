@@ -29,6 +29,7 @@ from edit3r.kit.compute.outlines import overlap
 from edit3r.kit.contact_sheet import outlined
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.photos.images import save_image
+from edit3r.kit.segmenting import automatic_masks
 from edit3r.running import (
     DEFAULTS,
     Components,
@@ -144,7 +145,7 @@ class Candidates(Stage):
         image = session.views.images[0, session.place(name)]
         with as_in_a_run(session.cache):
             segmenter = self.registry.build_choice("segmenter", SEGMENTER)
-            proposals = segmenter.propose(image)
+            proposals = automatic_masks(segmenter, image)
         masks: list[Tensor] = []
         for one in proposals:
             if all(
@@ -316,7 +317,7 @@ class PreviewService:
         # A word of which a picture of nothing knows nothing reads no more than it must.
         with collecting(Report()), suppress(Edit3rError):
             segmenter = self.registry.build_choice("segmenter", SEGMENTER)
-            segmenter.segment_text(torch.zeros(3, 48, 64), "sky")
+            segmenter.words(torch.zeros(3, 48, 64), "sky")
 
     def begin(self, state: str) -> Progress:
         """Read a state's photos in the background, from the first call on; say how far it is."""

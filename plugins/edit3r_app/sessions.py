@@ -17,7 +17,7 @@ import torch
 
 from edit3r import Registry
 from edit3r.contract.errors import Edit3rError, InputError
-from edit3r.contract.interfaces import Marks, Selection
+from edit3r.contract.interfaces import Selection
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
@@ -272,10 +272,9 @@ class Sessions:
 
     def _click(self, session: Session, view: int) -> None:
         """Click on a photo, so that the segmenter has read it when the user does."""
-        middle = Marks(positive=((0.5, 0.5),))
         with as_in_a_run(session.cache), suppress(Edit3rError):
             segmenter = self.registry.build_choice("segmenter", SEGMENTER)
-            segmenter.segment_marks(session.views.images[0, view], middle)
+            segmenter.masks(session.views.images[0, view], [((0.5, 0.5), True)])
 
     def _keep(self, state: str, cache: Cache) -> None:
         """Keep what was read from a set of photos for the next start of the server."""

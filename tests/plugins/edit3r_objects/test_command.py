@@ -13,7 +13,7 @@ from edit3r_objects.finding import Finders
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.contract.interfaces import Segmenter, as_proposal
+from edit3r.contract.interfaces import MaskLogits, Segmenter
 from edit3r.contract.types import Gaussians
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.scenes.ply import load_ply, save_ply
@@ -91,16 +91,10 @@ class Half(Segmenter):
     def __init__(self):
         pass
 
-    def propose(self, image):
-        return ()
-
-    def segment_marks(self, image, marks):
-        mask = torch.zeros_like(image[0])
-        mask[6:26, 4:20] = 1
-        return as_proposal(mask)
-
-    def track(self, images, masks):
-        raise NotImplementedError
+    def masks(self, image, clicks, box=None, before=None):
+        logits = torch.full_like(image[:1], -4)
+        logits[:, 6:26, 4:20] = 4
+        return MaskLogits(logits)
 
 
 def test_things_are_found_by_one_press(made, monkeypatch, capsys):
@@ -162,8 +156,8 @@ def test_an_edited_scene_takes_no_new_marks_of_its_old_photos(made, capsys):
     ("line", "said"),
     [
         ("left remove right --out {0}/no", "has no object 'right'; it has left"),
-        ("left add left --out {0}/no", "has an object 'left' already"),
-        ("left copy left left 0 0 0 --out {0}/no", "has an object 'left' already"),
+        ("left add left --out {0}/no", "already has an object 'left'"),
+        ("left copy left left 0 0 0 --out {0}/no", "already has an object 'left'"),
         ("left add other --out {0}/no", "kept no masks; mark the object with"),
         ("left move left 0.1 nan 0 --out {0}/no", "expected numbers from -1000"),
         ("left move left 0.1 0 --out {0}/no", "expected edit3r objects RUN move NAME"),
