@@ -94,7 +94,7 @@ def _between(result: edit3r.RunResult, prompt: str, sheet: Path) -> list[float]:
         render_each(shown, one, cameras, "look").images.clamp(0, 1)
         for one in (before, result.gaussians)
     ]
-    columns = {"before": list(images[0][0]), "after": list(images[1][0])}
+    columns = {"before": images[0][0], "after": images[1][0]}
     distances: list[float] = []
     editor = result.editor
     kept = result.records.reconstructed.reconstruction.kept
@@ -104,7 +104,7 @@ def _between(result: edit3r.RunResult, prompt: str, sheet: Path) -> list[float]:
         mask = render_numbers(rasterizer, before, changed.float(), cameras).images
         mask = mask[:, :, 0].clamp(0, 1)
         direct = _edited(editor, images[0], cameras.intrinsics, mask, result)
-        columns["edited directly"] = list(direct[0])
+        columns["edited directly"] = direct[0]
         pairs = zip(images[1][0], direct[0])
         distances = [
             lpips_distance(*(one.permute(1, 2, 0).numpy() for one in pair))
