@@ -32,8 +32,9 @@ class RunCommand(Command):
         add(
             "photos",
             nargs="*",
-            metavar="IMAGE|FOLDER|VIDEO",
-            help="two or more photos of one scene, or a video of it; default: a packaged pair",
+            metavar="IMAGE|FOLDER|VIDEO|SCENE",
+            help="two or more photos of one scene, or a video of it; or a scene itself (.ply, "
+            ".spz, .sog, .splat, .glb); default: a packaged pair",
         )
         add("--from", dest="earlier", metavar="DIR", help=INPUTS["earlier"])
         add_flags(parser, RunConfig)
@@ -182,12 +183,13 @@ def _check_preview(file: Path, photos: list[str]) -> None:
     """Raise InputError for a file that would be no image, or that is one of the photos."""
     from edit3r.kit.photos.coverage import temporary_photos
     from edit3r.kit.photos.images import find_photos
+    from edit3r.running.job import scene_among
 
     if file.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
         raise InputError(
             f"--preview {file}: expected the name of an image, such as look.png."
         )
-    if file.exists() and photos:
+    if file.exists() and photos and scene_among(photos) is None:
         with temporary_photos():
             used = {photo.resolve() for photo in find_photos(photos)}
         if file.resolve() in used:

@@ -150,6 +150,8 @@ def _begin(job: RunJob, registry: Registry) -> tuple[Inputs, Components]:
     components = Components(job.config, registry, job)
     # A sentence that nobody can carry out ends the run before photos are read.
     _ = components.tasks
-    inputs = read(job, components.lens)
+    inputs = read(job, components.lens, lambda: components.rasterizer)
+    if inputs.scene is not None:
+        components.start_from(inputs.scene.views.scene)
     components.settle_matcher(inputs.photos)
     return inputs, components

@@ -29,6 +29,7 @@ from edit3r.kit.contact_sheet import outlined
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.photos.images import save_image
 from edit3r.running import (
+    DEFAULTS,
     Components,
     Preview,
     RunJob,
@@ -177,16 +178,23 @@ class DraftSelection(Stage):
         finally:
             self.working.release()
 
-    def _components(self, draft: Draft) -> Components:
-        config = make_run_config(run_settings(draft, self.registry))
-        return Components(config, self.registry, RunJob(config))
+    def _components(self, draft: Draft, session: Session | None = None) -> Components:
+        """Those of a run; in a session of a given scene they go on from that."""
+        settings = run_settings(draft, self.registry)
+        scene = None if session is None else session.scene
+        layers = [] if scene is None else [DEFAULTS["of_scenes"]]
+        config = make_run_config(*layers, settings)
+        components = Components(config, self.registry, RunJob(config))
+        if scene is not None:
+            components.start_from(scene.views.scene)
+        return components
 
     def _look(self, session: Session, text: str, located: bool) -> DraftAnswer:
         draft = DRAFT.validate_json(text)
         look = DraftAnswer(session.views)
         with as_in_a_run(session.cache) as messages:
             try:
-                components = self._components(draft)
+                components = self._components(draft, session)
                 config = components.config
                 if draft.selects:
                     look = _with_marks(look, draft, session, components)

@@ -32,6 +32,7 @@ from edit3r.contract.interfaces.reconstruction import (
     Matcher as Matcher,
     MatchesCorrected as MatchesCorrected,
     Reconstructor as Reconstructor,
+    StartsFromScene as StartsFromScene,
 )
 from edit3r.contract.interfaces.rendering import (
     ComparesWithBefore as ComparesWithBefore,

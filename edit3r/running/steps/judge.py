@@ -6,7 +6,7 @@ import torch
 
 from edit3r.contract.interfaces import HalfWay, Rasterizer, SceneToJudge
 from edit3r.contract.reporting import stage
-from edit3r.contract.types import Cameras, Gaussians, Rendering
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering
 from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.checks import check_edit_verdict, check_verdict
 from edit3r.kit.geometry.paths import half_way
@@ -22,6 +22,7 @@ from edit3r.running.records import (
     Reconstructed,
     SelectedRegions,
 )
+from edit3r.running.scene_input import SceneInput
 
 HALF_WAY_SIZE = 256  # longer side [pixels]: critics look at no finer pictures
 
@@ -48,7 +49,8 @@ def judge(
             )
         )
         cameras, half = reconstructed.cameras.at(size), None
-        if cameras.count > 1:
+        # Half-way between places around a scene is a place like any other.
+        if cameras.count > 1 and inputs.scene is None:
             half = seen_half_way(components.rasterizer, gaussians, cameras)
         verdict = components.critic.judge_scene(
             SceneToJudge(
@@ -66,11 +68,30 @@ def judge(
             )
         )
         check_verdict(components.critic, verdict)
+        made = reconstructed.reconstruction
+        if inputs.scene is not None and made.kept is not None:
+            told = _compared(inputs.scene, made)
+            verdict = replace(verdict, reason=f"{verdict.reason}; {told}")
         selection = replace(selection, masks=reconstructed.masks)
         edit_verdict = _edit_verdict(
             inputs, selection, edit, rendered, cameras, half, components
         )
     return Judged(rendered, verdict, edit_verdict)
+
+
+def _compared(scene: SceneInput, made: Reconstruction) -> str:
+    """What an edit in place did to the Gaussians of the given scene, as a clause."""
+    kept, before = made.kept, scene.views.scene.gaussians
+    assert kept is not None
+    count = int(kept.sum())
+    others = made.gaussians.harmonics[0, :count] != before.harmonics[0, kept]
+    repainted = int(others.flatten(1).any(1).sum())
+    told = [f"{repainted:,} of {before.count:,} Gaussians changed colour"]
+    if count < before.count:
+        told.append(f"{before.count - count:,} were taken out")
+    if made.gaussians.count > count:
+        told.append(f"{made.gaussians.count - count:,} are guesses of what was behind")
+    return ", ".join((*told, "all others are as they came"))
 
 
 def _edit_verdict(

@@ -24,6 +24,7 @@ from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.components import Components
 from edit3r.running.geometry import NOT_ASKED, GeometryAnswer, find_geometry
 from edit3r.running.records import Inputs, Located, SelectedRegions
+from edit3r.running.scene_input import SceneInput
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.regions import RegionFinder
 
@@ -36,7 +37,8 @@ def select(inputs: Inputs, located: Located, components: Components) -> Selected
     """
     with stage("select"):
         selection = _regions(inputs, located, components)
-        return _widened(selection, inputs, components)
+        selection = _widened(selection, inputs, components)
+        return selection if inputs.scene is None else _on_scene(selection, inputs.scene)
 
 
 def load(inputs: Inputs, components: Components) -> Inputs:
@@ -151,6 +153,17 @@ def _widened(
     )
     wide = torch.maximum(selection.masks, regions.amax(0))
     return replace(selection, regions=regions, masks=wide)
+
+
+def _on_scene(selection: SelectedRegions, scene: SceneInput) -> SelectedRegions:
+    """The selection without what is background in the pictures of a given scene."""
+    alphas = scene.views.scene.alphas
+    masks, regions = selection.masks, selection.regions
+    return replace(
+        selection,
+        masks=alphas if masks is None else masks * alphas,
+        regions=None if regions is None else regions * alphas,
+    )
 
 
 def _narrowed(
