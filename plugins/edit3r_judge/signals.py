@@ -55,14 +55,14 @@ class Pictures:
         views = list(edit.edited)
         self.edit, self.views = edit, views
         self.old, self.new = (
-            _lab(one.images[0, views]) for one in (edit.before, edit.after)
+            lab(one.images[0, views]) for one in (edit.before, edit.after)
         )
         drawn = edit.rendered
-        self.shown = None if drawn is None else _lab(drawn.images[0, views])
+        self.shown = None if drawn is None else lab(drawn.images[0, views])
         self.change = (self.new - self.old).norm(dim=1)
         masks = torch.ones_like(self.change)
         if edit.masks is not None:
-            masks = _small(edit.masks[0, views])
+            masks = small(edit.masks[0, views])
         self.inside = masks > 0.5
         self.touched = masks > 0.02  # soft edges may change a little
         self.core = ~_grown(~self.inside, BAND)  # without its rim
@@ -191,8 +191,8 @@ def shared(found: Pictures) -> float | None:
     if found.removes or edit.masks is None or edit.rendered is None or cameras is None:
         return None
     things = [one.masks[:, 0] for one in edit.selected] or [edit.masks[0]]
-    masks = _small(torch.stack(things).amax(0))
-    depths, overlaps = _small(edit.rendered.depths[0, :, 0]), []
+    masks = small(torch.stack(things).amax(0))
+    depths, overlaps = small(edit.rendered.depths[0, :, 0]), []
     for pair in map(list, permutations(range(len(masks)), 2)):
         lenses, poses = cameras.intrinsics[0, pair].cpu(), cameras.c2w[0, pair].cpu()
         grid, seen = shared_surface(depths[pair], lenses, poses, SAME_SURFACE)
@@ -278,8 +278,8 @@ def closed(found: Pictures) -> float | None:
     now = found.new if found.shown is None else found.shown
     shares = []
     around = _grown(found.inside, WIDE) & ~_grown(found.inside, BAND)
-    fine = (found.new - _blurred(found.new))[:, 0].abs() + 0.01  # flat walls have none
-    told = _blurred(fine, WIDE)
+    fine = (found.new - blurred(found.new))[:, 0].abs() + 0.01  # flat walls have none
+    told = blurred(fine, WIDE)
     for view, (inside, beside) in enumerate(zip(found.inside, around)):
         if min(int(inside.sum()), int(beside.sum())) < FEW:
             continue
@@ -304,7 +304,7 @@ def missed(found: Pictures) -> float | None:
         wanted, got = new - old, shown - old
         changed = wanted.norm(dim=0) > SEEN
         if int(changed.sum()) >= FEW:
-            arrived, asked = _blurred(
+            arrived, asked = blurred(
                 torch.stack([wanted * got, wanted * wanted]).sum(1)
             )
             lost = changed & (arrived < 0.4 * asked)
@@ -351,14 +351,14 @@ def unlike_either(
     Each pixel is compared where optical flow finds it in the photos: a thing that is torn or
     dissolved is found in none, one that lies a little aside is.
     """
-    for pair, shown in zip(between.pairs, _lab(between.rendered.images[0])):
+    for pair, shown in zip(between.pairs, lab(between.rendered.images[0])):
         if not {*pair} <= {*photos} or min(shown.shape[1:]) < FEW:
             continue
         thing, off = torch.zeros_like(shown[0]), torch.full_like(shown[0], torch.inf)
         for view in pair:
-            picture = (_blurred(photos[view], soft), masks[view][None].float())
+            picture = (blurred(photos[view], soft), masks[view][None].float())
             *colour, inside = warp(torch.cat(picture), _found_in(photos[view], shown))
-            unlike = (_blurred(shown, soft) - torch.stack(colour)).norm(dim=0)
+            unlike = (blurred(shown, soft) - torch.stack(colour)).norm(dim=0)
             off, thing = torch.minimum(off, unlike), torch.maximum(thing, inside)
         if int((thing > 0.5).sum()) >= FEW:
             yield pair, float((off / wholly).clamp(max=1)[thing > 0.5].mean())
@@ -366,7 +366,7 @@ def unlike_either(
 
 def unlike_between(scene: SceneToJudge) -> list[float | None]:
     """For each placed photo how much of the view half-way to its nearest looks like neither."""
-    photos = dict(enumerate(_lab(scene.edited.images[0])))
+    photos = dict(enumerate(lab(scene.edited.images[0])))
     shares: list[float | None] = [None] * len(photos)
     if scene.half_way is not None:
         all_ = {view: torch.ones_like(one[0]) > 0 for view, one in photos.items()}
@@ -392,10 +392,10 @@ def _region(found: Pictures, number: int) -> Where:
     """Where an instruction applies."""
     if found.edit.regions is None:
         return torch.ones_like(found.inside)
-    return _small(found.edit.regions[number, 0, found.views]) > 0.5
+    return small(found.edit.regions[number, 0, found.views]) > 0.5
 
 
-def _small(maps: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch h w"]:
+def small(maps: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch h w"]:
     """Maps with `SIDE` pixels on the longer side, at most, on the CPU."""
     height, width = maps.shape[-2:]
     scale = min(1.0, SIDE / max(height, width))
@@ -404,8 +404,9 @@ def _small(maps: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch 
     return F.adaptive_avg_pool2d(flat, size).view(*maps.shape[:-2], *size)
 
 
-def _lab(images: Float[Tensor, "view 3 height width"]) -> Float[Tensor, "view 3 h w"]:
-    return rgb_to_lab(_small(images).clamp(0, 1))
+def lab(images: Float[Tensor, "view 3 height width"]) -> Float[Tensor, "view 3 h w"]:
+    """In CIE Lab, `SIDE` pixels at most."""
+    return rgb_to_lab(small(images).clamp(0, 1))
 
 
 def _lab_of(rgb: tuple[float, float, float]) -> Float[Tensor, "3"]:
@@ -428,7 +429,7 @@ def _grown(where: Where, pixels: int) -> Where:
     return torch.stack([dilate(one.float(), pixels) > 0 for one in where])
 
 
-def _blurred(maps: Tensor, pixels: float = 2) -> Tensor:
+def blurred(maps: Tensor, pixels: float = 2) -> Tensor:
     """Over two pixels: scenes are softer than photos."""
     flat = maps.reshape(-1, *maps.shape[-2:]).numpy()
     smooth = [cv2.GaussianBlur(one, (0, 0), pixels) for one in flat]
@@ -446,8 +447,8 @@ def _found_in(picture: Picture, other: Picture) -> Float[Tensor, "height width 2
 
 def _mean_around(picture: Picture, where: Bool[Tensor, "height width"]) -> Picture:
     """The mean colour about each pixel of what lies in `where`."""
-    weight = _blurred(where[None].float())
-    return _blurred(picture * where) / weight.clamp(min=1e-3)
+    weight = blurred(where[None].float())
+    return blurred(picture * where) / weight.clamp(min=1e-3)
 
 
 def _steps(light: Float[Tensor, "height width"]) -> Float[Tensor, "2 height width"]:

@@ -4,13 +4,21 @@ from dataclasses import replace
 
 import torch
 
-from edit3r.contract.interfaces import HalfWay, Rasterizer, SceneToJudge
+from edit3r.contract.component import component_name
+from edit3r.contract.interfaces import (
+    Geometry,
+    HalfWay,
+    Rasterizer,
+    Reference,
+    SceneToJudge,
+)
 from edit3r.contract.reporting import stage
-from edit3r.contract.types import Cameras, Gaussians, Rendering
+from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.checks import check_edit_verdict, check_verdict
+from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.paths import half_way
-from edit3r.kit.rendering import render_each
+from edit3r.kit.rendering import render_each, render_one
 from edit3r.running.editors import edit_to_judge
 from edit3r.running.parts import Parts
 from edit3r.running.records import (
@@ -23,6 +31,9 @@ from edit3r.running.records import (
 )
 
 HALF_WAY_SIZE = 256  # longer side [pixels]: critics look at no finer pictures
+FOOTPRINT = (
+    0.6  # standard deviation of the reference's Gaussians [pixels]: no gaps, no blur
+)
 
 
 @torch.no_grad()
@@ -36,27 +47,23 @@ def judge(
     parts: Parts,
 ) -> Judged:
     """The refined scene from its input views, and the verdicts."""
-    text, size = "render input views", inputs.start.image_size
+    size = inputs.start.image_size
     with stage("check"):
-        first, rendered = (
-            located.in_own_exposure(render_each(parts.rasterizer, scene, cameras, text))
-            for scene, cameras in (
-                (made.reconstruction.gaussians, made.cameras),
-                (gaussians, made.cameras.at(size)),
-            )
-        )
-        uses_geometry = parts.uses_geometry
+        first, rendered = _from_photos(located, made, gaussians, size, parts.rasterizer)
         cameras, half = made.cameras.at(size), None
         if cameras.count > 1:
             half = seen_half_way(parts.rasterizer, gaussians, cameras)
+        geometry = None
+        if parts.uses_geometry:
+            geometry = parts.geometry.of(made.photos).geometry
         verdict = parts.critic.judge_scene(
             SceneToJudge(
                 photos=made.photos,
                 placed=made.placed,
-                geometry=parts.geometry.of(made.photos).geometry
-                if uses_geometry
-                else None,
+                geometry=geometry,
                 edited=edit.views,
+                cameras=made.cameras,
+                gaussians=made.reconstruction.gaussians,
                 first=first,
                 rendered=rendered,
                 measured=made.reconstruction.measured,
@@ -64,6 +71,10 @@ def judge(
                 lenses=located.lenses,
                 edit=edit.verdict,
                 half_way=half,
+                reference=None
+                if geometry is None
+                else _reference(geometry, made.used, edit.views, parts.rasterizer),
+                components=_components(parts),
             )
         )
         check_verdict(parts.critic, verdict)
@@ -72,6 +83,64 @@ def judge(
             inputs, selection, edit, rendered, cameras, half, parts
         )
     return Judged(rendered, verdict, edit_verdict)
+
+
+def _from_photos(
+    located: Located,
+    made: Reconstructed,
+    gaussians: Gaussians,
+    size: tuple[int, int],
+    rasterizer: Rasterizer,
+) -> tuple[Rendering, Rendering]:
+    """The scene before any refiner, and the final one, drawn once where they are the same."""
+    before, text = made.reconstruction.gaussians, "render input views"
+    drawn = [(before, made.cameras)]
+    if gaussians is not before or made.cameras.image_size != size:
+        drawn.append((gaussians, made.cameras.at(size)))
+    shown = [
+        located.in_own_exposure(render_each(rasterizer, scene, cameras, text))
+        for scene, cameras in drawn
+    ]
+    return shown[0], shown[-1]
+
+
+def _reference(
+    geometry: Geometry, used: list[int], edited: Views, rasterizer: Rasterizer
+) -> Reference:
+    """The first scene of the batch, as sharp as critics look."""
+    size = _small(edited.image_size)
+    one, views = geometry.scene(0).at(size), edited.scene(0).at(size)
+    if one.intrinsics is not None:
+        views = replace(views, intrinsics=one.intrinsics[:, used])
+    c2w, depths = one.c2w[:, used], one.depths[:, used]
+    cameras = Cameras(c2w, views.intrinsics, size)
+    scales = pixel_scales(depths, views.intrinsics, FOOTPRINT)
+    opacities = torch.full_like(depths, 0.95)
+    pixels = pixels_to_gaussians(views.images, depths, cameras, scales, opacities)
+    return Reference(
+        first=render_one(rasterizer, pixels, cameras.select([0])),
+        depths=depths[0, 0],
+        half_way=seen_half_way(rasterizer, pixels, cameras) if len(used) > 1 else None,
+    )
+
+
+def _components(parts: Parts) -> dict[str, str]:
+    found = {
+        "editor": parts.editor_names,
+        "reconstructor": component_name(parts.reconstructor),
+        "refiner": " + ".join(map(component_name, parts.refiners)),
+        "rasterizer": component_name(parts.rasterizer),
+    }
+    if parts.uses_geometry:
+        found["geometry"] = component_name(parts.geometry.source)
+    return found
+
+
+def _small(size: tuple[int, int]) -> tuple[int, int]:
+    """(height, width) at which critics look [pixels]."""
+    share = min(1.0, HALF_WAY_SIZE / max(size))
+    height, width = (max(1, round(share * side)) for side in size)
+    return height, width
 
 
 def _edit_verdict(
@@ -99,8 +168,6 @@ def seen_half_way(
     rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras
 ) -> HalfWay:
     """One scene (batch 1) from half-way between each photo and its nearest one."""
-    share = min(1.0, HALF_WAY_SIZE / max(cameras.image_size))
-    height, width = (max(1, round(share * side)) for side in cameras.image_size)
-    between, pairs = half_way(cameras.at((height, width)))
+    between, pairs = half_way(cameras.at(_small(cameras.image_size)))
     rendered = render_each(rasterizer, gaussians, between, "look between the photos")
     return HalfWay(rendered, between, pairs)
