@@ -106,6 +106,34 @@ def scenes_of(files: Sequence[Path]) -> dict[str, SceneToJudge]:
     return found
 
 
+def row_of(place: str, what: str, scene: SceneToJudge) -> dict:
+    """The verdict on a scene, what it stands on, and what is known of it."""
+    verdict = LimitsCritic(None).judge_scene(scene)
+    kind, _, strength = what.partition(" ")
+    number = KINDS[kind].index(float(strength)) + 1 if kind in KINDS else 0
+
+    def worst(name: str) -> float | None:
+        known = [one for one in getattr(verdict, name) if one is not None]
+        return max(known, default=None)
+
+    pairs = zip(verdict.guessed_between, verdict.unlike_between)
+    return {
+        "place": place,
+        "kind": kind,
+        "strength": number,
+        "label": verdict.label,
+        "part": verdict.part,
+        "figures": {
+            **{
+                name: worst(f"beside_{name}")
+                for name in ("geometry", "flat", "reference")
+            },
+            "half_way": max(sum(one) for one in pairs if None not in one),
+            "agreement": min(one for one in verdict.agreement if one is not None),
+        },
+    }
+
+
 def main(
     folders: Sequence[Path],
     *,
@@ -113,6 +141,7 @@ def main(
     rows: Path | None = None,
     most: int = 3,
 ) -> Iterator[dict]:
+    found = []
     with tempfile.TemporaryDirectory() as temporary:
         kept = keep or Path(temporary)
         kept.mkdir(exist_ok=True)
@@ -125,8 +154,28 @@ def main(
                     except Edit3rError as error:
                         print(f"{path.stem}: {str(error)[:90]}")
                         torch.save({}, path)
+                scenes = torch.load(path, weights_only=False)
+                found += [row_of(folder.name, *one) for one in scenes.items()]
                 print(path.stem, flush=True)
-        yield {}
+    if rows:
+        rows.write_text("".join(json.dumps(row) + "\n" for row in found))
+    for kind in dict.fromkeys(row["kind"] for row in found):
+        for strength in sorted(
+            {row["strength"] for row in found if row["kind"] == kind}
+        ):
+            own = [
+                row
+                for row in found
+                if (row["kind"], row["strength"]) == (kind, strength)
+            ]
+            bad = sum(row["label"] in ("poor", "failed") for row in own)
+            named = sum(row["part"] == "reconstructor" for row in own)
+            yield {
+                "kind": kind,
+                "strength": (KINDS[kind][strength - 1] if strength else 0.0, ".3g"),
+                "poor or failed": f"{bad} of {len(own)}",
+                "by the reconstructor": f"{named} of {len(own)}",
+            }
 
 
 if __name__ == "__main__":

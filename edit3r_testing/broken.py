@@ -30,7 +30,7 @@ KINDS: dict[str, tuple[float, float, float]] = {
     "stretched": (1.1, 1.2, 1.35),
     "turned": (1.5, 3, 6),
     "aside": (0.15, 0.3, 0.6),
-    "torn": (0.1, 0.2, 1 / 3),
+    "torn": (0.1, 0.2, 0.333),
     "fat": (3, 6, 10),
 }
 """Kinds with three strengths each; from the second on a picture from between shows it.

@@ -3,8 +3,9 @@
 from edit3r.contract.interfaces import Critic, EditToJudge, SceneToJudge
 from edit3r.contract.verdicts import EditVerdict, Verdict
 from edit3r_judge.between import guessed_between
+from edit3r_judge.blame import Doubt
 from edit3r_judge.signals import faults_of, fitted_limits, measured
-from edit3r_judge.verdict import Doubt, judge
+from edit3r_judge.verdict import judge
 
 FLAT = (
     "all that the photos share lies on one plane: a flat thing, or photos from one place. Take a "
@@ -50,11 +51,12 @@ def doubt_of(scene: SceneToJudge) -> Doubt | None:
     """What else speaks against the scene: its edits, or photos that tell no depth or no lens."""
     measures = {} if scene.edit is None else scene.edit.measures
     if measures.get("faults"):
-        return Doubt("the 2D edits do not show what their photos show (see the edit)")
+        clause = "the 2D edits do not show what their photos show (see the edit)"
+        return Doubt(clause, "editor")
     if scene.flat:
-        return Doubt(FLAT)
+        return Doubt(FLAT, "photos")
     if scene.lenses is not None:
-        return Doubt(UNSURE_LENS.format(*scene.lenses))
+        return Doubt(UNSURE_LENS.format(*scene.lenses), "photos")
     if measures.get("moved"):
-        return Doubt(MOVED, best="good")
+        return Doubt(MOVED, "editor", best="good")
     return None

@@ -49,9 +49,8 @@ class Skill:
     view: int
     scene: float  # difference that is left, by the scene [CIE Lab]
     geometry: float | None  # by the run's geometry
-    flat: (
-        float | None
-    )  # by a homography; None: the photos show one plane, or too little
+    # by a homography; None: the photos show one plane, or too little
+    flat: float | None
 
     @property
     def beside_geometry(self) -> float | None:
@@ -62,8 +61,11 @@ class Skill:
 
     @property
     def beside_flat(self) -> float | None:
-        """The share of what is left by one flat picture; 1: there is no depth."""
-        return None if self.flat is None else self.scene / max(self.flat, FLOOR)
+        """What the run's geometry, or a scene without any, leaves as a share of what one flat
+        picture does; 1: there is no depth.
+        """
+        left = self.scene if self.geometry is None else self.geometry
+        return None if self.flat is None else left / max(self.flat, FLOOR)
 
 
 def skills(scene: SceneToJudge) -> list[Skill]:
@@ -113,7 +115,8 @@ class _Photos:
         if self.geometry is not None:
             depths, cameras = self.geometry
             ways["geometry"] = _places(depths[view], cameras, view, other)
-        flat = _homography(self.light[view], self.light[other], self.size)
+        here, there = matches(self.light[view], self.light[other])
+        flat = _homography(here, there, self.size)
         if flat is not None:
             ways["flat"] = flat
         where = self.depths[view] > 0
@@ -169,13 +172,10 @@ def _places(
     return places.view(*depths.shape, 2)
 
 
-def _homography(
-    light: np.ndarray, other: np.ndarray, size: tuple[int, int]
-) -> Places | None:
+def _homography(here, there, size: tuple[int, int]) -> Places | None:
     """Where the best homography brings each pixel, normalised; None where it explains nearly all
     that the two share (a flat thing, a camera that only turned), or they share too little.
     """
-    here, there = matches(light, other)
     if len(here) < MATCHES:
         return None
     cv2.setRNGSeed(0)

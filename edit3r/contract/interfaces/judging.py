@@ -82,7 +82,9 @@ class SceneToJudge:
     lenses: tuple[float, float] | None = None
     edit: EditVerdict | None = None  # what is said of the edit in 2D
     half_way: HalfWay | None = None  # None: there is one photo alone
-    reference: Reference | None = None  # None: the scene stands on no geometry of the run
+    reference: Reference | None = (
+        None  # None: the scene stands on no geometry of the run
+    )
     # names of the run's components by kind, such as "reconstructor"; who read the geometry is the
     # "geometry"
     components: Mapping[str, str] = field(default_factory=dict)
