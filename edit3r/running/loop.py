@@ -22,7 +22,7 @@ from edit3r.running.steps.locate import light_of_edit, locate
 from edit3r.running.steps.read import read
 from edit3r.running.steps.reconstruct import reconstruct
 from edit3r.running.steps.refine import refine
-from edit3r.running.steps.select import as_many_as_fit, load, select
+from edit3r.running.steps.select import as_many_as_fit, load, require_answer, select
 from edit3r.running.write import RunResult
 
 
@@ -39,7 +39,8 @@ def run(
     `on_edited` is handed the edited photos as soon as they are there, so that they outlive a later
     step that fails.
 
-    Where a mask is 0, pixels stay bit-equal, whatever the editor does. Raises InputError for photos
+    Where a mask is 0, pixels stay bit-equal, whatever the editor does. Raises QuestionError where
+    words hardly tell which thing is meant (but for `guess`), InputError for photos
     or masks that cannot be used, SettingsError and UnknownComponentError for wrong settings before
     any photo is read, and PluginError for a component that breaks its contract.
     """
@@ -60,6 +61,7 @@ def _made(
     """All steps, one after the other."""
     inputs, located = locate(inputs, parts)
     selection = select(inputs, parts)
+    require_answer(inputs, selection, parts)
     used = as_many_as_fit(inputs.start, parts.reconstructor)
     inputs, located = inputs.select(used), located.select(used)
     selection = selection.select(used)

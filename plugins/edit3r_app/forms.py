@@ -204,6 +204,9 @@ def run_settings(draft: Draft, registry: Registry) -> dict[str, Any]:
     form = draft.form
     settings = _typed(form, "run")
     settings["prompt"] = str(form.get("prompt", "")).strip()
+    settings["guess"] = (
+        True  # the page shows what is meant, and asks, before anything is edited
+    )
     usual = Draft().outline
     steps = draft.outline.items()
     settings |= {key: value for key, value in steps if value != usual[key]}

@@ -57,7 +57,7 @@ class Skill:
         """How many times as much the scene leaves; 1: it is as good."""
         if self.geometry is None:
             return None
-        return self.scene / max(self.geometry, FLOOR)
+        return max(self.scene, FLOOR) / max(self.geometry, FLOOR)
 
     @property
     def beside_flat(self) -> float | None:
@@ -65,7 +65,7 @@ class Skill:
         picture does; 1: there is no depth.
         """
         left = self.scene if self.geometry is None else self.geometry
-        return None if self.flat is None else left / max(self.flat, FLOOR)
+        return None if self.flat is None else max(left, FLOOR) / max(self.flat, FLOOR)
 
 
 def skills(scene: SceneToJudge) -> list[Skill]:
@@ -193,7 +193,7 @@ def matches(
     light: np.ndarray, other: np.ndarray
 ) -> tuple[Float[np.ndarray, "match 2"], Float[np.ndarray, "match 2"]]:
     """Places that two grey pictures share [pixels] (SIFT, Lowe 2004)."""
-    sift = cv2.SIFT_create(2000)
+    sift = cv2.SIFT_create(2000, contrastThreshold=0.015)
     found = [sift.detectAndCompute(one, None) for one in (light, other)]
     (points, words), (points_there, words_there) = found
     if words is None or words_there is None or len(words_there) < 2:

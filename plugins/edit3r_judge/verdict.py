@@ -55,9 +55,7 @@ def judge(
             iter, (*figures, cheapest.geometry, cheapest.flat, cheapest.reference)
         )
     )
-    return Verdict(
-        label, reason, at_photos, at_first, scene.placed, *others, part=part
-    )
+    return Verdict(label, reason, at_photos, at_first, scene.placed, *others, part=part)
 
 
 def _psnr(scene: SceneToJudge, shown: Rendering) -> list[float]:

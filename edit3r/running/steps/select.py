@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.component import component_name
-from edit3r.contract.errors import InputError
+from edit3r.contract.errors import InputError, QuestionError
 from edit3r.contract.instructions import Instruction, Thing
 from edit3r.contract.interfaces import (
     ASK,
@@ -20,9 +20,13 @@ from edit3r.contract.reporting import stage, warn
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.parts import Parts
-from edit3r.running.records import Inputs, SelectedRegions
+from edit3r.running.records import Inputs, Preview, SelectedRegions
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.regions import RegionFinder
+
+ASKED = 0.35
+"""Confidence below which the thing that words name is asked about, and not edited (fitted, see
+docs/notes/selecting.md)."""
 
 
 @torch.no_grad()
@@ -30,6 +34,26 @@ def select(inputs: Inputs, parts: Parts) -> SelectedRegions:
     """A mask for each instruction on every photo, and where anything may change at all."""
     with stage("select"):
         return _widened(_regions(inputs, parts), inputs, parts)
+
+
+def require_answer(inputs: Inputs, selection: SelectedRegions, parts: Parts) -> None:
+    """Raise QuestionError where words hardly tell which thing is meant, and nobody chose one."""
+    config = parts.config
+    if config.guess or "reading" in config.set_by_the_user():
+        return
+    for thing in selection.selected:
+        by_words = {"words", "guess"} & {*thing.how}
+        if by_words and thing.confidence is not None and thing.confidence < ASKED:
+            numbers = " or ".join(f"--reading {one.number}" for one in thing.readings)
+            hints = "".join(parts.reader.hint(one) for one in selection.instructions)
+            raise QuestionError(
+                f"which is the {thing.called or 'thing'}? The likeliest candidate has a confidence "
+                f"of {thing.confidence:.0%}, so nothing was edited. Take one ({numbers}), {ASK}, "
+                "or fetch a detector that knows most words (edit3r weights get words); --guess takes "
+                f"the likeliest.{hints}",
+                thing.readings,
+                Preview(inputs, selection, None),
+            )
 
 
 def load(inputs: Inputs, parts: Parts) -> Inputs:
@@ -166,7 +190,6 @@ def _finder(index: int, inputs: Inputs, parts: Parts) -> RegionFinder:
         geometry=lambda: _geometry(index, inputs.photos, parts),
         marked=inputs.marked,
         defaults=Selection(
-            sure=config.sure,
             reading=config.reading,
             larger=config.larger,
             grow=config.grow,
