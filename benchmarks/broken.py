@@ -84,7 +84,7 @@ def scenes_of(files: Sequence[Path]) -> dict[str, SceneToJudge]:
         return critic.scene, made
 
     scene, made = shown()
-    known = Known(made.parts.geometry.of(views).required())
+    known = Known(made.records.located.geometry)
     found = {"default": scene}
     sound, made = shown(recon=BrokenReconstructor(), matcher=known)
     draw = functools.partial(render_each, made.rasterizer, text="")

@@ -1,6 +1,6 @@
 """How alike a rendering and its photo are, as the benchmarks that decide say it: four figures.
 
-PSNR and SSIM ask each pixel; LPIPS (edit3r_measure/lpips.py, shift-tolerant) and the share of
+PSNR and SSIM ask each pixel; LPIPS (edit3r/kit/compute/lpips.py, shift-tolerant) and the share of
 detail say what a person sees. Needs `pip install "edit3r[stlpips]"`. Photos that no run was given
 are shown from where they stand beside the nearest one that it placed.
 """
@@ -11,10 +11,10 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from edit3r_measure.lpips import lpips
 from scipy.ndimage import gaussian_filter
 
 import edit3r
+from edit3r.kit.compute.lpips import lpips_distance
 from edit3r.kit.compute.metrics import Image, psnr, ssim
 
 FINE = 1.0  # detail is what a Gaussian blur of so many pixels takes away
@@ -41,7 +41,7 @@ def likeness(image: Image, photo: Image) -> Likeness:
     return Likeness(
         psnr(image, photo),
         ssim(image, photo),
-        lpips(image, photo),
+        lpips_distance(image, photo),
         _energy(image) / max(_energy(photo), 1e-12),
     )
 

@@ -757,9 +757,8 @@ def table(rows: list[dict]) -> str:
 
 TARGETS, MOST_PHOTOS = 3, 16
 MOST_DEGREES = 60.0  # from farther round, a floor that both photos show looks another
-SAME_SURFACE = (
-    0.05  # relative difference of depth below which two photos show one place
-)
+# relative difference of depth below which two photos show one place
+SAME_SURFACE = 0.05
 
 
 def make_index(places: Sequence[str], per_class: int, size: int) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """Fits the weights of `edit3r_select` and measures them on scenes left out.
 
-    python benchmarks/outlines.py ELSEWHERE fetch
+    python benchmarks/outlines.py ELSEWHERE
     python benchmarks/select_sum.py DATA ELSEWHERE --kept ROWS.pkl [--write] [--never-fitted]
         [--left-out FITS.json] [--cache FOLDER]
 

@@ -457,7 +457,7 @@ def edits_of(photos: dict, data: Path, seed: int) -> dict[str, EditToJudge]:
         except Edit3rError as error:
             print(f"{case.kind}: {str(error)[:90]}")
             continue
-        records, tasks = made.records, made.parts.tasks
+        records, tasks = made.records, made.components.tasks
         edit = edit_to_judge(records.inputs, records.selection, records.edit, tasks, 2)
         seen = functools.partial(seen_half_way, made.rasterizer, cameras=made.cameras)
         edit = replace(
@@ -550,7 +550,7 @@ def edits() -> None:
         edit3r judge --fit ROWS.jsonl [--write]
 
     DATA is a folder of photo sets, as for `clicks.py`, with the photos of `judged.json` in it
-    (`outlines.py DATA fetch`); objects are those of `clicks.json`, `outlines.json` and
+    (`outlines.py DATA`); objects are those of `clicks.json`, `outlines.json` and
     `judged.json` that are outlined on two photos. Each is edited in whole runs of 256 pixels:
     well, and badly in each of the ways of `FAULTS`, which are made on the edited photos, in the
     masks or in what the scene shows. A fault that nobody sees is none: one is left out where less

@@ -26,6 +26,6 @@ from .loading.registry import (
     default_registry as default_registry,
 )
 from .running.config import RunConfig as RunConfig
+from .running.result import RunResult as RunResult
 from .running.selecting.call import select as select
-from .running.write import RunResult as RunResult
 from .version import __version__ as __version__

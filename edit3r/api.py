@@ -23,13 +23,13 @@ from edit3r.kit.cache import Cache
 from edit3r.kit.photos.in_memory import Pictures, as_files
 from edit3r.loading.registry import Registry
 from edit3r.running.config import PART_KEYS, make_run_config
-from edit3r.running.earlier import EarlierRun, read_earlier_run
 from edit3r.running.given import check_cameras, check_views, checked_masks
 from edit3r.running.job import RunJob, inherited, with_cameras
 from edit3r.running.loop import run as run_job
+from edit3r.running.result import RunResult
+from edit3r.running.run_folder import EarlierRun, RunFolder
 from edit3r.running.selecting.marks import MarkTexts
 from edit3r.running.settings import Choice, RunSettings
-from edit3r.running.write import RunResult
 
 Files = str | Path | Sequence[str | Path]
 
@@ -93,7 +93,7 @@ def run(
         *built,
     }:
         built["reconstructor"] = earlier.reconstructor
-        if (matcher := earlier.parts.job.components.get("matcher")) is not None:
+        if (matcher := earlier.components.job.components.get("matcher")) is not None:
             built.setdefault("matcher", matcher)
     before = _earlier(earlier)
     layers = [{key: _plain(value) for key, value in given.items()}]
@@ -175,4 +175,4 @@ def _masks(
 def _earlier(earlier: RunResult | EarlierRun | str | Path | None) -> EarlierRun | None:
     if isinstance(earlier, RunResult):
         return earlier.as_earlier()
-    return read_earlier_run(earlier) if isinstance(earlier, str | Path) else earlier
+    return RunFolder(earlier).read() if isinstance(earlier, str | Path) else earlier

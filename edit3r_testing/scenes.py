@@ -20,9 +20,8 @@ from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.geometry.cameras import intrinsics_from_fov, pixel_rays
 
 FOV_X = 0.9  # [radians]
-BASELINE = (
-    0.22  # between neighbouring cameras [scene units]; the wall is about 3.5 away
-)
+# between neighbouring cameras [scene units]; the wall is about 3.5 away
+BASELINE = 0.22
 # x, y, z, radius [scene units]
 BALLS = torch.tensor([[-0.55, 0.15, 2.2, 0.45], [0.6, -0.2, 2.7, 0.5]])
 SUPERSAMPLING = 2  # rays per pixel side, against aliasing

@@ -23,7 +23,7 @@ from edit3r.kit.geometry.cameras import pixel_rays
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.images import to_bytes
 from edit3r.kit.rendering import render_each
-from edit3r.running.write import write_scene
+from edit3r.running.result import write_scene
 from edit3r_testing.contract import Contract
 from edit3r_testing.rasterizer import reference_rasterizer
 from edit3r_testing.scenes import Photographed

@@ -1,6 +1,7 @@
 """`edit3r describe`: a component's settings, what to know before using it, and YAML to paste."""
 
 import argparse
+import json
 
 from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS
@@ -16,15 +17,23 @@ class DescribeCommand(Command):
         parser.add_argument(
             "name", help="name as in edit3r list-plugins, or plugin:name"
         )
+        parser.add_argument(
+            "--json",
+            action="store_true",
+            help="what is known of it, the JSON schema of its settings, and an example",
+        )
         add_plugin_option(parser)
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r.contract.errors import MissingDependencyError
-        from edit3r.loading.describe import metadata_lines
+        from edit3r.loading.describe import described, metadata_lines
         from edit3r.loading.registry import default_registry
 
         registry = default_registry(tuple(args.plugin))
         offer = registry.find(args.kind, args.name)
+        if args.json:
+            print(json.dumps(described(registry, offer), indent=2))
+            return 0
         try:
             use = _use(offer, registry.settings_class(offer))
         except MissingDependencyError as missing:

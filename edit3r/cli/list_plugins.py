@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from typing import Any
 
 from edit3r.contract.command import Command
 from edit3r.contract.component import KINDS
@@ -20,7 +21,9 @@ class ListPluginsCommand(Command):
             "--kind", choices=KINDS, help="only components of this kind"
         )
         parser.add_argument(
-            "--json", action="store_true", help="machine-readable output"
+            "--json",
+            action="store_true",
+            help="machine-readable output; with --check every component's settings too",
         )
         parser.add_argument(
             "--check",
@@ -49,6 +52,9 @@ class ListPluginsCommand(Command):
         failures = [vars(failure) for failure in registry.failures]
         clashes = registry.clashes()
         if args.json:
+            if args.check:
+                for row, offer in zip(rows, offers):
+                    row["settings"] = _settings(registry, offer)
             print(
                 json.dumps(
                     {"components": rows, "failures": failures, "clashes": clashes},
@@ -61,7 +67,26 @@ class ListPluginsCommand(Command):
         return 1 if args.strict and broken else 0
 
 
-def _row(registry, offer, problem: str) -> dict[str, str]:
+def _settings(registry, offer) -> dict | None:
+    """By name, what is allowed, the default and a sentence; None where it cannot be imported."""
+    from edit3r.contract.errors import Edit3rError
+    from edit3r.loading.describe import settings_lines
+
+    try:
+        lines = settings_lines(registry.settings_class(offer))
+    except Edit3rError:
+        return None
+    return {
+        line.name: {
+            "allowed": line.allowed,
+            "default": line.default,
+            "description": line.sentence,
+        }
+        for line in lines
+    }
+
+
+def _row(registry, offer, problem: str) -> dict[str, Any]:
     from edit3r.kit.weights.find import at_hand
     from edit3r.loading.registry import install_hint
 

@@ -35,6 +35,11 @@ COMMANDS = (
         "edit3r.cli.describe:DescribeCommand",
         "show a component's settings, licence and needs, and YAML to paste into a configuration",
     ),
+    Component(
+        "schema",
+        "edit3r.cli.schema:SchemaCommand",
+        "print the JSON schema of a command's configuration file, for an editor",
+    ),
 )
 """The core's own commands; all others come from plugins."""
 

@@ -67,6 +67,9 @@ def program() -> int:
     # leaving, took 0.7 of the 2.7 seconds of a process that only imports it.
     gc.set_threshold(10_000)
     try:
+        from edit3r.loading.entry_points import hide_unreadable
+
+        hide_unreadable()
         from edit3r.cli.main import main
 
         return main(interruptions=interruptions)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from edit3r.contract.reporting import Report
     from edit3r.contract.types import Views
     from edit3r.running.job import RunJob
-    from edit3r.running.write import RunResult
+    from edit3r.running.result import RunResult
 
 
 PREVIEW = "edit3r-preview.png"
@@ -83,6 +83,9 @@ class RunCommand(Command):
             help="json: one line an event, for other programs",
         )
 
+    def configuration(self) -> type[RunConfig]:
+        return RunConfig
+
     def main(self, args: argparse.Namespace) -> int:
         for path in args.photos if args.preview is None else ():
             require_there(path)  # before torch is imported, which takes seconds
@@ -117,8 +120,8 @@ class RunCommand(Command):
             from edit3r.kit.photos.images import save_pixels
             from edit3r.loading.registry import default_registry
             from edit3r.running.loop import preview
+            from edit3r.running.result import preview_sheet
             from edit3r.running.summary import answers
-            from edit3r.running.write import preview_sheet
 
             # `--preview a.jpg b.jpg` would take the first photo for the file to write.
             check_new_file(args.preview, args.overwrite or args.preview == PREVIEW)
@@ -147,7 +150,7 @@ class RunCommand(Command):
             from edit3r.kit.files.atomic import atomic_folder, check_apart
             from edit3r.loading.registry import default_registry
             from edit3r.running.loop import run
-            from edit3r.running.write import write_result
+            from edit3r.running.result import write_result
 
             check_apart(args.out, *map(Path, (*args.photos, *args.mask)))
             job = _job(args)
@@ -171,7 +174,7 @@ def _with_sheet(question: QuestionError, out: Path, prompt: str) -> QuestionErro
     import numpy as np
 
     from edit3r.kit.photos.images import save_pixels
-    from edit3r.running.write import preview_sheet
+    from edit3r.running.result import preview_sheet
 
     file = out.with_name(f"{out.name}-question.png")
     sheet = np.asarray(preview_sheet(question.preview, prompt))

@@ -2,8 +2,12 @@
 
 import argparse
 from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
 
 from edit3r.contract.component import Configured
+
+if TYPE_CHECKING:
+    from edit3r.contract.settings import Settings
 
 
 class Command(Configured, ABC):
@@ -19,3 +23,9 @@ class Command(Configured, ABC):
     @abstractmethod
     def main(self, args: argparse.Namespace) -> int | None:
         """Do the work; returns the exit code, None for 0. What users can mend is an Edit3rError."""
+
+    def configuration(self) -> "type[Settings] | None":
+        """The settings in the file that `--config` or the command's argument names, for `edit3r
+        schema`; None where it reads no such file.
+        """
+        return None

@@ -150,6 +150,7 @@ class Offer:
     plugin: str  # entry point name
     version: str  # of the distribution; "" for a local file
     module: str = ""  # the one that declares it
+    first_party: bool = False  # edit3r's own: keeps its name where another takes it
 
     @property
     def qualified_name(self) -> str:

@@ -8,7 +8,7 @@ from PIL import Image
 
 from edit3r.contract.errors import InputError
 
-MAX_DISTORTION = 100.0
+MAX_DISTORTION = 100.0  # a sanity limit
 MAX_SIDE = 32766  # of an image that OpenCV remaps [pixels]
 BORDER_SAMPLES = 65  # places on each side of a crop
 

@@ -6,6 +6,7 @@ and what was given.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -68,6 +69,24 @@ USER_ONLY: JsonDict = {"user_only": True}
 
 Only the user may give it (`--set`, a flag, Python), no file that may be a stranger's.
 """
+
+
+@dataclass(frozen=True)
+class OfKind:
+    """In `Annotated`, for schemas: the kind of a part that its setting's name does not say.
+
+    Also of a mapping from components' names to their settings.
+    """
+
+    kind: str
+
+
+@dataclass(frozen=True)
+class OrCalled:
+    """In `Annotated`, for schemas: a part that no plugin offers, and its settings."""
+
+    name: str
+    settings: "type[Settings]"
 
 
 class FileText(str):

@@ -108,7 +108,8 @@ def bounded_client(seconds: float) -> Any:
     """An `httpx2.Client` for the libraries `openai` and `google-genai`.
 
     An answer that is not complete after `seconds`, or breaks off, raises a timeout or a connection
-    error, which these libraries try again; one of more than MAX_ANSWER bytes raises OSError.
+    error, which these libraries try again; one of more than MAX_ANSWER bytes raises OSError. No
+    redirect is followed: it would carry key and photo to another host.
     """
     import httpx2
 
@@ -134,7 +135,7 @@ def bounded_client(seconds: float) -> Any:
 
     return httpx2.Client(
         timeout=seconds,
-        follow_redirects=True,
+        follow_redirects=False,
         headers={"Accept-Encoding": "identity"},
         event_hooks={"request": [begin], "response": [receive]},
     )

@@ -2,6 +2,7 @@
 
 import types
 from dataclasses import dataclass
+from enum import Enum
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import yaml
@@ -9,6 +10,8 @@ from pydantic.fields import FieldInfo
 
 from edit3r.contract.component import Component, Offer
 from edit3r.contract.settings import PartChoice, Settings
+from edit3r.loading.registry import Registry
+from edit3r.loading.schema import component_schema
 
 BOUNDS = (
     ("ge", "≥"),
@@ -80,6 +83,23 @@ def yaml_example(offer: Offer, cls: type[Settings]) -> str:
     width = min(max(len(row) for row, _ in rows), 44)
     body = [f"{row:<{width}}  # {comment}" if comment else row for row, comment in rows]
     return "\n".join(_under_its_key(offer.kind, body))
+
+
+def described(registry: Registry, offer: Offer) -> dict[str, Any]:
+    """A component as JSON: what its declaration says, the schema of its settings, an example."""
+    cls = registry.settings_class(offer)
+    return {
+        "kind": offer.kind,
+        "name": offer.component.name,
+        "plugin": offer.plugin,
+        "version": offer.version,
+        "summary": offer.component.summary,
+        "about": dict(metadata_lines(offer.component)),
+        "settings": component_schema(registry, offer),
+        "example": {
+            line.name: line.default for line in settings_lines(cls) if not line.required
+        },
+    }
 
 
 def metadata_lines(component: Component) -> tuple[tuple[str, str], ...]:
@@ -157,6 +177,8 @@ def _plain(value: Any) -> Any:
             if value.settings
             else value.name
         )
+    if isinstance(value, Enum):
+        return _plain(value.value)
     if isinstance(value, Settings):
         return {name: _plain(getattr(value, name)) for name in type(value).model_fields}
     if isinstance(value, dict):

@@ -8,9 +8,8 @@ and every other plugin still works.
 import importlib.util
 import sys
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from importlib import metadata
 from pathlib import Path
 from types import ModuleType
 
@@ -19,17 +18,7 @@ import pluggy
 from edit3r.contract import hookspecs
 from edit3r.contract.component import KINDS, Component, Offer, hook_name
 from edit3r.contract.errors import InputError, suggest
-
-ENTRY_POINT_GROUP = "edit3r"
-
-
-@dataclass(frozen=True)
-class PluginFailure:
-    """A plugin, or one component of it, that could not be used, and why in one sentence."""
-
-    plugin: str
-    version: str
-    reason: str
+from edit3r.loading.entry_points import GROUP, PluginFailure, installed
 
 
 @dataclass(frozen=True)
@@ -38,47 +27,35 @@ class LoadedPlugins:
 
     offers: tuple[Offer, ...]
     failures: tuple[PluginFailure, ...]
+    remarks: tuple[str, ...] = ()  # on names that were taken, a sentence each
 
 
 def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
-    """Load every installed plugin, and local files or folders (`--plugin path/to/file.py`)."""
-    manager = pluggy.PluginManager(ENTRY_POINT_GROUP)
+    """Load every installed plugin, and local files or folders (`--plugin path/to/file.py`).
+
+    The environment variable `EDIT3R_PLUGINS` leaves installed ones out
+    (`loading.entry_points`).
+    """
+    manager = pluggy.PluginManager(GROUP)
     manager.add_hookspecs(hookspecs)
     offers: list[Offer] = []
-    failures: list[PluginFailure] = []
-    for name, version, load in [*_installed(), *_local(local_files)]:
+    entries, unreadable, remarks = installed()
+    failures = list(unreadable)
+    first_party = {entry.name for entry in entries if entry.first_party}
+    loaders = [(entry.name, entry.version, entry.load) for entry in entries]
+    for name, version, load in [*loaders, *_local(local_files)]:
         try:
-            offers += _offers(manager, name, version, load())
+            offers += [
+                replace(offer, first_party=version != "" and name in first_party)
+                for offer in _offers(manager, name, version, load())
+            ]
         except KeyboardInterrupt:
             raise
         except (
             BaseException
         ) as error:  # sys.exit and pytest.skip at module level are no Exceptions
             failures.append(PluginFailure(name, version, _reason(error)))
-    return LoadedPlugins(tuple(offers), tuple(failures))
-
-
-def _installed() -> Iterator[tuple[str, str, Callable[[], ModuleType]]]:
-    """(name, version, loader) of every entry point, in a stable order.
-
-    Where two packages chose the same entry point name, the second is called by its distribution's
-    name.
-    """
-    # By name and module: an editable install beside its wheel lists a plugin twice.
-    points = {
-        (point.name, point.value): point
-        for point in metadata.entry_points(group=ENTRY_POINT_GROUP)
-    }
-    names: set[str] = set()
-    for _, point in sorted(points.items(), key=lambda named: named[0]):
-        version = point.dist.version if point.dist is not None else ""
-        name = (
-            point.name
-            if point.name not in names or point.dist is None
-            else point.dist.name
-        )
-        names.add(name)
-        yield name, version, point.load
+    return LoadedPlugins(tuple(offers), tuple(failures), tuple(remarks))
 
 
 def _local(

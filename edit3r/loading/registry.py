@@ -62,19 +62,31 @@ class Registry:
         )
 
     def clashes(self) -> list[str]:
-        """A sentence for each kind and name that several plugins offer: ask for `plugin:name`."""
+        """A sentence for each name that several plugins offer, or that several plugins have."""
         groups: dict[tuple[str, str], list[Offer]] = {}
         for offer in self.offers():
             groups.setdefault((offer.kind, offer.component.name), []).append(offer)
         return [
-            f"{kind} {name!r} is offered by {' and '.join(offer.plugin for offer in group)}; "
-            f"ask for {' or '.join(offer.qualified_name for offer in group)}"
-            for (kind, name), group in groups.items()
-            if len(group) > 1
+            *self.plugins.remarks,
+            *(
+                f"{kind} {name!r} is offered by {' and '.join(o.plugin for o in group)}; "
+                f"ask for {' or '.join(o.qualified_name for o in group)}"
+                + (
+                    "; without a plugin's name it is edit3r's own"
+                    if _own(group)
+                    else ""
+                )
+                for (kind, name), group in groups.items()
+                if len(group) > 1
+            ),
         ]
 
     def find(self, kind: str, name: str) -> Offer:
-        """The offer called `name` or `plugin:name`; else UnknownComponentError."""
+        """The offer called `name` or `plugin:name`; else UnknownComponentError.
+
+        A name that edit3r's own component has is that one's, whatever is installed beside it; a
+        local file that offers it too was named by the user, who is asked which.
+        """
         offers = self.offers(kind)
         called_so = [
             offer
@@ -83,6 +95,8 @@ class Registry:
         ]
         if len(called_so) == 1:
             return called_so[0]
+        if own := _own(called_so):
+            return own
         if called_so:
             ways = " or ".join(repr(offer.qualified_name) for offer in called_so)
             raise UnknownComponentError(
@@ -244,6 +258,13 @@ class Registry:
         if not isinstance(choice, PartChoice):
             return choice
         return self._build(part, choice, given, siblings, where)
+
+
+def _own(offers: list[Offer]) -> Offer | None:
+    """edit3r's own of several offers of one name; None where a local file is among them."""
+    local = any(not offer.version and not offer.first_party for offer in offers)
+    own = [offer for offer in offers if offer.first_party]
+    return own[0] if own and not local else None
 
 
 def absent_device(component: Component) -> str:

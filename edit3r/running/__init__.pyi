@@ -1,5 +1,6 @@
 """What `edit3r.running` promises, for type checkers and for the lazy loader of `__init__.py`."""
 
+from .components import Components as Components
 from .config import (
     DEFAULTS as DEFAULTS,
     MAX_GROWTH as MAX_GROWTH,
@@ -10,12 +11,6 @@ from .config import (
     RunConfig as RunConfig,
     check_components as check_components,
     make_run_config as make_run_config,
-)
-from .earlier import (
-    CACHE as CACHE,
-    EarlierRun as EarlierRun,
-    read_earlier_run as read_earlier_run,
-    read_views_of_run as read_views_of_run,
 )
 from .editors import instructions_for as instructions_for, usual_reader as usual_reader
 from .flags import (
@@ -31,7 +26,6 @@ from .geometry import (
 )
 from .job import RunJob as RunJob, job_from as job_from
 from .loop import preview as preview, preview_photo as preview_photo, run as run
-from .parts import Parts as Parts
 from .quality import (
     PRESETS as PRESETS,
     Expected as Expected,
@@ -40,10 +34,15 @@ from .quality import (
     write_quality as write_quality,
 )
 from .records import Preview as Preview
-from .selecting.call import select_with as select_with, usual_selector as usual_selector
-from .selecting.marks import MarkTexts as MarkTexts
-from .write import (
+from .result import (
     RunResult as RunResult,
     write_result as write_result,
     write_scene as write_scene,
 )
+from .run_folder import (
+    CACHE as CACHE,
+    EarlierRun as EarlierRun,
+    RunFolder as RunFolder,
+)
+from .selecting.call import select_with as select_with, usual_selector as usual_selector
+from .selecting.marks import MarkTexts as MarkTexts

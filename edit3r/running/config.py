@@ -2,13 +2,20 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, WithJsonSchema, field_validator, model_validator
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import SettingsError, UnknownComponentError
-from edit3r.contract.settings import PartChoice, Settings, Share, make_settings, merge
+from edit3r.contract.settings import (
+    OfKind,
+    PartChoice,
+    Settings,
+    Share,
+    make_settings,
+    merge,
+)
 from edit3r.kit.files.configs import read_yaml
 from edit3r.loading.registry import Registry
 
@@ -25,6 +32,14 @@ OWN_OUTPUTS = {
 }
 """What a run writes by itself, and the files and folders of each; all else is made by writers."""
 USUAL_OUTPUTS: tuple[str, ...] = tuple(DEFAULTS["outputs"])
+Written = Annotated[
+    tuple[str, ...],
+    WithJsonSchema(
+        {"type": ["array", "string"], "items": {"type": ["string", "object"]}}
+    ),
+]
+"""Names of writers in a list, some with settings, or in one text with commas."""
+
 PART_KEYS = (
     "reader",
     "editor",
@@ -97,14 +112,14 @@ class RunConfig(Settings):
     """torch device of the learned parts, such as cpu or cuda"""
     frames: int = Field(36, ge=2, le=2000)
     """frames of the camera path between and around the input views"""
-    outputs: tuple[str, ...] = Field(
+    outputs: Written = Field(
         USUAL_OUTPUTS,
         description=f"what is written beside run.json: some of {','.join(OWN_OUTPUTS)} and of the "
         "writers (edit3r list-plugins --kind writer); all: the usual ones and frames",
     )
-    export: tuple[str, ...] = ()
+    export: Written = ()
     """what else is written, by any writer, such as spz,glb"""
-    writer: dict[str, dict[str, Any]] = Field({})
+    writer: Annotated[dict[str, dict[str, Any]], OfKind("writer")] = Field({})
     """settings of writers by their names, such as writer.video.fps=30; in a list of outputs also
     {name: video, fps: 30}"""
     gaussians: int | Literal["all", "auto"] = "auto"

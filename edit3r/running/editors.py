@@ -48,23 +48,23 @@ def request_of(
 def edit_to_judge(
     inputs: Inputs,
     selection: SelectedRegions,
-    made: EditedPhotos,
+    edit: EditedPhotos,
     tasks: tuple[EditorTask, ...],
     count: int,
 ) -> EditToJudge:
     """What a critic is told of the edit of the first `count` views."""
     return EditToJudge(
         before=inputs.start,
-        after=made.views,
+        after=edit.views,
         edited=range(count),
         instructions=selection.instructions
         or tuple(instruction for task in tasks for instruction in task.instructions),
         selected=selection.selected,
         masks=selection.masks,
         regions=selection.regions,
-        faults=made.faults,
-        moved=made.moved,
-        in_2d=made.verdict,
+        faults=edit.faults,
+        moved=edit.moved,
+        in_2d=edit.verdict,
     )
 
 

@@ -1,6 +1,6 @@
-"""Poses and depths of the photos: asked for when somebody needs them, found once, and shared."""
+"""Poses and depths of photos: who reads them, and whether they can be trusted."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, permutations
 
 import cv2
@@ -18,7 +18,6 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
-from edit3r.kit.cache import fingerprint
 from edit3r.kit.checks import check_geometry, errors_named_after
 from edit3r.kit.geometry.cameras import pixel_grid, project, unproject
 from edit3r.loading.registry import Registry
@@ -62,41 +61,36 @@ class GeometryAnswer:
             return None
         return self.geometry
 
-
-class GeometryOfRun:
-    """Asks a run's matcher, or a reconstructor in its place, once for each set of photos."""
-
-    def __init__(self, source: Source) -> None:
-        self.source = source
-        self._located: dict[str, GeometryAnswer] = {}
-
-    def of(self, views: Views, levelled: Views | None = None) -> GeometryAnswer:
-        """The geometry of `views`; `levelled`: the same photos in one exposure, on which depth is
-        measured where the matcher can do that.
-        """
-        if not isinstance(self.source, MatchesLevelled):
-            levelled = None
-        key = fingerprint(views, levelled)
-        if key not in self._located:
-            self._located[key] = _locate(self.source, views, levelled)
-        return self._located[key]
+    def select(self, indices: list[int]) -> "GeometryAnswer":
+        """The same with the views at `indices` only."""
+        if self.geometry is None:
+            return self
+        return replace(self, geometry=self.geometry.select(indices))
 
 
-def _locate(source: Source, views: Views, levelled: Views | None) -> GeometryAnswer:
+NOT_ASKED = GeometryAnswer(None)
+
+
+def find_geometry(
+    source: Source, views: Views, corrected: Views | None = None
+) -> GeometryAnswer:
+    """The geometry of `views`, or why they cannot be placed. `corrected`: the same photos in one
+    exposure, on which depth is measured where the matcher can do that.
+    """
     with errors_named_after(source, views.images):
         try:
-            geometry = _read(source, views, levelled)
+            geometry = _read(source, views, corrected)
         except MatchingError as error:
             return GeometryAnswer(None, str(error))
     check_geometry(source, views, geometry)
     return GeometryAnswer(geometry, "" if _has_depth(geometry, views) else STOOD_STILL)
 
 
-def _read(source: Source, views: Views, levelled: Views | None) -> Geometry:
+def _read(source: Source, views: Views, corrected: Views | None) -> Geometry:
     if isinstance(source, FindsGeometry):
         return source.find_geometry(views)
-    if levelled is not None and isinstance(source, MatchesLevelled):
-        return source.match_levelled(views, levelled)
+    if corrected is not None and isinstance(source, MatchesLevelled):
+        return source.match_levelled(views, corrected)
     return source.match(views)
 
 
@@ -188,7 +182,7 @@ def _places(
 
 def geometry_answer(matcher: Matcher, views: Views) -> GeometryAnswer:
     """The geometry of the photos, or why they cannot be placed; of one photo there is none."""
-    return _locate(matcher, views, None) if views.count > 1 else GeometryAnswer(None)
+    return find_geometry(matcher, views) if views.count > 1 else NOT_ASKED
 
 
 def geometry_of(matcher: Matcher, views: Views) -> Geometry | None:

@@ -18,7 +18,7 @@ from edit3r.contract.types import Cameras, Views
 from edit3r.kit.cache import Cache
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.running.config import DEFAULTS, JobInputs, RunConfig, make_run_config
-from edit3r.running.earlier import CACHE, EarlierRun, read_earlier_run
+from edit3r.running.run_folder import EarlierRun, RunFolder
 from edit3r.running.selecting.marks import MarkTexts
 
 
@@ -49,7 +49,7 @@ def job_from(
     Without photos and without an earlier run it is the packaged pair. Raises InputError for an
     earlier run that cannot be read, SettingsError for wrong settings. `trusted`: its run.json is.
     """
-    earlier = read_earlier_run(inputs.earlier, trusted) if inputs.earlier else None
+    earlier = RunFolder(inputs.earlier).read(trusted) if inputs.earlier else None
     cache = _answers(inputs)
     if earlier is not None:
         layers = (inherited(earlier, layers), *layers)
@@ -85,22 +85,20 @@ def _answers(inputs: JobInputs) -> Cache | None:
     folders = [Path(inputs.earlier)] if inputs.earlier else []
     masks = [Path(mask) for mask in inputs.mask[:1]]
     folders += [mask if mask.is_dir() else mask.parent for mask in masks]
-    caches = [folder / CACHE for folder in folders if (folder / CACHE).is_dir()]
-    return Cache(caches[0]) if caches else None
+    caches = [RunFolder(folder).cache for folder in folders]
+    return next((Cache(cache) for cache in caches if cache.is_dir()), None)
 
 
 def inherited(
     earlier: EarlierRun, layers: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
     """The earlier run's frames and, unless others are asked for, its reconstructor and matcher."""
-    inherited: dict[str, Any] = {"frames": earlier.frames}
-    if any("quality" in layer for layer in layers):
-        return inherited
+    settings = dict(earlier.settings)
+    by_preset = any("quality" in layer for layer in layers)
     for kind in ("reconstructor", "matcher"):
-        choice = getattr(earlier, kind)
-        if not _names_another(kind, choice["name"], layers):
-            inherited[kind] = choice
-    return inherited
+        if by_preset or _names_another(kind, settings[kind]["name"], layers):
+            del settings[kind]
+    return settings
 
 
 def _names_another(kind: str, name: str, layers: Sequence[Mapping[str, Any]]) -> bool:

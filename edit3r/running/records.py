@@ -1,9 +1,10 @@
 """What each step of a run knows when it is done: one frozen record a step.
 
-    read      locate     select      edit          reconstruct     refine      judge
-    Inputs -> Located -> Selected -> EditedPhotos -> Reconstructed -> Gaussians -> Judged
-                         Regions
-Views that a reconstructor does not take, or cannot place, leave the records by `select`.
+    read      locate     select      edit      correct     reconstruct      refine       judge
+    Inputs -> Located -> Selected -> Edited -> Exposure -> Reconstructed -> Gaussians -> Judged
+                         Regions     Photos    Corrected
+Views that a reconstructor does not take, or cannot place, leave the records by `select`. Lengths
+are in the run's own unit (`edit3r.running.scale`); what is written is in the given one.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,6 +21,8 @@ from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering,
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
 from edit3r.kit.geometry.exposure import Exposure, ExposureOfEdit
 from edit3r.kit.photos.images import Photo
+from edit3r.running.geometry import NOT_ASKED, GeometryAnswer
+from edit3r.running.scale import GIVEN, Unit
 
 Masks = Float[Tensor, "batch view height width"]
 """In [0, 1]; 1: may change."""
@@ -46,6 +49,7 @@ class Inputs:
         default_factory=dict
     )
     before: Reconstruction | None = None  # an earlier run's scene
+    unit: Unit = GIVEN  # what lengths were multiplied by
 
     def select(self, indices: list[int]) -> "Inputs":
         """The same with the views at `indices` only."""
@@ -73,44 +77,36 @@ class Inputs:
 class Located:
     """What the photos tell before anything is edited; nothing where no part uses geometry."""
 
-    geometry: Geometry | None = None
+    # of the photos as they were taken; the one owner of the run's geometry
+    answer: GeometryAnswer = NOT_ASKED
+    # the same with depth measured in one exposure, where that makes a difference
+    corrected: Geometry | None = None
     # nobody knows the lens, and all that the photos share lies on one plane
     flat: bool = False
     # fields of view [degrees] that explain the photos alike, where they do not tell their lens
     lenses: tuple[float, float] | None = None
     # how the photos' colours become the first one's; None: they are taken as they are
     exposure: Exposure | None = None
-    # how the edited photos' colours become the first one's; None: as the photos'
-    exposure_of_edit: Exposure | ExposureOfEdit | None = None
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """Of the photos as they were taken."""
+        return self.answer.geometry
+
+    @property
+    def to_build_on(self) -> Geometry | None:
+        """The geometry that the scene is made on."""
+        return self.geometry if self.corrected is None else self.corrected
 
     def select(self, indices: list[int]) -> "Located":
-        """The same with the views at `indices` only; the geometry stays that of all photos."""
-        photos, edit = self.exposure, self.exposure_of_edit
+        """The same with the views at `indices` only."""
+        corrected, exposure = self.corrected, self.exposure
         return replace(
             self,
-            exposure=None if photos is None else photos.select(indices),
-            exposure_of_edit=None if edit is None else edit.select(indices),
+            answer=self.answer.select(indices),
+            corrected=None if corrected is None else corrected.select(indices),
+            exposure=None if exposure is None else exposure.select(indices),
         )
-
-    def in_one_exposure(self, photos: Views) -> Views:
-        """Unedited photos as they would look in the first one's exposure."""
-        if self.exposure is None:
-            return photos
-        return replace(photos, images=self.exposure.to_reference(photos.images))
-
-    def edited_in_one_exposure(self, edited: Views) -> Views:
-        """Edited photos as they would look in the first one's exposure."""
-        exposure = self.exposure_of_edit or self.exposure
-        if exposure is None:
-            return edited
-        return replace(edited, images=exposure.to_reference(edited.images))
-
-    def in_own_exposure(self, rendering: Rendering) -> Rendering:
-        """The edited scene from the photos' places, in the light in which each was taken."""
-        exposure = self.exposure_of_edit or self.exposure
-        if exposure is None:
-            return rendering
-        return replace(rendering, images=exposure.to_own(rendering.images))
 
 
 @dataclass(frozen=True)
@@ -164,6 +160,31 @@ class EditedPhotos:
     def select(self, indices: list[int]) -> "EditedPhotos":
         """The same with the views at `indices` only."""
         return replace(self, views=self.views.select(indices))
+
+
+@dataclass(frozen=True)
+class ExposureCorrected:
+    """The photos before and after the edit as the scene shows them: in the first one's exposure."""
+
+    photos: Views
+    edited: Views
+    # how the edited photos' colours became the first one's; None: as they are
+    exposure: Exposure | ExposureOfEdit | None = None
+
+    def select(self, indices: list[int]) -> "ExposureCorrected":
+        """The same with the views at `indices` only."""
+        exposure = self.exposure
+        return ExposureCorrected(
+            self.photos.select(indices),
+            self.edited.select(indices),
+            None if exposure is None else exposure.select(indices),
+        )
+
+    def undone(self, rendering: Rendering) -> Rendering:
+        """The edited scene from the photos' places, in the exposure in which each was taken."""
+        if self.exposure is None:
+            return rendering
+        return replace(rendering, images=self.exposure.to_own(rendering.images))
 
 
 @dataclass(frozen=True)
@@ -221,7 +242,8 @@ class Records:
     located: Located
     selection: SelectedRegions
     edit: EditedPhotos
-    made: Reconstructed
+    corrected: ExposureCorrected
+    reconstructed: Reconstructed
     gaussians: Gaussians  # after the refiners, in the frame of view 0
     judged: Judged
 

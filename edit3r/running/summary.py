@@ -4,10 +4,10 @@ import math
 from pathlib import Path
 
 from edit3r.contract.verdicts import EditVerdict
-from edit3r.kit.run_folder import RunFolder
 from edit3r.running.config import RunConfig, make_run_config
 from edit3r.running.records import SelectedRegions
-from edit3r.running.write import RunResult
+from edit3r.running.result import RunResult
+from edit3r.running.run_folder import RunFolder
 
 MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "guess"}
 """Settings that may differ from the defaults without the run being another kind of run."""
@@ -52,7 +52,7 @@ def answers(selection: SelectedRegions, edit: EditVerdict | None) -> list[str]:
 
 def _sharper(result: RunResult) -> list[str]:
     """What a scene of default sharpness, that holds, can be told to show more, and its cost."""
-    asked, usual = result.parts.job.config, make_run_config({})
+    asked, usual = result.components.job.config, make_run_config({})
     if asked.quality is not None or result.verdict.label in ("poor", "failed"):
         return []
     if (asked.size, asked.refine) != (usual.size, usual.refine):
@@ -68,7 +68,7 @@ def _sharper(result: RunResult) -> list[str]:
 
 def _named_settings(result: RunResult) -> str:
     """The preset or "default", and what was set beside it that makes another scene."""
-    asked = result.parts.job.config
+    asked = result.components.job.config
     preset = {} if asked.quality is None else {"quality": asked.quality}
     usual = make_run_config(preset)
     names = set(RunConfig.model_fields) - MAKES_NO_OTHER_SCENE

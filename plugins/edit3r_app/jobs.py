@@ -61,6 +61,7 @@ class AppJob:
     sentence: str = ""  # why it failed
     # of the child process that nobody has seen end; 0: there is none
     pid: NonNegativeInt = 0
+    began: int = 0  # when that process did [clock ticks since the machine did]
     made: float = 0.0  # when it was asked for [seconds since 1970]
 
     @property

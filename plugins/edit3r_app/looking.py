@@ -38,18 +38,18 @@ from edit3r.kit.photos.images import load_photos, save_image, to_bytes
 from edit3r.running import (
     CACHE,
     DEFAULTS,
+    Components,
     EarlierRun,
     GeometryAnswer,
-    Parts,
     Preview,
     RunConfig,
+    RunFolder,
     RunJob,
     default_matcher,
     geometry_answer,
     make_run_config,
     preview,
     preview_photo,
-    read_earlier_run,
     usual_selector,
 )
 from edit3r_app.draft import DRAFT, Draft, Mark
@@ -246,9 +246,9 @@ class Looker:
         with collecting(Report()), suppress(Edit3rError):
             try:
                 config = make_run_config(run_settings(draft, self.registry))
-                parts = Parts(config, self.registry, RunJob(config))
-                if config.prompt and _is_quick(parts.reader.offer.component):
-                    _ = parts.tasks
+                components = Components(config, self.registry, RunJob(config))
+                if config.prompt and _is_quick(components.reader.offer.component):
+                    _ = components.tasks
             except PromptError as error:
                 return str(error)
         return ""
@@ -339,8 +339,8 @@ class Looker:
             plain = {"larger": 0, "reading": 1, "grow": 0.0, "invert": False}
             config = config.model_copy(update=plain)
         job = _job_on(opened, config, marks, [view])
-        parts = Parts(config, self.registry, job)
-        if not is_quick(parts) or (marks is None and _names_things(parts)):
+        components = Components(config, self.registry, job)
+        if not is_quick(components) or (marks is None and _names_things(components)):
             return None  # what is named is looked for once, for the answer in full
         return preview_photo(job, self.registry)
 
@@ -452,8 +452,9 @@ class Looker:
         began, earlier = time.time(), None
         if self.folder.is_run(state):
             cache = Cache(path / CACHE)
-            earlier = replace(read_earlier_run(path), scene=None)
-            photos, views = earlier.photos, earlier.edited
+            read = RunFolder(path).read()
+            earlier = replace(read, inputs=replace(read.inputs, before=None))
+            photos, views = earlier.inputs.photos, earlier.inputs.start
         else:
             cache = Cache(self._answers(state))
             files = list(self.folder.photos(state).values())
@@ -534,27 +535,31 @@ class Looker:
         with _working_with(opened.cache) as told:
             try:
                 config = make_run_config(run_settings(draft, self.registry))
-                parts = Parts(config, self.registry, RunJob(config))
+                components = Components(config, self.registry, RunJob(config))
                 if draft.selects:
-                    look = _with_marks(look, draft, opened, parts)
+                    look = _with_marks(look, draft, opened, components)
                 if config.prompt or config.editor is not None:
-                    asked = [one for task in parts.tasks for one in task.instructions]
+                    asked = [
+                        one for task in components.tasks for one in task.instructions
+                    ]
                     said = "; ".join(map(str, asked)) or config.prompt
-                    look = replace(look, understood=f"{said} ({parts.editor_names})")
-                    look = self._with_regions(look, opened, parts)
+                    look = replace(
+                        look, understood=f"{said} ({components.editor_names})"
+                    )
+                    look = self._with_regions(look, opened, components)
             except Edit3rError as error:
                 asks = isinstance(error, InputError)
                 look = replace(look, problem=str(error), asks=asks)
         return replace(look, told=tuple(told))
 
     def _with_regions(
-        self, look: DraftAnswer, opened: _Opened, parts: Parts
+        self, look: DraftAnswer, opened: _Opened, components: Components
     ) -> DraftAnswer:
         """Where the sentence applies, as a run finds it."""
         marked = None
         if look.marked is not None:
             marked = Selection(masks=dict(enumerate(look.marked)))
-        job = _job_on(opened, parts.config, marked)
+        job = _job_on(opened, components.config, marked)
         found = preview(job, self.registry, edits=False)
         selection, things = found.selection, found.selection.selected
         confidences = [one.confidence for one in things if one.confidence is not None]
@@ -566,18 +571,18 @@ class Looker:
             confidence=min(confidences, default=look.confidence),
             is_sure=look.is_sure and all(one.is_sure for one in things),
             readings=look.readings or _readings(things),
-            is_quick=is_quick(parts),
+            is_quick=is_quick(components),
         )
 
 
-def is_quick(parts: Parts) -> bool:
+def is_quick(components: Components) -> bool:
     """Whether the editors of a run answer at once."""
-    return all(_is_quick(task.editor.offer.component) for task in parts.tasks)
+    return all(_is_quick(task.editor.offer.component) for task in components.tasks)
 
 
-def _names_things(parts: Parts) -> bool:
+def _names_things(components: Components) -> bool:
     """Whether the sentence is about things that words must find."""
-    asked = [one for task in parts.tasks for one in task.instructions]
+    asked = [one for task in components.tasks for one in task.instructions]
     return any(one.thing.scope == "named" for one in asked)
 
 
@@ -597,13 +602,7 @@ def _job_on(
         return RunJob(config, photos, masks=marks, cache=opened.cache)
     earlier = opened.earlier
     if views is not None:
-        earlier = replace(
-            earlier,
-            photos=earlier.photos.select(views),
-            edited=earlier.edited.select(views),
-            records=(),
-            things={name: masks[views] for name, masks in earlier.things.items()},
-        )
+        earlier = replace(earlier, inputs=earlier.inputs.select(views))
     return RunJob(config, masks=marks, earlier=earlier, cache=opened.cache)
 
 
@@ -639,17 +638,17 @@ def _keep_answers(
 
 
 def _with_marks(
-    look: DraftAnswer, draft: Draft, opened: _Opened, parts: Parts
+    look: DraftAnswer, draft: Draft, opened: _Opened, components: Components
 ) -> DraftAnswer:
     """What the marks select on every photo."""
     geometry = opened.geometry.result().trusted() if opened.geometry.done() else None
-    selector = parts.selector
+    selector = components.selector
     found = selector.select(look.views, draft.selection(look.views), geometry)
     marked = found.masks[:, 0]
     outline = Selection(
         masks=dict(enumerate(marked)),
-        grow=parts.config.grow,
-        inverted=parts.config.invert,
+        grow=components.config.grow,
+        inverted=components.config.invert,
     )
     masks = selector.select(look.views, outline).masks[:, 0]
     return replace(

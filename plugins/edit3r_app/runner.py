@@ -2,7 +2,8 @@
 file.
 
 The child's output is its log file, and it holds a lock (flock) on it as long as it lives: a server
-that was killed and started again finds the child still running, and goes on watching.
+that was killed and started again finds the child still running, and goes on watching. A record may
+be a stranger's: no process is ended because its number stands there.
 """
 
 import contextlib
@@ -13,6 +14,7 @@ import sys
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import IO
 
 import yaml
@@ -24,7 +26,7 @@ from edit3r.running import DEFAULTS
 from edit3r_app.jobs import ASKED, AppJob, JobsFolder
 from edit3r_app.objects import checked_words
 from edit3r_app.progress import read_progress
-from edit3r_app.ready import CAN_WAIT, ReadyProcess
+from edit3r_app.ready import CAN_WAIT, WAITING, ReadyProcess
 from edit3r_app.uploads import DRAFT
 
 # On Windows a restarted server cannot tell whether a child still runs.
@@ -179,7 +181,10 @@ class Runner:
             except Exception as error:
                 self.folder.write(replace(job, state="failed", sentence=str(error)))
                 return
-        self.folder.write(replace(job, state="running", pid=self._child.pid))
+        pid = self._child.pid
+        self.folder.write(
+            replace(job, state="running", pid=pid, began=_process(pid)[0])
+        )
 
     def _started(self, command: list[str], output: IO) -> subprocess.Popen:
         """A process that carries out a command: the one that waits, or a new one."""
@@ -197,18 +202,28 @@ class Runner:
         if self._child is not None and self._child.pid == job.pid:
             return self._child.poll() is None
         log = self.folder.log(job.name)
-        if not log.is_file():
+        if not log.is_file() or log.is_symlink():
             return False
         with log.open("rb") as output:
-            return not _locked(output)
+            is_servers = os.path.sameopenfile(output.fileno(), self._server.fileno())
+            return not is_servers and not _locked(output)
+
+    def _is_ours(self, job: AppJob) -> bool:
+        """Whether the process of a record is the child that was started for it."""
+        if self._child is not None and self._child.pid == job.pid:
+            return True
+        began, command = _process(job.pid)
+        programs = tuple("\0".join(one) for one in (self.program, WAITING))
+        return began > 0 and began == job.began and command.startswith(programs)
 
     def _end(self, job: AppJob) -> None:
         """Interrupt the child, which then removes what it began; end it where it does not obey."""
+        is_ours = self._is_ours(job)
         for kind in (signal.SIGINT, getattr(signal, "SIGKILL", signal.SIGTERM)):
             asked = time.monotonic()
-            if self._alive(job):
+            if is_ours and self._alive(job):
                 _send(kind, job.pid)
-            while self._alive(job) and time.monotonic() - asked < PATIENCE:
+            while is_ours and self._alive(job) and time.monotonic() - asked < PATIENCE:
                 time.sleep(0.05)
         remove_abandoned(self.folder.root / job.name)
 
@@ -219,6 +234,18 @@ class Runner:
             job = replace(job, state="failed", sentence=error or INTERRUPTED)
             remove_abandoned(self.folder.root / job.name)  # it may have been killed
         self.folder.write(replace(job, pid=0))
+
+
+def _process(pid: int) -> tuple[int, str]:
+    """When a process began [clock ticks since the machine did], and its command.
+
+    (0, "") where there is none, or the system (not Linux) does not say.
+    """
+    place = Path(f"/proc/{pid}")
+    with contextlib.suppress(OSError):
+        began = (place / "stat").read_bytes().rpartition(b")")[2].split()[19]
+        return int(began), os.fsdecode((place / "cmdline").read_bytes())
+    return 0, ""
 
 
 def _send(kind: signal.Signals, pid: int) -> None:

@@ -17,7 +17,7 @@ from edit3r.kit.files.text import parse_json
 from edit3r.kit.photos.coverage import VIDEO_SUFFIXES
 from edit3r.kit.photos.images import find_photos
 from edit3r.kit.photos.intrinsics import NO_CAMERAS
-from edit3r.kit.run_folder import recorded
+from edit3r.kit.provenance import recorded
 from edit3r.running import JobInputs, RunConfig, check_components, make_run_config
 
 MAX_BYTES = 1_000_000  # of a line

@@ -6,11 +6,15 @@ report   folders of results               -> tables, a page      report
 """
 
 import argparse
+from typing import TYPE_CHECKING
 
 from edit3r.contract.command import Command
 from edit3r.kit.command.flags import REPEATED, add_common, add_trust_flag
 from edit3r.running import add_flags
 from edit3r_bench.options import BuildOptions, RunOptions
+
+if TYPE_CHECKING:
+    from edit3r.contract.settings import Settings
 
 
 class BenchCommand(Command):
@@ -27,6 +31,11 @@ class BenchCommand(Command):
             declare(step)
             debug = "show the full traceback of an error"
             step.add_argument("--debug", action="store_true", help=debug)
+
+    def configuration(self) -> "type[Settings]":
+        from edit3r_bench.method import BenchConfig
+
+        return BenchConfig
 
     def main(self, args: argparse.Namespace) -> int | None:
         """Do the step that was named."""
@@ -65,7 +74,7 @@ def _run(parser: argparse.ArgumentParser) -> None:
 def _report(parser: argparse.ArgumentParser) -> None:
     """Write tables and one page from the results of several methods."""
     add = parser.add_argument
-    folders = "folders of edit3r bench run, or folders of such"
+    folders = "folders of edit3r bench run, or folders that hold such folders"
     add("folders", nargs="+", metavar="DIR", help=folders)
     out = "folder for the report (default: report/ in the first folder)"
     add("--out", metavar="DIR", help=out)

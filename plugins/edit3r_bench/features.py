@@ -15,7 +15,12 @@ from kornia.enhance import normalize
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.kit.compute.perceptual import efficientnet_input, frozen_efficientnet
+from edit3r.kit.compute.perceptual import (
+    CLIP_MEAN,
+    CLIP_STD,
+    efficientnet_input,
+    frozen_efficientnet,
+)
 from edit3r.kit.files.names import expanded
 from edit3r.kit.weights.load import ChosenWeights, foreign, load_pretrained
 from edit3r_bench.metrics import Features
@@ -23,12 +28,10 @@ from edit3r_bench.metrics import Features
 Images = Float[Tensor, "n 3 height width"]
 
 CROPS = 5  # pieces that an image is compared by: itself and its four corners
-CORNER = 0.6  # side of a corner piece [image sides]
+CORNER = 0.6  # side of a corner piece [image sides]; not measured
 EFFNET_SIZE = 128  # side that images are resized to for EfficientNet [pixels]
 
 CLIP_MODEL = "openai/clip-vit-large-patch14"
-CLIP_MEAN = torch.tensor([0.48145466, 0.4578275, 0.40821073])
-CLIP_STD = torch.tensor([0.26862954, 0.26130258, 0.27577711])
 
 
 class EffnetFeatures:
@@ -146,4 +149,4 @@ def central_square(images: Images, side: int) -> Float[Tensor, "n 3 side side"]:
     scaled = F.interpolate(images, size, mode="bicubic", antialias=True).clamp(0, 1)
     top, left = (size[0] - side) // 2, (size[1] - side) // 2
     square = scaled[..., top : top + side, left : left + side]
-    return normalize(square, CLIP_MEAN, CLIP_STD)
+    return normalize(square, torch.tensor(CLIP_MEAN), torch.tensor(CLIP_STD))

@@ -33,12 +33,13 @@ from edit3r.kit.geometry.cameras import relative_to_first
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.photos.images import load_photos, read_image
 from edit3r.kit.photos.masks import load_masks
-from edit3r.kit.run_folder import installed_versions
+from edit3r.kit.provenance import installed_versions
 from edit3r.running import MAX_PROMPT
 
 Images = Float[Tensor, "frame 3 height width"]
 Maps = Float[Tensor, "frame height width"]
 
+# The numbers of this block: not measured.
 EditType = Literal["Add", "Remove", "Modify", "Global"]
 EDIT_TYPES: tuple[EditType, ...] = get_args(EditType)
 EDITS_PER_SCENE = 5
@@ -139,7 +140,7 @@ def read_bench_manifest(path: str | Path) -> Manifest:
         )
     content = read_json(path)
     if not isinstance(content, Mapping):
-        raise InputError(f"{path}: not a benchmark manifest, which is a mapping.")
+        raise InputError(f"{path}: not a benchmark manifest (expected a mapping).")
     manifest = make_settings(Manifest, content, where=path.name)
     _check_consistent(manifest, path)
     return manifest
@@ -170,7 +171,7 @@ def _problems(item: ItemRecord, frames: Mapping[str, int]) -> dict[str, bool]:
     outside = [index for index in used if not 0 <= index < count]
     return {
         # Results lie in a folder of that name.
-        "has an id that is no plain file name": not is_plain_name(item.id),
+        "has an id that is not a plain file name": not is_plain_name(item.id),
         f"names the scene {item.scene!r}, which is not in the manifest": item.scene
         not in frames,
         "needs input frames, and a mask for each of them or none": not item.inputs
@@ -230,8 +231,8 @@ def true_edits(sample: SceneSample) -> tuple[Images, Images]:
     """Return the edited truth of the context and of the target views. Raises InputError without."""
     if sample.edited_context is None or sample.edited_target is None:
         raise InputError(
-            f"{sample.name or 'a generated scene'}: its dataset knows no true edit; a benchmark is "
-            "made of one that does, such as 'procedural'."
+            f"{sample.name or 'a generated scene'}: its dataset has no true edits; choose one "
+            "that has, such as 'procedural'."
         )
     return sample.edited_context, sample.edited_target
 
@@ -247,7 +248,7 @@ def hash_of_sample(sample: SceneSample) -> str:
 def hash_of_file(path: Path) -> str:
     """Return the SHA-256 of a file. Raises InputError when it is not there."""
     if not path.is_file():
-        raise InputError(f"{path}: no such file, and the manifest needs it.")
+        raise InputError(f"{path}: no such file, but the manifest needs it.")
     return sha256_of(path)
 
 
@@ -263,13 +264,13 @@ def _generated(
     sample = load_sample(record, registry)
     if hash_of_sample(sample) != record.sha256:
         raise InputError(
-            f"{item.id}: the scene that {record.dataset!r} makes here is not the manifest's (its "
-            "images differ); install the versions under 'made_with'."
+            f"{item.id}: the scene that {record.dataset!r} generates here differs from the "
+            "manifest's; install the versions listed under 'made_with'."
         )
     order = [*item.inputs, *item.held_back]
     if max(order) >= len(sample.context):
         raise InputError(
-            f"{item.id}: uses frame {max(order)}, but the scene that is made has "
+            f"{item.id}: uses frame {max(order)}, but the generated scene has "
             f"{len(sample.context)}."
         )
     cameras = sample.context_cameras.select(order)
@@ -325,7 +326,8 @@ def _checked(folder: Path, record: FrameRecord) -> Path:
     path = folder / record.file
     if hash_of_file(path) != record.sha256:
         raise InputError(
-            f"{path}: not the image that the manifest was built with; results would not compare."
+            f"{path}: not the image that the manifest was built with; results would not be "
+            "comparable."
         )
     return path
 

@@ -65,6 +65,7 @@ BY_REGION = {
 given.
 """
 
+# The numbers of this block: not measured.
 # Change of the 2D edit below which the editor did nothing [sRGB, low-passed]
 LEFT_ALONE = 0.005
 NOT_CARRIED = 0.15  # share of the 2D edit below which the scene counts as unchanged
@@ -172,7 +173,7 @@ def remark(found: Mapping[str, float]) -> str:
     strength = found.get("edit-strength-2d", math.nan)
     shown = found.get("edit-uptake-2d", math.nan)
     if strength < LEFT_ALONE:
-        return "the 2D editor left the reference as it was."
+        return "the 2D editor left the reference unchanged."
     if shown < NOT_CARRIED:
         return (
             f"edit ran, scene unchanged: the scene shows {shown:.0%} of the 2D edit (mean change "

@@ -2,53 +2,61 @@
 
 import re
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
 from edit3r.contract.errors import SettingsError
-from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
-from edit3r_bench.oracle import ORACLE
+from edit3r.contract.settings import (
+    OfKind,
+    OrCalled,
+    PartChoice,
+    Settings,
+    make_settings,
+    merge,
+)
+from edit3r_bench.oracle import ORACLE, OracleSettings
 
 LABEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._+-]*")
-DEFAULT_PARTS = {"editor": ORACLE, "reconstructor": "edit3r", "rasterizer": "auto"}
 
 
 class Method(Settings):
     """One column of the comparison."""
 
-    # of the column and of its folder; default: editor and reconstructor
     label: str = ""
-    editor: PartChoice
-    reconstructor: PartChoice
-    rasterizer: PartChoice  # draws the images that are measured
-    # Edit every view, or the reference only.
+    """of the column and of its folder; default: editor and reconstructor"""
+    editor: Annotated[PartChoice, OrCalled(ORACLE, OracleSettings)] = PartChoice(
+        name=ORACLE
+    )
+    """2D editor"""
+    reconstructor: PartChoice = PartChoice(name="edit3r")
+    """makes the scene"""
+    rasterizer: PartChoice = PartChoice(name="auto")
+    """draws the images that are measured"""
     edit_views: Literal["all", "first"] = "all"
-    # Reconstruct the photos, and edit its renderings one by one: no edited scene is made.
+    """edit every view, or the reference only"""
     edit_renders: bool = False
-    # first: show only those of the reference (single-view lifting).
+    """reconstruct the photos, and edit its renderings one by one: no edited scene is made"""
     gaussians_of: Literal["all", "first"] = "all"
-    # Settings of the run, such as refine: 0.
-    run: dict[str, Any] = Field(default_factory=dict)
-    # Hand true poses, where they are known, to reconstructors that read them.
+    """first: show only those of the reference (single-view lifting)"""
+    run: Annotated[dict[str, Any], OfKind("run")] = Field(default_factory=dict)
+    """settings of the run, such as refine: 0"""
     poses: bool = True
-    # Judge by the edited truth where it is known; default: for the oracle, whose edit it is.
+    """hand true poses, where they are known, to reconstructors that read them"""
     truth: bool | None = None
-    note: str = ""  # what a reader of the table must know about this column
+    """judge by the edited truth where it is known; default: for the oracle, whose edit it is"""
+    note: str = ""
+    """what a reader of the table must know about this column"""
 
     @field_validator("label")
     @classmethod
     def _usable_as_a_folder(cls, value: str) -> str:
         if value and not LABEL.fullmatch(value):
             raise ValueError(
-                "must be letters, digits, blanks, dots, dashes, plus signs and underscores"
+                "may contain only letters, digits, spaces, dots, dashes, plus signs and "
+                "underscores"
             )
         return value
-
-    @model_validator(mode="before")
-    @classmethod
-    def _settings_without_a_name_are_of_the_default(cls, values: Any) -> Any:
-        return merge(DEFAULT_PARTS, values)
 
     @model_validator(mode="after")
     def _label_by_default(self) -> "Method":
@@ -63,8 +71,11 @@ class Method(Settings):
         return self.editor.name == ORACLE if self.truth is None else self.truth
 
 
-class _Configuration(Settings):
-    methods: tuple[dict[str, Any], ...] = Field(min_length=1)
+class BenchConfig(Settings):
+    """The keys of a configuration file of `edit3r bench run`."""
+
+    methods: tuple[Method, ...] = Field(min_length=1)
+    """the columns of the comparison"""
 
 
 def read_methods(
@@ -72,8 +83,8 @@ def read_methods(
 ) -> tuple[Method, ...]:
     """The `methods` of a configuration, with `changes` by label. Labels must differ."""
     methods = {}
-    for values in make_settings(_Configuration, content, "configuration").methods:
-        label = make_settings(Method, values, where="methods").label
+    config = make_settings(BenchConfig, content, "configuration")
+    for values, label in zip(content["methods"], [one.label for one in config.methods]):
         if label in methods:
             raise SettingsError(
                 f"methods: two are called {label!r}; give each its own label."

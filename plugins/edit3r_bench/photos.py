@@ -129,7 +129,7 @@ class PhotoBuild:
         options = self.options
         if bool(options.llm) != bool(options.llm_model):
             raise SettingsError(
-                "--llm and --llm-model go together: an address and the model's name there."
+                "--llm and --llm-model go together: give an address and the name of a model there."
             )
         advice = "one that takes no images needs --llm-photos 0"
         asked = ChatModel(options.llm_model, options.llm, 120, advice)
@@ -173,7 +173,7 @@ class PhotoBuild:
             labels = tuple(self._objects(scene))
             if not labels:
                 warn(
-                    f"scene {scene.id!r}: nothing in it is known by name; give --labels, or a "
+                    f"scene {scene.id!r}: none of its objects has a name; give --labels or a "
                     "--detector."
                 )
             edits = self._proposals_of_model(scene, labels)
@@ -239,7 +239,7 @@ class PhotoBuild:
             "objects are named by hand, not found by a detector in all photos": by_hand,
             "edits come from templates, not from a language model": not self.model,
             "the language model was shown no photo": blind,
-            f"{unvetted} edits are kept by no person": unvetted > 0,
+            f"{unvetted} edits were not checked by a person": unvetted > 0,
             f"{unmasked} local edits have no masks": unmasked > 0,
             f"{unmasked_adds} edits that add something have no masks": bool(
                 unmasked_adds

@@ -41,7 +41,7 @@ Boxes = tuple[Detection | None, ...]
 
 LOCAL = ("Remove", "Modify")  # types of edits that stay on one object
 SHARE_OF_VIEWS = 0.5  # an object counts when at least this share of the photos shows it
-# Boxes over more of a photo than this name the place rather than a thing in it
+# Boxes over more of a photo than this name the place rather than a thing in it; not measured
 LARGEST_SHARE = 0.7
 MAX_OBJECTS = 8  # objects of a scene that edits are proposed for
 PROPOSALS = 4  # edits of each type that a language model is asked for

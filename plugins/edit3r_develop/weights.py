@@ -39,14 +39,16 @@ class WeightsCommand(Command):
         get.add_argument(
             "--offline", action="store_true", help="only check what is on this machine"
         )
-        path = steps.add_parser("path", help="print where weights lie on this machine")
+        path = steps.add_parser(
+            "path", help="print where weights are stored on this machine"
+        )
         for step in (get, path):
             step.add_argument(
                 "names",
                 nargs="+",
                 metavar="NAME",
-                help="as in: edit3r weights list; essentials: all that makes a CPU complete; "
-                "words: what finds any word",
+                help="as in: edit3r weights list; essentials: all that a CPU needs; words: what "
+                "finds things by any word",
             )
         for step in (listing, get, path):
             step.add_argument(

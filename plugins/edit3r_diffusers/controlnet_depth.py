@@ -26,7 +26,7 @@ from edit3r_diffusers import WEIGHTS, images, latents, loading
 from edit3r_diffusers.attention import look_across_views
 from edit3r_diffusers.loading import DiffusionSettings
 
-FAR, NEAR = 0.02, 0.98  # quantiles of disparity drawn black and white
+FAR, NEAR = 0.02, 0.98  # quantiles of disparity drawn black and white; by eye
 
 
 class ControlNetDepthEditor(Editor, ConditionedOnDepth):
@@ -178,8 +178,8 @@ def matched_disparity(
     """1 / depth [1 / scene units] of one scene's views by the matcher, so that views agree."""
     if views.count < 2:
         raise InputError(
-            "controlnet-depth measures depth from two or more photos but is to edit one; leave "
-            "out --edit-views first."
+            "controlnet-depth needs two or more photos to measure depth, but is to edit one; "
+            "leave out --edit-views first."
         )
     geometry = matcher.match(views)
     placed = geometry.registered[0].tolist()

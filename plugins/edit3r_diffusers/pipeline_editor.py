@@ -146,8 +146,8 @@ class PipelineEditor(Editor):
         taken = _arguments(plain) | (_arguments(masked) if masked else set())
         if not {"image", "prompt"} <= _arguments(plain):
             raise SettingsError(
-                f"editor.pipeline: {plain.__name__} takes no image and prompt, so it edits no "
-                "photos."
+                f"editor.pipeline: {plain.__name__} does not take an image and a prompt, so it "
+                "cannot edit photos."
             )
         asked = {
             name
@@ -230,6 +230,7 @@ def _pil(image: Float[Tensor, "3 height width"]) -> Image.Image:
     return Image.fromarray(to_bytes(image.float()))
 
 
+# The numbers of this block: by eye.
 FluxKontextEditor = preset(
     "black-forest-labs/FLUX.1-Kontext-dev",
     "FluxKontextPipeline",

@@ -31,6 +31,7 @@ from edit3r.kit.geometry.cameras import project, project_to_pixels, unproject
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.geometry.warping import warp
 
+# By eye, but for MAX_ERROR_BESIDE: docs/notes/recoloring.md.
 # relative difference in depth within which a surface is taken to be the one that is looked for
 NEAR = 0.1
 # confidence above which a depth was measured; filled-in depths bleed over the edges of what is

@@ -18,9 +18,8 @@ from edit3r_geometry.cameras import CalibratedImage, Pose, pixel_rays, project
 
 SMALL, LARGE = 1, 3  # radii of the correlation windows [pixels]
 SMALL_WEIGHT, LARGE_WEIGHT, COLOUR_WEIGHT = 0.25, 0.45, 0.3
-COLOUR_LIMIT = (
-    0.15  # colour differences above it cost no more: they are occlusions or highlights
-)
+# colour differences above it cost no more: they are occlusions or highlights
+COLOUR_LIMIT = 0.15
 UNSEEN_COST = 0.5  # a hypothesis outside the neighbour's image is neither good nor bad
 # Share of the worst cost that does not count, by the number of neighbours; of more: all.
 WITHOUT_WORST = {1: 0.0, 2: 0.5}

@@ -26,7 +26,7 @@ from edit3r.kit.children import PYTHON
 from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.decode import read_image
 
-TOLD_EVERY = 3.0  # assistants give up after a minute without a sign [s]
+TOLD_EVERY = 3.0  # assistants give up after a minute without a sign [s]; a sanity limit
 MAX_SIDE = 1600  # of an image that is sent [pixels]: assistants reduce larger ones
 INSTRUCTIONS = (
     "Edits 3D scenes from two or more photos of one place. Show what a click or words select with "

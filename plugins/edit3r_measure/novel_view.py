@@ -18,14 +18,15 @@ from edit3r.contract.errors import MatchingError, PluginError
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.compute.changes import change_error, change_uptake
+from edit3r.kit.compute.lpips import lpips_distance, lpips_weights
 from edit3r.kit.compute.metrics import Image, Region, psnr, ssim
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.photos.posed_folder import PosedPhoto
 from edit3r.kit.photos.triples import Pose, rotation_degrees
 from edit3r.kit.reconstructing import WithMatcher
-from edit3r_measure.lpips import lpips, lpips_weights
 from edit3r_measure.scene_sources import EvaluationScene
 
+# The numbers of this block: not measured.
 # Standard deviations tried for the best-blurred copy [pixels]
 BLURS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 COVERED = 0.5  # alpha above which a pixel of a rendering counts as covered
@@ -187,7 +188,7 @@ def novel_view(
         "covered_blurred_psnr": covered_blurred_psnr,
         "ssim": ssim(shown.image, target),
         "blurred_ssim": blurred_ssim,
-        "lpips": lpips(shown.image, target) if lpips_weights() else np.nan,
+        "lpips": lpips_distance(shown.image, target) if lpips_weights() else np.nan,
         "coverage": float(shown.covered.mean()),
         "rotation_error": rotation_error,
         "direction_error": direction_error,
@@ -260,7 +261,7 @@ def carried_edit(
     region = unedited[0].covered & unedited[1].covered
     region &= _is_edited(target, edited_target)
     if np.isnan(edit["uptake"]) or not region.any():
-        raise MatchingError("the edit is not seen by both photos.")
+        raise MatchingError("the edit is not visible in both photos.")
     changes = [after.image - before.image for before, after in zip(unedited, contrary)]
     disagreement = _mean_size(changes[0] - changes[1], region)
     asked = edited_target.image - _opposite(target, edited_target).image

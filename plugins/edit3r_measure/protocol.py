@@ -36,6 +36,7 @@ from edit3r.kit.reconstructing import WithMatcher
 from edit3r_measure.novel_view import PredictedScene, pose_errors, views_of
 from edit3r_measure.scene_sources import EvaluationScene, SceneSource
 
+# The numbers of this block: as published.
 # step of Adam, of a turn [radians] and of a shift [distances between the input cameras]
 RATE = 0.005
 # of the perceptual distance beside the mean squared error, as in the training of NoPoSplat
@@ -44,7 +45,7 @@ STRUCTURE_ENOUGH = 0.98  # likeness of structure from which more of it is not as
 
 AUC_DEGREES = (5, 10, 20)
 # Overlap of two photos, as NoPoSplat's tables are divided; what is in none of them is left out
-# there
+# there; as published
 CLASSES = {"small": (0.05, 0.3), "medium": (0.3, 0.55), "large": (0.55, 0.8)}
 NOT_CLASSED = "not classed"
 Images = Float[Tensor, "n 3 height width"]
@@ -141,7 +142,9 @@ def photos_of(
                         "with known cameras."
                     )
                 return [folder.load(index, size) for index in indices]
-    raise InputError(f"{scene}: a scene of the index that no folder given is or holds.")
+    raise InputError(
+        f"{scene}: none of the given folders is or holds this scene of the index."
+    )
 
 
 def align(

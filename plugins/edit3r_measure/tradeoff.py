@@ -3,7 +3,7 @@ follow from it.
 
     plan file        -> points                    tradeoff_plan
     points, scenes   -> rows of figures           tradeoff_measure
-    rows             -> presets, front, table     tradeoff_report
+    rows             -> presets, tables     tradeoff_report
 """
 
 import argparse
@@ -44,7 +44,7 @@ class TradeoffCommand(Command):
         add("--only", nargs="+", metavar="LABEL", help="only these points of the plan")
         add_flags(parser, TradeoffOptions)
         add_trust_flag(parser)
-        presets = "write the presets of edit3r run from what was found"
+        presets = "write the presets of edit3r run that follow from the figures"
         add("--update-presets", action="store_true", help=presets)
         add_common(parser)
 

@@ -26,10 +26,10 @@ from edit3r.contract.errors import Edit3rError
 from edit3r.contract.reporting import Report, collecting, progress
 from edit3r.contract.types import Reconstruction, Views
 from edit3r.kit.children import SAFE_PATH, environment, restore_path, safe_path
-from edit3r.kit.run_folder import installed_versions
+from edit3r.kit.compute.lpips import lpips_weights
+from edit3r.kit.provenance import installed_versions
 from edit3r.kit.workers import run_resumable
 from edit3r.running import RunJob, RunResult, make_run_config, run
-from edit3r_measure.lpips import lpips_weights
 from edit3r_measure.novel_view import novel_view
 from edit3r_measure.scene_sources import EvaluationScene, SceneSource
 

@@ -1,4 +1,4 @@
-"""What a tradeoff found: the Pareto front, the presets of `edit3r run --quality`, and the table."""
+"""What a tradeoff measured: the presets of `edit3r run --quality` and the tables."""
 
 import os
 import platform
@@ -11,11 +11,12 @@ from typing import Any
 import yaml
 
 from edit3r.contract.errors import Edit3rError, RunError
-from edit3r.kit.command.results import grouped
-from edit3r.kit.run_folder import installed_versions
+from edit3r.kit.command.results import grouped, markdown_table
+from edit3r.kit.compute.lpips import lpips_weights
+from edit3r.kit.provenance import installed_versions
 from edit3r.running import PRESETS, Expected, MeasuredPoint, Quality, write_quality
-from edit3r_measure.lpips import lpips_weights
 
+# The numbers of this block: not measured.
 # How many times as quick each preset is as the next, at least: the default lies between two.
 APART = 1.5
 
@@ -34,12 +35,10 @@ def summarize(rows: Rows, effort: Mapping[str, Any]) -> Quality:
         raise RunError(f"no point could be run on every scene. {' '.join(failures)}")
     versions = installed_versions()
     table = Path("/proc/cpuinfo")
-    found = re.search(
-        r"model name\s*: (.+)",
-        table.read_text(encoding="utf-8") if table.is_file() else "",
-    )
+    about = table.read_text(encoding="utf-8") if table.is_file() else ""
+    model = re.search(r"model name\s*: (.+)", about)
     machine = {
-        "processor": found[1] if found else platform.processor(),
+        "processor": model[1] if model else platform.processor(),
         "cores": os.cpu_count(),
         "day": max(row["day"] for row in rows),
         "versions": {name: versions[name] for name in ("edit3r", "python", "torch")},
@@ -84,52 +83,26 @@ def _expected(rows: Rows) -> Expected:
     )
 
 
-# ---- the front and the presets ----
-
-
-def front(costs: Sequence[float], accuracies: Sequence[float]) -> list[bool]:
-    """Return for each point whether no other is at least as good in both and better in one (the
-    Pareto front).
-
-    A cost is better when it is smaller, an accuracy when it is larger. Points equal in both do not
-    push each other out.
-    """
-    points = list(zip(costs, accuracies))
-
-    def beats(a: tuple[float, float], b: tuple[float, float]) -> bool:
-        return a[0] <= b[0] and a[1] >= b[1] and a != b
-
-    return [not any(beats(other, point) for other in points) for point in points]
-
-
-def on_front(points: Sequence[MeasuredPoint], kind: str) -> list[bool]:
-    """Return for each point whether it is on the front of time and accuracy for a kind of scene."""
-    figures = [point.expected[kind] for point in points]
-    return front([own.seconds for own in figures], [own.accuracy for own in figures])
+# ---- presets ----
 
 
 def choose_presets(
     points: Sequence[MeasuredPoint], apart: float = APART
 ) -> dict[str, MeasuredPoint]:
-    """Return the presets by name, all of them on the front of every kind of scene; empty when there
-    are no three such points.
+    """Return the presets by name, by the means over all kinds of scene; empty where no three points
+    lie apart.
 
-    `best` is the most accurate point at the largest size of photos for which the other two exist.
-    `balanced` is the most accurate point that costs at most 1/`apart` of it over all kinds of scene
-    together, and `fast` the same below `balanced`.
+    `best` is the most accurate point at the largest size of photos, `balanced` the most accurate
+    one that costs at most 1/`apart` of it, and `fast` the same below `balanced`.
     """
     if not points:
         return {}
-    fronts = [on_front(points, kind) for kind in points[0].expected]
-    candidates = [point for point, *flags in zip(points, *fronts) if all(flags)]
-    sizes = [point.settings.get("size", 0) for point in points]
-    full = [p for p in candidates if p.settings.get("size", 0) == max(sizes)]
-    for best in sorted(full, key=lambda point: point.accuracy, reverse=True):
-        balanced = _most_accurate_below(best, candidates, apart)
-        fast = balanced and _most_accurate_below(balanced, candidates, apart)
-        if fast is not None:
-            return dict(zip(PRESETS, (fast, balanced, best)))
-    return {}
+    largest = max(point.settings.get("size", 0) for point in points)
+    full = [p for p in points if p.settings.get("size", 0) == largest]
+    best = max(full, key=lambda point: point.accuracy)
+    balanced = _most_accurate_below(best, points, apart)
+    fast = balanced and _most_accurate_below(balanced, points, apart)
+    return dict(zip(PRESETS, (fast, balanced, best))) if fast and balanced else {}
 
 
 def _most_accurate_below(
@@ -145,10 +118,10 @@ def _seconds(point: MeasuredPoint) -> float:
 
 
 def write_presets(quality: Quality) -> Path:
-    """Write the file of `edit3r run --quality`. Raises Edit3rError where no presets were found."""
+    """Write the file of `edit3r run --quality`. Raises Edit3rError where there are no presets."""
     if not any(point.preset for point in quality.points):
         raise Edit3rError(
-            "the presets stay as they are: no three points on the front lie apart in time."
+            f"the presets stay as they are: no three points lie {APART:g} times apart in time."
         )
     return write_quality(quality)
 
@@ -156,33 +129,29 @@ def write_presets(quality: Quality) -> Path:
 # ---- the table ----
 
 
-HEAD = """\
-| setting | preset | front | processor s | first run | peak MiB | Gaussians | PSNR dB | SSIM \
-| LPIPS |
-| --- | --- | --- | --: | --: | --: | --: | --: | --: | --: |"""
-
-
 def report(quality: Quality, rows: Rows) -> str:
-    """Return everything that was found, as Markdown."""
-    points = quality.points
-    parts = [
-        f"```yaml\n{yaml.safe_dump(quality.measured, sort_keys=False)}```\n\n"
-        "Processor time of the quickest run after the first of a process; the front is that of "
-        "this time and LPIPS, or PSNR where LPIPS was not measured."
-    ]
-    for kind in points[0].expected:
+    """Return all figures as Markdown: a table for each kind of scene, and what failed."""
+    parts = [f"```yaml\n{yaml.safe_dump(quality.measured, sort_keys=False)}```"]
+    for kind in quality.points[0].expected:
         scenes = dict.fromkeys(row["scene"] for row in rows if row["kind"] == kind)
-        lines = [f"**{kind}** ({', '.join(scenes)})\n", HEAD]
-        for point, flag in zip(points, on_front(points, kind)):
-            own = point.expected[kind]
-            lines.append(
-                f"| {point.label} | {point.preset or ''} | {'yes' if flag else ''} "
-                f"| {own.seconds:.2f} | {own.seconds_first:.2f} | {own.memory_mb:.0f} "
-                f"| {own.gaussians:,} | {own.psnr:.2f} | {own.ssim:.3f} "
-                f"| {'not measured' if own.lpips is None else f'{own.lpips:.3f}'} |"
-            )
-        parts.append("\n".join(lines))
+        table = markdown_table([_cells(point, kind) for point in quality.points])
+        parts.append(f"**{kind}** ({', '.join(scenes)})\n\n{table}")
     for row in rows:
         if "failure" in row:
             parts.append(f"{row['label']} failed on {row['scene']}: {row['failure']}")
     return "\n\n".join(parts) + "\n"
+
+
+def _cells(point: MeasuredPoint, kind: str) -> dict[str, str]:
+    figures = point.expected[kind]
+    preset = f" ({point.preset})" if point.preset else ""
+    return {
+        "setting": point.label + preset,
+        "processor s": f"{figures.seconds:.2f}",
+        "first run": f"{figures.seconds_first:.2f}",
+        "peak MiB": f"{figures.memory_mb:.0f}",
+        "Gaussians": f"{figures.gaussians:,}",
+        "PSNR [dB]": f"{figures.psnr:.2f}",
+        "SSIM": f"{figures.ssim:.3f}",
+        "LPIPS": "not measured" if figures.lpips is None else f"{figures.lpips:.3f}",
+    }

@@ -186,7 +186,8 @@ class AsymmetricViT(Backbone):
         if height % patch or width % patch or min(height, width) < patch:
             raise InputError(
                 f"asymmetric-vit takes images whose sides are multiples of {patch} pixels, got "
-                f"{height}x{width}; a reconstructor resizes them, a caller of the backbone must."
+                f"{height}x{width}; a reconstructor resizes them itself; for the backbone alone, "
+                "resize them first."
             )
         return height // patch, width // patch
 
@@ -233,8 +234,8 @@ def _heads(name: str, given: int | None, width: int) -> int:
     """
     if given is None and width % HEAD_WIDTH:
         raise SettingsError(
-            f"backbone.{name}: {width} channels do not divide into heads of {HEAD_WIDTH}; say "
-            "how many heads there are."
+            f"backbone.{name}: {width} channels cannot be split into heads of {HEAD_WIDTH}; set "
+            "the number of heads."
         )
     heads = given or width // HEAD_WIDTH
     if width % heads or width // heads % 4:

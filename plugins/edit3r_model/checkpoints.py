@@ -154,7 +154,7 @@ def _description(about: Mapping[str, str], path: Path) -> dict[str, Any]:
     except (ValueError, KeyError) as error:
         reason = " ".join(str(error).split())[:300]
         raise InputError(
-            f"{path}: its metadata do not say which parts it is for ({type(error).__name__}: "
+            f"{path}: its metadata do not name the parts it belongs to ({type(error).__name__}: "
             f"{reason})."
         ) from None
     return {"parts": parts, **told}
@@ -229,11 +229,11 @@ def _check_keys(
     told = [f"{len(x)} {what} ({_some(x)})" for what, x in found.items() if x]
     if missing or wrong:
         raise InputError(
-            f"{loaded.source}: not weights of this network: {'; '.join(told)}. Choose the sizes of "
-            "the checkpoint (--set reconstructor.backbone.KEY=VALUE) or another one."
+            f"{loaded.source}: these weights do not fit this network: {'; '.join(told)}. Set the "
+            "checkpoint's sizes (--set reconstructor.backbone.KEY=VALUE) or choose another one."
         )
     if left:
-        text = f"{len(left)} tensors of the file are not this network's: {_some(left)}"
+        text = f"{len(left)} tensors of the file have no place in this network: {_some(left)}"
         say("weights_left_over", text)
 
 

@@ -19,7 +19,7 @@ EXPLAINED = 3 / 255
 """What the function may leave of an edit [sRGB]: images of 8 bits round before and after."""
 
 ROUNDED = 1.5 / 255
-"""A channel this near to 0 or 1 was cut off there."""
+"""A channel this near to 0 or 1 was cut off there. By eye."""
 
 MAX_PIXELS = 4_000
 """About as many changed pixels are fitted."""
@@ -29,7 +29,7 @@ KNOTS = 8
 PRODUCTS = tuple(combinations_with_replacement(range(4), 2))
 """Of 1 and the three channels, the terms of a quadratic polynomial."""
 
-LUMA = (0.299, 0.587, 0.114)
+LUMA = (0.299, 0.587, 0.114)  # formula of Rec. 601
 
 Pixels = Float[Tensor, "pixel 3"]
 Colours = Float[Tensor, "*pixel 3"]

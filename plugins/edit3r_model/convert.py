@@ -26,7 +26,7 @@ class ConvertCommand(Command):
         about = "attention heads, if not 64 channels each"
         add("--heads", type=int, help=f"encoder {about}")
         add("--decoder-heads", type=int, help=f"decoder {about}")
-        about = "licence of the weights, where you know it better than the file says"
+        about = "licence of the weights, where the file does not state it correctly"
         add("--licence", help=about)
         about = "of parts that a MASt3R file does not hold (0)"
         add("--seed", type=int, default=0, help=about)
@@ -76,7 +76,9 @@ def convert(
             f"{out}: source and target are the same; choose another folder."
         )
     if not loaded.parts:
-        raise InputError(f"{source}: does not say which backbone and head it is for.")
+        raise InputError(
+            f"{source}: does not name the backbone and head it belongs to."
+        )
     chosen = with_parts_of(loaded, {"backbone": heads or {}, "resolution": resolution})
     parts = {
         kind: PartChoice.model_validate(chosen[kind]) for kind in ("backbone", "head")

@@ -18,12 +18,12 @@ CHANGE = 2 / 255
 
 SAME_SURFACE = 0.05
 """Largest difference of log depth at which a pixel and its point in the reference are taken for one
-surface.
+surface. By eye.
 """
 
 ALIKE = 0.1
 """Mean difference of colours [sRGB] above which two images do not show one surface, whatever the
-depths say.
+depths say. By eye.
 """
 
 FITS = 6

@@ -12,7 +12,9 @@ from torch import Tensor
 from edit3r.contract.types import Gaussians
 
 MAX_DISTANCE_EXPONENT = 40.0
-"""Raw distances are cut here: e^40 is beyond any scene, and its square is still a float32."""
+"""Raw distances are cut here: e^40 is beyond any scene, and its square is still a float32.
+A sanity limit.
+"""
 MIN_SCALE = 1e-12
 """Keeps scales positive where softplus underflows [scene units]."""
 MIN_QUAT = 1e-6

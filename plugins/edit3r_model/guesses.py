@@ -13,6 +13,7 @@ from edit3r.kit.geometry.cameras import project_to_pixels, unproject
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.geometry.warping import nearest_views
 
+# The numbers of this block: docs/notes/simplify.md.
 ON_THE_WAY = (0, 0.25, 0.5, 0.75, 1)  # from one photo to the other, these included
 BEFORE = 0.03  # share of a surface's depth from which a guess stands before it
 STEP, STEPS = 1.05, 10  # by which depths grow: what hides something at the end stays

@@ -68,7 +68,7 @@ def load_network(
     if weights in UNTRAINED:
         note("reconstructor.weights", {"source": weights})
         warn(
-            "the network is untrained, its weights are random: what it makes is of use for tests "
+            "the network is untrained, its weights are random: its results are useful for tests "
             "and training only."
         )
         leaves = _drawn(network, seed)

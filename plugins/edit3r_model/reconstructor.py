@@ -155,18 +155,18 @@ def _check_parts(
     if not head.uses_geometry:
         if backbone.uses_geometry:
             raise SettingsError(
-                "reconstructor.backbone: it needs matched geometry, and this head takes none; "
-                "choose another backbone, such as asymmetric-vit."
+                "reconstructor.backbone: this backbone needs matched geometry, but the head takes "
+                "none; choose another backbone, such as asymmetric-vit."
             )
         return
     if not isinstance(settings, MatchedSettings):
         raise SettingsError(
-            "reconstructor.head: it needs matched geometry, and this reconstructor is a single pass"
-            "; use the reconstructor edit3r."
+            "reconstructor.head: this head needs matched geometry, but this reconstructor reads "
+            "none; use the reconstructor edit3r."
         )
     given = settings.model_fields_set & SinglePassSettings.model_fields.keys()
     if given:
         raise SettingsError(
-            f"reconstructor.{min(given)}: counts for a head that takes no geometry, as with "
-            "weights=official, not for this one."
+            f"reconstructor.{min(given)}: applies only to a head that takes no geometry, as with "
+            "weights=official."
         )

@@ -87,7 +87,7 @@ class MatchedUNet(Backbone):
         height, width = images.shape[-2:]
         if geometry is None:
             raise InputError(
-                "matched-unet needs geometry: hand over what a matcher read from the images."
+                "matched-unet needs geometry: pass what a matcher read from the images."
             )
         if min(height, width) < SMALLEST or height % STRIDE or width % STRIDE:
             raise InputError(

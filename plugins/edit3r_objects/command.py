@@ -71,9 +71,7 @@ class ObjectsCommand(Command):
             print("\n".join(describe(run, rasterizer)))
             return 0
         if not args.out:
-            raise SettingsError(
-                f"{args.action}: say with --out where the new run goes."
-            )
+            raise SettingsError(f"{args.action}: give --out a folder for the new run.")
         check_apart(args.out, scene_file(str(args.run)), *map(Path, args.mask))
         with torch.no_grad(), atomic_folder(args.out, args.overwrite) as folder:
             new = _edited(run, args, numbers, rasterizer)
@@ -109,7 +107,9 @@ def _numbers(args: argparse.Namespace) -> tuple[float, ...]:
             f"{args.action}: expected numbers from -{MAX_NUMBER} to {MAX_NUMBER}."
         )
     if args.action == "scale" and not numbers[0] >= 1 / MAX_NUMBER:
-        raise SettingsError(f"scale: expected a factor from 0.001, got {texts[0]}.")
+        raise SettingsError(
+            f"scale: expected a factor of at least 0.001, got {texts[0]}."
+        )
     return numbers
 
 
@@ -125,7 +125,7 @@ def _check_name(args: argparse.Namespace, usage: str) -> None:
     if action in DRAWN and not args.drawn:
         raise SettingsError(f"{action}: expected --drawn FILE, see docs/objects.md.")
     if args.drawn and action not in (*DRAWN, "add"):
-        raise SettingsError(f"--drawn: {action} takes none.")
+        raise SettingsError(f"--drawn: {action} does not take it.")
 
 
 def _edited(
@@ -151,7 +151,7 @@ def _edited(
     chosen = run.chosen(args.name)
     if args.action not in ("rename", "remove") and not chosen.any():
         raise InputError(
-            f"{args.name}: no Gaussian is left of it; remove it, or add it anew."
+            f"{args.name}: none of its Gaussians is left; remove it, or add it again."
         )
     if args.action == "isolate":
         only = {args.name: run.names[args.name]}

@@ -24,6 +24,7 @@ from edit3r_objects.lifting import lift
 
 __all__ = ["Drawn", "choose_drawn", "read_drawn"]
 
+# The numbers of this block: docs/notes/objects.md.
 LOOKED_AT = 384  # longer side of the picture in which a stroke is read [pixels]
 BEHIND = 0.4  # relative difference of depth from which a Gaussian is behind a surface
 RIM = 0.018  # where a hand strays from the thing [longer sides]

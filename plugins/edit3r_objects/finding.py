@@ -21,6 +21,7 @@ from edit3r.kit.compute.outlines import overlap
 from edit3r.kit.geometry.warping import shared_surface, warp
 from edit3r.running import usual_selector
 
+# The numbers of this block: by eye.
 MOST = 12  # things of a scene
 GRID = 5  # clicks along each side of a photo
 CONFIDENCE = 0.7  # least confidence that a click's answer is what is meant

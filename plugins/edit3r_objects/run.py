@@ -26,14 +26,13 @@ from edit3r.kit.files.names import unique_names
 from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import LoadedPhotos, save_image
 from edit3r.kit.rendering import render_each
-from edit3r.kit.run_folder import RunFolder, continue_run
 from edit3r.kit.scenes.files import scene_file
 from edit3r.kit.scenes.look import look_at
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.running import (
     MarkTexts,
+    RunFolder,
     default_matcher,
-    read_earlier_run,
     select_with,
     usual_selector,
 )
@@ -79,7 +78,7 @@ class Run:
         """The run with one more name. Raises InputError for a name that is taken or unfit."""
         if name in self.names:
             raise InputError(
-                f"{self.root}: has an object {name!r} already; choose another."
+                f"{self.root}: already has an object {name!r}; choose another name."
             )
         if not (name.isprintable() and 0 < len(name) <= MAX_NAME):
             raise InputError(f"a name has 1 to {MAX_NAME} printable characters.")
@@ -189,7 +188,7 @@ def what_is_drawn(
         raise InputError(f"{file}: expected JSON with strokes ({error}).") from None
     chosen = choose_drawn(run.gaussians, strokes, rasterizer, grown)
     if not chosen.any() or chosen.all():
-        raise InputError("what is drawn chooses nothing, or all of the scene.")
+        raise InputError("the strokes select nothing, or the whole scene.")
     return chosen
 
 
@@ -218,12 +217,12 @@ def _check_photos(run: Run) -> None:
 def find_objects(run: Run, rasterizer: Rasterizer) -> Run:
     """The run with an object for each thing that is found; what is an object already stays one."""
     _check_photos(run)
-    images = read_earlier_run(run.root).photos.images[0]
+    images = RunFolder(run.root).read_views()[0].images[0]
     rendered = render_each(rasterizer, run.gaussians, run.cameras, "depth")
     depths = rendered.depths[0, :, 0]
     things = find_things(images, depths, run.cameras, usual_tools())
     if not things:
-        raise InputError(f"{run.root}: no thing was found; mark one with: add NAME.")
+        raise InputError(f"{run.root}: nothing was found; mark a thing with: add NAME.")
     masks = torch.stack([thing.masks for thing in things])
     lifted = lift_all(run.gaussians, run.cameras, masks, rasterizer)
     index = run.gaussians.objects.clone()
@@ -245,7 +244,7 @@ def _free_name(run: Run, name: str) -> str:
 
 def _masks(run: Run, args: argparse.Namespace) -> Tensor:
     """Masks of the object `[V, H, W]` on the run's photos."""
-    earlier = read_earlier_run(run.root)
+    earlier = RunFolder(run.root).read().inputs
     views = earlier.photos
     texts = MarkTexts(
         tuple(args.point),
@@ -264,7 +263,7 @@ def _masks(run: Run, args: argparse.Namespace) -> Tensor:
             )
         return list(earlier.things.values())[-1]
     marks = replace(
-        texts.read(LoadedPhotos(views, earlier.records)),
+        texts.read(LoadedPhotos(views, earlier.files)),
         larger=sum(args.larger or ()),
         reading=args.reading or 1,
         grow=args.grow or 0.0,
@@ -302,4 +301,4 @@ def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None
         "edited_from": str(before.root),
     }
     stays_true = PHOTOS if run.edits[-1].split()[0] in LOOK_ALIKE else ()
-    continue_run(before.root, root, stays_true, {**run.manifest, **facts})
+    folder.continue_from(before.root, stays_true, {**run.manifest, **facts})

@@ -30,11 +30,11 @@ from edit3r_optimisers.method import (
 
 DEPTH_TOLERANCE = 0.03
 """Relative difference of depths at which a neighbour's weight has fallen to exp(-1/2): it sees
-another surface.
+another surface. By eye.
 """
 OWN_WEIGHT = 0.25
 """Of the view's own edit beside its neighbours' weights of up to 1 each; it alone counts where no
-neighbour looks.
+neighbour looks. By eye.
 """
 
 
@@ -151,7 +151,7 @@ def attention_maps(
         maps = editor.attention(photos, request)
         told_by = "the editor's cross-attention"
     elif request.masks is not None:
-        maps, told_by = request.masks, "the masks, the editor gives no attention"
+        maps, told_by = request.masks, "the masks; the editor gives no attention"
     else:
         maps = (edits.images - photos.images).abs().mean(2)
         told_by = "the change of each pixel, no attention or masks"

@@ -21,12 +21,13 @@ from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.rotations import normalise_quats
 
 WINDOW, SIGMA = 11, 1.5  # of the Gaussian window of SSIM [pixels] (Wang et al. 2004)
-C1, C2 = 0.01**2, 0.03**2  # for images in [0, 1]
+C1, C2 = 0.01**2, 0.03**2  # for images in [0, 1]; as published (Wang et al. 2004)
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
 # of Adam; gradients of single Gaussians are tiny (3DGS, released code)
 BETAS, EPSILON = (0.9, 0.999), 1e-15
 MEANS_RATES = 1.6e-4, 1.6e-6  # first and last step of the centres [extents]
-RATES = {"scales": 5e-3, "quats": 1e-3, "opacities": 0.05}  # of logarithms and logits
+# of logarithms and logits; as in the released code of 3DGS
+RATES = {"scales": 5e-3, "quats": 1e-3, "opacities": 0.05}
 
 
 class FitSettings(Settings):

@@ -110,7 +110,7 @@ def register_writers() -> list[Component]:
         Component(
             "mesh",
             "edit3r_outputs.mesh:MeshWriter",
-            "coloured triangles as PLY, for programs that know no Gaussians",
+            "coloured triangles as PLY, for programs that cannot show Gaussians",
             suffix="-mesh.ply",
             keeps="the surfaces that the photos' cameras see, upright, in one colour each",
             loses="what no camera sees, what is transparent, harmonics",

@@ -42,7 +42,7 @@ class ExportCommand(Command):
 
         if args.out and len(args.to) > 1:
             raise InputError(
-                "--out names one place; give one writer with it, or leave --out away."
+                "--out names one file or folder; give one writer with it, or omit --out."
             )
         registry = default_registry(tuple(args.plugin))
         saved = SavedScene(args.scene, registry)

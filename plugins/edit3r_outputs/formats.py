@@ -25,6 +25,7 @@ from edit3r_outputs.placement import (
 )
 from edit3r_outputs.reading import convert
 
+# The numbers of this block: by eye.
 CHUNK = 256  # Gaussians of a compressed PLY that share a box
 STEPS = 1024  # of an axis of a box
 MANY_OFF = 0.02  # share of the Gaussians that may miss their place without a word
@@ -42,6 +43,7 @@ class Held:
     further: float  # and of the degrees above
 
 
+# The numbers of this block: by eye.
 _HELD = {
     "spz": Held(math.exp(5.9375), 10 / 3, 1.0),
     "compressed.ply": Held(math.exp(20), math.inf, 4.0),
@@ -146,7 +148,7 @@ def tell_of_losses(gaussians: Gaussians, form: str) -> None:
     lost = {"objects": gaussians.object_index, "uncertainty": gaussians.uncertainty}
     for name in (name for name, values in lost.items() if values is not None):
         if form != "ply":
-            warn(f"{form}: has no place for {name}, which are dropped.")
+            warn(f"{form}: cannot store {name}, which are dropped.")
 
 
 def _tell_of_clipping(gaussians: Gaussians, form: str) -> None:
@@ -158,15 +160,15 @@ def _tell_of_clipping(gaussians: Gaussians, form: str) -> None:
     large = int((gaussians.scales[0].amax(1) > most.size)[drawn].sum())
     if large:
         warn(
-            f"{form}: {large:,} Gaussians are larger than it can say ({most.size:.3g} in the "
-            "file's unit) and become that large."
+            f"{form}: {large:,} Gaussians are larger than it can store ({most.size:.3g} in the "
+            "file's unit) and are reduced to that."
         )
     sizes = gaussians.harmonics[0, drawn].abs().flatten(1)
     beyond = (sizes[:, :3] > most.plain).any(1) | (sizes[:, 3:] > most.further).any(1)
     if beyond.float().sum() > MANY_CLIPPED * len(beyond):
         warn(
-            f"{form}: the colours of {int(beyond.sum()):,} Gaussians go beyond what it can say "
-            "and are cut to that."
+            f"{form}: the colours of {int(beyond.sum()):,} Gaussians are beyond what it can store "
+            "and are clipped."
         )
 
 
@@ -193,7 +195,7 @@ def _in_chunks(gaussians: Gaussians) -> Gaussians:
     if off > MANY_OFF * len(sizes):
         warn(
             f"compressed.ply: {off:,} of {len(sizes):,} Gaussians are moved by about their own "
-            "size, since others lie far from the rest; spz, sog, splat and glb do not do that."
+            "size, since others lie far from the rest; spz, sog, splat and glb avoid that."
         )
     return gaussians.select(torch.from_numpy(order))
 

@@ -21,9 +21,8 @@ from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
 from edit3r.kit.scenes.axes import UP_AND_BACK, flipped, turned
 
 OWN = "KHR_gaussian_splatting"
-SPZ_INSIDE = (
-    f"{OWN}_compression_spz"  # how the names of extensions that hold an SPZ begin
-)
+# how the names of extensions that hold an SPZ begin
+SPZ_INSIDE = f"{OWN}_compression_spz"
 _KNOWN = {OWN, "KHR_mesh_quantization"}
 FLOAT = 5126  # glTF's number of float32
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", FLOAT: "<f4"}
@@ -108,7 +107,7 @@ def _placed_meshes(
     while waiting:
         index, place = waiting.pop(0)
         if index in seen or len(seen) > MOST_NODES:
-            raise ValueError("its nodes go round in circles, or are very many")
+            raise ValueError("its nodes form a circle, or are too many")
         seen.add(index)
         place = place @ _matrix(nodes[index])
         if "mesh" in nodes[index]:

@@ -31,7 +31,7 @@ class Mp4Writer(Writer):
         codec = next((one for one in CODECS if one in av.codecs_available), None)
         if codec is None:
             raise MissingDependencyError(
-                "this PyAV has no encoder for H.264; install the one of PyPI: pip install av"
+                "this PyAV cannot encode H.264; install the one from PyPI: pip install av"
             )
         with av.open(str(path), "w", format="mp4") as file:
             stream = None

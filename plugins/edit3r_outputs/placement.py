@@ -22,9 +22,11 @@ from edit3r.contract.types import Gaussians
 from edit3r.kit.scenes.axes import LEAST_OPACITY
 from edit3r.kit.scenes.ply import MOST_HEADER_BYTES
 
-SPZ_RANGE = 2047.0
+# The numbers of this block: by eye.
+SPZ_RANGE = 2047.0  # the format
 SPZ_STEP = 1 / 4096
-SPZ_LARGEST = 300.0  # size of a Gaussian: its logarithm is kept from -10 to 5.9
+# size of a Gaussian: its logarithm is kept from -10 to 5.9; the format
+SPZ_LARGEST = 300.0
 SOG_STEPS = 65535  # of the logarithms of positions, from the least to the most
 SMALLEST_EXTENT = 1e-3  # gaussforge takes less for nothing
 GOOD = 4.0  # steps a Gaussian, as most scenes have: beyond it, images hardly change

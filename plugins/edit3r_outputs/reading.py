@@ -86,7 +86,7 @@ def _spz_inside(content: bytes) -> Gaussians:
         file.write_bytes(content)
         try:
             if form_of(file) != "spz":
-                raise ValueError("what it calls an SPZ is none")
+                raise ValueError("what it calls an SPZ is not one")
             return flipped(_converted(file, "spz"), UP_AND_BACK)
         except InputError as error:
             raise ValueError(str(error).replace(str(file), "its SPZ")) from None
@@ -106,7 +106,8 @@ def form_of(path: Path) -> str:
         start = _unpacked(start)
         if not start.startswith(b"NGSP"):
             raise InputError(
-                f"{path}: packed with gzip, and no SPZ (or a damaged one); unpack it first."
+                f"{path}: compressed with gzip, but not an SPZ (or a damaged one); decompress it "
+                "first."
             )
     form = next((form for magic, form in _MAGIC.items() if start.startswith(magic)), "")
     if form == "ply" and b" packed_position" in start.partition(b"end_header")[0]:
@@ -122,9 +123,7 @@ def _form_without_magic(path: Path, start: bytes) -> str:
     ending = path.suffix.lower()
     if ending in (".splat", ".ksplat") or _is_splat(path, start):
         return ending[1:] if ending == ".ksplat" else "splat"
-    raise InputError(
-        f"{path}: not a PLY file, nor SPZ, SOG, splat or GLB; its content is of none of them."
-    )
+    raise InputError(f"{path}: by its content not a PLY, SPZ, SOG, splat or GLB file.")
 
 
 def _unpacked(start: bytes) -> bytes:

@@ -15,7 +15,7 @@ from edit3r.kit.scenes.files import scene_file
 if TYPE_CHECKING:
     from edit3r.contract.interfaces import Rasterizer
     from edit3r.contract.types import Cameras, Gaussians, Rendering
-    from edit3r.kit.run_folder import RunFolder
+    from edit3r.running import RunFolder
 
 MOST_SIDE = 2048  # of views, where no size is asked for [pixels]
 MOST_KEPT = 20_000_000  # pixels of views
@@ -58,7 +58,7 @@ class RenderCommand(Command):
         import torch
 
         from edit3r.kit.files.atomic import atomic_folder, check_apart
-        from edit3r.kit.run_folder import RunFolder
+        from edit3r.running import RunFolder
 
         if not 2 <= args.frames <= 2000:
             raise SettingsError(
@@ -150,7 +150,7 @@ def _rasterizer(args: argparse.Namespace) -> "Rasterizer":
     settings = parse_assignments(args.set)
     for other in sorted(set(settings) - {"rasterizer"}):
         raise SettingsError(
-            f"--set {other}: render has settings of the rasterizer only (rasterizer.KEY)."
+            f"--set {other}: render takes only settings of the rasterizer (rasterizer.KEY)."
         )
     flag = {"rasterizer": args.rasterizer} if args.rasterizer else {}
     choice = make_run_config(settings, flag).rasterizer

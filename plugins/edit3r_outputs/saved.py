@@ -85,8 +85,8 @@ class SavedScene:
     def _views(self, *folders: str) -> Views:
         if camera_file_of(self.file) is None:
             raise InputError(
-                f"{self.file.parent}: holds no cameras.json; this is written of the folder "
-                "of a run."
+                f"{self.file.parent}: holds no cameras.json; this writer needs the folder of a "
+                "run."
             )
         cameras, views = self._posed
         images = [self._image(Path(view.file).name, folders) for view in views]
@@ -105,7 +105,7 @@ class SavedScene:
                     )
                 return np.array(image)
         raise InputError(
-            f"{self.file.parent}: has no image {name}; this is written of the folder of a run with "
+            f"{self.file.parent}: has no image {name}; this writer needs the folder of a run with "
             "its images (`--outputs scene,images`)."
         )
 

@@ -29,7 +29,8 @@ from edit3r.kit.geometry.rotations import normalise_quats
 from edit3r.kit.scenes.axes import LEAST_OPACITY
 
 EASY_GAUSSIANS = 1_500_000  # six photos of 512 pixels; more are slow to sort
-MIN_STEP = 0.01  # of a harmonic; it changes a colour by less than a step of 8 bits
+# of a harmonic; it changes a colour by less than a step of 8 bits; by eye
+MIN_STEP = 0.01
 LEVEL = 3  # of compression; higher ones save a twentieth and take three times as long
 
 
@@ -63,8 +64,8 @@ def viewer_page(scene: SceneToWrite) -> str:
     drawn = torch.nonzero(gaussians.opacities[0] >= LEAST_OPACITY)[:, 0]
     if len(drawn) > EASY_GAUSSIANS:
         warn(
-            f"The viewer page holds {len(drawn):,} Gaussians and may turn slowly; --gaussians "
-            "auto leaves fewer."
+            f"The viewer page holds {len(drawn):,} Gaussians and may be slow; --gaussians auto "
+            "leaves fewer."
         )
     if before is not None:
         before = before[drawn.to(before.device)].cpu()

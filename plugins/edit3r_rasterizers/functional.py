@@ -44,7 +44,8 @@ def rasterization(
     """
     if unsupported:
         raise InputError(
-            f"rasterization: the CPU has no {', '.join(unsupported)} of gsplat; leave it out."
+            f"rasterization: gsplat's {', '.join(unsupported)} is not available on the CPU; leave "
+            "it out."
         )
     if render_mode not in RENDER_MODES:
         raise InputError(

@@ -24,7 +24,9 @@ from edit3r_rasterizers.simd import (
 from edit3r_rasterizers.simd_memory import flat, shifted, store
 
 UNIT = math.sqrt(0.5 / math.log(2.0))
-"""Factor from standard deviations to the records' unit, whose squares are exponents of two."""
+"""Factor from standard deviations to the records' unit, whose squares are exponents of two.
+Formula.
+"""
 _DEVIATIONS = 1 / UNIT
 
 _X, _Y, _X_PER_Y, _INV_STD_X, _INV_STD_Y, _Y_PER_X, _LOG_OPACITY, _CUTOFF, _DEPTH = (

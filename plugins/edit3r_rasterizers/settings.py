@@ -15,12 +15,14 @@ from edit3r.contract.types import Cameras, Gaussians
 
 BORDER = 0.3
 """Tangents in the projection's Jacobian are clamped this far beyond the image's border [half image
-widths].
+widths]. A sanity limit.
 """
 MAX_COLOUR = 1e30
 """Colours are clamped to [0, MAX_COLOUR], so that no finite input makes an infinite image."""
 NEAR = 0.01
-"""Camera z below which Gaussians are culled, but in smaller scenes [scene units]."""
+"""Camera z below which Gaussians are culled, but in smaller scenes [scene units].
+A sanity limit.
+"""
 SMALL = 32 * NEAR
 """A scene of smaller size has a nearer near plane [scene units]."""
 FAR = 1e30

@@ -277,7 +277,7 @@ def _exp2_coefficients() -> list[float]:
 
 
 _EXP2 = _exp2_coefficients()
-# adding it leaves the nearest integer in the low bits of the mantissa
+# adding it leaves the nearest integer in the low bits of the mantissa; formula
 _ROUNDER = 1.5 * 2**23
 # log2((1 + s) / (1 - s)) in odd powers of s
 _SERIES = [2 / math.log(2) / power for power in range(1, 12, 2)]

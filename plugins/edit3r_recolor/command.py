@@ -66,8 +66,8 @@ class RecolorCommand(Command):
             left_out = [view.name for view in recipe.views if not view.processed]
             if left_out:
                 warn(
-                    f"{', '.join(left_out)}: left out, too few of the objects of the view before "
-                    "were found there."
+                    f"{', '.join(left_out)}: left out, because too few of the previous view's "
+                    "objects were found there."
                 )
             with report.stage("recolour"):
                 source, faulty = photos.views.images[0], None
@@ -92,7 +92,7 @@ def _check(args: argparse.Namespace) -> None:
         raise SettingsError(f"--seed: must be at least 0, got {args.seed}.")
     if args.replay and (args.masks or args.set):
         raise SettingsError(
-            "--replay: repeats what the recipe says; leave --masks and --set away."
+            "--replay: repeats what the recipe says; omit --masks and --set."
         )
     out = Path(args.out)
     if out.is_dir() and any(out.iterdir()) and not args.overwrite:

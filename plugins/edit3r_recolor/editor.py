@@ -31,7 +31,7 @@ METALS = {
     "chrome": (0.66, 0.70, 0.75),
     "steel": (0.60, 0.63, 0.67),
 }
-"""sRGB in [0, 1] of metals under plain light, between shade and highlight."""
+"""sRGB in [0, 1] of metals under plain light, between shade and highlight. By eye."""
 
 WHOLE = ("sky",)
 """Things without parts that keep their own colour: haze and clouds belong to the sky."""
@@ -114,7 +114,7 @@ def _colour_of(change: Change) -> Colour:
     """The colour of a paint. Raises PromptError for that of a thing which nobody looked for."""
     if change.colour is None:
         raise PromptError(
-            f"nobody looked for the thing in {str(change)!r}, so its colour is not known; name the "
+            f"the thing in {str(change)!r} was not looked for, so its colour is unknown; name the "
             "colour, such as beige or #8a7f70."
         )
     return change.colour

@@ -23,6 +23,7 @@ Pixels = Float[Tensor, "3 1 pixel"]  # OKLab
 Weights = Float[Tensor, "1 pixel"]
 Goal = Float[Tensor, "3 1 1"]  # OKLab of the asked colour
 
+# The numbers of this block: by eye.
 NEUTRAL_CHROMA = 0.02  # a pixel below has no hue
 DARK = 0.2  # lightness below which saturation is mostly noise
 PART_PAINT, ALL_PAINT = 0.35, 0.5  # shares of the paint's saturation

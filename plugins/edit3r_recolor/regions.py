@@ -15,7 +15,7 @@ from edit3r.contract.interfaces import Proposal, Tracks
 from edit3r.contract.settings import Settings
 
 FAINT = 0.01
-"""A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value."""
+"""A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value. By eye."""
 
 
 class ProposalFilter(Settings):

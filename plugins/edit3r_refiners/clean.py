@@ -23,6 +23,7 @@ from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.warping import warp
 from edit3r.kit.rendering import render_one
 
+# The numbers of this block: docs/notes/simplify.md.
 OPAQUE = 0.5  # a pixel that is less so shows no surface
 SEEN = 2 / 255  # change of a pixel's colour that counts as one [sRGB]
 # Opacity of floaters together from which they are what a pixel shows: rendered depths are means, so

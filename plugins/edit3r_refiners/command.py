@@ -140,8 +140,7 @@ def _asked(
     strange = sorted(set(given) - {"simplify", "clean"})
     if strange:
         raise SettingsError(
-            f"--set {strange[0]}: simplify has settings of its own only (simplify.KEY, "
-            "clean.KEY)."
+            f"--set {strange[0]}: simplify takes only its own settings (simplify.KEY, clean.KEY)."
         )
     return (
         budget,

@@ -15,7 +15,8 @@ from edit3r.kit.geometry.paths import between_and_around
 PATH_CAMERAS = 2  # cameras between and around, per input view
 MOST_PATH_CAMERAS = 8  # of many views, which show nearly all themselves
 PATH_REDUCTION = 2  # of the sides of their images
-PATH_WIDENING = 1.5  # of what they show: a rim beyond the photos' borders counts too
+# of what they show: a rim beyond the photos' borders counts too; not measured
+PATH_WIDENING = 1.5
 
 
 def viewpoints(cameras: Cameras) -> tuple[Cameras, ...]:

@@ -18,7 +18,8 @@ Region = Bool[Tensor, "view height width"]
 
 FAR_OUTSIDE = 1e6  # positions are clamped to this [pixels]
 OPAQUE = 0.5
-AS_FINE = 1.25  # an earlier view may show the surface with pixels this much larger
+# an earlier view may show the surface with pixels this much larger; not measured
+AS_FINE = 1.25
 AROUND = tuple((dy, dx) for dy in (0, -1, 1) for dx in (0, -1, 1))
 LEAST_WEIGHT = 1e-4  # transparent Gaussians still have a position
 
@@ -149,9 +150,8 @@ def _nearest_per_pixel(
     index = ((placement.view == view) & inside & usable).nonzero()[:, 0]
     index = index[placement.depth[index].argsort(descending=True, stable=True)]
     nearest = torch.full((height * width,), -1, dtype=torch.long, device=index.device)
-    nearest[row[index] * width + column[index]] = (
-        index  # of several, the last written is the nearest
-    )
+    # of several, the last written is the nearest
+    nearest[row[index] * width + column[index]] = index
     return nearest.view(height, width)
 
 

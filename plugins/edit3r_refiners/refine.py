@@ -27,6 +27,7 @@ from edit3r.kit.compute.layers import one_thread
 from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.photos.images import evenly
 
+# The numbers of this block: docs/notes/simplify.md.
 LEAST_ERROR = 1e-12  # below it, decibels mean nothing
 OPACITY_RANGE = (1e-4, 1 - 1e-4)  # outside, the logit has no useful gradient
 BETAS, EPSILON = (0.7, 0.99), 1e-8  # of Adam: few steps must do

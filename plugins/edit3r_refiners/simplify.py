@@ -40,15 +40,15 @@ from edit3r_refiners.partition import (
 from edit3r_refiners.refine import RefineSettings, refine
 from edit3r_refiners.settings import Budget, SimplifySettings, parse_budget, passes
 
+# The numbers of this block: not measured.
 # Smaller steps than towards photos: the scene is nearly what it should show.
 # merged Gaussians may grow to close what is left between them
 POLISH = RefineSettings(
     colour=0.015, opacity=0.08, scale=0.08, centre=0.04, growth=1000
 )
 TELLING_VIEWS = 3  # that tell what simplifying lost, where there are more
-LONE_BASELINE = (
-    0.1  # how far new views of a lone photo are taken to be [its median depth]
-)
+# how far new views of a lone photo are taken to be [its median depth]
+LONE_BASELINE = 0.1
 
 
 class SimplifyRefiner(Refiner):

@@ -111,8 +111,8 @@ class Dispatcher:
         kept = ""
         if results and self.cache.folder is not None:
             kept = (
-                f" {len(results)} of {len(jobs)} views have their answer in "
-                f"{self.cache.folder} and cost nothing again."
+                f" {len(results)} of {len(jobs)} views have their answer in {self.cache.folder} "
+                "and will not be charged again."
             )
         raise type(errors[0])(f"{errors[0]}{kept}") from None
 
@@ -138,7 +138,7 @@ class Dispatcher:
             self.cache.keep(key, answer)
         except (OSError, InputError) as error:
             # A full disk must not cost the image that was paid for.
-            remark += f" the answer cannot be kept in editor.cache ({error})."
+            remark += f" the answer could not be saved in editor.cache ({error})."
         return ViewResult(frame.extract(image), remark, False, seconds, answer)
 
     def _ask(self, request: Request) -> Answer:

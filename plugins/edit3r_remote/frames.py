@@ -22,7 +22,7 @@ from edit3r.contract.errors import RunError
 from edit3r.kit.geometry.maps import resampled, size_of
 from edit3r.kit.photos.decode import FORMATS, MAX_PIXELS
 
-# relative difference in width / height up to which an answer of another size is scaled back
+# relative difference in width / height up to which an answer of another size is scaled back; by eye
 SHAPE_TOLERANCE = 0.05
 
 
@@ -120,7 +120,7 @@ def _pixels(content: bytes, view: str) -> np.ndarray:
     except (OSError, ValueError, SyntaxError):
         start = content[:40].decode("utf-8", "replace")
         raise RunError(
-            f"the answer for {view} is no image ({len(content)} bytes, starting {start!r})."
+            f"the answer for {view} is not an image ({len(content)} bytes, starting {start!r})."
         ) from None
     raise RunError(f"the answer for {view} has far too many pixels.")
 

@@ -111,6 +111,11 @@ class ImageService(ABC):
                 f"{self.label}: the service does not accept the key in "
                 f"{' or '.join(self.variables)}{why}."
             )
+        if 300 <= status < 400:
+            return RunError(
+                f"{self.label}: its address redirects elsewhere, which is not followed (status "
+                f"{status}); give the right one as editor.base_url."
+            )
         if status == 429:
             return RunError(
                 f"{self.label} is over its rate limit or budget after {self.settings.attempts} "

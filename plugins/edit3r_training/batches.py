@@ -19,7 +19,9 @@ from edit3r_training.simulated_matching import SimulatedMatch, simulate_match
 
 Images = Float[Tensor, "batch view 3 height width"]
 OTHER_SURFACE = 0.02
-"""Change of a generated edit above which another surface may be seen [sRGB, any channel]."""
+"""Change of a generated edit above which another surface may be seen [sRGB, any channel].
+Not measured.
+"""
 
 
 @dataclass(frozen=True)

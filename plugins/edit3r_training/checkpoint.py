@@ -62,9 +62,9 @@ class TrainingState:
             self.best = float(content["best"])
             self.validated = int(content.get("validated", content["step"]))
             if min(self.step, self.skipped, self.validated) < 0:
-                raise ValueError(f"it stands at step {self.step}")
+                raise ValueError(f"it is at step {self.step}")
             if math.isnan(self.best):
-                raise ValueError("its best score is no number")
+                raise ValueError("its best score is not a number")
         # damaged numbers make whoever gets them raise what they like
         except Exception as error:
             reason = " ".join(str(error).split())[:300] or type(error).__name__
@@ -112,8 +112,7 @@ def _read(path: Path) -> dict[str, Any]:
         reason = "other content"
     if not isinstance(content, dict) or not _PARTS.issubset(content):
         raise InputError(
-            f"{path}: not a whole checkpoint of this version of `edit3r train` ({reason}), and "
-            "nothing but such a file "
-            "is read; put it back from a copy, or start again with --overwrite instead of --resume."
+            f"{path}: not a complete checkpoint of this version of `edit3r train` ({reason}); "
+            "restore it from a copy, or start again with --overwrite instead of --resume."
         )
     return content

@@ -4,9 +4,13 @@ stopped.
 
 import argparse
 from contextlib import nullcontext
+from typing import TYPE_CHECKING
 
 from edit3r.contract.command import Command
 from edit3r.kit.command.flags import add_common, add_trust_flag
+
+if TYPE_CHECKING:
+    from edit3r.contract.settings import Settings
 
 
 class TrainCommand(Command):
@@ -26,6 +30,11 @@ class TrainCommand(Command):
         parser.add_argument("--out", help=about)
         add_common(parser, "change a setting, e.g. trainer.steps=100")
         add_trust_flag(parser)
+
+    def configuration(self) -> "type[Settings]":
+        from edit3r_training.job import TrainingConfig
+
+        return TrainingConfig
 
     def main(self, args: argparse.Namespace) -> int:
         from edit3r import default_registry

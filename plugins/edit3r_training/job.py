@@ -12,14 +12,20 @@ out: runs/edit
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from pydantic import Field
 
 from edit3r import Registry
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Trainer, TrainingJob
-from edit3r.contract.settings import FileText, PartChoice, Settings, make_settings
+from edit3r.contract.settings import (
+    FileText,
+    OfKind,
+    PartChoice,
+    Settings,
+    make_settings,
+)
 from edit3r.kit.checks import require_gives
 from edit3r.kit.weights.files import WEIGHTS
 from edit3r.running import DEFAULTS
@@ -37,7 +43,7 @@ class TrainingConfig(Settings):
     """the recipe"""
     reconstructor: PartChoice
     """what is trained"""
-    reference: PartChoice | None = None
+    reference: Annotated[PartChoice | None, OfKind("reconstructor")] = None
     """frozen reconstructor, whose centres of the unedited photos the 3D losses hold to; default:
     the true surface where the data has depths, else what is trained as it is at the start
     """
@@ -45,11 +51,13 @@ class TrainingConfig(Settings):
     """reads the geometry of photos whose depth the data does not know"""
     rasterizer: PartChoice = PartChoice(name=DEFAULTS["training_rasterizer"])
     """renders during training"""
-    train_data: PartChoice
+    train_data: Annotated[PartChoice, OfKind("dataset")]
     """dataset to train on"""
-    validation_data: PartChoice | None = None
+    validation_data: Annotated[PartChoice | None, OfKind("dataset")] = None
     """held-out dataset"""
-    losses: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    losses: Annotated[dict[str, dict[str, Any]], OfKind("loss")] = Field(
+        default_factory=dict
+    )
     """name: {weight, settings...}"""
     out: str = "runs/train"
     """folder for checkpoints, logs and sample sheets"""
@@ -98,8 +106,8 @@ def _check_inside(out: object) -> None:
     if not isinstance(out, FileText) or here in (here / out).resolve().parents:
         return
     raise InputError(
-        f"training.out: the file says {out}, outside of the current folder; give --out a folder, "
-        "or --trust-config."
+        f"training.out: the file says {out}, which is outside the current folder; give --out a "
+        "folder, or --trust-config."
     )
 
 

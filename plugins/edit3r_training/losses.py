@@ -11,13 +11,18 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float, Int
 from pydantic import Field
-from torch import Tensor, nn
+from torch import Tensor
 
 import edit3r
-from edit3r.contract.errors import MissingDependencyError, SettingsError
+from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import Loss, LossInputs
-from edit3r.contract.settings import Settings
-from edit3r.kit.compute.perceptual import efficientnet_input, frozen_efficientnet
+from edit3r.kit.compute.lpips import lpips_distances
+from edit3r.kit.compute.perceptual import (
+    CLIP_MEAN,
+    CLIP_STD,
+    efficientnet_input,
+    frozen_efficientnet,
+)
 from edit3r.kit.weights.load import ChosenWeights, foreign, load_pretrained
 from edit3r_training import CLIP
 
@@ -26,9 +31,6 @@ if TYPE_CHECKING:
 
 COMPARED_BLOCKS = (0, 2, 4, 10)
 """Blocks of EfficientNet-lite0 whose outputs `PerceptualLoss` compares: strides 2, 4, 8 and 16."""
-
-CLIP_MEAN = (0.48145466, 0.4578275, 0.40821073)
-CLIP_STD = (0.26862954, 0.26130258, 0.27577711)
 
 Scalar = Float[Tensor, ""]
 Means = Float[Tensor, "batch gaussian 3"]
@@ -187,18 +189,11 @@ class PerceptualLoss(Loss):
 
 
 class LpipsLoss(Loss):
-    """Mean LPIPS (Zhang et al. 2018) of VGG, as in the paper; downloaded at first use."""
-
-    def __init__(self, settings: Settings) -> None:
-        self.settings = settings
-        self._metric = _lpips_vgg()
+    """Mean LPIPS of the shift-tolerant AlexNet; the paper takes the VGG of Zhang et al. 2018."""
 
     def __call__(self, inputs: LossInputs) -> Scalar:
         rendered, target = images_to_compare(inputs, "lpips")
-        metric = self._metric.to(rendered.device)
-        return metric(
-            rendered.flatten(0, 1), target.flatten(0, 1), normalize=True
-        ).mean()
+        return lpips_distances(rendered.flatten(0, 1), target.flatten(0, 1)).mean()
 
 
 class ClipLoss(Loss):
@@ -230,19 +225,6 @@ class ClipLoss(Loss):
         mean, std = (x.new_tensor(v)[:, None, None] for v in (CLIP_MEAN, CLIP_STD))
         self._model.to(x.device)  # type: ignore[arg-type]  # a decorator hides its type
         return self._model(pixel_values=(x - mean) / std).image_embeds
-
-
-def _lpips_vgg() -> nn.Module:
-    import lpips
-
-    try:
-        return lpips.LPIPS(net="vgg", verbose=False).eval().requires_grad_(False)
-    except (OSError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
-        raise MissingDependencyError(
-            f"loss 'lpips' could not get its VGG weights ({reason}); connect to the network "
-            "once, or use the loss 'perceptual', which works offline."
-        ) from error
 
 
 def _frozen_clip(name: str) -> "CLIPVisionModelWithProjection":

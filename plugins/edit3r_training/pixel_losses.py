@@ -17,7 +17,9 @@ from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r_training.batches import TrainingBatch
 
 CHANGED = 0.02
-"""A pixel whose true change is below this [sRGB, mean over channels] counts as outside the edit."""
+"""A pixel whose true change is below this [sRGB, mean over channels] counts as outside the edit.
+Not measured.
+"""
 
 
 Depths = Float[Tensor, "batch view height width"]
@@ -46,9 +48,8 @@ def pixel_maps(reconstruction: Reconstruction, cameras: Cameras) -> PixelMaps:
     if each == 0 or gaussians.count < wanted:
         raise SettingsError(
             f"training.reconstructor: gives {gaussians.count} Gaussians for "
-            f"{cameras.count * height * width} pixels; errors pixel by pixel need one that gives "
-            "every pixel its own. For others set the trainer's colour, depth and opacity to 0 and "
-            "score to renderings."
+            f"{cameras.count * height * width} pixels; per-pixel errors need one for each pixel. "
+            "Otherwise set the trainer's colour, depth and opacity to 0 and score to renderings."
         )
     if gaussians.count > wanted:
         gaussians = gaussians.select(torch.arange(wanted))

@@ -97,8 +97,8 @@ def own_device(name: str) -> torch.device:
     index = own if device.index is None else device.index
     if index >= torch.cuda.device_count():
         raise SettingsError(
-            f"trainer.device: cuda:{index} asked for, but {torch.cuda.device_count()} GPUs are "
-            "there."
+            f"trainer.device: cuda:{index} was asked for, but this machine has "
+            f"{torch.cuda.device_count()} GPUs."
         )
     return torch.device("cuda", index)
 

@@ -72,7 +72,7 @@ class Re10kDataset(PhotoDataset):
         count = len(scene["images"])
         if max(indices) >= count:
             raise InputError(
-                f"scene {key}: frame {max(indices)} is asked for, it has {count}."
+                f"scene {key}: frame {max(indices)} was asked for, but it has {count}."
             )
         drawn = self._drawn(scene, list(indices))
         return [
@@ -154,7 +154,7 @@ def _square(
         content = io.BytesIO(file.numpy().tobytes())
         image = Image.open(content, formats=FORMATS).convert("RGB")
     except (OSError, ValueError, Image.DecompressionBombError) as error:
-        raise InputError(f"scene {key}: a frame is no image ({error}).") from None
+        raise InputError(f"scene {key}: a frame is not an image ({error}).") from None
     frame = frame_for((image.height, image.width), (size, size))
     fx, fy, cx, cy = camera[:4].tolist()
     k = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=torch.float64)

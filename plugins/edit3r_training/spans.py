@@ -11,7 +11,7 @@ Pair = TypeVar("Pair", bound=tuple[float, float])
 
 def _in_order(pair: Pair) -> Pair:
     if pair[0] > pair[1]:
-        raise ValueError("expected the least first, then the most")
+        raise ValueError("expected the smallest first, then the largest")
     return pair
 
 

@@ -138,7 +138,7 @@ class SceneRegions:
         )
         if not cameras:
             raise InputError(
-                f"{self.path}: holds masks of none of the photos of {folder.path}."
+                f"{self.path}: holds no mask of any photo in {folder.path}."
             )
         return replace(folder, cameras=cameras)
 

@@ -23,13 +23,12 @@ from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.kit.rendering import render_each, render_uncertainty
-from edit3r.kit.run_folder import RunFolder, continue_run
 from edit3r.kit.scenes.files import scene_file
 from edit3r.kit.scenes.ply import save_ply
-from edit3r.running import read_views_of_run
+from edit3r.running import RunFolder
 from edit3r_uncertainty.signals import photos_of, uncertainty
 
-# of the mean of red, green and blue, above which the edit changed a pixel
+# of the mean of red, green and blue, above which the edit changed a pixel; by eye
 CHANGED = 0.05
 COPIED = ("inputs", "edited", "masks", "renders")  # folders of a run that stay true
 
@@ -70,7 +69,7 @@ def read_run(root: Path) -> JudgedRun:
             f"{root}: has no photos (its scene was edited, or the run kept no images); give a run "
             "with the folders inputs/ and edited/."
         )
-    photos, edited = read_views_of_run(root)
+    photos, edited = folder.read_views()
     cameras, _ = read_scene_cameras(folder.cameras)
     if (cameras.count, cameras.image_size) != (photos.count, photos.image_size):
         raise InputError(
@@ -134,7 +133,7 @@ def write_run(root: Path, run: JudgedRun, rasterizer: Rasterizer, maps: bool) ->
         for name, one in zip(names, found):
             save_image(one.expand(3, -1, -1), root / "uncertainty" / f"{name}.png")
     content = {**run.manifest, "uncertainty": dict(run.facts)}
-    continue_run(run.root, root, COPIED, content)
+    folder.continue_from(run.root, COPIED, content)
 
 
 def with_halfway(run: JudgedRun) -> tuple[Cameras, list[str]]:

@@ -13,6 +13,7 @@ from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.rendering import render_each
 
+# The numbers of this block: by eye.
 WRONG = 0.05
 """A colour is wrong when it is off by more than this, in the mean of red, green and blue."""
 WINDOW = 5  # in which the contrast of a photo is measured [pixels]
@@ -27,8 +28,8 @@ SIGNALS = {
     "others": -1.729,  # share of it that is shown by photos other than the one it came from
     "photos": -0.643,  # how many show it, up to `MOST_PHOTOS`
 }
-"""What multiplies each signal."""
-CONSTANT = 13.034
+"""What multiplies each signal. Fitted: docs/notes/uncertainty.md."""
+CONSTANT = 13.034  # fitted with them
 
 
 def uncertainty(

@@ -15,7 +15,7 @@ likeness = SourceFileLoader("likeness", str(FILE)).load_module()
 def without_weights(monkeypatch):
     """LPIPS has tests of its own, and its weights may be missing."""
     distance = lambda image, photo: float(np.abs(image - photo).mean())  # noqa: E731
-    monkeypatch.setattr(likeness, "lpips", distance)
+    monkeypatch.setattr(likeness, "lpips_distance", distance)
 
 
 def picture(seed=0, size=(48, 65)):

@@ -1,49 +1,9 @@
-"""Outlines drawn by hand: the tool keeps what was drawn, and the file holds what it promises."""
+"""Outlines drawn by hand: the file holds what it promises."""
 
 import json
-import runpy
-import sys
 from pathlib import Path
 
-import pytest
-from PIL import Image
-
 ROOT = Path(__file__).parents[2]
-SCRIPT = str(ROOT / "benchmarks/outlines.py")
-PHOTO = "scene/images/0.png"
-
-
-@pytest.fixture
-def run(tmp_path, monkeypatch):
-    """The tool on a photo of 40 x 30 pixels, with a file of its own."""
-    (tmp_path / PHOTO).parent.mkdir(parents=True)
-    Image.new("RGB", (40, 30)).save(tmp_path / PHOTO)
-
-    def call(*words):
-        monkeypatch.setattr(sys, "argv", ["outlines.py", str(tmp_path), *words])
-        main = runpy.run_path(SCRIPT)["main"]
-        main.__globals__["FILE"] = tmp_path / "outlines.json"
-        main()
-
-    return call
-
-
-def test_an_outline_is_kept_with_its_hole_and_its_word(run, tmp_path):
-    outline, hole = "0,0 9,0 9,9.25 0,9", "3,3 6,3 6,6 3,6"
-    run("add", "scene/pot", PHOTO, outline, "--hole", hole, "--word", "plant pot")
-    pot = json.loads((tmp_path / "outlines.json").read_text())["scene/pot"]
-    assert pot["word"] == "plant pot"
-    assert pot["photos"][PHOTO][0] == [[0, 0], [9, 0], [9, 9.2], [0, 9]]
-    assert len(pot["photos"][PHOTO]) == 2
-
-
-def test_a_check_shows_the_outline_on_the_enlarged_photo(run, tmp_path):
-    run("add", "scene/pot", PHOTO, "15,15 25,15 25,25 15,25")
-    out = tmp_path / "check.png"
-    run("check", "scene/pot", "--zoom", "4", "--out", str(out))
-    shown = Image.open(out)
-    assert shown.size == ((25 + 12 - 3) * 4, (30 - 3) * 4)
-    assert shown.getpixel(((20 - 3) * 4, (15 - 3) * 4 + 2)) == (255, 0, 0)
 
 
 def test_every_outline_of_the_file_has_a_word_and_rings_that_enclose_something():

@@ -44,12 +44,12 @@ from edit3r.kit.photos.cameras import (
 from edit3r.kit.photos.coverage import take_frames
 from edit3r.kit.photos.images import load_photos, save_image
 from edit3r.kit.photos.masks import load_masks
-from edit3r.kit.run_folder import recorded
+from edit3r.kit.provenance import recorded
 from edit3r.kit.scenes.ply import load_ply, save_ply
 from edit3r.kit.weights.files import load_weights as load_trained
 from edit3r.loading.registry import build, default_registry
 from edit3r.running.config import make_run_config
-from edit3r.running.earlier import read_earlier_run
+from edit3r.running.run_folder import RunFolder
 
 SIZE = (24, 32)
 
@@ -317,18 +317,16 @@ def run_folders(rng, folder, given):
     (run / damaged).write_bytes(
         mangled_bytes(rng, content) if tree is None else json_bytes(rng, tree)
     )
-    earlier = read_earlier_run(run)
-    _sound(earlier.scene.gaussians)
-    for views in (earlier.photos, earlier.edited):
+    earlier = RunFolder(run).read().inputs
+    _sound(earlier.before.gaussians)
+    for views in (earlier.photos, earlier.start):
         assert (
             torch.isfinite(views.images).all()
             and torch.isfinite(views.intrinsics).all()
         )
         for name in views.names:
             assert (folder / "out" / f"{name}.png").resolve().parent == folder / "out"
-    assert (
-        len(set(earlier.photos.names)) == len(earlier.records) == earlier.photos.count
-    )
+    assert len(set(earlier.photos.names)) == len(earlier.files) == earlier.photos.count
     mask = folder / "mask.png"
     Image.new("L", (32, 24), 255).save(mask)
     load_masks(

@@ -142,6 +142,18 @@ class Geometry(Tensors):
             intrinsics=None if lens is None else lens[one],
         )
 
+    def select(self, indices: list[int]) -> "Geometry":
+        """The geometry of the views at `indices`, of which the first is view 0."""
+        lens = self.intrinsics
+        return replace(
+            self,
+            c2w=self.c2w[:, indices],
+            depths=self.depths[:, indices],
+            confidence=self.confidence[:, indices],
+            registered=self.registered[:, indices],
+            intrinsics=None if lens is None else lens[:, indices],
+        )
+
     def at(self, size: tuple[int, int]) -> "Geometry":
         """This geometry for views of another (height, width) [pixels]."""
         # Nearest: depths are never mixed across an edge.

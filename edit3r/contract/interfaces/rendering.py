@@ -15,7 +15,7 @@ from edit3r.contract.torch_state import Function, in_usual_torch
 from edit3r.contract.types import DC, Cameras, Gaussians, Rendering, Views
 
 OFF = 0.01
-"""How far what must be 0 or 1 in a camera may be off."""
+"""How far what must be 0 or 1 in a camera may be off. A sanity limit."""
 
 
 def _with_cameras(render: Function) -> Function:

@@ -16,7 +16,8 @@ from edit3r.contract.types import Views
 
 Box = tuple[float, float, float, float]
 """x, y, width, height [shares of a view's sides]."""
-SURE = 0.63  # confidence under which the run asks whether the right thing was found
+# confidence under which the run asks whether the right thing was found; docs/notes/selecting.md
+SURE = 0.63
 MOST_GROWN = 100_000  # pixels that an outline may move
 BACKGROUND = "background"  # the words for everything but what stands out
 WAYS = ("given", "region", "marked", "words", "guess", "geometry", "pictures")

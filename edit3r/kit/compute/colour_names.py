@@ -69,7 +69,8 @@ _NO_COLOURS = _words_of(
 _STUFF = _NO_COLOURS - {"snow", "dark", "pale", "sepia", "water"}
 
 MAX_WORDS = 6
-_A_KIND = 0.45  # how far a colour may be from the basic one that it is a kind of [RGB]
+# how far a colour may be from the basic one that it is a kind of [RGB]; by eye
+_A_KIND = 0.45
 
 
 def read_colour(words: list[str]) -> tuple[Colour, int] | None:

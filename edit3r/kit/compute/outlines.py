@@ -7,7 +7,8 @@ from jaxtyping import Bool, Float
 
 Mask = Bool[np.ndarray | torch.Tensor, "height width"]
 
-EDGE_REACH = 0.008  # how far a soft edge may reach [longer sides of the image]
+# how far a soft edge may reach [longer sides of the image]; not measured
+EDGE_REACH = 0.008
 EDGE_EPSILON = 1e-4  # colour variance under which the guided filter smooths
 
 

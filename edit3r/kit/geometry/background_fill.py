@@ -30,10 +30,12 @@ __all__ = ["background_layer", "rim"]
 RIM_BLOCK = 4
 BACKGROUND_BLOCK = 6
 
+# The numbers of this block: docs/notes/ledger.md.
 # Standard deviation in blocks: neighbours close up without gaps.
 RIM_FOOTPRINT = 0.6
 BACKGROUND_FOOTPRINT = 0.8
 
+# The numbers of this block: docs/notes/ledger.md.
 REACH = 0.1  # how far a surface goes on behind what stands before it [long sides]
 EDGE = 1.02  # ratio of depths above which one surface stands before another
 BEHIND = 1.01  # relative depth at which the background layer lies behind its surface

@@ -18,6 +18,7 @@ from edit3r.contract.types import Views
 from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.geometry.warping import nearest_views, shared_surface, warp
 
+# The numbers of this block: docs/notes/classical.md.
 SIDE = 128  # pixels of the longer side at which photos are compared
 EXPOSED = (0.03, 0.97)  # sRGB values outside are clipped and tell nothing
 NEAR_VIEWS = 6  # others with which each of many photos is compared

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from edit3r.contract.types import DC
 
+# Formula of the real harmonics.
 # Factors of the functions of degree 1 to 4.
 C1 = 0.5 * sqrt(3 / pi)
 C2 = tuple(

@@ -19,7 +19,8 @@ __all__ = [
     "size_of",
 ]
 
-MARGIN = 0.01  # of `dilate_softly` [longer sides]: an edit needs room at the edge of its mask
+# of `dilate_softly` [longer sides]: an edit needs room at the edge of its mask; not measured
+MARGIN = 0.01
 
 
 def size_of(maps: Float[Tensor, "*batch height width"]) -> tuple[int, int]:

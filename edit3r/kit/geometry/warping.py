@@ -28,14 +28,16 @@ __all__ = [
 
 TOLERANCE = 0.03
 """Relative difference in depth by which a pixel must stand before a surface to hide it; below, it
-shows it too.
+shows it too. Not measured.
 """
 
 
 LITTLE_MEASURED = 0.5
 """Share of a view that was measured, below which its guesses count less than what others show."""
 CLEARLY_MORE = 0.15
-"""By how much more another view must have measured [share of its pixels]."""
+"""By how much more another view must have measured [share of its pixels].
+See docs/notes/classical.md.
+"""
 NEAR_VIEWS = 12
 """Others that tell of each view's pixels which ones they contradict: asking all of many views takes
 time with the square of their number.

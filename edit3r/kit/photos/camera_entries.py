@@ -24,8 +24,11 @@ from edit3r.contract.lens import Lens
 from edit3r.kit.photos.decode import MAX_JPEG_PIXELS, SUFFIXES, image_size
 
 TOLERANCE = 0.01
-"""How far a rotation's products, or a number that must be 0 or 1, may be off: files are rounded."""
+"""How far a rotation's products, or a number that must be 0 or 1, may be off: files are rounded.
+A sanity limit.
+"""
 
+# The numbers of this block: sanity limits.
 MIN_FOCAL = 0.01  # of the longer side
 MAX_FOCAL = 1000.0
 MAX_POSITION = 1e8  # [the file's unit]: float32 would keep nothing of the rest

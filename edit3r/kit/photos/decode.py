@@ -61,9 +61,9 @@ DEVELOP = "develop raw photos first, and export JPEG or TIFF."
 # [mm]; CIPA DCG-001 defines the 35 mm equivalent by the diagonal.
 _FULL_FRAME_DIAGONAL = math.hypot(36, 24)
 
-WIDEST = 2.25  # long by short side of what a lens took at once
+WIDEST = 2.25  # long by short side of what a lens took at once; a sanity limit
 
-# FocalPlaneResolutionUnit: inch, cm, mm, um.
+# FocalPlaneResolutionUnit: inch, cm, mm, um: the format
 _UNIT_MM = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
 
 # Tags of TIFF.

@@ -22,13 +22,13 @@ from edit3r.kit.photos.decode import ImageHeader
 
 DEFAULT_FOV = 60.0
 """Field of view across the longer side [degrees] when nothing is known: a 31 mm lens, between a
-phone's main camera (about 67) and a standard lens (about 40).
+phone's main camera (about 67) and a standard lens (about 40). Not measured.
 """
 
 NO_CAMERAS = "none"
 """Said in the place of a camera file: none is looked for beside the photos either."""
 
-# relative difference of aspect ratios that rounding of scaled sizes explains
+# relative difference of aspect ratios that rounding of scaled sizes explains; a sanity limit
 SHAPE_TOLERANCE = 0.01
 
 

@@ -65,7 +65,7 @@ _FADED = 12  # most that the channels of a grey differ [levels]
 _DARK = 32  # below which the values of a mask are numbers of labels, not greys
 _DARK_ALONE = 128  # the same of the only value besides black
 _VOID = {(255,), (224, 224, 192)}  # what data sets draw around their labels
-_LEAST_SHARE = 0.002  # of the picture that a label takes
+_LEAST_SHARE = 0.002  # of the picture that a label takes; a sanity limit
 _MOST_LABELS = 12
 
 

@@ -19,6 +19,7 @@ from edit3r.kit.photos.cameras import (
 from edit3r.kit.scenes.axes import LEAST_OPACITY
 from edit3r.kit.scenes.files import TRAINED
 
+# The numbers of this block: sanity limits.
 SIZE = (480, 640)  # of a look from outside: height, width [pixels]
 VIEW = 60.0  # its horizontal field of view [degrees]
 CORE = 0.9  # share of the Gaussians, on each axis, that it takes in

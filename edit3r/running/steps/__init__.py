@@ -4,5 +4,5 @@
     photos   geometry    masks      edited   Gaussians       Gaussians  verdicts
 
 `edit3r.running.loop` is the loop over them. `read` begins, with the job alone; the others get the
-components of the run as `Parts`. One file each, named after its step.
+components of the run as `Components`. One file each, named after its step.
 """

@@ -12,32 +12,35 @@ from edit3r.contract.types import EditRequest, Views
 from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.checks import check_edit, check_edit_verdict, errors_named_after
 from edit3r.kit.geometry.maps import composite, feathered
+from edit3r.running.components import Components
 from edit3r.running.edit_alignment import AlignedEdit, align_edit
 from edit3r.running.editors import edit_to_judge, request_of
-from edit3r.running.parts import Parts
 from edit3r.running.records import EditedPhotos, Inputs, SelectedRegions
 
 
 @torch.no_grad()
-def edit(inputs: Inputs, selection: SelectedRegions, parts: Parts) -> EditedPhotos:
+def edit(
+    inputs: Inputs, selection: SelectedRegions, components: Components
+) -> EditedPhotos:
     """Edit all views, or the first alone, one editor after the other."""
-    with stage(f"edit ({parts.editor_names})"):
-        made = edit_alone(inputs, selection, parts)
-        return replace(made, verdict=_verdict(inputs, selection, made, parts))
+    with stage(f"edit ({components.editor_names})"):
+        edited = edit_alone(inputs, selection, components)
+        verdict = _verdict(inputs, selection, edited, components)
+        return replace(edited, verdict=verdict)
 
 
 @torch.no_grad()
 def edit_alone(
-    inputs: Inputs, selection: SelectedRegions, parts: Parts
+    inputs: Inputs, selection: SelectedRegions, components: Components
 ) -> EditedPhotos:
     """The same without a verdict."""
-    config, views = parts.config, inputs.start
-    count = parts.edited_count(views)
+    config, views = components.config, inputs.start
+    count = components.edited_count(views)
     chosen = views.select(range(count))
     edited, done = chosen, 0
     faults: list[str] = []
     moved: list[str] = []
-    for task in parts.tasks:
+    for task in components.tasks:
         instructions = range(done, done + len(task.instructions))
         request = request_of(task, selection, config.seed, instructions)
         request = request.of_views(range(count))
@@ -49,7 +52,7 @@ def edit_alone(
             answer = replace(answer, images=aligned.images)
         edited = _held_to_masks(task.editor, edited, answer, request.masks)
         done += len(task.instructions)
-    edited = _in_part(chosen, edited, selection.masks, parts)
+    edited = _in_part(chosen, edited, selection.masks, components)
     _note_change(edited, chosen)
     images = edited.images
     if count < views.count:
@@ -57,9 +60,11 @@ def edit_alone(
     return EditedPhotos(replace(views, images=images), tuple(faults), tuple(moved))
 
 
-def _in_part(views: Views, edited: Views, masks: Tensor | None, parts: Parts) -> Views:
+def _in_part(
+    views: Views, edited: Views, masks: Tensor | None, components: Components
+) -> Views:
     """As much of the edit as `strength` and `feather` ask for."""
-    config = parts.config
+    config = components.config
     if config.strength == 1 and (masks is None or not config.feather):
         return edited
     weights = torch.ones_like(views.images[:, :, 0])
@@ -70,15 +75,20 @@ def _in_part(views: Views, edited: Views, masks: Tensor | None, parts: Parts) ->
 
 
 def _verdict(
-    inputs: Inputs, selection: SelectedRegions, made: EditedPhotos, parts: Parts
+    inputs: Inputs,
+    selection: SelectedRegions,
+    edited: EditedPhotos,
+    components: Components,
 ) -> EditVerdict | None:
     """What can be said of the edit before anything is in 3D; None where none was asked for."""
-    if not parts.config.prompt and torch.equal(made.views.images, inputs.start.images):
+    if not components.config.prompt and torch.equal(
+        edited.views.images, inputs.start.images
+    ):
         return None
-    count = parts.edited_count(inputs.start)
-    asked = edit_to_judge(inputs, selection, made, parts.tasks, count)
-    verdict = parts.critic.judge_edit(asked)
-    check_edit_verdict(parts.critic, verdict)
+    count = components.edited_count(inputs.start)
+    asked = edit_to_judge(inputs, selection, edited, components.tasks, count)
+    verdict = components.critic.judge_edit(asked)
+    check_edit_verdict(components.critic, verdict)
     if verdict.label == "doubtful":
         warn(f"the edit is doubtful: {verdict.reason}.")
     return verdict

@@ -19,10 +19,11 @@ from edit3r.kit.checks import check_edit_verdict, check_verdict
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.paths import half_way
 from edit3r.kit.rendering import render_each, render_one
+from edit3r.running.components import Components
 from edit3r.running.editors import edit_to_judge
-from edit3r.running.parts import Parts
 from edit3r.running.records import (
     EditedPhotos,
+    ExposureCorrected,
     Inputs,
     Judged,
     Located,
@@ -42,63 +43,65 @@ def judge(
     located: Located,
     selection: SelectedRegions,
     edit: EditedPhotos,
-    made: Reconstructed,
+    corrected: ExposureCorrected,
+    reconstructed: Reconstructed,
     gaussians: Gaussians,
-    parts: Parts,
+    components: Components,
 ) -> Judged:
     """The refined scene from its input views, and the verdicts."""
     size = inputs.start.image_size
     with stage("check"):
-        first, rendered = _from_photos(located, made, gaussians, size, parts.rasterizer)
-        cameras, half = made.cameras.at(size), None
+        first, rendered = _from_photos(
+            corrected, reconstructed, gaussians, size, components.rasterizer
+        )
+        cameras, half = reconstructed.cameras.at(size), None
         if cameras.count > 1:
-            half = seen_half_way(parts.rasterizer, gaussians, cameras)
-        geometry = None
-        if parts.uses_geometry:
-            geometry = parts.geometry.of(made.photos).geometry
-        verdict = parts.critic.judge_scene(
+            half = seen_half_way(components.rasterizer, gaussians, cameras)
+        reference = None
+        if located.geometry is not None:
+            used, drawn_by = reconstructed.used, components.rasterizer
+            reference = _reference(located.geometry, used, edit.views, drawn_by)
+        verdict = components.critic.judge_scene(
             SceneToJudge(
-                photos=made.photos,
-                placed=made.placed,
-                geometry=geometry,
+                photos=reconstructed.photos,
+                placed=reconstructed.placed,
+                geometry=located.geometry,
                 edited=edit.views,
-                cameras=made.cameras,
-                gaussians=made.reconstruction.gaussians,
+                cameras=reconstructed.cameras,
+                gaussians=reconstructed.reconstruction.gaussians,
                 first=first,
                 rendered=rendered,
-                measured=made.reconstruction.measured,
+                measured=reconstructed.reconstruction.measured,
                 flat=located.flat,
                 lenses=located.lenses,
                 edit=edit.verdict,
                 half_way=half,
-                reference=None
-                if geometry is None
-                else _reference(geometry, made.used, edit.views, parts.rasterizer),
-                components=_components(parts),
+                reference=reference,
+                components=_named(components),
             )
         )
-        check_verdict(parts.critic, verdict)
-        selection = replace(selection, masks=made.masks)
+        check_verdict(components.critic, verdict)
+        selection = replace(selection, masks=reconstructed.masks)
         edit_verdict = _edit_verdict(
-            inputs, selection, edit, rendered, cameras, half, parts
+            inputs, selection, edit, rendered, cameras, half, components
         )
     return Judged(rendered, verdict, edit_verdict)
 
 
 def _from_photos(
-    located: Located,
-    made: Reconstructed,
+    corrected: ExposureCorrected,
+    reconstructed: Reconstructed,
     gaussians: Gaussians,
     size: tuple[int, int],
     rasterizer: Rasterizer,
 ) -> tuple[Rendering, Rendering]:
     """The scene before any refiner, and the final one, drawn once where they are the same."""
-    before, text = made.reconstruction.gaussians, "render input views"
-    drawn = [(before, made.cameras)]
-    if gaussians is not before or made.cameras.image_size != size:
-        drawn.append((gaussians, made.cameras.at(size)))
+    before, text = reconstructed.reconstruction.gaussians, "render input views"
+    drawn = [(before, reconstructed.cameras)]
+    if gaussians is not before or reconstructed.cameras.image_size != size:
+        drawn.append((gaussians, reconstructed.cameras.at(size)))
     shown = [
-        located.in_own_exposure(render_each(rasterizer, scene, cameras, text))
+        corrected.undone(render_each(rasterizer, scene, cameras, text))
         for scene, cameras in drawn
     ]
     return shown[0], shown[-1]
@@ -124,15 +127,16 @@ def _reference(
     )
 
 
-def _components(parts: Parts) -> dict[str, str]:
+def _named(components: Components) -> dict[str, str]:
+    """The name of each component by the part of a run that it is."""
     found = {
-        "editor": parts.editor_names,
-        "reconstructor": component_name(parts.reconstructor),
-        "refiner": " + ".join(map(component_name, parts.refiners)),
-        "rasterizer": component_name(parts.rasterizer),
+        "editor": components.editor_names,
+        "reconstructor": component_name(components.reconstructor),
+        "refiner": " + ".join(map(component_name, components.refiners)),
+        "rasterizer": component_name(components.rasterizer),
     }
-    if parts.uses_geometry:
-        found["geometry"] = component_name(parts.geometry.source)
+    if components.uses_geometry:
+        found["geometry"] = component_name(components.geometry_source)
     return found
 
 
@@ -150,17 +154,17 @@ def _edit_verdict(
     rendered: Rendering,
     cameras: Cameras,
     half: HalfWay | None,
-    parts: Parts,
+    components: Components,
 ) -> EditVerdict | None:
     """The verdict on the edit, with what the scene tells of it."""
     if edit.verdict is None:
         return None
-    count = parts.edited_count(inputs.start)
-    asked = edit_to_judge(inputs, selection, edit, parts.tasks, count)
-    verdict = parts.critic.judge_edit(
+    count = components.edited_count(inputs.start)
+    asked = edit_to_judge(inputs, selection, edit, components.tasks, count)
+    verdict = components.critic.judge_edit(
         replace(asked, rendered=rendered, cameras=cameras, half_way=half)
     )
-    check_edit_verdict(parts.critic, verdict)
+    check_edit_verdict(components.critic, verdict)
     return verdict
 
 

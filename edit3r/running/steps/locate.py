@@ -4,19 +4,21 @@ from dataclasses import replace
 
 import torch
 
-from edit3r.contract.interfaces import Geometry
+from edit3r.contract.interfaces import Geometry, MatchesLevelled
 from edit3r.contract.reporting import note, say, stage
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.cameras import field_of_view
 from edit3r.kit.geometry.exposure import (
     Exposure,
+    ExposureOfEdit,
     estimate_exposure,
     exposure_of_edit,
 )
-from edit3r.running.geometry import lies_flat
-from edit3r.running.parts import Parts
+from edit3r.running.components import Components
+from edit3r.running.geometry import GeometryAnswer, find_geometry, lies_flat
 from edit3r.running.records import (
     EditedPhotos,
+    ExposureCorrected,
     Inputs,
     Located,
     SelectedRegions,
@@ -25,74 +27,86 @@ from edit3r.running.records import (
 
 
 @torch.no_grad()
-def locate(inputs: Inputs, parts: Parts) -> tuple[Inputs, Located]:
+def locate(inputs: Inputs, components: Components) -> tuple[Inputs, Located]:
     """Read geometry and exposure from the photos before anything is edited.
 
     Where the reconstructor uses no geometry, nothing is read here: selecting may ask for it. EXIF
     that does not fit the photos is not believed. Raises MatchingError for photos that cannot be
     placed relative to each other.
     """
-    if not parts.uses_geometry:
+    if not components.uses_geometry:
         _note_lens(inputs, None)
         return inputs, Located()
     with stage("geometry"):
-        inputs, geometry = _fitting(inputs, parts)
-        photos = inputs.photos
+        inputs, answer = _fitting(inputs, components)
+        photos, geometry = inputs.photos, answer.required()
         flat = any(photos.assumed) and lies_flat(geometry, photos)
         lenses = _note_lens(inputs, geometry)
-        exposure = _exposure(photos, geometry, parts)
-        return inputs, Located(geometry, flat, lenses, exposure)
+        exposure = _exposure(photos, geometry, components)
+        corrected = None
+        source = components.geometry_source
+        if exposure is not None and isinstance(source, MatchesLevelled):
+            levelled = replace(photos, images=exposure.to_reference(photos.images))
+            corrected = find_geometry(source, photos, levelled).required()
+        return inputs, Located(answer, corrected, flat, lenses, exposure)
 
 
 @torch.no_grad()
-def light_of_edit(
+def correct_exposure(
     inputs: Inputs,
     located: Located,
     selection: SelectedRegions,
     edit: EditedPhotos,
-    parts: Parts,
-) -> Located:
-    """How the edited photos come into one light, where the photos were taken in several.
+    components: Components,
+) -> ExposureCorrected:
+    """The photos before and after the edit in the first one's exposure.
 
-    What stands elsewhere after the edit, as behind a removed thing, follows the photos' light:
-    their geometry does not tell what the edited photos share.
+    What was edited may follow other light than the photos (`exposure_of_edit`). What stands
+    elsewhere after the edit, as behind a removed thing, follows the photos' light: their geometry
+    does not tell what the edited photos share.
     """
-    if located.exposure is None or parts.changes_shape:
-        return located
-    photos, edited = inputs.photos, edit.views
+    photos, edited, exposure = inputs.photos, edit.views, located.exposure
+    if exposure is None:
+        return ExposureCorrected(photos, edited)
+    of_edit: Exposure | ExposureOfEdit = exposure
     changed = (edited.images != photos.images).any(2)
-    geometry = parts.geometry.of(photos).geometry
-    if geometry is None or not bool(changed.any()):
-        return located
-    # Inside the masks what an edit left as it was, as white under black and white, belongs to it.
-    count = parts.edited_count(edited)
-    masks = selection.masks
-    region = masks > 0 if is_confined(masks) else torch.ones_like(changed)
-    changed[:, :count] |= region[:, :count]
-    exposure = exposure_of_edit(located.exposure, edited, changed, geometry)
-    return replace(located, exposure_of_edit=exposure)
+    geometry = located.geometry
+    if not components.changes_shape and geometry is not None and bool(changed.any()):
+        # Inside the masks what an edit left as it was, as white under black and white, belongs to
+        # it.
+        count = components.edited_count(edited)
+        masks = selection.masks
+        region = masks > 0 if is_confined(masks) else torch.ones_like(changed)
+        changed[:, :count] |= region[:, :count]
+        of_edit = exposure_of_edit(exposure, edited, changed, geometry)
+    return ExposureCorrected(
+        replace(photos, images=exposure.to_reference(photos.images)),
+        replace(edited, images=of_edit.to_reference(edited.images)),
+        of_edit,
+    )
 
 
-def _fitting(inputs: Inputs, parts: Parts) -> tuple[Inputs, Geometry]:
+def _fitting(inputs: Inputs, components: Components) -> tuple[Inputs, GeometryAnswer]:
     """The geometry, and the inputs without what EXIF says of a lens that does not fit."""
-    located = parts.geometry.of(inputs.photos)
+    source = components.geometry_source
+    answer = find_geometry(source, inputs.photos)
     if not _by_exif(inputs) or (
-        located.geometry is not None and not located.geometry.contradicts
+        answer.geometry is not None and not answer.geometry.contradicts
     ):
-        return inputs, located.required()
+        return inputs, answer
     unknown = (True,) * inputs.photos.count
     photos, start = (
         replace(views, assumed=unknown) for views in (inputs.photos, inputs.start)
     )
-    geometry = parts.geometry.of(photos).geometry
-    if geometry is None or geometry.intrinsics is None:
-        return inputs, located.required()
+    read = find_geometry(source, photos)
+    if read.geometry is None or read.geometry.intrinsics is None:
+        return inputs, answer
     say(
         "lens.exif",
         "what EXIF says of the lens does not fit the photos, as where they were cropped; it is "
         "read from the photos instead, unless --fov tells it",
     )
-    return replace(inputs, photos=photos, start=start), geometry
+    return replace(inputs, photos=photos, start=start), read
 
 
 def _by_exif(inputs: Inputs) -> bool:
@@ -117,9 +131,11 @@ def _note_lens(inputs: Inputs, geometry: Geometry | None) -> tuple[float, float]
     return geometry.lenses
 
 
-def _exposure(photos: Views, geometry: Geometry, parts: Parts) -> Exposure | None:
+def _exposure(
+    photos: Views, geometry: Geometry, components: Components
+) -> Exposure | None:
     """How the photos' colours become the first one's."""
-    if parts.config.exposure == "own":
+    if components.config.exposure == "own":
         return None
     exposure = estimate_exposure(photos, geometry)
     if exposure is not None:

@@ -1,4 +1,4 @@
-"""Step 1: the photos, as views, and what is marked on them."""
+"""Step 1: the photos, as views in a unit of their own, and what is marked on them."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,9 +16,9 @@ from edit3r.kit.files.names import unique_names
 from edit3r.kit.photos.coverage import USUAL_FRAMES, choose_photos, origin
 from edit3r.kit.photos.images import LoadedPhotos, find_photos, load_photos
 from edit3r.kit.photos.masks import read_mask
-from edit3r.running.earlier import EarlierRun
 from edit3r.running.job import RunJob
 from edit3r.running.records import Inputs
+from edit3r.running.scale import has_given_poses, own_unit
 from edit3r.running.selecting.marks import MarkTexts
 
 _MOST_OF_A_THING = 0.5
@@ -33,7 +33,7 @@ def read(job: RunJob, read_lens: Callable[[Views], Lens | None]) -> Inputs:
     with stage("read photos"):
         masks = job.masks
         if job.earlier is not None:
-            inputs = _read_earlier(job.earlier)
+            inputs = job.earlier.inputs
         elif isinstance(job.photos, Views):
             names = tuple(unique_names(job.photos.called))
             photos = replace(job.photos, names=names)
@@ -46,18 +46,18 @@ def read(job: RunJob, read_lens: Callable[[Views], Lens | None]) -> Inputs:
             if masks is None and job.config.prompt:
                 inputs = _with_masks_of_cameras(inputs)
         inputs = replace(inputs, prompts=(*inputs.prompts, job.config.prompt))
-        return _with_marks(inputs, masks, job.components["reader"])
+        inputs = _with_marks(inputs, masks, job.components["reader"])
+        return _in_own_unit(inputs)
 
 
-def _read_earlier(earlier: EarlierRun) -> Inputs:
-    return Inputs(
-        photos=earlier.photos,
-        start=earlier.edited,
-        files=earlier.records,
-        prompts=earlier.prompts,
-        things=earlier.things,
-        before=earlier.scene,
-    )
+def _in_own_unit(inputs: Inputs) -> Inputs:
+    """The inputs in a unit in which the given cameras stand about 1 apart."""
+    unit, before = own_unit(inputs.photos), inputs.before
+    if before is not None:
+        stands = has_given_poses(before, inputs.photos)
+        before = unit.where(stands).reconstruction(before)
+    photos, start = unit.views(inputs.photos), unit.views(inputs.start)
+    return replace(inputs, photos=photos, start=start, before=before, unit=unit)
 
 
 def _read_files(

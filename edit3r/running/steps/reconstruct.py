@@ -9,7 +9,6 @@ from edit3r.contract.component import component_name
 from edit3r.contract.interfaces import (
     ComparesWithBefore,
     EditsViews,
-    Geometry,
     Reconstructor,
 )
 from edit3r.contract.reporting import note, stage, warn
@@ -18,10 +17,12 @@ from edit3r.kit.cache import recall
 from edit3r.kit.checks import check_reconstruction, errors_named_after
 from edit3r.kit.geometry.cameras import quarter_turns
 from edit3r.kit.geometry.pose import estimate_cameras
+from edit3r.running.components import Components
 from edit3r.running.editors import request_of
-from edit3r.running.parts import Parts
+from edit3r.running.geometry import find_geometry
 from edit3r.running.records import (
     EditedPhotos,
+    ExposureCorrected,
     Inputs,
     Located,
     Masks,
@@ -41,23 +42,24 @@ the same surfaces again, and memory must hold them.
 def reconstruct(
     inputs: Inputs,
     located: Located,
+    corrected: ExposureCorrected,
     selection: SelectedRegions,
     edit: EditedPhotos,
-    parts: Parts,
+    components: Components,
 ) -> Reconstructed:
     """Gaussians and cameras of the edited views, and the scene as it was before the edit."""
-    with stage(f"reconstruct ({component_name(parts.reconstructor)})"):
-        made = _reconstructed(inputs, located, selection, edit, parts)
-        masks = _masks_of_change(inputs, selection, edit, parts)
-        before = _before(inputs, located, masks, parts)
+    with stage(f"reconstruct ({component_name(components.reconstructor)})"):
+        scene = _reconstruction(located, corrected, selection, components)
+        masks = _masks_of_change(inputs, selection, edit, components)
+        before = _before(inputs, located, corrected, masks, components)
     if before is not None:
-        cameras = known_cameras(before).at(known_cameras(made).image_size)
-        made = replace(made, cameras=cameras)
-    placed = _placed(made, inputs.photos.count)
+        cameras = known_cameras(before).at(known_cameras(scene).image_size)
+        scene = replace(scene, cameras=cameras)
+    placed = _placed(scene, inputs.photos.count)
     used = [view for view, there in enumerate(placed) if there]
-    _tell_of_turned(inputs.photos.select(used), known_cameras(made))
+    _tell_of_turned(inputs.photos.select(used), known_cameras(scene))
     return Reconstructed(
-        reconstruction=made,
+        reconstruction=scene,
         photos=inputs.photos,
         placed=placed,
         masks=None if masks is None else masks[:, used],
@@ -77,24 +79,26 @@ def _tell_of_turned(photos: Views, cameras: Cameras) -> None:
             )
 
 
-def _reconstructed(
-    inputs: Inputs,
+def _reconstruction(
     located: Located,
+    corrected: ExposureCorrected,
     selection: SelectedRegions,
-    edit: EditedPhotos,
-    parts: Parts,
+    components: Components,
 ) -> Reconstruction:
     """The edited views in 3D; their geometry is that of the photos, unless things come or go."""
-    recon, edited = parts.reconstructor, located.edited_in_one_exposure(edit.views)
-    source = edited if parts.changes_shape else located.in_one_exposure(inputs.photos)
-    reshaped = edited if parts.changes_shape else None
-    geometry = _geometry(inputs, located, parts, reshaped)
+    recon, edited = components.reconstructor, corrected.edited
+    source, geometry = corrected.photos, located.to_build_on
+    if components.changes_shape:
+        source = edited
+        if components.uses_geometry:
+            asked = components.geometry_source
+            geometry = find_geometry(asked, edited).required()
     if not isinstance(recon, EditsViews):
-        grid = _grid(parts, edited)
+        grid = _grid(components, edited)
         return _checked(recon, edited, lambda: recon(edited, source, geometry, grid))
-    task = parts.only_task
+    task = components.only_task
     instructions = range(len(task.instructions))
-    request = request_of(task, selection, parts.config.seed, instructions)
+    request = request_of(task, selection, components.config.seed, instructions)
     return _checked(
         recon,
         edited,
@@ -102,26 +106,11 @@ def _reconstructed(
     )
 
 
-def _geometry(
-    inputs: Inputs, located: Located, parts: Parts, reshaped: Views | None = None
-) -> Geometry | None:
-    """What the reconstructor is given of the photos' geometry; of the `reshaped` ones where the
-    edit adds or removes things.
-    """
-    if not parts.uses_geometry:
-        return None
-    if reshaped is not None:
-        return parts.geometry.of(reshaped).required()
-    photos = inputs.photos
-    levelled = None if located.exposure is None else located.in_one_exposure(photos)
-    return parts.geometry.of(photos, levelled).required()
-
-
-def _grid(parts: Parts, views: Views) -> tuple[int, int]:
+def _grid(components: Components, views: Views) -> tuple[int, int]:
     """(height, width) of the grid of Gaussians: coarser than the views where refining follows."""
-    refined = parts.config.refine and not parts.reconstructor.fuses_by_itself
+    refined = components.config.refine and not components.reconstructor.fuses_by_itself
     fine = min(1.0, (FINE_VIEWS / views.count) ** 0.5)
-    share = parts.config.grid * fine if refined else 1.0
+    share = components.config.grid * fine if refined else 1.0
     height, width = views.image_size
     return max(1, round(share * height)), max(1, round(share * width))
 
@@ -175,7 +164,10 @@ def _only_placed(reconstruction: Reconstruction) -> Reconstruction:
 
 
 def _masks_of_change(
-    inputs: Inputs, selection: SelectedRegions, edit: EditedPhotos, parts: Parts
+    inputs: Inputs,
+    selection: SelectedRegions,
+    edit: EditedPhotos,
+    components: Components,
 ) -> Masks | None:
     """Where the scene may change: the masks, else, after an earlier run, where the images did.
 
@@ -185,24 +177,30 @@ def _masks_of_change(
         return selection.masks
     start = inputs.start.images
     changed = (edit.views.images != start).any(2).to(start)
-    changed[:, parts.edited_count(inputs.start) :] = 1
+    changed[:, components.edited_count(inputs.start) :] = 1
     return changed
 
 
 def _before(
-    inputs: Inputs, located: Located, masks: Masks | None, parts: Parts
+    inputs: Inputs,
+    located: Located,
+    corrected: ExposureCorrected,
+    masks: Masks | None,
+    components: Components,
 ) -> Reconstruction | None:
     """The scene as it was before the edit, where a refiner needs it and some of it must stay."""
-    needed = any(isinstance(refiner, ComparesWithBefore) for refiner in parts.refiners)
-    if not needed or parts.changes_shape or not is_confined(masks):
+    needed = any(
+        isinstance(refiner, ComparesWithBefore) for refiner in components.refiners
+    )
+    if not needed or components.changes_shape or not is_confined(masks):
         return None
     if inputs.before is not None:  # an earlier run's
         return inputs.before
-    recon, photos = parts.reconstructor, located.in_one_exposure(inputs.photos)
+    recon, photos = components.reconstructor, corrected.photos
     if isinstance(recon, EditsViews):
         # It has no answer for photos that are not to be edited.
         return None
-    geometry, grid = _geometry(inputs, located, parts), _grid(parts, photos)
+    geometry, grid = located.to_build_on, _grid(components, photos)
 
     def compute() -> Reconstruction:
         return _checked(recon, photos, lambda: recon(photos, photos, geometry, grid))

@@ -9,12 +9,12 @@ from edit3r.contract.types import Gaussians, Views
 from edit3r.kit.checks import check_refinement, errors_named_after
 from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.maps import composite
-from edit3r.running.parts import Parts
-from edit3r.running.records import EditedPhotos, Located, Reconstructed
+from edit3r.running.components import Components
+from edit3r.running.records import ExposureCorrected, Reconstructed
 
 
 def refine(
-    located: Located, edit: EditedPhotos, made: Reconstructed, parts: Parts
+    corrected: ExposureCorrected, reconstructed: Reconstructed, components: Components
 ) -> Gaussians:
     """Apply the refiners.
 
@@ -22,9 +22,9 @@ def refine(
     their order. In a first run it has not: refiners that compare with it come first, where both
     scenes have one Gaussian a pixel and fit without gaps, and the others refine all.
     """
-    again = parts.edits_again
-    refiners = parts.refiners
-    if len(refiners) < len(parts.config.all_refiners()):
+    again = components.edits_again
+    refiners = components.refiners
+    if len(refiners) < len(components.config.all_refiners()):
         say(
             "refine.left_out",
             "the reconstructor's Gaussians are kept as they are, for they settle disagreeing edits "
@@ -34,18 +34,18 @@ def refine(
         first = [one for one in refiners if isinstance(one, ComparesWithBefore)]
         others = [one for one in refiners if not isinstance(one, ComparesWithBefore)]
         refiners = (*first, *others)
-    first_alone = parts.config.edit_views == "first"
+    first_alone = components.config.edit_views == "first"
     inputs = RefineInputs(
-        cameras=made.cameras,
-        views=edit.views.select([0])
+        cameras=reconstructed.cameras,
+        views=corrected.edited.select([0])
         if first_alone
-        else _as_fused(located, edit.views, made),
-        rasterizer=parts.rasterizer,
-        masks=made.masks,
-        before=None if made.before is None else made.before.gaussians,
-        seed=parts.config.seed,
+        else _as_fused(corrected.edited, reconstructed),
+        rasterizer=components.rasterizer,
+        masks=reconstructed.masks,
+        before=None if reconstructed.before is None else reconstructed.before.gaussians,
+        seed=components.config.seed,
     )
-    gaussians = made.reconstruction.gaussians
+    gaussians = reconstructed.reconstruction.gaussians
     for refiner in refiners:
         compares = isinstance(refiner, ComparesWithBefore)
         if compares and inputs.before is None:
@@ -63,17 +63,16 @@ def _refined(refiner: Refiner, gaussians: Gaussians, inputs: RefineInputs) -> Ga
     return answer
 
 
-def _as_fused(located: Located, views: Views, made: Reconstructed) -> Views:
+def _as_fused(edited: Views, reconstructed: Reconstructed) -> Views:
     """The edited views as the scene shows them: own edits would make them disagree again.
 
     Outside the masks nothing may change, so there the fused edit does not count either.
     """
-    edited = located.edited_in_one_exposure(views)
-    fusion = made.reconstruction.fusion
+    fusion = reconstructed.reconstruction.fusion
     if fusion is None:
         return edited
     change = bilinear(fusion.flatten(0, 1), edited.image_size).view_as(edited.images)
     fused = (edited.images + change).clamp(0, 1)
-    if made.masks is not None:
-        fused = composite(edited.images, fused, made.masks)
+    if reconstructed.masks is not None:
+        fused = composite(edited.images, fused, reconstructed.masks)
     return replace(edited, images=fused)

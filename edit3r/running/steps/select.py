@@ -1,6 +1,8 @@
 """Step 3: which pixels of the photos may change, and how many photos are used."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 
 import torch
 from jaxtyping import Float
@@ -19,8 +21,9 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import stage, warn
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.maps import dilate_softly
-from edit3r.running.parts import Parts
-from edit3r.running.records import Inputs, Preview, SelectedRegions
+from edit3r.running.components import Components
+from edit3r.running.geometry import NOT_ASKED, GeometryAnswer, find_geometry
+from edit3r.running.records import Inputs, Located, Preview, SelectedRegions
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.regions import RegionFinder
 
@@ -30,39 +33,47 @@ docs/notes/selecting.md)."""
 
 
 @torch.no_grad()
-def select(inputs: Inputs, parts: Parts) -> SelectedRegions:
-    """A mask for each instruction on every photo, and where anything may change at all."""
+def select(inputs: Inputs, located: Located, components: Components) -> SelectedRegions:
+    """A mask for each instruction on every photo, and where anything may change at all.
+
+    Geometry that nobody asked for yet is asked for where something is selected by it.
+    """
     with stage("select"):
-        return _widened(_regions(inputs, parts), inputs, parts)
+        selection = _regions(inputs, located, components)
+        return _widened(selection, inputs, components)
 
 
-def require_answer(inputs: Inputs, selection: SelectedRegions, parts: Parts) -> None:
+def require_answer(
+    inputs: Inputs, selection: SelectedRegions, components: Components
+) -> None:
     """Raise QuestionError where words hardly tell which thing is meant, and nobody chose one."""
-    config = parts.config
+    config = components.config
     if config.guess or "reading" in config.set_by_the_user():
         return
     for thing in selection.selected:
         by_words = {"words", "guess"} & {*thing.how}
         if by_words and thing.confidence is not None and thing.confidence < ASKED:
             numbers = " or ".join(f"--reading {one.number}" for one in thing.readings)
-            hints = "".join(parts.reader.hint(one) for one in selection.instructions)
+            hints = "".join(
+                components.reader.hint(one) for one in selection.instructions
+            )
             raise QuestionError(
                 f"which is the {thing.called or 'thing'}? The likeliest candidate has a confidence "
                 f"of {thing.confidence:.0%}, so nothing was edited. Take one ({numbers}), {ASK}, "
-                "or fetch a detector that knows most words (edit3r weights get words); --guess takes "
-                f"the likeliest.{hints}",
+                "or fetch a detector that knows most words (edit3r weights get words); --guess "
+                f"takes the likeliest.{hints}",
                 thing.readings,
                 Preview(inputs, selection, None),
             )
 
 
-def load(inputs: Inputs, parts: Parts) -> Inputs:
+def load(inputs: Inputs, components: Components) -> Inputs:
     """Move the inputs to the run's device. Raises InputError for fewer photos than the
     reconstructor needs.
     """
     with stage("load components"):
-        _require_enough(inputs.start, parts.reconstructor)
-        return inputs.to(parts.config.device)
+        _require_enough(inputs.start, components.reconstructor)
+        return inputs.to(components.config.device)
 
 
 def as_many_as_fit(views: Views, reconstructor: Reconstructor) -> list[int]:
@@ -84,7 +95,9 @@ def _require_enough(views: Views, reconstructor: Reconstructor) -> None:
         )
 
 
-def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
+def _regions(
+    inputs: Inputs, located: Located, components: Components
+) -> SelectedRegions:
     """A region for each instruction, and `masks`, all of them together.
 
     Nothing is looked for where the editor changes whole pictures by a sentence (one that is no
@@ -93,7 +106,7 @@ def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
     """
     views = inputs.start
     instructions = tuple(
-        instruction for task in parts.tasks for instruction in task.instructions
+        instruction for task in components.tasks for instruction in task.instructions
     )
     if inputs.masks is not None:
         expected = [*views.images.shape[:2], *views.image_size]
@@ -111,23 +124,24 @@ def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
             torch.stack(narrowed) if narrowed else None,
             things=inputs.things,
         )
-    regional = any(isinstance(task.editor, EditsRegions) for task in parts.tasks)
-    named = parts.chose_segmenter and any(
+    regional = any(isinstance(task.editor, EditsRegions) for task in components.tasks)
+    named = components.chose_segmenter and any(
         instruction.thing.scope == "named" for instruction in instructions
     )
     if inputs.marked is None and not regional and not named:
         return SelectedRegions(things=inputs.things)
     marked_alone = any(one.thing.scope == "marked" for one in instructions)
-    if inputs.marked is None and marked_alone and not parts.config.prompt:
+    if inputs.marked is None and marked_alone and not components.config.prompt:
         raise InputError(f"nothing says which object is meant; {ASK}.")
 
     def hints() -> str:
         """What the reader of the sentence advises, such as "Did you mean 'bear'?"."""
-        return "".join(parts.reader.hint(one) for one in instructions)
+        return "".join(components.reader.hint(one) for one in instructions)
 
+    geometry = _geometry(inputs.photos, located.answer, components)
     try:
         scenes = [
-            _finder(index, inputs, parts).find(instructions or (MARKED,))
+            _finder(index, inputs, geometry, components).find(instructions or (MARKED,))
             for index in range(len(views.images))
         ]
     except InputError as error:
@@ -149,16 +163,18 @@ def _regions(inputs: Inputs, parts: Parts) -> SelectedRegions:
 
 
 def _widened(
-    selection: SelectedRegions, inputs: Inputs, parts: Parts
+    selection: SelectedRegions, inputs: Inputs, components: Components
 ) -> SelectedRegions:
     """The selection with what editors have to change around the things, such as shadows."""
     if selection.regions is None or selection.masks is None:
         return selection
-    of_tasks = selection.regions.split([len(task.instructions) for task in parts.tasks])
+    of_tasks = selection.regions.split(
+        [len(task.instructions) for task in components.tasks]
+    )
     regions = torch.cat(
         [
             task.editor.widened(region, inputs.start.images)
-            for task, region in zip(parts.tasks, of_tasks)
+            for task, region in zip(components.tasks, of_tasks)
         ]
     )
     wide = torch.maximum(selection.masks, regions.amax(0))
@@ -181,13 +197,39 @@ MARKED = Instruction("other", Thing("marked"))
 """Stands in where the sentence gives no instruction: something is done to what is marked."""
 
 
-def _finder(index: int, inputs: Inputs, parts: Parts) -> RegionFinder:
+def _geometry(
+    photos: Views, answer: GeometryAnswer, components: Components
+) -> Callable[[], Geometry | None]:
+    """Asks once what is known of the unedited photos, where it can be trusted."""
+
+    @cache
+    def trusted() -> Geometry | None:
+        if photos.count < 2:
+            return None
+        if answer is NOT_ASKED:
+            return find_geometry(components.geometry_source, photos).trusted()
+        return answer.trusted()
+
+    return trusted
+
+
+def _finder(
+    index: int,
+    inputs: Inputs,
+    geometry: Callable[[], Geometry | None],
+    components: Components,
+) -> RegionFinder:
     """Finds things in one scene of the batch."""
-    config = parts.config
+
+    def of_scene() -> Geometry | None:
+        known = geometry()
+        return None if known is None else known.scene(index)
+
+    config = components.config
     return RegionFinder(
         inputs.start.scene(index),
-        selector=lambda: parts.selector,
-        geometry=lambda: _geometry(index, inputs.photos, parts),
+        selector=lambda: components.selector,
+        geometry=of_scene,
         marked=inputs.marked,
         defaults=Selection(
             reading=config.reading,
@@ -197,11 +239,3 @@ def _finder(index: int, inputs: Inputs, parts: Parts) -> RegionFinder:
         ),
         known=inputs.things,
     )
-
-
-def _geometry(index: int, photos: Views, parts: Parts) -> Geometry | None:
-    """What is known of one scene's unedited photos, where it can be trusted."""
-    if photos.count < 2:
-        return None
-    geometry = parts.geometry.of(photos).trusted()
-    return None if geometry is None else geometry.scene(index)

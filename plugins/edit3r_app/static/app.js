@@ -1,20 +1,10 @@
-// Which page is shown: the first, or that of a scene. Addresses can be kept and sent.
+// Which page is shown: the first, or that of a scene.
+import { go } from "./address.js";
 import { home } from "./home.js";
 import { scenePage } from "./scene.js";
 
 let leave = () => {};
 
-export function go(address) {
-  history.pushState(null, "", address);
-  show();
-}
-export const sceneAddress = (scene, at = "", beside = "") => {
-  const query = new URLSearchParams({
-    ...(at && at !== scene ? { at } : {}),
-    ...(beside ? { beside } : {}),
-  });
-  return `/s/${encodeURIComponent(scene)}${query.size ? "?" + query : ""}`;
-};
 function show() {
   leave();
   for (const open of document.querySelectorAll("dialog")) open.close();

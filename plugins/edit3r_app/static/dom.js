@@ -122,3 +122,9 @@ export const seconds = (value) =>
   value < 90 ? `${Math.max(1, Math.round(value))} s` : `${Math.round(value / 60)} min`;
 export const size = (bytes) =>
   bytes >= 1e6 ? `${(bytes / 1e6).toFixed(1)} MB` : `${Math.max(1, Math.round(bytes / 1e3))} kB`;
+
+export function changeTheme() {
+  const theme = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
+  document.documentElement.dataset.theme = theme;
+  localStorage.setItem("edit3r-theme", theme);
+}

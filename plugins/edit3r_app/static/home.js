@@ -1,7 +1,7 @@
 // The first page: what this is, how to take photos that work, and the scenes that are there.
-import { go, sceneAddress } from "./app.js";
+import { go, sceneAddress } from "./address.js";
 import { ask, path, tell } from "./api.js";
-import { button, dialog, el, icon, toast } from "./dom.js";
+import { button, changeTheme, dialog, el, icon, toast } from "./dom.js";
 import { ADVICE, STORY } from "./pictures.js";
 import { choose, dropAnywhere, send } from "./upload.js";
 
@@ -259,10 +259,4 @@ function showEssentials(place, { missing, fetching, lines }, refresh) {
       ? el("pre", { tabindex: "0", "aria-label": "what was said while fetching" }, lines.join("\n"))
       : "",
   );
-}
-
-export function changeTheme() {
-  const theme = document.documentElement.dataset.theme === "dark" ? "light" : "dark";
-  document.documentElement.dataset.theme = theme;
-  localStorage.setItem("edit3r-theme", theme);
 }

@@ -1,7 +1,7 @@
 // What opens over the scene: history, settings, downloads, keys.
-import { go, sceneAddress } from "./app.js";
+import { go, sceneAddress } from "./address.js";
 import { path, tell } from "./api.js";
-import { button, dialog, el, icon, size, toast } from "./dom.js";
+import { button, changeTheme, dialog, el, icon, size, toast } from "./dom.js";
 
 const WORD = {
   queued: "waits",
@@ -331,7 +331,7 @@ const KEYS = [
   ["V · O · H · D · S", "photos · things · history · downloads · settings"],
   ["F · Esc", "the scene alone · back"],
 ];
-export function showKeys(changeTheme) {
+export function showKeys() {
   dialog(
     "Keys",
     el(

@@ -1,7 +1,6 @@
 // The page of a scene: the scene, or before there is one the photo, fills it.
 import { ask } from "./api.js";
 import { button, el, icon } from "./dom.js";
-import { changeTheme } from "./home.js";
 import { showKeys } from "./panels.js";
 import { adjustOf } from "./scene/adjust.js";
 import { barOf } from "./scene/bar.js";
@@ -80,7 +79,7 @@ export function scenePage(root, scene, at, beside) {
     historyButton,
     button("settings", "settings", page.drawers.openSettings, { key: "S" }),
     button("full", "full screen", fullScreen, { key: "F", class: "icon wide-only" }),
-    button("help", "keys, and light or dark", () => showKeys(changeTheme), {
+    button("help", "keys, and light or dark", () => showKeys(), {
       key: "?",
       class: "icon wide-only",
     }),

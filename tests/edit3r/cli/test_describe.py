@@ -1,5 +1,6 @@
 """`edit3r describe` and the words it uses; the YAML it prints is what a configuration accepts."""
 
+import json
 from typing import Any, Literal
 
 import pytest
@@ -189,3 +190,15 @@ def test_a_plugins_text_gives_the_terminal_no_commands(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "a thing" in shown and "strength = 0.25" in shown
     assert all(one.isprintable() for one in shown.replace("\n", ""))
+
+
+def test_as_json_it_says_what_it_is_and_what_it_takes(capsys):
+    assert main(["describe", "editor", "recolor", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    assert content["settings"]["properties"].keys() == content["example"].keys()
+    assert content["about"]["licence"] == "Apache-2.0"
+
+
+def test_the_schema_of_a_command_without_a_configuration_is_refused(capsys):
+    assert main(["schema", "simplify"]) == 2
+    assert "edit3r simplify reads no configuration file" in capsys.readouterr().err

@@ -79,6 +79,8 @@ def test_json_says_the_same(files, capsys):
         "does not implement edit"
         in rows["listed_locally", "listed-abstract"]["problem"]
     )
+    strength = rows["recolor", "recolor"]["settings"]["strength"]
+    assert strength["allowed"] == "float, ≥ 0, ≤ 1" and strength["description"]
     assert content["failures"][0]["plugin"] == "listed_broken"
     assert len(content["clashes"]) == 1
 

@@ -83,3 +83,39 @@ def test_a_command_plugin_that_does_not_import_is_one_line_and_nothing_else_stop
         in failed[0]
     )
     assert "scene-facts" in done.stdout  # the other tests use it beside the broken one
+
+
+HALF_INSTALLED = {
+    ".dist-info": {},
+    ".egg-info": {},
+    "a-1.0.dist-info": {"entry_points.txt": b"[console_scripts]\nfoo\n"},
+    "b-1.0.dist-info": {"entry_points.txt": b"[pydantic]\n = \nfoo\n"},
+    "c-1.0.dist-info": {"entry_points.txt": "[edit3r]\nc = c\n".encode("utf-16")},
+    "d-1.0.dist-info": {"entry_points.txt": b"[edit3r]\n\xe4 = d\n"},
+    "e-1.0.dist-info": {"entry_points.txt": b"[edit3r]\ne = e\n"},
+    "f-1.0.dist-info": {"entry_points.txt": b"[edit3r]\nf = f\n", "METADATA": b""},
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("arguments", [["list-plugins"], ["--help"], ["doctor", "-h"]])
+def test_packages_of_others_that_are_half_installed_stop_no_command(
+    arguments, tmp_path
+):
+    for folder, files in HALF_INSTALLED.items():
+        (tmp_path / folder).mkdir()
+        for name, content in files.items():
+            (tmp_path / folder / name).write_bytes(content)
+    command = "import sys; from edit3r.cli.program import program; sys.exit(program())"
+    done = subprocess.run(
+        [sys.executable, "-c", command, *arguments],
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    if arguments == ["list-plugins"]:
+        named = [line for line in done.stdout.splitlines() if "failed:" in line]
+        assert len(named) == len(HALF_INSTALLED)
+        assert all(any(f"/{one} " in line for line in named) for one in HALF_INSTALLED)

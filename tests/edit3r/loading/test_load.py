@@ -1,13 +1,13 @@
 """Guarded loading: whatever one plugin does, it is one line, and every other plugin still works."""
 
 import sys
+from functools import partial
 from importlib import metadata
-from types import SimpleNamespace
 
 import pytest
 
 from edit3r.contract.errors import InputError
-from edit3r.loading import load as plugins
+from edit3r.loading import entry_points
 from edit3r.loading.load import load_plugins
 
 DECLARATION = """
@@ -86,23 +86,27 @@ def installed(monkeypatch, tmp_path):
     """A function that 'installs' plugin modules, given as entry point name to source, for this test
     only.
     """
-    points = []
-    monkeypatch.setattr(plugins.metadata, "entry_points", lambda group: list(points))
+    only = partial(metadata.distributions, path=[str(tmp_path)])
+    monkeypatch.setattr(entry_points.metadata, "distributions", only)
+    monkeypatch.delenv("EDIT3R_PLUGINS", raising=False)
     monkeypatch.syspath_prepend(tmp_path)
     before = set(sys.modules)
 
-    def install(distribution: str = "", **sources: str) -> None:
+    def install(distribution: str = "", requires: str = "", **sources: str) -> None:
         for name, source in sources.items():
-            module = f"{distribution.replace('-', '_')}{name}_declaration"
+            package = distribution or name
+            module = f"{package.replace('-', '_')}_{name}_declaration"
             (tmp_path / f"{module}.py").write_text(
                 source.format(name=name, module=module)
             )
-            point = metadata.EntryPoint(name, module, plugins.ENTRY_POINT_GROUP)
-            if distribution:
-                object.__setattr__(
-                    point, "dist", SimpleNamespace(name=distribution, version="1.5")
-                )
-            points.append(point)
+            folder = tmp_path / f"{package.replace('-', '_')}-1.5.dist-info"
+            folder.mkdir(exist_ok=True)
+            needs = f"Requires-Dist: {requires}\n" if requires else ""
+            (folder / "METADATA").write_text(
+                f"Metadata-Version: 2.1\nName: {package}\nVersion: 1.5\n{needs}"
+            )
+            with (folder / "entry_points.txt").open("a") as listed:
+                listed.write(f"[edit3r]\n{name} = {module}\n")
 
     yield install
     for module in set(sys.modules) - before:
@@ -174,7 +178,7 @@ def test_a_local_folder_loads_as_a_package_with_its_modules(installed, tmp_path)
 
 def test_naming_an_installed_plugin_s_file_changes_nothing(installed, tmp_path):
     installed(good=DECLARATION)
-    loaded = load_plugins([tmp_path / "good_declaration.py"])
+    loaded = load_plugins([tmp_path / "good_good_declaration.py"])
     assert [offer.component.name for offer in loaded.offers] == ["good"]
     assert not loaded.failures
 

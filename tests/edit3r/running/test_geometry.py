@@ -7,7 +7,7 @@ import torch
 
 from edit3r.contract.errors import MatchingError, PluginError
 from edit3r.contract.interfaces import Geometry, MatchesLevelled
-from edit3r.running.geometry import GeometryOfRun, geometry_of, lies_flat
+from edit3r.running.geometry import find_geometry, geometry_of, lies_flat
 from edit3r_testing.scenes import photograph
 
 SCENE = photograph(3, (48, 64), batch=2)
@@ -39,20 +39,19 @@ class Levels(Knows, MatchesLevelled):
         return self.answer
 
 
-def test_each_set_of_photos_is_asked_for_once_with_the_levelled_ones_where_they_count():
+def test_depth_is_measured_on_the_corrected_photos_where_a_matcher_can():
     views = SCENE.views
-    levelled = replace(views, images=0.5 * views.images)
-    plain, levels = Knows(true_geometry()), Levels(true_geometry())
-    asked = GeometryOfRun(plain)
-    assert asked.of(views) is asked.of(views, levelled)
-    asked = GeometryOfRun(levels)
-    assert asked.of(views) is not asked.of(views, levelled)
-    assert asked.of(views, levelled) is asked.of(views, levelled)
-    assert [one is levelled for one in levels.levelled] == [True]
+    corrected = replace(views, images=0.5 * views.images)
+    levels = Levels(true_geometry())
+    find_geometry(levels, views)
+    assert not hasattr(levels, "levelled")
+    find_geometry(levels, views, corrected)
+    assert [one is corrected for one in levels.levelled] == [True]
+    assert find_geometry(Knows(true_geometry()), views, corrected).problem == ""
 
 
 def test_what_a_matcher_finds_is_taken_where_the_photos_lie_apart():
-    located = GeometryOfRun(Knows(true_geometry())).of(SCENE.views)
+    located = find_geometry(Knows(true_geometry()), SCENE.views)
     assert located.problem == "" and located.trusted() is located.geometry
 
 
@@ -70,7 +69,7 @@ def test_one_scene_of_a_batch_whose_camera_stood_still_is_told():
     true = true_geometry()
     c2w = true.c2w.clone()
     c2w[1] = torch.eye(4)
-    located = GeometryOfRun(Knows(replace(true, c2w=c2w))).of(SCENE.views)
+    located = find_geometry(Knows(replace(true, c2w=c2w)), SCENE.views)
     assert located.geometry is not None and "nearly the same place" in located.problem
 
 
@@ -155,4 +154,4 @@ LENS = SCENE.views.intrinsics
 )
 def test_a_matcher_that_breaks_its_contract_is_named(answer, said):
     with pytest.raises(PluginError, match=said):
-        GeometryOfRun(Knows(answer)).of(SCENE.views)
+        find_geometry(Knows(answer), SCENE.views)

@@ -8,6 +8,7 @@ import pytest
 
 from edit3r.cli.main import main
 from edit3r.running.job import JobInputs, job_from
+from edit3r.running.run_folder import RunFolder
 
 README = Path(__file__).parents[3] / "README.md"
 
@@ -53,8 +54,9 @@ def test_another_editor_does_not_inherit_the_usual_sentence():
 def test_photos_beside_an_earlier_run_are_edited_from_the_start(monkeypatch):
     """With its settings, and without its scene."""
     choice = {"name": "edit3r"}
-    earlier = SimpleNamespace(frames=7, reconstructor=choice, matcher={"name": "auto"})
-    monkeypatch.setattr("edit3r.running.job.read_earlier_run", lambda *_: earlier)
+    settings = {"frames": 7, "reconstructor": choice, "matcher": {"name": "auto"}}
+    earlier = SimpleNamespace(settings=settings)
+    monkeypatch.setattr(RunFolder, "read", lambda *_: earlier)
     job = job_from(JobInputs(photos=("a.png",), earlier="before"))
     assert job.earlier is None and job.config.frames == 7
     assert job_from(JobInputs(earlier="before")).earlier is earlier

@@ -2,10 +2,13 @@
 
 import torch
 
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.exposure import Exposure, ExposureOfEdit
+from edit3r.running.geometry import GeometryAnswer
 from edit3r.running.records import (
     EditedPhotos,
+    ExposureCorrected,
     Inputs,
     Located,
     SelectedRegions,
@@ -38,10 +41,21 @@ def test_what_was_located_of_some_views():
     gain = BY_VIEW.view(1, 3, 1, 1, 1)
     exposure = Exposure(gain, gain + 1)
     edit = ExposureOfEdit(exposure, Exposure(gain + 2, gain), MAPS)
-    some = Located(exposure=exposure, exposure_of_edit=edit).select(KEPT)
-    assert some.exposure_of_edit.photos.gain.flatten().tolist() == KEPT
-    assert some.exposure_of_edit.edit.gain.flatten().tolist() == [2, 4]
-    assert told(some.exposure_of_edit.region) == KEPT
+    corrected = ExposureCorrected(VIEWS, VIEWS, edit).select(KEPT)
+    assert corrected.exposure.photos.gain.flatten().tolist() == KEPT
+    assert corrected.exposure.edit.gain.flatten().tolist() == [2, 4]
+    assert told(corrected.exposure.region) == KEPT
+    for views in (corrected.photos, corrected.edited):
+        assert torch.equal(views.images, VIEWS.images[:, KEPT])
+    poses = torch.eye(4).expand(1, 3, 4, 4)
+    placed = torch.tensor([[True, False, True]])
+    geometry = Geometry(poses, MAPS, 1 + MAPS, placed)
+    some = Located(GeometryAnswer(geometry, "why"), geometry, exposure=exposure)
+    some = some.select(KEPT)
+    assert some.answer.problem == "why"
+    for one in (some.geometry, some.to_build_on):
+        assert told(one.depths) == KEPT and told(one.confidence) == [1, 3]
+        assert one.registered.tolist() == [[True, True]] and one.c2w.shape[1] == 2
     assert some.exposure.gain.flatten().tolist() == KEPT
     assert some.exposure.offset.flatten().tolist() == [1, 3]
     assert Located().select(KEPT) == Located()

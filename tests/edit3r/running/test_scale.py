@@ -2,18 +2,22 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 
 import edit3r
+from edit3r.contract.reporting import Report
 from edit3r.contract.types import Cameras, Reconstruction, Rendering, Views
+from edit3r.kit.cache import Cache
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.images import save_image
 from edit3r.kit.scenes.ply import load_ply
 from edit3r.running.records import (
     EditedPhotos,
+    ExposureCorrected,
     Inputs,
     Judged,
     Located,
@@ -21,12 +25,9 @@ from edit3r.running.records import (
     Records,
     SelectedRegions,
 )
-from edit3r.running.scale import (
-    has_given_poses,
-    own_unit,
-    to_given_scale,
-    to_working_scale,
-)
+from edit3r.running.result import RunResult
+from edit3r.running.scale import has_given_poses, own_unit
+from edit3r.running.steps.read import _in_own_unit
 
 pytestmark = pytest.mark.slow
 
@@ -40,33 +41,36 @@ def views(distance):
     return Views(torch.rand(1, 3, 3, 4, 5), lens, c2w=poses)
 
 
-def records_of(inputs, made):
+def result_of(inputs, made, refined=False):
     """Of a run whose reconstruction is `made`."""
     count = inputs.photos.count
     maps = torch.ones(len(inputs.photos.images), count, 1, 4, 5)
     shown = Rendering(inputs.photos.images, maps, maps)
-    return Records(
+    records = Records(
         inputs,
         Located(),
         SelectedRegions(),
         EditedPhotos(inputs.start),
+        ExposureCorrected(inputs.photos, inputs.start),
         Reconstructed(made, inputs.photos, (True,) * count),
         made.gaussians,
         Judged(shown, verdict=None, edit_verdict=None),
     )
+    components = SimpleNamespace(job=SimpleNamespace(refine_poses=refined))
+    return RunResult(records, components, Report(), Cache())
 
 
 @pytest.mark.parametrize("distance", [1e-6, 0.003, 1.0, 40.0, 1e6])
 def test_cameras_stand_about_one_apart_and_only_the_exponent_changes(distance):
-    factor = own_unit(views(distance))
+    factor = own_unit(views(distance)).factor
     assert np.log2(float(factor)) % 1 == 0
     assert 0.7 < 1.5 * distance * factor < 1.42
 
 
 def test_without_poses_or_distance_there_is_no_other_unit():
-    assert own_unit(replace(views(1.0), c2w=None)) == 1
-    assert own_unit(views(0.0)) == 1
-    assert own_unit(views(0.001).select([1])) == 1
+    assert own_unit(replace(views(1.0), c2w=None)).factor == 1
+    assert own_unit(views(0.0)).factor == 1
+    assert own_unit(views(0.001).select([1])).factor == 1
 
 
 def test_each_scene_of_a_batch_has_the_unit_that_it_has_alone(gaussians_at):
@@ -78,21 +82,21 @@ def test_each_scene_of_a_batch_has_the_unit_that_it_has_alone(gaussians_at):
         intrinsics=torch.cat([one.intrinsics for one in alone]),
         c2w=torch.cat([one.c2w for one in alone]),
     )
-    factors = torch.cat([own_unit(one) for one in alone])
-    assert torch.equal(own_unit(batch), factors)
-    inputs, factor = to_working_scale(Inputs(photos=batch, start=batch))
+    factors = torch.cat([own_unit(one).factor for one in alone])
+    assert torch.equal(own_unit(batch).factor, factors)
+    inputs = _in_own_unit(Inputs(photos=batch, start=batch))
     assert 0.7 < inputs.photos.c2w[:, 1:, :3, 3].norm(dim=-1).mean(1).min() < 1.42
     # The second scene's poses are its own, so its answer is in no unit of the photos.
     cameras = Cameras(inputs.photos.c2w.clone(), batch.intrinsics, (4, 5))
     cameras.c2w[1, 1, 1, 3] += 0.1
     points = edit3r.Gaussians.stack([gaussians_at(3.0)] * 3)
     made = Reconstruction(points, cameras)
-    back = to_given_scale(records_of(inputs, made), factor)
+    back = result_of(inputs, made)
     expected = 3 / factors
     expected[1] = 3
     assert torch.allclose(back.gaussians.means[:, 0, 2].double(), expected)
-    assert torch.equal(back.inputs.photos.c2w, batch.c2w)
-    assert has_given_poses(back.made.reconstruction, batch).tolist() == [
+    assert torch.equal(back.photos.c2w, batch.c2w)
+    assert has_given_poses(Reconstruction(points, back.cameras), batch).tolist() == [
         True,
         False,
         True,
@@ -174,7 +178,8 @@ def test_editing_again_goes_on_in_the_given_unit(both):
 def test_a_reconstructor_that_finds_poses_itself_keeps_its_unit(gaussians_at):
     """Whose answer does not stand on the given poses is not in their unit."""
     given = views(0.01)
-    inputs, factor = to_working_scale(Inputs(photos=given, start=given))
+    inputs = _in_own_unit(Inputs(photos=given, start=given))
+    factor = inputs.unit.factor
     assert torch.equal(inputs.photos.c2w[..., :3, 3], factor * given.c2w[..., :3, 3])
     cameras = Cameras(inputs.photos.c2w, given.intrinsics, (4, 5))
     on_poses = Reconstruction(gaussians_at(3.0), cameras)
@@ -184,12 +189,15 @@ def test_a_reconstructor_that_finds_poses_itself_keeps_its_unit(gaussians_at):
         (on_poses, 3.0 / factor),
         (replace(on_poses, cameras=other), 3.0),
     ):
-        full = records_of(inputs, made)
-        back = to_given_scale(full, factor)
-        assert torch.equal(back.inputs.photos.c2w, given.c2w)
+        back = result_of(inputs, made)
+        assert torch.equal(back.photos.c2w, given.c2w)
+        assert torch.equal(back.edited.c2w, given.c2w)
         assert float(back.gaussians.means.max()) == pytest.approx(expected)
-        assert has_given_poses(back.made.reconstruction, given) == (made is on_poses)
-    assert float(to_given_scale(full, factor, refined=True).gaussians.means.max()) < 3
+        assert has_given_poses(Reconstruction(back.gaussians, back.cameras), given) == (
+            made is on_poses
+        )
+    refined = result_of(inputs, made, refined=True)
+    assert float(refined.gaussians.means.max()) < 3
 
 
 @pytest.fixture

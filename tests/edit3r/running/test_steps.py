@@ -28,8 +28,8 @@ from edit3r.loading.registry import build
 from edit3r.running.config import DEFAULTS, make_run_config
 from edit3r.running.job import JobInputs, job_from
 from edit3r.running.loop import preview
+from edit3r.running.result import _scene
 from edit3r.running.steps.reconstruct import _grid
-from edit3r.running.write import _scene
 from edit3r_testing import photograph
 
 PLAIN = {"gaussians": "all", "refine": 0}  # the reconstructor's own Gaussians
@@ -342,7 +342,7 @@ def test_where_things_come_or_go_nothing_is_held_to_the_scene_before(views):
         counting = Counting()
         result = run(views, "x", editor=editor, recon=counting, masks=masks)
         assert counting.calls == asked
-        assert (result.records.made.before is None) == (asked == 1)
+        assert (result.records.reconstructed.before is None) == (asked == 1)
 
 
 class LeavingOut(Flat):
@@ -374,7 +374,7 @@ def test_a_view_that_was_not_placed_leaves_the_scene_and_is_told(views):
     assert result.photos.names == result.edited.names == (
         "a",
         "c",
-    ) and result.records.made.left_out.names == ("b",)
+    ) and result.records.reconstructed.left_out.names == ("b",)
     assert result.cameras.count == 2 and result.masks.shape[1] == 2
     assert (
         result.gaussians.view_index.unique().tolist() == [0, 1]
@@ -553,10 +553,12 @@ def test_the_scene_is_made_in_the_light_of_the_first_photo_and_shown_in_each_one
         one.photos.images, images
     )
     drawn = render_each(one.rasterizer, one.gaussians, one.cameras, "again").images
-    assert torch.equal(one.rendered.images, one.records.located.exposure.to_own(drawn))
+    assert torch.equal(
+        one.rendered.images, one.records.corrected.exposure.to_own(drawn)
+    )
     assert own.records.located.exposure is None
     # The look before the edit is the scene's, which is in one light.
-    monkeypatch.setattr("edit3r.running.write.colours_before", lambda *given: given)
+    monkeypatch.setattr("edit3r.running.result.colours_before", lambda *given: given)
     for given in _scene(one).second_look().colours[2:4]:
         assert (given.images - scene.views.images).abs().mean() < 0.01
 
@@ -587,7 +589,7 @@ def test_a_black_and_white_scene_has_no_tint_of_the_photos_light():
     ).abs().mean() < 0.03
     assert (source.images - scene.views.images).abs().mean() < 0.01
     drawn = render_each(result.rasterizer, result.gaussians, result.cameras, "again")
-    exposure = result.records.located.exposure_of_edit
+    exposure = result.records.corrected.exposure
     assert torch.equal(result.rendered.images, exposure.to_own(drawn.images))
     masks = torch.zeros_like(images[:, :, 0])
     masks[..., 32:] = 1
@@ -600,6 +602,7 @@ def test_a_black_and_white_scene_has_no_tint_of_the_photos_light():
     result = run(views, "x", editor=GreysElsewhere(), recon=recon, **PLAIN)
     edited, _ = recon.given[-1]
     exposure = result.records.located.exposure
+    assert torch.equal(result.records.corrected.exposure.gain, exposure.gain)
     assert torch.equal(edited.images, exposure.to_reference(result.edited.images))
 
 
@@ -614,7 +617,7 @@ def test_a_photo_keeps_its_light_where_one_before_it_could_not_be_placed():
     images[:, 2] = 0.6 * images[:, 2] + 0.03
     views = replace(scene.views, images=images)
     result = run(views, editor="none", recon=WithoutTheSecond(scene), **PLAIN)
-    exposure = result.records.located.exposure
+    exposure = result.records.corrected.exposure
     assert exposure.gain.shape[1] == result.photos.count == 2
     assert float((exposure.gain[:, 1] - 1).abs().min()) > 0.3
     drawn = render_each(result.rasterizer, result.gaussians, result.cameras, "again")

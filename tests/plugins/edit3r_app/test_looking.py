@@ -23,8 +23,8 @@ from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.loading.registry import default_registry
+from edit3r.running import CACHE
 from edit3r.running.config import RunConfig
-from edit3r.running.earlier import CACHE
 
 SIZE = 96
 

@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -124,6 +125,23 @@ def test_the_workspace_of_a_killed_run_does_not_stay(folder):
     runner.stop()
 
 
+@pytest.mark.parametrize("link", ["symlink_to", "hardlink_to"])
+@pytest.mark.parametrize("end", ["cancel", "stop"])
+def test_a_strangers_record_ends_no_process_of_the_user(folder, link, end):
+    with subprocess.Popen(["sleep", "60"], start_new_session=True) as process:
+        job = queued(folder)
+        runner = runner_of(folder, QUICK)
+        folder.write(replace(job, state="running", pid=process.pid, began=1))
+        # so that the job looks alive
+        getattr(folder.log(job.name), link)(folder.private / ".lock")
+        runner.cancel(job.name) if end == "cancel" else runner.stop()
+        time.sleep(0.1)
+        is_there = process.poll() is None
+        process.kill()
+    runner.stop()
+    assert is_there
+
+
 def test_a_waiting_job_can_be_cancelled(folder):
     runner, job = runner_of(folder, QUICK), queued(folder)
     runner.cancel(job.name)
@@ -153,19 +171,43 @@ time.sleep(60)
 """
 
 
+def is_running(pid):
+    """False too for one that ended and that nobody has asked about."""
+    stat = Path(f"/proc/{pid}/stat")
+    return stat.exists() and " Z " not in stat.read_text()
+
+
+def kill_a_server(folder, program):
+    """Leave the child of a server, which was killed, behind."""
+    with subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(folder.root), program],
+        stdout=subprocess.PIPE,
+    ) as server:
+        assert server.stdout.readline() == b"begun\n"
+        server.kill()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="needs /proc")
+def test_the_child_of_a_killed_server_can_be_cancelled(folder):
+    job = queued(folder)
+    kill_a_server(folder, SLOW)
+    again = runner_of(folder, SLOW)
+    wait_until(again, begun(folder, job))
+    pid = folder.job(job.name).pid
+    again.cancel(job.name)
+    assert states(folder) == ["cancelled"] and not is_running(pid)
+    assert not list(folder.root.glob(".*partial*"))
+    again.stop()
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(
     sys.platform == "win32", reason="files have no locks (flock) on Windows"
 )
 def test_a_server_that_was_killed_finds_its_child_still_running(folder):
     job = queued(folder)
-    slow_but_good = f"import time; time.sleep(3)\n{QUICK}"
-    with subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(folder.root), slow_but_good],
-        stdout=subprocess.PIPE,
-    ) as server:
-        assert server.stdout.readline() == b"begun\n"
-        server.kill()
+    kill_a_server(folder, f"import time; time.sleep(3)\n{QUICK}")
     again = runner_of(folder, WRONG)  # were it started again, it would fail
     again.step()
     assert states(folder) == ["running"]

@@ -87,7 +87,7 @@ def test_change_masks_reach_a_little_further_than_the_change():
 def test_another_image_or_frame_than_the_manifests_is_noticed(manifest, tmp_path):
     record = manifest.items[0]
     sample = record.sample.model_copy(update={"sha256": "0" * 64})
-    with pytest.raises(InputError, match="not the manifest's"):
+    with pytest.raises(InputError, match="differs from the manifest's"):
         load(manifest, record.model_copy(update={"sample": sample}), tmp_path)
     with pytest.raises(InputError, match="uses frame 99"):
         load(manifest, record.model_copy(update={"inputs": (0, 99)}), tmp_path)
@@ -106,8 +106,8 @@ def test_another_image_or_frame_than_the_manifests_is_noticed(manifest, tmp_path
         ({}, {"held_back": (-2,)}, r"uses frame \[-2\]"),
         ({}, {"inputs": (0, 1, 1)}, "uses a frame twice"),
         ({}, {"inputs": (0, 5), "sample": None}, r"uses frame \[0\], which"),
-        ({}, {"id": "../../escaped"}, "no plain file name"),
-        ({}, {"id": "."}, "no plain file name"),
+        ({}, {"id": "../../escaped"}, "not a plain file name"),
+        ({}, {"id": "."}, "not a plain file name"),
     ],
 )
 def test_a_broken_manifest_is_one_sentence(
@@ -148,5 +148,5 @@ def test_an_edit_is_visible_that_covers_a_fair_part_by_more_than_noise(
 def test_a_data_set_without_true_edits_makes_no_benchmark():
     images = torch.zeros(2, 3, 8, 8)
     sample = SceneSample(images, images[:0], cameras_around(2), cameras_around(1))
-    with pytest.raises(InputError, match="its dataset knows no true edit"):
+    with pytest.raises(InputError, match="its dataset has no true edits"):
         hash_of_sample(sample)

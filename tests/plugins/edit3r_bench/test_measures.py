@@ -153,9 +153,8 @@ def test_a_global_edit_has_no_band_and_no_background(item):
 
 def test_disagreement_of_the_2d_edits_stands_beside_what_is_left_of_it(item):
     edited = item.truth[:2].clone()
-    edited[1] += (
-        0.06  # the second view's edit is off by that, and the scene takes a third of it over
-    )
+    # the second view's edit is off by that, and the scene takes a third of it over
+    edited[1] += 0.06
     images = item.truth.clone()
     images[1] += 0.02
     found = measured(item, images, edited)
@@ -223,7 +222,7 @@ def test_an_edit_that_ran_without_reaching_the_scene_is_said_in_words(item):
         "edit ran, scene unchanged: the scene shows 0% of the 2D edit (mean change 0."
     )
     assert remark(measured(item, item.truth)) == ""
-    assert "left the reference as it was" in remark(
+    assert "left the reference unchanged" in remark(
         measured(item, item.truth, item.photos.images[0, :2])
     )
     assert ItemResult("a", "s", "Modify", found).remark == remark(found)

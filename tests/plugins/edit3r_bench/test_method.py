@@ -34,7 +34,7 @@ def test_shipped_methods_name_components_and_settings_that_exist(path):
 def test_the_label_is_editor_and_reconstructor_unless_given():
     assert Method().label == "oracle+edit3r"
     assert Method(editor="none", reconstructor="classical").label == "none+classical"
-    with pytest.raises(ValueError, match="must be letters"):
+    with pytest.raises(ValueError, match="may contain only letters"):
         Method(label="a/b")
 
 

@@ -35,9 +35,8 @@ def picture():
 
 def test_regions_part_the_picture_by_distance_from_the_edit():
     masks = np.zeros((1, 60, 100))
-    masks[:, 20:40, 30:60] = (
-        0.5  # an edit that blends softly is one, and a band of 5 pixels lies around it
-    )
+    # an edit that blends softly is one, and a band of 5 pixels lies around it
+    masks[:, 20:40, 30:60] = 0.5
     found = regions(masks)
     assert [int(found[name].sum()) for name in ("edit", "band", "background")] == [
         600,

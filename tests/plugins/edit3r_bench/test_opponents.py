@@ -56,7 +56,7 @@ def test_edited_renderings_carry_the_whole_edit_and_stay_a_rendering_elsewhere(
     assert torch.equal(edited.images[outside], plain.images[outside])
     assert figures["edit-uptake"] > 0.9
     assert abs(before["edit-uptake"]) < 0.2
-    assert "left the reference as it was" in remark(before)
+    assert "left the reference unchanged" in remark(before)
     assert remark(figures) == ""
 
 

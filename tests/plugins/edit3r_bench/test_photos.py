@@ -360,11 +360,11 @@ def test_what_is_not_as_in_the_paper_is_said(folder, capsys):
         "2 scenes, the paper has 20",
         "not found by a detector",
         "templates",
-        "10 edits are kept by no person",
+        "10 edits were not checked by a person",
         "4 edits that add something have no masks",
         "scenes are drawn without a balance of indoor and outdoor",
     ):
-        assert f"not as the paper: {words}" in said.replace(
+        assert f"unlike the paper: {words}" in said.replace(
             "edits come from ", ""
         ).replace("objects are named by hand, ", "")
     assert (

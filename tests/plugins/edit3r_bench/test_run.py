@@ -137,7 +137,7 @@ def test_a_folder_of_something_else_or_in_use_is_refused(manifest_file, cards, r
     with alone_in(run.out), pytest.raises(InputError, match="another run writes"):
         run_bench(run)
     (run.out / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match="not of a benchmark run"):
+    with pytest.raises(InputError, match="do not belong to a benchmark run"):
         run_bench(run)
     (run.out / "thesis.tex").unlink()
     # What a kill left half written is no obstacle.

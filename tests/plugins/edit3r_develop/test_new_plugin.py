@@ -44,7 +44,18 @@ def test_every_kind_gets_a_package_with_all_its_parts(kind):
         assert "$" not in text.replace("${", "$"), f"{path} holds an unfilled word"
         assert max(len(line) for line in text.splitlines()) <= 120
         if path.endswith(".py"):
+            assert max(len(line) for line in text.splitlines()) <= 100, path
             compile(text, path, "exec")
+
+
+def test_what_is_written_is_formatted_as_the_house_formats(tmp_path):
+    ruff = pytest.importorskip("ruff").find_ruff_bin()
+    for kind in KINDS:
+        for path, text in package_files(kind, "made-up").items():
+            if path.endswith(f"{kind}.py"):
+                (tmp_path / path.replace("/", "-")).write_text(text)
+    check = [ruff, "format", "--check", "--isolated", str(tmp_path)]
+    assert subprocess.run(check, capture_output=True).returncode == 0
 
 
 def test_there_is_a_starter_and_a_contract_for_every_kind():

@@ -82,7 +82,10 @@ def test_any_class_is_driven_by_its_name_and_the_arguments_of_its_call(tiny, two
     [
         ({}, "needs a pipeline; give one with --set editor.pipeline=ClassName"),
         ({"pipeline": "LongCatImageEditPipeline"}, "needs a model"),
-        ({"pipeline": "FluxPipeline", "model": "a/b"}, "takes no image and prompt"),
+        (
+            {"pipeline": "FluxPipeline", "model": "a/b"},
+            "does not take an image and a prompt",
+        ),
         (
             {"pipeline": "LongCatImageEditPipeline", "model": "a/b", "strength": 0.5},
             r"editor\.strength: LongCatImageEditPipeline has no argument strength.*guidance_scale",

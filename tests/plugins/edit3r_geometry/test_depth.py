@@ -272,9 +272,8 @@ def test_a_near_surface_does_not_grow_over_what_goes_on_behind_it():
     image[:, 16:28] = 0
     inverse = np.where(image[..., 0] > 0, np.float32(0.1), np.float32(0.4))
     measured = np.ones(SIZE, bool)
-    measured[:, 28:34] = (
-        False  # only one photo shows it: for the other the near surface hides it
-    )
+    # only one photo shows it: for the other the near surface hides it
+    measured[:, 28:34] = False
     filled = fill(np.where(measured, inverse, np.float32(0.25)), measured, 0.01, image)
     assert filled[:, 28:34].max() < 0.11
 

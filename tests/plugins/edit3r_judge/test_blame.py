@@ -131,9 +131,9 @@ class Blurs(Refiner):
 
 
 def test_refiners_that_make_it_worse_are_named(monkeypatch):
-    from edit3r.running.parts import Parts
+    from edit3r.running.components import Components
 
-    monkeypatch.setattr(Parts, "refiners", (Blurs(),))
+    monkeypatch.setattr(Components, "refiners", (Blurs(),))
     verdict = verdict_of()
     assert (verdict.label, verdict.part) == ("poor", "refiner")
     assert "the refiners Blurs made it worse" in verdict.reason

@@ -141,9 +141,8 @@ def test_overlap_is_the_share_of_the_wall_that_both_photos_show(share, indexing)
 
 def test_what_something_hides_in_the_other_photo_is_no_overlap(indexing):
     wall, board = np.full((40, 40), 2.0), np.full((40, 40), 2.0)
-    board[:, 20:] = (
-        1.0  # hides half of the wall from the second photo, which the first does not show
-    )
+    # hides half of the wall from the second photo, which the first does not show
+    board[:, 20:] = 1.0
     assert indexing.overlap([straight(0), straight(0)], [wall, board]) == pytest.approx(
         0.5, abs=0.01
     )

@@ -171,7 +171,7 @@ def test_an_edited_scene_takes_no_new_marks_of_its_old_photos(made, capsys):
         ("left scale left 0 --out {0}/no", "expected a factor"),
         ("left recolor left quickly --out {0}/no", "quickly"),
         ("left recolor left red and the cup blue --out {0}/no", "expected one colour"),
-        ("left remove left", "say with --out"),
+        ("left remove left", "give --out a folder"),
         ("left remove left --out {0}/left", "is or holds the file that is read"),
         ("nowhere remove left --out {0}/no", "no such file"),
     ],
@@ -207,7 +207,7 @@ def test_nothing_is_done_to_an_object_of_which_nothing_is_left(made, line, capsy
     facts["objects"] = {**facts["objects"], "ghost": 99}
     (run / "run.json").write_text(json.dumps(facts))
     assert objects(made, f"ghostly {line} --out {made / 'no'}") == 2
-    assert "ghost: no Gaussian is left of it" in capsys.readouterr().err
+    assert "ghost: none of its Gaussians is left" in capsys.readouterr().err
     assert not (made / "no").exists()
 
 
@@ -260,7 +260,7 @@ def test_what_is_drawn_around_is_cut_kept_or_named(made):
     [
         ("cut", "expected --drawn FILE"),
         ("cut it --drawn {file}", "takes no name"),
-        ("remove it --drawn {file}", "remove takes none"),
+        ("remove it --drawn {file}", "remove does not take it"),
         ("cut --drawn {broken}", "expected JSON with strokes"),
         ("cut --drawn {flat}", "not a camera"),
         ("clean it", "takes no name"),

@@ -193,7 +193,7 @@ def held(name, value, form):
     ],
 )
 def test_what_a_format_clips_is_said(tmp_path, made, form):
-    with pytest.warns(UserWarning, match="larger than it can say|go beyond what it"):
+    with pytest.warns(UserWarning, match="larger than it can store|beyond what it"):
         export_scene(tmp_path / "s", made, form)
 
 

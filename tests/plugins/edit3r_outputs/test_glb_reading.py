@@ -228,7 +228,7 @@ BAD = {
                "needs EXT_meshopt_compression, which is not read"),
     "other kernel": (glb(PLAIN, extension={"kernel": "beta"}), "kernel 'beta'"),
     "stretched": (glb(PLAIN, node={"scale": [1, 2, 1]}), "stretches"),
-    "round in circles": (glb(PLAIN, node={"children": [0]}), "circles"),
+    "round in circles": (glb(PLAIN, node={"children": [0]}), "a circle"),
     "deep": (chunks(DEEP, b""), "nested too deeply"),
     "no SPZ inside": (
         chunks(json.dumps({

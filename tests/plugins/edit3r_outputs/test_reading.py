@@ -94,9 +94,9 @@ def test_a_damaged_file_is_one_sentence_even_where_the_library_dies_of_it(
 
 
 BAD = {
-    "text": (b"hello", "its content is of none of them"),
-    "empty": (b"", "its content is of none of them"),
-    "packed": (gzip.compress(b"ply\n"), "packed with gzip, and no SPZ"),
+    "text": (b"hello", "by its content not a PLY"),
+    "empty": (b"", "by its content not a PLY"),
+    "packed": (gzip.compress(b"ply\n"), "compressed with gzip, but not an SPZ"),
     "glb": (b"glTF" + bytes(40), "no Gaussians that can be read as GLB"),
     "mesh": (
         b"glTF" + struct.pack("<III4s", 2, 34, 13, b"JSON") + b'{"meshes":[]}',

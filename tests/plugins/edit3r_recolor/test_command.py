@@ -139,7 +139,7 @@ def test_files_of_others_are_never_replaced(scene, tmp_path):
         (("--replay", "missing.json"), "missing.json: cannot be read"),
         (
             ("--replay", "missing.json", "--masks", "empty"),
-            "leave --masks and --set away",
+            "omit --masks and --set",
         ),
     ],
 )

@@ -58,7 +58,7 @@ def test_a_file_becomes_a_smaller_file_of_the_same_views(scene_file, capsys):
         ),
         (
             ["--set", "rasterizer.near=1"],
-            "--set rasterizer: simplify has settings of its own only",
+            "--set rasterizer: simplify takes only its own settings",
         ),
     ],
 )

@@ -30,9 +30,8 @@ def cells():
 
 def measured(colours, depths, parallax=10.0) -> Cells:
     cameras = cameras_side_by_side(1, depths.shape[1:])
-    cameras.intrinsics[..., :2, :2] *= (
-        20  # pixels as narrow as those of a large picture
-    )
+    # pixels as narrow as those of a large picture
+    cameras.intrinsics[..., :2, :2] *= 20
     gaussians = gaussian_per_pixel(colours, depths, cameras)
     placement = place(gaussians, cameras)
     flat = colours[0].permute(1, 2, 0).reshape(-1, 3)

@@ -26,12 +26,13 @@ class FakeService:
     the default).
     """
 
-    def __init__(self) -> None:
+    def __init__(self, host: str = "127.0.0.1") -> None:
+        self.host = host
         self.script: deque[str] = deque()
         self.requests: list[dict] = []
         self.lock = threading.Lock()
         self.busy = self.busiest = 0
-        self.server = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
+        self.server = ThreadingHTTPServer((host, 0), self._handler())
         self.server.daemon_threads = True
         self.thread = threading.Thread(
             target=self.server.serve_forever,
@@ -42,7 +43,7 @@ class FakeService:
 
     @property
     def url(self) -> str:
-        return f"http://127.0.0.1:{self.server.server_port}"
+        return f"http://{self.host}:{self.server.server_port}"
 
     def close(self) -> None:
         self.server.shutdown()
@@ -68,6 +69,10 @@ class FakeService:
                 finally:
                     with service.lock:
                         service.busy -= 1
+
+            def do_GET(self):
+                service.requests.append({"path": self.path})
+                send(self, b"{}")
 
             def log_message(self, *_):
                 pass
@@ -128,6 +133,9 @@ def respond(handler, request: dict, behaviour: str) -> None:
         message = f"synthetic trouble, your key was {KEY}"
         error = {"message": message, "code": int(value), "status": "TROUBLE"}
         return send(handler, json.dumps({"error": error}).encode(), int(value))
+    if kind == "elsewhere":
+        status, _, address = value.partition(" ")
+        return send(handler, b"{}", int(status), address=address + request["path"])
     if kind == "slow":
         time.sleep(float(value))
     if kind == "refusal":
@@ -208,8 +216,16 @@ def refusal(request: dict) -> tuple[bytes, int]:
     return json.dumps({"candidates": [candidate]}).encode(), 200
 
 
-def send(handler, body: bytes, status: int = 200, announced: int | None = None) -> None:
+def send(
+    handler,
+    body: bytes,
+    status: int = 200,
+    announced: int | None = None,
+    address: str = "",
+) -> None:
     handler.send_response(status)
+    if address:
+        handler.send_header("Location", address)
     handler.send_header("Content-Type", "application/json")
     handler.send_header("Content-Length", str(announced or len(body)))
     handler.send_header("retry-after-ms", "5")
@@ -227,6 +243,14 @@ def fake(monkeypatch):
     for name in ("OPENAI_API_KEY", "GEMINI_API_KEY"):
         monkeypatch.setenv(name, KEY)
     service = FakeService()
+    yield service
+    service.close()
+
+
+@pytest.fixture
+def elsewhere():
+    """A service on another host."""
+    service = FakeService("127.0.0.2")
     yield service
     service.close()
 

@@ -102,7 +102,7 @@ def test_a_run_that_broke_goes_on_without_paying_for_the_first_view_again(
     said = capsys.readouterr().err
     assert (
         "I will not paint that." in said
-        and "cost nothing again" in said
+        and "will not be charged again" in said
         and SECRET not in said
     )
     assert not (tmp_path / "out").exists()

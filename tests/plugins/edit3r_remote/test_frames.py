@@ -52,6 +52,6 @@ def test_a_softly_masked_pixel_may_change():
 
 def test_what_is_no_picture_is_quoted():
     with pytest.raises(
-        RunError, match=r"view 3 is no image \(5 bytes, starting 'hello'\)"
+        RunError, match=r"view 3 is not an image \(5 bytes, starting 'hello'\)"
     ):
         decode(b"hello", (5, 7), "view 3")

@@ -93,6 +93,18 @@ def test_lasting_trouble_is_one_sentence_without_the_key(
     assert caught.value.__cause__ is None and caught.value.__suppress_context__
 
 
+@pytest.mark.parametrize("status", [301, 302, 303, 307, 308])
+def test_neither_key_nor_photo_follows_to_another_host(
+    build, fake, elsewhere, two_views, status
+):
+    fake.script.extend([f"elsewhere:{status} {elsewhere.url}"] * 2)
+    with pytest.raises(
+        RunError, match=r"leads elsewhere, which is not followed.*editor\.base_url"
+    ):
+        build(attempts=1).edit(two_views, ASK)
+    assert len(fake.requests) == 2 and not elsewhere.requests
+
+
 def test_attempts_are_the_tries_for_each_photo(build, fake, two_views):
     fake.script.extend(["status:500"] * 8)
     with pytest.raises(RunError):
@@ -139,7 +151,7 @@ def test_an_answer_that_cannot_be_kept_is_used(build, fake, two_views, tmp_path)
         edited = build(cache=str(tmp_path / "file")).edit(two_views, ASK)
     assert torch.allclose(edited.images, 1 - two_views.images, atol=0.02)
     assert any(
-        "cannot be kept in editor.cache" in warning for warning in report.warnings
+        "could not be saved in editor.cache" in warning for warning in report.warnings
     )
 
 
@@ -168,7 +180,8 @@ def test_an_answer_of_another_size_and_the_same_shape_is_scaled_and_said(
 def test_a_broken_run_goes_on_without_paying_twice(build, fake, two_views):
     fake.script.extend(["ok", "refusal"])
     with pytest.raises(
-        PromptError, match=r"1 of 2 views have their answer in .* cost nothing again"
+        PromptError,
+        match=r"1 of 2 views have their answer in .* will not be charged again",
     ):
         build().edit(two_views, ASK)
     report = Report()

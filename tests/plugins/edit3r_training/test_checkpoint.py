@@ -104,7 +104,7 @@ def test_no_code_of_a_checkpoint_runs(tmp_path):
     _state().save(tmp_path / "last.pt")
     content = torch.load(tmp_path / "last.pt", weights_only=True)
     torch.save(content | {"config": _Planted(tmp_path / "trace")}, tmp_path / "last.pt")
-    with pytest.raises(InputError, match="not a whole checkpoint"):
+    with pytest.raises(InputError, match="not a complete checkpoint"):
         _state().load(tmp_path / "last.pt")
     assert not (tmp_path / "trace").exists()
 
@@ -129,7 +129,7 @@ def _torch_file(content) -> bytes:
 )
 def test_a_file_that_is_no_checkpoint_is_named_and_left(tmp_path, content):
     (tmp_path / "last.pt").write_bytes(content)
-    with pytest.raises(InputError, match=r"last\.pt: not a whole checkpoint"):
+    with pytest.raises(InputError, match=r"last\.pt: not a complete checkpoint"):
         _state().load(tmp_path / "last.pt")
 
 
@@ -147,7 +147,7 @@ def test_a_checkpoint_at_no_step_is_refused(tmp_path, wrong):
     _state().save(tmp_path / "last.pt")
     content = torch.load(tmp_path / "last.pt", weights_only=True)
     torch.save(content | wrong, tmp_path / "last.pt")
-    with pytest.raises(InputError, match=r"it stands at step|best score"):
+    with pytest.raises(InputError, match=r"it is at step|best score"):
         _state().load(tmp_path / "last.pt")
 
 
@@ -178,7 +178,7 @@ def test_trained_weights_are_read_from_the_file_or_its_folder(tmp_path):
 
 @pytest.mark.parametrize(
     ("name", "reason"),
-    [("none", "no such weights"), ("best", "not weights of this network")],
+    [("none", "no such weights"), ("best", "do not fit this network")],
 )
 def test_weights_that_are_missing_or_another_network_s_are_an_input_error(
     tmp_path, name, reason

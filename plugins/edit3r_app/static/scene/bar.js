@@ -1,5 +1,5 @@
 // The sentence, how it was understood, and Go.
-import { go, sceneAddress } from "../app.js";
+import { go, sceneAddress } from "../address.js";
 import { tell } from "../api.js";
 import { el, icon, toast } from "../dom.js";
 import { arriving } from "../upload.js";

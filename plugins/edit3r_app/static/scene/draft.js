@@ -1,5 +1,5 @@
 // The draft of an edit: changed on the server, then answered with what it means; undo and redo.
-import { go, sceneAddress } from "../app.js";
+import { go, sceneAddress } from "../address.js";
 import { ask, path, tell } from "../api.js";
 import { toast } from "../dom.js";
 import { showNames } from "../panels.js";

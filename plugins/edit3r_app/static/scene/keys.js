@@ -1,5 +1,4 @@
 // Keys, and the wheel over a photo.
-import { changeTheme } from "../home.js";
 import { showKeys } from "../panels.js";
 import { fullScreen } from "./stage.js";
 
@@ -30,7 +29,7 @@ export function keysOf(page, stage, toggleStrip) {
     s: () => page.drawers.openSettings(),
     v: toggleStrip,
     f: fullScreen,
-    "?": () => showKeys(changeTheme),
+    "?": () => showKeys(),
     "/": () => page.bar.focus(),
     m: () => {
       if (!page.s.isRun || page.s.byHand) return;

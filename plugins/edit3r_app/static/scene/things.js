@@ -1,5 +1,5 @@
 // What is done with a thing of the scene: a state of its own, so that it can be undone.
-import { go, sceneAddress } from "../app.js";
+import { go, sceneAddress } from "../address.js";
 import { ask, tell } from "../api.js";
 import { toast } from "../dom.js";
 

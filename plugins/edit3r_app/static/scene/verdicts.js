@@ -1,5 +1,5 @@
 // Over the scene: what is wrong with the photos, what is said of what was made, and what is compared.
-import { go, sceneAddress } from "../app.js";
+import { go, sceneAddress } from "../address.js";
 import { el } from "../dom.js";
 import { choose } from "../upload.js";
 

@@ -1,5 +1,5 @@
 // The scene in 3D. The page of a run may come from a stranger: it is shown in a sandbox, and told things by messages.
-import { go, sceneAddress } from "../app.js";
+import { go, sceneAddress } from "../address.js";
 import { path } from "../api.js";
 import { button, el, toast } from "../dom.js";
 

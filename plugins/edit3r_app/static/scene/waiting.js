@@ -1,5 +1,5 @@
 // The pill over the stage: how far an edit is, or what somebody waits for.
-import { go, sceneAddress } from "../app.js";
+import { go, sceneAddress } from "../address.js";
 import { path, tell } from "../api.js";
 import { el, seconds } from "../dom.js";
 import { arriving } from "../upload.js";

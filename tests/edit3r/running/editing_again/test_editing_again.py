@@ -15,7 +15,7 @@ import edit3r
 from edit3r.cli.main import main
 from edit3r.kit.cache import Cache
 from edit3r.kit.photos.images import save_image
-from edit3r.running.earlier import read_earlier_run
+from edit3r.running.run_folder import RunFolder
 
 PLUGIN = Path(__file__).parent / "planted.py"
 PARTS = (
@@ -158,9 +158,10 @@ def test_a_sequence_of_edits_keeps_the_first_and_its_outside(
     planted, folders, rasterizer
 ):
     assert again(folders, "--prompt", "B", "--mask", *masks_of(folders, 1)) == 0
-    one, two = (read_earlier_run(folders / name) for name in ("first", "second"))
+    one, two = (RunFolder(folders / name).read().inputs for name in ("first", "second"))
     before, after = (
-        render(rasterizer, run.scene.gaussians, run.scene.cameras) for run in (one, two)
+        render(rasterizer, run.before.gaussians, run.before.cameras)
+        for run in (one, two)
     )
     change = (after - before).abs().amax(1)
     outside = planted.masks[1, 0] == 0
@@ -172,8 +173,8 @@ def test_a_sequence_of_edits_keeps_the_first_and_its_outside(
         "B",
     )
     assert torch.equal(
-        two.edited.images[0].movedim(1, -1)[outside],
-        one.edited.images[0].movedim(1, -1)[outside],
+        two.start.images[0].movedim(1, -1)[outside],
+        one.start.images[0].movedim(1, -1)[outside],
     )
 
 
@@ -219,9 +220,9 @@ def test_without_masks_a_further_edit_changes_what_it_changed_on_the_photos(
     planted, folders
 ):
     assert again(folders, "--prompt", "B") == 0
-    one, two = (read_earlier_run(folders / name) for name in ("first", "second"))
-    assert torch.allclose(two.edited.images, 1 - one.edited.images, atol=1 / 255)
-    assert two.scene.gaussians.count == one.scene.gaussians.count
+    one, two = (RunFolder(folders / name).read().inputs for name in ("first", "second"))
+    assert torch.allclose(two.start.images, 1 - one.start.images, atol=1 / 255)
+    assert two.before.gaussians.count == one.before.gaussians.count
 
 
 def test_given_photos_are_edited_from_the_start_with_what_is_known_of_them(
@@ -244,7 +245,7 @@ def test_given_photos_are_edited_from_the_start_with_what_is_known_of_them(
     )
     assert again(folders, *more) == 0
     assert sorted(planted.calls[first:]) == ["edit", "reconstruct"]
-    assert read_earlier_run(folders / "second").prompts == ("B",)
+    assert RunFolder(folders / "second").read().inputs.prompts == ("B",)
 
 
 def test_what_changed_is_computed_again(planted, folders):
@@ -321,11 +322,12 @@ def test_a_view_name_in_a_strangers_folder_never_becomes_a_path(folders, capsys,
 
 
 def test_the_earlier_run_comes_back_as_it_was(folders, planted):
-    earlier = read_earlier_run(folders / "first")
+    read = RunFolder(folders / "first").read()
+    earlier = read.inputs
     assert earlier.photos.names == ("a", "b") and [
-        record.name for record in earlier.records
+        record.name for record in earlier.files
     ] == ["a", "b"]
-    assert earlier.records[0].frame.target == (48, 64) and earlier.frames == 3
+    assert earlier.files[0].frame.target == (48, 64) and read.settings["frames"] == 3
     assert torch.equal(earlier.photos.images, planted.views.images)
 
 
@@ -333,12 +335,12 @@ def test_masks_of_what_was_named_are_known_to_the_next_run(folders, capsys):
     files = [str(folders / f"ball0_{name}.png") for name in ("a", "b")]
     fox = ("--editor", "recolor", "--prompt", "paint the fox red")
     assert again(folders, *fox, "--mask", *files) == 0
-    second = read_earlier_run(folders / "second")
+    second = RunFolder(folders / "second").read().inputs
     expected = np.stack([np.array(Image.open(file)) for file in files]) / 255
     assert np.allclose(second.things["fox"], expected, atol=1e-3)
     third = {"start": "second", "out": "third"}
     assert again(folders, *fox, "--prompt", "paint the fox blue", **third) == 0
-    assert "fox" in read_earlier_run(folders / "third").things
+    assert "fox" in RunFolder(folders / "third").read().inputs.things
     (folders / "second" / "masks" / "0" / "b.png").write_bytes(b"no image")
     assert again(folders, *fox, start="second", out="fourth") == 2
     assert "b.png" in capsys.readouterr().err and not (folders / "fourth").exists()

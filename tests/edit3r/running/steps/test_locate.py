@@ -10,7 +10,6 @@ from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import Geometry
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
-from edit3r.running.geometry import GeometryAnswer
 from edit3r.running.records import Inputs, Located
 from edit3r.running.steps.locate import locate
 
@@ -24,17 +23,26 @@ def geometry(**fields):
     return Geometry(poses, ones, ones, torch.ones(1, 2).bool(), **fields)
 
 
+class Finds:
+    """A matcher that finds one geometry by a known lens, another without; None: neither."""
+
+    def __init__(self, known, unknown):
+        self.known, self.unknown = known, unknown
+
+    def match(self, views):
+        answer = self.unknown if views.assumed else self.known
+        if answer is None:
+            raise MatchingError("too few points")
+        return answer
+
+
 def located(source, known, unknown):
     """What becomes of photos whose lens `source` tells, by what is found with it and without."""
     records = tuple(SimpleNamespace(intrinsics_source=source) for _ in range(2))
     parts = SimpleNamespace(
         uses_geometry=True,
         config=SimpleNamespace(exposure="own"),
-        geometry=SimpleNamespace(
-            of=lambda photos: GeometryAnswer(
-                unknown if photos.assumed else known, "too few points"
-            )
-        ),
+        geometry_source=Finds(known, unknown),
     )
     inputs = Inputs(photos=PHOTOS, start=replace(PHOTOS), files=records)
     with collecting(Report()) as report:
@@ -90,7 +98,7 @@ def test_photos_of_one_plane_are_told_only_where_nobody_knows_a_lens(assumed):
     parts = SimpleNamespace(
         uses_geometry=True,
         config=SimpleNamespace(exposure="own"),
-        geometry=SimpleNamespace(of=lambda photos: GeometryAnswer(geometry())),
+        geometry_source=Finds(geometry(), geometry()),
     )
     with collecting(Report()):
         _, found = locate(Inputs(photos, photos), parts)

@@ -8,16 +8,8 @@ from pydantic import Field, SecretStr
 from edit3r.contract.reporting import StageRecord
 from edit3r.contract.settings import Settings
 from edit3r.contract.verdicts import Verdict
-from edit3r.kit import run_folder
 from edit3r.kit.photos.images import load_photos
-from edit3r.kit.run_folder import (
-    PluginRecord,
-    RunManifest,
-    WeightsRecord,
-    continue_run,
-    installed_versions,
-    write_manifest,
-)
+from edit3r.running.run_folder import RunFolder
 
 
 class RemoteSettings(Settings):
@@ -28,7 +20,7 @@ class RemoteSettings(Settings):
 @pytest.fixture
 def manifest(tmp_path):
     Image.fromarray(np.zeros((30, 40, 3), np.uint8)).save(tmp_path / "a.png")
-    return RunManifest(
+    return dict(
         prompt="paint it grün",
         seed=3,
         device="cpu",
@@ -36,10 +28,10 @@ def manifest(tmp_path):
             "editor": RemoteSettings(),
             "alpha": {"token": "hf_456", "tokens": 7, "key_frames": "all"},
         },
-        plugins=[PluginRecord("editor", "recolor", "recolor", "0.1.0", "Apache-2.0")],
+        plugins=[{"kind": "editor", "licence": "Apache-2.0"}],
         inputs=load_photos(tmp_path / "a.png", fov=60).photos,
         masks={},
-        weights=[WeightsRecord("small.safetensors", "ab" * 32, "Apache-2.0")],
+        weights=[{"file": "small.safetensors"}],
         verdict=Verdict(
             "good",
             "well",
@@ -62,7 +54,7 @@ def manifest(tmp_path):
 
 
 def written(tmp_path, manifest):
-    write_manifest(tmp_path / "run.json", manifest)
+    RunFolder(tmp_path).write_manifest(manifest)
     return (tmp_path / "run.json").read_text(encoding="utf-8")
 
 
@@ -114,25 +106,6 @@ def test_manifest_is_strict_json_in_a_stable_order(tmp_path, manifest):
     assert text == written(tmp_path, manifest)
 
 
-def test_versions_name_only_what_is_installed():
-    versions = installed_versions()
-    assert all(isinstance(version, str) and version for version in versions.values())
-
-
-@pytest.mark.parametrize("head", ["ref: refs/heads/main", "0123abcd"])
-def test_the_commit_of_a_checkout_is_told_and_an_installed_package_has_none(
-    head, tmp_path, monkeypatch
-):
-    home = tmp_path / "edit3r" / "kit" / "run_folder.py"
-    monkeypatch.setattr(run_folder, "__file__", str(home))
-    assert "commit" not in installed_versions()
-    branch = tmp_path / ".git" / "refs" / "heads" / "main"
-    branch.parent.mkdir(parents=True)
-    branch.write_text("0123abcd\n")
-    (tmp_path / ".git" / "HEAD").write_text(f"{head}\n")
-    assert installed_versions()["commit"] == "0123abcd"
-
-
 def test_what_stays_true_of_a_run_goes_on_without_what_lies_behind_its_links(tmp_path):
     before = tmp_path / "run"
     before.mkdir()
@@ -146,7 +119,9 @@ def test_what_stays_true_of_a_run_goes_on_without_what_lies_behind_its_links(tmp
     (before / "edited").symlink_to(private)
     after = tmp_path / "after"
     after.mkdir()
-    continue_run(before, after, ("inputs", "edited", "masks"), {"objects": {"ä": 1}})
+    RunFolder(after).continue_from(
+        before, ("inputs", "edited", "masks"), {"objects": {"ä": 1}}
+    )
     assert (after / "inputs" / "a.png").read_bytes() == b"photo"
     assert (after / "inputs" / "b.png").is_symlink()
     assert not (after / "edited").exists()

@@ -14,10 +14,13 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.errors import MissingDependencyError
 from edit3r.kit.compute.metrics import Image
+
+__all__ = ["PACKAGE", "lpips_distance", "lpips_distances", "lpips_weights"]
 
 PACKAGE, FILE = "stlpips_pytorch", "weights/vST0.0/alex_shift_tolerant.pth"
 # Convolutions by their names in the file, with what is padded; features are compared after each.
@@ -28,8 +31,12 @@ CONVOLUTIONS = {
     "slice4.11": 1,
     "slice5.13": 1,
 }
+# The constants are those of the package's code.
 SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)  # of images in [-1, 1]
-BLUR, PADDING = (0.25, 0.5, 0.25), 2  # before every second pixel is taken
+# before every second pixel is taken; from the package's code
+BLUR, PADDING = (0.25, 0.5, 0.25), 2
+
+Images = Float[Tensor, "n 3 height width"]
 
 
 def lpips_weights() -> str:
@@ -40,34 +47,44 @@ def lpips_weights() -> str:
     return f"shift-tolerant AlexNet of {name} {importlib.metadata.version(name)}"
 
 
-@torch.no_grad()
-def lpips(image: Image, photo: Image) -> float:
-    """Return the distance of two images of one size; 0 for equal ones.
+def lpips_distances(images: Images, photos: Images) -> Float[Tensor, "n"]:
+    """Return the distances of images in [0, 1] of one size, with gradients; 0 for equal ones.
 
     Raises MissingDependencyError where the package of the weights is not installed.
     """
-    weights = _weights()
+    weights = _weights(images.device)
     distances = [
-        F.conv2d((a - b).square(), weights[f"lin{layer}.model.1.weight"]).mean()
-        for layer, (a, b) in enumerate(zip(_features(image), _features(photo)))
+        F.conv2d((a - b).square(), weights[f"lin{layer}.model.1.weight"]).mean(
+            (1, 2, 3)
+        )
+        for layer, (a, b) in enumerate(zip(_features(images), _features(photos)))
     ]
-    return float(sum(distances))
+    return torch.stack(distances).sum(0)
 
 
-def _features(image: Image) -> list[Tensor]:
+@torch.no_grad()
+def lpips_distance(image: Image, photo: Image) -> float:
+    """Return the distance of two images `[height, width, 3]`. Raises as `lpips_distances` does."""
+    batches = (
+        torch.from_numpy(np.ascontiguousarray(own)).float().permute(2, 0, 1)[None]
+        for own in (image, photo)
+    )
+    return float(lpips_distances(*batches))
+
+
+def _features(images: Images) -> list[Tensor]:
     """What each convolution gives, every pixel's features of length 1."""
-    weights, found = _weights(), []
-    x = torch.from_numpy(np.ascontiguousarray(image)).float().permute(2, 0, 1)[None]
-    shift, scale = (torch.tensor(v)[:, None, None] for v in (SHIFT, SCALE))
-    x = (2 * x - 1 - shift) / scale
+    weights, features = _weights(images.device), []
+    shift, scale = (images.new_tensor(v)[:, None, None] for v in (SHIFT, SCALE))
+    x = (2 * images - 1 - shift) / scale
     for layer, (name, padding) in enumerate(CONVOLUTIONS.items()):
         if layer in (1, 2):
             x = _halved(F.max_pool2d(x, 3, stride=1))
         kernel, bias = (weights[f"net.{name}.{part}"] for part in ("weight", "bias"))
         x = F.conv2d(x, kernel, bias, padding=padding)
         x = F.relu(_halved(x) if layer == 0 else x)
-        found.append(x / (x.square().sum(1, keepdim=True).sqrt() + 1e-10))
-    return found
+        features.append(F.normalize(x, dim=1, eps=1e-10))
+    return features
 
 
 def _halved(x: Tensor) -> Tensor:
@@ -79,12 +96,12 @@ def _halved(x: Tensor) -> Tensor:
 
 
 @cache
-def _weights() -> dict[str, Tensor]:
+def _weights(device: torch.device) -> dict[str, Tensor]:
     """The file of the installed package, whose code does not run."""
     spec = importlib.util.find_spec(PACKAGE)
     if spec is None:
         raise MissingDependencyError(
-            f'{PACKAGE} is missing: pip install "edit3r[stlpips]"'
+            f'LPIPS needs {PACKAGE}; install with: pip install "edit3r[stlpips]"'
         )
     file = Path(next(iter(spec.submodule_search_locations or ()))) / FILE
-    return torch.load(file, map_location="cpu", weights_only=True)
+    return torch.load(file, map_location=device, weights_only=True)

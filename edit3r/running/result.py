@@ -1,17 +1,14 @@
-"""What a run leaves behind: its result in memory, and one folder of files people can open. The
-names of its own are those of `edit3r.kit.run_folder`; all others are made by writers.
-"""
+"""A finished run in memory, and what of it goes into its folder."""
 
 import base64
 import html
 import io
-import os
 import tempfile
 from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +29,7 @@ from edit3r.contract.interfaces import (
     Selected,
     Writer,
 )
-from edit3r.contract.reporting import Report, collecting, note, warn
+from edit3r.contract.reporting import Report, collecting, note
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
@@ -45,22 +42,18 @@ from edit3r.kit.contact_sheet import (
     with_readings,
 )
 from edit3r.kit.files.atomic import atomic_folder
-from edit3r.kit.photos.cameras import posed_cameras, write_cameras
-from edit3r.kit.photos.images import save_image, save_pixels, to_bytes
 from edit3r.kit.rendering import Flight, path_around, render_each
-from edit3r.kit.run_folder import (
-    PluginRecord,
-    RunFolder,
-    RunManifest,
-    WeightsRecord,
-    write_manifest,
-)
-from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
 from edit3r.running.before import colours_before
+from edit3r.running.components import Components
 from edit3r.running.config import DEFAULTS, RunConfig
-from edit3r.running.earlier import CACHE, THINGS, EarlierRun, note_views
-from edit3r.running.parts import Parts
-from edit3r.running.records import Masks, Preview, Records, SelectedRegions
+from edit3r.running.records import Inputs, Masks, Preview, Records, SelectedRegions
+from edit3r.running.run_folder import (
+    VIEWS,
+    EarlierRun,
+    RunFolder,
+    what_images_lack,
+)
+from edit3r.running.scale import Unit, has_given_poses
 
 FITS = 15.0
 """PSNR [dB] of a photo in the scene from which the camera path comes near it."""
@@ -70,47 +63,61 @@ FITS = 15.0
 class RunResult:
     """A finished run in memory: the records of its steps, and what made them.
 
-    In a notebook it shows the sheet and the viewer.
+    Its properties are in the unit of the given poses, its records in the run's own. In a notebook
+    it shows the sheet and the viewer.
     """
 
     records: Records = field(repr=False)
-    parts: Parts
+    components: Components
     report: Report
     cache: Cache  # answers that a further run on the same photos need not compute again
 
     @property
     def config(self) -> RunConfig:
-        return self.parts.config
+        return self.components.config
 
-    @property
+    @cached_property
+    def _of_photos(self) -> Unit:
+        """Back into the unit in which the photos' poses were given."""
+        return self.records.inputs.unit.back
+
+    @cached_property
+    def _of_scene(self) -> Unit:
+        """The same for the scene, if it was made on those poses, or from them."""
+        scene = self.records.reconstructed.reconstruction
+        stands = has_given_poses(scene, self.records.inputs.photos)
+        return self._of_photos.where(stands | self.components.job.refine_poses)
+
+    @cached_property
     def photos(self) -> Views:
         """The views that were used and placed, unedited."""
-        return self.records.inputs.photos
+        return self._of_photos.views(self.records.inputs.photos)
 
-    @property
+    @cached_property
     def edited(self) -> Views:
         """The views after the 2D editor and the composite with the masks."""
-        return self.records.edit.views
+        return self._of_photos.views(self.records.edit.views)
 
     @property
     def masks(self) -> Masks | None:
         """Where pixels might change; None: everywhere."""
-        return self.records.made.masks
+        return self.records.reconstructed.masks
 
-    @property
+    @cached_property
     def gaussians(self) -> Gaussians:
         """The edited scene, in the frame of view 0."""
-        return self.records.gaussians
+        return self._of_scene.gaussians(self.records.gaussians)
 
-    @property
+    @cached_property
     def cameras(self) -> Cameras:
         """Poses of the input views in that frame, at the views' size."""
-        return self.records.made.cameras.at(self.photos.image_size)
+        cameras = self.records.reconstructed.cameras
+        return self._of_scene.cameras(cameras.at(self.photos.image_size))
 
-    @property
+    @cached_property
     def rendered(self) -> Rendering:
         """The scene from the input views."""
-        return self.records.judged.rendered
+        return self._of_scene.rendering(self.records.judged.rendered)
 
     @property
     def verdict(self) -> Verdict:
@@ -129,15 +136,15 @@ class RunResult:
 
     @property
     def editor(self) -> Editor:
-        return self.parts.editor
+        return self.components.editor
 
     @property
     def reconstructor(self) -> Reconstructor:
-        return self.parts.reconstructor
+        return self.components.reconstructor
 
     @property
     def rasterizer(self) -> Rasterizer:
-        return self.parts.rasterizer
+        return self.components.rasterizer
 
     @in_usual_torch
     def save(self, folder: str | Path, *, overwrite: bool = False) -> Path:
@@ -148,18 +155,22 @@ class RunResult:
 
     def as_earlier(self) -> EarlierRun:
         """This run as what a further edit starts from."""
-        choice, matcher = self.config.reconstructor, self.config.matcher
-        return EarlierRun(
+        chosen = {
+            kind: {"name": choice.name, **choice.settings}
+            for kind, choice in (
+                ("reconstructor", self.config.reconstructor),
+                ("matcher", self.config.matcher),
+            )
+        }
+        inputs = Inputs(
             photos=self.photos,
-            edited=self.edited,
-            scene=Reconstruction(self.gaussians, self.cameras),
+            start=self.edited,
+            files=self.records.inputs.files,
             prompts=self.records.inputs.prompts,
-            records=self.records.inputs.files,
-            reconstructor={"name": choice.name, **choice.settings},
-            matcher={"name": matcher.name, **matcher.settings},
-            frames=self.config.frames,
             things=self.records.selection.things,
+            before=Reconstruction(self.gaussians, self.cameras),
         )
+        return EarlierRun(inputs, {"frames": self.config.frames, **chosen})
 
     @in_usual_torch
     def view(self) -> Path:
@@ -216,7 +227,7 @@ def write_result(root: Path, result: RunResult) -> None:
     `root`, and `run.json`.
     """
     folder, report = RunFolder(root), result.report
-    writers = [result.parts.writer(name) for name in result.config.writers]
+    writers = [result.components.writer(name) for name in result.config.writers]
     drawing = [writer for writer in writers if {*writer.needs} & {*DRAWING}]
     others = [writer for writer in writers if writer not in drawing]
     with collecting(report), torch.no_grad():
@@ -229,9 +240,9 @@ def write_result(root: Path, result: RunResult) -> None:
                 flight.leave_pictures()
         with report.stage("write files"):
             rest.result()
-            note_views(result.photos)
+            note(VIEWS, what_images_lack(result.photos))
             note("edits", list(result.records.inputs.prompts))
-    write_manifest(folder.manifest, _manifest(result))
+    folder.write_manifest(_facts(result))
 
 
 def write_scene(writer: Writer, path: Path, scene: SceneToWrite) -> None:
@@ -248,7 +259,7 @@ def write_scene(writer: Writer, path: Path, scene: SceneToWrite) -> None:
 
 def _shown(result: RunResult, what: str, folder: Path) -> Path:
     """The file in `folder` that the writer of the picture, or of the page, made."""
-    writer = result.parts.writer(DEFAULTS["shown"][what])
+    writer = result.components.writer(DEFAULTS["shown"][what])
     _write_by([writer], folder, _scene(result))
     return folder / writer.offer.component.file_name()
 
@@ -283,11 +294,13 @@ def _scene(result: RunResult, flight: Flight | None = None) -> SceneToWrite:
 
 
 def _look_before(result: RunResult) -> SecondLook:
-    located = result.records.located
-    photos = located.in_one_exposure(result.photos)
-    edited = located.edited_in_one_exposure(result.edited)
+    corrected = result.records.corrected
     colours = colours_before(
-        result.gaussians, result.cameras, photos, edited, result.rendered
+        result.gaussians,
+        result.cameras,
+        corrected.photos,
+        corrected.edited,
+        result.rendered,
     )
     return SecondLook(colours)
 
@@ -314,71 +327,25 @@ def _write_rest(folder: RunFolder, result: RunResult, writers: list[Writer]) -> 
     """Write the cache, images, masks and scene, then the files of the writers."""
     wanted = result.config.written
     if "cache" in wanted:
-        result.cache.save(folder.root / CACHE)
+        result.cache.save(folder.cache)
     if "images" in wanted:
-        _write_images(folder, result)
-        _write_masks(folder, result)
+        things = result.records.selection.things
+        folder.write_images(result.photos, result.edited, result.rendered, things)
     if "scene" in wanted:
-        _write_scene(folder, result)
+        names, prompt = result.photos.names, result.config.prompt
+        folder.write_scene(result.gaussians, result.cameras, names, prompt)
     _write_by(writers, folder.root, _scene(result))
-
-
-def _write_scene(folder: RunFolder, result: RunResult) -> None:
-    """`scene.ply` is for viewers, and common ones refuse harmonics above degree 3."""
-    if result.gaussians.degree > VIEWER_DEGREE:
-        was = result.gaussians.degree
-        warn(
-            f"scene.ply holds harmonics up to degree {VIEWER_DEGREE} of {was}: viewers "
-            "refuse more."
-        )
-    prompt = " ".join(result.config.prompt.split())
-    save_ply(
-        folder.scene,
-        result.gaussians,
-        degree=VIEWER_DEGREE,
-        comment_lines=[f"prompt: {prompt}"],
-    )
-    names = [f"inputs/{name}.png" for name in result.photos.names]
-    write_cameras(folder.cameras, posed_cameras(result.cameras, names))
-
-
-def _write_images(folder: RunFolder, result: RunResult) -> None:
-    """Write photos, 2D edits and the scene from the photos' places."""
-    shown = {
-        folder.made("inputs"): images_of(result.photos),
-        folder.made("edited"): images_of(result.edited),
-        folder.made("renders"): images_of(result.rendered),
-    }
-    jobs = [
-        (picture, directory / f"{name}.png")
-        for directory, pictures in shown.items()
-        for name, picture in zip(result.photos.names, pictures)
-    ]
-    with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
-        list(pool.map(lambda job: save_image(*job), jobs))
-
-
-def _write_masks(folder: RunFolder, result: RunResult) -> None:
-    """Masks of what was named, which a further edit knows by these names."""
-    things = result.records.selection.things
-    for place, masks in enumerate(things.values()):
-        masks_folder = folder.made("masks") / str(place)
-        masks_folder.mkdir()
-        for name, mask in zip(result.photos.names, masks):
-            save_pixels(to_bytes(mask.expand(3, -1, -1)), masks_folder / f"{name}.png")
-    if things:
-        note(THINGS, list(things))
 
 
 def _about(result: RunResult) -> str:
     """Who made the scene, and the verdicts, in one line."""
     line = (
-        f"editor {result.parts.editor_names}, "
+        f"editor {result.components.editor_names}, "
         f"reconstructor {component_name(result.reconstructor)}"
     )
     line += _answers(result.records.selection, result.edit_verdict)
     line += f"; scene: {result.verdict.label}"
-    left_out = result.records.made.left_out
+    left_out = result.records.reconstructed.left_out
     if left_out is not None:
         line += f"; left out: {', '.join(left_out.names)}"
     return line
@@ -438,59 +405,50 @@ def _answers(selection: SelectedRegions, edit: EditVerdict | None) -> str:
     return f"{line}; edit: {edit.label}{' if it is the right thing' if asked else ''}"
 
 
-def _manifest(result: RunResult) -> RunManifest:
-    report, config = result.report, result.config
+def _facts(result: RunResult) -> dict[str, Any]:
+    """What run.json says, in its order, before what it says of every run."""
+    report, config, records = result.report, result.config, result.records
     components = {
         "editor": result.editor,
-        **result.parts.geometry_parts,
+        "matcher": result.components.asked_matcher,
         "reconstructor": result.reconstructor,
         "rasterizer": result.rasterizer,
     }
-    settings = {
-        kind: getattr(one, "settings", None) for kind, one in components.items()
-    }
-    used = [
-        *(task.editor for task in result.parts.tasks),
-        *list(components.values())[1:],
-    ]
-    plugins = [record for one in used for record in plugin_records(one)]
+    built = {kind: one for kind, one in components.items() if one is not None}
+    settings = {kind: getattr(one, "settings", None) for kind, one in built.items()}
+    used = [*(task.editor for task in result.components.tasks), *[*built.values()][1:]]
     weights = {k: v for k, v in report.notes.items() if k.startswith("weights.")}
-    notes = {k: v for k, v in report.notes.items() if k not in weights}
-    return RunManifest(
-        prompt=config.prompt,
-        seed=config.seed,
-        device=config.device,
-        settings={"run": config.model_dump(), **settings},
-        plugins=plugins,
-        inputs=result.records.inputs.files,
-        masks=result.records.inputs.mask_files,
-        weights=[WeightsRecord(**facts) for facts in weights.values()],
-        verdict=result.verdict,
-        edit_verdict=result.edit_verdict,
-        selection_verdict=result.selection_verdict,
-        gaussians=result.gaussians.count,
-        harmonics_degree=result.gaussians.degree,
-        stages=report.stages,
-        warnings=report.warnings,
-        notes=notes,
-    )
+    return {
+        "prompt": config.prompt,
+        "seed": config.seed,
+        "device": config.device,
+        "settings": {"run": config.model_dump(), **settings},
+        "plugins": [record for one in used for record in _plugins(one)],
+        "inputs": records.inputs.files,
+        "masks": records.inputs.mask_files,  # file: sha256
+        "weights": list(weights.values()),
+        "verdict": result.verdict,
+        "edit_verdict": result.edit_verdict,  # null: no edit
+        "selection_verdict": result.selection_verdict,  # null: nothing was looked for
+        "gaussians": result.gaussians.count,
+        "harmonics_degree": result.gaussians.degree,
+        "stages": report.stages,
+        "warnings": report.warnings,
+        "notes": {k: v for k, v in report.notes.items() if k not in weights},
+    }
 
 
-def plugin_records(component: Any) -> list[PluginRecord]:
-    """The component and the parts it was built with, as the registry remembers them."""
+def _plugins(component: Any) -> list[dict[str, Any]]:
+    """Who brought the component and the parts it was built with, as the registry remembers."""
     offer = getattr(component, "offer", None)
     if offer is None:  # an object the caller made by hand
         return []
-    records = [
-        PluginRecord(
-            kind=offer.kind,
-            name=offer.component.name,
-            plugin=offer.plugin,
-            version=offer.version,
-            licence=offer.component.licence,
-            needs_network=offer.component.needs_network,
-        )
-    ]
-    for part in component.parts.values():
-        records += plugin_records(part)
-    return records
+    own = {
+        "kind": offer.kind,
+        "name": offer.component.name,
+        "plugin": offer.plugin,
+        "version": offer.version,
+        "licence": offer.component.licence,
+        "needs_network": offer.component.needs_network,
+    }
+    return [own, *(one for part in component.parts.values() for one in _plugins(part))]

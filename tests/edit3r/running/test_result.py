@@ -27,11 +27,11 @@ from edit3r.contract.reporting import Report, warn
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.images import save_image
-from edit3r.running import write
+from edit3r.running import result as result_module
 from edit3r.running.config import USUAL_OUTPUTS, make_run_config
-from edit3r.running.earlier import read_earlier_run
+from edit3r.running.result import _other_readings
+from edit3r.running.run_folder import RunFolder
 from edit3r.running.summary import summary
-from edit3r.running.write import _other_readings
 from edit3r_testing.scenes import photograph
 
 ALL = {
@@ -104,7 +104,7 @@ def result(photos):
 
 def with_settings(result, **settings):
     """The same result, written with other settings."""
-    result.parts.config = result.config.model_copy(update=settings)
+    result.components.config = result.config.model_copy(update=settings)
     return result
 
 
@@ -158,10 +158,10 @@ def test_outputs_that_cannot_be_end_the_command_before_any_work(
 
 
 def test_a_saved_result_is_a_run_that_can_be_continued(result, tmp_path):
-    earlier = read_earlier_run(result.save(tmp_path / "out"))
+    earlier = RunFolder(result.save(tmp_path / "out")).read().inputs
     assert (
         earlier.photos.names == ("a", "b")
-        and earlier.scene.gaussians.count == result.gaussians.count
+        and earlier.before.gaussians.count == result.gaussians.count
     )
 
 
@@ -194,9 +194,11 @@ def test_the_camera_path_begins_at_the_first_photo_however_ill_it_fits(
     )
     judged = made.records.judged
     along = []
-    plainly = write.path_around
+    plainly = result_module.path_around
     monkeypatch.setattr(
-        write, "path_around", lambda *args: along.append(args[0]) or plainly(*args)
+        result_module,
+        "path_around",
+        lambda *args: along.append(args[0]) or plainly(*args),
     )
     for agreement, count in (((9, 9, 30), 2), ((9, 30, 30), 3), ((30, 9, 9), 3)):
         verdict = replace(judged.verdict, agreement=tuple(map(float, agreement)))
@@ -225,8 +227,8 @@ def test_the_camera_path_begins_at_the_first_photo_however_ill_it_fits(
 def test_the_last_lines_name_the_settings_that_were_asked_for(
     result, tmp_path, asked, named
 ):
-    job = replace(result.parts.job, config=make_run_config(asked))
-    result.parts.job = job
+    job = replace(result.components.job, config=make_run_config(asked))
+    result.components.job = job
     assert named in summary(tmp_path, result)
 
 
@@ -241,9 +243,9 @@ def test_the_last_line_says_how_to_get_a_default_run_sharper(result, tmp_path):
                 files=(SimpleNamespace(size=(24, longest)),) if longest else (),
             ),
         )
-        job = replace(result.parts.job, config=make_run_config(asked))
-        parts = SimpleNamespace(job=job)
-        made = replace(result, records=records, parts=parts)
+        job = replace(result.components.job, config=make_run_config(asked))
+        components = SimpleNamespace(job=job, refine_poses=False)
+        made = replace(result, records=records, components=components)
         return summary(tmp_path, made).splitlines()[-1]
 
     assert last().endswith("--quality best takes half as long again")

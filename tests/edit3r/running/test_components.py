@@ -5,9 +5,9 @@ from pathlib import Path
 
 from edit3r.contract.component import component_name
 from edit3r.loading.registry import default_registry
+from edit3r.running.components import Components
 from edit3r.running.config import make_run_config
 from edit3r.running.job import RunJob
-from edit3r.running.parts import Parts
 from edit3r_testing import photograph
 
 SCENE = photograph(2, (32, 48))
@@ -18,10 +18,10 @@ def matcher_of(photos, **settings):
     """The matcher that is asked, where another one was before the poses were known."""
     config = make_run_config({"reconstructor": "classical", **settings})
     job = RunJob(config=config, photos=photos, cameras=Path("cameras.json"))
-    parts = Parts(config, default_registry(), job)
-    assert component_name(parts.geometry.source) == "classical"
-    parts.settle_matcher(photos)
-    return component_name(parts.geometry.source)
+    components = Components(config, default_registry(), job)
+    assert component_name(components.geometry_source) == "classical"
+    components.settle_matcher(photos)
+    return component_name(components.geometry_source)
 
 
 def test_given_poses_are_used_unless_a_matcher_is_chosen():

@@ -26,14 +26,14 @@ from edit3r.contract.reporting import say
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
 from edit3r.kit.checks import errors_named_after
-from edit3r.loading.registry import Registry, default_registry
+from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.editors import EditorTask, tasks_for_editor, tasks_without_editor
-from edit3r.running.geometry import GeometryOfRun, uses_geometry
+from edit3r.running.geometry import Source, uses_geometry
 from edit3r.running.job import RunJob
 
 
-class Parts:
+class Components:
     """What the steps of a run work with: settings, and the components that they name.
 
     Components that the job brings along are used as they are.
@@ -45,38 +45,11 @@ class Parts:
         self._registry = registry
         self._given = job.components
 
-    def __getstate__(self) -> dict[str, Any]:
-        """What a copy or a pickle takes along: components that the registry built are built again
-        where they are asked for, since networks and compiled code cannot travel.
-        """
-        by_hand = {
-            kind: component
-            for kind, component in self._given.items()
-            if not hasattr(component, "offer")
-        }
-        job = replace(self.job, components=by_hand, cache=None)
-        given = {
-            kind: component.offer.qualified_name
-            for kind, component in self._given.items()
-            if hasattr(component, "offer") and kind != "reader"
-        }
-        chosen = {
-            kind: PartChoice(
-                name=name, settings=self._given[kind].settings.model_dump()
-            )
-            for kind, name in given.items()
-        }
-        config = self.config.model_copy(update=chosen)
-        return {"config": config, "job": job}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__(state["config"], default_registry(), state["job"])  # type: ignore[misc]
-
     @property
     def edits_again(self) -> bool:
         """Whether the scene of an earlier run is edited."""
         earlier = self.job.earlier
-        return earlier is not None and earlier.scene is not None
+        return earlier is not None and earlier.inputs.before is not None
 
     @cached_property
     def reader(self) -> Reader:
@@ -150,25 +123,24 @@ class Parts:
         )
 
     @cached_property
-    def geometry(self) -> GeometryOfRun:
+    def geometry_source(self) -> Source:
         """Who reads the photos' geometry: the matcher, or a reconstructor that finds it itself."""
         reconstructor = self.reconstructor
         if not isinstance(reconstructor, FindsGeometry):
-            return GeometryOfRun(self._build("matcher"))
+            return self._build("matcher")
         if "matcher" in {*self._given, *self.config.set_by_the_user()}:
             name = component_name(reconstructor)
             raise SettingsError(
                 f"matcher: reconstructor {name!r} finds geometry by itself, so no matcher is asked;"
                 " leave --matcher out."
             )
-        return GeometryOfRun(reconstructor)
+        return reconstructor
 
     @property
-    def geometry_parts(self) -> dict[str, Any]:
-        """The matcher by its kind, where the run asked one."""
-        asked = self.__dict__.get("geometry")
-        source = None if asked is None else asked.source
-        return {"matcher": source} if isinstance(source, Matcher) else {}
+    def asked_matcher(self) -> Matcher | None:
+        """The matcher, where the run asked one."""
+        source = self.__dict__.get("geometry_source")
+        return source if isinstance(source, Matcher) else None
 
     @property
     def uses_geometry(self) -> bool:
@@ -177,7 +149,7 @@ class Parts:
 
     def lens(self, photos: Views) -> Lens | None:
         """What bends straight lines in photos whose lens nobody knows, as the matcher tells."""
-        source = self.geometry.source if self.uses_geometry else None
+        source = self.geometry_source if self.uses_geometry else None
         if not isinstance(source, Matcher):
             return None
         with errors_named_after(source, photos.images):
@@ -207,7 +179,7 @@ class Parts:
         choice = DEFAULTS["refined_poses" if job.refine_poses else "known_poses"]
         matcher = PartChoice.model_validate(choice)
         self.config = self.config.model_copy(update={"matcher": matcher})
-        self.__dict__.pop("geometry", None)
+        self.__dict__.pop("geometry_source", None)
 
     @cached_property
     def segmenter(self) -> Segmenter:
@@ -277,7 +249,7 @@ def undone(job: RunJob) -> RunJob:
             "'undo' takes back an edit of an earlier run, and none is given: add --from its "
             "folder, without photos."
         )
-    say("edit.undone", f"taken back: {job.earlier.prompts[-1]}")
+    say("edit.undone", f"taken back: {job.earlier.inputs.prompts[-1]}")
     changed: dict[str, Any] = {"prompt": rest}
     if not rest:
         changed["editor"] = PartChoice(name="none")

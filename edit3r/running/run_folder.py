@@ -1,0 +1,333 @@
+"""A finished run: one folder of files that people can open, written and read back here.
+
+What a further edit needs comes from the files that people see: `inputs/`, `edited/`, `scene.ply`,
+`cameras.json` and `run.json`. Undo is `--from` of the run before. A folder may come from a
+stranger: names are checked, nothing in it is executed, and reading writes nothing there.
+"""
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from pydantic import TypeAdapter
+from torch import Tensor
+
+from edit3r.contract.errors import InputError
+from edit3r.contract.reporting import note, warn
+from edit3r.contract.settings import of_file
+from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
+from edit3r.kit.contact_sheet import images_of
+from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.files.names import unique_names
+from edit3r.kit.files.text import read_json
+from edit3r.kit.photos.cameras import (
+    intrinsics_from_outside,
+    pose_from_outside,
+    posed_cameras,
+    read_scene_cameras,
+    write_cameras,
+)
+from edit3r.kit.photos.images import (
+    Photo,
+    read_image,
+    save_image,
+    save_pixels,
+    to_bytes,
+)
+from edit3r.kit.provenance import installed_versions, recorded
+from edit3r.kit.scenes.ply import VIEWER_DEGREE, load_ply, save_ply
+from edit3r.running.records import Inputs
+
+Read = TypeVar("Read")
+FORMAT = 1
+"""Version of the layout of `run.json`; raised when a field changes its meaning or goes."""
+FRAME = (
+    "camera of view 0; OpenCV axes (x right, y down, z forward); c2w; "
+    "the length unit is arbitrary"
+)
+CACHE = "cache"  # the folder of answers of slow stages, for further edits
+VIEWS = "views"  # note in run.json with what the images do not hold: intrinsics and known poses
+THINGS = "things"  # note in run.json: names of the masks in the folders `masks/0`, `masks/1`...
+
+
+@dataclass(frozen=True)
+class EarlierRun:
+    """What a further edit of one scene (batch 1) starts from."""
+
+    # of that edit; without `before`, it begins with the photos
+    inputs: Inputs
+    # the frames, reconstructor and matcher, as a configuration holds them
+    settings: Mapping[str, Any]
+
+    def undone(self) -> "EarlierRun":
+        """What was before the last edit: the photos. Raises InputError for an edit of an edit."""
+        inputs = self.inputs
+        count = len(inputs.prompts)
+        if count > 1:
+            raise InputError(
+                f"this is edit {count} of {count}, and its folder does not hold the scene before "
+                "it: give --from the folder that it went on from, and leave 'undo' out."
+            )
+        photos = replace(inputs, start=inputs.photos, before=None, prompts=())
+        return replace(self, inputs=photos)
+
+
+class RunFolder:
+    """The folder that a run leaves: where each result lies in it, and how it is read and written.
+
+    Reading raises InputError, naming the file, for what is no run's folder or is damaged.
+    """
+
+    def __init__(self, root: str | Path) -> None:
+        self.root = root = Path(root)
+        self.scene = root / "scene.ply"  # the edited 3D Gaussians
+        # photo, 2D edit and 3D result of each view on one sheet
+        self.before_after = root / "before_after.png"
+        self.video = root / "video.webm"  # the camera path
+        self.viewer = root / "viewer.html"  # the scene in one page that opens from disk
+        self.cameras = root / "cameras.json"  # intrinsics and poses of the input views
+        self.manifest = root / "run.json"  # how the run was made
+        self.cache = root / CACHE
+
+    def made(self, name: Literal["inputs", "edited", "renders", "masks"]) -> Path:
+        """The folder of photos as they were used, 2D edits, images of the scene, or masks of what
+        was named (a folder for each); made when asked for.
+        """
+        folder = self.root / name
+        folder.mkdir(exist_ok=True)
+        return folder
+
+    # reading
+
+    def read(self, trusted: bool = False) -> EarlierRun:
+        """What a further edit starts from.
+
+        Not `trusted`: what run.json says cannot name programs or addresses (`USER_ONLY`).
+        """
+        earlier = self._of_manifest(self._earlier)
+        if trusted:
+            return earlier
+        return replace(earlier, settings=of_file(earlier.settings))
+
+    def read_views(self) -> tuple[Views, Views]:
+        """The unedited and the edited views, without the scene."""
+        return self._of_manifest(self._views)
+
+    def _of_manifest(self, read: Callable[[dict[str, Any]], Read]) -> Read:
+        """What `read` makes of the content of run.json and the files beside it."""
+        if not self.root.is_dir():
+            raise InputError(
+                f"{self.root}: no such folder; expected that of an earlier run, as edit3r run "
+                "wrote it with --out."
+            )
+        for needed in (self.manifest, self.scene, self.cameras):
+            if not needed.is_file():
+                raise InputError(
+                    f"{self.root}: not the folder of an earlier run that can be continued, it "
+                    f"lacks {needed.name}; --from takes what edit3r run wrote with --out."
+                )
+        try:
+            return read(read_json(self.manifest))
+        except (
+            KeyError,
+            TypeError,
+            ValueError,
+            AttributeError,
+            RecursionError,
+            OverflowError,
+        ) as error:
+            raise InputError(
+                f"{self.manifest}: lacks what is needed to continue ({type(error).__name__}: "
+                f"{error}); start again from the photos."
+            ) from None
+
+    def _earlier(self, manifest: dict[str, Any]) -> EarlierRun:
+        run, notes = manifest["settings"]["run"], manifest["notes"]
+        photos, edited = self._views(manifest)
+        cameras, _ = read_scene_cameras(self.cameras)
+        if (cameras.count, cameras.image_size) != (photos.count, photos.image_size):
+            raise ValueError(
+                f"cameras.json has {cameras.count} cameras, expected one for each of "
+                f"{photos.count} views"
+            )
+        inputs = Inputs(
+            photos=photos,
+            start=edited,
+            files=_files(manifest["inputs"], photos.count),
+            prompts=tuple(str(prompt) for prompt in notes["edits"]),
+            things=self._things(notes.get(THINGS, []), photos),
+            before=Reconstruction(load_ply(self.scene, visible=True), cameras),
+        )
+        chosen = {
+            kind: {"name": run[kind]["name"], **run[kind]["settings"]}
+            for kind in ("reconstructor", "matcher")
+        }
+        return EarlierRun(inputs, {"frames": int(run["frames"]), **chosen})
+
+    def _views(self, manifest: dict[str, Any]) -> tuple[Views, Views]:
+        """The images of `inputs/` and `edited/` as views."""
+        stored = manifest["notes"][VIEWS]
+        names = tuple(stored["names"])
+        for name, safe in zip(names, unique_names([str(name) for name in names])):
+            if name != safe:  # the folder may come from a stranger
+                raise InputError(
+                    f"{self.manifest}: the view name {str(name)[:60]!r} is no plain file name, or "
+                    "is there twice."
+                )
+        lens = [intrinsics_from_outside(one, 1, 1) for one in stored["intrinsics"]]
+        poses = None
+        if stored["c2w"] is not None:
+            poses = _as_batch([pose_from_outside(c2w, "c2w") for c2w in stored["c2w"]])
+        assumed = tuple(bool(one) for one in stored["assumed"])
+        photos, edited = (
+            Views(self._images(folder, names), _as_batch(lens), names, poses, assumed)
+            for folder in ("inputs", "edited")
+        )
+        return photos, edited
+
+    def _images(
+        self, folder: str, names: Sequence[str]
+    ) -> Float[Tensor, "1 view 3 height width"]:
+        pixels = [
+            np.array(read_image(self.root / folder / f"{name}.png"), dtype=np.float32)
+            for name in names
+        ]
+        images = torch.from_numpy(np.stack(pixels) / np.float32(255))
+        return images.permute(0, 3, 1, 2).contiguous()[None]
+
+    def _things(
+        self, names: list[str], photos: Views
+    ) -> dict[str, Float[Tensor, "view height width"]]:
+        """Masks of what was named, by name."""
+        things = {}
+        for place, name in enumerate(TypeAdapter(list[str]).validate_python(names)):
+            masks = self._images(f"masks/{place}", photos.names)[0, :, 0]
+            if tuple(masks.shape[1:]) != photos.image_size:
+                raise ValueError(
+                    f"masks/{place} has masks of another size than the photos"
+                )
+            things[name] = masks
+        return things
+
+    # writing
+
+    def write_images(
+        self,
+        photos: Views,
+        edited: Views,
+        rendered: Rendering,
+        things: Mapping[str, Float[Tensor, "view height width"]],
+    ) -> None:
+        """Photos, 2D edits, the scene from the photos' places, and masks of what was named, which
+        a further edit knows by these names.
+        """
+        shown = {
+            self.made("inputs"): images_of(photos),
+            self.made("edited"): images_of(edited),
+            self.made("renders"): images_of(rendered),
+        }
+        jobs = [
+            (picture, directory / f"{name}.png")
+            for directory, pictures in shown.items()
+            for name, picture in zip(photos.names, pictures)
+        ]
+        with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
+            list(pool.map(lambda job: save_image(*job), jobs))
+        for place, masks in enumerate(things.values()):
+            folder = self.made("masks") / str(place)
+            folder.mkdir()
+            for name, mask in zip(photos.names, masks):
+                save_pixels(to_bytes(mask.expand(3, -1, -1)), folder / f"{name}.png")
+        if things:
+            note(THINGS, list(things))
+
+    def write_scene(
+        self, gaussians: Gaussians, cameras: Cameras, names: Sequence[str], prompt: str
+    ) -> None:
+        """The scene and the cameras of its photos.
+
+        `scene.ply` is for viewers, and common ones refuse harmonics above degree 3.
+        """
+        if gaussians.degree > VIEWER_DEGREE:
+            warn(
+                f"scene.ply holds harmonics up to degree {VIEWER_DEGREE} of {gaussians.degree}: "
+                "viewers refuse more."
+            )
+        comment = [f"prompt: {' '.join(prompt.split())}"]
+        save_ply(self.scene, gaussians, degree=VIEWER_DEGREE, comment_lines=comment)
+        files = [f"inputs/{name}.png" for name in names]
+        write_cameras(self.cameras, posed_cameras(cameras, files))
+
+    def write_manifest(self, facts: Mapping[str, Any]) -> None:
+        """Write run.json: these facts in their order, mappings in them sorted, secrets blanked,
+        what is not finite as null.
+        """
+        content = {
+            **{name: recorded(value) for name, value in facts.items()},
+            "frame": FRAME,
+            "versions": recorded(installed_versions()),
+            "format": FORMAT,
+        }
+        with atomic_write(self.manifest) as partial:
+            text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False)
+            partial.write_text(text + "\n", encoding="utf-8")
+
+    def continue_from(
+        self, before: Path, folders: Sequence[str], content: Mapping[str, Any]
+    ) -> None:
+        """Write what stays true of the run in `before`: cameras, the `folders` of images that are
+        there, and run.json with this `content`.
+
+        The run may be a stranger's: what is a link there is not followed, and a linked folder left
+        out.
+        """
+        shutil.copyfile(RunFolder(before).cameras, self.cameras)
+        for name in folders:
+            source = before / name
+            if source.is_dir() and not source.is_symlink():
+                shutil.copytree(source, self.root / name, symlinks=True)
+        text = json.dumps(content, indent=2, ensure_ascii=False)
+        self.manifest.write_text(text + "\n", encoding="utf-8")
+
+
+def what_images_lack(views: Views) -> dict[str, Any]:
+    """What `RunFolder.read_views` needs beside the images, as JSON data; numbers stay exact."""
+    return {
+        "names": list(views.names),
+        "intrinsics": views.intrinsics[0].tolist(),
+        "c2w": None if views.c2w is None else views.c2w[0].tolist(),
+        "assumed": list(views.assumed),
+    }
+
+
+def _as_batch(
+    matrices: Sequence[np.ndarray | None],
+) -> Float[Tensor, "1 view rows columns"]:
+    return torch.from_numpy(np.array(matrices, dtype=np.float32))[None]
+
+
+def _files(value: Any, count: int) -> tuple[Photo, ...]:
+    """How each of `count` photos became a view; raises ValueError for anything else."""
+    files = TypeAdapter(tuple[Photo, ...]).validate_python(value)
+    if len(files) != count:
+        raise ValueError(f"{len(files)} inputs, expected one for each of {count} views")
+    for file in files:
+        height, width = file.frame.source
+        left, top, right, bottom = file.frame.box
+        if not (
+            0 <= left < right <= width + 1
+            and 0 <= top < bottom <= height + 1
+            and min(file.frame.target) > 0
+        ):
+            raise ValueError(
+                f"{file.name} is cut from {file.frame.box} of {width}x{height} pixels"
+            )
+    return files
