@@ -100,7 +100,6 @@ class MaskCommand(Command):
                 photos = load_photos(args.images, size=args.size)
                 marks = replace(
                     texts.read(photos),
-                    sure=args.sure,
                     larger=sum(args.larger or ()),
                     reading=args.reading or 1,
                     grow=args.grow or 0.0,

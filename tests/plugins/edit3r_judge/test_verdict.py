@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_judge.signals import fitted_limits
 from edit3r_judge.blame import Doubt
+from edit3r_judge.signals import fitted_limits
 from edit3r_judge.verdict import judge
 from torch.nn.functional import interpolate
 
