@@ -1,5 +1,7 @@
 """The critic `limits`: figures of edit and scene, held to limits that were fitted to known ones."""
 
+from collections.abc import Mapping
+
 from edit3r.contract.interfaces import Critic, EditToJudge, SceneToJudge
 from edit3r.contract.verdicts import EditVerdict, Verdict
 from edit3r_judge.between import guessed_between
@@ -21,12 +23,16 @@ MOVED = (
 )
 
 
+LEAST = 1.5 / 255  # difference of colours [sRGB] that a picture of 8 bits can hold
+
+
 class LimitsCritic(Critic):
     """See docs/verdict.md."""
 
     def judge_edit(self, edit: EditToJudge) -> EditVerdict:
         figures = measured(edit)
         faults = (*edit.faults, *faults_of(figures, fitted_limits("edit")).values())
+        faults = faults or silence(edit, figures)
         measures = {**figures, "faults": list(edit.faults), "moved": list(edit.moved)}
         if faults:
             return EditVerdict("doubtful", "; ".join(faults), measures)
@@ -38,6 +44,23 @@ class LimitsCritic(Critic):
             used = [view for view, there in enumerate(scene.placed) if there]
             guessed = guessed_between(scene.geometry, scene.photos)[:, used]
         return judge(scene, guessed, doubt_of(scene))
+
+
+def silence(edit: EditToJudge, figures: Mapping[str, float | None]) -> tuple[str, ...]:
+    """What is said where no signal tells anything; () where one does, or the picture changed."""
+    views = list(edit.edited)
+    masks = None if edit.masks is None else edit.masks[0, views]
+    if masks is not None and not bool((masks > 0.5).any()):
+        return ("nothing is selected on any photo, so nothing was to change",)
+    before, after = edit.before.images[0, views], edit.after.images[0, views]
+    if float((after - before).abs().amax()) < LEAST:
+        return ("nothing changed",)
+    if masks is not None and all(one is None for one in figures.values()):
+        share = float((masks > 0.5).float().mean())
+        return (
+            f"what is selected is too small to tell ({share:.2%} of the photos): look at it",
+        )
+    return ()
 
 
 def _praise(edit: EditToJudge) -> str:

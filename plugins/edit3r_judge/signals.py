@@ -40,6 +40,7 @@ FEW = 30  # pixels below which nothing is told
 Maps = Float[Tensor, "view height width"]
 Where = Bool[Tensor, "view height width"]
 Picture = Float[Tensor, "channel height width"]
+RGB = tuple[float, float, float]  # sRGB in [0, 1]
 
 
 @cache
@@ -214,7 +215,8 @@ def as_asked(found: Pictures) -> float | None:
     """How far what changed came to what was asked for: 1: all the way, 0 or less: elsewhere.
 
     To a colour, or to black and white: in hue and saturation, but for what nobody sees, the median;
-    what had the colour and has it still is all the way. Of brightness the share of the change that
+    what is darker than the colour cannot have all of its saturation; what had the colour and has it
+    still is all the way. Of brightness the share of the change that
     has the right sign. The least of the changes; None where nothing tells.
     """
     shares = []
@@ -228,8 +230,8 @@ def as_asked(found: Pictures) -> float | None:
             shares.append(float(size[lighter * change.amount > 0].sum() / size.sum()))
         elif change.kind == "greyscale" or (change.kind == "paint" and change.colour):
             paint = change.colour.rgb if change.colour else (0.0, 0.0, 0.0)
-            goal = _lab_of(paint)
-            before, left = ((goal - one)[:, 1:].norm(dim=1) for one in (old, new))
+            goal = _goal(paint, new[:, 0])
+            before, left = ((goal - one[:, 1:]).norm(dim=1) for one in (old, new))
             share = 1 - (left - SEEN).clamp(min=0) / before.clamp(min=CLEAR)
             share[_painted(old, paint) & _painted(new, paint)] = 1
             shares.append(float(share.median()))
@@ -413,16 +415,28 @@ def _lab_of(rgb: tuple[float, float, float]) -> Float[Tensor, "3"]:
     return rgb_to_lab(torch.tensor(rgb)[:, None, None])[:, 0, 0]
 
 
-def _painted(
-    pixels: Float[Tensor, "pixel 3"], paint: tuple[float, float, float]
-) -> Tensor:
+def _painted(pixels: Float[Tensor, "pixel 3"], paint: RGB) -> Tensor:
     """Which pixels have a paint's hue and saturation, in whatever light [bool]."""
+    goal = _in_light(paint, pixels[:, 0])
+    return (pixels[:, 1:] - goal).norm(dim=1) < goal.norm(dim=1) / 4
+
+
+def _goal(paint: RGB, lightness: Float[Tensor, "pixel"]) -> Float[Tensor, "pixel 2"]:
+    """The hue and saturation that pixels can take of a paint: all of it, less where it is dark."""
+    whole = _lab_of(paint)
+    dark = (lightness < whole[0])[:, None]
+    return torch.where(dark, _in_light(paint, lightness), whole[1:])
+
+
+def _in_light(
+    paint: RGB, lightness: Float[Tensor, "pixel"]
+) -> Float[Tensor, "pixel 2"]:
+    """Hue and saturation (a, b) of a paint in the light in which it is so light."""
     light = 8 * torch.linspace(0, 1, 257) ** 2
     lit = (srgb_to_linear(torch.tensor(paint))[:, None] * light).clamp(max=1)
     shades = rgb_to_lab(linear_to_srgb(lit)[:, None])[:, 0]
-    shade = torch.searchsorted(shades[0], pixels[:, 0].contiguous()).clamp(max=256)
-    goal = shades[1:, shade]
-    return (pixels[:, 1:].T - goal).norm(dim=0) < goal.norm(dim=0) / 4
+    shade = torch.searchsorted(shades[0], lightness.contiguous()).clamp(max=256)
+    return shades[1:, shade].T
 
 
 def _grown(where: Where, pixels: int) -> Where:
