@@ -9,6 +9,7 @@ photos are compared, whatever the edit did.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -40,6 +41,7 @@ FLAT = 0.9  # share of the matches that one homography explains, where the photo
 
 Picture = Float[Tensor, "channel height width"]
 Places = Float[Tensor, "height width 2"]
+Matches = tuple[Float[np.ndarray, "match 2"], Float[np.ndarray, "match 2"]]
 
 
 @dataclass(frozen=True)
@@ -85,9 +87,9 @@ class _Photos:
         views = scene.photos.scene(0).select(used)
         self.pictures = blurred(lab(views.images[0]), 1)
         self.size = size_of(self.pictures)
-        self.light = [
-            (2.55 * one[0].clamp(0, 100)).byte().numpy() for one in self.pictures
-        ]
+        sift = cv2.SIFT_create(2000, contrastThreshold=0.015)
+        light = (2.55 * self.pictures[:, 0].clamp(0, 100)).byte().numpy()
+        self.marks = [sift.detectAndCompute(one, None) for one in light]
         edited = scene.edited.scene(0).images[0]
         changed = (edited - views.images[0]).abs().amax(1, keepdim=True)
         self.same = (small(changed) < KEPT)[:, 0]
@@ -98,6 +100,7 @@ class _Photos:
             own = _depths_of(scene.gaussians.from_view(view), self.cameras, view)
             if float((own > 0).float().mean()) > OWN:
                 self.depths[view] = own
+        self._found: dict[tuple[int, int], Matches] = {}
         self.geometry = None
         if scene.geometry is not None:
             one = scene.geometry.scene(0).at(self.size)
@@ -115,7 +118,7 @@ class _Photos:
         if self.geometry is not None:
             depths, cameras = self.geometry
             ways["geometry"] = _places(depths[view], cameras, view, other)
-        here, there = matches(self.light[view], self.light[other])
+        here, there = self._matches(view, other)
         flat = _homography(here, there, self.size)
         if flat is not None:
             ways["flat"] = flat
@@ -133,6 +136,13 @@ class _Photos:
             for name, places in ways.items()
         }
         return Skill(view, left["scene"], left.get("geometry"), left.get("flat"))
+
+    def _matches(self, view: int, other: int) -> Matches:
+        if (other, view) in self._found:
+            return self._found[other, view][::-1]
+        found = _matched(self.marks[view], self.marks[other])
+        self._found[view, other] = found
+        return found
 
     def _left(self, view: int, other: int, places: Places, where: Tensor) -> float:
         """The difference that is left; what leaves the other photo is another thing."""
@@ -172,7 +182,11 @@ def _places(
     return places.view(*depths.shape, 2)
 
 
-def _homography(here, there, size: tuple[int, int]) -> Places | None:
+def _homography(
+    here: Float[np.ndarray, "match 2"],
+    there: Float[np.ndarray, "match 2"],
+    size: tuple[int, int],
+) -> Places | None:
     """Where the best homography brings each pixel, normalised; None where it explains nearly all
     that the two share (a flat thing, a camera that only turned), or they share too little.
     """
@@ -189,20 +203,22 @@ def _homography(here, there, size: tuple[int, int]) -> Places | None:
     return moved[..., :2] / moved[..., 2:] / sides
 
 
-def matches(
-    light: np.ndarray, other: np.ndarray
-) -> tuple[Float[np.ndarray, "match 2"], Float[np.ndarray, "match 2"]]:
-    """Places that two grey pictures share [pixels] (SIFT, Lowe 2004)."""
-    sift = cv2.SIFT_create(2000, contrastThreshold=0.015)
-    found = [sift.detectAndCompute(one, None) for one in (light, other)]
-    (points, words), (points_there, words_there) = found
+def _matched(marks: tuple[Any, Any], marks_there: tuple[Any, Any]) -> Matches:
+    """Places that two pictures share [pixels]; SIFT, Lowe 2004."""
+    (points, words), (points_there, words_there) = marks, marks_there
     if words is None or words_there is None or len(words_there) < 2:
         return np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32)
     pairs = cv2.BFMatcher().knnMatch(words, words_there, k=2)
     good = [best for best, second in pairs if best.distance < 0.8 * second.distance]
     here = [points[one.queryIdx].pt for one in good]
     there = [points_there[one.trainIdx].pt for one in good]
-    return tuple(np.float32(one).reshape(-1, 2) + 0.5 for one in (here, there))
+    return _as_places(here), _as_places(there)
+
+
+def _as_places(
+    points: list[tuple[float, float]],
+) -> Float[np.ndarray, "match 2"]:
+    return np.asarray(points, np.float32).reshape(-1, 2) + np.float32(0.5)
 
 
 def _sampled(

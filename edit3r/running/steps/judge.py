@@ -95,11 +95,14 @@ def _from_photos(
     size: tuple[int, int],
     rasterizer: Rasterizer,
 ) -> tuple[Rendering, Rendering]:
-    """The scene before any refiner, and the final one, drawn once where they are the same."""
+    """The scene before any refiner, no larger than critics look, and the final one; drawn once
+    where they are the same.
+    """
     before, text = reconstructed.reconstruction.gaussians, "render input views"
-    drawn = [(before, reconstructed.cameras)]
-    if gaussians is not before or reconstructed.cameras.image_size != size:
-        drawn.append((gaussians, reconstructed.cameras.at(size)))
+    cameras = reconstructed.cameras.at(size)
+    drawn = [(gaussians, cameras)]
+    if gaussians is not before:
+        drawn.insert(0, (before, cameras.at(_small(size))))
     shown = [
         corrected.undone(render_each(rasterizer, scene, cameras, text))
         for scene, cameras in drawn
@@ -121,7 +124,7 @@ def _reference(
     opacities = torch.full_like(depths, 0.95)
     pixels = pixels_to_gaussians(views.images, depths, cameras, scales, opacities)
     return Reference(
-        first=render_one(rasterizer, pixels, cameras.select([0])),
+        first=render_one(rasterizer, pixels.from_view(0), cameras.select([0])),
         depths=depths[0, 0],
         half_way=seen_half_way(rasterizer, pixels, cameras) if len(used) > 1 else None,
     )
