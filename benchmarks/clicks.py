@@ -33,7 +33,7 @@ from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
 from edit3r.running import default_matcher, geometry_of as geometry_read, usual_reader
-from edit3r.running.geometry import GeometryOfRun
+from edit3r.running.geometry import find_geometry
 
 # ---- marks ----
 
@@ -374,7 +374,7 @@ def depth_of(photo, matcher, known):
         lens = intrinsics_from_fov(FOV, tuple(frames.shape[-2:]))
         lens = lens.expand(1, len(frames), 3, 3)
         views = Views(frames[None], lens, assumed=(True,) * len(frames))
-        found = GeometryOfRun(matcher).of(views)
+        found = find_geometry(matcher, views)
         if (
             found.geometry is None
             or found.problem

@@ -45,7 +45,7 @@ from harness import Row as TableRow, for_tuning, run_benchmark
 from jaxtyping import Float
 
 import edit3r
-from edit3r import build
+from edit3r import build, default_registry
 from edit3r.contract.errors import Edit3rError, MatchingError
 from edit3r.contract.interfaces import Geometry, Matcher
 from edit3r.contract.reporting import Report, collecting
@@ -58,7 +58,7 @@ from edit3r.kit.photos.images import evenly
 from edit3r.kit.photos.intrinsics import DEFAULT_FOV
 from edit3r.kit.photos.posed_folder import PosedFolder, PosedPhoto, read_posed_folder
 from edit3r.kit.photos.triples import photos_between, rotation_degrees
-from edit3r.running import DEFAULTS
+from edit3r.running.geometry import default_matcher
 
 # ---- pairs ----
 
@@ -224,8 +224,6 @@ def pairs() -> None:
 WIDE, NARROW = (90, 100, 110, 120), (40, 55, 70)
 COUNTS = (3, 4, 6)
 SIZE = (288, 384)  # of the generated photos
-MATCHER = {k: v for k, v in DEFAULTS["matcher"].items() if k != "name"}
-"""The matcher of a run, as defaults.yaml has it."""
 
 
 @dataclass(frozen=True)
@@ -319,7 +317,7 @@ def from_folder(folder: Path, size: int) -> Iterator[PhotoSet]:
 
 def read(photos: PhotoSet) -> tuple[float | None, bool, float]:
     """The field of view that the photos tell, whether that is said to be unsure, and CPU s."""
-    report, matcher = Report(), edit3r.build("matcher", "classical", **MATCHER)
+    report, matcher = Report(), default_matcher(default_registry())
     views, began = photos.through(None), time.process_time()
     try:
         with collecting(report):

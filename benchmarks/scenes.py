@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import torch
 import torch.nn.functional as F
+from edit3r_geometry.depth_maps import DepthSettings
 from edit3r_measure.novel_view import PredictedScene, views_of
 from edit3r_measure.protocol import align
 from edit3r_measure.scene_sources import (
@@ -38,7 +39,6 @@ from likeness import (
     mean,
     unseen_camera,
 )
-from poses import MATCHER
 from torch import Tensor
 
 import edit3r
@@ -54,6 +54,7 @@ from edit3r.kit.reconstructing import WithMatcher
 from edit3r.kit.rendering import path_around, render_one
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.workers import run_resumable
+from edit3r.running.geometry import default_matcher
 from edit3r.running.quality import read_quality
 
 FULL = 512  # long side of the photos that are compared [pixels]
@@ -188,7 +189,10 @@ def in_unit(result: edit3r.RunResult) -> SimpleNamespace:
 def posed_matcher(quality: str | None) -> dict:
     """The matcher that trusts poses, as fine as that of the preset."""
     chosen = read_quality().preset(quality).settings if quality else {}
-    return {**MATCHER, **chosen.get("matcher", {}), "name": "posed"}
+    depth = default_matcher(default_registry()).settings.model_dump(
+        include=set(DepthSettings.model_fields)
+    )
+    return {**depth, **chosen.get("matcher", {}), "name": "posed"}
 
 
 # ---- default-run ----
@@ -337,7 +341,7 @@ def floaters(data: Path, *, only: Sequence[str] = SETS) -> Iterator[Row]:
         given = [files[int(number)] for number in numbers.split(",")]
         views = replace(edit3r.load_views(given, size=FULL, cameras="none"), c2w=None)
         result = edit3r.run(views, editor="none", outputs=[])
-        matcher = edit3r.build("matcher", "classical", **MATCHER)
+        matcher = default_matcher(default_registry())
         geometry = matcher.match(views).at(views.image_size)
         lens = geometry.calibrated(views).intrinsics
         found = find_floaters(result.gaussians, result.cameras, result.rasterizer)

@@ -4,8 +4,8 @@ The reference (hooks, components with their settings, commands, Python) and, at 
 plugin's page, its example and what its contract asks are built with the site and never checked in:
 mkdocs calls `on_files` and `on_page_markdown`. Tables stand in their pages, between markers:
 
-    # rewrite the marked parts of docs/combinations.md, docs/files.md and docs/plugins/testing.md
-    # from what components declare and a benchmark measured
+    # rewrite the marked parts of docs/combinations.md, docs/files.md, docs/plugins/testing.md and
+    # docs/plugins/directory.md from what components declare and a benchmark measured
     python docs/generate.py
     python docs/generate.py DIR        also write the reference pages into DIR
 """
@@ -236,6 +236,7 @@ def refreshed(page: str) -> str:
         "claims": claims_part,
         "parts": parts_part,
         "writers": writers_part,
+        "directory": directory_part,
     }
     return MARKED.sub(lambda m: m[1] + makers[m[2]](m[3]) + m[4], page)
 
@@ -365,6 +366,19 @@ def writers_part(kind: str) -> str:
     return "\n" + "\n".join(rows) + "\n\n"
 
 
+def directory_part(kind: str) -> str:
+    """The plugins that others published."""
+    from edit3r_develop.directory import listed
+
+    heads = ["package", "offers", "what it does", "licence", "edit3r, API", "install"]
+    rows = [_row(heads), _row(["---"] * len(heads))]
+    for one in listed(None if kind == "all" else kind):
+        offers = [f"{k} `{name}`" for k, names in one.offers.items() for name in names]
+        cells = [one.name, "<br>".join(offers), one.does, one.licence]
+        rows.append(_row([*cells, f"{one.tested_with}, {one.api}", f"`{one.install}`"]))
+    return "\n" + "\n".join(rows) + "\n\n"
+
+
 def tried(kind: str, component: Component) -> str:
     """What it ran with where most was real, in the words that stand above the tables."""
     found, key = measured(), {"reconstructor": "recon"}.get(kind, kind)
@@ -397,7 +411,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("reference", nargs="?", type=Path, help="folder of its pages")
     reference = parser.parse_args().reference
-    for page in ("combinations", "files", "plugins/testing"):
+    for page in ("combinations", "files", "plugins/testing", "plugins/directory"):
         path = DOCS / f"{page}.md"
         text = path.read_text(encoding="utf-8")
         path.write_text(refreshed(text), encoding="utf-8")

@@ -8,6 +8,7 @@ from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.harmonics import dc_to_colour
 
+# The numbers of this block: no figures kept.
 SAME_DEPTH = 1.05  # what lies farther than so many times the depth seen is hidden
 SAME_COLOUR = 0.1  # largest difference to the edited photo of what surely shows there
 LIKE_COLOUR = 0.3  # and of what likely does

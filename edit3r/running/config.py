@@ -23,7 +23,7 @@ DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
 
 MAX_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
 MAX_STEPS = 9  # from one reading of what was meant to the next
-MAX_GROWTH = 200.0  # of an outline [pixels]
+MAX_GROWTH = 200.0  # of an outline [pixels]; a sanity limit
 OWN_OUTPUTS = {
     "scene": ("scene.ply", "cameras.json"),
     "images": ("inputs", "edited", "renders", "masks"),

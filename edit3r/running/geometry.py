@@ -24,12 +24,14 @@ from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS
 
 MIN_MOTION = 0.004
-"""How far measured points must move from photo to photo for depth to mean anything [long sides]."""
+"""How far measured points must move from photo to photo for depth to mean anything [long sides].
+No figure kept.
+"""
 ON_ONE_PLANE = 0.6 / 256
 """How far points may lie from where one homography brings them [long sides]; photos of things in
-depth miss it ten times as far.
+depth miss it ten times as far. No figure kept.
 """
-NEARLY_ALL = 0.9  # share of the measured points that lie so
+NEARLY_ALL = 0.9  # share of the measured points that lie so; no figure kept
 MOST_POINTS = 2000  # that are tried
 STOOD_STILL = (
     "the photos were taken from nearly the same place, so nothing tells near from far; move "

@@ -128,7 +128,9 @@ class SelectedRegions:
     @property
     def verdict(self) -> SelectionVerdict | None:
         """What was selected and how likely it is what was meant; None: nothing was looked for."""
-        return verdict_on_selection(self.selected, self.confined)
+        said = dict.fromkeys(str(one.thing) for one in self.instructions)
+        exactly = "; ".join(said) or MARKED
+        return verdict_on_selection(self.selected, exactly if self.confined else "")
 
     @property
     def confined(self) -> bool:
@@ -265,17 +267,17 @@ GUESS = "guess"  # of `Selected.how`: nobody said what is meant
 
 
 def verdict_on_selection(
-    things: Sequence[Selected], confined: bool = False
+    things: Sequence[Selected], exactly: str = ""
 ) -> SelectionVerdict | None:
     """What is said of all things that were looked for; None where none was.
 
-    `confined`: some pixels must stay as they are, as where masks were handed over.
+    `exactly`: what else keeps some pixels as they are, such as masks that were handed over.
 
     The least confident one decides. A thing that was marked exactly, or taken as another candidate
     (`--reading`), is what was asked for: it has no confidence.
     """
     if not things:
-        return SelectionVerdict("given", MARKED, None) if confined else None
+        return SelectionVerdict("given", exactly, None) if exactly else None
     listed = "; ".join(dict.fromkeys(_said(one) for one in things))
     open_ones = [one for one in things if _confidence(one) is not None]
     if not open_ones:

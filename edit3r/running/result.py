@@ -56,7 +56,7 @@ from edit3r.running.run_folder import (
 from edit3r.running.scale import Unit, has_given_poses
 
 FITS = 15.0
-"""PSNR [dB] of a photo in the scene from which the camera path comes near it."""
+"""PSNR [dB] of a photo in the scene from which the camera path comes near it. No figure kept."""
 
 
 @dataclass(frozen=True, repr=False)

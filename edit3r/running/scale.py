@@ -17,7 +17,8 @@ from edit3r.kit.geometry.cameras import relative_to_first, scale_poses
 
 SAME_POSE = 1e-3
 """Most by which poses that were taken over differ from those that were given [mean distances]."""
-LARGEST = 2.0**100  # factor of a unit; positions have limits of their own
+# factor of a unit; positions have limits of their own; a sanity limit
+LARGEST = 2.0**100
 
 
 @dataclass(frozen=True)

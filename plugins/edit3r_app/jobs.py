@@ -40,7 +40,9 @@ KINDS = ("images", "inputs", "edited", "renders", PREVIEW)
 ASKED = "asked.json"
 """File beside a job: what was drawn over the scene before it."""
 RECENT = 2.0
-"""[s] that a file may change while its time of change stays: as coarse as some disks note it."""
+"""[s] that a file may change while its time of change stays: as coarse as some disks note it.
+No figure kept.
+"""
 
 
 @dataclass(frozen=True)

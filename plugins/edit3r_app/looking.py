@@ -56,20 +56,23 @@ from edit3r_app.draft import DRAFT, Draft, Mark
 from edit3r_app.forms import run_settings
 from edit3r_app.jobs import PREVIEW, JobsFolder
 
+# The numbers of this block: no figures kept.
 GEOMETRY_PATIENCE = 10.0
 """[s] that the full answer waits for poses and depths where they are nearly there; else masks are
-carried by what the photos show, and it is answered anew later.
+carried by what the photos show, and it is answered anew later. No figure kept.
 """
 USUAL_PACE = 2.0
-"""[s] that the geometry of one photo takes, as long as this machine has not shown its own."""
+"""[s] that the geometry of one photo takes, as long as this machine has not shown its own.
+No figure kept.
+"""
 LOOKED_FIRST = 8.0
-"""[s] that a made scene has this machine for itself, as long as nobody points."""
+"""[s] that a made scene has this machine for itself, as long as nobody points. No figure kept."""
 AGAIN = 0.2
-"""[s] after which one who waits asks whether the answer is still wanted."""
+"""[s] after which one who waits asks whether the answer is still wanted. No figure kept."""
 MAX_READ_AHEAD = 8
 """Photos that the segmenter reads before anybody looks at them."""
 DIMMED = 0.55
-"""Brightness of what is not selected."""
+"""Brightness of what is not selected. No figure kept."""
 DRAWN = 1024
 """Longer side at least, about, of what is drawn over photos [pixels]."""
 BLUR = 0.7  # of steps along its border; a line of one pixel stays [pixels]

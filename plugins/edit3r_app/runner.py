@@ -38,7 +38,7 @@ EDIT3R = (*PYTHON, "-m", "edit3r")
 
 OUTPUTS = [one for one in DEFAULTS["outputs"] if one != "video"]
 """What a run of the app writes; a video is made when somebody asks for it."""
-PATIENCE = 5.0  # [s] between asking a child to stop and ending it
+PATIENCE = 5.0  # [s] between asking a child to stop and ending it; no figure kept
 INTERRUPTED = "the run ended without saying why; start it again."
 
 

@@ -28,7 +28,7 @@ from edit3r_bench.metrics import Features
 Images = Float[Tensor, "n 3 height width"]
 
 CROPS = 5  # pieces that an image is compared by: itself and its four corners
-CORNER = 0.6  # side of a corner piece [image sides]; not measured
+CORNER = 0.6  # side of a corner piece [image sides]; no figure kept
 EFFNET_SIZE = 128  # side that images are resized to for EfficientNet [pixels]
 
 CLIP_MODEL = "openai/clip-vit-large-patch14"

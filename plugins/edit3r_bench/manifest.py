@@ -39,7 +39,7 @@ from edit3r.running import MAX_PROMPT
 Images = Float[Tensor, "frame 3 height width"]
 Maps = Float[Tensor, "frame height width"]
 
-# The numbers of this block: not measured.
+# The numbers of this block: no figures kept.
 EditType = Literal["Add", "Remove", "Modify", "Global"]
 EDIT_TYPES: tuple[EditType, ...] = get_args(EditType)
 EDITS_PER_SCENE = 5

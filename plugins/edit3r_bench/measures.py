@@ -65,7 +65,7 @@ BY_REGION = {
 given.
 """
 
-# The numbers of this block: not measured.
+# The numbers of this block: no figures kept.
 # Change of the 2D edit below which the editor did nothing [sRGB, low-passed]
 LEFT_ALONE = 0.005
 NOT_CARRIED = 0.15  # share of the 2D edit below which the scene counts as unchanged
@@ -110,22 +110,22 @@ class MetricNetworks:
 
 def measure(item: LoadedItem, output: MethodOutput, networks: MetricNetworks) -> Found:
     """Return every metric by name, NaN where one means nothing for this item."""
-    found = {
+    values = {
         **_changes(item, output),
         **_consistency(item, output),
         **_looks(item, output),
         **_features(item, output, networks),
     }
     if output.has_truth:
-        found |= _against_truth(item, output.images, networks.distances)
+        values |= _against_truth(item, output.images, networks.distances)
     if output.reordered is not None:
         held_back = len(output.reordered) - 1
         frames = [0, *range(item.inputs, item.inputs + held_back)]
         change = output.reordered - output.images[frames]
-        found["order-change"] = float(change.abs().mean())
+        values["order-change"] = float(change.abs().mean())
     if networks.clip is not None:
-        found |= _by_clip(item, output, networks.clip)
-    return found
+        values |= _by_clip(item, output, networks.clip)
+    return values
 
 
 def measure_failure(
@@ -138,7 +138,7 @@ def measure_failure(
     return {**_against_truth(item, black, networks.distances), "edit-uptake": 0.0}
 
 
-def score(found: Mapping[str, float], failure: str = "") -> float:
+def score(metrics: Mapping[str, float], failure: str = "") -> float:
     """Return one number in [0, 1] for an edit: arrived x sqrt(agrees x stays put); 0 for a failure.
 
     No single virtue wins: C-FID, C-KID and consistency reward doing nothing, strength rewards
@@ -151,15 +151,15 @@ def score(found: Mapping[str, float], failure: str = "") -> float:
     """
     if failure:
         return 0.0
-    if "edit-uptake" in found:
-        arrived = _share(found["edit-uptake"])
+    if "edit-uptake" in metrics:
+        arrived = _share(metrics["edit-uptake"])
     else:
-        strength = min(1.0, found["edit-strength-2d"] / FULL_STRENGTH)
-        arrived = _share(found["edit-uptake-2d"]) * strength
-    differences = [found["consistency-warped"], found["consistency-held-back"]]
+        strength = min(1.0, metrics["edit-strength-2d"] / FULL_STRENGTH)
+        arrived = _share(metrics["edit-uptake-2d"]) * strength
+    differences = [metrics["consistency-warped"], metrics["consistency-held-back"]]
     known = [value for value in differences if math.isfinite(value)]
     agrees = _share(1 - fmean(known) / SPOILED) if known else 0.0
-    outside = found["change-outside"]
+    outside = metrics["change-outside"]
     stays_put = 1.0 if math.isnan(outside) else _share(1 - outside / SPOILED)
     return arrived * math.sqrt(agrees * stays_put)
 
@@ -168,10 +168,10 @@ def _share(value: float) -> float:
     return min(1.0, max(0.0, value))
 
 
-def remark(found: Mapping[str, float]) -> str:
+def remark(metrics: Mapping[str, float]) -> str:
     """What the numbers hide, in words: that nothing was edited, or that nothing of it arrived."""
-    strength = found.get("edit-strength-2d", math.nan)
-    shown = found.get("edit-uptake-2d", math.nan)
+    strength = metrics.get("edit-strength-2d", math.nan)
+    shown = metrics.get("edit-uptake-2d", math.nan)
     if strength < LEFT_ALONE:
         return "the 2D editor left the reference unchanged."
     if shown < NOT_CARRIED:
@@ -220,11 +220,11 @@ def _consistency(item: LoadedItem, output: MethodOutput) -> Found:
         "consistency-warped": (output.images, between_inputs),
         "consistency-held-back": (output.images, across),
     }
-    found = {
+    values = {
         name: metrics.warped_difference(images, depths, cameras, pairs, masks)
         for name, (images, pairs) in compared.items()
     }
-    return found | _matching(_array(output.images), cameras)
+    return values | _matching(_array(output.images), cameras)
 
 
 def _matching(images: metrics.Images, cameras: Cameras) -> Found:
@@ -254,13 +254,13 @@ def _features(
     item: LoadedItem, output: MethodOutput, networks: MetricNetworks
 ) -> Found:
     """Compare pieces of this edit's renderings with those of its own scene's photos."""
-    found = {}
+    values = {}
     for network in networks.features:
         photos = networks.photo_features(network, item.photos.images[0])
         rendered = network(crops(output.images))
-        found[f"c-fid{network.suffix}"] = metrics.frechet_distance(rendered, photos)
-        found[f"c-kid{network.suffix}"] = metrics.kernel_distance(rendered, photos)
-    return found
+        values[f"c-fid{network.suffix}"] = metrics.frechet_distance(rendered, photos)
+        values[f"c-kid{network.suffix}"] = metrics.kernel_distance(rendered, photos)
+    return values
 
 
 def _by_clip(item: LoadedItem, output: MethodOutput, clip: ClipSimilarity) -> Found:
@@ -269,7 +269,7 @@ def _by_clip(item: LoadedItem, output: MethodOutput, clip: ClipSimilarity) -> Fo
     before = item.record.before
     after = item.record.description or prompt
     described, instructed = clip(images, [after, prompt]).mean(0).tolist()
-    found = {
+    values = {
         "clip-t2i": described,
         "clip-t2i-prompt": instructed,
         "clip-iqa": prompt_quality(clip, images, "Good photo.", "Bad photo."),
@@ -278,8 +278,8 @@ def _by_clip(item: LoadedItem, output: MethodOutput, clip: ClipSimilarity) -> Fo
     if before:
         photos = item.photos.images[0]
         moved = direction_similarity(clip, photos, images, before, after)
-        found["clip-direction"] = float(moved.mean())
-    return found
+        values["clip-direction"] = float(moved.mean())
+    return values
 
 
 def _against_truth(
@@ -291,8 +291,8 @@ def _against_truth(
     photos = _array(item.photos.images[0])
     inside = np.ones(truth.shape[:3]) if item.masks is None else _array(item.masks)
     held = slice(item.inputs, None)
-    found = _distances(images[held], truth[held], None, distances)
-    found["edit-uptake"] = metrics.edit_uptake(
+    values = _distances(images[held], truth[held], None, distances)
+    values["edit-uptake"] = metrics.edit_uptake(
         images[held], photos[held], truth[held], inside[held]
     )
     parts = {"": held, "-inputs": slice(item.inputs)}
@@ -300,8 +300,8 @@ def _against_truth(
         for frames, part in parts.items():
             own = _distances(images[part], truth[part], covered[part], distances)
             for name, value in own.items():
-                found[f"{name}-in-{region}{frames}"] = value
-    return found
+                values[f"{name}-in-{region}{frames}"] = value
+    return values
 
 
 def _distances(
@@ -327,7 +327,7 @@ def _distances(
         areas = list(covered)
         shown = np.where(covered[..., None], images, truth)
         share = float(covered.mean())
-    found = {
+    values = {
         "psnr": fmean(map(psnr, images, truth, areas)),
         "ssim": fmean(map(ssim, images, truth, areas)),
     }
@@ -337,8 +337,8 @@ def _distances(
     )
     inputs = LossInputs(rendered=rendered, target=target)
     for name, distance in distances.items():
-        found[name] = float(distance(inputs)) / share
-    return found
+        values[name] = float(distance(inputs)) / share
+    return values
 
 
 def _array(tensor: Float[Tensor, "frame *shape"]) -> Float[np.ndarray, "frame *shape"]:

@@ -37,13 +37,13 @@ Features = Float[np.ndarray, "n feature"]
 
 LOW_PASS = 0.015
 """Standard deviation of the low-pass before changes are measured [image widths]: a rendering that
-is a little blurred or shifted has not been edited. Not measured.
+is a little blurred or shifted has not been edited. No figure kept.
 """
 
 
 REGIONS = ("edit", "band", "background")
 
-BAND = 0.05  # width of the band around an edit [image widths]; not measured
+BAND = 0.05  # width of the band around an edit [image widths]; no figure kept
 # A match counts when its descriptor is nearer than this share of the second nearest's distance
 # (Lowe 2004)
 RATIO = 0.8

@@ -69,8 +69,8 @@ def find_photo_folders(folder: Path, views: int) -> list[PhotoFolder]:
         raise InputError(f"{folder}: no such folder of scenes.")
     inner = [path for path in sorted(folder.iterdir()) if path.is_dir()]
     visible = [path for path in inner if not path.name.startswith(".")]
-    found = [_photo_folder(path, views) for path in visible]
-    scenes = [scene for scene in found if scene]
+    folders = [_photo_folder(path, views) for path in visible]
+    scenes = [scene for scene in folders if scene]
     if not scenes and (alone := _photo_folder(folder, views)):
         scenes = [alone]
     if not scenes:
@@ -154,21 +154,21 @@ class PhotoBuild:
     @cached_property
     def scenes(self) -> list[PhotoFolder]:
         """The folders of photos. Raises InputError where there are fewer than are asked for."""
-        found = find_photo_folders(self.folder, self.options.views)
+        folders = find_photo_folders(self.folder, self.options.views)
         count = self.options.scenes
         if count is None:
-            return found
-        if len(found) < count:
+            return folders
+        if len(folders) < count:
             raise InputError(
-                f"{self.folder}: holds {len(found)} scenes, --scenes asks for {count}."
+                f"{self.folder}: holds {len(folders)} scenes, --scenes asks for {count}."
             )
         rng = np.random.default_rng(self.options.seed)
-        chosen = rng.choice(len(found), count, replace=False)
-        return [found[index] for index in sorted(chosen)]
+        chosen = rng.choice(len(folders), count, replace=False)
+        return [folders[index] for index in sorted(chosen)]
 
     def propose(self) -> dict[str, list[ProposedEdit]]:
         """Return the proposed edits of every scene, near duplicates removed."""
-        found = {}
+        proposed = {}
         for number, scene in enumerate(track(self.scenes, "propose edits")):
             labels = tuple(self._objects(scene))
             if not labels:
@@ -180,8 +180,8 @@ class PhotoBuild:
             edits += proposals.edits_from_templates(
                 labels or (UNNAMED,), self.options.seed + number
             )
-            found[scene.id] = proposals.without_near_duplicates(edits)
-        return found
+            proposed[scene.id] = proposals.without_near_duplicates(edits)
+        return proposed
 
     def _proposals_of_model(
         self, scene: PhotoFolder, labels: Sequence[str]
@@ -234,7 +234,7 @@ class PhotoBuild:
         unvetted = sum(edit.verdict != "keep" for edit in edits)
         blind = self.model is not None and not self.options.llm_photos
         by_hand = "detector" not in self.parts
-        said = {
+        sentences = {
             f"{scenes} scenes, the paper has {PAPER_SCENES}": scenes != PAPER_SCENES,
             "objects are named by hand, not found by a detector in all photos": by_hand,
             "edits come from templates, not from a language model": not self.model,
@@ -246,7 +246,7 @@ class PhotoBuild:
             ),
             "scenes are drawn without a balance of indoor and outdoor": True,
         }
-        return [sentence for sentence, holds in said.items() if holds]
+        return [sentence for sentence, holds in sentences.items() if holds]
 
     def _objects(self, scene: PhotoFolder) -> dict[str, Boxes]:
         """What the scene shows, with boxes: found in all photos, else as the user says."""
@@ -300,9 +300,9 @@ class PhotoBuild:
                     f"masks for {len(scene.inputs)} inputs."
                 )
             return self._records([self.vetting.parent / mask for mask in edit.masks])
-        found = [boxes[i] for i in scene.inputs] if boxes else []
-        own = [box for box in found if box is not None]
-        if edit.type not in LOCAL or not own or len(own) < len(found):
+        of_inputs = [boxes[i] for i in scene.inputs] if boxes else []
+        own = [box for box in of_inputs if box is not None]
+        if edit.type not in LOCAL or not own or len(own) < len(of_inputs):
             return ()
         photos = scene.load(self.image_size, scene.inputs)
         masks = proposals.masks_from_boxes(photos, own, self.parts.get("segmenter"))
@@ -320,9 +320,9 @@ class PhotoBuild:
         views = load_photos(files, size=self.image_size).views
         config = make_run_config({"prompt": edit.prompt, "seed": self.options.seed})
         job = RunJob(config, views, components={"editor": self.parts["truth"]})
-        made = preview(job, self.registry).edit
-        assert made is not None  # it was asked for
-        edited = made.views.images[0]
+        preview_edit = preview(job, self.registry).edit
+        assert preview_edit is not None  # it was asked for
+        edited = preview_edit.views.images[0]
         changes = (edited - views.images[0]).abs().amax((1, 2, 3))
         for file, change in zip(files, changes):
             if change <= VISIBLE:

@@ -41,7 +41,7 @@ Boxes = tuple[Detection | None, ...]
 
 LOCAL = ("Remove", "Modify")  # types of edits that stay on one object
 SHARE_OF_VIEWS = 0.5  # an object counts when at least this share of the photos shows it
-# Boxes over more of a photo than this name the place rather than a thing in it; not measured
+# Boxes over more of a photo than this name the place rather than a thing in it; no figure kept
 LARGEST_SHARE = 0.7
 MAX_OBJECTS = 8  # objects of a scene that edits are proposed for
 PROPOSALS = 4  # edits of each type that a language model is asked for
@@ -85,8 +85,8 @@ def find_objects(
 
 def _best_box(detections: Sequence[Detection], image: Photo) -> Detection | None:
     largest = LARGEST_SHARE * image.shape[-2] * image.shape[-1]
-    fit = [found for found in detections if found.box[2] * found.box[3] <= largest]
-    return max(fit, key=lambda found: found.score, default=None)
+    fit = [one for one in detections if one.box[2] * one.box[3] <= largest]
+    return max(fit, key=lambda one: one.score, default=None)
 
 
 def masks_from_boxes(
@@ -128,7 +128,7 @@ def asked_of_model(request: str, images: Images) -> list[dict[str, Any]]:
 
 def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]:
     """Every template for every label, shuffled within each type, so that scenes differ."""
-    found = []
+    edits = []
     rng = np.random.default_rng(seed)
     for kind in EDIT_TYPES:
         objects = labels if kind != "Global" else [""]
@@ -143,8 +143,8 @@ def edits_from_templates(labels: Sequence[str], seed: int) -> list[ProposedEdit]
                 description=description,
                 source="template",
             )
-            found.append(edit)
-    return found
+            edits.append(edit)
+    return edits
 
 
 def edits_from_model(
@@ -166,12 +166,12 @@ def edits_from_model(
     except ValueError:
         entries = []
     edits = [_usable_edit(entry, labels, model.name) for entry in entries]
-    found = [edit for edit in edits if edit is not None]
-    if not found:
+    usable = [edit for edit in edits if edit is not None]
+    if not usable:
         raise RunError(
             f"language model {model.name}: no usable edit in its answer: {answer[:200]!r}"
         )
-    return found
+    return usable
 
 
 def _usable_edit(

@@ -95,14 +95,14 @@ def read_columns(folders: Iterable[Path]) -> list[Column]:
     """
     columns: list[Column] = []
     for folder in map(Path, folders):
-        found = [folder] if (folder / RUN).is_file() else []
-        found = found or sorted(path.parent for path in folder.glob(f"*/{RUN}"))
-        if not found:
+        runs = [folder] if (folder / RUN).is_file() else []
+        runs = runs or sorted(path.parent for path in folder.glob(f"*/{RUN}"))
+        if not runs:
             raise InputError(
                 f"{folder}: not a folder of edit3r bench run (it has no {RUN} and {RESULTS}), and "
                 "holds none."
             )
-        for path in found:
+        for path in runs:
             column = Column(path, read_run(path), read_results(path))
             _check_column(column, columns)
             columns.append(column)
@@ -133,11 +133,11 @@ def _check_column(column: Column, others: Sequence[Column]) -> None:
 
 def measured_names(columns: Sequence[Column]) -> list[str]:
     """Return what at least one method has a value of, in the order of reports."""
-    found: set[str] = set()
+    names: set[str] = set()
     for column in columns:
         for result in column.results.values():
-            found |= set(result.metrics)
-    return [name for name in MEASURES if name in found]
+            names |= set(result.metrics)
+    return [name for name in MEASURES if name in names]
 
 
 # ---- means and differences ----
@@ -158,26 +158,26 @@ def mean_of(column: Column, name: str, minus: Column | None = None) -> Interval 
 
 
 def verdicts(
-    found: Mapping[str, Mapping[str, Interval | None]],
+    differences: Mapping[str, Mapping[str, Interval | None]],
 ) -> dict[tuple[str, str], str]:
     """Return "better" or "worse" by method and measure, of differences to the methods, where
     Holm's correction for all of them leaves one; "" else.
     """
     tested: dict[tuple[str, str], Interval] = {}
     p_values: list[float] = []
-    for label, own in found.items():
+    for label, own in differences.items():
         for name, interval in own.items():
             if interval and interval.p_value is not None and MEASURES[name].better:
                 tested[label, name] = interval
                 p_values.append(interval.p_value)
     corrected = holm(p_values)
-    said = {}
+    words = {}
     for (key, interval), p_value in zip(tested.items(), corrected):
         if p_value < 1 - CONFIDENCE:
             rises = interval.mean > 0
             is_better = rises == (MEASURES[key[1]].better == "↑")
-            said[key] = "better" if is_better else "worse"
-    return said
+            words[key] = "better" if is_better else "worse"
+    return words
 
 
 def timing(column: Column) -> dict[str, Any]:
@@ -264,8 +264,8 @@ def _note(column: Column) -> str:
     parts = []
     for kind in ("editor", "reconstructor"):
         choice = getattr(method, kind)
-        told = ", ".join(f"{key}={value}" for key, value in choice.settings.items())
-        parts.append(f"{kind} `{choice.name}`" + (f" ({told})" if told else ""))
+        settings = ", ".join(f"{key}={value}" for key, value in choice.settings.items())
+        parts.append(f"{kind} `{choice.name}`" + (f" ({settings})" if settings else ""))
     note = f"; {method.note}" if method.note else ""
     return f"- **{column.label}**: {', '.join(parts)}{note}"
 
@@ -292,8 +292,8 @@ def main_table(columns: Sequence[Column]) -> str:
     rows = []
     for what, own in counts.items():
         row = {"": what, "scenes": str(len(columns[0].scenes))}
-        for column, found in zip(columns, own):
-            row[column.label] = str(len(found))
+        for column, results in zip(columns, own):
+            row[column.label] = str(len(results))
         rows.append(row)
     names = [name for name in measured_names(columns) if name in METRICS]
     return _mean_table(columns, names, rows)
@@ -330,17 +330,17 @@ def difference_table(
     first: Column, others: Sequence[Column], names: Sequence[str]
 ) -> str:
     """Return the table of what the first method has more than the others, edit by edit."""
-    found = {}
+    differences = {}
     for other in others:
         own = {name: mean_of(first, name, minus=other) for name in names}
-        found[other.label] = own
-    said = verdicts(found)
+        differences[other.label] = own
+    words = verdicts(differences)
     rows = []
     for name in names:
-        intervals = {label: own[name] for label, own in found.items()}
+        intervals = {label: own[name] for label, own in differences.items()}
         row = {"": title(name), "scenes": _scenes(intervals.values())}
         for label, interval in intervals.items():
-            verdict = said.get((label, name), "")
+            verdict = words.get((label, name), "")
             cell = f"{_cell(interval, name, '+')} {verdict}"
             row[f"{first.label} - {label}"] = cell.rstrip()
         rows.append(row)

@@ -70,12 +70,12 @@ _RESULT = TypeAdapter(ItemResult)
 
 def read_run(folder: Path) -> dict[str, Any]:
     """Return what a folder's results are of. Raises InputError for those of another version."""
-    found = read_json(folder / RUN)
-    if not isinstance(found, dict) or found.get("version") != VERSION:
+    content = read_json(folder / RUN)
+    if not isinstance(content, dict) or content.get("version") != VERSION:
         raise InputError(
             f"{folder}: holds results of another version of the benchmark; run it again."
         )
-    return found
+    return content
 
 
 def read_results(folder: Path) -> dict[str, ItemResult]:
@@ -185,9 +185,9 @@ def _claim_folder(run: BenchRun) -> None:
         "threads": run.options.threads,
     }
     if (run.out / RUN).is_file():
-        found = read_run(run.out)
+        earlier = read_run(run.out)
         for key, value in asked.items():
-            if found.get(key) != value:
+            if earlier.get(key) != value:
                 what = key.replace("_", " ")
                 raise InputError(
                     f"{run.out}: holds results with another {what}; choose another --out."

@@ -1,4 +1,4 @@
-"""What is on this machine, and a plugin to start from: `doctor`, `weights`, `new-plugin`."""
+"""What is on this machine, and plugins: `doctor`, `weights`, `new-plugin`, `plugins`."""
 
 from edit3r import Component, hookimpl
 
@@ -23,5 +23,10 @@ def register_commands() -> list[Component]:
             "new-plugin",
             "edit3r_develop.new_plugin:NewPluginCommand",
             "write a working plugin package to start from",
+        ),
+        Component(
+            "plugins",
+            "edit3r_develop.plugins:PluginsCommand",
+            "list plugins that others published, and how to install them",
         ),
     ]

@@ -184,9 +184,9 @@ def rasterizers(registry: Registry) -> Iterator[Finding]:
             yield Finding(f"{name}: {_in_words(error)}", False)
             continue
         seconds = time.perf_counter() - started
-        told = f"draws in {seconds:.2f} s, compiling included"
+        text = f"draws in {seconds:.2f} s, compiling included"
         yield Finding(
-            f"{name}: {told if finite else 'its image is not finite'}", finite
+            f"{name}: {text if finite else 'its image is not finite'}", finite
         )
 
 

@@ -175,8 +175,8 @@ def _run_client(
     if "No space left" in done.stderr or "ENOSPC" in done.stderr:
         raise OSError(ENOSPC, "no space left", str(begun))
     if done.returncode:
-        told = done.stderr.replace("npm error ", "").strip().splitlines()
-        reason = ": ".join(told[telling]) or "no reason given"
+        lines = done.stderr.replace("npm error ", "").strip().splitlines()
+        reason = ": ".join(lines[telling]) or "no reason given"
         raise RunError(
             f"{weights.name}: {client} could not fetch {command[-1]} ({_short(reason)}); "
             f"{client}'s own settings say where it looks."
@@ -270,13 +270,13 @@ def _listed(weights: Weights, siblings: list[Any]) -> list[tuple[Any, str]]:
     """The repository's files that the weights name, each with its declared SHA-256 or ''."""
     chosen = {}
     for pattern, sha256 in weights.files:
-        found = [one for one in siblings if matches(one.rfilename, pattern)]
-        if not found:
+        files = [one for one in siblings if matches(one.rfilename, pattern)]
+        if not files:
             raise RunError(
                 f"{weights.name}: {weights.source} at {weights.revision or 'its newest'} has no "
                 f"{pattern}."
             )
-        for one in found:
+        for one in files:
             if ".." not in PurePosixPath(one.rfilename).parts:
                 chosen[one.rfilename] = (one, sha256)
     return list(chosen.values())
@@ -311,12 +311,12 @@ def _git_blob(path: Path) -> str:
     return hashlib.sha1(header + content, usedforsecurity=False).hexdigest()
 
 
-def _check(weights: Weights, path: Path, right: str | None, found: str) -> None:
+def _check(weights: Weights, path: Path, right: str | None, actual: str) -> None:
     """Remove a file that is not what it should be, and say so."""
-    if right and right != found:
+    if right and right != actual:
         path.unlink()
         raise RunError(
-            f"{weights.name}: {path.name} came with the hash {found[:16]}..., expected "
+            f"{weights.name}: {path.name} came with the hash {actual[:16]}..., expected "
             f"{right[:16]}..., and was deleted. Try again; if it happens again, the source has "
             "changed: do not trust it."
         )

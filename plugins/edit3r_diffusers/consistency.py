@@ -54,10 +54,10 @@ def edit_consistently(
         edited = replace(views, images=torch.cat(scenes))
     found = [disagreement(*pair) for pair in zip(views.images, edited.images)]
     measured = [value for value in found if value is not None]
-    told: object = f"not measured: fewer than {FEWEST_MATCHES} matches"
+    outcome: object = f"not measured: fewer than {FEWEST_MATCHES} matches"
     if measured:
-        told = round(float(np.mean(measured)), 4)
-    note("editor.consistency", {"mode": mode, "disagreement": told})
+        outcome = round(float(np.mean(measured)), 4)
+    note("editor.consistency", {"mode": mode, "disagreement": outcome})
     return edited
 
 

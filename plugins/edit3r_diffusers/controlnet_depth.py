@@ -26,7 +26,7 @@ from edit3r_diffusers import WEIGHTS, images, latents, loading
 from edit3r_diffusers.attention import look_across_views
 from edit3r_diffusers.loading import DiffusionSettings
 
-FAR, NEAR = 0.02, 0.98  # quantiles of disparity drawn black and white; by eye
+FAR, NEAR = 0.02, 0.98  # quantiles of disparity drawn black and white; no figure kept
 
 
 class ControlNetDepthEditor(Editor, ConditionedOnDepth):

@@ -125,9 +125,9 @@ def same_parts(pipeline: type, of: Any) -> Any:
         for name in inspect.signature(pipeline).parameters
         if name in (*vars(of), *of.config)
     }
-    made = pipeline(**parts)
-    made.set_progress_bar_config(disable=True)
-    return made
+    variant = pipeline(**parts)
+    variant.set_progress_bar_config(disable=True)
+    return variant
 
 
 def main_weights(settings: DiffusionSettings) -> ChosenWeights:

@@ -230,7 +230,7 @@ def _pil(image: Float[Tensor, "3 height width"]) -> Image.Image:
     return Image.fromarray(to_bytes(image.float()))
 
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 FluxKontextEditor = preset(
     "black-forest-labs/FLUX.1-Kontext-dev",
     "FluxKontextPipeline",

@@ -21,7 +21,7 @@ from edit3r.kit.photos.framing import frame_for
 from edit3r.kit.photos.images import find_photos, read_image, to_bytes
 from edit3r.kit.photos.masks import photo_named
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 LEAST_CROPPED = 0.01  # share of a picture whose loss is said
 COMPARED = 64  # sides of the copies of picture and photo that are compared [pixels]
 LEAST_LIKENESS = 0.6  # of what lies on its photo; parts of one reach 0.53

@@ -26,7 +26,7 @@ from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.geometry.warping import warp
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 # share of a look that is seen at full strength: the photo holds the rest back
 SHOWN = 7.5 / 10.5
 # share of the remaining way a step goes: 10 steps leave 1 % of the noise

@@ -29,11 +29,13 @@ from edit3r_geometry.pairs import MIN_PARALLAX
 ROUNDS = 2
 """Adjustments, each on the points that agree with the poses so far."""
 LOOSE = 4.0
-"""How many times the threshold a point may be off its pixel in the first round."""
+"""How many times the threshold a point may be off its pixel in the first round. No figure kept."""
 LEAST_POINTS = 20
 """Points below which nothing is adjusted."""
 MOST_ZOOM = 1.25
-"""Change of a focal length beyond which the matches do not tell it: then it stays as it was."""
+"""Change of a focal length beyond which the matches do not tell it: then it stays as it was.
+No figure kept.
+"""
 
 MOST_TRACKS, FIRST_TRACKS = 2000, 600
 """More are not adjusted: those of most views are enough to settle poses and lens, and

@@ -29,11 +29,12 @@ FIELDS_OF_VIEW = (
     *(20.0, 25.0, 31.0, 38.0, 46.0, 55.0, 65.0),
     *(75.0, 85.0, 95.0, 104.0, 112.0, 119.0, 125.0),
 )
-"""Across the longer side [degrees], from a telephoto lens to an action camera."""
+"""Across the longer side [degrees], from a telephoto lens to an action camera. No figure kept."""
 
 PointPairs = Mapping[tuple[int, int], Matches]
 """Matches of two images, their rays made with the intrinsics that the images have now."""
 
+# The numbers of this block: no figures kept.
 _MOST_PAIRS = 4
 _MOST_MATCHES = 400  # of a pair that are asked
 _FEWEST_MATCHES = 40
@@ -42,18 +43,23 @@ USUAL_FOV = 66.0
 of phones (24 to 28 mm in its terms, as their makers state them) have 74 to 65 degrees, zooms that
 come with cameras (18 to 55 mm before APS-C, 27 to 83 mm in its terms) 67 to 25, a cropped video a
 tenth less than photos; phones' second, ultra-wide ones (13 mm) and action cameras 90 to 120.
+Chosen: docs/notes/classical.md.
 """
 USUAL_SPREAD, FEW, FEW_SPREAD = 0.25, 0.3, 0.6
 """Spread of most lenses about it [log focal length]; the share of the others, and their spread:
 fitted with whole places left out (docs/notes/classical.md).
 """
 _LEANING = 0.01
-"""Share of the matches that a focal length e times what the user gave has to win over."""
+"""Share of the matches that a focal length e times what the user gave has to win over.
+No figure kept.
+"""
 APART = 0.45
-"""Lenses so far apart are two answers [log focal length]: 46 and 66 degrees, or 66 and 91."""
+"""Lenses so far apart are two answers [log focal length]: 46 and 66 degrees, or 66 and 91.
+No figure kept.
+"""
 ALIKE = 0.4
 """Matches by which another answer must be worse, times the root of all that are asked: the unit of
-their likelihood's logarithm.
+their likelihood's logarithm. No figure kept.
 """
 _SURE = 80.0  # score below which the matches never contradict what the user says of the lens
 # share of the best score by which what the user says must be worse to be contradicted

@@ -10,6 +10,7 @@ from edit3r.kit.compute.layers import weighted_smooth
 from edit3r_geometry.cameras import CalibratedImage, pixel_rays, project
 from edit3r_geometry.plane_sweep import Neighbour, RawDepth
 
+# The numbers of this block: no figures kept.
 AGREEMENT = 1.5  # planes by which two measurements of one surface may differ
 REACH = 2000.0  # smoothness weight of the fill: a gap of some fifty pixels is bridged
 TOUCH = 15.0  # and for smoothing what was measured

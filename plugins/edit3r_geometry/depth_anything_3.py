@@ -35,11 +35,13 @@ PATCH = 14
 MIN_SIZE = 32
 """Images with a shorter side show too little [pixels]."""
 FLAT = 0.005
-"""An image whose contrast (standard deviation) is below this shows nothing to match [sRGB]."""
+"""An image whose contrast (standard deviation) is below this shows nothing to match [sRGB].
+No figure kept.
+"""
 NARROWEST = 3.0
-"""A field of view below this was not read, and the given one stays [degrees]."""
+"""A field of view below this was not read, and the given one stays [degrees]. No figure kept."""
 OTHER_LENS = 0.1
-"""Relative difference of focal lengths worth a warning."""
+"""Relative difference of focal lengths worth a warning. No figure kept."""
 
 
 class DepthAnything3Matcher(Matcher):

@@ -36,9 +36,9 @@ MAX_OTHERS = 8
 class DepthSettings(config.Settings):
     """How finely depth is measured."""
 
-    working_size: int = Field(320, ge=64, le=1024)
+    working_size: int = Field(160, ge=64, le=1024)
     """long side at which depth is measured [pixels]; time grows with its cube"""
-    planes: int = Field(128, ge=24, le=512)
+    planes: int = Field(64, ge=24, le=512)
     """most depth hypotheses a pixel; fewer is quicker, coarser"""
     coarse: bool = False
     """measure at half the working size too, for what is not confirmed at the whole"""

@@ -24,10 +24,12 @@ from edit3r_geometry.keypoints import Keypoints
 from edit3r_geometry.relative_pose import Matches
 from edit3r_geometry.standing import without_standing
 
+# The numbers of this block: no figures kept.
 LEARNED = "ALIKED + LightGlue"
 """What the learned matches are called."""
 LEARNED_NOISE = 4.0
 """How many times less exact than SIFT's the learned points are taken to be where a pose is refined.
+No figure kept.
 """
 MAX_TILTED_PAIRS = 30
 """Pairs of images that are tilted and matched again; each takes a third of a second."""
@@ -40,7 +42,9 @@ SAMPLES = 5000
 MANY_KEYPOINTS, MANY_SIZE = 2400, 512
 """Most features of one of more images, and the long side at which they are looked for [pixels]."""
 MANY_ENLARGEMENT = 1.5
-"""How much images are enlarged for that at most: the rest is for two that share little."""
+"""How much images are enlarged for that at most: the rest is for two that share little.
+No figure kept.
+"""
 DIRECTIONS = 96
 """Numbers that tell features of more images apart."""
 MAX_LEARNED = 7
@@ -50,13 +54,18 @@ places nearly all, and tilted images place more of the rest in less time.
 ENOUGH_MATCHES = 250
 """Matches of SIFT that place two views without help."""
 TILTS = ((2**0.5, 0.0), (2.0, 0.0), (2.0, 36.0), (2.0, 144.0))
-"""How a surface is looked at from aside: foreshortened so many times, across so many degrees."""
+"""How a surface is looked at from aside: foreshortened so many times, across so many degrees.
+No figure kept.
+"""
 TILTED_RATIO = 0.7
-"""Lowe's ratio between tilted images: so many are compared that more would be wrong than right."""
+"""Lowe's ratio between tilted images: so many are compared that more would be wrong than right.
+No figure kept.
+"""
 # In pixels of an image with a long side of 512:
 _ONE_WITNESS = 2.0  # tilted matches nearer to each other in both images count as one
 _ONE_PLACE = 1.5  # features of several tilts nearer to each other are one
 
+# The numbers of this block: no figures kept.
 _LARGEST_ENLARGEMENT = 4.0
 _CONTRAST = 0.01  # of SIFT; low, because weak features still match when both ways agree
 _EDGE = 15.0
@@ -67,7 +76,7 @@ _DOUBLING_SHIFT = 0.25
 class FeatureSettings(config.Settings):
     """How features are found and matched."""
 
-    keypoints: int = Field(4000, ge=200, le=20000)
+    keypoints: int = Field(2500, ge=200, le=20000)
     """most features a photo"""
     detection_size: int = Field(640, ge=128, le=4096)
     """long side at which features are looked for [pixels]; larger finds more"""
@@ -75,8 +84,8 @@ class FeatureSettings(config.Settings):
     """a match must be this much nearer than its second choice (Lowe's test)"""
     matches: Literal["auto", "sift", "learned"] = "auto"
     """'learned': SIFT's together with ALIKED + LightGlue's, whose weights `edit3r weights get
-    aliked-lightglue` fetches; 'auto': so for two of at most seven photos with few matches, where
-    those weights are at hand
+    aliked-lightglue` fetches; 'auto': so for two of at most seven photos with few matches and for
+    pairs whose matches do not tell the lens, where those weights are at hand
     """
     learned_keypoints: int = Field(1024, ge=128, le=4096)
     """most learned features a photo"""
@@ -244,6 +253,21 @@ def with_tilted(
         for more in tilted[1:]:
             keypoints[view] = keypoints[view].followed_by(more)
     return FoundFeatures(tuple(keypoints), found.indices | matches, tilted=True)
+
+
+def with_learned(
+    found: FoundFeatures,
+    images: Sequence[CalibratedImage],
+    settings: FeatureSettings,
+) -> FoundFeatures:
+    """Add learned matches of every pair; the same where they are there already, not wanted, or
+    their weights are not at hand.
+    """
+    wanted = settings.matches == "auto" and not found.helper
+    folder = at_hand(ALIKED) if wanted else None
+    if folder is None:
+        return found
+    return _with_learned(found, list(found.indices), images, folder, settings)
 
 
 def _with_learned(

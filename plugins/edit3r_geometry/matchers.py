@@ -32,6 +32,7 @@ from edit3r_geometry.features import (
     FeatureSettings,
     FoundFeatures,
     find_features,
+    with_learned,
     with_tilted,
 )
 from edit3r_geometry.pairs import NEARLY_ALL, agreeing_pairs, on_a_plane
@@ -41,11 +42,11 @@ MIN_SIZE = 32
 """Images with a shorter side than this show too little to match [pixels]."""
 LEAST_DISTORTION = 0.03
 """Radial distortion (k1) below which a lens is taken for a plain one: so much is found on straight
-photos too.
+photos too. See docs/notes/classical.md.
 """
 LEAST_GAIN = 0.05
 """Share of the points' distance from their pixels that a distortion must explain before it is
-believed.
+believed. No figure kept.
 """
 
 
@@ -71,8 +72,8 @@ class ClassicalMatcher(_RememberingMatcher):
     Confidence is 1 where two views measured the same surface and 0 where the depth was filled in,
     between the two only along the border of such regions where depth was carried to a larger image.
 
-    Quicker and a little worse: `working_size=192, detection_size=512`, two thirds of the time at
-    256².
+    Quicker: `detection_size=448`, which reads the lens of photos from wide apart worse. Finer:
+    `working_size=320, planes=128, coarse=true`, as `--quality best` has it.
     """
 
     class Settings(FeatureSettings, DepthSettings):
@@ -187,6 +188,13 @@ class ClassicalMatcher(_RememberingMatcher):
         images = calibrated_images(views, scene)
         features = find_features(images, self.settings)
         found = self._attempt(views, images, features)
+        # Of three photos and more, bundle adjustment settles the lens.
+        if len(images) == 2 and isinstance(found, _Registered) and found.lenses:
+            helped = with_learned(features, images, self.settings)
+            if helped is not features:
+                again = self._attempt(views, images, helped)
+                if len(lost_in(again, views.count)) <= len(lost_in(found, views.count)):
+                    features, found = helped, again
         lost = lost_in(found, views.count)
         if lost and self.settings.tilted and not features.helper:
             tilted = with_tilted(features, images, lost, self.settings)
@@ -300,6 +308,10 @@ class PosedMatcher(_RememberingMatcher):
     """
 
     class Settings(FeatureSettings, DepthSettings):
+        working_size: int = Field(320, ge=64, le=1024)
+        """long side at which depth is measured [pixels]: exact poses are worth a finer one"""
+        planes: int = Field(128, ge=24, le=512)
+        """most depth hypotheses a pixel"""
         matcher: PartChoice = PartChoice(name="classical")
         """what matches views without known poses"""
         threshold: float = Field(1.5, gt=0, le=20)

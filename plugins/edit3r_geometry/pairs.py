@@ -25,42 +25,53 @@ from edit3r_geometry.relative_pose import (
 )
 
 MIN_LOG_EVIDENCE = 6.0
-"""A pose counts when random matches would agree as well less than once in 10^6 tries."""
+"""A pose counts when random matches would agree as well less than once in 10^6 tries.
+No figure kept.
+"""
 MIN_PARALLAX = 0.4
-"""Median angle between rays to the same point below which depth cannot be read [degrees]."""
+"""Median angle between rays to the same point below which depth cannot be read [degrees].
+No figure kept.
+"""
 ENOUGH_PARALLAX = 5.0
-"""Angle beyond which more does not make a better pair [degrees]."""
+"""Angle beyond which more does not make a better pair [degrees]. No figure kept."""
 MOST_PARALLAX = 30.0
-"""Angle beyond which surfaces look less and less alike, however many points match [degrees]."""
+"""Angle beyond which surfaces look less and less alike, however many points match [degrees].
+No figure kept.
+"""
 LEARNED_INLIERS = 30
 """Agreeing matches below which a pose that SIFT alone does not show is not believed."""
 TILTED_INLIERS = 24
 """The same where images were tilted to find matches: with fewer, one motion in six was wrong."""
 DEPTH_STEP = 0.05
 """Median difference of log depth between neighbours in the picture; larger where matches are wrong
-together.
+together. No figure kept.
 """
 SPREAD = 0.2
 """Share of the places with matches that must agree: a wrong motion is often borne by one corner of
-the picture.
+the picture. No figure kept.
 """
 CORNER = 0.07
 """Share of the area with matches, in one picture times that in the other, below which only a poster
-agrees.
+agrees. See docs/notes/classical.md.
 """
 MOST_LOOP = 7.0
-"""How far the turns from one view to a second, on to a third and back may miss [degrees]."""
+"""How far the turns from one view to a second, on to a third and back may miss [degrees].
+No figure kept.
+"""
 PLANE = 0.8
-"""Share of a pair's matches on one plane above which a small part of the images is a poster."""
+"""Share of a pair's matches on one plane above which a small part of the images is a poster.
+No figure kept.
+"""
 MIN_FILLED = 0.045
 """Share of the area that a pair's matches fill, in one picture times that in the other, below which
 the motion of tilted images is not believed, unless nearly all matches agree with it.
+See docs/notes/classical.md.
 """
 FEW_IMAGES = 4
 """Images up to which two robust estimates are made of each motion: of more, the others correct it.
 """
 NEARLY_ALL = 0.9
-"""Share of the matches that are nearly all."""
+"""Share of the matches that are nearly all. No figure kept."""
 _TOO_FEW = "{} of {} matched points agree on a camera motion, too few to be sure"
 _ON_A_POSTER = (
     "all {} matched points that agree lie in a small part of both pictures, as on a "

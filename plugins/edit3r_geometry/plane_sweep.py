@@ -16,6 +16,7 @@ from jaxtyping import Float, UInt8
 from edit3r.kit.compute.compiling import compiled
 from edit3r_geometry.cameras import CalibratedImage, Pose, pixel_rays, project
 
+# The numbers of this block: no figures kept.
 SMALL, LARGE = 1, 3  # radii of the correlation windows [pixels]
 SMALL_WEIGHT, LARGE_WEIGHT, COLOUR_WEIGHT = 0.25, 0.45, 0.3
 # colour differences above it cost no more: they are occlusions or highlights

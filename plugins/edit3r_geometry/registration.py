@@ -25,16 +25,20 @@ from edit3r_geometry.pairs import (
 from edit3r_geometry.relative_pose import MIN_INLIERS, log_chance, support
 
 NEAR = 0.1
-"""Points of two pairs within this share of the image's long side tell the scale between them."""
+"""Points of two pairs within this share of the image's long side tell the scale between them.
+No figure kept.
+"""
 MIN_NEAR = 3
 """How many such points a scale needs."""
 ONE_SCALE = 0.1
-"""Median deviation of their scales (logarithm) above which they tell none."""
+"""Median deviation of their scales (logarithm) above which they tell none. No figure kept."""
 LEAST_USEFUL = 0.15
-"""Usefulness over the best neighbour's from which a view measures depth."""
+"""Usefulness over the best neighbour's from which a view measures depth.
+See docs/notes/classical.md.
+"""
 MANY, ALL_OVER = 50, 0.45
 """Matches, and the share of the places where any neighbour has some, from which one measures depth
-beside a single other one.
+beside a single other one. No figure kept.
 """
 ADVICE = (
     "Give photos of one still scene taken a step apart, with more than half of "

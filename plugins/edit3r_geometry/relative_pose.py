@@ -15,10 +15,11 @@ from jaxtyping import Bool, Float
 from edit3r.kit.geometry.quiet_pycolmap import pycolmap
 from edit3r_geometry.cameras import Pose, cross_matrix, triangulate
 
+# The numbers of this block: no figures kept.
 MIN_INLIERS = 12
 LEAST_SHARE = 0.3
 """Share of the matches that must agree on a motion which the estimate without the lens does not
-show.
+show. No figure kept.
 """
 _REFINEMENT_ROUNDS = 3
 _MOST_STEPS = 30

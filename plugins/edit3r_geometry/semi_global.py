@@ -11,6 +11,7 @@ from jaxtyping import Float
 
 from edit3r.kit.compute.compiling import compiled
 
+# The numbers of this block: no figures kept.
 SMALL_STEP = 0.08
 LEAST_JUMP = 1.5 * SMALL_STEP
 JUMP = 0.6  # more than the least, in flat regions

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+# The numbers of this block, chosen on one castle: docs/notes/ledger.md.
 # Share of all photos that must look like sky before any of it counts: ceilings and lamps do too.
 MIN_SHARE = 0.08
 MIN_TOP = 0.2  # share of a photo's top row that must be sky

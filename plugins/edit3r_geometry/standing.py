@@ -12,6 +12,7 @@ from edit3r.contract.reporting import warn
 from edit3r_geometry.cameras import CalibratedImage
 from edit3r_geometry.keypoints import Keypoints
 
+# The numbers of this block: docs/notes/ledger.md.
 STILL = 0.6  # way up to which a match stands still [pixels of 512]
 MOVED = 4.0  # way beyond which it surely moves
 FEWEST = 8  # matches that make something that stands still

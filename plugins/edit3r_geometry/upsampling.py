@@ -5,6 +5,7 @@ from jaxtyping import Bool, Float
 
 from edit3r.kit.compute.compiling import compiled
 
+# The numbers of this block: no figures kept.
 SAME_COLOUR = 0.1  # colour distance [sRGB] at which a small pixel's weight falls to 1/e
 # relative difference in inverse depth within which two pixels lie on one surface
 SAME_SURFACE = 0.04

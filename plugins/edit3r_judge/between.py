@@ -16,6 +16,7 @@ from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.geometry.paths import half_way
 from edit3r.kit.geometry.warping import nearest_views
 
+# The numbers of this block: docs/notes/verdict.md.
 LONGEST = 172  # size at which photos are looked at [pixels]
 NEAR_VIEWS = 4  # others whose measurements count half-way from a photo to its nearest
 BESIDE = 2  # pixels around a measured point that count as measured: points lie apart

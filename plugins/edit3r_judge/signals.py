@@ -26,6 +26,7 @@ from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r.kit.geometry.maps import dilate, size_of
 from edit3r.kit.geometry.warping import shared_surface, warp
 
+# The numbers of this block: docs/notes/verdict.md.
 FITTED = Path(__file__).with_name("fitted.yaml")
 SIDE = 256  # longer side at which pictures are looked at [pixels]
 SEEN = 6.0  # difference of colours that one sees [CIE Lab]

@@ -26,10 +26,10 @@ from edit3r.contract.instructions import (
     Thing,
 )
 from edit3r.kit.compute.colour_names import read_colour
-from edit3r_language import vocabulary as words
 from edit3r_language.paints import MATERIALS
 from edit3r_language.places import read_region
 from edit3r_language.together import merged
+from edit3r_language.vocabulary import WORDS
 
 MAX_ANSWER = 20_000  # characters
 
@@ -95,7 +95,7 @@ def instructions_of_answer(answer: str, prompt: str) -> tuple[Instruction, ...]:
     """The instructions of a model's answer to a sentence.
 
     Raises ValueError, with what is wrong, for an answer of another form; PromptError where the
-    sentence asks for nothing, or for two colours on one thing.
+    sentence asks for nothing, or contradicts itself.
     """
     found = re.search(r"\{.*\}", answer[:MAX_ANSWER], re.DOTALL)
     if found is None:
@@ -121,7 +121,7 @@ def _forgotten(instructions: list[Instruction], prompt: str) -> Iterator[Instruc
         for instruction in instructions
         for word in _words(" ".join((instruction.text, *instruction.unread)))
     }
-    polite = words.FILLERS | words.POLITENESS | {"and", "then", "but", "while"}
+    polite = WORDS.fillers | WORDS.politeness | {"and", "then", "but", "while"}
     forgotten = [word for word in _words(prompt) if word not in told | polite]
     if forgotten:
         yield Instruction(
@@ -194,6 +194,6 @@ class _Reading:
 
 def _picks(word: str) -> bool:
     """Whether a word picks one of several things, where they are looked for."""
-    known = words.PLACES | words.SIZES | words.BACKGROUND | EVERY | FLOOD
+    known = WORDS.places | WORDS.sizes | WORDS.background | EVERY | FLOOD
     found = read_colour(word.split())
     return word in known or (found is not None and found[1] == len(word.split()))

@@ -4,11 +4,18 @@ from dataclasses import dataclass, replace
 
 from edit3r.contract.instructions import Change
 from edit3r.kit.compute.colour_names import TONES, read_colour
-from edit3r_language import vocabulary as words
 from edit3r_language.nouns import is_noun, is_thing_too
 from edit3r_language.paints import read_paint
 from edit3r_language.shades import read_taken
-from edit3r_language.vocabulary import words_of
+from edit3r_language.vocabulary import (
+    ADJUSTMENTS,
+    BASIC,
+    PROPERTIES,
+    TINT_SHARE,
+    TINTS,
+    WORDS,
+    words_of,
+)
 
 _BOTTLES_AND_TREES = words_of("bottle tree leaf")
 _OF_BOTTLES_AND_TREES = words_of(
@@ -66,7 +73,7 @@ def last_group(changes: list[Found], tokens: list[str]) -> list[Found]:
         two_paints = change.change.kind == "paint" and "paint" in kinds
         if _only_praises(change, tokens):
             continue
-        if two_paints or not set(between) <= words.WEAK | words.STRONG | {"a"}:
+        if two_paints or not set(between) <= WORDS.weak | WORDS.strong | {"a"}:
             break
         group.insert(0, change)
     return group
@@ -91,15 +98,15 @@ def amount_of(change: Change, tokens: list[str]) -> float:
     for token in tokens:
         if is_percentage(token):
             return min(3.0, int(token[:-1]) / (less if change.amount < 0 else more))
-    if set(tokens) & words.WEAK:
+    if set(tokens) & WORDS.weak:
         return 0.5
-    return 1.7 if set(tokens) & words.STRONG else 1.0
+    return 1.7 if set(tokens) & WORDS.strong else 1.0
 
 
 def _only_praises(change: Found, tokens: list[str]) -> bool:
     """Whether a word such as "warm" changes nothing: "a nice warm yellow"."""
     before = tokens[: change.start][-1:]
-    return tokens[change.start] in words.NICE and before in (["a"], ["nice"])
+    return tokens[change.start] in WORDS.nice and before in (["a"], ["nice"])
 
 
 def _scan(tokens: list[str]) -> list[Found]:
@@ -122,22 +129,22 @@ def _is_thing_too(found: Found) -> bool:
 
 
 def _before_its_thing(tokens: list[str], end: int) -> bool:
-    return tokens[end - 1] in words.IMPERATIVES
+    return tokens[end - 1] in WORDS.imperatives
 
 
 def _change_at(tokens: list[str], start: int) -> Found | None:
     rest = tokens[start:]
     first = rest[0]
-    if first in words.MORE | words.LESS:
+    if first in WORDS.more | WORDS.less:
         return _more_or_less(rest, start)
     paint = _paint_at(tokens, start)
     if paint is not None:
         return paint
-    if first in words.TINTS:
-        return Found(start, start + 1, _tint(words.TINTS[first]))
-    if first in words.ADJUSTMENTS:
-        return Found(start, start + 1, words.ADJUSTMENTS[first])
-    if first in words.RANDOM:
+    if first in TINTS:
+        return Found(start, start + 1, _tint(TINTS[first]))
+    if first in ADJUSTMENTS:
+        return Found(start, start + 1, ADJUSTMENTS[first])
+    if first in WORDS.random:
         return Found(start, start + 1, Change("random"))
     return None
 
@@ -155,14 +162,14 @@ def _paint_at(tokens: list[str], start: int) -> Found | None:
         return None
     if rest[0] in _BOTTLES_AND_TREES and set(before[-1:]) & _OF_BOTTLES_AND_TREES:
         return None  # "the wine bottle green", though "bottle green" is a colour
-    if set(after) & words.PARTS:
+    if set(after) & WORDS.parts:
         return None  # "the red parts" are a thing
-    adjusted = before[-1:] == ["the"] and bool(set(after) & set(words.ADJUSTMENTS))
-    if adjusted and not set(before) - words.FILLERS:
+    adjusted = before[-1:] == ["the"] and bool(set(after) & set(ADJUSTMENTS))
+    if adjusted and not set(before) - WORDS.fillers:
         return None  # "make the blue darker"
     change = found.change
     if "tint" in before and change.colour is not None and not change.material:
-        change = Change("tint", change.colour, amount=words.TINT_SHARE)
+        change = Change("tint", change.colour, amount=TINT_SHARE)
     paint = Found(start, start + found.length, change, found.left_out)
     if change.material and before[-1:] == ["the"] and not after:
         return None  # "lighten the wood"
@@ -173,13 +180,13 @@ def _names_thing_and_colour(before: list[str], rest: list[str], length: int) -> 
     """Whether "the sea green" is a green sea, and "turn red blue" a change of red."""
     if before[-1:] == ["the"]:
         return rest[0] not in TONES
-    two_basics = length == 2 and {rest[0], rest[1]} <= words.BASIC
-    return two_basics and not set(before) - words.FILLERS - words.PAINT
+    two_basics = length == 2 and {rest[0], rest[1]} <= BASIC
+    return two_basics and not set(before) - WORDS.fillers - WORDS.paint
 
 
 def _stands_as_thing(before: list[str], after: list[str]) -> bool:
     """Whether a word such as "rose" stands where a thing does: "the rose", "rose garden"."""
-    follows = words.DETERMINERS - {"a", "an"} | {"of", "on", "with", "near", "behind"}
+    follows = WORDS.determiners - {"a", "an"} | {"of", "on", "with", "near", "behind"}
     noun_next = bool(after) and is_noun(after[0]) and read_colour(after) is None
     return bool(set(before[-1:]) & follows) or noun_next
 
@@ -187,20 +194,20 @@ def _stands_as_thing(before: list[str], after: list[str]) -> bool:
 def _tint(name: str) -> Change:
     found = read_colour([name])
     assert found is not None  # every word of TINTS is a colour
-    return Change("tint", found[0], amount=words.TINT_SHARE)
+    return Change("tint", found[0], amount=TINT_SHARE)
 
 
 def _more_or_less(rest: list[str], start: int) -> Found | None:
     """Read "more saturated", "increase the brightness", "less contrast", "more blue"."""
-    sign = 1.0 if rest[0] in words.MORE else -1.0
+    sign = 1.0 if rest[0] in WORDS.more else -1.0
     skipped = 2 if rest[1:2] == ["the"] else 1
     word = rest[skipped] if len(rest) > skipped else ""
     end = start + skipped + 1
-    if word in words.PROPERTIES:
-        return Found(start, end, Change(words.PROPERTIES[word], amount=sign))
-    if word in words.ADJUSTMENTS:
-        known = words.ADJUSTMENTS[word]
+    if word in PROPERTIES:
+        return Found(start, end, Change(PROPERTIES[word], amount=sign))
+    if word in ADJUSTMENTS:
+        known = ADJUSTMENTS[word]
         return Found(start, end, replace(known, amount=sign * known.amount))
-    if rest[0] == "more" and word in words.BASIC:  # "more snow" is no colour
+    if rest[0] == "more" and word in BASIC:  # "more snow" is no colour
         return Found(start, end, _tint(word))
     return None

@@ -4,7 +4,6 @@ from dataclasses import dataclass, field, replace
 
 from edit3r.contract.instructions import FLOOD, Action, Change, Colour, Thing
 from edit3r.kit.compute.colour_names import read_colour
-from edit3r_language import vocabulary as words
 from edit3r_language.changes import (
     Found,
     amount_of,
@@ -19,6 +18,7 @@ from edit3r_language.places import read_region, unclear_place
 from edit3r_language.shades import read_taken
 from edit3r_language.things import read_thing
 from edit3r_language.unknown_words import is_known, unknown_words, unread_of
+from edit3r_language.vocabulary import ADJUSTMENTS, TINTS, WORDS
 
 
 @dataclass
@@ -42,29 +42,29 @@ class Clause:
 
 def asks_nothing(tokens: list[str]) -> bool:
     """Politeness, or "not blue" and "not brighter" beside another change."""
-    if set(tokens) <= words.POLITENESS | words.NOTHING:
+    if set(tokens) <= WORDS.politeness | WORDS.nothing:
         return True
-    if tokens[0] not in words.NEGATIONS or len(tokens) == 1:
+    if tokens[0] not in WORDS.negations or len(tokens) == 1:
         return False
-    adjusts = set(tokens[1:]) <= words.ADJUSTMENTS.keys()
+    adjusts = set(tokens[1:]) <= ADJUSTMENTS.keys()
     return adjusts or read_colour(tokens[1:]) is not None
 
 
 def read_kept(tokens: list[str]) -> list[Thing] | None:
     """The things that a clause wants left as they are; None for a clause of another kind."""
-    staying = next((i for i, token in enumerate(tokens) if token in words.STAYS), 0)
+    staying = next((i for i, token in enumerate(tokens) if token in WORDS.stays), 0)
     if staying:  # "the tank stays red"
         tokens = ["keep", *tokens[:staying]]
-    keeps = tokens[0] in words.KEEP
-    negates = tokens[0] in words.NEGATIONS
-    if negates and len(tokens) > 1 and tokens[1] in words.TOUCH:
+    keeps = tokens[0] in WORDS.keep
+    negates = tokens[0] in WORDS.negations
+    if negates and len(tokens) > 1 and tokens[1] in WORDS.touch:
         tokens = tokens[1:]
     elif not keeps and not negates:
         return None
-    content = [t for t in tokens[1:] if t not in words.FILLERS | words.AS_IT_IS]
-    if set(content) <= words.KEPT_ANYWAY - words.BACKGROUND:
+    content = [t for t in tokens[1:] if t not in WORDS.fillers | WORDS.as_it_is]
+    if set(content) <= WORDS.kept_anyway - WORDS.background:
         return []
-    if keeps and tokens[-1] in words.ADJUSTMENTS | words.TINTS.keys():
+    if keeps and tokens[-1] in ADJUSTMENTS | TINTS.keys():
         return None
     if negates and find_changes(tokens):  # "don't paint the bike red"
         return None
@@ -73,7 +73,7 @@ def read_kept(tokens: list[str]) -> list[Thing] | None:
 
 def _without_own_colour(tokens: list[str]) -> list[str]:
     """The words of what is kept, without what it stays: "the bus" of "keep the bus red"."""
-    tokens = [t for t in tokens if t not in words.AS_IT_IS]
+    tokens = [t for t in tokens if t not in WORDS.as_it_is]
     for start in range(1, len(tokens)):
         found = read_colour(tokens[start:])
         named = content_of(tokens[:start])
@@ -88,7 +88,8 @@ def read_clause(tokens: list[str]) -> Clause:
     plain = [token for token in tokens if token not in shares]
     clause = _read_plain(plain, Clause(text=" ".join(tokens)))
     kinds = {change.kind for change in clause.changes}
-    if shares and (not kinds or "paint" in kinds):  # "30% red"
+    nothing = any(int(share[:-1]) <= 0 for share in shares)  # "-20% darker"
+    if shares and (nothing or not kinds or "paint" in kinds):  # "30% red"
         return clause.not_understood(*dict.fromkeys((*shares, *clause.unread)))
     return clause
 
@@ -101,8 +102,8 @@ def _read_plain(tokens: list[str], clause: Clause) -> Clause:
     unsupported = _unsupported(tokens)
     if unsupported:
         return clause.not_understood(*unsupported)
-    removing = [i for i, token in enumerate(tokens) if token in words.REMOVE]
-    if removing and set(tokens[: removing[0]]) <= words.FILLERS | words.POLITENESS:
+    removing = [i for i, token in enumerate(tokens) if token in WORDS.remove]
+    if removing and set(tokens[: removing[0]]) <= WORDS.fillers | WORDS.politeness:
         return _read_removal(tokens[removing[0] + 1 :], clause)
     return _read_change(tokens, clause)
 
@@ -115,15 +116,15 @@ def _read_removal(named: list[str], clause: Clause) -> Clause:
     if clause.thing.part is not None and "some" in named:  # "some of the red"
         unclear += ("some",)
     if clause.thing.scope != "region":
-        unclear += tuple(t for t in named if t in words.ORDINALS)
+        unclear += tuple(t for t in named if t in WORDS.ordinals)
     return clause.not_understood(*dict.fromkeys(unclear)) if unclear else clause
 
 
 def content_of(tokens: list[str]) -> list[str]:
     """The words that are neither fillers nor degrees."""
-    ignored = words.FILLERS | words.WEAK | words.STRONG | words.RANDOM
-    ignored |= words.PAINT | words.NICE
-    pronouns = words.PRONOUNS - {"that", "this"}
+    ignored = WORDS.fillers | WORDS.weak | WORDS.strong | WORDS.random
+    ignored |= WORDS.paint | WORDS.nice
+    pronouns = WORDS.pronouns - {"that", "this"}
     return [t for t in tokens if t not in ignored or t in pronouns]
 
 
@@ -132,10 +133,10 @@ def blamed(tokens: list[str]) -> tuple[str, ...]:
 
     "nice" of "make it nice"; none of "paint the wall", which does not say in which colour.
     """
-    nice = tuple(token for token in tokens if token in words.NICE)
-    content = [token for token in content_of(tokens) if token not in words.PRONOUNS]
+    nice = tuple(token for token in tokens if token in WORDS.nice)
+    content = [token for token in content_of(tokens) if token not in WORDS.pronouns]
     # "the wall", not "it rain"
-    named = not content or bool(set(tokens) & (words.DETERMINERS - words.PRONOUNS))
+    named = not content or bool(set(tokens) & (WORDS.determiners - WORDS.pronouns))
     named = named and all(map(is_noun, content))
     return nice or (() if named else unread_of(content))
 
@@ -162,10 +163,10 @@ def _without(tokens: list[str]) -> tuple[list[str], list[Thing]]:
             continue
         start = tokens.index(marker, 1)
         rest = tokens[start + 1 :]
-        if rest and rest[0] in words.TOUCH:
+        if rest and rest[0] in WORDS.touch:
             rest = rest[1:]
         end = _end_of_exception(rest, tokens)
-        if not [t for t in rest[:end] if t not in words.FILLERS]:
+        if not [t for t in rest[:end] if t not in WORDS.fillers]:
             continue
         return tokens[:start] + rest[end:], [read_thing(rest[:end])]
     return tokens, []
@@ -178,7 +179,7 @@ def _end_of_exception(rest: list[str], tokens: list[str]) -> int:
         return len(look[1])
     changes = last_group(find_changes(rest), rest) if rest else []
     ends = bool(changes) and changes[-1].end == len(rest)
-    removes = bool(set(tokens[:2]) & words.REMOVE)
+    removes = bool(set(tokens[:2]) & WORDS.remove)
     follows = ends and changes[0].start > 0 and not removes
     return changes[0].start if follows else len(rest)
 
@@ -190,11 +191,14 @@ def _unsupported(tokens: list[str]) -> tuple[str, ...]:
     """The words of a clause that say at once that nobody here can carry it out."""
     if "or" in tokens:
         return ("or",)
-    negated = tuple(token for token in tokens if token in words.NEGATIONS)
+    pairs = tuple(t for t in tokens if "/" in t and read_colour([t]) is None)
+    if pairs:  # "red/blue" is one of them, or both
+        return pairs
+    negated = tuple(token for token in tokens if token in WORDS.negations)
     if negated:
         return negated
-    asks = tokens[0] in words.QUESTIONS
-    other = tokens[0] in words.OTHER and not _repaints(tokens)
+    asks = tokens[0] in WORDS.questions
+    other = tokens[0] in WORDS.other and not _repaints(tokens)
     return (tokens[0],) if asks or other else ()
 
 
@@ -203,7 +207,7 @@ def _repaints(tokens: list[str]) -> bool:
     if tokens[0] in ("replace", "swap"):
         joins = [i for i, t in enumerate(tokens) if t in ("with", "by", "for")]
         middle = joins[0] if joins else 0
-        before = [t for t in tokens[1:middle] if t not in words.DETERMINERS]
+        before = [t for t in tokens[1:middle] if t not in WORDS.determiners]
         return bool(read_colour(before)) and bool(find_changes(tokens[middle:]))
     if tokens[0] in ("give", "draw"):
         return bool(find_changes(tokens)) or _look(tokens) is not None
@@ -228,7 +232,7 @@ def _read_change(tokens: list[str], clause: Clause) -> Clause:
     group = last_group(changes, tokens)
     degrees = [*tokens, *filter(is_percentage, clause.text.split())]
     clause.action = "paint"
-    clause.verb_first = tokens[group[0].start] in words.IMPERATIVES | words.RANDOM
+    clause.verb_first = tokens[group[0].start] in WORDS.imperatives | WORDS.random
     wanted = [found.change for found in group]
     clause.changes = tuple(scaled(one, amount_of(one, degrees)) for one in wanted)
     clause.left_out = tuple(word for found in group for word in found.left_out)
@@ -246,14 +250,20 @@ def _split_around(
     in_front = not content_of(before) and bool(content_of(after))
     if in_front and not _may_follow(group[-1], tokens):
         named, other = [], after
-    unread = [t for t in content_of(other) if t not in words.PARTS | FLOOD]
+    unread = [
+        t for t in content_of(other) if t not in WORDS.parts | FLOOD | WORDS.picture
+    ]
     unread = list(unread_of(unread))
-    if set(unread) <= words.PLACES:  # "paint the vase red on the left"
+    if set(unread) <= WORDS.places:  # "paint the vase red on the left"
         named, unread = [*unread, *named], []
     if read_region(named) is None:  # "the lower half"
-        unread += [t for t in named if t in words.MORE | words.LESS | words.UNSUPPORTED]
+        unread += [t for t in named if t in WORDS.more | WORDS.less | WORDS.unsupported]
     unread += unclear_place(named)
     unread += unknown_words(named, before_change=named == before and bool(before))
+    colour = read_colour(named)
+    joined = set(tokens) & (WORDS.fillers | WORDS.paint)
+    if colour is not None and colour[1] == len(named) and not joined:  # "red blue"
+        unread += tokens
     return named, tuple(dict.fromkeys(unread))
 
 
@@ -276,23 +286,22 @@ def _as_told(tokens: list[str]) -> list[str]:
         return tokens
     thing = tokens[paint.length :]
     plain = bool(content_of(thing)) and not find_changes(thing) and not _look(thing)
-    all_known = not set(thing) & words.FILLERS
-    return [*thing, *tokens[: paint.length]] if plain and all_known else tokens
+    all_known = not set(thing) & WORDS.fillers
+    return ["the", *thing, *tokens[: paint.length]] if plain and all_known else tokens
 
 
 def _only_names(tokens: list[str], clause: Clause, origin: Colour | None) -> Clause:
     """A clause without a change: a thing that shares a neighbour's, or something unknown."""
-    says_more = set(tokens) & (words.MORE | words.LESS | words.NEGATIONS)
+    says_more = set(tokens) & (WORDS.more | WORDS.less | WORDS.negations)
     content = content_of(tokens)
-    if clause.without and read_thing(tokens).scope == "whole":  # the change follows
-        clause.thing = read_thing(tokens)
-        return clause
-    begins = tokens[0] in words.PAINT | words.DETERMINERS or len(content) == 1
+    follows = clause.without and read_thing(tokens).scope == "whole"  # a change
+    begins = (
+        follows or tokens[0] in WORDS.paint | WORDS.determiners or len(content) == 1
+    )
     unclear = unclear_place(tokens)
-    if read_region(tokens) is not None:
-        clause.thing = read_region(tokens)
-        return clause
-    if says_more or origin is not None or not content or not begins or unclear:
+    if read_region(tokens) is None and (
+        says_more or origin is not None or not content or not begins or unclear
+    ):
         return clause.not_understood(*(unclear or blamed(tokens)))
     clause.thing = read_thing(tokens)
     return clause
@@ -312,16 +321,6 @@ def _origin(tokens: list[str]) -> tuple[list[str], Colour | None]:
 
 def _painted_thing(named: list[str], origin: Colour | None) -> Thing:
     """The thing of a change. "Turn red into blue" is about what is red."""
-    content = [t for t in named if t not in words.FILLERS | words.PAINT]
-    colour = read_colour(content)
-    of_things = {"the", "a", "an", "my"}
-    if colour is not None and colour[0].name in words.BASIC:
-        of_things -= set() if is_noun(colour[0].name) else {"the"}  # "the blue darker"
-    of_things |= {"one", "ones"}
-    determined = bool(set(named) & of_things)
-    only_colour = colour is not None and colour[1] == len(content)
-    if origin is None and colour is not None and only_colour and not determined:
-        return Thing("whole", part=colour[0])
     thing = read_thing(named)
     if origin is None:
         return thing
@@ -331,14 +330,14 @@ def _painted_thing(named: list[str], origin: Colour | None) -> Thing:
 
 def _may_follow(change: Found, tokens: list[str]) -> bool:
     """Whether the thing may follow: "darken walls", "more contrast in the sky"."""
-    after = [t for t in tokens[change.end :] if t not in words.PAINT]
+    after = [t for t in tokens[change.end :] if t not in WORDS.paint]
     first = tokens[change.start]
-    if first in words.IMPERATIVES | words.RANDOM or first in words.TINTS:
+    if first in WORDS.imperatives | WORDS.random or first in TINTS:
         return True
-    if first in words.ADJUSTMENTS and first.endswith("er"):  # "a darker sky"
+    if first in ADJUSTMENTS and first.endswith("er"):  # "a darker sky"
         return True
     joined = after[0] in ("in", "on", "for", "of") and len(after) > 1
-    return joined or after[0] in words.DETERMINERS
+    return joined or after[0] in WORDS.determiners
 
 
 def _read_look(look: str, before: list[str], clause: Clause) -> Clause:
@@ -346,12 +345,12 @@ def _read_look(look: str, before: list[str], clause: Clause) -> Clause:
     if find_changes(before):  # "brown like in autumn"
         return clause.not_understood(look)
     before = [token for token in before if token != "turned"]
-    if not set(before) & words.DETERMINERS:  # "spooky night"
+    if not set(before) & WORDS.determiners:  # "spooky night"
         unread = [t for t in content_of(before) if not is_known(t)]
         if unread:
             return clause.not_understood(*unread)
-    clause.left_out = tuple(w for w in look.split() if w in words.NOT_DRAWN)
-    look = " ".join(w for w in look.split() if w not in words.NOT_DRAWN)
+    clause.left_out = tuple(w for w in look.split() if w in WORDS.not_drawn)
+    look = " ".join(w for w in look.split() if w not in WORDS.not_drawn)
     clause.action, clause.look, clause.thing = "look", look, read_thing(before)
     return clause
 
@@ -361,11 +360,11 @@ def _look(tokens: list[str]) -> tuple[str, list[str]] | None:
     if "same" in tokens or read_taken(tokens) is not None:  # "as white as the table"
         return None
     for start, token in enumerate(tokens):
-        skipped = words.FILLERS | words.PRONOUNS | {"it's"}
+        skipped = WORDS.fillers | WORDS.pronouns | {"it's"}
         rest = [t for t in tokens[start + 1 :] if t not in skipped]
-        if token in words.STYLE and rest and not find_changes(rest):
+        if token in WORDS.style and rest and not find_changes(rest):
             return " ".join(rest), tokens[:start]
-        if token in words.LOOKS and _ends_with_look(tokens[start + 1 :]):
+        if token in WORDS.looks and _ends_with_look(tokens[start + 1 :]):
             return token, tokens[:start]
     return None
 
@@ -374,4 +373,4 @@ def _ends_with_look(after: list[str]) -> bool:
     """Whether only nouns for a style follow; "of the street" says what the photo shows."""
     if "of" in after:
         after = after[: after.index("of")]
-    return set(after) <= words.STYLE_NOUNS | words.LOOKS | words.POLITENESS
+    return set(after) <= WORDS.style_nouns | WORDS.looks | WORDS.politeness

@@ -17,12 +17,19 @@ from edit3r.contract.errors import PromptError
 from edit3r.contract.instructions import Instruction, Thing
 from edit3r.contract.interfaces import Reader
 from edit3r.kit.compute.colour_names import near_colours, read_colour
-from edit3r_language import vocabulary as words
 from edit3r_language.clauses import Clause, asks_nothing, read_clause, read_kept
 from edit3r_language.nouns import is_plural, near_nouns
 from edit3r_language.things import read_thing
 from edit3r_language.together import instructions_of
 from edit3r_language.unknown_words import is_known
+from edit3r_language.vocabulary import (
+    ADJUSTMENTS,
+    INSTEAD,
+    PHRASES,
+    SPELLINGS,
+    TINTS,
+    WORDS,
+)
 
 MAX_WORDS = 80
 """A longer sentence is no plain one; it is left to editors with a model of their own."""
@@ -40,7 +47,9 @@ _UNDO = re.compile(
     re.IGNORECASE,
 )
 _RGB = re.compile(r"\brgb ?\(? ?(\d{1,3})[, ]+(\d{1,3})[, ]+(\d{1,3})\)?")
-_TOKEN = re.compile(r"#[0-9a-z]+|\d+%|[^\W_]+(?:['-][^\W_]+)*")
+_TOKEN = re.compile(
+    r"#[0-9a-z]+|(?<!\w)-?\d+%|\d+%|[^\W_]+(?:(?:['-]|\s*/\s*)[^\W_]+)*"
+)
 
 
 class GrammarReader(Reader):
@@ -80,8 +89,10 @@ class GrammarReader(Reader):
     def hint(self, instruction: Instruction) -> str:
         hints = []
         for word in instruction.unread:
-            if word in words.INSTEAD:
-                hints.append(f" {words.INSTEAD[word]}")
+            if word in INSTEAD:
+                hints.append(f" {INSTEAD[word]}")
+            elif "/" in word:
+                hints.append(f" Say which is meant of {word!r}, or join them by 'and'.")
             elif not is_known(word):
                 said = instruction.text.split()
                 hints.append(_near(word) or _beside_colour(word, said))
@@ -96,13 +107,13 @@ class GrammarReader(Reader):
 def clauses_of(prompt: str) -> Iterator[list[str]]:
     """The words of each clause, lower-case, with spellings and set phrases brought to one form."""
     text = _RGB.sub(_hex_of, prompt.lower().replace("’", "'"))
-    for pattern, instead in words.PHRASES:
+    for pattern, instead in PHRASES:
         text = " ".join(pattern.sub(instead, text).split())
     text, begins = _exceptions(text), True
     for part in _SEPARATORS.split(text):
-        tokens = [words.SPELLINGS.get(token, token) for token in _TOKEN.findall(part)]
+        tokens = [SPELLINGS.get(token, token) for token in _TOKEN.findall(part)]
         tokens = [piece for token in tokens for piece in _pieces(token)]
-        while len(tokens) > 1 and tokens[0] in words.OPENINGS:
+        while len(tokens) > 1 and tokens[0] in WORDS.openings:
             tokens = tokens[1:]
         if tokens and not _SEPARATORS.fullmatch(part):
             yield _wished_away(_parts_before(tokens), begins)
@@ -118,7 +129,7 @@ def _hex_of(match: re.Match) -> str:
 
 def _wished_away(tokens: list[str], begins: bool) -> list[str]:
     """Write "no people", and "without the plant", with which a sentence begins, as a removal."""
-    named = [token for token in tokens[1:] if token not in words.POLITENESS]
+    named = [token for token in tokens[1:] if token not in WORDS.politeness]
     if not begins or tokens[0] not in ("no", "without") or not named:
         return tokens
     several = is_plural(named[-1])
@@ -133,10 +144,7 @@ def _parts_before(tokens: list[str]) -> list[str]:
     found = read_colour(tokens[start + 1 :])
     if found is None:
         return [token for token in tokens if token != "thatis"]
-    colour, length = found
-    if colour.name not in words.BASIC and length > 1:  # "that is red blue"
-        colour, length = read_colour(tokens[start + 1 : start + 2]) or found
-    end = start + 1 + length
+    end = start + 1 + found[1]
     return [*tokens[:start], *tokens[start + 1 : end], "parts", *tokens[end:]]
 
 
@@ -145,8 +153,8 @@ def _exceptions(text: str) -> str:
 
     Not where a new clause begins with it.
     """
-    whole = "|".join(sorted(words.WHOLE | words.REST))
-    remove = "|".join(sorted(words.REMOVE))
+    whole = "|".join(sorted(WORDS.whole | WORDS.rest))
+    remove = "|".join(sorted(WORDS.remove))
     after = "not|don't|keep|leave|make|paint|turn|the rest"
     return re.sub(
         rf"\b({whole}|{remove})\b([^,.;]*?)\bbut (?!{after})", r"\1\2except ", text
@@ -156,8 +164,8 @@ def _exceptions(text: str) -> str:
 def _pieces(token: str) -> list[str]:
     """The parts of "dark-blue" and "coal-black"; other words with a hyphen stay whole."""
     parts = token.split("-")
-    known = read_colour(parts[-1:]) is not None or parts[-1] in words.SIZES
-    return parts if len(parts) > 1 and (known or parts[-1] in words.SHARES) else [token]
+    known = read_colour(parts[-1:]) is not None or parts[-1] in WORDS.sizes
+    return parts if len(parts) > 1 and (known or parts[-1] in WORDS.shares) else [token]
 
 
 # ---- what to say instead ----
@@ -176,8 +184,8 @@ def _beside_colour(word: str, said: list[str]) -> str:
 
 def _near(word: str) -> str:
     """Asks for words that are spelt nearly like one that nobody knows, colours first."""
-    verbs = words.REMOVE | words.PAINT | words.IMPERATIVES | words.LOOKS
-    known = [*verbs, *words.ADJUSTMENTS, *words.TINTS]
+    verbs = WORDS.remove | WORDS.paint | WORDS.imperatives | WORDS.looks
+    known = [*verbs, *ADJUSTMENTS, *TINTS]
     near = []
     if len(word) > SHORT:
         near = [*near_colours(word), *difflib.get_close_matches(word, known, 2, 0.75)]

@@ -3,8 +3,7 @@
 from itertools import pairwise
 
 from edit3r.contract.instructions import Box, Thing
-from edit3r_language import vocabulary as words
-from edit3r_language.vocabulary import words_of
+from edit3r_language.vocabulary import WORDS, words_of
 
 _DOWN = {"top": "top", "upper": "top", "bottom": "bottom", "lower": "bottom"}
 _ACROSS = {"left": "left", "right": "right"}
@@ -22,7 +21,7 @@ _PARTS = {
     },
     **dict.fromkeys(("third", "part", "area", "corner"), 1 / 3),
 }
-_ANY = _SIDES | set(_PARTS) | words.BACKGROUND | {"foreground"}
+_ANY = _SIDES | set(_PARTS) | WORDS.background | {"foreground"}
 _NAMES = {"side": "half", "part": "third", "area": "third", "": "third"}
 
 
@@ -54,21 +53,21 @@ def unclear_place(tokens: list[str]) -> tuple[str, ...]:
     if read_region(tokens) is not None:
         return ()
     owner = next((i for i, t in enumerate(tokens[:-1]) if t.endswith("'s")), 0)
-    joints = [t for t in tokens[1:owner] if t in words.JOINING]
+    joints = [t for t in tokens[1:owner] if t in WORDS.joining]
     if joints:
         return (joints[-1], tokens[owner])
     for word, joint in pairwise(tokens):
-        nameless = word in words.WHATEVER and joint in words.STANDING
+        nameless = word in WORDS.whatever and joint in WORDS.standing
         if nameless and tokens[-1] not in _ANY and "parts" not in tokens:
             return (word, joint)
-        if (word, joint) == ("rest", "of") and tokens[-1] not in words.SCENES:
+        if (word, joint) == ("rest", "of") and tokens[-1] not in WORDS.scenes:
             return (word,)
     if "except" in tokens:  # "all chairs but one"
         return ("except",)
     inside, of_picture = _inside(tokens)
     head = inside[: inside.index("of")] if "of" in inside else inside
     named = _plain(head)
-    shares = tuple(word for word in named if word in words.SHARES)
+    shares = tuple(word for word in named if word in WORDS.shares)
     only_places = bool(named) and set(named) <= _SIDES | set(_PARTS) | _COUNTS
     halved = bool(named) and named[-1] == "half"
     if shares and (only_places or halved):
@@ -114,14 +113,14 @@ def _stretch(
 def _inside(tokens: list[str]) -> tuple[list[str], bool]:
     """The words without "of the picture", and whether they said it."""
     for start, token in enumerate(tokens):
-        ignored = words.DETERMINERS | words.WEAK | words.STRONG
+        ignored = WORDS.determiners | WORDS.weak | WORDS.strong
         tail = [t for t in tokens[start + 1 :] if t not in ignored]
-        if token in ("of", "in") and tail and set(tail) <= words.PICTURE:
+        if token in ("of", "in") and tail and set(tail) <= WORDS.picture:
             return tokens[:start], True
     return tokens, False
 
 
 def _plain(tokens: list[str]) -> list[str]:
-    ignored = words.FILLERS | words.DETERMINERS | words.WEAK | words.STRONG
+    ignored = WORDS.fillers | WORDS.determiners | WORDS.weak | WORDS.strong
     ignored = (ignored - _SIDES) | {"everything", "all"}
     return [t for t in tokens if t not in ignored]

@@ -5,10 +5,10 @@ from dataclasses import dataclass, replace
 
 from edit3r.contract.instructions import BENEATH, Change, Colour
 from edit3r.kit.compute.colour_names import read_colour, read_colour_of
-from edit3r_language import vocabulary as words
 from edit3r_language.things import read_thing
+from edit3r_language.vocabulary import WORDS, words_of
 
-_STANDS = words.words_of(
+_STANDS = words_of(
     "stands stand standing sits sit sitting lies lie lying rests rest resting is are"
 )
 
@@ -71,25 +71,25 @@ def _of_thing(hue: Colour | None, source: Sequence[str]) -> Change | None:
 def _without_tail(source: Sequence[str]) -> Sequence[str]:
     """The thing without "it stands on", which says no more about its colour."""
     for place, word in enumerate(source):
-        if place and word in words.PRONOUNS:
+        if place and word in WORDS.pronouns:
             return source[:place]
     return source
 
 
 def _is_beneath(source: Sequence[str]) -> bool:
     """Whether "it stands on" follows a thing, which says where it is."""
-    pronoun = bool(set(source[1:]) & words.PRONOUNS)
+    pronoun = bool(set(source[1:]) & WORDS.pronouns)
     return pronoun and source[-1] == "on" and bool(set(source[1:]) & _STANDS)
 
 
 def _names_something(tokens: Sequence[str]) -> bool:
-    ignored = words.FILLERS | words.PAINT | words.IMPERATIVES | {"same"}
-    ignored |= words.DETERMINERS - words.PRONOUNS
+    ignored = WORDS.fillers | WORDS.paint | WORDS.imperatives | {"same"}
+    ignored |= WORDS.determiners - WORDS.pronouns
     return bool(set(tokens) - ignored)
 
 
 def _with_article(tokens: list[str], start: int) -> int:
     """Where "in exactly the same colour of ..." begins."""
-    while start and tokens[start - 1] in {*words.ARTICLES, "same", "as", "in", "to"}:
+    while start and tokens[start - 1] in {*WORDS.articles, "same", "as", "in", "to"}:
         start -= 1
     return start

@@ -2,15 +2,15 @@
 
 from dataclasses import replace
 
-from edit3r.contract.instructions import EVERY, FLOOD, Colour, Thing
+from edit3r.contract.instructions import EVERY, Colour, Thing
 from edit3r.kit.compute.colour_names import read_colour
-from edit3r_language import vocabulary as words
 from edit3r_language.nouns import is_noun, is_plural, is_thing_too
 from edit3r_language.paints import LIGHT_WORDS
 from edit3r_language.places import read_region
 from edit3r_language.unknown_words import is_known
+from edit3r_language.vocabulary import WORDS
 
-_JOINING = words.JOINING - {"at", "to", "next", "above", "below"}
+_JOINING = WORDS.joining - {"at", "to", "next", "above", "below"}
 
 
 def read_thing(tokens: list[str]) -> Thing:
@@ -18,7 +18,7 @@ def read_thing(tokens: list[str]) -> Thing:
 
     A pronoun stands for what was named last and is returned under the name "it".
     """
-    tokens = [token for token in tokens if token not in words.POLITENESS]
+    tokens = [token for token in tokens if token not in WORDS.politeness]
     return read_region(tokens) or _read_named(tokens)
 
 
@@ -27,10 +27,10 @@ def _read_named(tokens: list[str]) -> Thing:
     said = set(tokens)
     tokens, of = _whole_of(tokens)
     part, named = _colour_of_part(_naming(tokens), tokens)
-    nouns = [t for t in named if t not in words.WHOLE | EVERY]
-    if set(nouns) & words.REST or (set(nouns) and set(nouns) <= words.BACKGROUND):
-        return Thing("background", part=part)
-    which = [t for t in nouns if t in words.PLACES | words.SIZES | words.BACKGROUND]
+    nouns = [t for t in named if t not in WORDS.whole | EVERY]
+    if set(nouns) & WORDS.rest or (set(nouns) and set(nouns) <= WORDS.background):
+        return Thing("background", of=_foreground(of), part=part)
+    which = [t for t in nouns if t in WORDS.places | WORDS.sizes | WORDS.background]
     nouns = [t for t in nouns if t not in which]
     one = bool(set(tokens) & {"one", "ones"})
     colours, nouns = _leading_colours(nouns, one)
@@ -44,11 +44,17 @@ def _read_named(tokens: list[str]) -> Thing:
     picks = tuple(dict.fromkeys((*every, *which, *colours)))
     name = " ".join(nouns).removesuffix("'s")
     whole = _named_whole(of)
-    if nouns and said & words.POSSESSIVES:
+    if nouns and said & WORDS.possessives:
         whole = whole or "it"
     several = not picks and bool(nouns) and is_plural(nouns[-1])
     unknown = () if not nouns or not is_noun(nouns[-1]) else _unknown(nouns[:-1])
     return Thing("named", name, picks, whole, part, several=several, unknown=unknown)
+
+
+def _foreground(of: list[str]) -> str:
+    """What stands before "the background of the fox"; the room itself in "that of the room"."""
+    content = [t for t in of if t not in WORDS.fillers | WORDS.determiners]
+    return "" if not content or set(content) <= WORDS.scenes else _named_whole(of)
 
 
 def _unknown(adjectives: list[str]) -> tuple[str, ...]:
@@ -58,9 +64,8 @@ def _unknown(adjectives: list[str]) -> tuple[str, ...]:
 
 def _naming(tokens: list[str]) -> list[str]:
     """The words that say which thing, without those that only join them."""
-    ignored = words.FILLERS | words.PAINT | words.DETERMINERS | words.PRONOUNS
-    ignored |= words.OBJECT | words.WEAK | words.STRONG | words.RANDOM | words.NICE
-    ignored |= FLOOD
+    ignored = WORDS.fillers | WORDS.paint | WORDS.determiners | WORDS.pronouns
+    ignored |= WORDS.object | WORDS.weak | WORDS.strong | WORDS.random | WORDS.nice
     return [t for t in tokens if t not in ignored or t == "everything"]
 
 
@@ -72,18 +77,16 @@ def _part_of(whole: list[str], part: Colour | None) -> Thing:
 
 def _unnamed(tokens: list[str], part: Colour | None) -> Thing:
     """What "it", "all of it", "everything" or no word stands for."""
-    pronoun = set(tokens) & (words.PRONOUNS | words.OBJECT)
+    pronoun = set(tokens) & (WORDS.pronouns | WORDS.object)
     if pronoun and set(tokens) & {"whole", "all"}:  # "all of it"
         return Thing("marked", "it", which=("whole",), part=part)
-    if set(tokens) & words.WHOLE or part is not None:
+    if set(tokens) & WORDS.whole or part is not None:
         return Thing("whole", part=part)
     return Thing("marked", "it" if pronoun else "", part=part)
 
 
 def _named_whole(tokens: list[str]) -> str:
     """The words for what a thing is a part of, or is known by: "red jacket"."""
-    if not tokens:
-        return ""
     whole = read_thing(tokens)
     return " ".join((*whole.which, *whole.name.split()))
 
@@ -92,29 +95,28 @@ def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:
     """Split "the tank of the motorcycle" and "the motorcycle's tank" into tank and motorcycle."""
     for start, token in enumerate(tokens):
         rest = tokens[start + 1 :]
-        content = [t for t in rest if t not in words.FILLERS | words.DETERMINERS]
-        inner = [t for t in tokens[:start] if t not in words.FILLERS | words.PAINT]
+        content = [t for t in rest if t not in WORDS.fillers | WORDS.determiners]
+        inner = [t for t in tokens[:start] if t not in WORDS.fillers | WORDS.paint]
         if token in _JOINING and content and inner:
-            places = words.PLACES | words.BACKGROUND | {"foreground"}
-            if set(content) & places:  # "the cup on the left"
+            places = WORDS.places | WORDS.background | {"foreground"}
+            around = (
+                token == "of" and set(inner) <= WORDS.background | WORDS.determiners
+            )
+            if set(content) & places and not around:  # "the cup on the left"
                 picked = [t for t in content if t in places]
                 return tokens[:start] + picked, _wearer([token, *rest], content, places)
-            if set(inner) <= words.WHOLE | words.DETERMINERS | {"colour", "tone"}:
-                return rest, []
             return tokens[:start], rest
-        if token in ("at", "to") and set(content) & words.PLACES and inner:
-            return tokens[:start] + [t for t in content if t in words.PLACES], []
+        if token in ("at", "to") and set(content) & WORDS.places and inner:
+            return tokens[:start] + [t for t in content if t in WORDS.places], []
         if token.endswith("'s") and content:
-            if set(content) <= {"colour", "colours", "tone"}:
-                return [*tokens[:start], token.removesuffix("'s")], []
             return rest, [*tokens[:start], token.removesuffix("'s")]
     return tokens, []
 
 
 def _wearer(said: list[str], content: list[str], places: frozenset[str]) -> list[str]:
     """The whole in "the jacket of the man on the left"; in "of the left" there is none."""
-    ignored = places | _JOINING | words.PARTS | words.PICTURE | words.DETERMINERS
-    others = [t for t in content if t not in ignored | words.SHARES]
+    ignored = places | _JOINING | WORDS.parts | WORDS.picture | WORDS.determiners
+    others = [t for t in content if t not in ignored | WORDS.shares]
     return others if "of" in said else []
 
 
@@ -129,11 +131,11 @@ def _colour_of_part(
         colour, length = found
         after = named[start + length : start + length + 1]
         one = set(tokens) & {"one", "ones"}
-        if (after and after[0] in words.PARTS) or (len(named) == length and not one):
+        if (after and after[0] in WORDS.parts) or (len(named) == length and not one):
             if not after and is_noun(colour.name.split()[-1]):  # "the rose"
                 return None, named
             return colour, named[:start] + named[start + length + 1 :]
-        whole = set(named[:start]) & words.WHOLE
+        whole = set(named[:start]) & WORDS.whole
         if whole and not after:  # "everything red"
             return colour, named[:start]
     return None, named

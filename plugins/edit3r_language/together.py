@@ -5,20 +5,21 @@ from dataclasses import replace
 
 from edit3r.contract.errors import PromptError
 from edit3r.contract.instructions import EVERY, Instruction, Thing
-from edit3r_language import vocabulary as words
 from edit3r_language.clauses import Clause, blamed
 from edit3r_language.nouns import is_plural
+from edit3r_language.things import read_thing
+from edit3r_language.vocabulary import WORDS
 
 
 def instructions_of(
     clauses: list[Clause], kept: list[Thing], prompt: str
 ) -> tuple[Instruction, ...]:
-    """The instructions of a sentence's clauses. Raises PromptError for two colours on one thing."""
+    """The instructions of a sentence's clauses. Raises PromptError for what contradicts itself."""
     return merged(_resolved(_shared(clauses), kept), prompt)
 
 
 def merged(instructions: Iterable[Instruction], prompt: str) -> tuple[Instruction, ...]:
-    """The instructions, one for each thing. Raises PromptError for two colours on one thing."""
+    """The instructions, one for each thing. Raises PromptError for what contradicts itself."""
     return tuple(_with_rest(_merged(instructions, prompt)))
 
 
@@ -100,6 +101,8 @@ def _resolved(clauses: list[Clause], kept: list[Thing]) -> Iterator[Instruction]
             thing = _other_side(thing, clause, last)
         kept = [_named_like(one, thing) for one in kept]
         own = [_named_like(one, thing) for one in clause.without]
+        if thing.scope == "background" and thing.of:  # "the background of the fox"
+            own, thing = [*own, read_thing(thing.of.split())], replace(thing, of="")
         without = [*own, *(one for one in kept if _matters(one, thing))]
         thing = _pointed_at(thing, last, clause, without)
         if thing.scope != "whole" or last is None:
@@ -116,8 +119,8 @@ def _owner(last: Thing, said: Sequence[str]) -> str:
 
 def _other_side(region: Thing, clause: Clause, last: Thing) -> Thing:
     """ "The lower part" after "the upper part of the statue": the statue's, not the picture's."""
-    sides = [word for word in clause.text.split() if word in words.PLACES]
-    if not last.of or last.name not in words.PLACES or not sides:
+    sides = [word for word in clause.text.split() if word in WORDS.places]
+    if not last.of or last.name not in WORDS.places or not sides:
         return region
     return Thing("named", " ".join(sides), of=last.of)
 
@@ -182,7 +185,10 @@ def _instruction(clause: Clause, thing: Thing, without: Sequence[Thing]) -> Inst
 
 
 def _merged(instructions: Iterable[Instruction], prompt: str) -> list[Instruction]:
-    """Instructions of one action about one thing become one; painting comes before adjusting."""
+    """Instructions of one action about one thing become one; painting comes before adjusting.
+
+    Raises PromptError for two colours, and for more and less of one thing.
+    """
     merged: dict[tuple, Instruction] = {}
     for number, instruction in enumerate(instructions):
         alone = number if instruction.action == "other" else -1
@@ -191,10 +197,17 @@ def _merged(instructions: Iterable[Instruction], prompt: str) -> list[Instructio
         before = merged.get(key)
         merged[key] = _joined(before, instruction) if before else instruction
     for instruction in merged.values():
-        if sum(change.kind == "paint" for change in instruction.changes) > 1:
+        kinds = [change.kind for change in instruction.changes]
+        if kinds.count("paint") > 1:
             raise PromptError(
                 f"{prompt!r} asks for two colours at once; name one, or what else gets the other."
             )
+        for kind in kinds:
+            amounts = [one.amount for one in instruction.changes if one.kind == kind]
+            if min(amounts) < 0 < max(amounts):
+                raise PromptError(
+                    f"{prompt!r} asks for more {kind} and for less; ask for one of them."
+                )
     return list(merged.values())
 
 

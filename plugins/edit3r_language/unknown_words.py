@@ -5,10 +5,15 @@ from functools import cache
 
 from edit3r.contract.instructions import EVERY, FLOOD
 from edit3r.kit.compute.colour_names import NEON, TONES, read_colour
-from edit3r_language import vocabulary as words
 from edit3r_language.nouns import is_noun
 from edit3r_language.paints import LIGHT_WORDS, MATERIALS
-from edit3r_language.vocabulary import words_of
+from edit3r_language.vocabulary import (
+    ADJUSTMENTS,
+    PROPERTIES,
+    TINTS,
+    WORDS,
+    words_of,
+)
 
 _WITHIN_A_COLOUR = words_of("a an of some sort kind shade tone hue full")
 
@@ -28,7 +33,7 @@ def unknown_words(named: Sequence[str], before_change: bool) -> tuple[str, ...]:
     zorbic green" (`before_change`). Before "the" no unknown word is: "pant the wall".
     """
     content = [place for place, word in enumerate(named) if _is_content(word)]
-    articles = [i for i, word in enumerate(named) if word in words.DETERMINERS]
+    articles = [i for i, word in enumerate(named) if word in WORDS.determiners]
     determined = min(articles, default=len(named))
     last = _last(named, content) if before_change else -1
     found = []
@@ -46,7 +51,7 @@ def _last(named: Sequence[str], content: Sequence[int]) -> int:
     if not content:
         return -1
     between = set(named[content[-1] + 1 :])
-    return content[-1] if between <= _WITHIN_A_COLOUR | words.PAINT else -1
+    return content[-1] if between <= _WITHIN_A_COLOUR | WORDS.paint else -1
 
 
 def _ends_name(word: str) -> bool:
@@ -55,28 +60,24 @@ def _ends_name(word: str) -> bool:
 
 
 def _is_shade(word: str) -> bool:
-    return read_colour([word]) is not None or word in words.LOOKS or word in TONES
+    return read_colour([word]) is not None or word in WORDS.looks or word in TONES
 
 
 def unread_of(content: Sequence[str]) -> tuple[str, ...]:
     """Of the words of a clause that asks for nothing known, those that are to blame."""
     blamed = tuple(word for word in content if not is_noun(word) or word in TONES)
-    strange = tuple(word for word in blamed if word not in words.MORE | words.LESS)
+    strange = tuple(word for word in blamed if word not in WORDS.more | WORDS.less)
     return strange or blamed or tuple(content)
 
 
 def _is_content(word: str) -> bool:
-    ignored = words.FILLERS | words.WEAK | words.STRONG | words.PAINT
-    ignored |= words.DETERMINERS - words.PRONOUNS
-    return word not in ignored or word in words.PRONOUNS - {"that", "this"}
+    ignored = WORDS.fillers | WORDS.weak | WORDS.strong | WORDS.paint
+    ignored |= WORDS.determiners - WORDS.pronouns
+    return word not in ignored or word in WORDS.pronouns - {"that", "this"}
 
 
 @cache
 def _grammar() -> frozenset[str]:
     """Every word that the grammar gives a meaning."""
-    sets = words.words_in(
-        "FILLERS WEAK STRONG RANDOM PAINT NICE DETERMINERS PLACES SIZES PARTS SHARES WHOLE "
-        "BACKGROUND REST OBJECT MORE LESS LOOKS IMPERATIVES DESCRIBING JOINING"
-    )
-    changes = (words.ADJUSTMENTS, words.PROPERTIES, words.TINTS, LIGHT_WORDS, MATERIALS)
-    return sets.union(EVERY, FLOOD, *changes, TONES, NEON)
+    changes = (ADJUSTMENTS, PROPERTIES, TINTS, LIGHT_WORDS, MATERIALS)
+    return WORDS.known.union(EVERY, FLOOD, *changes, TONES, NEON)

@@ -1,9 +1,10 @@
 """The words that the reader of instructions knows. What is not here it must not guess.
 
-Sets of words are those of `vocabulary.txt`, by their names; set phrases those of `phrases.txt`.
+Sets of words stand in `vocabulary.txt`, set phrases in `phrases.txt`.
 """
 
 import re
+from dataclasses import dataclass
 from importlib.resources import files
 
 from edit3r.contract.instructions import Change, ChangeKind
@@ -26,15 +27,70 @@ def _lines(name: str) -> list[str]:
     return [line for line in text.splitlines() if line and not line.startswith("#")]
 
 
-def _word_sets() -> dict[str, frozenset[str]]:
-    sets: dict[str, frozenset[str]] = {}
-    for line in "\n".join(_lines("vocabulary.txt")).replace("\n  ", " ").splitlines():
-        name, _, listed = line.partition(":")
-        words = listed.split()
-        others = [sets[word[1:]] for word in words if word.startswith("+")]
-        own = frozenset(word for word in words if not word.startswith("+"))
-        sets[name] = own.union(*others)
-    return sets
+@dataclass(frozen=True)
+class WordSets:
+    """Words by what they do in a sentence, as `vocabulary.txt` lists and explains them."""
+
+    more: frozenset[str]
+    less: frozenset[str]
+    random: frozenset[str]
+    weak: frozenset[str]
+    strong: frozenset[str]
+    looks: frozenset[str]
+    not_drawn: frozenset[str]
+    style: frozenset[str]
+    remove: frozenset[str]
+    other: frozenset[str]
+    ordinals: frozenset[str]
+    unsupported: frozenset[str]
+    questions: frozenset[str]
+    paint: frozenset[str]
+    imperatives: frozenset[str]
+    keep: frozenset[str]
+    touch: frozenset[str]
+    negations: frozenset[str]
+    as_it_is: frozenset[str]
+    kept_anyway: frozenset[str]
+    pronouns: frozenset[str]
+    possessives: frozenset[str]
+    object: frozenset[str]
+    whole: frozenset[str]
+    background: frozenset[str]
+    whatever: frozenset[str]
+    standing: frozenset[str]
+    rest: frozenset[str]
+    nothing: frozenset[str]
+    stays: frozenset[str]
+    articles: frozenset[str]
+    determiners: frozenset[str]
+    places: frozenset[str]
+    sizes: frozenset[str]
+    shares: frozenset[str]
+    picture: frozenset[str]
+    scenes: frozenset[str]
+    describing: frozenset[str]
+    joining: frozenset[str]
+    parts: frozenset[str]
+    fillers: frozenset[str]
+    politeness: frozenset[str]
+    openings: frozenset[str]
+    nice: frozenset[str]
+    style_nouns: frozenset[str]
+    known: frozenset[str]
+
+    @classmethod
+    def read(cls) -> "WordSets":
+        """Those of the file, in which a set may take up those before it."""
+        sets: dict[str, frozenset[str]] = {}
+        for line in (
+            "\n".join(_lines("vocabulary.txt")).replace("\n  ", " ").splitlines()
+        ):
+            name, _, listed = line.partition(":")
+            words = listed.split()
+            others = [sets[word[1:]] for word in words if word.startswith("+")]
+            own = frozenset(word for word in words if not word.startswith("+"))
+            sets[name] = own.union(*others)
+        return cls(**sets)
 
 
 def _phrases() -> list[tuple[re.Pattern, str]]:
@@ -56,21 +112,8 @@ def _phrases() -> list[tuple[re.Pattern, str]]:
     return found
 
 
-_WORDS = _word_sets()
+WORDS = WordSets.read()
 PHRASES = _phrases()
-
-
-def words_in(names: str) -> frozenset[str]:
-    """All words of the sets of these names."""
-    return frozenset().union(*(_WORDS[name] for name in names.split()))
-
-
-def __getattr__(name: str) -> frozenset[str]:
-    if name not in _WORDS:
-        raise AttributeError(f"vocabulary.txt has no words {name!r}")
-    return _WORDS[name]
-
-
 BASIC = frozenset(BASIC_COLOURS)
 
 _ADJUSTMENTS: dict[tuple[ChangeKind, float], str] = {

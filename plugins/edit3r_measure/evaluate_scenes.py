@@ -78,11 +78,11 @@ def _indexed_scenes(
 ) -> dict[str, list[SceneSource]]:
     """Return at most `pairs` of each scene and class of overlap in the index file."""
     settings = {"image_size": asked.size, **asked.dataset}
-    found = [
+    scenes = [
         place if Path(place).is_dir() else registry.build("dataset", place, **settings)
         for place in asked.folders
     ]
     index = read_index(Path(asked.index))
     classes = grouped(index, lambda pair: f"{pair[0]} {pair[1].overlap_class}")
     pairs = [pair for own in classes.values() for pair in own[: asked.pairs]]
-    return {asked.index: index_scenes(pairs, found, asked.size)}
+    return {asked.index: index_scenes(pairs, scenes, asked.size)}

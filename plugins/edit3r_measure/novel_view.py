@@ -26,7 +26,7 @@ from edit3r.kit.photos.triples import Pose, rotation_degrees
 from edit3r.kit.reconstructing import WithMatcher
 from edit3r_measure.scene_sources import EvaluationScene
 
-# The numbers of this block: not measured.
+# The numbers of this block: no figures kept.
 # Standard deviations tried for the best-blurred copy [pixels]
 BLURS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 COVERED = 0.5  # alpha above which a pixel of a rendering counts as covered
@@ -301,8 +301,8 @@ def _share_of_opacity(
 def _opacity_in(region: Region, other: RenderedView, scene: PredictedScene) -> float:
     gaussians = scene.reconstruction.gaussians.from_view(1)
     camera = scene.cameras.select([1])
-    found = project(gaussians.means, camera.intrinsics[:, 0], camera.c2w[:, 0])
-    places, depths = (values[0].cpu().numpy() for values in found)
+    projected = project(gaussians.means, camera.intrinsics[:, 0], camera.c2w[:, 0])
+    places, depths = (values[0].cpu().numpy() for values in projected)
     visible = ((places > 0) & (places < 1)).all(-1)
     height, width = region.shape
     columns, rows = (places[visible] * (width, height)).astype(int).T

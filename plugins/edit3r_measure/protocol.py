@@ -87,11 +87,11 @@ def read_index(path: Path) -> list[tuple[str, IndexEntry]]:
             f"{path}: no such index file; benchmarks/poses.py index makes one."
         )
     index = make_settings(_IndexFile, {"pairs": read_json(path)}, where=path.name)
-    found = []
+    pairs = []
     for scene, own in index.pairs.items():
         entries = own if isinstance(own, list) else [own]
-        found += [(scene, entry) for entry in entries if entry is not None]
-    return found
+        pairs += [(scene, entry) for entry in entries if entry is not None]
+    return pairs
 
 
 def index_scenes(

@@ -134,7 +134,7 @@ def figures_of(job: PointJob) -> dict[str, Any]:
 
     rasterizer = registry.build_choice("rasterizer", config.rasterizer)
     figures = novel_view(reconstruct, rasterizer, job.scene)
-    stages = [made.report.stages for made in runs]
+    stages = [one.report.stages for one in runs]
     seconds = [sum(stage.cpu_seconds for stage in own) for own in stages]
     return {
         "seconds": seconds[1:],

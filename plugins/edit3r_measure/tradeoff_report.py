@@ -16,7 +16,7 @@ from edit3r.kit.compute.lpips import lpips_weights
 from edit3r.kit.provenance import installed_versions
 from edit3r.running import PRESETS, Expected, MeasuredPoint, Quality, write_quality
 
-# The numbers of this block: not measured.
+# The numbers of this block: no figures kept.
 # How many times as quick each preset is as the next, at least: the default lies between two.
 APART = 1.5
 

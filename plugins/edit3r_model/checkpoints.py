@@ -72,8 +72,8 @@ class LoadedWeights:
         """What, joined along the first axis, is our parameter `name`; [] where it is missing."""
         ours = self.kind == "edit3r"
         keys = (name,) if ours else official_keys(name, self.tensors)
-        found = [self.tensors[key] for key in keys if key in self.tensors]
-        return found if len(found) == len(keys) else []
+        parts = [self.tensors[key] for key in keys if key in self.tensors]
+        return parts if len(parts) == len(keys) else []
 
 
 def load_weights(source: str | Path) -> LoadedWeights:
@@ -119,15 +119,15 @@ def _file_of(source: str) -> Path:
 def _official(content: Mapping[str, object], path: Path, source: str) -> LoadedWeights:
     """A published checkpoint, given as the dictionary that its file holds."""
     tensors = content.get("state_dict", content.get("model", content))
-    found = layout_of(tensors) if isinstance(tensors, Mapping) else None
-    if found is None:
+    layout = layout_of(tensors) if isinstance(tensors, Mapping) else None
+    if layout is None:
         keys = list(tensors)[:3] if isinstance(tensors, Mapping) else ["none"]
         known = ", ".join(map(str, keys))
         raise InputError(
             f"{path}: neither a NoPoSplat checkpoint (keys 'encoder.backbone...') nor a MASt3R one "
             f"(keys 'enc_blocks...'); its first keys: {known}."
         )
-    kind, tensors = found
+    kind, tensors = layout
     parts, licence = infer_parts(tensors, source), LICENCES[kind]
     return LoadedWeights(path, source, kind, tensors, parts, licence=licence)
 
@@ -149,15 +149,17 @@ def _description(about: Mapping[str, str], path: Path) -> dict[str, Any]:
     if "backbone" not in about:
         return {}
     try:
-        told = {name: json.loads(text) for name, text in about.items() if name in TOLD}
-        parts = {name: PartChoice.model_validate(told.pop(name)) for name in PARTS}
+        described = {
+            name: json.loads(text) for name, text in about.items() if name in TOLD
+        }
+        parts = {name: PartChoice.model_validate(described.pop(name)) for name in PARTS}
     except (ValueError, KeyError) as error:
         reason = " ".join(str(error).split())[:300]
         raise InputError(
             f"{path}: its metadata do not name the parts it belongs to ({type(error).__name__}: "
             f"{reason})."
         ) from None
-    return {"parts": parts, **told}
+    return {"parts": parts, **described}
 
 
 def with_parts_of(loaded: LoadedWeights, values: Mapping[str, Any]) -> dict[str, Any]:
@@ -222,15 +224,16 @@ def _check_keys(
                 wrong.append(f"{name} is {sizes}")
         elif not loaded.is_drawn(name):
             missing.append(name)
-    read = {id(piece) for found in pieces.values() for piece in found}
+    read = {id(piece) for problems in pieces.values() for piece in problems}
     left = [key for key, tensor in loaded.tensors.items() if id(tensor) not in read]
     left = [key for key in left if not is_unused(key)]
-    found = {"missing": missing, "wrong shape": wrong, "unexpected": left}
-    told = [f"{len(x)} {what} ({_some(x)})" for what, x in found.items() if x]
+    problems = {"missing": missing, "wrong shape": wrong, "unexpected": left}
+    messages = [f"{len(x)} {what} ({_some(x)})" for what, x in problems.items() if x]
     if missing or wrong:
         raise InputError(
-            f"{loaded.source}: these weights do not fit this network: {'; '.join(told)}. Set the "
-            "checkpoint's sizes (--set reconstructor.backbone.KEY=VALUE) or choose another one."
+            f"{loaded.source}: these weights do not fit this network: {'; '.join(messages)}. "
+            "Set the checkpoint's sizes (--set reconstructor.backbone.KEY=VALUE) or choose "
+            "another one."
         )
     if left:
         text = f"{len(left)} tensors of the file have no place in this network: {_some(left)}"

@@ -19,7 +19,7 @@ EXPLAINED = 3 / 255
 """What the function may leave of an edit [sRGB]: images of 8 bits round before and after."""
 
 ROUNDED = 1.5 / 255
-"""A channel this near to 0 or 1 was cut off there. By eye."""
+"""A channel this near to 0 or 1 was cut off there. No figure kept."""
 
 MAX_PIXELS = 4_000
 """About as many changed pixels are fitted."""

@@ -30,10 +30,10 @@ def near_an_edit(
     of_reference = _opened(of_reference, views.speck)
     largest = change.amax((2, 3), keepdim=True)
     untouched = (largest == 0) & (largest[:, :1] > 0)
-    found = torch.maximum(change, of_reference).clamp(max=CHANGE) / CHANGE
-    found = blur_maps(dilate(found, reach), reach / 4)
+    strength = torch.maximum(change, of_reference).clamp(max=CHANGE) / CHANGE
+    strength = blur_maps(dilate(strength, reach), reach / 4)
     unknown = untouched & (seen == 0)
-    return torch.maximum(found, unknown.to(found.dtype))
+    return torch.maximum(strength, unknown.to(strength.dtype))
 
 
 def shown_by_reference(
@@ -116,11 +116,11 @@ def _gap(
 
 def _explained(before: Pair, change: Pair) -> Pair:
     """The change that one function of colour makes in both views, for each scene."""
-    made = [
+    changed = [
         change_by_shared_function(s.movedim(1, -1), r.movedim(1, -1)).movedim(-1, 1)
         for s, r in zip(before, change)
     ]
-    return torch.stack(made)
+    return torch.stack(changed)
 
 
 def _comparable(views: EditedViews, view: int) -> tuple[Pair, Pair]:

@@ -326,8 +326,8 @@ def with_border(rows: Rows, start: int, stop: int, height: int, border: int) -> 
     """
     first, last = max(start - border, 0), min(stop + border, height)
     above, below = first - (start - border), stop + border - last
-    found = rows(first, last)
-    return F.pad(found, (0, 0, above, below)) if above or below else found
+    maps = rows(first, last)
+    return F.pad(maps, (0, 0, above, below)) if above or below else maps
 
 
 def _levels(chosen: tuple[int, ...] | None, given: int) -> tuple[int, ...]:

@@ -92,13 +92,15 @@ class EditTransport(nn.Module):
         # As wide as the keys; the null key's value is 0.
         value = F.pad(value, (0, key.shape[-1] - channels, 1, 0))
         value = value[:, None].expand(-1, HEADS, -1, -1)
-        found = F.scaled_dot_product_attention(query, key, value, scale=1.0)
-        found = found[..., :channels].transpose(-1, -2)
-        found = found.unflatten(-1, tokens.shape[-2:])  # [batch, head, channel, ...]
-        mixed = (self.head_mix(tokens).softmax(1)[:, :, None] * found).sum(1)
+        attended = F.scaled_dot_product_attention(query, key, value, scale=1.0)
+        attended = attended[..., :channels].transpose(-1, -2)
+        attended = attended.unflatten(
+            -1, tokens.shape[-2:]
+        )  # [batch, head, channel, ...]
+        mixed = (self.head_mix(tokens).softmax(1)[:, :, None] * attended).sum(1)
         return CarriedEdit(
             maps=mixed[:, :CHANNELS],
-            evidence=found[:, :, -1],
+            evidence=attended[:, :, -1],
             colours=mixed[:, CHANNELS:-1],
         )
 

@@ -18,12 +18,12 @@ CHANGE = 2 / 255
 
 SAME_SURFACE = 0.05
 """Largest difference of log depth at which a pixel and its point in the reference are taken for one
-surface. By eye.
+surface. No figure kept.
 """
 
 ALIKE = 0.1
 """Mean difference of colours [sRGB] above which two images do not show one surface, whatever the
-depths say. By eye.
+depths say. No figure kept.
 """
 
 FITS = 6
@@ -106,10 +106,10 @@ def find_exposure(
         left = left.abs().amax(2, keepdim=True)
         weights = seen / (1 + (left / ALIKE).square())
     unlike = (there - source).abs().amax(2, keepdim=True)
-    found = _total(seen * left) < 2 / 3 * _total(seen * unlike)
-    found[:, 0] = False
+    explained = _total(seen * left) < 2 / 3 * _total(seen * unlike)
+    explained[:, 0] = False
     none = torch.cat((torch.ones_like(gain), torch.zeros_like(gain)), 2)
-    return torch.where(found, torch.cat((gain, mean_own - gain * mean), 2), none)
+    return torch.where(explained, torch.cat((gain, mean_own - gain * mean), 2), none)
 
 
 def _total(x: Tensor) -> Tensor:

@@ -29,7 +29,7 @@ MIN_INT8_CHANNELS = 64
 WORTHWHILE = 1.2
 """How much faster bfloat16 must be than float32 to be chosen; less would cost digits for nothing.
 """
-MEASURED_SECONDS = 0.05  # not measured
+MEASURED_SECONDS = 0.05  # no figure kept
 CPU = torch.device("cpu")
 
 
@@ -120,8 +120,8 @@ def prepare_leaf(
     """Convert the leaf called `name` in place: dtype, memory layout, device, or its int8 form."""
     form = plan.backbone if name.startswith("backbone.") else plan.head
     if form == "int8" and _is_wide(leaf):
-        made = Int8Linear(leaf) if isinstance(leaf, nn.Linear) else Int8Conv(leaf)
-        network.set_submodule(name, made)
+        layer = Int8Linear(leaf) if isinstance(leaf, nn.Linear) else Int8Conv(leaf)
+        network.set_submodule(name, layer)
         return
     leaf.to(device=plan.device, dtype=DTYPES.get(form, torch.float32))
     if isinstance(leaf, nn.Conv2d | nn.ConvTranspose2d):

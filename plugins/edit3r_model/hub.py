@@ -24,10 +24,10 @@ def is_hub_id(source: str) -> bool:
 
 def download(source: str) -> Path:
     """Fetch the weights of a hub id, or find them in the local cache; a file or a folder."""
-    found = _HUB_ID.fullmatch(source)
-    if found is None:
+    parts = _HUB_ID.fullmatch(source)
+    if parts is None:
         raise InputError(f"{source}: no such file, and no hub id owner/name@revision.")
-    repo, revision, file = found["repo"], found["revision"], found["file"]
+    repo, revision, file = parts["repo"], parts["revision"], parts["file"]
     if revision is None:
         raise InputError(
             f"{source}: no such file, and as a hub id it needs a pinned revision, for example "

@@ -66,16 +66,20 @@ class MatchedForm:
         views, source = matched.calibrated(views), matched.calibrated(source)
         geometry = matched.at(grid)
         if self.network.training and torch.is_grad_enabled():
-            made = self._of_pixels(views, source, geometry)
+            reconstruction = self._of_pixels(views, source, geometry)
         else:
             # Silu, sigmoid and others round the last few values of what each thread is given in
             # another way.
             with one_thread(), torch.no_grad():
                 geometry = pushed_back(geometry, source.intrinsics)
-                made = self._of_pixels(views, source, geometry)
+                reconstruction = self._of_pixels(views, source, geometry)
                 coarse = views.at(grid), source.at(grid)
-                made = self._with_background_fill(made, *coarse, geometry)
-        return replace(made, placed=geometry.registered, measured=matched.measured)
+                reconstruction = self._with_background_fill(
+                    reconstruction, *coarse, geometry
+                )
+        return replace(
+            reconstruction, placed=geometry.registered, measured=matched.measured
+        )
 
     def _of_pixels(
         self, views: Views, source: Views, geometry: Geometry
@@ -112,7 +116,11 @@ class MatchedForm:
         return head(features, views.images, source, prior)
 
     def _with_background_fill(
-        self, made: Reconstruction, views: Views, source: Views, geometry: Geometry
+        self,
+        reconstruction: Reconstruction,
+        views: Views,
+        source: Views,
+        geometry: Geometry,
     ) -> Reconstruction:
         """Continue the fused images beyond their borders and behind their surfaces; say what
         fusing added.
@@ -120,14 +128,14 @@ class MatchedForm:
         Where a pixel has several Gaussians, its colour is their mean; where they are not made pixel
         by pixel, the views' own colours count.
         """
-        chosen, each = self.settings, made.per_pixel
+        chosen, each = self.settings, reconstruction.per_pixel
         colours = views.images
         if each:
             shape = (*source.images.shape[:2], *source.image_size, each, 3)
-            plain = dc_to_colour(made.gaussians.harmonics[:, :, 0])
+            plain = dc_to_colour(reconstruction.gaussians.harmonics[:, :, 0])
             colours = plain.reshape(shape).mean(4).permute(0, 1, 4, 2, 3)
         fused = Views(colours, source.intrinsics)
-        parts = [made.gaussians]
+        parts = [reconstruction.gaussians]
         if chosen.background_layer > 0:
             parts.append(background_layer(fused, geometry, chosen.background_layer))
         if chosen.rim > 0:
@@ -135,7 +143,7 @@ class MatchedForm:
         fusion = (colours - views.images).detach()
         fusion = torch.where(fusion.abs() > ROUNDING, fusion, 0.0)
         return replace(
-            made,
+            reconstruction,
             gaussians=Gaussians.cat(parts),
             fusion=fusion if fusion.any() else None,
         )

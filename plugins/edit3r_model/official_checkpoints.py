@@ -85,8 +85,8 @@ def official_names(ours: str) -> tuple[str, ...]:
 
 def second_name(official: str) -> str:
     """Return the other name under which some official tensors are saved, or the same name."""
-    found = re.fullmatch(r"(.+\.scratch)\.layer(\d)_rn\.weight", official)
-    return f"{found[1]}.layer_rn.{int(found[2]) - 1}.weight" if found else official
+    match = re.fullmatch(r"(.+\.scratch)\.layer(\d)_rn\.weight", official)
+    return f"{match[1]}.layer_rn.{int(match[2]) - 1}.weight" if match else official
 
 
 def is_unused(official: str) -> bool:
@@ -142,7 +142,7 @@ def _head(state: Mapping[str, Tensor]) -> dict:
 
 def _count(state: Mapping[str, Tensor], pattern: str) -> int:
     """One more than the highest block number."""
-    numbers = [int(found[1]) for key in state if (found := re.match(pattern, key))]
+    numbers = [int(match[1]) for key in state if (match := re.match(pattern, key))]
     if not numbers:
         raise KeyError(pattern.replace("\\", "").replace("(d+)", "0"))
     return max(numbers) + 1

@@ -70,9 +70,9 @@ class SinglePass:
         """
         chosen, backbone = self.settings, self.network.backbone
         fitted = fit_views(views, backbone.patch_size, self.resolution, chosen.fit)
-        made = self._run(fitted.views).to(views.images.device)
-        _require_finite(made)
-        return fitted.drop_padding(made)
+        reconstruction = self._run(fitted.views).to(views.images.device)
+        _require_finite(reconstruction)
+        return fitted.drop_padding(reconstruction)
 
     def _run(self, views: Views) -> Reconstruction:
         """The network's own answer for views of a size that it takes."""
@@ -97,10 +97,10 @@ class SinglePass:
             return self.network.reconstruct(views.to(device, torch.float32))
 
 
-def _require_finite(made: Reconstruction) -> None:
+def _require_finite(reconstruction: Reconstruction) -> None:
     """Raise RunError that names the first tensor with NaN or infinite values."""
     for name in ("means", "scales", "quats", "opacities", "harmonics"):
-        if not getattr(made.gaussians, name).isfinite().all():
+        if not getattr(reconstruction.gaussians, name).isfinite().all():
             raise RunError(
                 f"the network's {name} are not finite; in float16 this is an overflow: set "
                 "reconstructor.precision to bfloat16 or float32."

@@ -43,12 +43,12 @@ KEY_STRIDE = 4
 """Pixels of the backbone's images per side of what the reference offers to attention."""
 VISIBLE_CHANGE = 0.05
 """A change of the reference below this [sRGB] counts in proportion: no edit there, no colour taken
-from there. By eye.
+from there. No figure kept.
 """
 MEASURED = 0.5
 """Confidence below which a depth was filled in."""
 FLOATING_OPACITY = 0.02
-"""Share of its opacity that a point keeps which other photos contradict. By eye."""
+"""Share of its opacity that a point keeps which other photos contradict. No figure kept."""
 CONFLICT_OPACITY = 0.45
 """Share of its opacity that a view keeps where its edit contradicts the reference's; measured, see
 docs/model-card.md.

@@ -22,22 +22,26 @@ class FittedViews:
     views: Views
     inner_size: Size  # of the photo, from the top-left corner
 
-    def drop_padding(self, made: Reconstruction) -> Reconstruction:
+    def drop_padding(self, reconstruction: Reconstruction) -> Reconstruction:
         """Keep only the Gaussians of pixels that show the photo, and cameras of the photo alone."""
         if self.views.image_size == self.inner_size:
-            return made
+            return reconstruction
         rows, columns = self.inner_size
         size = (self.views.count, *self.views.image_size)
-        device = made.gaussians.means.device
+        device = reconstruction.gaussians.means.device
         inside = torch.zeros(size, dtype=torch.bool, device=device)
         inside[:, :rows, :columns] = True
-        inside = inside.flatten().repeat_interleave(made.per_pixel)
-        cameras = made.cameras
+        inside = inside.flatten().repeat_interleave(reconstruction.per_pixel)
+        cameras = reconstruction.cameras
         if cameras is not None:
             shares = _shares(self.inner_size, self.views.image_size)
             intrinsics = cameras.intrinsics / cameras.intrinsics.new_tensor(shares)
             cameras = Cameras(cameras.c2w, intrinsics, self.inner_size)
-        return replace(made, gaussians=made.gaussians.select(inside), cameras=cameras)
+        return replace(
+            reconstruction,
+            gaussians=reconstruction.gaussians.select(inside),
+            cameras=cameras,
+        )
 
 
 def fit_views(

@@ -105,14 +105,14 @@ _DRAWN = TypeAdapter(list[Drawn])
 def read_drawn(content: Any) -> tuple[Drawn, ...]:
     """Strokes from plain data, as JSON holds them; raises InputError for what is none."""
     try:
-        found = _DRAWN.validate_python(content)
+        strokes = _DRAWN.validate_python(content)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(map(str, first["loc"]))
         raise InputError(f"drawn: {place}: {first['msg']}.") from None
-    if not 0 < len(found) <= MOST:
-        raise InputError(f"drawn: expected 1 to {MOST} strokes, got {len(found)}.")
-    return tuple(found)
+    if not 0 < len(strokes) <= MOST:
+        raise InputError(f"drawn: expected 1 to {MOST} strokes, got {len(strokes)}.")
+    return tuple(strokes)
 
 
 def choose_drawn(
@@ -183,8 +183,8 @@ def _to_the_edge(
         return mask
     seeds = inside + 2 * outside
     image = shown.images[0, 0].clamp(0, 1).permute(1, 2, 0).numpy(force=True)
-    found = random_walker(rgb2lab(image), seeds, mode="bf", channel_axis=-1)
-    return torch.from_numpy((found == 1).astype(np.float32))
+    probabilities = random_walker(rgb2lab(image), seeds, mode="bf", channel_axis=-1)
+    return torch.from_numpy((probabilities == 1).astype(np.float32))
 
 
 def _grown(

@@ -13,7 +13,7 @@ from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour, turn_harmo
 from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
 from edit3r.running import usual_reader
 
-FOOT = 0.98  # quantile of y (down) at which a thing stands; by eye
+FOOT = 0.98  # quantile of y (down) at which a thing stands; no figure kept
 
 Chosen = Bool[Tensor, "gaussian"]
 

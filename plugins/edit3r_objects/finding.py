@@ -21,7 +21,7 @@ from edit3r.kit.compute.outlines import overlap
 from edit3r.kit.geometry.warping import shared_surface, warp
 from edit3r.running import usual_selector
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 MOST = 12  # things of a scene
 GRID = 5  # clicks along each side of a photo
 CONFIDENCE = 0.7  # least confidence that a click's answer is what is meant
@@ -117,26 +117,26 @@ def find_things(
 def _seen_on(photo: Views, tools: Finders) -> list[_Seen]:
     """Boxes with a name, then what a grid of clicks shows beside them."""
     height, width = photo.image_size
-    found: list[_Seen] = []
+    sightings: list[_Seen] = []
     for one in _boxes(photo, tools):
         if one.score >= LIKELY:
             x, y, across, down = one.box
             box = (x / width, y / height, across / width, down / height)
             asked = Selection(boxes={0: box})
-            _add(found, *_selected(photo, asked, tools.selector), one)
+            _add(sightings, *_selected(photo, asked, tools.selector), one)
     for place in _grid():
         column, row = int(place[0] * width), int(place[1] * height)
-        if not any(one.mask[row, column] for one in found):
+        if not any(one.mask[row, column] for one in sightings):
             asked = Selection(positive=((0, *place),))
-            _add(found, *_selected(photo, asked, tools.selector))
-    return found
+            _add(sightings, *_selected(photo, asked, tools.selector))
+    return sightings
 
 
 def _selected(photo: Views, asked: Selection, selector: Selector) -> tuple[Mask, float]:
     """What is selected on one photo, and how likely that is meant."""
-    found = selector.select(photo, asked)
-    mask = found.masks[0, 0].numpy(force=True) > 0.5
-    return mask, found.readings[0].score if found.readings else 1.0
+    selected = selector.select(photo, asked)
+    mask = selected.masks[0, 0].numpy(force=True) > 0.5
+    return mask, selected.readings[0].score if selected.readings else 1.0
 
 
 def _boxes(photo: Views, tools: Finders) -> tuple[Detection, ...]:
@@ -174,7 +174,7 @@ def _grid() -> list[tuple[float, float]]:
 
 
 def _add(
-    found: list[_Seen],
+    sightings: list[_Seen],
     mask: Mask,
     confidence: float,
     detection: Detection | None = None,
@@ -183,9 +183,9 @@ def _add(
     fits = SMALLEST <= mask.mean() <= LARGEST and _on_rim(mask) < ON_RIM
     if not fits or (detection is None and confidence < CONFIDENCE):
         return
-    if all(overlap(mask, one.mask) < SAME for one in found):
+    if all(overlap(mask, one.mask) < SAME for one in sightings):
         named = () if detection is None else (detection.label, detection.score)
-        found.append(_Seen(mask, confidence, *named))
+        sightings.append(_Seen(mask, confidence, *named))
 
 
 def _on_rim(mask: Mask) -> float:
@@ -240,10 +240,10 @@ def _behind(mask: Mask, depth: Float[np.ndarray, "height width"]) -> bool:
     return bool((nearest < (1 - STEP) * cv2.dilate(inside, disc))[rim].mean() > MOSTLY)
 
 
-def _apart(found: Sequence[_Seen]) -> list[_Seen]:
+def _apart(sightings: Sequence[_Seen]) -> list[_Seen]:
     """Those that do not overlap: named ones before others, large and clear ones first."""
     kept: list[_Seen] = []
-    for one in sorted(found, key=_worth, reverse=True):
+    for one in sorted(sightings, key=_worth, reverse=True):
         if all(_common(one.mask, other.mask) < APART for other in kept):
             kept.append(one)
     return kept

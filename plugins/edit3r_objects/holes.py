@@ -13,7 +13,7 @@ from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.rendering import render_numbers
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 RIM = 0.015  # around the object, where colours are mixed with its own [longer sides]
 COVERED = 0.3  # share of a pixel from which the object covers it
 ITS_OWN = 0.9  # share inside the outlines above which a Gaussian shows only the object

@@ -11,7 +11,7 @@ from torch import Tensor
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 SHARE = 0.5  # of what a Gaussian shows, inside the masks, for it to be the object's
 SEEN = 0.02  # contribution [pixels] below which neighbours decide
 NEIGHBOURS = 16

@@ -30,11 +30,11 @@ from edit3r_optimisers.method import (
 
 DEPTH_TOLERANCE = 0.03
 """Relative difference of depths at which a neighbour's weight has fallen to exp(-1/2): it sees
-another surface. By eye.
+another surface. No figure kept.
 """
 OWN_WEIGHT = 0.25
 """Of the view's own edit beside its neighbours' weights of up to 1 each; it alone counts where no
-neighbour looks. By eye.
+neighbour looks. No figure kept.
 """
 
 
@@ -170,8 +170,8 @@ def attention_of(
     It is 0 for a Gaussian that no pixel shows.
     """
     weights = torch.stack((maps[0], torch.ones_like(maps[0])), 1)
-    found = rasterizer.contributions(gaussians, cameras, weights)
-    attended, drawn = found.unbind(-1)
+    sums = rasterizer.contributions(gaussians, cameras, weights)
+    attended, drawn = sums.unbind(-1)
     return torch.where(drawn > 1e-6, attended / drawn.clamp(min=1e-6), 0.0)
 
 

@@ -28,7 +28,7 @@ from edit3r.kit.geometry.pose import estimate_cameras
 from edit3r.running import instructions_for
 from edit3r_optimisers.fitting import FitSettings, TargetImages, fit
 
-# a fainter first Gaussian has next to no gradient and would never show what it is worth; by eye
+# a fainter first Gaussian has next to no gradient and would never show its worth; no figure kept
 VISIBLE_OPACITY = 0.05
 
 

@@ -48,19 +48,19 @@ class ExportCommand(Command):
         saved = SavedScene(args.scene, registry)
         choices = _choices(dict.fromkeys(args.to), args.set)
         writers = [registry.build_choice("writer", one) for one in choices]
-        made = {}
+        writers_built = {}
         for writer in writers:
             name = writer.offer.component.file_name(saved.stem)
-            made[writer] = Path(args.out or args.scene.with_name(name))
-            check_new_file(made[writer], args.overwrite, source=args.scene)
+            writers_built[writer] = Path(args.out or args.scene.with_name(name))
+            check_new_file(writers_built[writer], args.overwrite, source=args.scene)
         with shown_stages(args.quiet) as report:
             with report.stage("read scene"):
                 _ = saved.gaussians
-            for writer, path in made.items():
+            for writer, path in writers_built.items():
                 with report.stage(f"write {writer.offer.component.name}"):
                     write_saved(writer, path, saved, args.overwrite)
         if not args.quiet:
-            for path in made.values():
+            for path in writers_built.values():
                 size = sum(file.stat().st_size for file in (path, *path.rglob("*")))
                 print(f"wrote {path} ({size / 1e6:.1f} MB)")
         return 0

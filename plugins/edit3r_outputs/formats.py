@@ -25,7 +25,7 @@ from edit3r_outputs.placement import (
 )
 from edit3r_outputs.reading import convert
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 CHUNK = 256  # Gaussians of a compressed PLY that share a box
 STEPS = 1024  # of an axis of a box
 MANY_OFF = 0.02  # share of the Gaussians that may miss their place without a word
@@ -43,7 +43,7 @@ class Held:
     further: float  # and of the degrees above
 
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 _HELD = {
     "spz": Held(math.exp(5.9375), 10 / 3, 1.0),
     "compressed.ply": Held(math.exp(20), math.inf, 4.0),
@@ -117,10 +117,10 @@ def _write(path: Path, gaussians: Gaussians, form: str, spz_version: int) -> Non
     if form == "compressed.ply":
         in_file = _by_colour(_in_chunks(in_file))
     with tempfile.TemporaryDirectory() as scratch:
-        plain, made = Path(scratch) / "scene.ply", Path(scratch) / "made"
+        plain, target = Path(scratch) / "scene.ply", Path(scratch) / "written"
         save_ply(plain, in_file, degree=VIEWER_DEGREE)
-        convert(plain, made, "ply", form, spz_version=spz_version)
-        content = made.read_bytes()
+        convert(plain, target, "ply", form, spz_version=spz_version)
+        content = target.read_bytes()
     if placement != FilePlacement():
         content = with_placement(content, form, placement)
         say(

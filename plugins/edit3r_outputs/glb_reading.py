@@ -50,11 +50,11 @@ def load_glb(path: Path, read_spz: ReadSpz) -> Gaussians:
         *(KeyError, IndexError, TypeError, ValueError, AttributeError),
         *(struct.error, RecursionError, RuntimeError, OSError, OverflowError),
     ) as error:
-        told = str(error)
+        reason = str(error)
         if not isinstance(error, ValueError):
-            told = f"it is damaged, {type(error).__name__}: {error}"
+            reason = f"it is damaged, {type(error).__name__}: {error}"
         raise InputError(
-            f"{path}: no Gaussians that can be read as GLB with {OWN} ({told[:200]})."
+            f"{path}: no Gaussians that can be read as GLB with {OWN} ({reason[:200]})."
         ) from None
 
 

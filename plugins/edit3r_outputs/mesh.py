@@ -17,7 +17,7 @@ from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.warping import warp
 from edit3r_outputs.ply import coloured_ply
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 CELLS = (216, 288, 160)  # of the usual grid: rows, columns, steps of inverse depth
 WIDER = 1.3  # the grid's field of view than that of view 0
 ROOM = 0.05  # of the range of inverse depths, before and behind it

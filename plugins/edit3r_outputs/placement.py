@@ -22,7 +22,7 @@ from edit3r.contract.types import Gaussians
 from edit3r.kit.scenes.axes import LEAST_OPACITY
 from edit3r.kit.scenes.ply import MOST_HEADER_BYTES
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 SPZ_RANGE = 2047.0  # the format
 SPZ_STEP = 1 / 4096
 # size of a Gaussian: its logarithm is kept from -10 to 5.9; the format
@@ -213,9 +213,9 @@ def placement_of(path: Path, form: str) -> FilePlacement:
         text = start.partition(b"end_header")[0]
     else:
         text = start
-    found = _TEXT.search(text)
+    match = _TEXT.search(text)
     try:
-        numbers = [float(number) for number in found.groups()] if found else []
+        numbers = [float(number) for number in match.groups()] if match else []
     except ValueError:
         numbers = []
     if not (numbers and np.isfinite(numbers).all() and numbers[0] > 0):

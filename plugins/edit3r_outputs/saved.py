@@ -60,8 +60,8 @@ class SavedScene:
         without = {view.file for view in read_cameras(file)}
         without -= {view.file for view in views}
         if without:
-            told = ", ".join(sorted(without))
-            warn(f"{told}: without a pose in {file.name}, so left out.")
+            names = ", ".join(sorted(without))
+            warn(f"{names}: without a pose in {file.name}, so left out.")
         return cameras, views
 
     @property

@@ -29,7 +29,7 @@ from edit3r.kit.geometry.rotations import normalise_quats
 from edit3r.kit.scenes.axes import LEAST_OPACITY
 
 EASY_GAUSSIANS = 1_500_000  # six photos of 512 pixels; more are slow to sort
-# of a harmonic; it changes a colour by less than a step of 8 bits; by eye
+# of a harmonic; it changes a colour by less than a step of 8 bits; no figure kept
 MIN_STEP = 0.01
 LEVEL = 3  # of compression; higher ones save a twentieth and take three times as long
 

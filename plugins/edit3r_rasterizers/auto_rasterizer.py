@@ -71,10 +71,10 @@ class AutoRasterizer(Rasterizer):
     ) -> Float[Tensor, "batch gaussian *map"]:
         rasterizer, device = self._on(gaussians.means.device.type)
         weights = None if weights is None else weights.to(device)
-        found = rasterizer.contributions(
+        sums = rasterizer.contributions(
             gaussians.to(device), cameras.to(device), weights
         )
-        return found.to(gaussians.means.device)
+        return sums.to(gaussians.means.device)
 
     def _on(self, device: str) -> tuple[Rasterizer, str]:
         """The rasterizer for Gaussians on a type of device, and the type that it renders on."""

@@ -118,8 +118,8 @@ class _CompilingAhead:
     def start(self) -> None:
         if self.process is not None or is_kept(differentiate_tiles):
             return
-        told = "the rasterizer, once after an install, beside the other steps"
-        say("compiling", told)
+        message = "the rasterizer, once after an install, beside the other steps"
+        say("compiling", message)
         command = [*PYTHON, "-m", "edit3r_rasterizers.compile_ahead"]
         self.process = subprocess.Popen(
             command, stdin=DEVNULL, stdout=DEVNULL, stderr=DEVNULL

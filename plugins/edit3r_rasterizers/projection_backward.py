@@ -62,22 +62,22 @@ def project_backward(
     camera, records, sums = flat((camera, records, sums))
     splat_offsets, positions = flat(entries)
     scratch, group = flat((scratch, group))
-    found = U(0)
+    touched = U(0)
     for i in range(U(first), U(last)):
         start, end = splat_offsets[i], splat_offsets[i + U(1)]
         if start < end:
-            group[found] = i
-            maths.stage(scratch, found, i, gaussians)
-            _add_up(scratch, found, start, end, positions, sums)
-            found += U(1)
-        if found == GROUP or (i + U(1) == U(last) and found > U(0)):
+            group[touched] = i
+            maths.stage(scratch, touched, i, gaussians)
+            _add_up(scratch, touched, start, end, positions, sums)
+            touched += U(1)
+        if touched == GROUP or (i + U(1) == U(last) and touched > U(0)):
             # lanes of a short group hold some sound Gaussian that no pixel shows
-            for lane in range(found, GROUP):
+            for lane in range(touched, GROUP):
                 maths.stage(scratch, lane, group[U(0)], gaussians)
                 _add_up(scratch, lane, 0, 0, positions, sums)
             if shapes:
                 _differentiate_group(scratch, camera, eps2d, by_pose)
-            for lane in range(found):
+            for lane in range(touched):
                 k = group[lane]
                 if shapes:
                     _take(gradients.means, k, U(3), scratch, _MEAN, lane)
@@ -86,7 +86,7 @@ def project_backward(
                     _take(gradients.opacities, k, U(1), scratch, _OPACITY, lane)
                 seen = records, camera, gaussians.means, gaussians.harmonics
                 _differentiate_colour(k, lane, count, scratch, seen, gradients, by_pose)
-            found = U(0)
+            touched = U(0)
     return camera_sums
 
 

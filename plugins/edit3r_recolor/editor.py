@@ -31,7 +31,7 @@ METALS = {
     "chrome": (0.66, 0.70, 0.75),
     "steel": (0.60, 0.63, 0.67),
 }
-"""sRGB in [0, 1] of metals under plain light, between shade and highlight. By eye."""
+"""sRGB in [0, 1] of metals under plain light, between shade and highlight. No figure kept."""
 
 WHOLE = ("sky",)
 """Things without parts that keep their own colour: haze and clouds belong to the sky."""

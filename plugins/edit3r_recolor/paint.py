@@ -23,7 +23,7 @@ Pixels = Float[Tensor, "3 1 pixel"]  # OKLab
 Weights = Float[Tensor, "1 pixel"]
 Goal = Float[Tensor, "3 1 1"]  # OKLab of the asked colour
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 NEUTRAL_CHROMA = 0.02  # a pixel below has no hue
 DARK = 0.2  # lightness below which saturation is mostly noise
 PART_PAINT, ALL_PAINT = 0.35, 0.5  # shares of the paint's saturation
@@ -148,22 +148,22 @@ def own_paint(lab: Pixels, weights: Weights, tolerance: float, flood: bool) -> P
         return all_of_it
     chroma = _chroma(lab)
     coloured = weights * (chroma - NEUTRAL_CHROMA).clamp(min=0)
-    found = replace(all_of_it, hue=_commonest_hue(lab, coloured, tolerance))
-    near_hue = _near_hue(lab, found)
+    paint = replace(all_of_it, hue=_commonest_hue(lab, coloured, tolerance))
+    near_hue = _near_hue(lab, paint)
     near = weights * near_hue
     saturation = chroma / lab[0].clamp(min=DARK)
     powers = (near * saturation**3).sum() / (near * saturation**2).sum().clamp(min=1e-9)
-    found = replace(found, saturation=float(powers))
-    member = membership(lab, found)
+    paint = replace(paint, saturation=float(powers))
+    member = membership(lab, paint)
     painted = (weights * member).sum()
     share = float(painted / weights.sum())
     between = (weights * 4 * member * (1 - member)).sum() / painted.clamp(min=1e-9)
-    apart = found.saturation >= VIVID or float(between) <= MAX_BETWEEN
+    apart = paint.saturation >= VIVID or float(between) <= MAX_BETWEEN
     one_colour = (coloured * near_hue).sum() >= MIN_COLOUR * coloured.sum()
-    clear = share >= MIN_SHARE and found.saturation >= FAINT
+    clear = share >= MIN_SHARE and paint.saturation >= FAINT
     if not (clear and apart and one_colour):
         return all_of_it
-    return replace(found, lightness=_median(lab, weights * member))
+    return replace(paint, lightness=_median(lab, weights * member))
 
 
 def membership(lab: Pixels, own: Paint) -> Weights:

@@ -15,7 +15,9 @@ from edit3r.contract.interfaces import Proposal, Tracks
 from edit3r.contract.settings import Settings
 
 FAINT = 0.01
-"""A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value. By eye."""
+"""A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value.
+No figure kept.
+"""
 
 
 class ProposalFilter(Settings):

@@ -198,32 +198,36 @@ def _found(
 def make_recipe(
     images: Images,
     names: Sequence[str],
-    found: FoundRegions,
+    regions_found: FoundRegions,
     settings: RecoloringSettings,
     seed: int,
     source: str,
 ) -> SceneRecipe:
     """Parameters of every region, and what augmented images get wrong, from `seed` alone."""
-    used = processed_views(found.active, settings.least_overlap)
+    used = processed_views(regions_found.active, settings.least_overlap)
     regions = []
-    for number, proposal in enumerate(found.proposals, start=1):
+    for number, proposal in enumerate(regions_found.proposals, start=1):
         rng = np.random.default_rng((seed, number))
-        masks, least = found.masks[number - 1, used], settings.least_change
+        masks, least = regions_found.masks[number - 1, used], settings.least_change
         parameters = recoloring.visible_parameters(
             rng, images[used], masks, least, ranges=settings.ranges
         )
-        said = proposal.area, proposal.stability, proposal.predicted_iou, proposal.box
-        regions.append(RegionRecipe(number, parameters, *said))
+        facts = proposal.area, proposal.stability, proposal.predicted_iou, proposal.box
+        regions.append(RegionRecipe(number, parameters, *facts))
     views = []
     for view, name in enumerate(names):
         before = max([other for other in used if other < view], default=view)
-        overlap = overlap_ratio(found.active[view], found.active[before])
-        here = found.active[view].tolist()
+        overlap = overlap_ratio(
+            regions_found.active[view], regions_found.active[before]
+        )
+        here = regions_found.active[view].tolist()
         shown = [region for region, is_here in zip(regions, here) if is_here]
         faults = _draw_faults(view, shown, settings, seed) if view in used else {}
         ids = tuple(region.id for region in shown)
         views.append(ViewRecipe(name, ids, overlap, view in used, faults))
-    return SceneRecipe(seed, source, tuple(regions), tuple(views), found.rejected)
+    return SceneRecipe(
+        seed, source, tuple(regions), tuple(views), regions_found.rejected
+    )
 
 
 def _draw_faults(

@@ -16,7 +16,7 @@ from edit3r_recolor.recoloring import (
     to_greyscale,
 )
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 WARM_GAIN = (1.12, 1.0, 0.82)  # RGB gains of "warmer"
 SEPIA = ((0.393, 0.769, 0.189), (0.349, 0.686, 0.168), (0.272, 0.534, 0.131))
 Images = Float[Tensor, "view 3 height width"]

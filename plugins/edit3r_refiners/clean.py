@@ -100,28 +100,28 @@ def find_floaters(
         elsewhere |= there & ~in_front
         shown.append(rendering.images.clamp(0, 1))
         progress("look for floaters", view + 1, cameras.count)
-    found = _veiling(before & ~elsewhere, gaussians, cameras, rasterizer)
-    if not found.any():
-        return Floaters(found, 0.0)
-    rest = gaussians.select(~found)
+    floating = _veiling(before & ~elsewhere, gaussians, cameras, rasterizer)
+    if not floating.any():
+        return Floaters(floating, 0.0)
+    rest = gaussians.select(~floating)
     changed = [
         _changed(image, render_one(rasterizer, rest, cameras.select([view])))
         for view, image in enumerate(shown)
     ]
-    return Floaters(found, sum(changed) / len(changed))
+    return Floaters(floating, sum(changed) / len(changed))
 
 
 def _veiling(
-    found: Bool[Tensor, "gaussian"],
+    candidates: Bool[Tensor, "gaussian"],
     gaussians: Gaussians,
     cameras: Cameras,
     rasterizer: Rasterizer,
 ) -> Bool[Tensor, "gaussian"]:
-    """Those `found` that veil: where together they are solid for a camera, they are a surface."""
-    left = found.clone()
-    for view in range(cameras.count if found.any() else 0):
+    """The candidates that veil: where together they are solid for a camera, they are a surface."""
+    left = candidates.clone()
+    for view in range(cameras.count if candidates.any() else 0):
         camera = cameras.select([view])
-        veil = render_one(rasterizer, gaussians.select(found), camera).alphas
+        veil = render_one(rasterizer, gaussians.select(candidates), camera).alphas
         places, depth = project(
             gaussians.means[0], camera.intrinsics[0, 0], camera.c2w[0, 0]
         )

@@ -78,7 +78,7 @@ class SimplifyCommand(Command):
         rasterizer = registry.build("rasterizer", args.rasterizer)
         gives = ("images", "alphas", "depths") if args.clean else ("images",)
         require_gives(rasterizer, args.rasterizer, *gives, who="simplify")
-        said = []
+        lines = []
         with (
             StageConsole(quiet=args.quiet) as console,
             collecting(Report(on_event=console)) as report,
@@ -92,7 +92,7 @@ class SimplifyCommand(Command):
                         gaussians, cameras, rasterizer, clean_settings
                     )
                     gaussians = gaussians.select(~floaters.found)
-                said.append(floaters.sentence)
+                lines.append(floaters.sentence)
             if args.out and budget != "all":
                 with report.stage("simplify"):
                     most = None if budget == "auto" else budget
@@ -100,7 +100,7 @@ class SimplifyCommand(Command):
                 fewer = result.gaussians
                 alike = agreement(gaussians, fewer, cameras, rasterizer)
                 gaussians = fewer
-                said.append(
+                lines.append(
                     f"{result.before:,} Gaussians -> {result.gaussians.count:,}: "
                     f"{result.unseen:,} unseen, {result.doubled:,} doubled, "
                     f"{result.merged:,} merged away; the views' pictures agree to "
@@ -109,11 +109,11 @@ class SimplifyCommand(Command):
             if args.out:
                 with report.stage("write scene"):
                     save_ply(args.out, gaussians)
-                said.append(f"wrote {args.out}")
+                lines.append(f"wrote {args.out}")
             elif floaters.found.any():
-                said.append("Nothing was written: give --out FILE to take them out.")
+                lines.append("Nothing was written: give --out FILE to take them out.")
         if not args.quiet or not args.out:
-            print("\n".join(said))
+            print("\n".join(lines))
         return 0
 
 

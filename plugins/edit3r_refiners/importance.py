@@ -15,7 +15,7 @@ from edit3r.kit.geometry.paths import between_and_around
 PATH_CAMERAS = 2  # cameras between and around, per input view
 MOST_PATH_CAMERAS = 8  # of many views, which show nearly all themselves
 PATH_REDUCTION = 2  # of the sides of their images
-# of what they show: a rim beyond the photos' borders counts too; not measured
+# of what they show: a rim beyond the photos' borders counts too; no figure kept
 PATH_WIDENING = 1.5
 
 

@@ -18,7 +18,7 @@ Region = Bool[Tensor, "view height width"]
 
 FAR_OUTSIDE = 1e6  # positions are clamped to this [pixels]
 OPAQUE = 0.5
-# an earlier view may show the surface with pixels this much larger; not measured
+# an earlier view may show the surface with pixels this much larger; no figure kept
 AS_FINE = 1.25
 AROUND = tuple((dy, dx) for dy in (0, -1, 1) for dx in (0, -1, 1))
 LEAST_WEIGHT = 1e-4  # transparent Gaussians still have a position
@@ -104,13 +104,13 @@ def duplicates(
     itself, within `duplicate_depth`, and it or one around it must be within `duplicate_colour` (two
     views do not sample the same points).
     """
-    found = torch.zeros_like(placement.view, dtype=torch.bool)
+    doubled = torch.zeros_like(placement.view, dtype=torch.bool)
     colours = dc_to_colour(gaussians.harmonics[0, :, 0])
     for earlier in range(cameras.count - 1):
-        later = ((placement.view > earlier) & ~found).nonzero()[:, 0]
+        later = ((placement.view > earlier) & ~doubled).nonzero()[:, 0]
         nearest = _nearest_per_pixel(
             placement,
-            (gaussians.opacities[0] > OPAQUE) & ~found,
+            (gaussians.opacities[0] > OPAQUE) & ~doubled,
             earlier,
             cameras.image_size,
         )
@@ -127,8 +127,8 @@ def duplicates(
             near = _value_at(nearest, row + dy, column + dx)
             difference = (colours[later] - colours[near]).square().mean(-1)
             alike |= (near >= 0) & (difference <= settings.duplicate_colour**2)
-        found[later[alike]] = True
-    return found
+        doubled[later[alike]] = True
+    return doubled
 
 
 def _nearest_per_pixel(

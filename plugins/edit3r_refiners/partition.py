@@ -18,7 +18,7 @@ from edit3r.contract.types import Cameras
 from edit3r_refiners.merging import Placement
 from edit3r_refiners.settings import SimplifySettings
 
-# The numbers of this block: not measured.
+# The numbers of this block: no figures kept.
 # Gaussians further outside an image than this are never merged [image sizes]
 MARGIN = 0.5
 VIEWS_AT_ONCE = 8  # that are measured together: the sums of a pixel take 84 bytes

@@ -40,7 +40,7 @@ from edit3r_refiners.partition import (
 from edit3r_refiners.refine import RefineSettings, refine
 from edit3r_refiners.settings import Budget, SimplifySettings, parse_budget, passes
 
-# The numbers of this block: not measured.
+# The numbers of this block: no figures kept.
 # Smaller steps than towards photos: the scene is nearly what it should show.
 # merged Gaussians may grow to close what is left between them
 POLISH = RefineSettings(

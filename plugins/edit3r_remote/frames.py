@@ -22,7 +22,7 @@ from edit3r.contract.errors import RunError
 from edit3r.kit.geometry.maps import resampled, size_of
 from edit3r.kit.photos.decode import FORMATS, MAX_PIXELS
 
-# relative difference in width / height up to which an answer of another size is scaled back; by eye
+# relative difference in width / height up to which an answer is scaled back; no figure kept
 SHAPE_TOLERANCE = 0.05
 
 

@@ -103,10 +103,10 @@ class ImageService(ABC):
 
     def failure(self, status: int, words: object, request: Request) -> Edit3rError:
         """The error for an HTTP status that further attempts did not cure."""
-        said = self.quote(words)
-        if status in (401, 403) or "api key not valid" in said.lower():
+        reply = self.quote(words)
+        if status in (401, 403) or "api key not valid" in reply.lower():
             # A service may repeat parts of a key that it does not know.
-            why = "" if status == 401 else f" ({said})"
+            why = "" if status == 401 else f" ({reply})"
             return MissingDependencyError(
                 f"{self.label}: the service does not accept the key in "
                 f"{' or '.join(self.variables)}{why}."
@@ -119,8 +119,8 @@ class ImageService(ABC):
         if status == 429:
             return RunError(
                 f"{self.label} is over its rate limit or budget after {self.settings.attempts} "
-                f"tries for {request.name} ({said}); wait, or lower editor.concurrent."
+                f"tries for {request.name} ({reply}); wait, or lower editor.concurrent."
             )
         return RunError(
-            f"{self.label} failed on {request.name} with status {status}: {said}"
+            f"{self.label} failed on {request.name} with status {status}: {reply}"
         )

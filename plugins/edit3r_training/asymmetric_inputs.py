@@ -30,7 +30,7 @@ REGIMES = ("reference", "disagreeing", "agreeing", "unedited", "viewwise", "gene
 DISAGREEMENT = 0.5
 """Of mock-diffusion's edits of one scene: how much of each view's look is its own."""
 MIN_REGION = 0.015
-"""Share of the reference that an edited region covers at least. Not measured."""
+"""Share of the reference that an edited region covers at least. No figure kept."""
 
 Images = Float[Tensor, "view 3 height width"]
 

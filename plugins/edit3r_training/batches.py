@@ -20,7 +20,7 @@ from edit3r_training.simulated_matching import SimulatedMatch, simulate_match
 Images = Float[Tensor, "batch view 3 height width"]
 OTHER_SURFACE = 0.02
 """Change of a generated edit above which another surface may be seen [sRGB, any channel].
-Not measured.
+No figure kept.
 """
 
 
@@ -126,8 +126,8 @@ def _with_tensors(function: Callable[..., Tensor], *values: Any) -> Any:
         return function(*values)
     if not is_dataclass(first) or isinstance(first, type):
         return first
-    made = {}
+    moved = {}
     for name in (field.name for field in fields(first)):
         inner = (getattr(value, name) for value in values)
-        made[name] = _with_tensors(function, *inner)
-    return replace(first, **made)
+        moved[name] = _with_tensors(function, *inner)
+    return replace(first, **moved)

@@ -18,7 +18,7 @@ from edit3r_training.batches import TrainingBatch
 
 CHANGED = 0.02
 """A pixel whose true change is below this [sRGB, mean over channels] counts as outside the edit.
-Not measured.
+No figure kept.
 """
 
 

@@ -55,8 +55,10 @@ class Processes:
         )
         dist.all_reduce(message)
         sizes = [*(p.numel() for p in parameters), len(parameters), 1]
-        *averaged, found, mean = (message / self.count).split(sizes)
-        for parameter, grad, anywhere in zip(parameters, averaged, found.tolist()):
+        *averaged, with_gradient, mean = (message / self.count).split(sizes)
+        for parameter, grad, anywhere in zip(
+            parameters, averaged, with_gradient.tolist()
+        ):
             parameter.grad = grad.view_as(parameter) if anywhere else None
         return mean[0]
 

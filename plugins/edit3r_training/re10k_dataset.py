@@ -43,17 +43,19 @@ class Re10kDataset(PhotoDataset):
     @cached_property
     def scenes(self) -> list[tuple[Path, int]]:
         """(chunk, index in it) of every scene; reading all chunks once is the price of knowing."""
-        found = []
+        scenes_found = []
         for chunk in sorted(Path(self.settings.root).glob("*.torch")):
             try:
-                found += [(chunk, place) for place in range(len(_read_chunk(chunk)))]
+                scenes_found += [
+                    (chunk, place) for place in range(len(_read_chunk(chunk)))
+                ]
             except InputError as error:
                 self._skip(chunk.name, str(error))
-        if not found:
+        if not scenes_found:
             raise InputError(
                 f"{self.settings.root}: no readable .torch chunk with scenes in it."
             )
-        return found
+        return scenes_found
 
     @cached_property
     def places(self) -> dict[str, tuple[Path, int]]:

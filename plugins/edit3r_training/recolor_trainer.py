@@ -196,14 +196,14 @@ class RecolorRecipe(Recipe):
         return {name: w * errors[name](maps, batch) for name, w in counted.items()}
 
     def _rendered_terms(
-        self, batch: TrainingBatch, made: Reconstruction, step: int
+        self, batch: TrainingBatch, reconstruction: Reconstruction, step: int
     ) -> dict[str, Tensor]:
         """The job's losses of rendered views.
 
         First-view drop (section 4.4): now and then without the reference's Gaussians, so that the
         others have to show the edit; the reference's own view cannot be asked for then.
         """
-        chosen, gaussians = self.settings, made.gaussians
+        chosen, gaussians = self.settings, reconstruction.gaussians
         draw = step_generator(chosen.seed, step, 1_000_000).random()
         dropped = draw < chosen.drop_first
         shown = gaussians.without_view(0) if dropped else gaussians
@@ -220,7 +220,7 @@ class RecolorRecipe(Recipe):
             rendered=drawn.images,
             target=wished,
             gaussians=gaussians,
-            reference=self._reference(batch, made),
+            reference=self._reference(batch, reconstruction),
             cameras=cameras,
             depths=depths,
             render=render,
@@ -286,9 +286,11 @@ class GeometricReference:
         return GeometricReference(WithMatcher(frozen, job.matcher))
 
     @torch.no_grad()
-    def __call__(self, batch: TrainingBatch, made: Reconstruction) -> Gaussians | None:
+    def __call__(
+        self, batch: TrainingBatch, reconstruction: Reconstruction
+    ) -> Gaussians | None:
         """Reference Gaussians, one for each predicted; None when there are none."""
-        gaussians, each = made.gaussians, made.per_pixel
+        gaussians, each = reconstruction.gaussians, reconstruction.per_pixel
         if self.frozen is None:
             centres = batch.true_centres()
             if centres is not None:
@@ -297,16 +299,20 @@ class GeometricReference:
             centres = self.frozen(batch.source, batch.source).gaussians.means
         if centres is None or centres.shape != gaussians.means.shape:
             return None
-        return replace(gaussians, means=_free_where_reshaped(centres, batch, made))
+        return replace(
+            gaussians, means=_free_where_reshaped(centres, batch, reconstruction)
+        )
 
 
 def _free_where_reshaped(
     centres: Float[Tensor, "batch gaussian 3"],
     batch: TrainingBatch,
-    made: Reconstruction,
+    reconstruction: Reconstruction,
 ) -> Float[Tensor, "batch gaussian 3"]:
     """The reference's centres where the edit left the surface; elsewhere the predicted ones."""
     if batch.reshaped is None:
         return centres
-    free = batch.reshaped.flatten(1).repeat_interleave(made.per_pixel, 1)[..., None]
-    return torch.where(free, made.gaussians.means.detach(), centres)
+    free = batch.reshaped.flatten(1).repeat_interleave(reconstruction.per_pixel, 1)[
+        ..., None
+    ]
+    return torch.where(free, reconstruction.gaussians.means.detach(), centres)

@@ -75,11 +75,11 @@ def really_match(sample: SceneSample, matcher: Matcher) -> SimulatedMatch | None
         )
     except MatchingError:
         return None
-    found, true = (
+    matched, true = (
         c2w[0, -1, :3, 3].norm() for c2w in (geometry.c2w, sample.context_cameras.c2w)
     )
     return (
-        SimulatedMatch(geometry, float(found / true))
+        SimulatedMatch(geometry, float(matched / true))
         if bool(geometry.registered.all())
         else None
     )

@@ -168,10 +168,10 @@ def _edit_of(
     """The edited image of one photo, cut as the photo is; raises InputError where it is missing."""
     name = Path(camera.file).stem
     files = [folder / f"{name}{suffix}" for suffix in (".png", ".jpg")]
-    found = [file for file in files if file.is_file()]
-    if not found:
+    present = [file for file in files if file.is_file()]
+    if not present:
         raise InputError(f"{folder}: no edited image {name}.png or {name}.jpg in it.")
-    return _cut(read_image(found[0]), camera, size).permute(2, 0, 1)
+    return _cut(read_image(present[0]), camera, size).permute(2, 0, 1)
 
 
 def _cut(image: Image.Image, camera: PosedCamera, size: int) -> Tensor:

@@ -58,14 +58,14 @@ def held_out_measures(
     for held_out in batches[processes.rank :: processes.count]:
         batch = held_out.to(device)
         try:
-            made = reconstruct(job, batch)
+            reconstruction = reconstruct(job, batch)
         except MatchingError:
             continue
-        novel = _novel(job, made, batch) if rendered else {}
-        if rendered and made.per_pixel == 0:
+        novel = _novel(job, reconstruction, batch) if rendered else {}
+        if rendered and reconstruction.per_pixel == 0:
             rows.append(novel)
             continue
-        maps = pixel_maps(made, batch.context_cameras)
+        maps = pixel_maps(reconstruction, batch.context_cameras)
         rows.append(_measured(maps, batch) | novel)
         shown = shown or (maps, batch)
     values = processes.means(rows)
@@ -79,14 +79,16 @@ def held_out_measures(
 
 
 def _novel(
-    job: TrainingJob, made: Reconstruction, batch: TrainingBatch
+    job: TrainingJob, reconstruction: Reconstruction, batch: TrainingBatch
 ) -> dict[str, float]:
     """Mean squared error of the rendered target views, which is the score too."""
     if batch.target_cameras.count == 0:
         raise SettingsError(
             "trainer.score: renderings need held-out scenes with novel views; give them targets."
         )
-    rendered = job.rasterizer.render(made.gaussians, batch.target_cameras).images
+    rendered = job.rasterizer.render(
+        reconstruction.gaussians, batch.target_cameras
+    ).images
     error = float((rendered - batch.target).square().mean())
     return {"novel": error, "score": error}
 

@@ -28,7 +28,7 @@ from edit3r.kit.scenes.ply import save_ply
 from edit3r.running import RunFolder
 from edit3r_uncertainty.signals import photos_of, uncertainty
 
-# of the mean of red, green and blue, above which the edit changed a pixel; by eye
+# of the mean of red, green and blue, above which the edit changed a pixel; no figure kept
 CHANGED = 0.05
 COPIED = ("inputs", "edited", "masks", "renders")  # folders of a run that stay true
 

@@ -13,7 +13,7 @@ from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.rendering import render_each
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 WRONG = 0.05
 """A colour is wrong when it is off by more than this, in the mean of red, green and blue."""
 WINDOW = 5  # in which the contrast of a photo is measured [pixels]

@@ -25,7 +25,8 @@ class Reader(Configured, ABC):
         """The instructions of a sentence, in its order, at least one.
 
         The same sentence gives the same ones, unless the component says `supports_seed=False`.
-        Raises PromptError for a sentence that asks for nothing, or for two colours on one thing.
+        Raises PromptError for a sentence that asks for nothing, or that contradicts itself, as by
+        two colours on one thing.
         """
 
     @abstractmethod

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 LONGEST = 400  # characters of a cell: texts of plugins are strangers'
 PIPED_WIDTH = 400  # piped output is not wrapped, so that grep finds what it looks for
-EVERY = 15.0  # seconds between lines where no bar can be drawn; not measured
+EVERY = 15.0  # seconds between lines where no bar can be drawn; no figure kept
 
 
 class StageConsole:

@@ -69,7 +69,7 @@ _NO_COLOURS = _words_of(
 _STUFF = _NO_COLOURS - {"snow", "dark", "pale", "sepia", "water"}
 
 MAX_WORDS = 6
-# how far a colour may be from the basic one that it is a kind of [RGB]; by eye
+# how far a colour may be from the basic one that it is a kind of [RGB]; no figure kept
 _A_KIND = 0.45
 
 

@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float
 
 Mask = Bool[np.ndarray | torch.Tensor, "height width"]
 
-# how far a soft edge may reach [longer sides of the image]; not measured
+# how far a soft edge may reach [longer sides of the image]; no figure kept
 EDGE_REACH = 0.008
 EDGE_EPSILON = 1e-4  # colour variance under which the guided filter smooths
 

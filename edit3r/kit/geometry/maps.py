@@ -19,7 +19,7 @@ __all__ = [
     "size_of",
 ]
 
-# of `dilate_softly` [longer sides]: an edit needs room at the edge of its mask; not measured
+# of `dilate_softly` [longer sides]: an edit needs room at the edge of its mask; no figure kept
 MARGIN = 0.01
 
 

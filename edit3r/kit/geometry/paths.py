@@ -16,7 +16,7 @@ from edit3r.kit.geometry.rotations import (
 
 __all__ = ["between_and_around", "half_way", "interpolate_poses"]
 
-# The numbers of this block: by eye.
+# The numbers of this block: no figures kept.
 # how far the path leaves the straight way between two views, in distances between views
 SIDE_STEP = 0.25
 # but at least and at most this, in distances to the scene

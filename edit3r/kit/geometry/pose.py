@@ -15,7 +15,7 @@ from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.geometry.cameras import to_pixels
 
 MIN_OPACITY = 0.3
-"""Fainter Gaussians are guesses and do not vote. Not measured."""
+"""Fainter Gaussians are guesses and do not vote. No figure kept."""
 MAX_POINTS = 8192
 """Centres used per view, evenly spread over its pixels; more change nothing but the time."""
 MIN_POINTS = 8

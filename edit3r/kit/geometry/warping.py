@@ -28,7 +28,7 @@ __all__ = [
 
 TOLERANCE = 0.03
 """Relative difference in depth by which a pixel must stand before a surface to hide it; below, it
-shows it too. Not measured.
+shows it too. No figure kept.
 """
 
 

@@ -21,7 +21,7 @@ from edit3r.contract.reporting import say, track, warn
 from edit3r.kit.files.atomic import scratch_folder
 from edit3r.kit.photos.decode import MAX_PIXELS, read_image
 
-# The numbers of this block: not measured.
+# The numbers of this block: no figures kept.
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi")
 USUAL_FRAMES = 8  # of a video, where no number is asked for
 MAX_COMPARED = 90  # frames of a video

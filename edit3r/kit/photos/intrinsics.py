@@ -22,7 +22,7 @@ from edit3r.kit.photos.decode import ImageHeader
 
 DEFAULT_FOV = 60.0
 """Field of view across the longer side [degrees] when nothing is known: a 31 mm lens, between a
-phone's main camera (about 67) and a standard lens (about 40). Not measured.
+phone's main camera (about 67) and a standard lens (about 40). No figure kept.
 """
 
 NO_CAMERAS = "none"

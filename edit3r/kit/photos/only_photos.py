@@ -11,7 +11,7 @@ from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.reporting import say
 from edit3r.kit.photos.decode import decode, image_size, read_header
 
-# The numbers of this block: not measured.
+# The numbers of this block: no figures kept.
 MADE_HERE = "edit3r, no photo"
 """What sheets, previews and masks of ours carry as their software."""
 _OWN_NAMES = ("edit3r-preview", "before_after")

@@ -12,7 +12,7 @@ from edit3r.kit.photos.images import evenly
 
 Pose = Float[np.ndarray, "4 4"]  # camera to world
 
-# How far a photo between two others may be from the middle [baselines]; not measured
+# How far a photo between two others may be from the middle [baselines]; no figure kept
 MAX_OFF_MIDDLE = 0.4
 
 

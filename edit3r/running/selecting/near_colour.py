@@ -31,25 +31,37 @@ def near_colour(
     """The part of soft `masks` whose pixels are near a named colour.
 
     By CIE94 around the named colour, which allows the more difference in chroma the more chroma the
-    name has, since things are duller than the names of their colours. Raises PromptError where
-    nothing is near.
+    name has, since things are duller than the names of their colours. Within a thing, its own shade
+    of the colour counts too: what is near the median of what was near. In whole photos that drifts
+    from a red tank to brown wood. Raises PromptError where nothing is near.
     """
     lab = rgb_to_lab(_smoothed(images)).double()
     named = rgb_to_lab(lab.new_tensor(colour.rgb)[:, None, None])
-    near = ((FAR - _difference(lab, named)) / (FAR - NEAR)).clamp(0, 1)
     least = MIN_CHROMA_SHARE * named[1:].norm()
     chroma = lab[:, 1:].norm(dim=1)
     coloured = (4 * (chroma - least) / least.clamp(min=4) + 1).clamp(0, 1)
+    near = _close(lab, named) * coloured
+    shade = named
+    for _ in range(2 if bool((masks < 0.5).any()) else 0):
+        has = near * masks > 0.5
+        if bool(has.any()):
+            shade = lab.movedim(1, 0)[:, has].median(dim=1).values[:, None, None]
+            near = coloured * torch.maximum(_close(lab, named), _close(lab, shade))
     # a highlight mixes the paint's hue with that of the light
     lighter = ((lab[:, 0] - named[0]) / LIGHTER).clamp(0, 1)
-    apart = _hue_apart(lab, named) / (1 + lighter)
-    shares = _with_shades(near * coloured, apart, coloured)
+    apart = _hue_apart(lab, shade) / (1 + lighter)
+    shares = _with_shades(near, apart, coloured)
     found = masks * shares.to(masks)
     if not found.any():
         raise PromptError(
             f"nothing there is near {colour.name}, so nothing would change; name the colour it has."
         )
     return found
+
+
+def _close(lab: Tensor, colour: Tensor) -> Tensor:
+    """1 for what has a colour, 0 for what has another."""
+    return ((FAR - _difference(lab, colour)) / (FAR - NEAR)).clamp(0, 1)
 
 
 def _with_shades(near: Tensor, apart: Tensor, coloured: Tensor) -> Tensor:

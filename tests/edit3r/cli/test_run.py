@@ -170,6 +170,16 @@ def test_a_matcher_that_was_chosen_stays(posed_photos, tmp_path):
     assert np.abs(used - given).max() > 1e-3
 
 
+@pytest.mark.slow
+def test_naming_the_default_matcher_makes_the_same_scene(tmp_path):
+    scenes = []
+    for name, options in {"named": ["--matcher", "classical"], "not": []}.items():
+        asked = ["run", "--size", "96", "--editor", "none", "--outputs", "scene"]
+        assert main([*asked, *options, "--out", str(tmp_path / name)]) == 0
+        scenes.append((tmp_path / name / "scene.ply").read_bytes())
+    assert scenes[0] == scenes[1]
+
+
 @pytest.mark.parametrize(
     "name, said", [("a.png", "one of the photos"), ("look.pdf", "name of an image")]
 )

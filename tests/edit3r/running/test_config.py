@@ -2,6 +2,7 @@ import pytest
 
 from edit3r.contract.errors import SettingsError
 from edit3r.running.config import make_run_config
+from edit3r.running.quality import PRESETS
 
 
 def test_later_layers_win_and_settings_of_a_part_survive_a_renaming_layer():
@@ -56,3 +57,9 @@ def test_a_wrong_key_or_value_is_one_sentence(layer, said):
     with pytest.raises(SettingsError) as error:
         make_run_config(layer)
     assert said in str(error.value)
+
+
+@pytest.mark.parametrize("quality", [{}, *({"quality": name} for name in PRESETS)])
+def test_naming_the_default_matcher_changes_no_setting(quality):
+    named = make_run_config(quality, {"matcher": "classical"})
+    assert named.matcher == make_run_config(quality).matcher

@@ -5,8 +5,9 @@ import re
 import pytest
 import torch
 
+from edit3r.contract.instructions import Colour, Instruction, Thing
 from edit3r.contract.interfaces import Reading, Selected
-from edit3r.running.records import verdict_on_selection
+from edit3r.running.records import SelectedRegions, verdict_on_selection
 
 MASKS = torch.zeros(2, 1, 8, 8)
 OTHERS = tuple(Reading(0, MASKS[0, 0], 0.5, number) for number in (1, 2))
@@ -72,4 +73,11 @@ def test_a_click_beside_what_words_found_leaves_it_its_name(way, said):
 
 def test_of_nothing_nothing_is_said():
     assert verdict_on_selection(()) is None
-    assert verdict_on_selection((), confined=True).label == "given"
+
+
+def test_what_nobody_marked_is_called_by_its_colour():
+    red = Instruction("paint", Thing("whole", part=Colour("red", (1, 0, 0))))
+    by_colour = SelectedRegions(MASKS[None, :, 0], instructions=(red,))
+    assert str(by_colour.verdict) == "given, what is red"
+    handed_over = SelectedRegions(MASKS[None, :, 0])
+    assert str(handed_over.verdict) == "given, what is marked"

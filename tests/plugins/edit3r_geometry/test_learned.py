@@ -2,16 +2,29 @@
 ones are.
 """
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 from edit3r_geometry import features
 from edit3r_geometry.cameras import calibrated_images
-from edit3r_geometry.features import FeatureSettings, find_features
+from edit3r_geometry.features import (
+    FeatureSettings,
+    FoundFeatures,
+    find_features,
+    with_learned,
+)
 from edit3r_geometry.keypoints import Keypoints
 from edit3r_geometry.learned import LearnedFeatures
+from edit3r_geometry.matchers import ClassicalMatcher, _Registered
 
-from edit3r.contract.errors import InputError, MissingDependencyError
+from edit3r.contract.errors import (
+    InputError,
+    MatchingError,
+    MissingDependencyError,
+)
 
 
 @pytest.fixture(scope="module")
@@ -139,3 +152,42 @@ def test_a_file_that_holds_something_else_is_said(weights, tmp_path):
     (tmp_path / "aliked-n16.pth").write_bytes(b"no weights")
     with pytest.raises(InputError, match=r"aliked-n16.pth: cannot be read as weights"):
         LearnedFeatures.load(tmp_path, 64)
+
+
+def placed(features, lenses, registered=(True, True)):
+    """What a matcher found: which photos it placed, and what lenses explain them alike."""
+    registration = SimpleNamespace(registered=np.array(registered))
+    return _Registered((), features, registration, None, lenses)
+
+
+@pytest.mark.parametrize(
+    "answer, taken",
+    [
+        (placed(None, None), True),
+        (placed(None, None, (True, False)), False),
+        (MatchingError("nothing agrees"), False),
+    ],
+    ids=["tells the lens", "loses a photo", "places nothing"],
+)
+def test_photos_whose_lens_sift_does_not_tell_are_matched_by_learned_features_too(
+    pair, monkeypatch, answer, taken
+):
+    monkeypatch.setattr(features, "at_hand", lambda _: "weights")
+    monkeypatch.setattr(
+        features, "_with_learned", lambda found, *_: replace(found, helper="learned")
+    )
+    first = placed(None, (30.0, 70.0))
+    monkeypatch.setattr(
+        ClassicalMatcher,
+        "_attempt",
+        lambda self, views, images, found: answer if found.helper else first,
+    )
+    few = ClassicalMatcher.Settings(keypoints=300, detection_size=128)
+    monkeypatch.setattr(features, "_loose_pairs", lambda found: [])
+    found = ClassicalMatcher(few).register(pair.views, 0)
+    assert (found is answer) == taken and (found is first) != taken
+
+
+def test_what_sift_alone_was_asked_for_is_not_helped():
+    found = FoundFeatures((), {})
+    assert with_learned(found, [], settings(matches="sift")) is found

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import yaml
 from edit3r_language.grammar import GrammarReader
-from edit3r_language.vocabulary import LOOKS
+from edit3r_language.vocabulary import WORDS
 
 from edit3r.contract.errors import PromptError
 
@@ -25,7 +25,7 @@ SENTENCES = [
 
 def not_understood(instruction) -> tuple[str, ...]:
     """Words of an instruction that nobody understands; a look that no editor has is one, too."""
-    if instruction.look and not set(instruction.look.split()) & LOOKS:
+    if instruction.look and not set(instruction.look.split()) & WORDS.looks:
         return tuple(instruction.look.split())
     return instruction.unread
 
