@@ -123,7 +123,9 @@ def limits_of_scenes(rows: Sequence[Row]) -> Limits:
 
 
 def limits_of_parts(rows: Sequence[Row]) -> Limits:
-    """Half-way between sound parts and those that are broken so much that one sees it."""
+    """Half-way between sound parts and those that are broken so much that one sees it; sound ones
+    count three times: there is one beside many broken ones, and nobody likes to be blamed.
+    """
     sound = [row["figures"] for row in rows if not row["strength"]]
     broken = [row for row in rows if row["strength"] >= MUST]
     bad: dict[str, list[float]] = {"geometry": [], "reference": [], "flat": []}
@@ -136,7 +138,7 @@ def limits_of_parts(rows: Sequence[Row]) -> Limits:
             # as if the run's geometry were so, and not what was made of it
             bad["flat"].append(figures["flat"] * figures["geometry"])
     return {
-        name: between([one[name] for one in sound if one[name] is not None], values)
+        name: between([one[name] for one in sound if one[name] is not None], values, 3)
         for name, values in bad.items()
     }
 

@@ -89,10 +89,10 @@ def _label(
 
     def holds(label: Label) -> bool:
         limit = limits[label]
-        agrees = worst >= limit["agreement"] and bad <= limit["half_way"]
-        return agrees and left_out <= limit["left_out"] * count
+        return bad <= limit["half_way"] and left_out <= limit["left_out"] * count
 
-    label = next(filter(holds, LABELS[:-1]), LABELS[-1])
+    alike = worst >= limits["agreement"]
+    label = next(filter(holds, LABELS[:-1]), LABELS[-1]) if alike else LABELS[-1]
     if doubt is not None:
         label = max(label, doubt.best, key=LABELS.index)
     sharp = sum(psnr) / len(psnr)
@@ -101,7 +101,7 @@ def _label(
     if label == "good":
         return label, f"{shown}.", None
     blamed = names[evidence.index(worst)]
-    if worst < limits["fair"]["agreement"]:
+    if not alike:
         shown += f", and {blamed} hardly at all"
     if left_out:
         shown += f"; {left_out} of {count} photos could not be placed"
@@ -113,7 +113,7 @@ def _label(
             f"picture is guessed, since no photo shows it well enough, and {off:.0%} looks like no "
             "photo"
         )
-        if worst >= limits[LABELS[LABELS.index(label) - 1]]["agreement"]:
+        if alike:
             blamed = names[view]
     if doubt is not None:
         return label, f"{shown}; {doubt.clause}.", doubt.part
