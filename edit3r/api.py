@@ -20,6 +20,7 @@ from edit3r.contract.settings import PartChoice
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Cameras, Views
 from edit3r.kit.cache import Cache
+from edit3r.kit.photos.coverage import temporary_photos
 from edit3r.kit.photos.in_memory import Pictures, as_files
 from edit3r.loading.registry import Registry
 from edit3r.running.config import PART_KEYS, make_run_config
@@ -35,6 +36,7 @@ Files = str | Path | Sequence[str | Path]
 
 
 @in_usual_torch
+@temporary_photos()
 def run(
     photos: Views | Pictures = (),
     prompt: str | None = None,
@@ -120,7 +122,7 @@ def run(
         result = run_job(job, registry, own_report)
     if report is None and not progress:
         for text in own_report.warnings:
-            warnings.warn(text, stacklevel=3)  # of the caller, past the decorator
+            warnings.warn(text, stacklevel=4)  # of the caller, past the decorators
     return result
 
 

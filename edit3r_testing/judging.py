@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 
-from edit3r.contract.instructions import Instruction, Thing
+from edit3r.contract.instructions import Instruction, Target
 from edit3r.contract.interfaces import Critic, EditToJudge, SceneToJudge, Selected
 from edit3r.contract.types import Rendering, Views
 from edit3r.contract.verdicts import LABELS, EditVerdict, Verdict
@@ -16,7 +16,7 @@ from edit3r_testing.contract import Contract
 from edit3r_testing.scenes import gaussian_cloud, true_geometry
 
 PLACED = (True, False, True)  # of the photos that were used
-INSTRUCTION = Instruction("other", Thing("marked"))
+INSTRUCTION = Instruction("other", Target("marked"))
 
 
 class CriticContract(Contract):

@@ -4,7 +4,7 @@ from contextlib import suppress
 from typing import ClassVar
 
 from edit3r.contract.errors import PromptError
-from edit3r.contract.instructions import Instruction, Thing
+from edit3r.contract.instructions import Instruction, Target
 from edit3r.contract.interfaces import Reader
 from edit3r.kit.checks import check_instructions
 from edit3r_testing.contract import Contract
@@ -18,7 +18,7 @@ class ReaderContract(Contract):
 
     kind = "reader"
     subject: Reader
-    thing: ClassVar[str] = "the wall"  # as its language names one
+    target: ClassVar[str] = "the wall"  # as its language names one
 
     def read(self, text: str) -> tuple[Instruction, ...]:
         """The instructions of a text, checked as every run does. Raises PromptError for none."""
@@ -78,16 +78,16 @@ class ReaderContract(Contract):
     def test_reads_a_thing_alone(self) -> None:
         """As it stands after `--thing`: "the left cup"."""
         named = self.call(
-            "read_thing()", self.subject.read_thing, self.thing, returns=Thing
+            "read_target()", self.subject.read_target, self.target, returns=Target
         )
         self.require(
             named.name or named.scope != "named",
-            f"read_thing({self.thing!r}) has no name; name what segmenters shall look for.",
+            f"read_target({self.target!r}) has no name; name what segmenters shall look for.",
         )
 
     def test_hints_end_an_error(self) -> None:
         instruction = Instruction(
-            "other", Thing(), text=NO_WORDS, unread=tuple(NO_WORDS.split())
+            "other", Target(), text=NO_WORDS, unread=tuple(NO_WORDS.split())
         )
         hint = self.call("hint()", self.subject.hint, instruction, returns=str)
         self.require(

@@ -201,6 +201,7 @@ def _with_edits_kept(error: Exception, out: Path, edited: "Views") -> Edit3rErro
 
 def _check_preview(file: Path, photos: list[str]) -> None:
     """Raise InputError for a file that would be no image, or that is one of the photos."""
+    from edit3r.kit.photos.coverage import temporary_photos
     from edit3r.kit.photos.images import find_photos
 
     if file.suffix.lower() not in (".png", ".jpg", ".jpeg", ".webp"):
@@ -208,7 +209,8 @@ def _check_preview(file: Path, photos: list[str]) -> None:
             f"--preview {file}: expected the name of an image, such as look.png."
         )
     if file.exists() and photos:
-        used = {photo.resolve() for photo in find_photos(photos)}
+        with temporary_photos():
+            used = {photo.resolve() for photo in find_photos(photos)}
         if file.resolve() in used:
             raise InputError(
                 f"--preview {file}: this is one of the photos; give another name."

@@ -13,15 +13,15 @@ Action = Literal["paint", "look", "remove", "other"]
 Scope = Literal["named", "marked", "whole", "background", "region"]
 Finish = Literal["", "matte", "metallic"]
 EVERY = frozenset(("all", "both", "every", "each", "two", "three", "four", "five"))
-"""Words of `Thing.which` that mean every thing of its name."""
+"""Words of `Target.qualifiers` that mean every thing of its name."""
 
 FLOOD = frozenset(
     ("whole", "entire", "completely", "fully", "entirely", "totally", "wholly")
 )
-"""Words of `Thing.which` that want all of a thing painted, its neutral parts too."""
+"""Words of `Target.qualifiers` that want all of a thing painted, its neutral parts too."""
 
 BENEATH = "under it"
-"""`Thing.of` of what the instruction's own thing stands on, whose colour it may take."""
+"""`Target.of` of what the instruction's own thing stands on, whose colour it may take."""
 
 Box = tuple[float, float, float, float]
 
@@ -35,7 +35,7 @@ class Colour:
 
 
 @dataclass(frozen=True)
-class Thing:
+class Target:
     """What an instruction is about."""
 
     # named: by `name`; marked: what the user marked, or what stands out; whole: all of the image;
@@ -43,7 +43,7 @@ class Thing:
     scope: Scope = "marked"
     name: str = ""  # "motorcycle", "old door"
     # what picks it among several: "left", "big", "red", "all"
-    which: tuple[str, ...] = ()
+    qualifiers: tuple[str, ...] = ()
     of: str = ""  # the whole that it is a part of: "tank of the motorcycle"
     part: Colour | None = None  # only its pixels near this colour
     # of a region, on the first photo: left, top, width, height [shares of its sides]
@@ -58,7 +58,10 @@ class Thing:
         if self.scope == "whole" and self.part is not None:
             return f"what is {self.part.name}"
         plain = {"marked": "it", "named": ""}.get(self.scope, self.scope)
-        words = [*self.which, plain if self.scope == "whole" else self.name or plain]
+        words = [
+            *self.qualifiers,
+            plain if self.scope == "whole" else self.name or plain,
+        ]
         text = " ".join(words) + (f" ({self.of})" if self.of else "")
         return text if self.part is None else f"{text} where it is {self.part.name}"
 
@@ -85,7 +88,7 @@ class Change:
     kind: ChangeKind
     colour: Colour | None = None  # of paint and tint
     # of paint: the thing whose colour it takes; `colour` is then measured on the photos
-    like: Thing | None = None
+    like: Target | None = None
     material: str = ""  # of paint: what it shall look like, such as "gold"
     finish: Finish = ""  # of paint: how its light shall be
     # of paint, "a darker green": darker than the thing is now (-1), or lighter (1)
@@ -96,8 +99,8 @@ class Change:
     def __str__(self) -> str:
         if self.like is not None:
             hue = "colour" if self.like.part is None else self.like.part.name
-            thing = replace(self.like, part=None)
-            return f"the {hue} of {thing}" + _measured(self.colour)
+            target = replace(self.like, part=None)
+            return f"the {hue} of {target}" + _measured(self.colour)
         if self.colour is not None and self.kind == "paint":
             return f"{self.finish} {self.colour.name}".strip()
         if self.colour is not None:
@@ -121,10 +124,10 @@ class Instruction:
     """One thing, and what shall happen to it."""
 
     action: Action
-    thing: Thing
+    target: Target
     changes: tuple[Change, ...] = ()  # of the action paint, in order
     look: str = ""  # of the action look: its word, such as "sketch"
-    without: tuple[Thing, ...] = ()  # what stays as it is
+    without: tuple[Target, ...] = ()  # what stays as it is
     text: str = ""  # the words of the sentence that ask for it
     unread: tuple[str, ...] = ()  # those among them that nobody understood
     left_out: tuple[str, ...] = ()  # understood, but nobody here can do it: "glossy"
@@ -139,8 +142,8 @@ class Instruction:
             if change.kind in ("paint", "tint") and not (change.colour or change.like):
                 return f"is to {change.kind}, and names no colour"
         likes = (change.like for change in self.changes if change.like is not None)
-        for thing in (self.thing, *self.without, *likes):
-            if (thing.scope == "region") != (thing.box is not None):
+        for target in (self.target, *self.without, *likes):
+            if (target.scope == "region") != (target.box is not None):
                 return "is about a place of the picture without a box, or has a box without one"
         return ""
 
@@ -148,6 +151,6 @@ class Instruction:
         what = ", ".join(map(str, self.changes)) or self.look or self.action
         if self.action == "other":
             return repr(self.text)
-        kept = "".join(f" without {thing}" for thing in self.without)
+        kept = "".join(f" without {target}" for target in self.without)
         left = f" ({', '.join(self.left_out)} is left out)" if self.left_out else ""
-        return f"{self.thing}{kept}: {what}{left}"
+        return f"{self.target}{kept}: {what}{left}"

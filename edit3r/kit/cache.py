@@ -91,7 +91,7 @@ class Cache:
             content = json.loads(bytes(tensors.pop("tree").tolist()))
             tree = content["tree"]
             if fingerprint(tree, tensors) != content["checksum"]:
-                raise ValueError("its checksum is another one")
+                raise ValueError("its checksum does not match")
             _unpack(tree, tensors)
         except Exception as error:  # safetensors has no error class of its own
             reason = " ".join(str(error).split())

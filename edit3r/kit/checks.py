@@ -96,8 +96,8 @@ def check_needs(writer: Writer, scene: SceneToWrite) -> None:
     lacking = [name for name in writer.needs if getattr(scene, name) in (None, "", ())]
     if lacking:
         raise InputError(
-            f"{component_name(writer)} needs {' and '.join(lacking)}, which this scene has not; "
-            "write it of the folder of a run."
+            f"{component_name(writer)} needs {' and '.join(lacking)}, which this scene does not "
+            "have; give the folder of a run."
         )
 
 
@@ -431,7 +431,7 @@ def require_matchable(views: Views, least_size: int) -> None:
     if min(views.image_size) < least_size:
         height, width = views.image_size
         raise MatchingError(
-            f"the photos have {width} x {height} pixels, too few to match; "
+            f"the photos have {width} x {height} pixels, too small to match; "
             f"give photos of at least {least_size} pixels a side."
         )
 
@@ -442,7 +442,7 @@ def require_geometry(
     """For reconstructors that use geometry: raise InputError where the caller gives none."""
     if geometry is None:
         raise InputError(
-            f"reconstructor {component_name(reconstructor)!r} uses geometry, and none was given; "
-            'hand over a matcher\'s: edit3r.build("matcher", "auto").match(source).'
+            f"reconstructor {component_name(reconstructor)!r} needs geometry, and none was given; "
+            'pass that of a matcher: edit3r.build("matcher", "auto").match(source).'
         )
     return geometry

@@ -307,8 +307,8 @@ def _default_name(key: str) -> str:
     """The component whose settings are meant where none is named."""
     if key == "editor":
         raise SettingsError(
-            "run.editor: settings without an editor, which is chosen by what the prompt asks; name "
-            f"one too: --editor {DEFAULTS[key]}."
+            "run.editor: settings were given, but no editor, and the prompt decides which one is "
+            f"used; name it too, such as --editor {DEFAULTS[key]}."
         )
     return DEFAULTS[key]
 

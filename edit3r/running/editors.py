@@ -198,8 +198,8 @@ def read(prompt: str, reader: Reader | None = None) -> tuple[Instruction, ...]:
     reader = reader or usual_reader()
     if not prompt.strip():
         raise PromptError(
-            "nothing is asked for; say it with --prompt, or take --editor none for the photos as "
-            f"they are. {reader.abilities}"
+            "there is nothing to do; say what to change with --prompt, or keep the photos as they "
+            f"are with --editor none. {reader.abilities}"
         )
     with errors_named_after(reader):
         instructions = reader.read(prompt)

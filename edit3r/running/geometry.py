@@ -59,7 +59,10 @@ class GeometryAnswer:
     def trusted(self) -> Geometry | None:
         """The geometry to select by; where it cannot be trusted, the user is told why."""
         if self.problem:
-            warn(f"selecting goes by what the photos show alone: {self.problem}")
+            warn(
+                "only what the photos show is used to select, not where they were taken: "
+                f"{self.problem}"
+            )
             return None
         return self.geometry
 

@@ -87,7 +87,7 @@ class Quality(Settings):
             if point.preset == name:
                 return point
         raise SettingsError(
-            f"--quality {name}: no such preset was measured; see docs/tradeoff.md."
+            f"--quality {name}: there is no measured preset of that name; see docs/tradeoff.md."
         )
 
 

@@ -128,7 +128,7 @@ class SelectedRegions:
     @property
     def verdict(self) -> SelectionVerdict | None:
         """What was selected and how likely it is what was meant; None: nothing was looked for."""
-        said = dict.fromkeys(str(one.thing) for one in self.instructions)
+        said = dict.fromkeys(str(one.target) for one in self.instructions)
         exactly = "; ".join(said) or MARKED
         return verdict_on_selection(self.selected, exactly if self.confined else "")
 
@@ -278,7 +278,7 @@ def verdict_on_selection(
     """
     if not things:
         return SelectionVerdict("given", exactly, None) if exactly else None
-    listed = "; ".join(dict.fromkeys(_said(one) for one in things))
+    listed = "; ".join(dict.fromkeys(_in_words(one) for one in things))
     open_ones = [one for one in things if _confidence(one) is not None]
     if not open_ones:
         return SelectionVerdict("given", listed, None)
@@ -299,7 +299,7 @@ def _confidence(one: Selected) -> float | None:
     return None if one.taken > 1 else one.confidence
 
 
-def _said(one: Selected) -> str:
+def _in_words(one: Selected) -> str:
     """A thing as people say it, how confidently it was found, and the photos that lack it."""
     name = one.called or MARKED
     confidence = _confidence(one)

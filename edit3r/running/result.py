@@ -201,8 +201,8 @@ class RunResult:
         return draw_sheet(columns, names=names, subtitle="; ".join(lines))
 
     def __repr__(self) -> str:
-        made = f"{self.gaussians.count:,} Gaussians from {self.photos.count} photos"
-        return f"RunResult({self.verdict.label}: {made}, {self.config.prompt!r})"
+        scene = f"{self.gaussians.count:,} Gaussians from {self.photos.count} photos"
+        return f"RunResult({self.verdict.label}: {scene}, {self.config.prompt!r})"
 
     @in_usual_torch
     def _repr_html_(self) -> str:
@@ -311,7 +311,9 @@ def _flight(folder: RunFolder, result: RunResult) -> Flight:
         result.rendered,
         result.config.frames,
     )
-    pictures = folder.made("renders") if "frames" in result.config.written else None
+    pictures = (
+        folder.subfolder("renders") if "frames" in result.config.written else None
+    )
     return Flight(result.rasterizer, result.gaussians, path, pictures)
 
 
@@ -351,22 +353,22 @@ def _about(result: RunResult) -> str:
     return line
 
 
-def preview_sheet(made: Preview, prompt: str) -> Image.Image:
+def preview_sheet(preview: Preview, prompt: str) -> Image.Image:
     """The sheet of what `edit3r.running.loop.preview` returns: photos with the outline of what is
     selected, and the 2D edit.
     """
-    photos, masks = made.inputs.photos, made.selection.masks
+    photos, masks = preview.inputs.photos, preview.selection.masks
     outlined = outlined_views(images_of(photos), None if masks is None else masks[0])
     columns = {"photo": outlined}
-    if made.edit is not None:
-        columns["2D edit"] = images_of(made.edit.views)
+    if preview.edit is not None:
+        columns["2D edit"] = images_of(preview.edit.views)
     sheet = draw_sheet(
         columns,
         names=photos.names,
         title=prompt or "no prompt",
-        subtitle=_preview_line(made),
+        subtitle=_preview_line(preview),
     )
-    readings = _other_readings(made.selection.selected, photos)
+    readings = _other_readings(preview.selection.selected, photos)
     return with_readings(sheet, readings)
 
 
@@ -390,10 +392,10 @@ def _chosen_by(reading: Reading, selected: Selected) -> str:
     return f"--reading {reading.number}{taken}"
 
 
-def _preview_line(made: Preview) -> str:
+def _preview_line(preview: Preview) -> str:
     line = "preview: nothing is reconstructed yet"
-    edit = None if made.edit is None else made.edit.verdict
-    return line + _answers(made.selection, edit)
+    edit = None if preview.edit is None else preview.edit.verdict
+    return line + _answers(preview.selection, edit)
 
 
 def _answers(selection: SelectedRegions, edit: EditVerdict | None) -> str:

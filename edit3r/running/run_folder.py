@@ -97,7 +97,7 @@ class RunFolder:
         self.manifest = root / "run.json"  # how the run was made
         self.cache = root / CACHE
 
-    def made(self, name: Literal["inputs", "edited", "renders", "masks"]) -> Path:
+    def subfolder(self, name: Literal["inputs", "edited", "renders", "masks"]) -> Path:
         """The folder of photos as they were used, 2D edits, images of the scene, or masks of what
         was named (a folder for each); made when asked for.
         """
@@ -212,7 +212,7 @@ class RunFolder:
             masks = self._images(f"masks/{place}", photos.names)[0, :, 0]
             if tuple(masks.shape[1:]) != photos.image_size:
                 raise ValueError(
-                    f"masks/{place} has masks of another size than the photos"
+                    f"masks/{place} has masks that differ in size from the photos"
                 )
             things[name] = masks
         return things
@@ -230,9 +230,9 @@ class RunFolder:
         a further edit knows by these names.
         """
         shown = {
-            self.made("inputs"): images_of(photos),
-            self.made("edited"): images_of(edited),
-            self.made("renders"): images_of(rendered),
+            self.subfolder("inputs"): images_of(photos),
+            self.subfolder("edited"): images_of(edited),
+            self.subfolder("renders"): images_of(rendered),
         }
         jobs = [
             (picture, directory / f"{name}.png")
@@ -242,7 +242,7 @@ class RunFolder:
         with ThreadPoolExecutor(os.cpu_count()) as pool:  # coding runs outside the GIL
             list(pool.map(lambda job: save_image(*job), jobs))
         for place, masks in enumerate(things.values()):
-            folder = self.made("masks") / str(place)
+            folder = self.subfolder("masks") / str(place)
             folder.mkdir()
             for name, mask in zip(photos.names, masks):
                 save_pixels(to_bytes(mask.expand(3, -1, -1)), folder / f"{name}.png")

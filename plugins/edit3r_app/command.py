@@ -33,6 +33,7 @@ class AppCommand(Command):
         add("--size", type=int, default=512, metavar="N", help=about)
 
     def main(self, args: argparse.Namespace) -> int:
+        from edit3r.kit.photos.coverage import temporary_photos
         from edit3r.kit.photos.images import find_photos
         from edit3r_app.jobs import JobsFolder
 
@@ -40,22 +41,23 @@ class AppCommand(Command):
             raise InputError(
                 "--size: expected 8 to 8192 pixels; --port: expected 0 to 65535."
             )
-        photos = find_photos(args.photos) if args.photos else []
         host = LOCAL[0] if args.host == "localhost" else args.host
-        port = free_port(host, args.port)
-        folder = JobsFolder(args.jobs)
         # No process that this one starts looks for modules in the current folder.
         os.environ["PYTHONSAFEPATH"] = "1"
         from edit3r_app.server import serve
         from edit3r_app.uploads import copied
 
+        start = "/"
+        with temporary_photos():
+            photos = find_photos(args.photos) if args.photos else []
+            port = free_port(host, args.port)
+            folder = JobsFolder(args.jobs)
+            if photos:
+                name = Path(args.photos[0]).resolve().stem
+                start = f"/s/{quote(copied(folder, name, photos))}"
         token = None
         if host not in LOCAL:
             token = os.environ.get("EDIT3R_APP_TOKEN") or secrets.token_urlsafe(24)
-        start = "/"
-        if photos:
-            name = Path(args.photos[0]).resolve().stem
-            start = f"/s/{quote(copied(folder, name, photos))}"
         serve(
             folder,
             host=host,

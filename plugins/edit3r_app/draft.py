@@ -122,7 +122,7 @@ class Draft:
                 if mark.photo in views.names:
                     yield views.names.index(mark.photo), mark
 
-        thing = usual_reader().read_thing(self.words)
+        thing = usual_reader().read_target(self.words)
         return Selection(
             positive=tuple((view, *mark.places[0]) for view, mark in of("add")),
             negative=tuple((view, *mark.places[0]) for view, mark in of("remove")),
@@ -132,7 +132,7 @@ class Draft:
             regions=tuple((view, _box(mark)) for view, mark in of("exact")),
             removed=_painted([*of("erase"), *of("carve")], views.image_size),
             words=thing.name,
-            which=thing.which,
+            qualifiers=thing.qualifiers,
             larger=self.outline["larger"],
             reading=self.outline["reading"],
         )

@@ -20,7 +20,7 @@ NOT_IN_FORM = (
     *CHOSEN,
     *BESIDE_THE_PHOTO,
     *Draft().outline,
-    *("prompt", "quality", "size", "writer"),
+    *("prompt", "quality", "size", "writer", "guess"),
 )
 """Settings of a run that have a place of their own, or that masks were made for."""
 WHO = {

@@ -35,9 +35,9 @@ from edit3r_app.essentials import Essentials
 from edit3r_app.flights import film
 from edit3r_app.guard import Guard
 from edit3r_app.jobs import KINDS, JobsFolder
-from edit3r_app.looking import Looker
 from edit3r_app.made_scenes import offered_scenes, photo_of
 from edit3r_app.phone import phone_link
+from edit3r_app.preview_service import PreviewService
 from edit3r_app.runner import Runner
 from edit3r_app.studio import Studio
 from edit3r_app.wording import in_app
@@ -99,7 +99,7 @@ def make_app(
     `place` is the host and port that it listens on.
     """
     runner = Runner(folder)
-    looker = Looker(folder, default_registry(), size)
+    previews = PreviewService(folder, default_registry(), size)
 
     @asynccontextmanager
     async def running(_: Starlette) -> AsyncIterator[None]:
@@ -110,7 +110,7 @@ def make_app(
 
     guard = Middleware(Guard, token=token, max_bytes=uploads.MAX_BYTES)
     refusals = {Edit3rError: refused, OSError: refused}
-    studio = Studio(folder, runner, looker, Drawing(folder, default_registry()))
+    studio = Studio(folder, runner, previews, Drawing(folder, default_registry()))
     app = Starlette(
         routes=Answers(studio, place, token).routes(),
         middleware=[guard],
@@ -137,7 +137,7 @@ class Answers:
         self.studio = studio
         self.place, self.token = place, token
         self.folder = studio.folder
-        self.looker = studio.looker
+        self.previews = studio.previews
         self.essentials = Essentials(studio.renew)
 
     def routes(self) -> list[Route | Mount]:
@@ -259,22 +259,24 @@ class Answers:
     def photo(self, request: Request) -> Response:
         shown = "shown" in request.query_params
         state, name = _named(request, *PHOTO)
-        return _jpeg(self.looker.photo(state, name, shown))
+        return _jpeg(self.previews.photo(state, name, shown))
 
     def overlay(self, request: Request) -> Response:
         state, draft, name = self._drafted(request)
         line = "line" in request.query_params
-        return _png(self.looker.overlay(state, draft, name, line))
+        return _png(self.previews.overlay(state, draft, name, line))
 
     def edited(self, request: Request) -> Response:
         """The 2D edit of one photo, before anything is made."""
         found = "found" in request.query_params
-        return _jpeg(self.looker.edited(*self._drafted(request), found))
+        return _jpeg(self.previews.edited(*self._drafted(request), found))
 
     def candidate(self, request: Request) -> Response:
         state, name = _named(request, *PHOTO)
         self.folder.path(state)
-        return _jpeg(self.looker.candidate(state, name, request.path_params["number"]))
+        return _jpeg(
+            self.previews.candidate(state, name, request.path_params["number"])
+        )
 
     def pointed(self, request: Request) -> Response:
         """What is pointed at on one photo; with `mark`, as if that mark were made as well.
@@ -289,13 +291,13 @@ class Answers:
                 draft.take(made)
         made_so = "made" in request.query_params
         line = (bool(mark) and not made_so) or "line" in request.query_params
-        return _png(self.looker.pointed(state, draft, name, line=line))
+        return _png(self.previews.pointed(state, draft, name, line=line))
 
     def reading(self, request: Request) -> Response:
         state, number = request.path_params["state"], request.path_params["number"]
         self.folder.path(state)
         draft = read_draft(self.folder, state)
-        return _jpeg(self.looker.reading(state, draft, number))
+        return _jpeg(self.previews.reading(state, draft, number))
 
     def _drafted(self, request: Request) -> tuple[str, Draft, str]:
         """The state, its draft and the photo that an address names."""

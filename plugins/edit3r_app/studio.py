@@ -18,11 +18,12 @@ from edit3r_app.draft import MARK, STEP, Draft, read_draft, write_draft
 from edit3r_app.drawing import Drawing
 from edit3r_app.forms import run_settings, set_by_hand, settings_form
 from edit3r_app.jobs import PREVIEW, AppJob, JobsFolder, manifest_of, tree
-from edit3r_app.looking import BeingRead, DraftAnswer, Looker
 from edit3r_app.made_scenes import open_made
 from edit3r_app.objects import DRAWN, MARKED, objects_of, read_action
+from edit3r_app.preview_service import DraftAnswer, PreviewService
 from edit3r_app.progress import read_progress, time_left
 from edit3r_app.runner import Runner
+from edit3r_app.sessions import Progress
 from edit3r_app.wording import in_app
 
 SAY = "Say what to change first, such as: paint it golden."
@@ -38,17 +39,17 @@ class Studio:
 
     folder: JobsFolder
     runner: Runner
-    looker: Looker
+    previews: PreviewService
     drawing: Drawing
 
     def renew(self) -> None:
         """Answer anew from now on: other weights are on this machine."""
-        self.looker.renew()
+        self.previews.renew()
         self.runner.renew()
 
     def prepare(self) -> None:
         """Load what somebody who sees the first page will need next."""
-        self.looker.prepare()
+        self.previews.prepare()
         self.runner.make_ready()
 
     # ---- what there is ----
@@ -87,7 +88,7 @@ class Studio:
 
     def made(self, name: str) -> dict[str, Any]:
         """A scene to try; see `open_made`."""
-        return open_made(self.folder, name, self.looker.size)
+        return open_made(self.folder, name, self.previews.size)
 
     def scene(self, scene: str, at: str) -> dict[str, Any]:
         """All that the page of a scene shows at one of its states."""
@@ -103,7 +104,7 @@ class Studio:
         history = folder.history(scene)
         at_rest = waits or by_hand
         self._leave_at(scene, state)
-        reading = BeingRead(by_hand, by_hand) if at_rest else self.looker.begin(state)
+        reading = Progress(by_hand, by_hand) if at_rest else self.previews.begin(state)
         if is_run and reading.photos:  # nothing else is waited for
             self.runner.make_ready()
         return {
@@ -172,7 +173,7 @@ class Studio:
 
     def _drawn(self, draft: Draft, state: str) -> dict[str, Any]:
         """A draft as the page draws it, and the version that images are asked for by."""
-        located = self.looker.is_located(state)
+        located = self.previews.sessions.is_located(state)
         version = zlib.crc32(f"{draft.as_json()}{located}".encode())
         return {
             **asdict(draft),
@@ -207,7 +208,7 @@ class Studio:
         before = read_draft(self.folder, state)
         drawn = self.change(state, {"do": "step", "value": ["larger", value]})
         after = read_draft(self.folder, state)
-        if self.looker.changes(state, before, after):
+        if self.previews.changes(state, before, after):
             return drawn
         if read_draft(self.folder, state) == after:  # meanwhile nothing else was said
             write_draft(self.folder, state, before)
@@ -220,7 +221,7 @@ class Studio:
         draft = read_draft(self.folder, state)
         if draft.selects or draft.form.get("prompt"):
             self.runner.make_ready()
-        look = self.looker.look(
+        look = self.previews.look(
             state, draft, lambda: read_draft(self.folder, state) == draft
         )
         return {
@@ -228,7 +229,7 @@ class Studio:
             "understood": look.understood,
             "problem": in_app(look.problem),
             "asks": look.asks,
-            "told": [in_app(text) for text in look.told],
+            "told": [in_app(text) for text in look.messages],
             "confidence": look.confidence,
             "sure": look.is_sure,
             "selected": look.masks is not None,
@@ -239,13 +240,13 @@ class Studio:
     def candidates(self, state: str, name: str) -> list[dict[str, Any]]:
         """The marks that take what may be meant on a photo; pictures are asked for by number."""
         self._is_state(state)
-        return [asdict(mark) for mark, _ in self.looker.candidates(state, name)]
+        return [asdict(mark) for mark, _ in self.previews.candidates(state, name)]
 
     def verdict(self, state: str) -> dict[str, str] | None:
         """What the 2D edit of a quick editor is worth; None of others."""
         self._is_state(state)
         draft = read_draft(self.folder, state)
-        judged = self.looker.edit_verdict(self.looker.look(state, draft))
+        judged = self.previews.edit_verdict(self.previews.look(state, draft))
         if judged is None:
             return None
         return {"label": judged.label, "reason": in_app(judged.reason)}
@@ -253,7 +254,7 @@ class Studio:
     def settings(self, state: str) -> list[dict[str, Any]]:
         """The settings of a state's draft as groups of fields."""
         self._is_state(state)
-        return settings_form(read_draft(self.folder, state), self.looker.registry)
+        return settings_form(read_draft(self.folder, state), self.previews.registry)
 
     # ---- edits ----
 
@@ -262,15 +263,15 @@ class Studio:
         state = self._state(scene, at)
         self.change(state, {"do": "say", "value": sentence})
         draft = read_draft(self.folder, state)
-        look = self.looker.look(state, draft)
+        look = self.previews.look(state, draft)
         if look.job is None:
             raise InputError(look.problem or SAY)
         job = AppJob(
             name="",
             scene=scene,
             parent=state if self.folder.is_run(state) else "",
-            settings=run_settings(draft, self.looker.registry),
-            size=self.looker.size,
+            settings=run_settings(draft, self.previews.registry),
+            size=self.previews.size,
         )
         return self._queued(job, look)
 
@@ -284,7 +285,7 @@ class Studio:
         if action.action in DRAWN or (is_marked and self.drawing.is_drawn(state)):
             drawn = self.drawing.file(state)
         elif is_marked:
-            masks = self.looker.look(state, read_draft(self.folder, state)).marked
+            masks = self.previews.look(state, read_draft(self.folder, state)).marked
             if masks is None:
                 raise InputError("point at the thing first, then give it a name.")
         job = AppJob(
@@ -302,10 +303,10 @@ class Studio:
         return self.drawing.change(run, asked)
 
     def _queued(self, job: AppJob, look: DraftAnswer) -> str:
-        known = None if job.parent else self.looker.keep_answers(job.scene)
+        known = None if job.parent else self.previews.sessions.keep(job.scene)
         masks = () if look.marked is None else look.marked
         job = self.folder.new_job(job, masks, known)
-        self.looker.begin_preview(look, job.name)
+        self.previews.begin_preview(look, job.name)
         return job.name
 
     def take_out(self, scene: str, photo: str) -> None:
@@ -318,7 +319,7 @@ class Studio:
         states = [scene, *(job.name for job in self.folder.history(scene))]
         self.folder.delete(scene)
         for state in states:
-            self.looker.forget(state)
+            self.previews.sessions.forget(state)
 
     def files(self, run: str) -> list[dict[str, Any]]:
         """What there is to download of a run."""

@@ -18,7 +18,7 @@ from pathlib import Path
 from edit3r.contract.errors import Edit3rError, InputError
 from edit3r.kit.files.atomic import sha256_of
 from edit3r.kit.files.names import unique_names
-from edit3r.kit.photos.coverage import VIDEO_SUFFIXES, take_frames
+from edit3r.kit.photos.coverage import VIDEO_SUFFIXES, take_frames, temporary_photos
 from edit3r.kit.photos.decode import READABLE, decode
 from edit3r.kit.photos.images import SUFFIXES
 from edit3r_app.jobs import JobsFolder
@@ -86,6 +86,7 @@ async def receive(
         return await asyncio.to_thread(accept, folder, scene, name, draft)
 
 
+@temporary_photos()
 def accept(folder: JobsFolder, scene: str, name: str, draft: Path) -> Path:
     """Keep the file `draft` as a photo of the scene; of a video the frames `edit3r run` would use.
 

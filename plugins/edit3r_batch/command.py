@@ -225,7 +225,7 @@ def _print_progress(progress: "Progress") -> None:
         if "failure" in row
         else f"{row['verdict']}, {row['psnr']:.1f} dB"
     )
-    line, changes = progress.said(what), sys.stderr.isatty()
+    line, changes = progress.line(what), sys.stderr.isatty()
     end = "" if changes and progress.done < progress.total else "\n"
     print(f"\r\x1b[K{line}" if changes else line, end=end, file=sys.stderr, flush=True)
 

@@ -17,7 +17,6 @@ from edit3r.contract.settings import PartChoice
 from edit3r.contract.verdicts import Label
 from edit3r.kit.files.atomic import MARKER, atomic_folder
 from edit3r.kit.files.text import read_json
-from edit3r.kit.photos.coverage import frames_kept_for
 from edit3r.loading import load_plugins
 from edit3r_batch.jobs import BatchJob
 
@@ -82,9 +81,8 @@ class SceneRunner:
     def _run(self, job: BatchJob, folder: Path) -> None:
         from edit3r.running import job_from, run, write_result
 
-        with frames_kept_for():
-            result = run(job_from(job.inputs, job.settings), self.registry)
-            write_result(folder, result)
+        result = run(job_from(job.inputs, job.settings), self.registry)
+        write_result(folder, result)
         text = json.dumps(job.record, indent=1, ensure_ascii=False)
         (folder / RECORD).write_text(text + "\n", encoding="utf-8")
 

@@ -122,7 +122,7 @@ def _print_progress(label: str, progress: Progress) -> None:
     if label:
         failure = progress.row["failure"]
         what = f"failed: {failure[:100]}" if failure else "done"
-        print(progress.said(what, f"{label}, "), file=sys.stderr, flush=True)
+        print(progress.line(what, f"{label}, "), file=sys.stderr, flush=True)
 
 
 def report(args: argparse.Namespace) -> None:

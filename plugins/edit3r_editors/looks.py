@@ -24,7 +24,7 @@ from torch import Tensor
 
 import edit3r
 from edit3r.contract.errors import PromptError, suggest
-from edit3r.contract.instructions import Instruction, Thing
+from edit3r.contract.instructions import Instruction, Target
 from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.reporting import say
 from edit3r.contract.types import EditRequest, Views
@@ -294,7 +294,7 @@ class LooksEditor(Editor, EditsRegions):
         if not self.settings.look:
             return None
         return Instruction(
-            "look", Thing("whole"), look=self.settings.look, text=self.settings.look
+            "look", Target("whole"), look=self.settings.look, text=self.settings.look
         )
 
     @one_thread()  # powers differ in their last bits by where threads divide an image

@@ -16,7 +16,7 @@ from torch import Tensor
 
 import edit3r
 from edit3r.contract.errors import MatchingError, PromptError
-from edit3r.contract.instructions import Instruction, Thing
+from edit3r.contract.instructions import Instruction, Target
 from edit3r.contract.interfaces import (
     ChangesShape,
     Editor,
@@ -68,11 +68,11 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
         self.settings, self.matcher = settings, matcher
 
     def understands(self, instruction: Instruction) -> bool:
-        scope = instruction.thing.scope
+        scope = instruction.target.scope
         return instruction.action == "remove" and scope in ("named", "marked")
 
     def instruction_of_nothing(self) -> Instruction:
-        return Instruction("remove", Thing("marked"), text="remove what is marked")
+        return Instruction("remove", Target("marked"), text="remove what is marked")
 
     def widened(
         self,

@@ -14,8 +14,8 @@ FLAT = (
     "step to the side between photos, or tell the lens (--fov)"
 )
 UNSURE_LENS = (
-    "the lens is not sure: fields of view from {:.0f} to {:.0f} degrees explain the photos alike. "
-    "Give --fov if you know it, or more photos from other sides"
+    "the lens is not sure: fields of view from {:.0f} to {:.0f} degrees explain the photos "
+    "equally well. Give --fov if you know it, or more photos from other sides"
 )
 MOVED = (
     "the 2D edits had moved against their photos and were moved back, which cannot bring back what "

@@ -1,6 +1,6 @@
 """What a language model is asked, and its answer held to the rules that the grammar keeps.
 
-A model answers with JSON of one form (`SaidInstructions`). Colours, materials and places in it are
+A model answers with JSON of one form (`Answer`). Colours, materials and places in it are
 looked up by the words that the grammar knows. What is not known there, and words of the sentence
 that the answer speaks of nowhere, become `unread`: nothing that the user said disappears.
 """
@@ -23,7 +23,7 @@ from edit3r.contract.instructions import (
     Colour,
     Finish,
     Instruction,
-    Thing,
+    Target,
 )
 from edit3r.kit.compute.colour_names import read_colour
 from edit3r_language.paints import MATERIALS
@@ -40,11 +40,11 @@ Words = Annotated[
 Few = Field(default=(), max_length=20)
 
 
-class _Said(BaseModel):
+class _Form(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-class SaidThing(_Said):
+class AnsweredTarget(_Form):
     """A thing, as a model says it."""
 
     scope: Literal["named", "marked", "whole", "background", "region"] = "marked"
@@ -54,35 +54,35 @@ class SaidThing(_Said):
     part: Words = ""
 
 
-class SaidChange(_Said):
+class AnsweredChange(_Form):
     """One change of colours, as a model says it."""
 
     kind: ChangeKind
     colour: Words = ""
-    like: SaidThing | None = None
+    like: AnsweredTarget | None = None
     material: Words = ""
     finish: Finish = ""
     than_now: Literal[-1, 0, 1] = 0
     amount: float = Field(default=1.0, ge=-3, le=3)
 
 
-class SaidInstruction(_Said):
+class AnsweredInstruction(_Form):
     """An instruction, as a model says it."""
 
     action: Action
-    thing: SaidThing = SaidThing()
-    changes: tuple[SaidChange, ...] = Few
+    thing: AnsweredTarget = AnsweredTarget()
+    changes: tuple[AnsweredChange, ...] = Few
     look: Words = ""
-    without: tuple[SaidThing, ...] = Few
+    without: tuple[AnsweredTarget, ...] = Few
     text: Words
     unread: tuple[Words, ...] = Few
     left_out: tuple[Words, ...] = Few
 
 
-class SaidInstructions(_Said):
+class Answer(_Form):
     """The whole answer."""
 
-    instructions: tuple[SaidInstruction, ...] = Field(max_length=20)
+    instructions: tuple[AnsweredInstruction, ...] = Field(max_length=20)
 
 
 @cache
@@ -101,14 +101,14 @@ def instructions_of_answer(answer: str, prompt: str) -> tuple[Instruction, ...]:
     if found is None:
         raise ValueError("it holds no JSON object")
     try:
-        said = SaidInstructions.model_validate_json(found[0])
+        given = Answer.model_validate_json(found[0])
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the answer"
         raise ValueError(f"{where}: {first['msg']}") from None
-    if not said.instructions:
+    if not given.instructions:
         raise PromptError(f"{prompt!r} asks for no change.")
-    instructions = [_Reading(one).instruction() for one in said.instructions]
+    instructions = [_Reading(one).instruction() for one in given.instructions]
     if faults := list(filter(None, (one.fault() for one in instructions))):
         raise ValueError(f"an instruction {faults[0]}")
     return merged([*instructions, *_forgotten(instructions, prompt)], prompt)
@@ -116,16 +116,19 @@ def instructions_of_answer(answer: str, prompt: str) -> tuple[Instruction, ...]:
 
 def _forgotten(instructions: list[Instruction], prompt: str) -> Iterator[Instruction]:
     """An instruction of the words that no other speaks of; fillers need not be told."""
-    told = {
+    mentioned = {
         word
         for instruction in instructions
         for word in _words(" ".join((instruction.text, *instruction.unread)))
     }
     polite = WORDS.fillers | WORDS.politeness | {"and", "then", "but", "while"}
-    forgotten = [word for word in _words(prompt) if word not in told | polite]
+    forgotten = [word for word in _words(prompt) if word not in mentioned | polite]
     if forgotten:
         yield Instruction(
-            "other", Thing("whole"), text=prompt, unread=tuple(dict.fromkeys(forgotten))
+            "other",
+            Target("whole"),
+            text=prompt,
+            unread=tuple(dict.fromkeys(forgotten)),
         )
 
 
@@ -136,51 +139,53 @@ def _words(text: str) -> list[str]:
 class _Reading:
     """One instruction of an answer, and the words in it that nobody knows."""
 
-    def __init__(self, said: SaidInstruction) -> None:
-        self.said = said
-        self.unread = list(said.unread)
+    def __init__(self, given: AnsweredInstruction) -> None:
+        self._given = given
+        self.unread = list(given.unread)
 
     def instruction(self) -> Instruction:
-        said = self.said
+        given = self._given
         instruction = Instruction(
-            said.action,
-            self._thing(said.thing),
-            tuple(map(self._change, said.changes)) if said.action == "paint" else (),
-            look=said.look if said.action == "look" else "",
-            without=tuple(map(self._thing, said.without)),
-            text=said.text,
-            left_out=said.left_out,
+            given.action,
+            self._target(given.thing),
+            tuple(map(self._change, given.changes)) if given.action == "paint" else (),
+            look=given.look if given.action == "look" else "",
+            without=tuple(map(self._target, given.without)),
+            text=given.text,
+            left_out=given.left_out,
         )
         if not self.unread:
             return instruction
         unread = tuple(dict.fromkeys(self.unread))
-        text = said.text or " ".join(unread)
-        return Instruction("other", instruction.thing, text=text, unread=unread)
+        text = given.text or " ".join(unread)
+        return Instruction("other", instruction.target, text=text, unread=unread)
 
-    def _thing(self, said: SaidThing) -> Thing:
-        part = self._colour(said.part) if said.part else None
-        if said.scope == "region":
-            place = read_region(said.name.lower().split())
+    def _target(self, given: AnsweredTarget) -> Target:
+        part = self._colour(given.part) if given.part else None
+        if given.scope == "region":
+            place = read_region(given.name.lower().split())
             if place is None:
-                self.unread.append(said.name or "place")
-            return place or Thing("whole")
-        known = [word for word in said.which if _picks(word)]
-        others = [word for word in said.which if not _picks(word)]  # "striped"
-        name = " ".join((*others, said.name)).strip()
-        return Thing(said.scope, name, tuple(known), said.of, part)
+                self.unread.append(given.name or "place")
+            return place or Target("whole")
+        known = [word for word in given.which if _picks(word)]
+        others = [word for word in given.which if not _picks(word)]  # "striped"
+        name = " ".join((*others, given.name)).strip()
+        return Target(given.scope, name, tuple(known), given.of, part)
 
-    def _change(self, said: SaidChange) -> Change:
-        material = MATERIALS.get(said.material, "")
-        if said.material and not material:
-            self.unread.append(said.material)
+    def _change(self, given: AnsweredChange) -> Change:
+        material = MATERIALS.get(given.material, "")
+        if given.material and not material:
+            self.unread.append(given.material)
         return Change(
-            said.kind,
-            self._colour(said.colour or material) if said.colour or material else None,
-            like=None if said.like is None else self._thing(said.like),
+            given.kind,
+            self._colour(given.colour or material)
+            if given.colour or material
+            else None,
+            like=None if given.like is None else self._target(given.like),
             material=material,
-            finish=said.finish,
-            than_now=said.than_now,
-            amount=said.amount,
+            finish=given.finish,
+            than_now=given.than_now,
+            amount=given.amount,
         )
 
     def _colour(self, name: str) -> Colour | None:

@@ -31,7 +31,7 @@ PERCENT_OF_LIGHT = (30, 30)
 
 
 @dataclass(frozen=True)
-class Found:
+class ChangeSpan:
     """A change found at tokens[start:end]."""
 
     start: int
@@ -40,14 +40,14 @@ class Found:
     left_out: tuple[str, ...] = ()  # words in it that nobody can carry out
 
 
-def find_changes(tokens: list[str]) -> list[Found]:
+def find_changes(tokens: list[str]) -> list[ChangeSpan]:
     """All changes of a clause, in their order.
 
     "Wine" and "rose" are colours only where the clause wants one: not before another change.
     """
     taken = read_taken(tokens)
     if taken is not None:
-        last = Found(taken.start, len(tokens), taken.change)
+        last = ChangeSpan(taken.start, len(tokens), taken.change)
         return [*_scan(tokens[: taken.start]), last]
     found = _scan(tokens)
     sure = [one.end for one in found if not _is_thing_too(one)]
@@ -59,7 +59,7 @@ def find_changes(tokens: list[str]) -> list[Found]:
     ]
 
 
-def last_group(changes: list[Found], tokens: list[str]) -> list[Found]:
+def last_group(changes: list[ChangeSpan], tokens: list[str]) -> list[ChangeSpan]:
     """The last changes with nothing but degree words between them.
 
     Earlier ones describe the thing: "make the red bike blue".
@@ -103,14 +103,14 @@ def amount_of(change: Change, tokens: list[str]) -> float:
     return 1.7 if set(tokens) & WORDS.strong else 1.0
 
 
-def _only_praises(change: Found, tokens: list[str]) -> bool:
+def _only_praises(change: ChangeSpan, tokens: list[str]) -> bool:
     """Whether a word such as "warm" changes nothing: "a nice warm yellow"."""
     before = tokens[: change.start][-1:]
     return tokens[change.start] in WORDS.nice and before in (["a"], ["nice"])
 
 
-def _scan(tokens: list[str]) -> list[Found]:
-    found: list[Found] = []
+def _scan(tokens: list[str]) -> list[ChangeSpan]:
+    found: list[ChangeSpan] = []
     index = 0
     while index < len(tokens):
         change = _change_at(tokens, index)
@@ -122,7 +122,7 @@ def _scan(tokens: list[str]) -> list[Found]:
     return found
 
 
-def _is_thing_too(found: Found) -> bool:
+def _is_thing_too(found: ChangeSpan) -> bool:
     colour = found.change.colour
     plain = found.change.kind == "paint" and not found.change.material
     return plain and colour is not None and is_thing_too(colour)
@@ -132,7 +132,7 @@ def _before_its_thing(tokens: list[str], end: int) -> bool:
     return tokens[end - 1] in WORDS.imperatives
 
 
-def _change_at(tokens: list[str], start: int) -> Found | None:
+def _change_at(tokens: list[str], start: int) -> ChangeSpan | None:
     rest = tokens[start:]
     first = rest[0]
     if first in WORDS.more | WORDS.less:
@@ -141,15 +141,15 @@ def _change_at(tokens: list[str], start: int) -> Found | None:
     if paint is not None:
         return paint
     if first in TINTS:
-        return Found(start, start + 1, _tint(TINTS[first]))
+        return ChangeSpan(start, start + 1, _tint(TINTS[first]))
     if first in ADJUSTMENTS:
-        return Found(start, start + 1, ADJUSTMENTS[first])
+        return ChangeSpan(start, start + 1, ADJUSTMENTS[first])
     if first in WORDS.random:
-        return Found(start, start + 1, Change("random"))
+        return ChangeSpan(start, start + 1, Change("random"))
     return None
 
 
-def _paint_at(tokens: list[str], start: int) -> Found | None:
+def _paint_at(tokens: list[str], start: int) -> ChangeSpan | None:
     before, rest = tokens[:start], tokens[start:]
     if rest[0] == "snow" and not set(before[-1:]) & _BEFORE_SNOW:
         return None  # "make it snow"
@@ -170,7 +170,7 @@ def _paint_at(tokens: list[str], start: int) -> Found | None:
     change = found.change
     if "tint" in before and change.colour is not None and not change.material:
         change = Change("tint", change.colour, amount=TINT_SHARE)
-    paint = Found(start, start + found.length, change, found.left_out)
+    paint = ChangeSpan(start, start + found.length, change, found.left_out)
     if change.material and before[-1:] == ["the"] and not after:
         return None  # "lighten the wood"
     return None if _is_thing_too(paint) and _stands_as_thing(before, after) else paint
@@ -197,17 +197,17 @@ def _tint(name: str) -> Change:
     return Change("tint", found[0], amount=TINT_SHARE)
 
 
-def _more_or_less(rest: list[str], start: int) -> Found | None:
+def _more_or_less(rest: list[str], start: int) -> ChangeSpan | None:
     """Read "more saturated", "increase the brightness", "less contrast", "more blue"."""
     sign = 1.0 if rest[0] in WORDS.more else -1.0
     skipped = 2 if rest[1:2] == ["the"] else 1
     word = rest[skipped] if len(rest) > skipped else ""
     end = start + skipped + 1
     if word in PROPERTIES:
-        return Found(start, end, Change(PROPERTIES[word], amount=sign))
+        return ChangeSpan(start, end, Change(PROPERTIES[word], amount=sign))
     if word in ADJUSTMENTS:
         known = ADJUSTMENTS[word]
-        return Found(start, end, replace(known, amount=sign * known.amount))
+        return ChangeSpan(start, end, replace(known, amount=sign * known.amount))
     if rest[0] == "more" and word in BASIC:  # "more snow" is no colour
-        return Found(start, end, _tint(word))
+        return ChangeSpan(start, end, _tint(word))
     return None

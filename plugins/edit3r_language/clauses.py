@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, field, replace
 
-from edit3r.contract.instructions import FLOOD, Action, Change, Colour, Thing
+from edit3r.contract.instructions import FLOOD, Action, Change, Colour, Target
 from edit3r.kit.compute.colour_names import read_colour
 from edit3r_language.changes import (
-    Found,
+    ChangeSpan,
     amount_of,
     find_changes,
     is_percentage,
@@ -16,7 +16,7 @@ from edit3r_language.nouns import is_noun
 from edit3r_language.paints import read_paint
 from edit3r_language.places import read_region, unclear_place
 from edit3r_language.shades import read_taken
-from edit3r_language.things import read_thing
+from edit3r_language.targets import read_target
 from edit3r_language.unknown_words import is_known, unknown_words, unread_of
 from edit3r_language.vocabulary import ADJUSTMENTS, TINTS, WORDS
 
@@ -27,10 +27,10 @@ class Clause:
 
     text: str
     action: Action | None = None  # None where the clause only names things
-    thing: Thing | None = None
+    target: Target | None = None
     changes: tuple[Change, ...] = ()
     look: str = ""
-    without: list[Thing] = field(default_factory=list)
+    without: list[Target] = field(default_factory=list)
     unread: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
     verb_first: bool = False  # "remove the bin": things may follow in the next clauses
@@ -50,7 +50,7 @@ def asks_nothing(tokens: list[str]) -> bool:
     return adjusts or read_colour(tokens[1:]) is not None
 
 
-def read_kept(tokens: list[str]) -> list[Thing] | None:
+def read_kept(tokens: list[str]) -> list[Target] | None:
     """The things that a clause wants left as they are; None for a clause of another kind."""
     staying = next((i for i, token in enumerate(tokens) if token in WORDS.stays), 0)
     if staying:  # "the tank stays red"
@@ -68,7 +68,7 @@ def read_kept(tokens: list[str]) -> list[Thing] | None:
         return None
     if negates and find_changes(tokens):  # "don't paint the bike red"
         return None
-    return [read_thing(_without_own_colour(tokens[1:]))]
+    return [read_target(_without_own_colour(tokens[1:]))]
 
 
 def _without_own_colour(tokens: list[str]) -> list[str]:
@@ -111,11 +111,11 @@ def _read_plain(tokens: list[str], clause: Clause) -> Clause:
 def _read_removal(named: list[str], clause: Clause) -> Clause:
     """A clause that takes a thing away, whose words stand after the verb."""
     clause.action, clause.verb_first = "remove", True
-    clause.thing = read_thing(named)
+    clause.target = read_target(named)
     unclear = unclear_place(named)
-    if clause.thing.part is not None and "some" in named:  # "some of the red"
+    if clause.target.part is not None and "some" in named:  # "some of the red"
         unclear += ("some",)
-    if clause.thing.scope != "region":
+    if clause.target.scope != "region":
         unclear += tuple(t for t in named if t in WORDS.ordinals)
     return clause.not_understood(*dict.fromkeys(unclear)) if unclear else clause
 
@@ -153,7 +153,7 @@ def _without_negated_colour(tokens: list[str]) -> list[str]:
     return tokens
 
 
-def _without(tokens: list[str]) -> tuple[list[str], list[Thing]]:
+def _without(tokens: list[str]) -> tuple[list[str], list[Target]]:
     """The clause without "except the bear", and the bear.
 
     The exception ends where the change begins: "everything except the bear red".
@@ -168,7 +168,7 @@ def _without(tokens: list[str]) -> tuple[list[str], list[Thing]]:
         end = _end_of_exception(rest, tokens)
         if not [t for t in rest[:end] if t not in WORDS.fillers]:
             continue
-        return tokens[:start] + rest[end:], [read_thing(rest[:end])]
+        return tokens[:start] + rest[end:], [read_target(rest[:end])]
     return tokens, []
 
 
@@ -219,10 +219,10 @@ def _repaints(tokens: list[str]) -> bool:
 
 def _read_change(tokens: list[str], clause: Clause) -> Clause:
     """A clause that changes colours, gives a look, or only names a thing."""
-    told = _as_told(tokens)
-    tokens, origin = _origin(told)
+    ordered = _target_first(tokens)
+    tokens, origin = _origin(ordered)
     if not tokens:  # "from red" names neither a thing nor what it shall become
-        return clause.not_understood(*told)
+        return clause.not_understood(*ordered)
     look = _look(tokens)
     if look is not None:
         return _read_look(*look, clause)
@@ -237,12 +237,12 @@ def _read_change(tokens: list[str], clause: Clause) -> Clause:
     clause.changes = tuple(scaled(one, amount_of(one, degrees)) for one in wanted)
     clause.left_out = tuple(word for found in group for word in found.left_out)
     named, unread = _split_around(tokens, group)
-    clause.thing = _flooded(_painted_thing(named, origin), tokens)
+    clause.target = _flooded(_painted_target(named, origin), tokens)
     return clause.not_understood(*unread) if unread else clause
 
 
 def _split_around(
-    tokens: list[str], group: list[Found]
+    tokens: list[str], group: list[ChangeSpan]
 ) -> tuple[list[str], tuple[str, ...]]:
     """The words that name what is changed, and those that nobody understands."""
     before, after = tokens[: group[0].start], tokens[group[-1].end :]
@@ -267,14 +267,16 @@ def _split_around(
     return named, tuple(dict.fromkeys(unread))
 
 
-def _flooded(thing: Thing, tokens: list[str]) -> Thing:
+def _flooded(target: Target, tokens: list[str]) -> Target:
     """All of a thing, its neutral parts too, where the clause says so."""
-    if not set(tokens) & FLOOD or thing.scope not in ("named", "marked"):
-        return thing
-    return replace(thing, which=tuple(dict.fromkeys(("whole", *thing.which))))
+    if not set(tokens) & FLOOD or target.scope not in ("named", "marked"):
+        return target
+    return replace(
+        target, qualifiers=tuple(dict.fromkeys(("whole", *target.qualifiers)))
+    )
 
 
-def _as_told(tokens: list[str]) -> list[str]:
+def _target_first(tokens: list[str]) -> list[str]:
     """Read the purple door of "I want a purple door" as "door purple"; so "purple door"."""
     paint = None
     if tokens[0] == "turned":
@@ -284,17 +286,17 @@ def _as_told(tokens: list[str]) -> list[str]:
         paint = read_paint(tokens)
     if paint is None:
         return tokens
-    thing = tokens[paint.length :]
-    plain = bool(content_of(thing)) and not find_changes(thing) and not _look(thing)
-    all_known = not set(thing) & WORDS.fillers
-    return ["the", *thing, *tokens[: paint.length]] if plain and all_known else tokens
+    target = tokens[paint.length :]
+    plain = bool(content_of(target)) and not find_changes(target) and not _look(target)
+    all_known = not set(target) & WORDS.fillers
+    return ["the", *target, *tokens[: paint.length]] if plain and all_known else tokens
 
 
 def _only_names(tokens: list[str], clause: Clause, origin: Colour | None) -> Clause:
     """A clause without a change: a thing that shares a neighbour's, or something unknown."""
     says_more = set(tokens) & (WORDS.more | WORDS.less | WORDS.negations)
     content = content_of(tokens)
-    follows = clause.without and read_thing(tokens).scope == "whole"  # a change
+    follows = clause.without and read_target(tokens).scope == "whole"  # a change
     begins = (
         follows or tokens[0] in WORDS.paint | WORDS.determiners or len(content) == 1
     )
@@ -303,7 +305,7 @@ def _only_names(tokens: list[str], clause: Clause, origin: Colour | None) -> Cla
         says_more or origin is not None or not content or not begins or unclear
     ):
         return clause.not_understood(*(unclear or blamed(tokens)))
-    clause.thing = read_thing(tokens)
+    clause.target = read_target(tokens)
     return clause
 
 
@@ -319,16 +321,16 @@ def _origin(tokens: list[str]) -> tuple[list[str], Colour | None]:
     return tokens, None
 
 
-def _painted_thing(named: list[str], origin: Colour | None) -> Thing:
+def _painted_target(named: list[str], origin: Colour | None) -> Target:
     """The thing of a change. "Turn red into blue" is about what is red."""
-    thing = read_thing(named)
+    target = read_target(named)
     if origin is None:
-        return thing
-    scope = "whole" if thing.scope == "marked" and not thing.name else thing.scope
-    return replace(thing, scope=scope, part=origin)
+        return target
+    scope = "whole" if target.scope == "marked" and not target.name else target.scope
+    return replace(target, scope=scope, part=origin)
 
 
-def _may_follow(change: Found, tokens: list[str]) -> bool:
+def _may_follow(change: ChangeSpan, tokens: list[str]) -> bool:
     """Whether the thing may follow: "darken walls", "more contrast in the sky"."""
     after = [t for t in tokens[change.end :] if t not in WORDS.paint]
     first = tokens[change.start]
@@ -351,7 +353,7 @@ def _read_look(look: str, before: list[str], clause: Clause) -> Clause:
             return clause.not_understood(*unread)
     clause.left_out = tuple(w for w in look.split() if w in WORDS.not_drawn)
     look = " ".join(w for w in look.split() if w not in WORDS.not_drawn)
-    clause.action, clause.look, clause.thing = "look", look, read_thing(before)
+    clause.action, clause.look, clause.target = "look", look, read_target(before)
     return clause
 
 

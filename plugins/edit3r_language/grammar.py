@@ -14,12 +14,12 @@ import re
 from collections.abc import Iterator
 
 from edit3r.contract.errors import PromptError
-from edit3r.contract.instructions import Instruction, Thing
+from edit3r.contract.instructions import Instruction, Target
 from edit3r.contract.interfaces import Reader
 from edit3r.kit.compute.colour_names import near_colours, read_colour
 from edit3r_language.clauses import Clause, asks_nothing, read_clause, read_kept
 from edit3r_language.nouns import is_plural, near_nouns
-from edit3r_language.things import read_thing
+from edit3r_language.targets import read_target
 from edit3r_language.together import instructions_of
 from edit3r_language.unknown_words import is_known
 from edit3r_language.vocabulary import (
@@ -61,12 +61,12 @@ class GrammarReader(Reader):
     )
 
     def read(self, prompt: str) -> tuple[Instruction, ...]:
-        said = prompt.split()
-        if len(said) > MAX_WORDS or max(map(len, said), default=0) > 200:
+        typed = prompt.split()
+        if len(typed) > MAX_WORDS or max(map(len, typed), default=0) > 200:
             text = " ".join(prompt[:200].split())
-            return (Instruction("other", Thing("whole"), text=text, unread=("...",)),)
+            return (Instruction("other", Target("whole"), text=text, unread=("...",)),)
         clauses: list[Clause] = []
-        kept: list[Thing] = []
+        kept: list[Target] = []
         for tokens in clauses_of(prompt):
             if asks_nothing(tokens):
                 continue
@@ -83,8 +83,8 @@ class GrammarReader(Reader):
         found = _UNDO.match(prompt)
         return prompt[found.end() :] if found else None
 
-    def read_thing(self, words: str) -> Thing:
-        return read_thing(words.lower().split())
+    def read_target(self, words: str) -> Target:
+        return read_target(words.lower().split())
 
     def hint(self, instruction: Instruction) -> str:
         hints = []
@@ -94,9 +94,9 @@ class GrammarReader(Reader):
             elif "/" in word:
                 hints.append(f" Say which is meant of {word!r}, or join them by 'and'.")
             elif not is_known(word):
-                said = instruction.text.split()
-                hints.append(_near(word) or _beside_colour(word, said))
-        named = [] if instruction.unread else instruction.thing.name.split()
+                clause = instruction.text.split()
+                hints.append(_near(word) or _beside_colour(word, clause))
+        named = [] if instruction.unread else instruction.target.name.split()
         hints += [_did_you_mean(near_nouns(word)) for word in named]
         return "".join(hints)
 
@@ -171,9 +171,9 @@ def _pieces(token: str) -> list[str]:
 # ---- what to say instead ----
 
 
-def _beside_colour(word: str, said: list[str]) -> str:
+def _beside_colour(word: str, clause: list[str]) -> str:
     """What to say for a word before a colour, which is no shade that is known."""
-    after = said[said.index(word) + 1 :] if word in said else []
+    after = clause[clause.index(word) + 1 :] if word in clause else []
     if read_colour(after) is None:
         return ""
     return (

@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import Field
 
 from edit3r.contract.errors import MissingDependencyError, RunError
-from edit3r.contract.instructions import Instruction, Thing
+from edit3r.contract.instructions import Instruction, Target
 from edit3r.contract.interfaces import Reader
 from edit3r.contract.reporting import note
 from edit3r.contract.settings import USER_ONLY, Settings
@@ -65,8 +65,8 @@ class AskingReader(Reader, ABC):
             "it otherwise, or leave --reader out."
         )
 
-    def read_thing(self, words: str) -> Thing:
-        return self.read(f"remove {words}")[0].thing
+    def read_target(self, words: str) -> Target:
+        return self.read(f"remove {words}")[0].target
 
 
 class ServiceReader(AskingReader):
@@ -164,5 +164,5 @@ def _as_text(tokenizer: Any, messages: Sequence[Message]) -> str:
         return tokenizer.apply_chat_template(
             list(messages), tokenize=False, add_generation_prompt=True
         )
-    said = [f"{one['role']}: {one['content']}" for one in messages]
-    return "\n".join((*said, "assistant: "))
+    lines = [f"{one['role']}: {one['content']}" for one in messages]
+    return "\n".join((*lines, "assistant: "))

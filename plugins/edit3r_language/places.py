@@ -2,7 +2,7 @@
 
 from itertools import pairwise
 
-from edit3r.contract.instructions import Box, Thing
+from edit3r.contract.instructions import Box, Target
 from edit3r_language.vocabulary import WORDS, words_of
 
 _DOWN = {"top": "top", "upper": "top", "bottom": "bottom", "lower": "bottom"}
@@ -25,7 +25,7 @@ _ANY = _SIDES | set(_PARTS) | WORDS.background | {"foreground"}
 _NAMES = {"side": "half", "part": "third", "area": "third", "": "third"}
 
 
-def read_region(tokens: list[str]) -> Thing | None:
+def read_region(tokens: list[str]) -> Target | None:
     """The place of the picture that the words name; None for other words, and for unclear ones."""
     rest, of_picture = _inside(tokens)
     named = _plain(rest)
@@ -78,7 +78,7 @@ def unclear_place(tokens: list[str]) -> tuple[str, ...]:
     return ("corner",) if only_places and "corner" in named and whole_picture else ()
 
 
-def _region(*sides: str, part: str, middle: bool) -> Thing | None:
+def _region(*sides: str, part: str, middle: bool) -> Target | None:
     """The box at some sides; the middle is half as wide and high as the picture."""
     if middle:
         free = not sides and part in ("", "part", "area")
@@ -97,8 +97,8 @@ def _region(*sides: str, part: str, middle: bool) -> Thing | None:
     return _thing(name, (left, top, width, height))
 
 
-def _thing(name: str, box: Box) -> Thing:
-    return Thing("region", name, box=box)
+def _thing(name: str, box: Box) -> Target:
+    return Target("region", name, box=box)
 
 
 def _stretch(

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 from edit3r.contract.instructions import BENEATH, Change, Colour
 from edit3r.kit.compute.colour_names import read_colour, read_colour_of
-from edit3r_language.things import read_thing
+from edit3r_language.targets import read_target
 from edit3r_language.vocabulary import WORDS, words_of
 
 _STANDS = words_of(
@@ -60,12 +60,12 @@ def _of_thing(hue: Colour | None, source: Sequence[str]) -> Change | None:
         return Change("paint", found[0])
     if not _names_something(source):
         return None
-    thing = replace(read_thing(list(source)), part=hue)
-    if beneath and not thing.of:
-        thing = replace(thing, of=BENEATH)
-    if thing.scope == "marked":  # "the colour of what I clicked on"
-        thing = replace(thing, name="")
-    return Change("paint", like=thing)
+    target = replace(read_target(list(source)), part=hue)
+    if beneath and not target.of:
+        target = replace(target, of=BENEATH)
+    if target.scope == "marked":  # "the colour of what I clicked on"
+        target = replace(target, name="")
+    return Change("paint", like=target)
 
 
 def _without_tail(source: Sequence[str]) -> Sequence[str]:

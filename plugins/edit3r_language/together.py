@@ -4,15 +4,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from edit3r.contract.errors import PromptError
-from edit3r.contract.instructions import EVERY, Instruction, Thing
+from edit3r.contract.instructions import EVERY, Instruction, Target
 from edit3r_language.clauses import Clause, blamed
 from edit3r_language.nouns import is_plural
-from edit3r_language.things import read_thing
+from edit3r_language.targets import read_target
 from edit3r_language.vocabulary import WORDS
 
 
 def instructions_of(
-    clauses: list[Clause], kept: list[Thing], prompt: str
+    clauses: list[Clause], kept: list[Target], prompt: str
 ) -> tuple[Instruction, ...]:
     """The instructions of a sentence's clauses. Raises PromptError for what contradicts itself."""
     return merged(_resolved(_shared(clauses), kept), prompt)
@@ -52,9 +52,9 @@ def _goes_on(clause: Clause, following: list[Clause]) -> bool:
     follower = following[0]
     if follower.action != "paint":
         return False
-    kept_too = [follower.thing] if follower.thing is not None else []
+    kept_too = [follower.target] if follower.target is not None else []
     follower.without = [*clause.without, *kept_too]
-    follower.thing = clause.thing
+    follower.target = clause.target
     return True
 
 
@@ -70,108 +70,110 @@ def _giver(clauses: list[Clause], index: int) -> Clause | None:
 
 
 def _with_change_of(clause: Clause, giver: Clause) -> Clause:
-    thing = clause.thing or Thing()
-    if giver.thing is not None and thing.scope != "region":
-        part = thing.part or giver.thing.part
-        thing = replace(thing, part=part, name=thing.name or giver.thing.name)
+    target = clause.target or Target()
+    if giver.target is not None and target.scope != "region":
+        part = target.part or giver.target.part
+        target = replace(target, part=part, name=target.name or giver.target.name)
     return replace(
         clause,
         action=giver.action,
         changes=giver.changes,
         look=giver.look,
         left_out=giver.left_out,
-        thing=thing,
+        target=target,
     )
 
 
 # ---- pronouns, and what is kept ----
 
 
-def _resolved(clauses: list[Clause], kept: list[Thing]) -> Iterator[Instruction]:
+def _resolved(clauses: list[Clause], kept: list[Target]) -> Iterator[Instruction]:
     """The clauses as instructions, pronouns resolved, and what is kept left out of the thing."""
-    last: Thing | None = None
-    said: list[str] = []  # the words that named it
+    last: Target | None = None
+    clause_before: list[str] = []  # the words that named it
     for clause in clauses:
-        thing = clause.thing or Thing()
-        if thing.scope == "named" and not thing.name and last is not None:
-            thing = replace(thing, name=last.name)  # "the blue one"
-        if thing.of == "it" and last is not None:  # "its wheels"
-            thing = replace(thing, of=_owner(last, said))
-        if thing.scope == "region" and last is not None:
-            thing = _other_side(thing, clause, last)
-        kept = [_named_like(one, thing) for one in kept]
-        own = [_named_like(one, thing) for one in clause.without]
-        if thing.scope == "background" and thing.of:  # "the background of the fox"
-            own, thing = [*own, read_thing(thing.of.split())], replace(thing, of="")
-        without = [*own, *(one for one in kept if _matters(one, thing))]
-        thing = _pointed_at(thing, last, clause, without)
-        if thing.scope != "whole" or last is None:
-            last, said = thing, clause.text.split()
-        yield _instruction(clause, _all_of_name(thing, without), without)
+        target = clause.target or Target()
+        if target.scope == "named" and not target.name and last is not None:
+            target = replace(target, name=last.name)  # "the blue one"
+        if target.of == "it" and last is not None:  # "its wheels"
+            target = replace(target, of=_owner(last, clause_before))
+        if target.scope == "region" and last is not None:
+            target = _other_side(target, clause, last)
+        kept = [_named_like(one, target) for one in kept]
+        own = [_named_like(one, target) for one in clause.without]
+        if target.scope == "background" and target.of:  # "the background of the fox"
+            own, target = [*own, read_target(target.of.split())], replace(target, of="")
+        without = [*own, *(one for one in kept if _matters(one, target))]
+        target = _pointed_at(target, last, clause, without)
+        if target.scope != "whole" or last is None:
+            last, clause_before = target, clause.text.split()
+        yield _instruction(clause, _all_of_name(target, without), without)
 
 
-def _owner(last: Thing, said: Sequence[str]) -> str:
+def _owner(last: Target, clause: Sequence[str]) -> str:
     """What "its" stands for: after "the house's door" it is the house, after "the cup" the cup."""
     whole = last.of.split()[-1:]
-    belongs = "of" in said or any(f"{word}'s" in said for word in whole)
+    belongs = "of" in clause or any(f"{word}'s" in clause for word in whole)
     return last.of if whole and belongs else last.name
 
 
-def _other_side(region: Thing, clause: Clause, last: Thing) -> Thing:
+def _other_side(region: Target, clause: Clause, last: Target) -> Target:
     """ "The lower part" after "the upper part of the statue": the statue's, not the picture's."""
     sides = [word for word in clause.text.split() if word in WORDS.places]
     if not last.of or last.name not in WORDS.places or not sides:
         return region
-    return Thing("named", " ".join(sides), of=last.of)
+    return Target("named", " ".join(sides), of=last.of)
 
 
-def _named_like(kept: Thing, thing: Thing) -> Thing:
+def _named_like(kept: Target, target: Target) -> Target:
     """ "The middle one", which is kept of the cups, by its name."""
     if kept.name or kept.scope != "named":
         return kept
-    return replace(kept, name=thing.name)
+    return replace(kept, name=target.name)
 
 
-def _matters(kept: Thing, thing: Thing) -> bool:
+def _matters(kept: Target, target: Target) -> bool:
     """Whether keeping `kept` matters to an instruction on `thing`: a bike has no background."""
-    return kept.scope != "background" or thing.scope == "whole"
+    return kept.scope != "background" or target.scope == "whole"
 
 
 def _pointed_at(
-    thing: Thing, last: Thing | None, clause: Clause, without: Sequence[Thing]
-) -> Thing:
+    target: Target, last: Target | None, clause: Clause, without: Sequence[Target]
+) -> Target:
     """What "it" or no name at all stands for.
 
     What was named last in the sentence. Without any, looks and adjustments are about the whole; its
     name stays "it" where the sentence says so, since an earlier run may have named something.
     """
-    if thing.scope != "marked" or thing.part is not None:
-        return thing
+    if target.scope != "marked" or target.part is not None:
+        return target
     if last is not None:
         return last
     kinds = {change.kind for change in clause.changes}
     adjusts = bool(kinds) and not kinds & {"paint", "random"}
-    said = thing.name == "it"
+    is_it = target.name == "it"
     if without:
-        return Thing("marked" if said else "whole")
+        return Target("marked" if is_it else "whole")
     if clause.action == "look" or adjusts:
-        return Thing("whole", "it" if said and not thing.which else "")
-    return replace(thing, name="") if said else thing
+        return Target("whole", "it" if is_it and not target.qualifiers else "")
+    return replace(target, name="") if is_it else target
 
 
-def _all_of_name(thing: Thing, without: Sequence[Thing]) -> Thing:
+def _all_of_name(target: Target, without: Sequence[Target]) -> Target:
     """All of the cups, where one of them is left out: "the cups but the middle one"."""
-    one_of_them = any(kept.name == thing.name and kept.which for kept in without)
-    several = is_plural(thing.name.split()[-1]) if thing.name else False
-    if not one_of_them or not several or set(thing.which) & EVERY:
-        return thing
-    return replace(thing, which=("all", *thing.which))
+    one_of_them = any(kept.name == target.name and kept.qualifiers for kept in without)
+    several = is_plural(target.name.split()[-1]) if target.name else False
+    if not one_of_them or not several or set(target.qualifiers) & EVERY:
+        return target
+    return replace(target, qualifiers=("all", *target.qualifiers))
 
 
-def _instruction(clause: Clause, thing: Thing, without: Sequence[Thing]) -> Instruction:
+def _instruction(
+    clause: Clause, target: Target, without: Sequence[Target]
+) -> Instruction:
     return Instruction(
         action=clause.action or "other",
-        thing=thing,
+        target=target,
         changes=clause.changes if clause.action == "paint" else (),
         look=clause.look if clause.action == "look" else "",
         without=tuple(dict.fromkeys(without)),
@@ -192,7 +194,7 @@ def _merged(instructions: Iterable[Instruction], prompt: str) -> list[Instructio
     merged: dict[tuple, Instruction] = {}
     for number, instruction in enumerate(instructions):
         alone = number if instruction.action == "other" else -1
-        about = instruction.thing, instruction.without, instruction.look
+        about = instruction.target, instruction.without, instruction.look
         key = alone, instruction.action, about
         before = merged.get(key)
         merged[key] = _joined(before, instruction) if before else instruction
@@ -224,10 +226,10 @@ def _joined(first: Instruction, second: Instruction) -> Instruction:
 
 def _with_rest(instructions: list[Instruction]) -> Iterator[Instruction]:
     """In "the car blue and the background grey" the background is all but the car."""
-    things = [instruction.thing for instruction in instructions]
-    named = [thing for thing in things if thing.scope in ("named", "marked")]
+    things = [instruction.target for instruction in instructions]
+    named = [target for target in things if target.scope in ("named", "marked")]
     for instruction in instructions:
-        if instruction.thing.scope != "background" or not named or instruction.without:
+        if instruction.target.scope != "background" or not named or instruction.without:
             yield instruction
         else:
             yield replace(instruction, without=tuple(dict.fromkeys(named)))

@@ -283,7 +283,7 @@ def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None
         shown = render_each(rasterizer, one.gaussians, one.cameras, caption)
         images[caption] = shown.images[0].clamp(0, 1)
     for view, image in zip(run.views, images["after"]):
-        save_image(image, folder.made("renders") / f"{view}.png")
+        save_image(image, folder.subfolder("renders") / f"{view}.png")
     draw_sheet(images, names=run.views, title=run.edits[-1]).save(folder.before_after)
     scene = SceneToWrite(
         run.gaussians,

@@ -91,7 +91,7 @@ def _render(
         gaussians = _gaussians(args)
         cameras, names = _cameras(args, gaussians)
     with stage("render input views"):
-        files = [folder.made("renders") / f"{name}.png" for name in names]
+        files = [folder.subfolder("renders") / f"{name}.png" for name in names]
         files = files if "pictures" in args.make else []
         views = _views(rasterizer, gaussians, cameras, files)
         if not views.alphas.any():

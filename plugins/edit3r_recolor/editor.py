@@ -88,9 +88,9 @@ class RecolorEditor(Editor, EditsRegions):
         parameters: RecolorParameters,
     ) -> Float[Tensor, "view 3 height width"]:
         settings = self.settings
-        everywhere = instruction.thing.scope in ("whole", "region")
-        thing = instruction.thing
-        flood = everywhere or "whole" in thing.which or thing.name in WHOLE
+        everywhere = instruction.target.scope in ("whole", "region")
+        thing = instruction.target
+        flood = everywhere or "whole" in thing.qualifiers or thing.name in WHOLE
         changed = images
         for change in instruction.changes:
             if change.kind == "paint":

@@ -47,7 +47,7 @@ def looked_up(photos: Photos, selection: Selection) -> Named:
     """
     named = _named(photos, selection)
     if named.confidence is not None and SURE <= named.confidence < 1:
-        what = " ".join((*selection.which, selection.words)).strip()
+        what = " ".join((*selection.qualifiers, selection.words)).strip()
         say("selection.words", f"{what}: found, confidence {named.confidence:.0%}")
     return named
 
@@ -72,7 +72,7 @@ def _named(photos: Photos, selection: Selection) -> Named:
     own = {
         view: _own(photos, view, there, best, named)
         for view, there in weighed.items()
-        if view != best and not selection.which and selection.words != BACKGROUND
+        if view != best and not selection.qualifiers and selection.words != BACKGROUND
     }
     return _kept(selection, named, {view: one for view, one in own.items() if one})
 
@@ -126,7 +126,7 @@ def named_again(
     again = lost.how == "not found" or (
         lost.how == "geometry" and _guessed(photos, named)
     )
-    only = not selection.which and not selection.larger
+    only = not selection.qualifiers and not selection.larger
     if named.confidence is None or not (again and only):
         return lost
     there = _text(photos, selection, view)[0]
@@ -162,7 +162,7 @@ def _asked(
     first alone, and "the big one" may be one of anything.
     """
     if not selection.words:
-        if not selection.which:
+        if not selection.qualifiers:
             return {}, False
         some = photos.segmenter.propose(photos.images[first])
         return {first: tuple(replace(one, confidence=SURE / 2) for one in some)}, True
@@ -170,7 +170,7 @@ def _asked(
     if not known:
         return {}, False
     found = {first: there}
-    if not selection.which and _confidence(there) < SURE:
+    if not selection.qualifiers and _confidence(there) < SURE:
         others = [view for view in range(photos.count) if view != first]
         for view in others[: ASKED - 1]:
             found[view] = _text(photos, selection, view)[0]
@@ -224,7 +224,7 @@ def _confirmed(
 
 def _taken(photos: Photos, selection: Selection, view: int, found: Proposals) -> Named:
     """The mask of those of `found` that are meant, and what else may be."""
-    words, which = selection.words, selection.which
+    words, which = selection.words, selection.qualifiers
     alike = () if which else _also(found)
     several = alike if selection.several else ()
     picked = several or pick(found, which, photos.images[view])
@@ -317,8 +317,8 @@ def _on_every_photo(
     """Whether words are looked for on each photo: several walk, and beyond the border a thing has
     parts that another photo shows.
     """
-    if selection.which:
-        return bool(set(selection.which) & EVERY)
+    if selection.qualifiers:
+        return bool(set(selection.qualifiers) & EVERY)
     if selection.several and _also(found):
         return True
     inside, is_sure = named.found[best].inside, (named.confidence or 0) >= SURE
@@ -347,7 +347,7 @@ def _standing_out(
     some = standing_out(photos.segmenter, photos.images[view])
     if not some:
         raise InputError(f"{why}, and nothing stands out on photo {view + 1}; {ASK}.")
-    first = pick(some, selection.which, photos.images[view])[0]
+    first = pick(some, selection.qualifiers, photos.images[view])[0]
     sure = min(GUESSED, first.confidence)
     rest = [one for one in some if one is not first]
     # what no network weighed says nothing of how likely it is

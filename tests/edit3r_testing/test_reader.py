@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from edit3r.contract.instructions import Change, Instruction, Thing
+from edit3r.contract.instructions import Change, Instruction, Target
 from edit3r.contract.interfaces import Reader
 from edit3r_testing import ReaderContract
 
@@ -15,14 +15,14 @@ class SpoiledReader(Reader):
     def __init__(self, read, thing=None, hint=""):
         self._read, self._thing, self._hint = (
             read,
-            thing or Thing("named", "wall"),
+            thing or Target("named", "wall"),
             hint,
         )
 
     def read(self, prompt):
         return self._read(prompt)
 
-    def read_thing(self, words):
+    def read_target(self, words):
         return self._thing
 
     def hint(self, instruction):
@@ -30,7 +30,7 @@ class SpoiledReader(Reader):
 
 
 NUMBERS = itertools.count()
-REMOVE = Instruction("remove", Thing(), text="remove it")
+REMOVE = Instruction("remove", Target(), text="remove it")
 
 
 def understands_all(prompt):
@@ -38,7 +38,7 @@ def understands_all(prompt):
 
 
 def understands_none(prompt):
-    return (Instruction("other", Thing(), text=prompt, unread=tuple(prompt.split())),)
+    return (Instruction("other", Target(), text=prompt, unread=tuple(prompt.split())),)
 
 
 READS = "test_reads_a_sentence_of_its_language"
@@ -50,17 +50,17 @@ CASES = {
     "a list": (lambda prompt: [REMOVE], READS, "tuple"),
     "no instruction": (lambda prompt: ("red",), READS, "Instruction"),
     "no colour": (
-        lambda prompt: (Instruction("paint", Thing(), (Change("paint"),), text="a"),),
+        lambda prompt: (Instruction("paint", Target(), (Change("paint"),), text="a"),),
         READS,
         "names no colour",
     ),
     "no box": (
-        lambda prompt: (Instruction("remove", Thing("region"), text="a"),),
+        lambda prompt: (Instruction("remove", Target("region"), text="a"),),
         READS,
         "without a box",
     ),
     "no words": (
-        lambda prompt: (Instruction("remove", Thing()),),
+        lambda prompt: (Instruction("remove", Target()),),
         READS,
         "has no text",
     ),
@@ -72,7 +72,7 @@ CASES = {
         "IndexError",
     ),
     "chance": (
-        lambda prompt: (Instruction("remove", Thing(), text=f"{next(NUMBERS)}"),),
+        lambda prompt: (Instruction("remove", Target(), text=f"{next(NUMBERS)}"),),
         SAME,
         "gave other instructions",
     ),
@@ -87,7 +87,7 @@ def test_the_contract_names_what_is_wrong(case, complaint):
 
 def test_a_thing_has_a_name_and_a_hint_ends_a_sentence(complaint):
     def build():
-        return SpoiledReader(understands_all, Thing("named"), "Near: red.")
+        return SpoiledReader(understands_all, Target("named"), "Near: red.")
 
     assert "has no name" in complaint(ReaderContract, build, "test_reads_a_thing_alone")
     assert "begin it with a space" in complaint(

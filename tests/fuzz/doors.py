@@ -41,7 +41,7 @@ from edit3r.kit.photos.cameras import (
     read_scene_cameras,
     write_cameras,
 )
-from edit3r.kit.photos.coverage import take_frames
+from edit3r.kit.photos.coverage import take_frames, temporary_photos
 from edit3r.kit.photos.images import load_photos, save_image
 from edit3r.kit.photos.masks import load_masks
 from edit3r.kit.provenance import recorded
@@ -288,8 +288,9 @@ def plies(rng, folder, given):
 
 def videos(rng, folder, given):
     (folder / "clip.mp4").write_bytes(mangled_bytes(rng, given.files["clip.mp4"]))
-    for file in take_frames(folder / "clip.mp4", 3):
-        assert load_photos([given.photos[0], file], size=32).views.count == 2
+    with temporary_photos():
+        for file in take_frames(folder / "clip.mp4", 3):
+            assert load_photos([given.photos[0], file], size=32).views.count == 2
 
 
 def exports(rng, folder, given):

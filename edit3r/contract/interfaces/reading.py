@@ -4,7 +4,7 @@ from abc import ABC, abstractmethod
 from typing import ClassVar
 
 from edit3r.contract.component import Configured
-from edit3r.contract.instructions import Instruction, Thing
+from edit3r.contract.instructions import Instruction, Target
 
 
 class Reader(Configured, ABC):
@@ -30,7 +30,7 @@ class Reader(Configured, ABC):
         """
 
     @abstractmethod
-    def read_thing(self, words: str) -> Thing:
+    def read_target(self, words: str) -> Target:
         """The thing that words name, such as "the left cup" (`--thing`)."""
 
     def hint(self, instruction: Instruction) -> str:

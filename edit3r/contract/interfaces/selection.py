@@ -52,7 +52,9 @@ class Selection:
     # the object's name, such as "bike": looked for where nothing is marked; beside a click it
     # helps to tell the object from its parts
     words: str = ""
-    which: tuple[str, ...] = ()  # which one of several: "left", "big", "red", "all"
+    qualifiers: tuple[
+        str, ...
+    ] = ()  # which one of several: "left", "big", "red", "all"
     several: bool = False  # True: a plural, so every one that is found surely is taken
     # which candidate is taken: 1 is the likeliest, 2 the next
     reading: int = 1

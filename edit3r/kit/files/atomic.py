@@ -123,9 +123,7 @@ def check_new_file(
     if source is not None:
         check_apart(path, source)
     if not overwrite:
-        raise InputError(
-            f"{path}: is already there; give another --out, or --overwrite."
-        )
+        raise InputError(f"{path}: already exists; give another --out, or --overwrite.")
 
 
 def _check_link(out: Path, overwrite: bool) -> None:
@@ -136,7 +134,7 @@ def _check_link(out: Path, overwrite: bool) -> None:
         return
     if not out.exists():
         raise InputError(
-            f"{out}: a link to what is not there ({os.readlink(out)}); remove it, or give another "
+            f"{out}: a broken link ({os.readlink(out)}); remove it, or give another "
             "--out."
         )
     if (out / MARKER).is_file() and not overwrite:
@@ -155,7 +153,7 @@ def check_apart(out: str | Path, *sources: Path) -> None:
             source = source.resolve()
         if final in (source, *source.parents):
             raise InputError(
-                f"{out}: is or holds the file that is read; give another --out."
+                f"{out}: --out would overwrite a file that is read; give another one."
             )
 
 

@@ -5,7 +5,6 @@ greedily, each time the one that shows most of what those chosen so far do not (
 Krause and Golovin 2014, section 1).
 """
 
-import atexit
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from contextvars import ContextVar
@@ -47,19 +46,26 @@ class TakenPhotos:
         return self.folders.enter_context(scratch_folder(name))
 
 
-_OF_PROCESS = TakenPhotos()
-atexit.register(_OF_PROCESS.folders.close)
-_taken: ContextVar[TakenPhotos] = ContextVar("edit3r_photos", default=_OF_PROCESS)
+_taken: ContextVar[TakenPhotos | None] = ContextVar("edit3r_photos", default=None)
 
 
 def taken_photos() -> TakenPhotos:
-    """Those of the block of `frames_kept_for`, else of the process."""
-    return _taken.get()
+    """Those of the block of `temporary_photos` around the call; there must be one."""
+    taken = _taken.get()
+    if taken is None:
+        raise RuntimeError(
+            "frames of a video and pictures in memory become files inside a block of "
+            "edit3r.kit.photos.coverage.temporary_photos() only, and none is around this call."
+        )
+    return taken
 
 
 @contextmanager
-def frames_kept_for() -> Iterator[None]:
-    """Remove photos that are made inside the block when it ends, not when the process does."""
+def temporary_photos() -> Iterator[None]:
+    """Remove photos that are made inside the block when it ends; of nested ones, the outer one."""
+    if _taken.get() is not None:
+        yield
+        return
     taken = TakenPhotos()
     token = _taken.set(taken)
     try:
@@ -71,7 +77,8 @@ def frames_kept_for() -> Iterator[None]:
 
 def origin(file: Path) -> str:
     """The file as people know it: for a frame of a video, the video and the frame's number."""
-    return taken_photos().origins.get(file, str(file))
+    taken = _taken.get()
+    return str(file) if taken is None else taken.origins.get(file, str(file))
 
 
 @dataclass(frozen=True)
@@ -103,7 +110,7 @@ def choose_photos(files: Sequence[Path], most: int | None) -> list[Path]:
 
 
 def take_frames(video: Path, most: int = USUAL_FRAMES) -> list[Path]:
-    """The frames to use of a video, as image files that last as long as the process.
+    """The frames to use of a video, as image files of the block of `temporary_photos` around.
 
     The sharpest of each stretch, without those in which nothing has moved, and of these the ones
     that cover the scene. Raises InputError for a file that is no video, or has fewer than two

@@ -33,6 +33,7 @@ from edit3r.kit.photos.coverage import (
     choose_photos,
     origin,
     take_frames,
+    temporary_photos,
 )
 from edit3r.kit.photos.decode import (
     DEVELOP,
@@ -118,6 +119,7 @@ def load_views(
 
 
 @in_usual_torch
+@temporary_photos()
 def load_photos(
     paths: Pictures,
     *,

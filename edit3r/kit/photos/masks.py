@@ -56,7 +56,7 @@ def _grey(decoded: DecodedImage, path: Path) -> Image.Image:
         )
     say(
         "selection.alpha",
-        f"what is opaque in {path.name} may change; --invert for the contrary",
+        f"what is opaque in {path.name} may change; --invert swaps inside and outside",
     )
     return decoded.alpha.point([255 * min(one, most) // most for one in range(256)])
 

@@ -44,7 +44,9 @@ def load_weights(network: nn.Module, path: str | Path) -> None:
         network.load_state_dict(weights)
     except (safetensors.SafetensorError, RuntimeError, OSError) as error:
         reason = " ".join(str(error).split())[:300]
-        raise InputError(f"{file}: not weights of this network ({reason}).") from None
+        raise InputError(
+            f"{file}: these weights do not fit this network ({reason})."
+        ) from None
 
 
 @contextmanager

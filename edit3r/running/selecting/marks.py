@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.instructions import Thing
+from edit3r.contract.instructions import Target
 from edit3r.contract.interfaces import Box, Reader, Selection
 from edit3r.contract.lens import Lens
 from edit3r.kit.photos.framing import Frame
@@ -73,17 +73,17 @@ class MarkTexts:
             boxes,
             masks=masks,
             words=thing.name,
-            which=thing.which,
+            qualifiers=thing.qualifiers,
             several=thing.several,
             strokes=tuple(_stroke("--stroke", text, frames) for text in self.strokes),
             regions=tuple(_box("--region", text, frames) for text in self.regions),
         )
 
-    def _named(self, reader: Reader | None) -> Thing:
+    def _named(self, reader: Reader | None) -> Target:
         """The thing in words, with a name to look for; without words one without a name."""
         if not self.thing.strip():
-            return Thing()
-        thing = (reader or usual_reader()).read_thing(self.thing)
+            return Target()
+        thing = (reader or usual_reader()).read_target(self.thing)
         scope = {"whole": "everything"}.get(thing.scope, thing.scope)
         return replace(thing, name=thing.name or scope)
 
@@ -154,8 +154,8 @@ def _box(flag: str, text: str, frames: list[Frame]) -> tuple[int, Box]:
     height, width = frame.target
     if (right - left) * width < 1 or (bottom - top) * height < 1:
         raise InputError(
-            f"{flag} {text}: holds no pixel of photo {view + 1} as it is used ({width} x {height} "
-            "pixels); give a larger one."
+            f"{flag} {text}: contains no pixel of photo {view + 1} as it is used "
+            f"({width} x {height} pixels); give a larger one."
         )
     return view, (left, top, min(1.0, right) - left, min(1.0, bottom) - top)
 

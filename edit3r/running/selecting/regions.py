@@ -19,7 +19,7 @@ from edit3r.contract.instructions import (
     Change,
     Colour,
     Instruction,
-    Thing,
+    Target,
 )
 from edit3r.contract.interfaces import (
     BACKGROUND,
@@ -78,7 +78,7 @@ class RegionFinder:
         self._marked = marked
         self._defaults = defaults
         self._known = dict(known or {})
-        self._found: dict[Thing | None, Selected] = {}
+        self._found: dict[Target | None, Selected] = {}
 
     def find(self, instructions: Sequence[Instruction]) -> Regions:
         """Where each instruction applies. Raises InputError for what cannot be found."""
@@ -95,7 +95,7 @@ class RegionFinder:
         return Regions(torch.stack(masks), found, self._things(marked_thing), coloured)
 
     def _with_colours(
-        self, instruction: Instruction, marked_thing: Thing | None
+        self, instruction: Instruction, marked_thing: Target | None
     ) -> Instruction:
         """The instruction with the colours that it takes from other things."""
         changes = tuple(
@@ -105,7 +105,7 @@ class RegionFinder:
         return replace(instruction, changes=changes)
 
     def _coloured(
-        self, change: Change, instruction: Instruction, marked_thing: Thing | None
+        self, change: Change, instruction: Instruction, marked_thing: Target | None
     ) -> Change:
         if change.like is None:
             return change
@@ -125,7 +125,7 @@ class RegionFinder:
         rgb = _median_colour(self._views.images[0], mask)
         return replace(change, colour=Colour(f"colour of {change.like}", rgb))
 
-    def _things(self, marked_thing: Thing | None) -> dict[str, Masks]:
+    def _things(self, marked_thing: Target | None) -> dict[str, Masks]:
         """Masks of everything that has a name, those of earlier runs first."""
         things = dict(self._known)
         marked = self._marked or PLAIN
@@ -144,7 +144,7 @@ class RegionFinder:
             things[name] = selected.masks[:, 0]
         return things
 
-    def _thing_of_marks(self, instructions: Sequence[Instruction]) -> Thing | None:
+    def _thing_of_marks(self, instructions: Sequence[Instruction]) -> Target | None:
         """The one thing that the marks stand for; None for one that has no name."""
         if self._marked is None:
             return None
@@ -159,9 +159,9 @@ class RegionFinder:
             return clicked[0]
         _refuse_places_and_marks(instructions)
         wanted = [
-            instruction.thing
+            instruction.target
             for instruction in instructions
-            if instruction.thing.scope in ("named", "marked")
+            if instruction.target.scope in ("named", "marked")
         ]
         if not wanted:
             wanted = [
@@ -176,7 +176,7 @@ class RegionFinder:
             )
         return next(iter(names.values()), None)
 
-    def _name_marks(self, thing: Thing | None) -> None:
+    def _name_marks(self, thing: Target | None) -> None:
         """Clicks on a whole thing are helped by its name; a part's name is seldom known."""
         marked = self._marked
         if marked is None or thing is None:
@@ -189,8 +189,8 @@ class RegionFinder:
                 "whatever it is called."
             )
 
-    def _region(self, instruction: Instruction, marked_thing: Thing | None) -> Masks:
-        thing = instruction.thing
+    def _region(self, instruction: Instruction, marked_thing: Target | None) -> Masks:
+        thing = instruction.target
         mask = self._base(instruction, marked_thing)
         for kept in instruction.without:
             rest = mask * (1 - self._mask(kept, marked_thing))
@@ -204,7 +204,7 @@ class RegionFinder:
         return mask
 
     def _is_denied(
-        self, mask: Masks, rest: Masks, kept: Thing, instruction: Instruction
+        self, mask: Masks, rest: Masks, kept: Target, instruction: Instruction
     ) -> bool:
         """Whether what was found unsurely for a thing to keep is the thing to change itself: "the
         fern, not the planter" says that these are two.
@@ -212,7 +212,7 @@ class RegionFinder:
         found = self._found.get(replace(kept, part=None))
         unsure = found is not None and not found.is_sure
         other = (
-            instruction.thing.scope == "named" and kept.name != instruction.thing.name
+            instruction.target.scope == "named" and kept.name != instruction.target.name
         )
         if not (unsure and other and kept.part is None):
             return False
@@ -220,19 +220,19 @@ class RegionFinder:
         if left >= LEFT:
             return False
         warn(
-            f"what was found for {kept.name!r} is {instruction.thing.name!r} itself, so it is not "
+            f"what was found for {kept.name!r} is {instruction.target.name!r} itself, so it is not "
             "left out; to leave it out, mark what is to change (--point X,Y)."
         )
         return True
 
-    def _base(self, instruction: Instruction, marked_thing: Thing | None) -> Masks:
+    def _base(self, instruction: Instruction, marked_thing: Target | None) -> Masks:
         """The instruction's thing before anything is taken out of it."""
-        thing, whole = instruction.thing, torch.ones_like(self._views.images[0, :, 0])
+        thing, whole = instruction.target, torch.ones_like(self._views.images[0, :, 0])
         if thing.scope in ("named", "region"):
             return self._mask(thing, marked_thing)
         if thing.scope == "whole":
             if thing.name == "it" and self._known and self._marked is None:
-                return self._mask(Thing(), None)  # what was named last
+                return self._mask(Target(), None)  # what was named last
             confined = self._marked is not None and not instruction.without
             return self._mask(None, None) if confined else whole
         if thing.scope == "marked":
@@ -249,11 +249,11 @@ class RegionFinder:
             named = torch.stack(list(self._known.values())).amax(0)
             return 1 - named
         asked = Selection(words=BACKGROUND)
-        selected = self._look_for(Thing("background"), asked)
+        selected = self._look_for(Target("background"), asked)
         masks = selected.masks[:, 0]
         return 1 - masks if "guess" in selected.how else masks
 
-    def _mask(self, thing: Thing | None, marked_thing: Thing | None) -> Masks:
+    def _mask(self, thing: Target | None, marked_thing: Target | None) -> Masks:
         """Masks of a thing: what is marked where the marks stand for it, else by its name."""
         if thing is not None and thing.box is not None:
             place = Selection(regions=((0, thing.box),))
@@ -272,9 +272,11 @@ class RegionFinder:
             return near_colour(whole, self._views.images[0], thing.part)
         return self._named_mask(thing)
 
-    def _named_mask(self, thing: Thing) -> Masks:
+    def _named_mask(self, thing: Target) -> Masks:
         """Masks of a thing by its name, or of its pixels near a colour."""
-        asked = Selection(words=thing.name, which=thing.which, several=thing.several)
+        asked = Selection(
+            words=thing.name, qualifiers=thing.qualifiers, several=thing.several
+        )
         if _name(thing) in self._known:
             asked = self._as_known(_name(thing))
         mask = self._look_for(thing, asked).masks[:, 0]
@@ -287,7 +289,7 @@ class RegionFinder:
         say("selection.known", f"{name} is what the earlier run took for it")
         return Selection(masks=dict(enumerate(self._known[name])))
 
-    def _look_for(self, thing: Thing | None, selection: Selection) -> Selected:
+    def _look_for(self, thing: Target | None, selection: Selection) -> Selected:
         key = None if thing is None else replace(thing, part=None)
         if key not in self._found:
             selection = _with_defaults(selection, self._defaults)
@@ -328,17 +330,17 @@ def _free(name: str, taken: Collection[str]) -> str:
     return f"{name} {sum(one.startswith(name) for one in taken) + 1}"
 
 
-def _name(thing: Thing) -> str:
+def _name(thing: Target) -> str:
     """The words that name a thing, such as "left cup"; all of a thing is the same thing."""
-    which = (word for word in thing.which if word not in FLOOD)
+    which = (word for word in thing.qualifiers if word not in FLOOD)
     return " ".join((*which, thing.name)).strip()
 
 
 def _refuse_places_and_marks(instructions: Sequence[Instruction]) -> None:
     places = [
-        instruction.thing
+        instruction.target
         for instruction in instructions
-        if instruction.thing.scope == "region"
+        if instruction.target.scope == "region"
     ]
     if (
         places
@@ -351,10 +353,10 @@ def _refuse_places_and_marks(instructions: Sequence[Instruction]) -> None:
         )
 
 
-def _same(thing: Thing, other: Thing) -> bool:
+def _same(thing: Target, other: Target) -> bool:
     """Whether marks of one stand for the other: not for "the middle one" of marked cups."""
     return thing.name == other.name and (
-        thing.which == other.which or "all" not in other.which
+        thing.qualifiers == other.qualifiers or "all" not in other.qualifiers
     )
 
 

@@ -107,7 +107,7 @@ def _in_place(views: Views, answer: Views, masks: Tensor | None) -> AlignedEdit:
     aligned = align_edit(views.images, answer.images, views.called, masks is not None)
     if aligned.moved:
         clauses = "; ".join(aligned.moved)
-        say("edit.moved_back", f"{clauses} (--moved-edits keep: as it is)")
+        say("edit.moved_back", f"{clauses} (--moved-edits keep leaves them)")
     return aligned
 
 

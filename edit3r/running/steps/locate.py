@@ -103,8 +103,8 @@ def _fitting(inputs: Inputs, components: Components) -> tuple[Inputs, GeometryAn
         return inputs, answer
     say(
         "lens.exif",
-        "what EXIF says of the lens does not fit the photos, as where they were cropped; it is "
-        "read from the photos instead, unless --fov tells it",
+        "what EXIF says of the lens does not fit the photos, perhaps because they were "
+        "cropped; it is estimated from the photos instead, unless --fov is given",
     )
     return replace(inputs, photos=photos, start=start), read
 
@@ -143,7 +143,7 @@ def _exposure(
             note(f"exposure.{name}", value[0, ..., 0, 0].tolist())
         say(
             "exposure",
-            f"the photos differ by up to {255 * exposure.change:.0f} of 255; the scene has "
-            "that of the first (--exposure own: each its own)",
+            f"the photos differ by up to {255 * exposure.change:.0f} of 255; the scene "
+            "takes the exposure of the first (--exposure own keeps each)",
         )
     return exposure

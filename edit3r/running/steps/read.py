@@ -13,7 +13,12 @@ from edit3r.contract.reporting import say, stage, warn
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import sha256_of
 from edit3r.kit.files.names import unique_names
-from edit3r.kit.photos.coverage import USUAL_FRAMES, choose_photos, origin
+from edit3r.kit.photos.coverage import (
+    USUAL_FRAMES,
+    choose_photos,
+    origin,
+    temporary_photos,
+)
 from edit3r.kit.photos.images import LoadedPhotos, find_photos, load_photos
 from edit3r.kit.photos.masks import read_mask
 from edit3r.running.job import RunJob
@@ -25,6 +30,7 @@ _MOST_OF_A_THING = 0.5
 """Share of the photos [mean of the masks] above which masks are of no thing."""
 
 
+@temporary_photos()
 def read(job: RunJob, read_lens: Callable[[Views], Lens | None]) -> Inputs:
     """The photos of the job, or of the earlier run that it goes on from, and their marks.
 

@@ -74,8 +74,8 @@ def _tell_of_turned(photos: Views, cameras: Cameras) -> None:
         turned = photos.select((turns == quarters).nonzero()[:, 0].tolist())
         if turned.count:
             warn(
-                f"{', '.join(turned.names) or 'A photo'}: not held as the other photos are, so a "
-                f"part may be cut off and things are hard to name. Turn the file {way}, run again."
+                f"{', '.join(turned.names) or 'A photo'}: turned on its side, so part of it may be "
+                f"cut off and things are hard to recognise. Turn the file {way} and run again."
             )
 
 

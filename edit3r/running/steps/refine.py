@@ -27,8 +27,8 @@ def refine(
     if len(refiners) < len(components.config.all_refiners()):
         say(
             "refine.left_out",
-            "the reconstructor's Gaussians are kept as they are, for they settle disagreeing edits "
-            "by themselves; --gaussians and --refine change them nevertheless",
+            "the reconstructor's Gaussians are kept as they are, because it resolves edits that "
+            "disagree by itself; --gaussians and --refine still change them",
         )
     if not again:
         first = [one for one in refiners if isinstance(one, ComparesWithBefore)]

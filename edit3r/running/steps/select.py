@@ -10,7 +10,7 @@ from torch import Tensor
 
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError, QuestionError
-from edit3r.contract.instructions import Instruction, Thing
+from edit3r.contract.instructions import Instruction, Target
 from edit3r.contract.interfaces import (
     ASK,
     EditsRegions,
@@ -116,7 +116,7 @@ def _regions(
                 f"{list(inputs.masks.shape)}."
             )
         narrowed = [
-            _narrowed(inputs.masks, views, instruction.thing)
+            _narrowed(inputs.masks, views, instruction.target)
             for instruction in instructions
         ]
         return SelectedRegions(
@@ -126,13 +126,13 @@ def _regions(
         )
     regional = any(isinstance(task.editor, EditsRegions) for task in components.tasks)
     named = components.chose_segmenter and any(
-        instruction.thing.scope == "named" for instruction in instructions
+        instruction.target.scope == "named" for instruction in instructions
     )
     if inputs.marked is None and not regional and not named:
         return SelectedRegions(things=inputs.things)
-    marked_alone = any(one.thing.scope == "marked" for one in instructions)
+    marked_alone = any(one.target.scope == "marked" for one in instructions)
     if inputs.marked is None and marked_alone and not components.config.prompt:
-        raise InputError(f"nothing says which object is meant; {ASK}.")
+        raise InputError(f"it is not clear which object is meant; {ASK}.")
 
     def hints() -> str:
         """What the reader of the sentence advises, such as "Did you mean 'bear'?"."""
@@ -182,7 +182,7 @@ def _widened(
 
 
 def _narrowed(
-    masks: Float[Tensor, "batch view height width"], views: Views, thing: Thing
+    masks: Float[Tensor, "batch view height width"], views: Views, thing: Target
 ) -> Float[Tensor, "batch view height width"]:
     """Given masks; of "the red parts" only what is red."""
     if thing.part is None:
@@ -193,7 +193,7 @@ def _narrowed(
     )
 
 
-MARKED = Instruction("other", Thing("marked"))
+MARKED = Instruction("other", Target("marked"))
 """Stands in where the sentence gives no instruction: something is done to what is marked."""
 
 

@@ -49,8 +49,8 @@ export function showFilm(drawer, acts, close) {
         "small",
         {},
         few
-          ? "Two views at least."
-          : `About ${Math.round(((keys.length - 1) * 24) / 18)} seconds long; it is drawn picture by picture.`,
+          ? "Add at least two views."
+          : `About ${Math.round(((keys.length - 1) * 24) / 18)} seconds long; every frame is drawn, which takes a while.`,
       ),
     ),
   );

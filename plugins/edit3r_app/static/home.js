@@ -203,7 +203,7 @@ function askToDelete(name, facts, refresh) {
     el(
       "p",
       {},
-      `It goes with all that was made of it: ${facts}. The files stay in the folder .deleted of the jobs folder until you empty it.`,
+      `Everything made from it is deleted too: ${facts}. The files stay in the folder .deleted of the jobs folder until you empty it.`,
     ),
     el(
       "div",

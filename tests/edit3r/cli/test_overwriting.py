@@ -24,7 +24,7 @@ def test_a_file_that_is_there_is_left_alone(folder, command, capsys):
     theirs = folder / command.split()[-1]
     theirs.write_text("mine")
     assert main(command.split()) == 2
-    assert "is already there; give another --out, or --ov" in capsys.readouterr().err
+    assert "already exists; give another --out, or --ov" in capsys.readouterr().err
     assert theirs.read_text() == "mine"
     assert main([*command.split(), "--overwrite"]) != 0
     # what the command reads is not there either, but the file could be replaced
@@ -57,4 +57,4 @@ def test_a_run_that_is_read_is_never_replaced(folder, command, capsys):
         (run / "inputs" / "a.png").write_text("mine")
     for more in ([], ["--overwrite"]):
         assert main([*command.split(), "--out", "theirs", *more]) == 2
-        assert "holds the file that is read" in capsys.readouterr().err
+        assert "would overwrite a file that is read" in capsys.readouterr().err

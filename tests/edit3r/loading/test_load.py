@@ -199,3 +199,13 @@ def test_a_local_file_may_not_take_the_name_of_another_module(installed, tmp_pat
 def test_a_local_file_that_is_not_there_is_the_user_s_error(installed, tmp_path):
     with pytest.raises(InputError, match="no such file"):
         load_plugins([tmp_path / "absent.py"])
+
+
+def test_a_local_file_that_offers_nothing_is_named_each_time_it_is_asked_for(
+    installed, tmp_path
+):
+    """A plugin that failed is not taken for one that is loaded already."""
+    file = tmp_path / "empty_handed.py"
+    file.write_text("x = 1")
+    failures = load_plugins([file, file]).failures
+    assert len(failures) == 2 and "offers nothing" in failures[1].reason

@@ -79,7 +79,7 @@ def test_an_empty_prompt_is_enough_for_an_editor_that_needs_none():
         edit3r.build("editor", "retouch"), "", usual_reader(), default_registry()
     )
     assert task.instructions[0].action == "remove"
-    with pytest.raises(PromptError, match="nothing is asked for"):
+    with pytest.raises(PromptError, match="there is nothing to do"):
         chosen("")
 
 

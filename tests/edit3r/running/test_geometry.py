@@ -95,7 +95,7 @@ def test_one_plane_is_told_from_things_in_depth():
 
 
 def test_photos_that_cannot_be_placed_are_told_and_selected_without():
-    with pytest.warns(UserWarning, match="what the photos show alone: too few points"):
+    with pytest.warns(UserWarning, match="not where they were taken: too few points"):
         found = geometry_of(Knows(MatchingError("too few points")), SCENE.views)
     assert found is None
 

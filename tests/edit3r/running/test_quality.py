@@ -56,7 +56,7 @@ def test_another_component_gets_none_of_the_presets_settings():
 
 def test_a_preset_that_was_not_measured_is_an_error():
     with pytest.raises(
-        SettingsError, match="--quality balanced: no such preset was measured"
+        SettingsError, match="--quality balanced: there is no measured preset"
     ):
         make_run_config({"quality": "balanced"})
 

@@ -8,7 +8,7 @@ import torch
 import edit3r
 from edit3r import Views
 from edit3r.contract.errors import PluginError, PromptError, UnknownComponentError
-from edit3r.contract.instructions import Change, Colour, Instruction, Thing
+from edit3r.contract.instructions import Change, Colour, Instruction, Target
 from edit3r.contract.interfaces import Editor, EditsRegions, Reader, Selection
 from edit3r.contract.settings import PartChoice
 from edit3r.kit.photos.images import LoadedPhotos
@@ -20,7 +20,7 @@ from edit3r.running.editors import instructions_for, read
 from edit3r.running.job import RunJob, job_from
 
 RED = Change("paint", Colour("rouge", (0.9, 0.1, 0.1)))
-ALL_RED = Instruction("paint", Thing("whole"), (RED,), text="rouge")
+ALL_RED = Instruction("paint", Target("whole"), (RED,), text="rouge")
 VIEWS = Views(torch.full((1, 2, 3, 8, 12), 0.5), torch.eye(3).expand(1, 2, 3, 3))
 
 
@@ -34,9 +34,9 @@ class Counting(Reader):
         self.asked.append(prompt)
         return self.instructions
 
-    def read_thing(self, words):
+    def read_target(self, words):
         self.asked.append(words)
-        return Thing("named", "mur", which=("left",))
+        return Target("named", "mur", qualifiers=("left",))
 
 
 class Asked(Editor, EditsRegions):
@@ -64,7 +64,7 @@ def test_words_for_the_thing_are_the_readers_too():
     reader = Counting()
     photos = LoadedPhotos(VIEWS, [SimpleNamespace(frame=None)] * 2)
     selection = MarkTexts(thing="le mur").read(photos, reader)
-    assert (selection.words, selection.which) == ("mur", ("left",))
+    assert (selection.words, selection.qualifiers) == ("mur", ("left",))
     assert MarkTexts().read(photos, reader) == Selection()
     assert reader.asked == ["le mur"]
 
@@ -80,7 +80,7 @@ def test_the_reader_is_a_setting_like_the_other_parts(given):
     ("instructions", "why"),
     [
         ((), "return an instruction"),
-        ((Instruction("paint", Thing(), text="red"),), "names no change"),
+        ((Instruction("paint", Target(), text="red"),), "names no change"),
         (None, "tuple"),
     ],
 )

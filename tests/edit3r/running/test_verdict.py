@@ -5,7 +5,7 @@ import re
 import pytest
 import torch
 
-from edit3r.contract.instructions import Colour, Instruction, Thing
+from edit3r.contract.instructions import Colour, Instruction, Target
 from edit3r.contract.interfaces import Reading, Selected
 from edit3r.running.records import SelectedRegions, verdict_on_selection
 
@@ -76,7 +76,7 @@ def test_of_nothing_nothing_is_said():
 
 
 def test_what_nobody_marked_is_called_by_its_colour():
-    red = Instruction("paint", Thing("whole", part=Colour("red", (1, 0, 0))))
+    red = Instruction("paint", Target("whole", part=Colour("red", (1, 0, 0))))
     by_colour = SelectedRegions(MASKS[None, :, 0], instructions=(red,))
     assert str(by_colour.verdict) == "given, what is red"
     handed_over = SelectedRegions(MASKS[None, :, 0])

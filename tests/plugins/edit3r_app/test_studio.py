@@ -8,7 +8,7 @@ from edit3r_app import uploads
 from edit3r_app.draft import read_draft
 from edit3r_app.drawing import Drawing
 from edit3r_app.jobs import AppJob, JobsFolder
-from edit3r_app.looking import Looker
+from edit3r_app.preview_service import PreviewService
 from edit3r_app.runner import Runner
 from edit3r_app.studio import Studio
 from PIL import Image
@@ -26,7 +26,7 @@ def studio(tmp_path_factory):
     yield Studio(
         folder,
         Runner(folder),
-        Looker(folder, default_registry(), 64),
+        PreviewService(folder, default_registry(), 64),
         Drawing(folder, default_registry()),
     )
 

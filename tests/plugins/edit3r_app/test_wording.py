@@ -19,7 +19,7 @@ from edit3r import default_registry
             "To correct it, click on it.",
         ),
         (
-            "it has that of the first (--exposure own: each its own)",
+            "it has that of the first (--exposure own keeps each)",
             "it has that of the first",
         ),
         (

@@ -8,6 +8,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import numpy as np
 import pytest
+import torch
 import yaml
 from edit3r_bench.manifest import load_item, read_bench_manifest
 from edit3r_bench.photos import find_photo_folders
@@ -15,6 +16,7 @@ from edit3r_bench.proposals import (
     ProposedEdit,
     choose_edits,
     edits_from_templates,
+    find_objects,
     read_vetting,
     without_near_duplicates,
     write_vetting,
@@ -23,6 +25,7 @@ from PIL import Image
 
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError, SettingsError
+from edit3r.contract.interfaces import Detection
 from edit3r.loading.registry import default_registry
 
 DETECTOR = '''
@@ -156,6 +159,18 @@ def test_a_folder_without_scenes_is_one_sentence(tmp_path):
 
 
 # ---- proposals ----
+
+
+@pytest.mark.parametrize(("shown_by", "counts"), [(0, False), (1, False), (2, True)])
+def test_an_object_counts_where_half_of_the_photos_show_it(shown_by, counts):
+    photos = [torch.full((3, 8, 8), index / 4) for index in range(4)]
+
+    class Shown:
+        def detect(self, image, word):
+            index = round(4 * float(image[0, 0, 0]))
+            return [Detection(word, 0.9, (0, 0, 2, 2))] if index < shown_by else []
+
+    assert ("cup" in find_objects(photos, Shown(), ["cup"])) == counts
 
 
 @pytest.mark.parametrize(

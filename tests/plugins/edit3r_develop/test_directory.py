@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import pytest
-import tomllib
 from edit3r_develop import directory
 
 from edit3r.cli.main import main

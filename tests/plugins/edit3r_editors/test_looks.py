@@ -138,7 +138,7 @@ def test_describe_lists_every_look(capsys):
     ("flags", "says"),
     [
         (["--editor", "looks", "--prompt", "like mars"], "is not understood"),
-        ([], "nothing is asked for"),
+        ([], "there is nothing to do"),
         (
             [
                 "--prompt",

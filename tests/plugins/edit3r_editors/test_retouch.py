@@ -189,7 +189,7 @@ def test_the_run_reconstructs_what_is_left_from_the_edited_photos():
     with pytest.raises(MatchingError):
         edit3r.run(views, masks=masks, editor=editor, recon=Spy())
     assert _error(seen[0].images[0], truth, masks) < 0.02
-    with pytest.raises(InputError, match="nothing says which object is meant"):
+    with pytest.raises(InputError, match="which object is meant"):
         edit3r.run(views, editor=editor, recon=Spy())
 
 

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from itertools import combinations
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -109,6 +110,20 @@ def test_the_unit_of_length_stays_that_of_the_given_poses(scene):
     large = {v: Pose(pose.rotation, 100 * pose.translation) for v, pose in true.items()}
     after = adjust(images, keypoints, matches, large, threshold=2.0)[0]
     assert np.allclose(after[3].translation, large[3].translation, rtol=1e-3)
+
+
+def test_adjusted_poses_are_brought_back_to_the_unit_of_the_given_ones():
+    """As far from the first view as before in the median, whatever unit the solver ended in."""
+    before = {v: Pose(np.eye(3), np.array([v, 0.0, 0])) for v in range(4)}
+    moved = SimpleNamespace(
+        image=lambda number: SimpleNamespace(
+            cam_from_world=lambda: SimpleNamespace(
+                matrix=lambda: np.c_[np.eye(3), [3.0 * (number - 1), 0, 0]]
+            )
+        )
+    )
+    after = bundle_adjustment._poses_of(moved, [0, 1, 2, 3], before)
+    assert all(np.allclose(after[v].translation, [v, 0, 0]) for v in range(4))
 
 
 def test_views_without_a_pose_are_left_alone(scene):

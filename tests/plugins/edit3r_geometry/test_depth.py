@@ -28,7 +28,15 @@ from edit3r_geometry.plane_sweep import (
 )
 from edit3r_geometry.registration import Registration
 from edit3r_geometry.relative_pose import Matches
-from edit3r_geometry.semi_global import SMALL_STEP, _jump_costs, aggregate, best_plane
+from edit3r_geometry.semi_global import (
+    EDGE,
+    JUMP,
+    LEAST_JUMP,
+    SMALL_STEP,
+    _jump_costs,
+    aggregate,
+    best_plane,
+)
 
 SIZE = (48, 64)
 INTRINSICS = np.array([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]])
@@ -355,3 +363,13 @@ def test_only_guesses_that_look_like_no_sky_are_moved_before_it():
     )
     assert (moved[branch] > 1).all()
     assert (moved[~branch] == np.float32(0.1)).all()
+
+
+def test_a_jump_of_depth_costs_less_where_the_picture_has_an_edge():
+    grey = np.zeros((9, 12), np.float32)
+    grey[:, 6:] = 0.3
+    costs = _jump_costs(grey)
+    flat, edge = costs[4, 2], costs[4, 5:7]
+    assert np.allclose(flat, LEAST_JUMP + JUMP)
+    assert np.allclose(edge, LEAST_JUMP + JUMP * np.exp(-0.3 / EDGE))
+    assert np.allclose(_jump_costs(grey.T), costs.T)

@@ -9,7 +9,7 @@ import torch
 from edit3r_judge.critic import LimitsCritic
 from edit3r_judge.signals import SIGNALS, faults_of, fitted_limits, measured
 
-from edit3r.contract.instructions import Change, Colour, Instruction, Thing
+from edit3r.contract.instructions import Change, Colour, Instruction, Target
 from edit3r.contract.interfaces import EditToJudge, HalfWay
 from edit3r.contract.types import Cameras, Rendering, Views
 
@@ -17,10 +17,10 @@ ROOT = Path(__file__).parents[3]
 SIZE, SIDE = 96, 40
 RED = (0.8, 0.1, 0.1)
 PAINT_RED = Instruction(
-    "paint", Thing("marked"), (Change("paint", Colour("red", RED)),)
+    "paint", Target("marked"), (Change("paint", Colour("red", RED)),)
 )
-REMOVE = Instruction("remove", Thing("marked"))
-GREYSCALE = Instruction("paint", Thing("marked"), (Change("greyscale"),))
+REMOVE = Instruction("remove", Target("marked"))
+GREYSCALE = Instruction("paint", Target("marked"), (Change("greyscale"),))
 DEPTH = 2.0
 SHIFT = 16  # pixels that the thing lies further left in the second photo
 LEFTS = (40, 40 - SHIFT)
@@ -97,7 +97,7 @@ def test_dark_parts_of_what_is_painted_in_metal_need_not_be_as_saturated(good):
     """Light and shade of a metal stay: half of it is dark gold."""
     gold = (0.83, 0.69, 0.22)
     paint = Instruction(
-        "paint", Thing("marked"), (Change("paint", Colour("gold", gold)),)
+        "paint", Target("marked"), (Change("paint", Colour("gold", gold)),)
     )
     light = torch.ones(SIZE, SIZE)
     light[:52] = 0.15
@@ -272,7 +272,7 @@ def test_what_was_carried_out_well_is_good(good, well):
 
 def test_whoever_edits_by_a_model_may_leave_most_of_it(good):
     hat = replace(
-        half_done(good), instructions=(Instruction("other", Thing("marked")),)
+        half_done(good), instructions=(Instruction("other", Target("marked")),)
     )
     assert LimitsCritic(None).judge_edit(hat).label == "good"
     none = judged(hat, after=hat.before)
@@ -291,7 +291,7 @@ def test_what_has_another_colour_may_stay_and_what_looks_as_asked_need_not_chang
     # light and shade on a grey thing are no colour
     shade = torch.linspace(0.2, 0.8, SIZE).expand(2, 3, SIZE, SIZE)
     grey = Change("paint", Colour("grey", (0.5, 0.5, 0.5)))
-    asked = (Instruction("paint", Thing("marked"), (grey,)),)
+    asked = (Instruction("paint", Target("marked"), (grey,)),)
     stone = judged(good, before=views(shade), after=views(shade), instructions=asked)
     assert measured(stone)["unchanged"] is None
 

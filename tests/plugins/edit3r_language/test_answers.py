@@ -66,7 +66,7 @@ def test_a_right_answer_gives_the_instructions_of_the_grammar(sentence):
     said, grammar = read(sentence, *SAME[sentence]), GrammarReader().read(sentence)
     assert list(map(str, said)) == list(map(str, grammar))
     assert [one.changes for one in said] == [one.changes for one in grammar]
-    assert [one.thing.box for one in said] == [one.thing.box for one in grammar]
+    assert [one.target.box for one in said] == [one.target.box for one in grammar]
 
 
 UNREAD = {
@@ -116,7 +116,7 @@ def test_a_word_that_picks_nothing_goes_with_the_name():
         "paint the striped wall red", colour="red", thing={"which": ["striped"]}
     )
     (one,) = read("paint the striped wall red", said)
-    assert (one.thing.name, one.thing.which) == ("striped wall", ())
+    assert (one.target.name, one.target.qualifiers) == ("striped wall", ())
 
 
 @pytest.mark.parametrize(

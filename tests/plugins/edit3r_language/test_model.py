@@ -42,7 +42,7 @@ def test_a_service_reads_any_language_and_gets_the_sentence_alone(chat):
 
 def test_an_answer_of_another_form_is_sent_back_with_what_is_wrong(chat):
     chat.answers.extend(["Done!", RIGHT])
-    assert service(chat).read(SENTENCE)[0].thing.name == "wall"
+    assert service(chat).read(SENTENCE)[0].target.name == "wall"
     *_, answer, complaint = chat.requests[1]["messages"]
     assert answer["content"] == "Done!"
     assert "no JSON object" in complaint["content"]
@@ -82,8 +82,8 @@ def test_a_thing_alone_is_read_as_what_is_removed(chat):
     chat.answers.append(
         json.dumps({"instructions": [{**instruction, "text": "remove die linke Wand"}]})
     )
-    thing = service(chat).read_thing("die linke Wand")
-    assert (thing.name, thing.which) == ("wall", ("left",))
+    thing = service(chat).read_target("die linke Wand")
+    assert (thing.name, thing.qualifiers) == ("wall", ("left",))
 
 
 @pytest.mark.slow
@@ -194,6 +194,6 @@ def test_contract(chat, monkeypatch, claim):
     )
     chat.answers.append(json.dumps(names))
     contract = contract_for("reader", "model", base_url=chat.url)
-    contract.thing = SENTENCE
+    contract.target = SENTENCE
     monkeypatch.setattr(ServiceReader, "example", SENTENCE)
     getattr(contract(), claim)()

@@ -157,7 +157,9 @@ def test_parts_that_do_not_go_together_are_an_error(registry):
         registry.build("reconstructor", "edit3r", **head)
     with pytest.raises(SettingsError, match="use the reconstructor edit3r"):
         build("reconstructor", "noposplat", weights="shipped")
-    with pytest.raises(SettingsError, match=r"reconstructor\.precision: counts for"):
+    with pytest.raises(
+        SettingsError, match=r"reconstructor\.precision: applies only to"
+    ):
         small(precision="int8")
     unet = build("backbone", "matched-unet", width=8)
     assert type(unet) is MatchedUNet

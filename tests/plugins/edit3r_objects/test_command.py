@@ -172,7 +172,7 @@ def test_an_edited_scene_takes_no_new_marks_of_its_old_photos(made, capsys):
         ("left recolor left quickly --out {0}/no", "quickly"),
         ("left recolor left red and the cup blue --out {0}/no", "expected one colour"),
         ("left remove left", "give --out a folder"),
-        ("left remove left --out {0}/left", "is or holds the file that is read"),
+        ("left remove left --out {0}/left", "would overwrite a file that is read"),
         ("nowhere remove left --out {0}/no", "no such file"),
     ],
 )

@@ -29,14 +29,14 @@ SURFACES = [(0.5, 0.4, 0.3), (0.05, 0.05, 0.06), (0.95, 0.95, 0.9), (0.1, 0.2, 0
 
 
 @dataclass
-class Thing:
+class Target:
     images: torch.Tensor  # [view 3 height width]
     region: torch.Tensor  # [view height width]
     paint: torch.Tensor  # the same, bool
     neutral: torch.Tensor  # the same, bool
 
 
-def outlined(name: str, photo: np.ndarray, mask: np.ndarray | None = None) -> Thing:
+def outlined(name: str, photo: np.ndarray, mask: np.ndarray | None = None) -> Target:
     """A photo [height width 3] in sRGB bytes, with its outlines filled."""
     outlines = OUTLINES[name]
     width = outlines["width"]
@@ -56,19 +56,21 @@ def outlined(name: str, photo: np.ndarray, mask: np.ndarray | None = None) -> Th
         region = torch.from_numpy(mask)[None] / 255
     image = torch.from_numpy(photo).movedim(-1, 0)[None] / 255
     painted = filled("paint") & ~filled("cut") & (region > 0.5)
-    return Thing(image, region, painted, filled("neutral") & (region > 0.5))
+    return Target(image, region, painted, filled("neutral") & (region > 0.5))
 
 
-def motorcycle() -> Thing:
+def motorcycle() -> Target:
     sides = []
     for path, mask in zip(packaged_pair()[0], ("", "_right")):
         photo = cv2.cvtColor(cv2.imread(path), cv2.COLOR_BGR2RGB)
         mask = cv2.imread(str(MASKS / f"motorcycle_mask{mask}.png"), 0)
         sides.append(outlined(Path(path).stem, photo, mask))
-    return Thing(*(torch.cat(part) for part in zip(*(vars(s).values() for s in sides))))
+    return Target(
+        *(torch.cat(part) for part in zip(*(vars(s).values() for s in sides)))
+    )
 
 
-def ball() -> Thing:
+def ball() -> Target:
     """A glossy blue ball with a rubber band and a chrome ring, lit from the upper left."""
     rows, columns = torch.meshgrid(*[torch.linspace(-1, 1, 128)] * 2, indexing="ij")
     depth = (0.9**2 - rows**2 - columns**2).clamp(min=0).sqrt()
@@ -82,7 +84,7 @@ def ball() -> Thing:
     inside = depth > 0.2
     paint, neutral = inside & ~band & ~ring, inside & (band | ring)
     one = (image.clamp(0, 1), inside.float(), paint, neutral)
-    return Thing(*(part[None] for part in one))
+    return Target(*(part[None] for part in one))
 
 
 THINGS = {
@@ -94,7 +96,7 @@ THINGS = {
 
 
 @pytest.fixture(scope="module", params=THINGS)
-def thing(request) -> Thing:
+def thing(request) -> Target:
     return THINGS[request.param]()
 
 
@@ -102,7 +104,7 @@ def rgb_of(colour: str) -> tuple[float, float, float]:
     return read_colour([colour])[0].rgb
 
 
-def painted(thing: Thing, colour: str, **options) -> torch.Tensor:
+def painted(thing: Target, colour: str, **options) -> torch.Tensor:
     new = paint(thing.images, thing.region, rgb_of(colour), **options)
     return torch.lerp(thing.images, new, thing.region[:, None])
 
@@ -310,7 +312,7 @@ def test_two_halves_in_two_colours_are_no_islands():
     assert moved[brown].all() and not moved[~brown].any()
 
 
-def lightness_of(images: torch.Tensor, thing: Thing) -> torch.Tensor:
+def lightness_of(images: torch.Tensor, thing: Target) -> torch.Tensor:
     return rgb_to_oklab(images)[:, 0][thing.paint]
 
 

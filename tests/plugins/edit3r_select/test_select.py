@@ -367,7 +367,7 @@ def test_several_are_looked_for_on_every_photo(
     confidences, several, which, each, count
 ):
     images = torch.stack((torch.zeros(3, 24, 32), torch.ones(3, 24, 32)))
-    words = Selection(words="people", several=several, which=which)
+    words = Selection(words="people", several=several, qualifiers=which)
     found = select_masks(images, words, Walkers(*confidences))
     assert (found.how == ("words", "words")) == each
     one = float(square(2, 2).sum())
@@ -391,7 +391,7 @@ def test_of_several_of_one_name_none_is_surely_meant_unless_words_say_which(
     confidences, which, confidence
 ):
     found = select_masks(
-        IMAGES, Selection(words="person", which=which), Walkers(*confidences)
+        IMAGES, Selection(words="person", qualifiers=which), Walkers(*confidences)
     )
     assert found.confidence == confidence
     told = "2 things on photo 1 may be 'person'"

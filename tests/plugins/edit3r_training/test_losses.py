@@ -193,6 +193,18 @@ def test_clip_is_given_images_normalised_as_it_was_trained(monkeypatch):
         assert torch.allclose(given.mean((0, 2, 3)), expected, atol=1e-5)
 
 
+def test_clip_compares_each_image_with_its_own_target(monkeypatch):
+    embeddings = iter(
+        torch.tensor([[[1.0, 2, 0], [0, 1, 1]], [[3.0, 1, 1], [0, 2, 2]]])
+    )
+    loss = ClipLoss.__new__(ClipLoss)
+    monkeypatch.setattr(loss, "_embed", lambda images: next(embeddings))
+    picture = torch.rand(1, 2, 3, 8, 8)
+    value = loss(LossInputs(rendered=picture, target=picture))
+    first = 5 / (5 * 11) ** 0.5  # cosine of the first pair; the second is parallel
+    assert torch.isclose(value, torch.tensor(1 - (first + 1) / 2))
+
+
 @pytest.fixture
 def squared(monkeypatch):
     """In the place of LPIPS, whose package may be missing; it has tests of its own."""

@@ -59,7 +59,9 @@ def test_a_process_s_own_gpu_is_the_one_of_its_local_rank(monkeypatch):
 def test_devices_that_are_not_there_are_refused_by_name(monkeypatch):
     monkeypatch.delenv("LOCAL_RANK", raising=False)
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 0)
-    with pytest.raises(SettingsError, match="cuda:0 asked for, but 0 GPUs"):
+    with pytest.raises(
+        SettingsError, match="cuda:0 was asked for, but this machine has 0 GPUs"
+    ):
         own_device("cuda")
     with pytest.raises(SettingsError, match="no torch device is called 'gpu'"):
         own_device("gpu")

@@ -106,5 +106,5 @@ def test_cameras_of_other_photos_are_refused(made, capsys):
 
 def test_the_run_is_never_overwritten(made, capsys):
     assert main(f"uncertainty {made}/run --out {made}/run".split()) == 2
-    assert "is or holds the file that is read" in capsys.readouterr().err
+    assert "would overwrite a file that is read" in capsys.readouterr().err
     assert (made / "run" / "scene.ply").is_file()

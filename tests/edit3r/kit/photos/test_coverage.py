@@ -13,8 +13,10 @@ from edit3r.kit.photos.coverage import (
     choose_photos,
     covering,
     features_of,
+    origin,
     shared,
     take_frames,
+    temporary_photos,
 )
 from edit3r.kit.photos.images import load_photos
 
@@ -91,6 +93,26 @@ def test_views_n_takes_the_photos_that_differ(tmp_path):
         assert load_photos(tmp_path, size=64, most=3).views.count == 3
 
 
+@pytest.fixture
+def block():
+    with temporary_photos():
+        yield
+
+
+def test_frames_last_as_long_as_the_block_around_and_need_one(tmp_path):
+    clip = video(tmp_path / "clip.mp4", range(0, 480, 40))
+    with temporary_photos():
+        with temporary_photos():
+            files = take_frames(clip, 2)
+        assert all(file.is_file() for file in files)
+        assert origin(files[0]).startswith(f"{clip}, frame ")
+    assert not any(file.exists() for file in files)
+    assert origin(files[0]) == str(files[0])
+    with pytest.raises(RuntimeError, match="temporary_photos"):
+        take_frames(clip, 2)
+
+
+@pytest.mark.usefixtures("block")
 def test_of_a_video_the_sharp_frames_are_taken(tmp_path):
     # of each stretch of two frames one
     blurred = {number for number in range(24) if number % 2}
@@ -104,6 +126,7 @@ def test_of_a_video_the_sharp_frames_are_taken(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("block")
 def test_frames_in_which_nothing_moved_are_left_out(tmp_path):
     with pytest.warns(UserWarning, match="nothing has moved"):
         taken = take_frames(

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from edit3r.contract.instructions import EVERY, Colour, Thing
+from edit3r.contract.instructions import EVERY, Colour, Target
 from edit3r.kit.compute.colour_names import read_colour
 from edit3r_language.nouns import is_noun, is_plural, is_thing_too
 from edit3r_language.paints import LIGHT_WORDS
@@ -13,7 +13,7 @@ from edit3r_language.vocabulary import WORDS
 _JOINING = WORDS.joining - {"at", "to", "next", "above", "below"}
 
 
-def read_thing(tokens: list[str]) -> Thing:
+def read_target(tokens: list[str]) -> Target:
     """The thing that the words name; without any, what the user marked.
 
     A pronoun stands for what was named last and is returned under the name "it".
@@ -22,20 +22,20 @@ def read_thing(tokens: list[str]) -> Thing:
     return read_region(tokens) or _read_named(tokens)
 
 
-def _read_named(tokens: list[str]) -> Thing:
+def _read_named(tokens: list[str]) -> Target:
     """The thing by its noun, with what picks it among several and the whole it is a part of."""
-    said = set(tokens)
+    possessive = bool(set(tokens) & WORDS.possessives)
     tokens, of = _whole_of(tokens)
     part, named = _colour_of_part(_naming(tokens), tokens)
     nouns = [t for t in named if t not in WORDS.whole | EVERY]
     if set(nouns) & WORDS.rest or (set(nouns) and set(nouns) <= WORDS.background):
-        return Thing("background", of=_foreground(of), part=part)
+        return Target("background", of=_foreground(of), part=part)
     which = [t for t in nouns if t in WORDS.places | WORDS.sizes | WORDS.background]
     nouns = [t for t in nouns if t not in which]
     one = bool(set(tokens) & {"one", "ones"})
     colours, nouns = _leading_colours(nouns, one)
     if of and which and not nouns and part is None:  # "the top of the tower"
-        return Thing("named", " ".join(which), of=_named_whole(of))
+        return Target("named", " ".join(which), of=_named_whole(of))
     if of and (part is not None or not nouns):
         return _part_of(of, part)
     if not (nouns or which or (colours and one)):
@@ -44,11 +44,11 @@ def _read_named(tokens: list[str]) -> Thing:
     picks = tuple(dict.fromkeys((*every, *which, *colours)))
     name = " ".join(nouns).removesuffix("'s")
     whole = _named_whole(of)
-    if nouns and said & WORDS.possessives:
+    if nouns and possessive:
         whole = whole or "it"
     several = not picks and bool(nouns) and is_plural(nouns[-1])
     unknown = () if not nouns or not is_noun(nouns[-1]) else _unknown(nouns[:-1])
-    return Thing("named", name, picks, whole, part, several=several, unknown=unknown)
+    return Target("named", name, picks, whole, part, several=several, unknown=unknown)
 
 
 def _foreground(of: list[str]) -> str:
@@ -69,26 +69,26 @@ def _naming(tokens: list[str]) -> list[str]:
     return [t for t in tokens if t not in ignored or t == "everything"]
 
 
-def _part_of(whole: list[str], part: Colour | None) -> Thing:
+def _part_of(whole: list[str], part: Colour | None) -> Target:
     """The whole that "the red parts of" says, where it is red."""
-    inner = read_thing(whole)
+    inner = read_target(whole)
     return replace(inner, part=part or inner.part)
 
 
-def _unnamed(tokens: list[str], part: Colour | None) -> Thing:
+def _unnamed(tokens: list[str], part: Colour | None) -> Target:
     """What "it", "all of it", "everything" or no word stands for."""
     pronoun = set(tokens) & (WORDS.pronouns | WORDS.object)
     if pronoun and set(tokens) & {"whole", "all"}:  # "all of it"
-        return Thing("marked", "it", which=("whole",), part=part)
+        return Target("marked", "it", qualifiers=("whole",), part=part)
     if set(tokens) & WORDS.whole or part is not None:
-        return Thing("whole", part=part)
-    return Thing("marked", "it" if pronoun else "", part=part)
+        return Target("whole", part=part)
+    return Target("marked", "it" if pronoun else "", part=part)
 
 
 def _named_whole(tokens: list[str]) -> str:
     """The words for what a thing is a part of, or is known by: "red jacket"."""
-    whole = read_thing(tokens)
-    return " ".join((*whole.which, *whole.name.split()))
+    whole = read_target(tokens)
+    return " ".join((*whole.qualifiers, *whole.name.split()))
 
 
 def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:
@@ -113,11 +113,11 @@ def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:
     return tokens, []
 
 
-def _wearer(said: list[str], content: list[str], places: frozenset[str]) -> list[str]:
+def _wearer(words: list[str], content: list[str], places: frozenset[str]) -> list[str]:
     """The whole in "the jacket of the man on the left"; in "of the left" there is none."""
     ignored = places | _JOINING | WORDS.parts | WORDS.picture | WORDS.determiners
     others = [t for t in content if t not in ignored | WORDS.shares]
-    return others if "of" in said else []
+    return others if "of" in words else []
 
 
 def _colour_of_part(
