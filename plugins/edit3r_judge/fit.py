@@ -13,6 +13,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, pairwise
 from pathlib import Path
+from statistics import quantiles
 from typing import Any
 
 import yaml
@@ -122,11 +123,23 @@ def limits_of_scenes(rows: Sequence[Row]) -> Limits:
     return limits
 
 
+def is_sound(row: Row) -> bool:
+    """Whether nothing is broken, nor the scene poor without that."""
+    return not row["strength"] and not _is_poor(row)
+
+
+def _is_poor(row: Row) -> bool:
+    """Whether the view half-way alone makes a scene poor."""
+    from edit3r_judge.signals import fitted_limits
+
+    return row["figures"]["half_way"] > fitted_limits("scene")["fair"]["half_way"]
+
+
 def limits_of_parts(rows: Sequence[Row]) -> Limits:
-    """Half-way between sound parts and those that are broken so much that one sees it; sound ones
-    count three times: there is one beside many broken ones, and nobody likes to be blamed.
+    """Half-way between the worst sound part and what nine of ten reach that are broken so much that
+    one sees it: a limit just above the sound ones that were fitted would blame others.
     """
-    sound = [row["figures"] for row in rows if not row["strength"]]
+    sound = [row["figures"] for row in rows if is_sound(row)]
     broken = [row for row in rows if row["strength"] >= MUST]
     bad: dict[str, list[float]] = {"geometry": [], "reference": [], "flat": []}
     for row in broken:
@@ -137,10 +150,11 @@ def limits_of_parts(rows: Sequence[Row]) -> Limits:
         if kind in NO_DEPTH and figures["flat"] is not None:
             # as if the run's geometry were so, and not what was made of it
             bad["flat"].append(figures["flat"] * figures["geometry"])
-    return {
-        name: between([one[name] for one in sound if one[name] is not None], values, 3)
-        for name, values in bad.items()
-    }
+    limits = {}
+    for name, values in bad.items():
+        worst = max(one[name] for one in sound if one[name] is not None)
+        limits[name] = (worst + quantiles(values, n=10)[0]) / 2
+    return limits
 
 
 def between(good: Sequence[float], bad: Sequence[float], over: float = 1) -> float:
@@ -168,15 +182,18 @@ def outcomes_of_scenes(row: Row, limits: Limits) -> Outcomes:
 
 
 def outcomes_of_parts(row: Row, limits: Limits) -> Outcomes:
-    """How often a broken reconstructor is told, of each kind and strength, and a sound one not."""
+    """How often what a broken reconstructor makes is poor, by kind and strength, and a sound one is
+    not blamed.
+    """
     figures, strength = row["figures"], row["strength"]
-    told = any(figures[name] > limits[name] for name in ("geometry", "reference"))
-    if not strength:
+    blamed = any(figures[name] > limits[name] for name in ("geometry", "reference"))
+    told = blamed or _is_poor(row)
+    if is_sound(row):
         yield "sound ones not blamed", not told
     elif strength >= MUST:
         yield "broken ones told", told
     yield f"  {row['kind']} {strength or ''} told", told
-    if not strength and figures["flat"] is not None:
+    if is_sound(row) and figures["flat"] is not None:
         yield "geometry not blamed", figures["flat"] <= limits["flat"]
 
 

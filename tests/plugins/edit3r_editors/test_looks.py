@@ -174,7 +174,9 @@ def test_words_that_nobody_knows_are_asked_about_with_a_sheet_and_three_ways_on(
     assert all(way in said for way in ("--reading 1", "--point", "weights get words"))
     assert [file.name for file in tmp_path.iterdir()] == ["out-question.png"]
     code, said = ended([*flags, "--guess"], tmp_path, capsys)
-    assert code != 3 and "nothing was edited" not in said  # at 64 pixels nothing matches
+    assert (
+        code != 3 and "nothing was edited" not in said
+    )  # at 64 pixels nothing matches
 
 
 def ended(flags, tmp_path, capsys):

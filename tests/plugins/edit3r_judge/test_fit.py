@@ -110,7 +110,7 @@ def test_limits_are_written_beside_those_of_scenes(tmp_path, monkeypatch):
 
 def parts(place: str) -> list[dict]:
     """A sound part, and broken ones of each kind at each strength."""
-    sound = {"geometry": 1.0, "reference": 0.0, "flat": 0.5}
+    sound = {"geometry": 1.0, "reference": 0.0, "flat": 0.5, "half_way": 0.1}
     found = [{"kind": "sound", "strength": 0, "figures": sound}]
     for strength in (1, 2, 3):
         off = sound | {"geometry": 1 + strength}
@@ -122,7 +122,8 @@ def parts(place: str) -> list[dict]:
 
 def test_limits_of_parts_lie_between_sound_ones_and_what_must_be_told():
     limits = limits_of_parts(parts("a"))
-    assert limits == pytest.approx({"geometry": 2, "reference": 0.1, "flat": 1})
+    # nine of ten of 3 and 4 reach 2.3, of .2 and .3 reach .13
+    assert limits == pytest.approx({"geometry": 1.65, "reference": 0.065, "flat": 0.825})
 
 
 def test_a_broken_part_is_told_by_the_signal_of_its_kind(tmp_path, capsys):
