@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 import yaml
 from pydantic.fields import FieldInfo
+from pydantic_core import to_jsonable_python
 
 from edit3r.contract.component import Component, Offer
 from edit3r.contract.settings import PartChoice, Settings
@@ -135,6 +136,8 @@ def type_in_words(annotation: Any) -> str:
         return " or ".join(type_in_words(argument) for argument in arguments)
     if origin is Literal:
         return " | ".join(_flow(argument) for argument in arguments)
+    if isinstance(annotation, type) and issubclass(annotation, Enum):
+        return " | ".join(_flow(_plain(member)) for member in annotation)
     if origin in (tuple, list, set, frozenset) and arguments:
         kinds = list(
             dict.fromkeys(type_in_words(a) for a in arguments if a is not Ellipsis)
@@ -185,7 +188,7 @@ def _plain(value: Any) -> Any:
         return {key: _plain(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
         return [_plain(inner) for inner in value]
-    return value if isinstance(value, str | int | float | bool | None) else str(value)
+    return to_jsonable_python(value, fallback=str)
 
 
 def _flow(value: Any) -> str:

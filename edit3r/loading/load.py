@@ -6,8 +6,10 @@ and every other plugin still works.
 """
 
 import importlib.util
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -45,9 +47,11 @@ def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
     loaders = [(entry.name, entry.version, entry.load) for entry in entries]
     for name, version, load in [*loaders, *_local(local_files)]:
         try:
+            with _output_as_remarks():
+                module = load()
             offers += [
                 replace(offer, first_party=version != "" and name in first_party)
-                for offer in _offers(manager, name, version, load())
+                for offer in _offers(manager, name, version, module)
             ]
         except KeyboardInterrupt:
             raise
@@ -58,18 +62,55 @@ def load_plugins(local_files: Iterable[str | Path] = ()) -> LoadedPlugins:
     return LoadedPlugins(tuple(offers), tuple(failures), tuple(remarks))
 
 
+@contextmanager
+def _output_as_remarks() -> Iterator[None]:
+    """Lead what a module prints when it is imported to standard error: standard output may be read
+    by a program.
+    """
+    sys.stdout.flush()
+    kept = None
+    with suppress(OSError):  # closed streams
+        kept = os.dup(1)
+        os.dup2(2, 1)
+    try:
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        if kept is not None:
+            os.dup2(kept, 1)
+            os.close(kept)
+
+
 def _local(
     files: Iterable[str | Path],
 ) -> Iterator[tuple[str, str, Callable[[], ModuleType]]]:
     for file in files:
-        path = Path(file).resolve()
-        source = path / "__init__.py" if path.is_dir() else path
-        if not source.is_file():
+        name, source = local_module(file)
+        yield (name, "", partial(_import_file, name, source))
+
+
+def local_module(file: str | Path) -> tuple[str, Path]:
+    """Name and file of a local plugin: a module, a package's folder, or one that holds a single
+    package, as `edit3r new-plugin` makes it. Raises InputError where there is none.
+    """
+    path = Path(file).resolve()
+    if path.is_dir() and not (path / "__init__.py").is_file():
+        inside = [one.parent for one in path.glob("*/__init__.py")]
+        inside += [one.parent for one in path.glob("src/*/__init__.py")]
+        packages = [one for one in inside if one.name != "tests"]
+        if len(packages) > 1:
+            listed = ", ".join(sorted(str(Path(file) / one.name) for one in packages))
             raise InputError(
-                f"--plugin {file}: no such file; expected a Python module with edit3r hooks, or "
-                "a package's folder."
+                f"--plugin {file}: holds several packages; give one: {listed}."
             )
-        yield (path.stem, "", partial(_import_file, path.stem, source))
+        path = packages[0] if packages else path
+    source = path / "__init__.py" if path.is_dir() else path
+    if not source.is_file():
+        raise InputError(
+            f"--plugin {file}: no such file; expected a Python module with edit3r hooks, or "
+            "a package's folder."
+        )
+    return path.stem, source
 
 
 def _import_file(name: str, path: Path) -> ModuleType:

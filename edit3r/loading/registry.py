@@ -29,7 +29,12 @@ from edit3r.contract.settings import PartChoice, Settings, make_settings
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.weights import Weights
 from edit3r.kit.weights.find import at_hand
-from edit3r.loading.load import LoadedPlugins, PluginFailure, load_plugins
+from edit3r.loading.load import (
+    LoadedPlugins,
+    PluginFailure,
+    load_plugins,
+    local_module,
+)
 
 SEVERAL = ("writer",)
 """Kinds of which a run has several, so that settings name the component: writer.gif.width."""
@@ -309,7 +314,7 @@ def default_registry(local_files: Iterable[str | Path] = ()) -> Registry:
 @cache
 def _loaded(local_files: tuple[str | Path, ...]) -> Registry:
     registry = Registry(load_plugins(local_files))
-    named = {Path(file).resolve().stem: file for file in local_files}
+    named = {local_module(file)[0]: file for file in local_files}
     for failure in registry.failures:
         if failure.plugin in named and not failure.version:
             file = named[failure.plugin]

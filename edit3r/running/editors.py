@@ -221,6 +221,8 @@ def instructions_for(
             if isinstance(editor, EditsRegions)
             else None
         )
+        if regional and instruction is None:
+            return read(prompt, reader)  # which says that nothing is asked for
         return () if instruction is None else (instruction,)
     try:
         return read(prompt, reader)

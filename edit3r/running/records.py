@@ -33,6 +33,10 @@ def is_confined(masks: Masks | None) -> TypeGuard[Masks]:
     return masks is not None and not bool((masks > 0).all())
 
 
+READ_LENS = "read from the photos"
+"""How the remark begins on a lens that nobody told."""
+
+
 @dataclass(frozen=True)
 class Inputs:
     """The photos, what is marked on them, and what an earlier run left."""

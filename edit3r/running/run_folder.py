@@ -44,7 +44,7 @@ from edit3r.kit.photos.images import (
 )
 from edit3r.kit.provenance import installed_versions, recorded
 from edit3r.kit.scenes.ply import VIEWER_DEGREE, load_ply, save_ply
-from edit3r.running.records import Inputs
+from edit3r.running.records import READ_LENS, Inputs
 
 Read = TypeVar("Read")
 FORMAT = 1
@@ -161,7 +161,7 @@ class RunFolder:
         inputs = Inputs(
             photos=photos,
             start=edited,
-            files=_files(manifest["inputs"], photos.count),
+            files=_files(manifest, photos.count),
             prompts=tuple(str(prompt) for prompt in notes["edits"]),
             things=self._things(notes.get(THINGS, []), photos),
             before=Reconstruction(load_ply(self.scene, visible=True), cameras),
@@ -314,9 +314,9 @@ def _as_batch(
     return torch.from_numpy(np.array(matrices, dtype=np.float32))[None]
 
 
-def _files(value: Any, count: int) -> tuple[Photo, ...]:
+def _files(manifest: dict[str, Any], count: int) -> tuple[Photo, ...]:
     """How each of `count` photos became a view; raises ValueError for anything else."""
-    files = TypeAdapter(tuple[Photo, ...]).validate_python(value)
+    files = TypeAdapter(tuple[Photo, ...]).validate_python(manifest["inputs"])
     if len(files) != count:
         raise ValueError(f"{len(files)} inputs, expected one for each of {count} views")
     for file in files:
@@ -330,4 +330,7 @@ def _files(value: Any, count: int) -> tuple[Photo, ...]:
             raise ValueError(
                 f"{file.name} is cut from {file.frame.box} of {width}x{height} pixels"
             )
+    lens = [str(one) for one in manifest["notes"].get("lens.source", ())]
+    if lens and lens[0].startswith(READ_LENS):
+        return tuple(replace(file, intrinsics_source=lens[0]) for file in files)
     return files

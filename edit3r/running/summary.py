@@ -5,7 +5,7 @@ from pathlib import Path
 
 from edit3r.contract.verdicts import EditVerdict
 from edit3r.running.config import RunConfig, make_run_config
-from edit3r.running.records import SelectedRegions
+from edit3r.running.records import READ_LENS, SelectedRegions
 from edit3r.running.result import RunResult
 from edit3r.running.run_folder import RunFolder
 
@@ -82,6 +82,11 @@ def _named_settings(result: RunResult) -> str:
     return f"custom ({', '.join(changed)})" if changed else "default"
 
 
+def _lens_sources(result: RunResult) -> list[str]:
+    """Who told the lens, in this run or in the one that it goes on from."""
+    return list(map(str, result.report.notes.get("lens.source", ())))
+
+
 def _field_of_view(result: RunResult) -> str:
     """The horizontal field of view that view 0 was used with, and who said so."""
     focal = float(result.cameras.intrinsics[0, 0, 0, 0])  # [image widths]
@@ -92,7 +97,7 @@ def _field_of_view(result: RunResult) -> str:
         source = (
             "guessed, since the photos do not show it; set it with --fov or --cameras"
         )
-    elif "matcher.fov" in result.report.notes:
+    elif any(one.startswith(READ_LENS) for one in _lens_sources(result)):
         source = "read from the photos"
     else:
         source = "assumed; set it with --fov or --cameras"

@@ -150,14 +150,14 @@ class JobsFolder:
 
         Raises InputError where an edit of it waits or is being made.
         """
-        self.own(scene)
-        jobs = self.history(scene)
-        if any(job.is_active for job in jobs):
-            raise InputError(
-                f"{scene}: an edit of it is still being made; cancel it first."
-            )
         there = _no_link(self.root / DELETED)
         with _NAMING:
+            self.own(scene)
+            jobs = self.history(scene)
+            if any(job.is_active for job in jobs):
+                raise InputError(
+                    f"{scene}: an edit of it is still being made; cancel it first."
+                )
             (there / PRIVATE).mkdir(parents=True, exist_ok=True)
             for name in dict.fromkeys([*(job.name for job in jobs), scene]):
                 beside = (f"{name}.json", f"{name}.log", name)

@@ -13,7 +13,7 @@ import uvicorn
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import (
     FileResponse,
     JSONResponse,
@@ -123,9 +123,9 @@ def make_app(
 
 def refused(request: Request, error: Exception) -> Response:
     """What the user can act on, in a sentence; also of a disk that is full."""
-    return PlainTextResponse(
-        in_app(str(error)), 400 if isinstance(error, Edit3rError) else 507
-    )
+    if isinstance(error, OSError):  # whose own words name folders
+        return PlainTextResponse(f"the disk refused it: {error.strerror}.", 507)
+    return PlainTextResponse(in_app(str(error)), 400)
 
 
 class Answers:
@@ -239,9 +239,11 @@ class Answers:
         self.folder.path(scene)
         try:
             await uploads.receive(self.folder, scene, name, size, request.stream())
-        except (Edit3rError, OSError):
+        except BaseException as error:
             if is_new:
                 uploads.discard(self.folder, scene)
+            if isinstance(error, ClientDisconnect):
+                return PlainTextResponse("broken off", 400)  # nobody reads it
             raise
         return PlainTextResponse(scene)
 
@@ -302,6 +304,7 @@ class Answers:
     def _drafted(self, request: Request) -> tuple[str, Draft, str]:
         """The state, its draft and the photo that an address names."""
         state, name = _named(request, *PHOTO)
+        self.folder.path(state)
         return state, read_draft(self.folder, state), name
 
     def image(self, request: Request) -> Response:

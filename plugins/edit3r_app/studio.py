@@ -188,6 +188,10 @@ class Studio:
 
         Raises InputError for what is no change.
         """
+        return self._drawn(self._changed(state, asked), state)
+
+    def _changed(self, state: str, asked: dict[str, Any]) -> Draft:
+        """The draft of a state, changed as `asked`; another tab may change it again at once."""
         self._is_state(state)
         do, home = str(asked.get("do")), self._home(state)
         with _CHANGING:
@@ -197,7 +201,7 @@ class Studio:
             if do in _NAMING:
                 write_draft(self.folder, home, replace(kept, named=draft.named))
             write_draft(self.folder, state, draft)
-        return self._drawn(draft, state)
+        return draft
 
     def _home(self, state: str) -> str:
         """The set of photos of a state, where its named selections are."""
@@ -261,8 +265,7 @@ class Studio:
     def go(self, scene: str, at: str, sentence: str) -> str:
         """Put the edit that a draft asks for into the queue; returns its name."""
         state = self._state(scene, at)
-        self.change(state, {"do": "say", "value": sentence})
-        draft = read_draft(self.folder, state)
+        draft = self._changed(state, {"do": "say", "value": sentence})
         look = self.previews.look(state, draft)
         if look.job is None:
             raise InputError(look.problem or SAY)

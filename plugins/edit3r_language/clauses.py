@@ -1,6 +1,7 @@
 """What one clause of a sentence says: what to do, and with which thing."""
 
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 from edit3r.contract.instructions import FLOOD, Action, Change, Colour, Target
 from edit3r.kit.compute.colour_names import read_colour
@@ -96,6 +97,9 @@ def read_clause(tokens: list[str]) -> Clause:
 
 def _read_plain(tokens: list[str], clause: Clause) -> Clause:
     """The clause by its words without percentages; how strong a change is, its text says."""
+    for marker, place in pairwise(tokens):  # "except behind the bed"
+        if marker in ("except", "without") and place in WORDS.standing:
+            return clause.not_understood(place)
     tokens, clause.without = _without(_without_negated_colour(tokens))
     if not tokens:  # "but not the wheels"
         return clause

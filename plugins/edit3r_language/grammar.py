@@ -93,6 +93,8 @@ class GrammarReader(Reader):
                 hints.append(f" {INSTEAD[word]}")
             elif "/" in word:
                 hints.append(f" Say which is meant of {word!r}, or join them by 'and'.")
+            elif word.startswith("#"):
+                hints.append(" A colour is #ff8800, without digits for its opacity.")
             elif not is_known(word):
                 clause = instruction.text.split()
                 hints.append(_near(word) or _beside_colour(word, clause))

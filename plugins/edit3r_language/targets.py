@@ -78,11 +78,12 @@ def _part_of(whole: list[str], part: Colour | None) -> Target:
 def _unnamed(tokens: list[str], part: Colour | None) -> Target:
     """What "it", "all of it", "everything" or no word stands for."""
     pronoun = set(tokens) & (WORDS.pronouns | WORDS.object)
+    subject = "".join(t for t in tokens if t in WORDS.object - {"main"})
     if pronoun and set(tokens) & {"whole", "all"}:  # "all of it"
         return Target("marked", "it", qualifiers=("whole",), part=part)
     if set(tokens) & WORDS.whole or part is not None:
         return Target("whole", part=part)
-    return Target("marked", "it" if pronoun else "", part=part)
+    return Target("marked", subject or ("it" if pronoun else ""), part=part)
 
 
 def _named_whole(tokens: list[str]) -> str:
@@ -103,7 +104,9 @@ def _whole_of(tokens: list[str]) -> tuple[list[str], list[str]]:
                 token == "of" and set(inner) <= WORDS.background | WORDS.determiners
             )
             if set(content) & places and not around:  # "the cup on the left"
-                picked = [t for t in content if t in places]
+                picked = [
+                    t.replace("foreground", "front") for t in content if t in places
+                ]
                 return tokens[:start] + picked, _wearer([token, *rest], content, places)
             return tokens[:start], rest
         if token in ("at", "to") and set(content) & WORDS.places and inner:

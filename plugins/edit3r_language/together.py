@@ -127,6 +127,8 @@ def _other_side(region: Target, clause: Clause, last: Target) -> Target:
 
 def _named_like(kept: Target, target: Target) -> Target:
     """ "The middle one", which is kept of the cups, by its name."""
+    if kept.of == "it":  # "but not its base"
+        return replace(kept, of=target.name or "it")
     if kept.name or kept.scope != "named":
         return kept
     return replace(kept, name=target.name)
@@ -147,8 +149,11 @@ def _pointed_at(
     """
     if target.scope != "marked" or target.part is not None:
         return target
-    if last is not None:
+    subject = target.name in WORDS.object  # "the foreground"
+    if last is not None and not (subject and last.scope == "background"):
         return last
+    if subject:
+        return replace(target, name="")
     kinds = {change.kind for change in clause.changes}
     adjusts = bool(kinds) and not kinds & {"paint", "random"}
     is_it = target.name == "it"

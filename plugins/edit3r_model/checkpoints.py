@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.reporting import say
 from edit3r.contract.settings import PartChoice
-from edit3r.kit.weights.files import WEIGHTS as TRAINED
+from edit3r.kit.weights.files import weights_file
 from edit3r.kit.weights.find import find
 from edit3r_model import OFFICIAL, OFFICIAL_RESOLUTION
 from edit3r_model.hub import download, is_hub_id
@@ -33,6 +33,7 @@ from edit3r_model.official_checkpoints import (
     read_torch_file,
 )
 
+_OF_A_TRAINING = {"optimizer", "average", "step"}  # keys of what `--resume` reads
 WEIGHTS = "model.safetensors"
 CONFIG = "config.json"
 """What `edit3r convert` writes; the text repeats the metadata for people."""
@@ -106,8 +107,8 @@ def _file_of(source: str) -> Path:
     """The file that a path, a folder or a hub id means."""
     path = download(source) if is_hub_id(source) else Path(source)
     if path.is_dir():
-        trained = (path / TRAINED).is_file() and not (path / WEIGHTS).is_file()
-        path = path / (TRAINED if trained else WEIGHTS)
+        converted = path / WEIGHTS
+        path = converted if converted.is_file() else weights_file(path)
     if not path.is_file():
         raise InputError(
             f"{source}: no such weights; expected a .ckpt, .pth or .safetensors file, "
@@ -120,6 +121,10 @@ def _official(content: Mapping[str, object], path: Path, source: str) -> LoadedW
     """A published checkpoint, given as the dictionary that its file holds."""
     tensors = content.get("state_dict", content.get("model", content))
     layout = layout_of(tensors) if isinstance(tensors, Mapping) else None
+    if layout is None and content.keys() >= _OF_A_TRAINING:
+        raise InputError(
+            f"{path}: from where edit3r train goes on; its weights are in {path.parent / 'best'}."
+        )
     if layout is None:
         keys = list(tensors)[:3] if isinstance(tensors, Mapping) else ["none"]
         known = ", ".join(map(str, keys))

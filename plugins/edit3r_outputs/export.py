@@ -3,13 +3,17 @@
 import argparse
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from edit3r.contract.command import Command
-from edit3r.contract.errors import SettingsError
+from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.settings import PartChoice
 from edit3r.kit.command.flags import add_common
 from edit3r.kit.command.results import shown_stages
 from edit3r.kit.scenes.files import scene_file
+
+if TYPE_CHECKING:
+    from edit3r import Registry
 
 
 class ExportCommand(Command):
@@ -36,7 +40,6 @@ class ExportCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
 
         from edit3r import default_registry
-        from edit3r.contract.errors import InputError
         from edit3r.kit.files.atomic import check_new_file
         from edit3r_outputs.saved import SavedScene, write_saved
 
@@ -48,6 +51,8 @@ class ExportCommand(Command):
         saved = SavedScene(args.scene, registry)
         choices = _choices(dict.fromkeys(args.to), args.set)
         writers = [registry.build_choice("writer", one) for one in choices]
+        if args.out:
+            _check_ending(args.out, args.to[0], registry)
         writers_built = {}
         for writer in writers:
             name = writer.offer.component.file_name(saved.stem)
@@ -64,6 +69,30 @@ class ExportCommand(Command):
                 size = sum(file.stat().st_size for file in (path, *path.rglob("*")))
                 print(f"wrote {path} ({size / 1e6:.1f} MB)")
         return 0
+
+
+def _check_ending(out: str, name: str, registry: "Registry") -> None:
+    """Raise InputError for a file of one writer that is named as one of another."""
+    named = {
+        one.component.name: one.component.suffix.lower()
+        for one in registry.offers("writer")
+    }
+    fits = [
+        other for other, suffix in named.items() if out.lower().endswith(suffix or "/")
+    ]
+    longest = max((named[other] for other in fits), key=len, default="")
+    own = named.get(name.rpartition(":")[2], "")
+    if (
+        own
+        and longest
+        and "." in own
+        and longest.rpartition(".")[2] != own.rpartition(".")[2]
+    ):
+        other = next(one for one in fits if named[one] == longest)
+        raise InputError(
+            f"--out {out}: --to {name} writes a file that ends in {own}; write --to {other}, or "
+            "give another --out."
+        )
 
 
 def _choices(names: Iterable[str], assignments: Iterable[str]) -> list[PartChoice]:

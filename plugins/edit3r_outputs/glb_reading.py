@@ -76,7 +76,7 @@ def _parts(tree: dict[str, Any], data: bytes, read_spz: ReadSpz) -> Iterator[Gau
     """The Gaussians of each mesh part that has some, where its node places it."""
     most = len(data)  # a Gaussian takes some bytes: fewer are made to fill the memory
     for mesh, place in _placed_meshes(tree):
-        for primitive in tree["meshes"][mesh]["primitives"]:
+        for primitive in _entry(tree, "meshes", mesh)["primitives"]:
             extensions = primitive.get("extensions", {})
             inside = {**extensions, **extensions.get(OWN, {}).get("extensions", {})}
             spz = next((name for name in inside if name.startswith(SPZ_INSIDE)), None)
@@ -102,17 +102,19 @@ def _placed_meshes(
     if not nodes or not scenes:
         yield from ((index, np.eye(4)) for index in range(len(tree["meshes"])))
         return
-    waiting = [(node, np.eye(4)) for node in scenes[tree.get("scene", 0)]["nodes"]]
+    scene = _entry(tree, "scenes", tree.get("scene", 0))
+    waiting = [(node, np.eye(4)) for node in scene["nodes"]]
     seen: set[int] = set()
     while waiting:
         index, place = waiting.pop(0)
         if index in seen or len(seen) > MOST_NODES:
             raise ValueError("its nodes form a circle, or are too many")
         seen.add(index)
-        place = place @ _matrix(nodes[index])
-        if "mesh" in nodes[index]:
-            yield nodes[index]["mesh"], place
-        waiting += [(child, place) for child in nodes[index].get("children", ())]
+        node = _entry(tree, "nodes", index)
+        place = place @ _matrix(node)
+        if "mesh" in node:
+            yield node["mesh"], place
+        waiting += [(child, place) for child in node.get("children", ())]
 
 
 def _matrix(node: dict[str, Any]) -> Float64[np.ndarray, "4 4"]:
@@ -153,8 +155,15 @@ def _through(gaussians: Gaussians, place: Float64[np.ndarray, "4 4"]) -> Gaussia
     )
 
 
+def _entry(tree: dict[str, Any], name: str, index: int) -> dict[str, Any]:
+    """One of a list by its number, of which Python would count negative ones from the end."""
+    if not isinstance(index, int) or index < 0:
+        raise ValueError(f"{name} has no number {str(index)[:20]}")
+    return tree[name][index]
+
+
 def _bytes(tree: dict[str, Any], data: bytes, index: int) -> bytes:
-    view = tree["bufferViews"][index]
+    view = _entry(tree, "bufferViews", index)
     buffer = tree["buffers"][view.get("buffer", 0)]
     if view.get("buffer", 0) != 0 or "uri" in buffer:
         raise ValueError("its data lie in another file")
@@ -188,14 +197,15 @@ def _columns(tree: dict[str, Any], data: bytes, attributes: dict[str, int]) -> C
 def _column(
     tree: dict[str, Any], data: bytes, index: int, name: str
 ) -> Float[Tensor, "gaussian width"]:
-    accessor = tree["accessors"][index]
+    accessor = _entry(tree, "accessors", index)
     if "bufferView" not in accessor or "sparse" in accessor:
         raise ValueError(f"{name} is sparse or without data")
     own = _bytes(tree, data, accessor["bufferView"])
     kind = np.dtype(_TYPES[accessor["componentType"]])
     shape = (int(accessor["count"]), _WIDTHS[accessor["type"]])
     tight = kind.itemsize * shape[1]
-    step = tree["bufferViews"][accessor["bufferView"]].get("byteStride", tight)
+    view = _entry(tree, "bufferViews", accessor["bufferView"])
+    step = view.get("byteStride", tight)
     if step < tight or shape[0] < 0:
         raise ValueError(f"{name} has rows that cover each other")
     start = accessor.get("byteOffset", 0)

@@ -20,10 +20,11 @@ from torch import Tensor
 
 from edit3r.contract.errors import RunError
 from edit3r.kit.geometry.maps import resampled, size_of
-from edit3r.kit.photos.decode import FORMATS, MAX_PIXELS
+from edit3r.kit.photos.decode import FORMATS
 
 # relative difference in width / height up to which an answer is scaled back; no figure kept
 SHAPE_TOLERANCE = 0.05
+MOST_TIMES = 16  # as many pixels as were asked for that an answer may have
 
 
 @dataclass(frozen=True)
@@ -94,26 +95,32 @@ def decode(
 
     Raises RunError for what is no image, or one of another shape.
     """
-    pixels = _pixels(content, view)
+    pixels = _pixels(content, size, view)
     image = torch.from_numpy(pixels).permute(2, 0, 1).float() / 255
     given = size_of(image)
     if given == size:
         return image, ""
-    text = f"the answer for {view} is {given[1]}x{given[0]} pixels instead of {size[1]}x{size[0]}"
-    if abs(_log_aspect(given) - _log_aspect(size)) > SHAPE_TOLERANCE:
-        raise RunError(
-            f"{text}, another shape: its content cannot be put back where it was."
-        )
+    text = _another_size(given, size, view)
     return resampled(image[None], size)[0], f"{text}; it was scaled."
 
 
-def _pixels(content: bytes, view: str) -> np.ndarray:
-    """RGB bytes `[height, width, 3]` of a coded image."""
+def _another_size(given: tuple[int, int], size: tuple[int, int], view: str) -> str:
+    return f"the answer for {view} is {given[1]}x{given[0]} pixels instead of {size[1]}x{size[0]}"
+
+
+def _pixels(content: bytes, size: tuple[int, int], view: str) -> np.ndarray:
+    """RGB bytes `[height, width, 3]` of a coded image, decoded where it has the shape of `size`."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             image = Image.open(io.BytesIO(content), formats=FORMATS)
-        if image.width * image.height <= MAX_PIXELS:
+        given = (image.height, image.width)
+        if math.prod(given) <= MOST_TIMES * math.prod(size):
+            if abs(_log_aspect(given) - _log_aspect(size)) > SHAPE_TOLERANCE:
+                raise RunError(
+                    f"{_another_size(given, size, view)}, another shape: its content cannot be put "
+                    "back where it was."
+                )
             return np.array(image.convert("RGB"))
     except Image.DecompressionBombError:
         pass

@@ -64,12 +64,22 @@ class MaskCommand(Command):
         from edit3r.running import (
             CACHE,
             MarkTexts,
+            RunConfig,
             default_matcher,
+            given_flags,
+            make_run_config,
             select_with,
             usual_selector,
         )
 
         check_apart(args.out, *map(Path, (*args.images, *args.mask)))
+        outline = make_run_config(
+            {
+                name: value
+                for name, value in given_flags(args, RunConfig).items()
+                if name in ("sure", "larger", "reading", "grow", "invert")
+            }
+        )
         given = parse_assignments(args.set)
         registry = default_registry(tuple(args.plugin))
         segmenter = registry.build(
@@ -100,10 +110,10 @@ class MaskCommand(Command):
                 photos = load_photos(args.images, size=args.size)
                 marks = replace(
                     texts.read(photos),
-                    larger=sum(args.larger or ()),
-                    reading=args.reading or 1,
-                    grow=args.grow or 0.0,
-                    inverted=bool(args.invert),
+                    larger=outline.larger,
+                    reading=outline.reading,
+                    grow=outline.grow,
+                    inverted=outline.invert,
                 )
             views = photos.views
             with report.stage("select"):

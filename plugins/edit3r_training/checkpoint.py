@@ -48,8 +48,11 @@ class TrainingState:
         with whole_file(path, what, then) as partial:
             torch.save(content, partial)
 
-    def load(self, path: Path) -> None:
-        """Continue from a checkpoint of the same network and optimiser. Raises InputError."""
+    def load(self, path: Path) -> list[str]:
+        """Continue from a checkpoint of the same network and optimiser. Raises InputError.
+
+        Returns what else is set than when it was written, "KEY: BEFORE, now AFTER" each.
+        """
         content = _read(path)
         try:
             self.network.load_state_dict(content["network"])
@@ -79,6 +82,7 @@ class TrainingState:
                 f"{path}: holds weights that are not finite; start again with --overwrite instead "
                 "of --resume."
             )
+        return _changes(json.loads(content["config"]), self.config)
 
     def update_average(self, decay: float) -> None:
         """One step of the moving average, warmed up so that early steps do not linger."""
@@ -97,11 +101,32 @@ def copied_weights(network: nn.Module) -> dict[str, Tensor]:
     }
 
 
+def _changes(before: Any, after: Any, key: str = "") -> list[str]:
+    """What differs between two configurations; where a training lies makes it no other one, nor
+    do more steps.
+    """
+    if isinstance(before, dict) and isinstance(after, dict):
+        return [
+            change
+            for name in {**before, **after}
+            for change in _changes(
+                before.get(name),
+                after.get(name),
+                key if name == "settings" else f"{key}.{name}".strip("."),
+            )
+        ]
+    more = key == "trainer.steps" and isinstance(after, int) and after > (before or 0)
+    if before == after or key == "out" or more:
+        return []
+    shown = ["not set" if one is None else json.dumps(one) for one in (before, after)]
+    return [f"{key}: {shown[0]}, now {shown[1]}"]
+
+
 def _read(path: Path) -> dict[str, Any]:
     """The content of a checkpoint, read without running any code that the file may hold."""
     if not path.is_file():
         raise InputError(
-            f"{path}: no checkpoint to resume from; start without --resume."
+            f"{path}: no checkpoint to resume from; start with --overwrite instead of --resume."
         )
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)

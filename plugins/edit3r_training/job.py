@@ -119,9 +119,10 @@ def _check_free(out: Path, may_hold_training: bool) -> None:
         )
     held = next((name for name in _OF_A_TRAINING if (out / name).exists()), None)
     if held and not may_hold_training:
+        on = "--resume to go on with it, " if (out / LAST).exists() else ""
         raise InputError(
-            f"{out}: holds a training already ({held}); give --resume to go on with it, another "
-            "--out to keep it, or --overwrite to begin anew in its place."
+            f"{out}: holds a training already ({held}); give {on}another --out to keep it, or "
+            "--overwrite to begin anew in its place."
         )
 
 

@@ -2,8 +2,9 @@
 
 import json
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from edit3r.contract.errors import RunError
 
@@ -24,9 +25,19 @@ class Journal:
         self, step: int, values: Mapping[str, float], kind: str = "train"
     ) -> None:
         """Record `values` of a step; `kind` is 'train' or 'validation'."""
+        numbers = {name: round(float(value), 6) for name, value in values.items()}
+        self._add(kind, step, numbers)
+        if self._board is not None:
+            for name, value in values.items():
+                self._board.add_scalar(f"{kind}/{name}", value, step)
+
+    def tell_changes(self, step: int, changes: Sequence[str]) -> None:
+        """Record that a training went on after a step with other settings."""
+        self._add("resumed", step, {"changes": list(changes)})
+
+    def _add(self, kind: str, step: int, values: Mapping[str, Any]) -> None:
         seconds = round(time.time() - self._start, 2)
-        line = {"kind": kind, "step": step, "seconds": seconds}
-        line |= {name: round(float(value), 6) for name, value in values.items()}
+        line = {"kind": kind, "step": step, "seconds": seconds, **values}
         try:
             with self.path.open("a", encoding="utf-8") as file:
                 file.write(json.dumps(line) + "\n")
@@ -34,9 +45,6 @@ class Journal:
             raise RunError(
                 f"{self.path}: the log could not be written ({error}); free some disk space."
             ) from error
-        if self._board is not None:
-            for name, value in values.items():
-                self._board.add_scalar(f"{kind}/{name}", value, step)
 
     def _forget_after(self, step: int) -> None:
         if not self.path.is_file():

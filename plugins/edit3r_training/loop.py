@@ -145,8 +145,16 @@ class _Loop:
         self.job = job
         self.processes = processes
         self.stop = stop
+        self.changes: list[str] = []  # of the settings, in a training that goes on
         self.state = self._start()
         self.journal = Journal(job.out, self.state.step) if processes.writes else None
+        if self.changes:
+            reporting.warn(
+                f"resumed at step {self.state.step} with other settings than before: "
+                f"{'; '.join(self.changes)}."
+            )
+            if self.journal is not None:
+                self.journal.tell_changes(self.state.step, self.changes)
 
     def _start(self) -> TrainingState:
         """The first state, or that of the last checkpoint."""
@@ -167,7 +175,7 @@ class _Loop:
             network, optimizer, copied_weights(network), config=config
         )
         if self.job.resume:
-            state.load(last)
+            self.changes = state.load(last)
         elif self.processes.writes:
             # Another training's, which --resume must not take for this one's.
             last.unlink(missing_ok=True)

@@ -190,8 +190,10 @@ def _css(name: str) -> str | None:
 
 def _rgb(text: str) -> RGB | None:
     try:
-        red, green, blue = ImageColor.getrgb(text)[:3]
+        red, green, blue, *alpha = ImageColor.getrgb(text)
     except ValueError:  # "#" and letters that are no colour
+        return None
+    if alpha not in ([], [255]):  # see-through, which no paint is
         return None
     return red / 255, green / 255, blue / 255
 

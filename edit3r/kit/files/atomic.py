@@ -232,6 +232,8 @@ def digest_of(file: BinaryIO) -> str:
 
 
 def _resolved(out: str | Path) -> Path:
+    if not str(out).strip():
+        raise InputError("--out is empty; give it the name of a folder or file.")
     try:
         final = expanded(out).resolve()
         final.exists()

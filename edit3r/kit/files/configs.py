@@ -2,6 +2,7 @@
 within bounds, and runs no code.
 """
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -45,7 +46,7 @@ def find_config(name: str) -> Path:
 
 
 def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
-    """`["editor.steps=20", ...]` to a nested mapping; values are read as YAML."""
+    """`["editor.steps=20", ...]` to a nested mapping; see `_typed` for the values."""
     result: dict[str, Any] = {}
     for assignment in assignments:
         key, equals, text = assignment.partition("=")
@@ -54,24 +55,59 @@ def parse_assignments(assignments: Iterable[str]) -> dict[str, Any]:
             raise SettingsError(
                 f"--set {assignment}: expected KEY=VALUE, for example --set editor.seed=3."
             )
-        try:
-            value = parse_yaml(text)
-        except ValueError:
-            value = text
+        value = _typed(text)
         for part in reversed(path):
             value = {part: value}
         result = merge(result, value)
     return result
 
 
+_VALUE = re.compile(r"\s*([-+.\w]+|~|\[.*\]|\{.*\})\s*", re.DOTALL)
+"""What may be more than a text where it was typed as a value."""
+
+
+def _typed(text: str) -> Any:
+    """A number, true, false, null, or a list or mapping in brackets, by YAML; else the text as it
+    was typed, with all that YAML would take for a comment or a key.
+    """
+    try:
+        value = parse_yaml(text) if _VALUE.fullmatch(text) else text
+    except ValueError:
+        return text
+    return text if isinstance(value, str) else value
+
+
 MAX_VALUES = 100_000
 """Values in a YAML document, those that aliases repeat counted each time."""
 
 
-_TEXT = "tag:yaml.org,2002:str"
+_TAG = "tag:yaml.org,2002:"
 
 
-_MERGE = "tag:yaml.org,2002:merge"
+class _Loader(yaml.SafeLoader):
+    """YAML without its guesses: 010, 1:05, 1_000, 2024-01-01 and yes are texts, of which a
+    setting's type makes what they are.
+    """
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012
+
+
+_WHOLE = "(0|[1-9][0-9]*)"
+for _name, _form, _starts in (
+    ("bool", "true|True|TRUE|false|False|FALSE", "tTfF"),
+    ("int", f"-?{_WHOLE}", "-0123456789"),
+    (
+        "float",
+        rf"[-+]?({_WHOLE}?\.[0-9]+|{_WHOLE}\.)([eE][-+][0-9]+)?",
+        "-+.0123456789",
+    ),
+    ("float", r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)", "-+."),
+    ("null", "~|null|Null|NULL|", ["~", "n", "N", ""]),
+    ("merge", "<<", "<"),
+):
+    _Loader.add_implicit_resolver(
+        f"{_TAG}{_name}", re.compile(f"({_form})$"), list(_starts)
+    )
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
@@ -96,10 +132,11 @@ def parse_yaml(text: str) -> Any:
     """Read YAML that may come from anybody: numbers, texts, lists and mappings with text as keys.
 
     Raises ValueError with the reason for anything else: what is no YAML, dates that do not exist,
-    numbers and nestings that Python refuses, keys that are no text, more than `MAX_VALUES` values.
+    numbers and nestings that Python refuses, keys that are no text or that stand twice, more than
+    `MAX_VALUES` values.
     """
     try:
-        loader = yaml.SafeLoader(text)
+        loader = _Loader(text)
         document = loader.get_single_node()
         if document is None:
             return None
@@ -109,6 +146,22 @@ def parse_yaml(text: str) -> Any:
         raise ValueError("it is nested too deeply") from None
     except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:
         raise ValueError(" ".join(str(error).split())) from None
+
+
+def _check_keys(keys: Iterable[yaml.Node]) -> None:
+    """Refuse keys that are no text, and one that stands twice in its mapping."""
+    lines: dict[str, int] = {}
+    for key in keys:
+        if key.tag not in (f"{_TAG}str", f"{_TAG}merge"):
+            raise ValueError(
+                f"the key {shortened(key.value)} is no text; put it in quotes"
+            )
+        line = key.start_mark.line + 1
+        if key.value in lines:
+            raise ValueError(
+                f"line {line}: the key {shortened(key.value)} stands in line {lines[key.value]} too"
+            )
+        lines[key.value] = line
 
 
 def _check_node(node: yaml.Node, counts: dict[yaml.Node, int]) -> int:
@@ -122,11 +175,7 @@ def _check_node(node: yaml.Node, counts: dict[yaml.Node, int]) -> int:
         counts[node] = MAX_VALUES  # as long as it is not known: it may hold itself
         children = node.value
         if isinstance(node, yaml.MappingNode):
-            for key, _ in node.value:
-                if key.tag not in (_TEXT, _MERGE):
-                    raise ValueError(
-                        f"the key {shortened(key.value)} is no text; put it in quotes"
-                    )
+            _check_keys([key for key, _ in node.value])
             children = [value for _, value in node.value]
         counts[node] = 1 + sum(_check_node(child, counts) for child in children)
     if counts[node] > MAX_VALUES:

@@ -17,7 +17,10 @@ _MAX_CHARACTERS = 100  # of a name from `unique_names`
 _MAX_BYTES = 200  # file systems allow 255 with the suffix
 
 # Surrogates stand for the bytes of a file name that is no UTF-8.
-_UNSAFE = re.compile(r'[\x00-\x1f\x7f/\\:*?"<>|\ud800-\udfff]|\.\.+')
+# The others turn the direction of what follows: "gpj.exe" may be shown as "exe.jpg".
+_UNSAFE = re.compile(
+    r'[\x00-\x1f\x7f/\\:*?"<>|\ud800-\udfff\u202a-\u202e\u2066-\u2069]|\.\.+'
+)
 # Names that Windows reserves, and those of the video's frames.
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?|path_\d+", re.IGNORECASE)
 

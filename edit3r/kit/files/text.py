@@ -4,6 +4,7 @@ import errno
 import json
 import math
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +12,19 @@ from typing import Any
 _HALF = re.compile(r"[\ud800-\udfff]")
 
 
-def parse_json(content: str | bytes) -> Any:
+def parse_json(content: str | bytes, *, finite: bool = True) -> Any:
     """What a text of JSON holds. Raises ValueError with the reason for what is none, is nested too
-    deeply, or holds numbers and characters that JSON has not (NaN, lone surrogates).
+    deeply, gives a key twice, or holds characters and, where they are to be `finite`, numbers that
+    JSON has not (lone surrogates, NaN).
     """
     text = content if isinstance(content, str) else _decoded(content)
     try:
-        tree = json.loads(text, parse_constant=_no_number, parse_float=_number)
+        tree = json.loads(
+            text,
+            parse_constant=_no_number if finite else None,
+            parse_float=_number if finite else None,
+            object_pairs_hook=partial(_object, text),
+        )
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     if "\\ud" in text or "\\uD" in text or _HALF.search(text):
@@ -33,6 +40,19 @@ def read_json(path: Path) -> Any:
 def _decoded(content: bytes) -> str:
     """Text in the encoding that its first bytes show: PowerShell writes UTF-16."""
     return content.decode(json.detect_encoding(content))
+
+
+def _object(text: str, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The mapping of an object in a text of JSON."""
+    content = dict(pairs)
+    if len(content) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        places = re.finditer(rf"{re.escape(json.dumps(twice))}\s*:", text)
+        lines = [text.count("\n", 0, place.start()) + 1 for place in places]
+        where = f" (line {lines[1]})" if len(lines) == 2 else ""
+        raise ValueError(f"the key {twice[:60]!r} stands twice in one object{where}")
+    return content
 
 
 def _no_number(name: str) -> Any:

@@ -5,7 +5,6 @@ Blender's `transforms.json`, and COLMAP's models. An entry is checked when its c
 a fault in it concerns nobody else. All that is stated is checked: sizes, intrinsics, poses, names.
 """
 
-import json
 import math
 import re
 from collections import ChainMap
@@ -21,6 +20,7 @@ from jaxtyping import Float64
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.lens import Lens
+from edit3r.kit.files.text import parse_json
 from edit3r.kit.photos.decode import MAX_JPEG_PIXELS, SUFFIXES, image_size
 
 TOLERANCE = 0.01
@@ -315,8 +315,7 @@ def _read_json(path: Path) -> Any:
                 f"{path}: {path.stat().st_size / 1e6:.0f} MB, expected a camera file of at most "
                 f"{MOST_BYTES / 1e6:.0f} MB."
             )
-        # of bytes: PowerShell writes UTF-16, Notepad a mark before UTF-8
-        return json.loads(path.read_bytes())
+        return parse_json(path.read_bytes(), finite=False)
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}: not valid JSON ({error}).") from None
     except OSError as error:

@@ -24,6 +24,7 @@ from edit3r.kit.photos.camera_entries import (
     size_from_outside,
 )
 
+MOST_BYTES = 2 * 10**9  # of one file: 10,000 photos with 8,000 points each
 _LEAST_CAMERA = 24 + 3 * 8  # bytes of one with three numbers
 _IMAGE = 64  # bytes of one before its name
 _POINT = 24  # bytes of a point in an image
@@ -69,6 +70,7 @@ def _copy_without_points(folder: Path, scratch: Path) -> dict[int, str]:
     for part in MODEL_PARTS:
         source = folder / f"{part}{ending}"
         if source.is_file():
+            _check_size(source)
             shutil.copyfile(source, scratch / source.name)
     (scratch / f"points3D{ending}").write_bytes(bytes(8) if ending == ".bin" else b"")
     if ending == ".bin":
@@ -82,6 +84,15 @@ def _copy_without_points(folder: Path, scratch: Path) -> dict[int, str]:
     )
     (scratch / "images.txt").write_text(text_of_images, "utf-8")
     return {int(fields[0]): fields[9].strip() for fields in images}
+
+
+def _check_size(file: Path) -> None:
+    """Raise ValueError for what no model of photos takes: it would be read into memory."""
+    size = file.stat().st_size
+    if size > MOST_BYTES:
+        raise ValueError(
+            f"{file.name} has {size / 1e9:.0f} GB; at most {MOST_BYTES / 1e9:.0f} are read"
+        )
 
 
 def _check_counts(scratch: Path) -> None:

@@ -40,7 +40,7 @@ MAX_LAYERS = 8
 
 SUFFIXES = (
     *(".jpg", ".jpeg", ".jpe", ".jfif", ".mpo", ".png", ".webp", ".tif", ".tiff"),
-    *(".heic", ".heif", ".avif", ".bmp", ".ppm", ".pgm", ".jp2"),
+    *(".heic", ".heif", ".avif", ".bmp", ".ppm", ".pgm", ".jp2", ".jps", ".pns"),
 )
 """Files taken from a folder; a file given by itself may be called anything."""
 
@@ -80,6 +80,10 @@ _HEAD = 1 << 16  # bytes in which a file says how its colours are coded
 # colr of HEIC and AVIF.
 _BRIGHT = re.compile(rb"cICP.[\x10\x12]|colrnclx..\x00[\x10\x12]", re.DOTALL)
 _JPEG = ("JPEG", "MPO")
+_GAIN_MAP = (
+    b"hdr-gain-map"  # in the XMP of a JPEG with a second picture for bright screens
+)
+_SIDE_BY_SIDE = (".jps", ".pns")  # the two pictures of a stereo camera in one
 _OPENING = threading.Lock()  # while Pillow's own limit is set aside
 
 _HEIC_BRANDS = {b"heic", b"heix", b"hevc", b"hevx", b"heim", b"heis", b"mif1", b"msf1"}
@@ -165,6 +169,7 @@ def decode(path: str | Path, enough: int | None = None) -> DecodedImage:
         _check_size(image, path)
         _check_whole(image, path)
         _check_flat(image, path)
+        _check_stereo(image, path)
         _tell_damage(image, file, path)
         _tell_bright(file, path)
         digest = _from_start(file, digest_of)
@@ -356,6 +361,29 @@ def _check_flat(image: Image.Image, path: Path) -> None:
         raise InputError(
             f"{path}: a picture of all around (GPano, {kind}), which no lens takes; cut ordinary "
             "views out of it first, and give these."
+        )
+
+
+def _check_stereo(image: Image.Image, path: Path) -> None:
+    """Raise InputError for two pictures in one, and warn of a second one of the same size."""
+    parts = getattr(image, "applist", ())
+    if path.suffix.lower() in _SIDE_BY_SIDE or any(
+        name == "APP3" and content.startswith(b"_JPSJPS_") for name, content in parts
+    ):
+        raise InputError(
+            f"{path}: a stereo photo with both pictures side by side; cut it in two, and give both."
+        )
+    is_bright = _GAIN_MAP in (image.info.get("xmp") or b"")
+    if image.format != "MPO" or is_bright or getattr(image, "n_frames", 1) < 2:
+        return
+    sizes = []
+    for index in (1, 0):
+        image.seek(index)
+        sizes.append(image.size)
+    if sizes[0] == sizes[1]:
+        warn(
+            f"{path}: holds two pictures of one size, as stereo cameras make them; the first is "
+            "used. Save the other as a file of its own to use both."
         )
 
 

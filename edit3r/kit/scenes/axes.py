@@ -17,6 +17,7 @@ UP_AND_BACK = (1.0, -1.0, -1.0)
 """Ours seen from y up and z backward, as glTF and SPZ have it, or the other way round."""
 
 LEAST_OPACITY = 1 / 255  # below it a Gaussian is never drawn
+LARGEST = 1e18  # a number whose square float32 holds; a larger one counts as infinite
 SHORTEST_QUAT = 1e-6  # a shorter quaternion says nothing of a rotation
 
 
@@ -58,7 +59,7 @@ def sound(path: Path, gaussians: Gaussians, *, visible: bool) -> Gaussians:
     values = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.harmonics)
     finite = torch.isfinite(gaussians.opacities[0])
     for each in values:
-        finite &= torch.isfinite(each[0]).flatten(1).all(1)
+        finite &= (each[0].abs() < LARGEST).flatten(1).all(1)
     has_rotation = gaussians.quats[0].norm(dim=-1) > SHORTEST_QUAT
     lost = int((~finite).sum())
     if lost:
@@ -77,6 +78,8 @@ def sound(path: Path, gaussians: Gaussians, *, visible: bool) -> Gaussians:
     if (gaussians.scales < 0).any():
         warn(f"{path}: has negative sizes, which are taken as positive.")
         gaussians = replace(gaussians, scales=gaussians.scales.abs())
+    if visible and gaussians.count and not gaussians.scales.any():
+        raise InputError(f"{path}: shows nothing; all its Gaussians have the size 0.")
     if visible and not (gaussians.opacities >= LEAST_OPACITY).any():
         raise InputError(
             f"{path}: shows nothing; it has no Gaussian with an opacity of at least 1/255."

@@ -6,6 +6,7 @@ One `vertex` element of little-endian float32: x y z, nx ny nz (zero), f_dc_0..2
 estimated has uncertainty (in [0, 1]). The header's comments say in which frame.
 """
 
+import math
 import os
 import re
 import warnings
@@ -52,10 +53,14 @@ _REQUIRED = (
 )
 _PLAIN = ("f_dc_0", "f_dc_1", "f_dc_2")
 _COLOURS = ("red", "green", "blue")  # of scenes without harmonics: bytes, or shares
+_FILTER = "filter_3D"  # of Mip-Splatting: a standard deviation that is to be added to the sizes
+_NOT_SHOWN = re.compile(r"n[xyz]|alpha|f_rest_\d+|scale_[12]")  # beside the above
+_LONG_NAMES = 100  # characters of properties that a warning names
 
 MOST_HEADER_BYTES = 1 << 20
 # characters of one comment: a header beyond `MOST_HEADER_BYTES` is not read again
 MOST_COMMENT = 1000
+SPREAD = 3.0  # distances of neighbours that a usual Gaussian does not cover
 COARSE = 0.5  # of a Gaussian's size: steps between places that spoil a scene
 _TYPES = {
     **dict.fromkeys(("char", "int8"), "i1"),
@@ -120,10 +125,12 @@ def save_ply(
 def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
     """Read a 3DGS PLY (binary or text, any number type) as one scene on the CPU.
 
-    Degree 0 to 4, or colours alone; two scales are those of flat discs, one that of balls; further
-    properties are passed over. Quaternions come back normalised; Gaussians with values that are
-    not finite are left out with a warning. Raises InputError for a file that is no such PLY, or is
-    cut off; with `visible` also for a scene in which nothing can be drawn.
+    Degree 0 to 4, or colours alone; two scales are those of flat discs, one that of balls. The 3D
+    filter of Mip-Splatting is worked in, sizes that cannot be logarithms are taken as lengths, and
+    further properties are passed over, each with a remark. Quaternions come back normalised;
+    Gaussians with values that are not finite are left out with a warning. Raises InputError for a
+    file that is no such PLY, or is cut off; with `visible` also for a scene in which nothing can be
+    drawn.
     """
     path = Path(path)
     header = read_header(path)
@@ -133,11 +140,26 @@ def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
         raise InputError(
             f"{path}: this PLY does not hold 3D Gaussians, it lacks {', '.join(missing)}."
         )
+    _tell_unknown(header)
     gaussians = _from_table(header.read_vertices(), header)
     gaussians = sound(path, gaussians, visible=visible)
     if gaussians.count:
         _tell_coarse(path, gaussians)
     return gaussians
+
+
+def _tell_unknown(header: "PlyHeader") -> None:
+    """Warn of properties that may change how another program shows the scene."""
+    known = {*_REQUIRED, *_PLAIN, *_COLOURS, _FILTER, OBJECT, UNCERTAINTY}
+    names = [n for n in header.names if n not in known and not _NOT_SHOWN.fullmatch(n)]
+    if names:
+        listed = ", ".join(names)
+        if len(listed) > _LONG_NAMES:
+            listed = f"{listed[:_LONG_NAMES]}... ({len(names)} in all)"
+        warn(
+            f"{header.path}: has properties that are not known here and are passed over: {listed}; "
+            "where they change its look, export it from its own program first."
+        )
 
 
 def _tell_coarse(path: Path, gaussians: Gaussians) -> None:
@@ -258,12 +280,18 @@ def _from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
         header.count, 3, rest
     )
     with np.errstate(over="ignore", invalid="ignore"):
+        scales, opacities = _filtered(
+            _scales(table, header),
+            1 / (1 + np.exp(-_columns(table, ("opacity",))[:, 0])),
+            table,
+            header,
+        )
         quats = _columns(table, ("rot_0", "rot_1", "rot_2", "rot_3"))
         columns = {
             "means": _columns(table, ("x", "y", "z")),
-            "scales": np.exp(_log_scales(table, header)),
+            "scales": scales,
             "quats": _unit(quats),
-            "opacities": 1 / (1 + np.exp(-_columns(table, ("opacity",))[:, 0])),
+            "opacities": opacities,
             "harmonics": np.concatenate((dc, higher.transpose(0, 2, 1)), 1),
         }
         # Through float32 first: what is finite in double may not be afterwards.
@@ -289,16 +317,46 @@ def _plain_colours(
     return (_columns(table, _COLOURS) / (255 if whole else 1) - 0.5) / DC
 
 
-def _log_scales(
+def _scales(
     table: np.ndarray, header: "PlyHeader"
 ) -> Float64[np.ndarray, "gaussian axis"]:
-    """The logarithms of three scales: those of a file, or one of a ball; or of two, of a disc."""
+    """Three scales: those of a file, or one of a ball; or two, of a disc. A file holds logarithms
+    of them; where these would make each Gaussian cover much of the scene, they are lengths.
+    """
     names = [name for name in ("scale_0", "scale_1", "scale_2") if name in header.names]
-    scales = _columns(table, names)
+    stored = _columns(table, names)
+    scales = np.exp(stored)
+    if len(table) and stored.min() > 0:
+        places = _columns(table, ("x", "y", "z"))
+        extent = np.ptp(np.percentile(places, (5, 95), axis=0), axis=0).max()
+        between = extent / math.sqrt(len(table))  # neighbours on a surface
+        if np.median(stored) < SPREAD * between < np.median(scales):
+            warn(
+                f"{header.path}: its sizes cannot be logarithms, as they are in this format; they "
+                "are taken as lengths."
+            )
+            scales = stored
     if len(names) == 2:
         say("scene.flat", "its Gaussians have two scales and are read as flat discs")
         return scales
     return np.broadcast_to(scales, (len(table), 3))
+
+
+def _filtered(
+    scales: Float64[np.ndarray, "gaussian axis"],
+    opacities: Float64[np.ndarray, "gaussian"],
+    table: np.ndarray,
+    header: "PlyHeader",
+) -> tuple[Float64[np.ndarray, "gaussian axis"], Float64[np.ndarray, "gaussian"]]:
+    """Scales and opacities with Mip-Splatting's 3D filter, which its files leave to viewers."""
+    if _FILTER not in header.names:
+        return scales, opacities
+    say(
+        "scene.filter",
+        f"its {_FILTER} (Mip-Splatting) is worked into sizes and opacities",
+    )
+    wide = np.hypot(scales, _columns(table, (_FILTER,)))
+    return wide, opacities * np.prod(scales / wide, axis=1)
 
 
 def _read_objects(

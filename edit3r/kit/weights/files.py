@@ -26,16 +26,25 @@ def save_weights(
         )
 
 
+def weights_file(path: str | Path) -> Path:
+    """The file that is meant where the folder of a training, or its `best`, may be given."""
+    place = Path(path)
+    if not place.is_dir():
+        return place
+    usual = (place / WEIGHTS, place / "best" / WEIGHTS)
+    return next((file for file in usual if file.is_file()), usual[0])
+
+
 def load_weights(network: nn.Module, path: str | Path) -> None:
-    """Fill `network` with trained weights: a safetensors file, or a training's folder `best`.
+    """Fill `network` with trained weights: a safetensors file, or a training's folder.
 
     For the setting `weights` of any reconstructor. Raises InputError when there are none or they do
     not fit.
     """
-    file = Path(path) / WEIGHTS if Path(path).is_dir() else Path(path)
+    file = weights_file(path)
     if not file.is_file():
         raise InputError(
-            f"{path}: no such weights; give a .safetensors file, or the folder best of a training."
+            f"{path}: no such weights; give a .safetensors file, or the folder of a training."
         )
     try:
         weights = safetensors.torch.load_file(file)

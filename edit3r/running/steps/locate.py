@@ -17,6 +17,7 @@ from edit3r.kit.geometry.exposure import (
 from edit3r.running.components import Components
 from edit3r.running.geometry import GeometryAnswer, find_geometry, lies_flat
 from edit3r.running.records import (
+    READ_LENS,
     EditedPhotos,
     ExposureCorrected,
     Inputs,
@@ -123,7 +124,7 @@ def _note_lens(inputs: Inputs, geometry: Geometry | None) -> tuple[float, float]
         geometry = None
     if geometry is not None and geometry.intrinsics is not None:
         fov = field_of_view(geometry.calibrated(photos))
-        sources = [f"read from the photos: {fov:.1f} degrees across the longer side"]
+        sources = [f"{READ_LENS}: {fov:.1f} degrees across the longer side"]
     note("lens.source", list(dict.fromkeys(sources)))
     if geometry is None or geometry.lenses is None:
         return None

@@ -1,6 +1,8 @@
 """`edit3r describe` and the words it uses; the YAML it prints is what a configuration accepts."""
 
 import json
+from enum import Enum
+from pathlib import Path
 from typing import Any, Literal
 
 import pytest
@@ -38,7 +40,15 @@ def register_heads():
 """
 
 
+class Way(Enum):
+    soft = "soft"
+    no = "no"
+
+
 class Everything(Settings):
+    way: Way = Field(Way.no, description="a way")
+    place: Path = Field(Path("a/b"), description="a place")
+    both: frozenset[str] = Field(frozenset({"a"}), description="both")
     count: int | None = Field(None, ge=1, lt=9, description="a count")
     choice: Literal["a", "b"] = Field("a", description="a choice")
     weights: tuple[float, float] = Field((1.0, 1e-6), description="weights")
@@ -71,6 +81,7 @@ def local(tmp_path_factory):
         (dict[str, float], "mapping of text to float"),
         (PartChoice, "component"),
         (bool, "true or false"),
+        (Way, "soft | 'no'"),
         (Any, "anything"),
     ],
 )

@@ -209,3 +209,25 @@ def test_a_local_file_that_offers_nothing_is_named_each_time_it_is_asked_for(
     file.write_text("x = 1")
     failures = load_plugins([file, file]).failures
     assert len(failures) == 2 and "offers nothing" in failures[1].reason
+
+
+def test_what_a_plugin_prints_on_import_never_reaches_standard_output(installed, capfd):
+    loud = "import os\nprint('hello')\nos.system('echo there')\n"
+    installed(loud=f"{loud}{DECLARATION}")
+    (offer,) = load_plugins().offers
+    assert offer.component.name == "loud"
+    out, err = capfd.readouterr()
+    assert not out and "hello" in err and "there" in err
+
+
+def test_the_folder_of_a_new_plugin_stands_for_its_only_package(installed, tmp_path):
+    for name in ("edit3r_sepia", "tests"):
+        (tmp_path / "edit3r-sepia" / name).mkdir(parents=True)
+        source = DECLARATION.format(name="sepia", module=name)
+        (tmp_path / "edit3r-sepia" / name / "__init__.py").write_text(source)
+    (offer,) = load_plugins([tmp_path / "edit3r-sepia"]).offers
+    assert offer.component.name == "sepia" and offer.plugin == "edit3r_sepia"
+    (tmp_path / "edit3r-sepia" / "another").mkdir()
+    (tmp_path / "edit3r-sepia" / "another" / "__init__.py").touch()
+    with pytest.raises(InputError, match=r"give one: .*another, .*edit3r_sepia"):
+        load_plugins([tmp_path / "edit3r-sepia"])

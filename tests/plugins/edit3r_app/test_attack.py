@@ -2,6 +2,8 @@
 
 import json
 import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 from edit3r_app.jobs import AppJob, JobsFolder
@@ -25,7 +27,9 @@ BODIES = {
 }
 
 
-def answer(app, body, path="/api/go/x", chunks=1, headers=()):
+def answer(
+    app, body, path="/api/go/x", chunks=1, headers=(), breaks_off=False, method="POST"
+):
     """(status, text, how much of the body was read) of a request in chunks, without a length."""
     import asyncio
 
@@ -35,18 +39,21 @@ def answer(app, body, path="/api/go/x", chunks=1, headers=()):
 
     async def receive():
         nonlocal read
+        if not parts and breaks_off:
+            return {"type": "http.disconnect"}
         if not parts:
             return {"type": "http.request", "body": b"", "more_body": False}
         part = parts.pop(0)
         read += len(part)
-        return {"type": "http.request", "body": part, "more_body": bool(parts)}
+        more = bool(parts) or breaks_off
+        return {"type": "http.request", "body": part, "more_body": more}
 
     async def send(message):
         sent.append(message)
 
     scope = {
         "type": "http",
-        "method": "POST",
+        "method": method,
         "path": path,
         "raw_path": path.encode(),
         "root_path": "",
@@ -56,6 +63,49 @@ def answer(app, body, path="/api/go/x", chunks=1, headers=()):
     }
     asyncio.run(app(scope, receive, send))
     return sent[0]["status"], b"".join(one.get("body", b"") for one in sent[1:]), read
+
+
+def test_an_upload_that_breaks_off_leaves_no_scene_and_raises_nothing(tmp_path):
+    app = make_app(JobsFolder(tmp_path), token=None, size=64)
+    named = [(b"x-name", b"garden.jpg"), (b"content-length", b"9000")]
+    answer(app, b"\xff\xd8\xff" * 1000, "/upload/-", 2, named, breaks_off=True)
+    assert not list(tmp_path.glob("garden*")) and JobsFolder(tmp_path).scenes() == []
+
+
+def test_a_form_of_another_page_is_refused_where_the_browser_names_no_origin(tmp_path):
+    app = make_app(JobsFolder(tmp_path), token=None, size=64)
+    site = [(b"sec-fetch-site", b"cross-site"), (b"sec-fetch-dest", b"document")]
+    assert answer(app, b"{}", "/api/delete/x", headers=site)[0] == 403
+
+
+def test_a_scene_that_is_not_there_makes_no_folder_and_tells_no_path(tmp_path):
+    folder = JobsFolder(tmp_path / "jobs")
+    app = make_app(folder, token=None, size=64)
+    for kind in ("overlay", "edited", "pointed", "photo"):
+        for name in ("nobody", "a" * 5000):
+            path = f"/{kind}/{name}/a"
+            status, text, _ = answer(app, b"", path, method="GET")
+            assert status == 400 and str(tmp_path).encode() not in text
+    assert not [path for path in folder.private.iterdir() if path.is_dir()]
+
+
+def test_two_tabs_that_go_at_once_each_get_their_sentence(tmp_path, monkeypatch):
+    folder = JobsFolder(tmp_path)
+    scene = folder.new_scene("bear")
+    app = make_app(folder, token=None, size=64)
+    studio, asked = app.state.studio, []
+    meet = threading.Barrier(2, timeout=5)
+
+    def look(state, draft, *_):
+        meet.wait()  # both have said their sentence
+        asked.append(draft.form["prompt"])
+        raise InputError("enough.")
+
+    monkeypatch.setattr(type(studio.previews), "look", staticmethod(look))
+    with ThreadPoolExecutor(2) as pool:
+        said = [pool.submit(studio.go, scene, "", say) for say in ("gold", "blue")]
+    assert all(isinstance(one.exception(), InputError) for one in said)
+    assert sorted(asked) == ["blue", "gold"]
 
 
 @pytest.mark.parametrize("body", BODIES.values(), ids=BODIES)

@@ -59,6 +59,7 @@ def _editor(strength):
     ("line", "sentence"),
     [
         ("{", "not JSON"),
+        ('{"photos": ["a.jpg"], "size": 96, "size": 128}', "'size' stands twice"),
         ("[" * 100_000, "not JSON"),
         ("[1]", "expected an object in braces, got list"),
         ({**GOOD, "promt": "x"}, "'promt' is no key of a job. Did you mean 'prompt'?"),

@@ -162,8 +162,8 @@ def test_an_edited_scene_takes_no_new_marks_of_its_old_photos(made, capsys):
     ("line", "said"),
     [
         ("left remove right --out {0}/no", "has no object 'right'; it has left"),
-        ("left add left --out {0}/no", "has an object 'left' already"),
-        ("left copy left left 0 0 0 --out {0}/no", "has an object 'left' already"),
+        ("left add left --out {0}/no", "already has an object 'left'"),
+        ("left copy left left 0 0 0 --out {0}/no", "already has an object 'left'"),
         ("left add other --out {0}/no", "kept no masks; mark the object with"),
         ("left move left 0.1 nan 0 --out {0}/no", "expected numbers from -1000"),
         ("left move left 0.1 0 --out {0}/no", "expected edit3r objects RUN move NAME"),

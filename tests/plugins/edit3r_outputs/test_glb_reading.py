@@ -207,6 +207,7 @@ def changed(name, value):
         (f"{P}ROTATION", 0, "3 of 7 Gaussians have a quaternion of only zeros", N - 3),
         (f"{P}ROTATION", np.nan, "3 of 7 Gaussians are not finite", N - 3),
         ("POSITION", np.inf, "3 of 7 Gaussians are not finite", N - 3),
+        ("POSITION", 3e38, "3 of 7 Gaussians are not finite", N - 3),
     ],
 )
 def test_gaussians_that_cannot_be_are_told_of(tmp_path, name, value, told, left):
@@ -221,6 +222,9 @@ DEEP = b'{"meshes":' + b"[" * 200_000
 BAD = {
     "no Gaussians": (glb({name: rows[:0] for name, rows in PLAIN.items()}), "shows nothing"),
     "all see-through": (glb(columns(KHR_OPACITY=np.zeros((N, 1), "<f4"))), "shows nothing"),
+    "no sizes": (glb(columns(KHR_SCALE=np.zeros((N, 3), "<f4"))), "size 0"),
+    "counted from the end": (
+        glb(PLAIN).replace(b'"bufferView": 0', b'"bufferView":-1'), "no number -1"),
     "no scales": (glb({k: v for k, v in PLAIN.items() if "SCALE" not in k}), "it lacks .*SCALE"),
     "cut off": (glb(PLAIN)[:-200], "cut off"),
     "more than there are": (glb(PLAIN, count=10**9), "cut off"),

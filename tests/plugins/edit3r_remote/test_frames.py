@@ -1,9 +1,12 @@
 """Sizes there and back."""
 
+import io
+
 import pytest
 import torch
 from edit3r_remote.frames import ServiceFrame, decode, encode_mask, encode_png
 from hypothesis import given, strategies as st
+from PIL import Image
 
 from edit3r.contract.errors import RunError
 
@@ -55,3 +58,13 @@ def test_what_is_no_picture_is_quoted():
         RunError, match=r"view 3 is not an image \(5 bytes, starting 'hello'\)"
     ):
         decode(b"hello", (5, 7), "view 3")
+
+
+def test_a_picture_of_another_shape_is_told_before_it_is_decoded(monkeypatch):
+    content = io.BytesIO()
+    Image.new("RGB", (40, 20)).save(content, "PNG")
+    monkeypatch.setattr(Image.Image, "load", lambda self: pytest.fail("decoded"))
+    with pytest.raises(RunError, match="another shape"):
+        decode(content.getvalue(), (40, 40), "a.png")
+    with pytest.raises(RunError, match="far too many pixels"):
+        decode(content.getvalue(), (5, 5), "a.png")

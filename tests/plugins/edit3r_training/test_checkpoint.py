@@ -55,6 +55,26 @@ def test_loading_continues_as_if_never_stopped(tmp_path):
         assert torch.equal(straight.average[name], resumed.average[name])
 
 
+def test_what_is_set_otherwise_than_before_is_named_on_resuming(tmp_path):
+    first = _state()
+    first.config = {"trainer": {"name": "x", "settings": {"steps": 4}}, "out": "a"}
+    first.save(tmp_path / "last.pt")
+    again = _state()
+    again.config = {"trainer": {"name": "x", "settings": {"steps": 6}}, "out": "b"}
+    assert again.load(tmp_path / "last.pt") == []  # more steps, another place
+    again.config = {"trainer": {"name": "x", "settings": {"steps": 2, "lr": 0.2}}}
+    changes = ["trainer.steps: 4, now 2", "trainer.lr: not set, now 0.2"]
+    assert again.load(tmp_path / "last.pt") == changes
+
+
+def test_a_training_s_folder_stands_for_its_best_weights(tmp_path):
+    network = nn.Linear(2, 2)
+    weights = {name: value + 1 for name, value in network.state_dict().items()}
+    save_weights(tmp_path / "best" / WEIGHTS, weights)
+    load_weights(network, tmp_path)
+    assert torch.equal(network.weight, weights["weight"])
+
+
 def test_average_follows_the_weights_slowly():
     state = _state()
     state.step = 10_000

@@ -56,7 +56,8 @@ def test_the_longest_name_is_read(words, length):
 
 
 @pytest.mark.parametrize(
-    "words", ["zorbic green", "the green", "snow", "grass", "dark"]
+    "words",
+    ["zorbic green", "the green", "snow", "grass", "dark", "#ff000080", "#f008"],
 )
 def test_what_is_no_colour_is_none(words):
     assert read_colour(words.split()) is None

@@ -8,6 +8,7 @@ from edit3r.kit.files.atomic import (
     MARKER,
     atomic_folder,
     atomic_write,
+    check_apart,
     check_new_file,
     scratch_folder,
 )
@@ -235,3 +236,8 @@ def test_what_was_changed_by_hand_is_not_replaced_unasked(tmp_path, change):
         make()
     assert sorted(path.name for path in (tmp_path / "out").rglob("*")) == before
     make(overwrite=True)
+
+
+def test_an_empty_name_is_called_empty(tmp_path):
+    with pytest.raises(InputError, match="--out is empty"):
+        check_apart("", tmp_path / "a.jpg")

@@ -1,6 +1,6 @@
 import pytest
 
-from edit3r.kit.files.names import unique_names
+from edit3r.kit.files.names import is_plain_name, unique_names
 
 
 @pytest.mark.parametrize(
@@ -44,3 +44,8 @@ def test_names_stay_apart_whatever_was_changed():
     assert len({name.casefold() for name in names}) == len(given)
     assert names[5] == "a_b-1" and names[:3] == ["a_b-2", "a_b-3", "A_B-4"]
     assert all(0 < len(name) <= 100 and len(name.encode()) <= 200 for name in names)
+
+
+def test_no_name_is_shown_in_another_order_than_it_has():
+    name = "photo\u202egpj.exe"
+    assert unique_names([name]) == ["photo_gpj.exe"] and not is_plain_name(name)

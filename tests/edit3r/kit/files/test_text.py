@@ -60,6 +60,12 @@ def test_what_is_no_json_is_one_reason(text, tmp_path):
         read_json(tmp_path / "a")
 
 
+def test_a_key_twice_in_one_object_is_refused_with_its_line():
+    assert parse_json('[{"a": 1}, {"a": 2}]') == [{"a": 1}, {"a": 2}]
+    with pytest.raises(ValueError, match=r"'size' stands twice .*line 3"):
+        parse_json('{"size": 1,\n "seed": 2,\n "size": 3}')
+
+
 def test_a_pipe_is_no_file(tmp_path):
     import os
 

@@ -241,3 +241,29 @@ def test_a_turned_tiff_is_upright_in_every_mode(tmp_path, mode, orientation):
     found = np.asarray(decode(tmp_path / "a.tif").pixels)
     np.testing.assert_array_equal(found, turns[orientation])
     assert image_size(tmp_path / "a.tif") == found.shape[:2]
+
+
+def test_two_pictures_side_by_side_are_refused_whatever_they_are_called(tmp_path):
+    picture = Image.new("RGB", (40, 20))
+    picture.save(tmp_path / "a.jps", "JPEG")
+    picture.save(tmp_path / "plain.jpg")
+    content = (tmp_path / "plain.jpg").read_bytes()
+    marker = b"\xff\xe3\x00\x0c_JPSJPS_\x00\x00"
+    (tmp_path / "b.jpg").write_bytes(content[:2] + marker + content[2:])
+    for name in ("a.jps", "b.jpg"):
+        with pytest.raises(InputError, match="cut it in two"):
+            decode(tmp_path / name)
+
+
+@pytest.mark.parametrize(("second", "said"), [((40, 20), 1), ((20, 10), 0)])
+def test_the_second_picture_of_a_stereo_camera_is_named_and_a_preview_is_not(
+    tmp_path, second, said
+):
+    left, other = Image.new("RGB", (40, 20), "red"), Image.new("RGB", second, "blue")
+    left.save(tmp_path / "a.mpo", "MPO", save_all=True, append_images=[other])
+    with collecting(Report()) as report:
+        red, _, blue = decode(tmp_path / "a.mpo").pixels.getpixel((5, 5))
+    assert red > 200 and blue < 50
+    assert ["two pictures of one size" in one for one in report.warnings] == [
+        True
+    ] * said

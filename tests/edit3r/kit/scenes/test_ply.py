@@ -396,6 +396,61 @@ def test_two_scales_are_those_of_flat_discs_and_one_that_of_a_ball(tmp_path):
     torch.testing.assert_close(ball, made.scales[..., :1].expand_as(ball))
 
 
+def with_column(path, name, values, replaced=False):
+    """Give the Gaussians of a PLY one more property, or another value of one."""
+    content = path.read_bytes()
+    start = content.index(b"end_header\n") + len(b"end_header\n")
+    header = read_header(path)
+    kinds = [(known, f"<{kind}") for known, kind in header.columns]
+    table = np.frombuffer(content[start:], kinds)
+    new = np.zeros(len(table), [*kinds, *[(name, "<f4")] * (not replaced)])
+    for known, _ in kinds:
+        new[known] = table[known]
+    new[name] = values
+    lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(new)}"]
+    lines += [f"property float {known}" for known in new.dtype.names]
+    head = "\n".join([*lines, "end_header", ""]).encode()
+    path.write_bytes(head + new.tobytes())
+
+
+def test_the_filter_of_mip_splatting_is_worked_in_and_said(tmp_path):
+    made = scene(degree=0)
+    save_ply(tmp_path / "a.ply", made)
+    with_column(tmp_path / "a.ply", "filter_3D", 0.03)
+    with collecting(Report()) as report:
+        loaded = load_ply(tmp_path / "a.ply")
+    wide = (made.scales**2 + 0.03**2).sqrt()
+    # what each Gaussian holds in all, opacity times volume, stays
+    held = made.opacities * made.scales.prod(-1)
+    torch.testing.assert_close(loaded.scales, wide)
+    torch.testing.assert_close(loaded.opacities * wide.prod(-1), held)
+    assert "filter_3D" in report.notes["scene.filter"] and not report.warnings
+
+
+def test_properties_that_are_not_known_are_named(tmp_path):
+    save_ply(tmp_path / "a.ply", scene(degree=1))
+    with_column(tmp_path / "a.ply", "time_scale", 1.0)
+    with collecting(Report()) as report:
+        load_ply(tmp_path / "a.ply")
+    assert len(report.warnings) == 1 and "time_scale;" in report.warnings[0]
+
+
+@pytest.mark.parametrize("unit", [1, 1000])
+def test_sizes_that_cannot_be_logarithms_are_lengths(tmp_path, unit):
+    made = scene(400, degree=0)
+    made = replace(made, means=made.means * unit, scales=made.scales * unit)
+    save_ply(tmp_path / "a.ply", made)
+    with collecting(Report()) as report:
+        torch.testing.assert_close(load_ply(tmp_path / "a.ply").scales, made.scales)
+    assert not report.warnings
+    for axis in range(3):
+        lengths = made.scales[0, :, axis]
+        with_column(tmp_path / "a.ply", f"scale_{axis}", lengths, replaced=True)
+    with collecting(Report()) as report:
+        torch.testing.assert_close(load_ply(tmp_path / "a.ply").scales, made.scales)
+    assert "cannot be logarithms" in report.warnings[0]
+
+
 def test_colours_stand_in_for_harmonics(tmp_path):
     save_ply(tmp_path / "a.ply", scene(degree=0))
     plain = ("f_dc_0", "f_dc_1", "f_dc_2")
