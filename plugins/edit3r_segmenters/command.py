@@ -77,7 +77,7 @@ class MaskCommand(Command):
             {
                 name: value
                 for name, value in given_flags(args, RunConfig).items()
-                if name in ("sure", "larger", "reading", "grow", "invert")
+                if name in ("larger", "reading", "grow", "invert")
             }
         )
         given = parse_assignments(args.set)
