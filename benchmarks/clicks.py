@@ -19,6 +19,7 @@ from unittest.mock import patch
 import cv2
 import numpy as np
 import torch
+from edit3r_select.marks import marks_on
 from edit3r_select.obeying import points_of, seen_elsewhere
 from edit3r_select.photos import Photos
 from edit3r_select.select import select_masks
@@ -28,7 +29,7 @@ from PIL import Image, ImageDraw
 
 from edit3r import Views, build, default_registry, load_views
 from edit3r.contract.errors import Edit3rError, InputError
-from edit3r.contract.interfaces import SURE, Marks, Selection
+from edit3r.contract.interfaces import SURE, Selection
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.configs import parse_assignments
 from edit3r.kit.geometry.cameras import intrinsics_from_fov
@@ -65,7 +66,7 @@ def marks() -> None:
     """How well a click finds the thing: objects of real photos whose outlines were drawn by hand
     (`clicks.json`).
 
-        python benchmarks/clicks.py marks DATA [--segmenter classical] [--set size=256]
+        python benchmarks/clicks.py marks DATA [--segmenter grabcut] [--set size=256]
     [--only bear mug] [--objects outlines.json] [--kept rows.jsonl] [--cache FOLDER]
     [--sheet OUT.png] [--strokes]
 
@@ -124,7 +125,7 @@ def parsed() -> argparse.Namespace:
         type=Path,
         help="folder of photo sets, such as bear/images/frame_00001.jpg",
     )
-    parser.add_argument("--segmenter", default="classical")
+    parser.add_argument("--segmenter", default="grabcut")
     parser.add_argument(
         "--set",
         action="append",
@@ -306,7 +307,7 @@ def selected_by(clicks: dict[str, list]) -> Selection:
 
 def obeyed_marks(selection, masks, geometry, lens) -> tuple[int, int]:
     """How many of the marks are obeyed, of all that their own and the second photo show."""
-    own = points_of(selection.marks_on(0))
+    own = points_of(marks_on(selection, 0))
     shown = [(0, point) for point in own]
     if geometry is not None:
         lens = lens if geometry.intrinsics is None else geometry.intrinsics
@@ -617,7 +618,7 @@ def seconds() -> None:
         if files not in geometries:
             geometries[files] = geometry_read(matcher, views)
             select_masks(images, Selection(positive=(ELSEWHERE,)), segmenter)
-            segmenter.segment_marks(images[1], Marks(positive=(ELSEWHERE[1:],)))
+            segmenter.masks(images[1], [(ELSEWHERE[1:], True)])
         x, y = place_in(next(iter(polygons.values())), files[0])
         row = []
         asked = (

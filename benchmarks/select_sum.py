@@ -20,7 +20,6 @@ import pickle
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -44,16 +43,18 @@ from clicks import (
 )
 from edit3r_select.answering import (
     UNMARKED,
+    answers_of,
     asked_by,
     gathered,
     selected,
     spread,
+    subject_of,
 )
 from edit3r_select.carrying import expected_on
 from edit3r_select.cues import CUES, Asked, Pool, table
-from edit3r_select.held import HeldSegmenter
 from edit3r_select.photos import OnPhoto, Photos
 from edit3r_select.sum import CERTAINTY, FITTED, CueWeights, choose, confidence, lead
+from edit3r_select.validated import ValidatedSegmenter
 from PIL import Image
 from scipy.optimize import minimize
 
@@ -198,7 +199,7 @@ class Bench:
 
     def __init__(self, cache: Path | None) -> None:
         self.cache, self.sam = cache, build("segmenter", "sam-onnx")
-        self.salience = build("segmenter", "classical")
+        self.salience = build("segmenter", "grabcut")
         self.matcher, self.geometries = build("matcher", "classical"), {}
         self._held: tuple[Path, np.ndarray, Answerer] | None = None
 
@@ -207,7 +208,7 @@ class Bench:
         image = np.asarray(Image.open(thing.file).convert("RGB"))
         if self._held is None or self._held[0] != thing.file:
             photo = reduced(image)
-            self._held = thing.file, photo, partial(self.sam.ask, tensor_of(photo))
+            self._held = thing.file, photo, answers_of(self.sam, tensor_of(photo))
         _, photo, answers = self._held
         truth = at_size(filled(thing.polygons, image.shape[:2]), photo.shape[:2])
         return answers, truth
@@ -236,7 +237,7 @@ class Bench:
         """Which of all that a photo shows is named, where only its photo is known."""
         answers, truth = self.looked(thing)
         assert self._held is not None
-        salient = self.salience.propose(tensor_of(self._held[1]))
+        salient = subject_of(self.salience, tensor_of(self._held[1]))
         scale = UNMARKED / max(truth.shape)
         size = tuple(max(1, round(side * scale)) for side in truth.shape)
         pool = spread(answers, size, salient[0].soft_mask) if salient else None
@@ -259,11 +260,11 @@ class Bench:
             return
         lens = intrinsics_from_fov(FOV, size).expand(1, 2, 3, 3)
         lens = lens if geometry.intrinsics is None else geometry.intrinsics
-        photos = Photos(frames, HeldSegmenter(self.sam), geometry, lens)
+        photos = Photos(frames, ValidatedSegmenter(self.sam), geometry, lens)
         given = OnPhoto(torch.from_numpy(truths[0]).float(), "given")
         marks = expected_on(photos, {0: given}, 1)
         if marks is not None:
-            asked, answers = asked_by(marks, size), partial(self.sam.ask, frames[1])
+            asked, answers = asked_by(marks, size), answers_of(self.sam, frames[1])
             yield self.row(thing, CARRIED, asked, answers, truths[1])
 
     def row(self, thing, way, asked, answers, truth) -> Row:

@@ -748,7 +748,7 @@ def combinations() -> None:
             for matcher in MATCHERS
             for recon in ("classical", "edit3r")
         ]
-        made.append(segment("classical"))
+        made.append(segment("grabcut"))
     rows = json.loads(RESULTS.read_text())["rows"] if RESULTS.exists() else []
     keys = ("editor", "recon", "matcher", "segmenter")
     kept = {tuple(row.get(key) for key in keys): row for row in [*rows, *made]}

@@ -8,12 +8,11 @@ import torch
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Selected, Selection, Selector
 from edit3r.contract.interfaces.selection import WAYS
-from edit3r.kit.geometry.warping import shared_surface, warp
+from edit3r.kit.geometry.warping import SAME_SURFACE, shared_surface, warp
 from edit3r_testing.contract import Contract
 from edit3r_testing.scenes import Photographed, true_geometry
 
 SHARED = 0.5  # least overlap of a carried mask with where its surface is seen
-SURFACE = 0.05  # relative difference in depth within which two photos show one
 NEVER_HEARD = "qwertzblorf"
 
 
@@ -78,7 +77,7 @@ class SelectorContract(Contract):
             geometry.depths[0, pair],
             scene.views.intrinsics[0, pair],
             geometry.c2w[0, pair],
-            SURFACE,
+            SAME_SURFACE,
         )
         there = (warp(found[:1].float(), where, padding="zeros")[0] > 0.5) & same
         both, either = (found[1] & there).sum(), (found[1] | there).sum()

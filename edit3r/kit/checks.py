@@ -11,7 +11,6 @@ from numbers import Real
 from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float
 
@@ -30,6 +29,7 @@ from edit3r.contract.interfaces import (
     Critic,
     Editor,
     Geometry,
+    MaskLogits,
     Proposal,
     Rasterizer,
     Reader,
@@ -222,27 +222,26 @@ def check_proposal(
     size = list(image.shape[-2:])
     _require_tensor(segmenter, "soft_mask", answer.soft_mask, size, image.dtype)
     _require_range(segmenter, "soft_mask", answer.soft_mask)
-    numbers = {"confidence": answer.confidence, "box": answer.box}
-    for name, value in numbers.items():
-        flat = value if isinstance(value, tuple) else (value,)
-        real = all(isinstance(one, Real) and isfinite(one) for one in flat)
-        held = real and len(flat) == (4 if name == "box" else 1)
-        _require(segmenter, held, f"return {name} made of numbers, got {value!r}")
+    value = answer.confidence
+    is_number = isinstance(value, Real) and isfinite(value)
+    _require(segmenter, is_number, f"return confidence as a number, got {value!r}")
 
 
-def check_answers(segmenter: Segmenter, answer: tuple[Any, Any]) -> None:
-    """Logits `[n, h, w]` of at least one mask, and what each expects of itself `[n]`."""
-    pair = isinstance(answer, tuple) and len(answer) == 2
-    shapes = [list(np.shape(one)) for one in answer] if pair else []
-    held = (
-        pair and len(shapes[0]) == 3 and shapes[1] == shapes[0][:1] and all(shapes[0])
-    )
-    promise = "answer `ask` with logits [n, h, w] and their quality [n]"
-    _require(
-        segmenter, held, f"{promise}, got shapes {shapes or type(answer).__name__}"
-    )
-    finite = all(bool(np.isfinite(one).all()) for one in answer)
-    _require(segmenter, finite, f"{promise}, all of them finite")
+def check_masks(segmenter: Segmenter, answer: MaskLogits) -> None:
+    """Finite logits `[n, h, w]` of at least one mask, and the quality of each `[n]` if told."""
+    _require_type(segmenter, answer, MaskLogits)
+    parts = {"logits": answer.logits, "quality": answer.quality}
+    told = {
+        name: one for name, one in parts.items() if one is not None or name == "logits"
+    }
+    for name, one in told.items():
+        _require_type(segmenter, one, torch.Tensor)
+        _require(segmenter, bool(one.isfinite().all()), f"return finite {name}")
+    shapes = [list(one.shape) for one in told.values()]
+    held = len(shapes[0]) == 3 and all(shapes[0]) and shapes[-1][:1] == shapes[0][:1]
+    held &= all(len(shape) == 1 for shape in shapes[1:])
+    promise = "return logits [n, h, w] and their quality [n]"
+    _require(segmenter, held, f"{promise}, got shapes {shapes}")
 
 
 def check_tracks(

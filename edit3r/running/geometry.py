@@ -12,7 +12,7 @@ from edit3r.contract.interfaces import (
     FindsGeometry,
     Geometry,
     Matcher,
-    MatchesLevelled,
+    MatchesCorrected,
     Reconstructor,
 )
 from edit3r.contract.reporting import warn
@@ -94,8 +94,8 @@ def find_geometry(
 def _read(source: Source, views: Views, corrected: Views | None) -> Geometry:
     if isinstance(source, FindsGeometry):
         return source.find_geometry(views)
-    if corrected is not None and isinstance(source, MatchesLevelled):
-        return source.match_levelled(views, corrected)
+    if corrected is not None and isinstance(source, MatchesCorrected):
+        return source.match_corrected(views, corrected)
     return source.match(views)
 
 

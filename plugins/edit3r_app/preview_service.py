@@ -29,6 +29,7 @@ from edit3r.kit.compute.outlines import overlap
 from edit3r.kit.contact_sheet import outlined
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.photos.images import save_image
+from edit3r.kit.segmenting import automatic_masks
 from edit3r.running import (
     Components,
     Preview,
@@ -45,7 +46,7 @@ from edit3r_app.pictures import around, jpeg, over, picture
 from edit3r_app.sessions import (
     SEGMENTER,
     KeepingRegistry,
-    Progress,
+    PhotosProgress,
     Session,
     Sessions,
     as_in_a_run,
@@ -143,7 +144,7 @@ class Candidates(Stage):
         image = session.views.images[0, session.place(name)]
         with as_in_a_run(session.cache):
             segmenter = self.registry.build_choice("segmenter", SEGMENTER)
-            proposals = segmenter.propose(image)
+            proposals = automatic_masks(segmenter, image)
         masks: list[Tensor] = []
         for one in proposals:
             if all(
@@ -153,7 +154,7 @@ class Candidates(Stage):
         return tuple((around(mask, name), mask) for mask in masks[:CANDIDATES])
 
 
-class Selecting(Stage):
+class DraftSelection(Stage):
     """What a whole draft selects on all photos, and how its sentence is read."""
 
     def __init__(self, registry: Registry) -> None:
@@ -293,7 +294,7 @@ class PreviewService:
         # Pointing never waits for an answer in full. The segmenter is the same, so that what it
         # read of the photos is read once.
         self.pointing = Pointing(self.registry)
-        self.selecting = Selecting(self.registry)
+        self.selecting = DraftSelection(self.registry)
         self.editing = Editing(self.registry, self.pointing)
         self._candidates = Candidates(self.registry)
         self._prepared = threading.Event()
@@ -308,9 +309,9 @@ class PreviewService:
         # A word of which a picture of nothing knows nothing reads no more than it must.
         with collecting(Report()), suppress(Edit3rError):
             segmenter = self.registry.build_choice("segmenter", SEGMENTER)
-            segmenter.segment_text(torch.zeros(3, 48, 64), "sky")
+            segmenter.words(torch.zeros(3, 48, 64), "sky")
 
-    def begin(self, state: str) -> Progress:
+    def begin(self, state: str) -> PhotosProgress:
         """Read a state's photos in the background, from the first call on; say how far it is."""
         return self.sessions.begin(state)
 

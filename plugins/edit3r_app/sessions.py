@@ -17,7 +17,7 @@ import torch
 
 from edit3r import Registry
 from edit3r.contract.errors import Edit3rError, InputError
-from edit3r.contract.interfaces import Marks, Selection
+from edit3r.contract.interfaces import Selection
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
@@ -70,7 +70,7 @@ class KeepingRegistry(Registry):
 
 
 @dataclass(frozen=True)
-class Progress:
+class PhotosProgress:
     """What of a scene's photos is read already, beside the user's looking."""
 
     photos: bool = False  # a click is answered at once
@@ -116,14 +116,14 @@ class Session:
             earlier = replace(earlier, inputs=earlier.inputs.select(views))
         return RunJob(config, masks=marks, earlier=earlier, cache=self.cache)
 
-    def progress(self, pace: float) -> Progress:
+    def progress(self, pace: float) -> PhotosProgress:
         """How far it is read; `pace` [s] is what the geometry of a photo takes."""
         views = tuple(self.shown or self.read)
         seen = [self.read.get(view) for view in views]
         photos = bool(seen) and all(one is not None and one.done() for one in seen)
         trouble, placed = self._trouble()
         left = self.left(pace)
-        return Progress(photos, self.geometry.done(), left, trouble, placed)
+        return PhotosProgress(photos, self.geometry.done(), left, trouble, placed)
 
     def left(self, pace: float) -> float:
         """Until its geometry is known, about [s]."""
@@ -164,14 +164,14 @@ class Sessions:
         self._known: set[tuple[str, tuple[str, ...]]] = set()  # what was opened
         self._sessions = lru_cache(maxsize=4)(self._read)
 
-    def begin(self, state: str) -> Progress:
+    def begin(self, state: str) -> PhotosProgress:
         """Read a state's photos in the background, from the first call on; say how far it is."""
         if self._opening.acquire(blocking=False):
             self._opening.release()
             if self.is_open(state):
                 return self.open(state).progress(self._pace)
             self.do(self.open, state)
-        return Progress(left=self._pace * len(self.folder.photos(state)))
+        return PhotosProgress(left=self._pace * len(self.folder.photos(state)))
 
     def do(self, work: Any, *arguments: Any) -> "Future[Any]":
         """Do it in the background; what the user can mend is told with each answer."""
@@ -262,10 +262,9 @@ class Sessions:
 
     def _click(self, session: Session, view: int) -> None:
         """Click on a photo, so that the segmenter has read it when the user does."""
-        middle = Marks(positive=((0.5, 0.5),))
         with as_in_a_run(session.cache), suppress(Edit3rError):
             segmenter = self.registry.build_choice("segmenter", SEGMENTER)
-            segmenter.segment_marks(session.views.images[0, view], middle)
+            segmenter.masks(session.views.images[0, view], [((0.5, 0.5), True)])
 
     def _keep(self, state: str, cache: Cache) -> None:
         """Keep what was read from a set of photos for the next start of the server."""

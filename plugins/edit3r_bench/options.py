@@ -25,7 +25,7 @@ class BuildOptions(Settings):
     detector: PartChoice | None = None
     """finds labels and boxes, such as grounding-dino"""
     segmenter: PartChoice | None = None
-    """cuts masks out of the boxes, such as sam2 or classical"""
+    """cuts masks out of the boxes, such as sam2 or grabcut"""
     truth: PartChoice | None = None
     """editor, such as recolor, that edits the held-back photos too: its images are the truth"""
     llm: str = ""

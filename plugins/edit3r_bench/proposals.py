@@ -31,6 +31,7 @@ from edit3r.kit.command.results import write_text
 from edit3r.kit.files.configs import read_yaml
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.kit.photos.images import to_bytes
+from edit3r.kit.segmenting import mask_in_box
 from edit3r.kit.service import ChatModel
 from edit3r_bench.manifest import EDIT_TYPES, EDITS_PER_SCENE, EditType
 
@@ -104,7 +105,7 @@ def masks_from_boxes(
         else:
             corner = (max(0.0, x / width), max(0.0, y / height))
             size = (min(1.0, w / width), min(1.0, h / height))
-            mask[:] = segmenter.segment(image, box=(*corner, *size)).soft_mask > 0.5
+            mask[:] = mask_in_box(segmenter, image, (*corner, *size)) > 0.5
     return dilate_softly(masks)
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from pydantic import Field
 
 from edit3r.contract import reporting, settings as config
+from edit3r.kit.compute.sky import coloured_like_sky, find_skies
 from edit3r_geometry.cameras import CalibratedImage
 from edit3r_geometry.completion import (
     confirmed,
@@ -26,7 +27,6 @@ from edit3r_geometry.plane_sweep import (
 )
 from edit3r_geometry.registration import Registration
 from edit3r_geometry.semi_global import aggregate, best_plane
-from edit3r_geometry.sky import coloured_like_sky, find_skies
 from edit3r_geometry.upsampling import upsample_depth
 
 # Views whose sky is not to be hidden: those of a video say the same.

@@ -18,7 +18,7 @@ from edit3r import build, default_registry
 from edit3r.contract import reporting
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import MatchingError
-from edit3r.contract.interfaces import Geometry, Matcher, MatchesLevelled
+from edit3r.contract.interfaces import Geometry, Matcher, MatchesCorrected
 from edit3r.contract.lens import Lens
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
@@ -50,7 +50,7 @@ believed. No figure kept.
 """
 
 
-class _RememberingMatcher(Matcher, MatchesLevelled):
+class _RememberingMatcher(Matcher, MatchesCorrected):
     """Asks `_geometry`, whose depths may be measured in one exposure, once for the same photos."""
 
     @remembered
@@ -58,11 +58,11 @@ class _RememberingMatcher(Matcher, MatchesLevelled):
         return self._geometry(views, views)
 
     @remembered
-    def match_levelled(self, views: Views, levelled: Views) -> Geometry:
-        return self._geometry(views, levelled)
+    def match_corrected(self, views: Views, corrected: Views) -> Geometry:
+        return self._geometry(views, corrected)
 
     @abstractmethod
-    def _geometry(self, views: Views, levelled: Views) -> Geometry: ...
+    def _geometry(self, views: Views, corrected: Views) -> Geometry: ...
 
 
 class ClassicalMatcher(_RememberingMatcher):
@@ -90,10 +90,10 @@ class ClassicalMatcher(_RememberingMatcher):
 
     settings: Settings
 
-    def _geometry(self, views: Views, levelled: Views) -> Geometry:
+    def _geometry(self, views: Views, corrected: Views) -> Geometry:
         require_matchable(views, MIN_SIZE)
         scenes = [
-            self._match_scene(views, levelled, scene)
+            self._match_scene(views, corrected, scene)
             for scene in range(views.images.shape[0])
         ]
         *measured, lenses, told = zip(*scenes)
@@ -146,7 +146,7 @@ class ClassicalMatcher(_RememberingMatcher):
         return Lens((fx, fy), (cx, cy), (radial, 0.0, 0.0, 0.0, 0.0))
 
     def _match_scene(
-        self, views: Views, levelled: Views, scene: int
+        self, views: Views, corrected: Views, scene: int
     ) -> tuple[Any, ...]:
         """Fields of `Geometry` of one scene: poses, depths, confidence, registered flags,
         intrinsics, lenses, and the field of view that the matches tell.
@@ -166,7 +166,7 @@ class ClassicalMatcher(_RememberingMatcher):
         poses = np.stack([pose.inverse().matrix for pose in registration.poses])
         images = [
             replace(image, pixels=shown.pixels)
-            for image, shown in zip(found.images, calibrated_images(levelled, scene))
+            for image, shown in zip(found.images, calibrated_images(corrected, scene))
         ]
         maps = (poses, *measure_depths(images, registration, self.settings))
         c2w, inverse, confidence = (
@@ -294,7 +294,7 @@ class _Asked:
         )
 
 
-# Who reads the lens of photos matches them next, and once more when their light is levelled.
+# Who reads the lens of photos matches them next, and once more when their light is corrected.
 @functools.lru_cache(maxsize=1)
 def _registered(asked: _Asked) -> _Registered:
     return asked.matcher.register(asked.views, asked.scene).without_pixels()
@@ -324,12 +324,12 @@ class PosedMatcher(_RememberingMatcher):
     def __init__(self, settings: Settings, matcher: Matcher) -> None:
         self.settings, self.matcher = settings, matcher
 
-    def _geometry(self, views: Views, levelled: Views) -> Geometry:
+    def _geometry(self, views: Views, corrected: Views) -> Geometry:
         if views.c2w is None:
-            return _matched(self.matcher, views, levelled)
+            return _matched(self.matcher, views, corrected)
         poses = relative_to_first(views.c2w.detach().double().cpu())
         scenes = [
-            self._match_scene(views, levelled, scene, poses[scene])
+            self._match_scene(views, corrected, scene, poses[scene])
             for scene in range(len(views.images))
         ]
         parts = (torch.stack(field).to(views.images.device) for field in zip(*scenes))
@@ -337,7 +337,7 @@ class PosedMatcher(_RememberingMatcher):
         return Geometry(poses.to(views.images), depths, confidence, registered)
 
     def _match_scene(
-        self, views: Views, levelled: Views, scene: int, c2w: Float[Tensor, "view 4 4"]
+        self, views: Views, corrected: Views, scene: int, c2w: Float[Tensor, "view 4 4"]
     ) -> tuple[Tensor, ...]:
         """Poses, depths, confidence and which views have any, of one scene."""
         images = calibrated_images(views, scene)
@@ -351,7 +351,7 @@ class PosedMatcher(_RememberingMatcher):
         registration = Registration.on_poses(
             images, features, dict(enumerate(poses)), limit
         )
-        shown = images if levelled is views else calibrated_images(levelled, scene)
+        shown = images if corrected is views else calibrated_images(corrected, scene)
         maps = measure_depths(shown, registration, self.settings)
         inverse, confidence = (
             torch.from_numpy(part).to(views.images.dtype) for part in maps
@@ -395,7 +395,7 @@ class PosedMatcher(_RememberingMatcher):
         return tuple(moved[view] for view in range(len(poses)))
 
 
-class AutoMatcher(Matcher, MatchesLevelled):
+class AutoMatcher(Matcher, MatchesCorrected):
     """Depth Anything 3 where its package is installed and its weights are at hand, base before
     small; else its part.
 
@@ -429,18 +429,18 @@ class AutoMatcher(Matcher, MatchesLevelled):
         return self.matcher.lens(views)
 
     def match(self, views: Views) -> Geometry:
-        return self.match_levelled(views, views)
+        return self.match_corrected(views, views)
 
-    def match_levelled(self, views: Views, levelled: Views) -> Geometry:
+    def match_corrected(self, views: Views, corrected: Views) -> Geometry:
         pick, name = self.settings.pick, component_name(self.matcher)
         reporting.say("matcher.picked", name if pick == "part" else f"{name} ({pick})")
-        return _matched(self.matcher, views, levelled)
+        return _matched(self.matcher, views, corrected)
 
 
-def _matched(matcher: Matcher, views: Views, levelled: Views) -> Geometry:
+def _matched(matcher: Matcher, views: Views, corrected: Views) -> Geometry:
     """What a part says, with depth measured in one exposure where it can do that."""
-    if isinstance(matcher, MatchesLevelled):
-        return matcher.match_levelled(views, levelled)
+    if isinstance(matcher, MatchesCorrected):
+        return matcher.match_corrected(views, corrected)
     return matcher.match(views)
 
 

@@ -24,7 +24,7 @@ from edit3r.kit.compute.colour import linear_to_srgb, rgb_to_lab, srgb_to_linear
 from edit3r.kit.files.configs import read_yaml
 from edit3r.kit.geometry.cameras import pixel_grid
 from edit3r.kit.geometry.maps import dilate, size_of
-from edit3r.kit.geometry.warping import shared_surface, warp
+from edit3r.kit.geometry.warping import SAME_SURFACE, shared_surface, warp
 
 # The numbers of this block: docs/notes/verdict.md.
 FITTED = Path(__file__).with_name("fitted.yaml")
@@ -33,7 +33,6 @@ SEEN = 6.0  # difference of colours that one sees [CIE Lab]
 CLEAR = 12.0  # difference of colours that nobody overlooks [CIE Lab]
 BAND = 3  # pixels about an outline: its rim, and what blurs across it
 WIDE = 12  # pixels over which detail is told, and about what was removed, for its place
-SAME_SURFACE = 0.05  # relative difference of depths within which it is one surface
 BIN = 10.0  # difference within which colours are one [CIE Lab]
 LIKE = 0.1  # share of a colour that changed, from which all of it could
 FEW = 30  # pixels below which nothing is told

@@ -1,6 +1,6 @@
 """What a language model is asked, and its answer held to the rules that the grammar keeps.
 
-A model answers with JSON of one form (`Answer`). Colours, materials and places in it are
+A model answers with JSON of one form (`ModelAnswer`). Colours, materials and places in it are
 looked up by the words that the grammar knows. What is not known there, and words of the sentence
 that the answer speaks of nowhere, become `unread`: nothing that the user said disappears.
 """
@@ -79,7 +79,7 @@ class AnsweredInstruction(_Form):
     left_out: tuple[Words, ...] = Few
 
 
-class Answer(_Form):
+class ModelAnswer(_Form):
     """The whole answer."""
 
     instructions: tuple[AnsweredInstruction, ...] = Field(max_length=20)
@@ -101,7 +101,7 @@ def instructions_of_answer(answer: str, prompt: str) -> tuple[Instruction, ...]:
     if found is None:
         raise ValueError("it holds no JSON object")
     try:
-        given = Answer.model_validate_json(found[0])
+        given = ModelAnswer.model_validate_json(found[0])
     except ValidationError as error:
         first = error.errors()[0]
         where = ".".join(map(str, first["loc"])) or "the answer"

@@ -21,6 +21,7 @@ from edit3r.kit.compute.changes import change_error, change_uptake
 from edit3r.kit.compute.lpips import lpips_distance, lpips_weights
 from edit3r.kit.compute.metrics import Image, Region, psnr, ssim
 from edit3r.kit.geometry.cameras import project
+from edit3r.kit.geometry.warping import SAME_SURFACE
 from edit3r.kit.photos.posed_folder import PosedPhoto
 from edit3r.kit.photos.triples import Pose, rotation_degrees
 from edit3r.kit.reconstructing import WithMatcher
@@ -31,8 +32,6 @@ from edit3r_measure.scene_sources import EvaluationScene
 BLURS = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0, 24.0, 32.0)
 COVERED = 0.5  # alpha above which a pixel of a rendering counts as covered
 CHANGED = 2 / 255  # mean change of colour above which a pixel belongs to a true edit
-# Relative difference of depth below which two views show one surface
-SAME_SURFACE = 0.05
 
 Measure = Callable[[EvaluationScene], Mapping[str, float]]
 

@@ -5,10 +5,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.kit.geometry.maps import dilate
-from edit3r.kit.geometry.warping import warp
+from edit3r.kit.geometry.warping import SAME_SURFACE, warp
 from edit3r_model.colour_function import EXPLAINED, change_by_shared_function
 from edit3r_model.colour_maps import blur_maps
-from edit3r_model.edited_views import ALIKE, CHANGE, SAME_SURFACE, EditedViews, Maps
+from edit3r_model.edited_views import ALIKE, CHANGE, EditedViews, Maps
 
 Pair = Float[Tensor, "batch 2 3 height width"]
 

@@ -11,15 +11,10 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.kit.geometry.warping import Correspondences, warp
+from edit3r.kit.geometry.warping import SAME_SURFACE, Correspondences, warp
 
 CHANGE = 2 / 255
 """A change below this [sRGB] counts in proportion."""
-
-SAME_SURFACE = 0.05
-"""Largest difference of log depth at which a pixel and its point in the reference are taken for one
-surface. No figure kept.
-"""
 
 ALIKE = 0.1
 """Mean difference of colours [sRGB] above which two images do not show one surface, whatever the

@@ -27,8 +27,8 @@ class RecolorCommand(Command):
         add("images", nargs="+", metavar="FOLDER|IMAGE", help=about)
         about = "folder for pictures, masks, recolor.json and cameras.json"
         add("--out", required=True, metavar="DIR", help=about)
-        about = "finds and follows the objects (default classical)"
-        add("--segmenter", default="classical", metavar="NAME", help=about)
+        about = "finds the objects (default auto)"
+        add("--segmenter", default="auto", metavar="NAME", help=about)
         about = "the data's own masks instead: a folder per object"
         add("--masks", metavar="DIR", help=about)
         about = "repeat a recolor.json with the masks beside it"
@@ -151,7 +151,7 @@ def _found(args: argparse.Namespace) -> "Finder":
             given = read_masks(Path(args.masks), photos.photos)
             regions = given_regions(given, settings)
         else:
-            regions = find_regions(images, segmenter, settings)
+            regions = find_regions(photos.views, segmenter, settings)
         recipe = make_recipe(images, names, regions, settings, args.seed, source)
         return regions.masks, recipe
 

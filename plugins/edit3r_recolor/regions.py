@@ -5,14 +5,14 @@ marked object.
 from collections import Counter
 from collections.abc import Sequence
 
-import cv2
 import torch
 from jaxtyping import Bool, Float
 from pydantic import Field, field_validator
 from torch import Tensor
 
-from edit3r.contract.interfaces import Proposal, Tracks
+from edit3r.contract.interfaces import Tracks
 from edit3r.contract.settings import Settings
+from edit3r.kit.segmenting import AutomaticMask
 
 FAINT = 0.01
 """A sigmoid never reaches 0; below this a pixel is outside and keeps its exact value.
@@ -24,8 +24,8 @@ class ProposalFilter(Settings):
     """The paper's five criteria of a region (section 3.2).
 
     The paper gives its thresholds in an appendix that is not public; these defaults are this
-    project's own. They let through what the `classical` segmenter thinks of plain objects, whose
-    stability and quality are proxies; with `sam2` raise them (0.92 and 0.85 are usual for it).
+    project's own. They let through what `grabcut` cuts out, which cannot tell how good it is; with
+    a SAM raise them (0.92 and 0.85 are usual for it).
     """
 
     min_area: float = Field(0.01, ge=0, le=1)
@@ -46,7 +46,9 @@ class ProposalFilter(Settings):
             raise ValueError("expected [least, most] with 0 < least <= most")
         return value
 
-    def objection(self, proposal: Proposal, image_size: tuple[int, int]) -> str | None:
+    def objection(
+        self, proposal: AutomaticMask, image_size: tuple[int, int]
+    ) -> str | None:
         """Name the first criterion that `proposal` fails on an image of (height, width) pixels;
         None: it is kept.
         """
@@ -64,8 +66,10 @@ class ProposalFilter(Settings):
 
 
 def kept_proposals(
-    proposals: Sequence[Proposal], image_size: tuple[int, int], criteria: ProposalFilter
-) -> tuple[list[Proposal], dict[str, int]]:
+    proposals: Sequence[AutomaticMask],
+    image_size: tuple[int, int],
+    criteria: ProposalFilter,
+) -> tuple[list[AutomaticMask], dict[str, int]]:
     """Those that pass, in order, and how many failed each criterion (their first)."""
     objections = [criteria.objection(proposal, image_size) for proposal in proposals]
     kept = [one for one, objection in zip(proposals, objections) if objection is None]
@@ -111,12 +115,8 @@ def tracks_of_masks(masks: Float[Tensor, "object view height width"]) -> Tracks:
     return Tracks(masks.transpose(0, 1).logit(1e-3), present)
 
 
-def proposals_of_masks(masks: Float[Tensor, "object height width"]) -> list[Proposal]:
+def proposals_of_masks(
+    masks: Float[Tensor, "object height width"],
+) -> list[AutomaticMask]:
     """The data's own masks of the first view as proposals: stable and sure, as given."""
-    inside = [mask > 0.5 for mask in masks]
-    proposals = []
-    for mask, one in zip(masks, inside):
-        x, y, width, height = map(float, cv2.boundingRect(one.byte().cpu().numpy()))
-        share = float(one.float().mean())
-        proposals.append(Proposal(mask, share, 1.0, 1.0, (x, y, width, height)))
-    return proposals
+    return [AutomaticMask(mask) for mask in masks]

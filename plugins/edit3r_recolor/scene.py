@@ -15,13 +15,17 @@ from jaxtyping import Bool, Float
 from pydantic import ConfigDict, Field, TypeAdapter, ValidationError
 from torch import Tensor
 
+from edit3r import Views, default_registry
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
+from edit3r.contract.interfaces import Segmenter, Selection, Tracks
 from edit3r.contract.reporting import progress, track
 from edit3r.contract.settings import Settings
+from edit3r.kit.cache import Cache, using
 from edit3r.kit.command.results import write_json
 from edit3r.kit.files.text import parse_json
 from edit3r.kit.geometry.maps import size_of
+from edit3r.kit.segmenting import AutomaticMask, automatic_masks
+from edit3r.running import default_matcher, select_with, usual_selector
 from edit3r_recolor import recoloring
 from edit3r_recolor.recoloring import Outline, RecolorParameters, RecolorRanges
 from edit3r_recolor.regions import (
@@ -49,6 +53,8 @@ class RecoloringSettings(Settings):
     """which proposals become regions"""
     max_objects: int = Field(8, ge=1, le=200)
     """how many regions at most, the most salient ones"""
+    points_per_side: int = Field(6, ge=1, le=128)
+    """grid of clicks that finds the regions; SAM 2's own has 32, and takes minutes on a CPU"""
     least_overlap: float = Field(0.5, ge=0, le=1)
     """a view whose objects overlap less with the last used view's is left out"""
     ranges: RecolorRanges = RecolorRanges()
@@ -103,7 +109,7 @@ class SceneRecipe:
     """How a scene was recoloured: enough to do it again, on the same photos at any size."""
 
     seed: int
-    masks: str  # where they came from, such as "segmenter classical"
+    masks: str  # where they came from, such as "segmenter auto"
     regions: tuple[RegionRecipe, ...]
     views: tuple[ViewRecipe, ...]
     # proposals that failed each criterion
@@ -143,23 +149,36 @@ class SceneRecipe:
 class FoundRegions:
     """Objects of a scene that passed the filter, in all views."""
 
-    proposals: tuple[Proposal, ...]
+    proposals: tuple[AutomaticMask, ...]
     masks: Masks  # soft, in steps of 1/255, so that they survive a PNG file
     active: Bool[Tensor, "view object"]  # O_v
     rejected: dict[str, int]  # proposals that failed each criterion
 
 
 def find_regions(
-    images: Images, segmenter: Segmenter, settings: RecoloringSettings
+    views: Views, segmenter: Segmenter, settings: RecoloringSettings
 ) -> FoundRegions:
     """The first view's proposals, filtered and followed. Raises InputError when none passes."""
+    images = views.images[0]
     progress("find objects", 0, 2)
-    chosen, rejected = _choose(segmenter.propose(images[0]), size_of(images), settings)
+    proposals = automatic_masks(segmenter, images[0], settings.points_per_side)
+    chosen, rejected = _choose(proposals, size_of(images), settings)
     progress("find objects", 1, 2)
-    masks = torch.stack([proposal.soft_mask for proposal in chosen])
-    tracks = segmenter.track(images, masks.to(images))
+    masks = torch.stack([proposal.soft_mask for proposal in chosen]).to(images)
+    tracks = segmenter.track(images, masks) or _carried(views, masks, segmenter)
     progress("find objects", 2, 2)
     return _found(chosen, tracks, rejected)
+
+
+def _carried(views: Views, masks: Images, segmenter: Segmenter) -> Tracks:
+    """Where geometry says that the objects of the first view lie on the others."""
+    matcher, selector = default_matcher(default_registry()), usual_selector(segmenter)
+    with using(Cache()):
+        found = [
+            select_with(views, Selection(masks={0: mask}), selector, matcher).masks[0]
+            for mask in masks
+        ]
+    return tracks_of_masks(torch.stack(found))
 
 
 def given_regions(masks: Masks, settings: RecoloringSettings) -> FoundRegions:
@@ -172,10 +191,10 @@ def given_regions(masks: Masks, settings: RecoloringSettings) -> FoundRegions:
 
 
 def _choose(
-    proposals: Sequence[Proposal],
+    proposals: Sequence[AutomaticMask],
     image_size: tuple[int, int],
     settings: RecoloringSettings,
-) -> tuple[list[Proposal], dict[str, int]]:
+) -> tuple[list[AutomaticMask], dict[str, int]]:
     kept, rejected = kept_proposals(proposals, image_size, settings.filter)
     if not kept:
         failed = [f"{name} {count}" for name, count in rejected.items()]
@@ -189,7 +208,7 @@ def _choose(
 
 
 def _found(
-    proposals: Sequence[Proposal], tracks: Tracks, rejected: dict[str, int]
+    proposals: Sequence[AutomaticMask], tracks: Tracks, rejected: dict[str, int]
 ) -> FoundRegions:
     masks = (soft_masks(tracks) * 255).round() / 255
     return FoundRegions(tuple(proposals), masks, active_objects(tracks), rejected)

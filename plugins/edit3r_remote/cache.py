@@ -7,7 +7,7 @@ from typing import Any
 
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.files.names import expanded
-from edit3r_remote.service import Answer, Request
+from edit3r_remote.service import Request, ServiceAnswer
 
 
 class AnswerCache:
@@ -29,18 +29,18 @@ class AnswerCache:
             digest.update(hashlib.sha256(part).digest())
         return digest.hexdigest()
 
-    def find(self, key: str) -> Answer | None:
+    def find(self, key: str) -> ServiceAnswer | None:
         """Look up the answer kept under `key`; one that cannot be read counts as absent."""
         if self.folder is None:
             return None
         try:
             image = (self.folder / f"{key}.image").read_bytes()
             usage = json.loads((self.folder / f"{key}.json").read_bytes())
-            return Answer(image, usage["input_tokens"], usage["output_tokens"])
+            return ServiceAnswer(image, usage["input_tokens"], usage["output_tokens"])
         except (OSError, ValueError, KeyError, TypeError):
             return None
 
-    def keep(self, key: str, answer: Answer) -> None:
+    def keep(self, key: str, answer: ServiceAnswer) -> None:
         """Write an answer. Raises OSError or InputError where that is not possible."""
         usage = {
             "input_tokens": answer.input_tokens,

@@ -16,7 +16,7 @@ from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.service import within
 from edit3r_remote.cache import AnswerCache
 from edit3r_remote.frames import ServiceFrame, decode, encode_mask, encode_png
-from edit3r_remote.service import Answer, ImageService, Request
+from edit3r_remote.service import ImageService, Request, ServiceAnswer
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class ViewResult:
     remark: str  # for the user; '' if nothing
     cached: bool
     seconds: float  # until the answer was there, retries included
-    answer: Answer
+    answer: ServiceAnswer
 
 
 class Dispatcher:
@@ -141,7 +141,7 @@ class Dispatcher:
             remark += f" the answer could not be saved in editor.cache ({error})."
         return ViewResult(frame.extract(image), remark, False, seconds, answer)
 
-    def _ask(self, request: Request) -> Answer:
+    def _ask(self, request: Request) -> ServiceAnswer:
         try:
             answer = within(self.settings.deadline, lambda: self.service.send(request))
         except Edit3rError:

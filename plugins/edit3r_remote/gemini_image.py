@@ -10,7 +10,7 @@ from edit3r.contract.reporting import note
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.service import bounded_client
 from edit3r_remote.dispatch import Dispatcher
-from edit3r_remote.service import Answer, ImageService, RemoteSettings, Request
+from edit3r_remote.service import ImageService, RemoteSettings, Request, ServiceAnswer
 
 SHAPES = {
     (1024, 1024): "1:1",
@@ -81,7 +81,7 @@ class GeminiImages(ImageService):
             api_key=self.key, vertexai=False, http_options=options
         )
 
-    def send(self, request: Request) -> Answer:
+    def send(self, request: Request) -> ServiceAnswer:
         from google.genai import errors, types
 
         config = types.GenerateContentConfig(
@@ -102,7 +102,7 @@ class GeminiImages(ImageService):
         usage = response.usage_metadata
         for part in response.parts or ():
             if part.inline_data and part.inline_data.data:
-                return Answer(
+                return ServiceAnswer(
                     image=part.inline_data.data,
                     input_tokens=usage.prompt_token_count or 0 if usage else 0,
                     output_tokens=usage.candidates_token_count or 0 if usage else 0,

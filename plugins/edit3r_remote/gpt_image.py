@@ -11,7 +11,7 @@ from edit3r.contract.reporting import note
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.service import bounded_client
 from edit3r_remote.dispatch import Dispatcher
-from edit3r_remote.service import Answer, ImageService, RemoteSettings, Request
+from edit3r_remote.service import ImageService, RemoteSettings, Request, ServiceAnswer
 
 SIZES = ((1024, 1024), (1024, 1536), (1536, 1024))
 """(height, width) the service draws [pixels]."""
@@ -71,7 +71,7 @@ class OpenAiImages(ImageService):
             max_retries=settings.attempts - 1,
         )
 
-    def send(self, request: Request) -> Answer:
+    def send(self, request: Request) -> ServiceAnswer:
         import openai
 
         optional: dict[str, Any] = {}
@@ -95,7 +95,7 @@ class OpenAiImages(ImageService):
                 f"gpt-image answered without an image for {request.name}: {self.quote(response)}"
             )
         usage = response.usage  # of any type
-        return Answer(
+        return ServiceAnswer(
             image=base64.b64decode(encoded),
             input_tokens=getattr(usage, "input_tokens", 0),
             output_tokens=getattr(usage, "output_tokens", 0),

@@ -55,7 +55,7 @@ class Request:
 
 
 @dataclass(frozen=True)
-class Answer:
+class ServiceAnswer:
     """What came back, paid for."""
 
     image: bytes  # an encoded image, not yet checked
@@ -90,10 +90,10 @@ class ImageService(ABC):
             )
 
     @abstractmethod
-    def send(self, request: Request) -> Answer:
+    def send(self, request: Request) -> ServiceAnswer:
         """Ask and wait, with the attempts of the settings. Raises PromptError for a refusal."""
 
-    def without_key(self, answer: Answer) -> Answer:
+    def without_key(self, answer: ServiceAnswer) -> ServiceAnswer:
         """The answer, in which nothing is the key: its bytes may be shown and kept."""
         return replace(answer, image=answer.image.replace(self.key.encode(), b"***"))
 

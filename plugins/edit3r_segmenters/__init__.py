@@ -1,5 +1,5 @@
-"""Segmentation and detection: the classical offline stand-in, the paper's SAM2 and Grounding DINO,
-and SAM3.
+"""Segmentation and detection: the paper's SAM2 and Grounding DINO, SAM3, smaller networks, and
+GrabCut for machines without weights.
 """
 
 from functools import partial
@@ -175,17 +175,18 @@ OF_HUB = (SAM2, SAM2_TINY, SAM3, GROUNDING_DINO, GROUNDING_DINO_TINY)
 
 @hookimpl
 def register_segmenters():
-    classical = Component(
-        name="classical",
-        target="edit3r_segmenters.classical:ClassicalSegmenter",
-        summary="offline stand-in for SAM2: colour and texture regions; its quality fields are "
-        "proxies",
+    grabcut = Component(
+        name="grabcut",
+        target="edit3r_segmenters.grabcut:GrabCutSegmenter",
+        summary="OpenCV's GrabCut: clicks and boxes by colour alone, without weights; subject, sky "
+        "and ground",
         weights=(U2NETP,),
+        citation="Rother et al., GrabCut, SIGGRAPH 2004",
     )
     sam2 = _network(
         name="sam2",
         target="edit3r_segmenters.sam:Sam2Segmenter",
-        summary="SAM2: automatic masks, prompts by point, box or words, tracking; needs weights "
+        summary="SAM2: prompts by point, box or words, tracking; needs weights "
         "(0.2 to 0.9 GB)",
         parts=("detector",),
         licence="Apache-2.0, default weights too",
@@ -215,9 +216,9 @@ def register_segmenters():
         name="auto",
         target="edit3r_segmenters.auto:AutoSegmenter",
         summary="clicks, boxes, words and tracks by sam2 where it is installed with its weights, "
-        "else by classical",
+        "else by sam-onnx or grabcut",
     )
-    return (classical, sam2, sam3, sam_onnx, auto)
+    return (grabcut, sam2, sam3, sam_onnx, auto)
 
 
 @hookimpl

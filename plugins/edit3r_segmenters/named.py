@@ -5,14 +5,14 @@ NanoDet is was read off words of photos that show the thing and of photos that d
 (docs/notes/selecting.md); that of Grounding DINO is its score.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 from jaxtyping import Float
 from torch import Tensor
 
 from edit3r import build, default_registry
-from edit3r.contract.interfaces import Detection, Marks, Proposal
+from edit3r.contract.interfaces import Detection, Proposal, Segmenter
+from edit3r.kit.segmenting import mask_in_box
 from edit3r_segmenters.words import coco_classes
 
 DETECTORS = {
@@ -25,15 +25,14 @@ PART = 0.7  # share of a box inside a better one from which it is only a part of
 MAX_THINGS = 8
 SLOPE, HALF = 2.2, 0.42  # of a logistic curve over the logarithm of NanoDet's score
 
-Answer = Callable[[Float[Tensor, "3 height width"], Marks], Proposal]
 Box = tuple[float, float, float, float]
 
 
 def named(
-    image: Float[Tensor, "3 height width"], text: str, answer: Answer
+    image: Float[Tensor, "3 height width"], text: str, segmenter: Segmenter
 ) -> tuple[Proposal, ...] | None:
-    """What the text names, best first, where `answer` gives the mask of a box; None for words that
-    no usable detector knows.
+    """What the text names, best first: the segmenter's masks of a detector's boxes. None for words
+    that no usable detector knows.
     """
     detector = _knowing(text)
     if detector is None:
@@ -45,7 +44,7 @@ def named(
         x, y, across, down = one.box
         box = (x / width, y / height, across / width, down / height)
         sure = _confidence(one.score) if detector == "coco" else one.score
-        found.append(replace(answer(image, Marks(box=box)), confidence=sure))
+        found.append(Proposal(mask_in_box(segmenter, image, box), sure))
     return tuple(found)
 
 

@@ -7,10 +7,10 @@ graph; they are made outputs when the file is loaded.
 """
 
 import threading
-from collections.abc import Hashable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Generic, Literal, TypeVar
 
 import cv2
 import numpy as np
@@ -21,17 +21,13 @@ from torch import Tensor
 
 import edit3r
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Marks, Proposal, Segmenter, Tracks, as_proposal
+from edit3r.contract.interfaces import Click, MaskLogits, Segmenter
 from edit3r.contract.weights import Weights
 from edit3r.kit.cache import fingerprint, recall
 from edit3r.kit.compute.perceptual import IMAGENET_MEAN, IMAGENET_STD
-from edit3r.kit.geometry.cameras import pixel_grid
-from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.weights.find import at_hand, find
 from edit3r.kit.weights.load import foreign
-from edit3r_segmenters import SMALL, tracking
-from edit3r_segmenters.masks import Latest, stepped
-from edit3r_segmenters.sam import best_boxes, box_of, boxes_of, enlarge, proposal
+from edit3r_segmenters import SMALL
 
 MEAN = np.float32(255 * np.array(IMAGENET_MEAN))
 STD = np.float32(255 * np.array(IMAGENET_STD))
@@ -48,14 +44,29 @@ OWN_NAMES = ("/Reshape_9_output_0", "/iou_prediction_head/layers.2/Gemm_output_0
 OWN_NAMES_2 = ("/Reshape_8_output_0", "/iou_prediction_head/Sigmoid_output_0")
 """What a decoder calls its four masks and their quality, as exported from SAM and from SAM 2."""
 
-Place = tuple[float, float]  # x and y in [0, 1]
 Box = tuple[float, float, float, float]  # x, y, width, height in [0, 1]
 Embedding = dict[str, Tensor]
 """What the encoder gives, by the name of the decoder's input."""
+Known = TypeVar("Known")
+
+
+class Latest(Generic[Known]):
+    """What was computed of the picture that was asked about last: questions follow each other on
+    one, which is told by its identity. Nobody changes a picture in place. Threads may ask at once.
+    """
+
+    def __init__(self) -> None:
+        self._held: tuple[Any, Known] | None = None
+
+    def of(self, picture: Any, compute: Callable[[], Known]) -> Known:
+        held = self._held
+        if held is None or held[0] is not picture:
+            held = self._held = picture, compute()
+        return held[1]
 
 
 class SamOnnxSegmenter(Segmenter):
-    """One answer of the network to clicks and boxes; objects are followed by what images show."""
+    """The network's masks for clicks and boxes."""
 
     class Settings(edit3r.Settings):
         encoder: str = ""
@@ -74,10 +85,6 @@ class SamOnnxSegmenter(Segmenter):
         """the value with their predicted IoU; empty: likewise; iou_predictions in files of other
         exporters
         """
-        points_per_side: int = Field(6, ge=1, le=64)
-        """grid on which objects are looked for without marks"""
-        min_predicted_iou: float = Field(0.8, ge=0, le=1)
-        """least quality of an object found without marks"""
 
     settings: Settings
 
@@ -103,63 +110,26 @@ class SamOnnxSegmenter(Segmenter):
         self._latest: Latest[tuple[str, Embedding]] = Latest()
         self._answers: dict[Hashable, tuple[np.ndarray, np.ndarray]] = {}
 
-    def propose(self, image: Float[Tensor, "3 height width"]) -> tuple[Proposal, ...]:
-        """What a grid of clicks finds, best first; of masks with nearly the same box the best."""
-        chosen = self.settings
-        grid = pixel_grid((chosen.points_per_side, chosen.points_per_side), like=image)
-        logits: list[np.ndarray] = []
-        quality: list[np.ndarray] = []
-        for place in grid.flatten(0, 1).tolist():
-            some, good = self.ask(image, [(tuple(place), True)])
-            kept = (good >= chosen.min_predicted_iou) & (some > 0).any((1, 2))
-            logits.append(some[kept])
-            quality.append(good[kept])
-        found = torch.from_numpy(np.concatenate(logits)).to(image)
-        sure = torch.from_numpy(np.concatenate(quality)).to(image)
-        best = best_boxes(boxes_of(found > 0), sure, overlap=0.7)
-        size = size_of(image)
-        larger = (enlarge(found[index][None], size)[0] for index in best)
-        return tuple(
-            proposal(one, float(sure[index]))
-            for index, one in zip(best, larger)
-            if (one > 0).any()
-        )
-
-    def segment_marks(
-        self, image: Float[Tensor, "3 height width"], marks: Marks
-    ) -> Proposal:
-        clicks = [(place, True) for place in marks.inside]
-        clicks += [(place, False) for place in marks.negative]
-        box = box_of(marks)
-        if box is None and not clicks:
-            return as_proposal(torch.zeros_like(image[0]))
-        logits, quality = self.ask(image, clicks, box)
-        areas = (logits > 0).sum((1, 2))
-        best = stepped(areas, int(quality.argmax()), marks.larger)
-        small = torch.from_numpy(logits[best : best + 1]).to(image)
-        large = enlarge(small, size_of(image))[0]
-        return proposal(large, float(quality[best]))
-
-    def track(
-        self,
-        images: Float[Tensor, "view 3 height width"],
-        masks: Float[Tensor, "object height width"],
-    ) -> Tracks:
-        return tracking.tracks(images, masks)
-
-    def ask(
+    def masks(
         self,
         image: Float[Tensor, "3 height width"],
-        clicks: Sequence[tuple[Place, bool]],
+        clicks: Sequence[Click],
         box: Box | None = None,
-        before: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """All masks of the network for clicks (and whether the object is there) and a box, and for
-        the logits `[h, w]` of an answer `before`, which cover the image.
+        before: Float[Tensor, "h w"] | None = None,
+    ) -> MaskLogits:
+        """All masks of the network, at its own resolution, and their predicted IoU."""
+        given = None if before is None else before.numpy(force=True)
+        logits, quality = self._ask(image, clicks, box, given)
+        return MaskLogits(torch.from_numpy(logits), torch.from_numpy(quality))
 
-        Returns logits `[n, h, w]` at the network's own resolution, which cover the image, and
-        their predicted IoU `[n]`.
-        """
+    def _ask(
+        self,
+        image: Float[Tensor, "3 height width"],
+        clicks: Sequence[Click],
+        box: Box | None,
+        before: np.ndarray | None,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Logits `[n, h, w]` and predicted IoU `[n]`; to a question asked before from memory."""
         read, embedding = self._embedding(image)
         told = None if before is None else before.tobytes()
         asked = (read, tuple(clicks), box, told)
@@ -175,7 +145,7 @@ class SamOnnxSegmenter(Segmenter):
         self,
         read: Embedding,
         size: Sequence[int],
-        clicks: Sequence[tuple[Place, bool]],
+        clicks: Sequence[Click],
         box: Box | None,
         before: np.ndarray | None,
     ) -> tuple[np.ndarray, np.ndarray]:

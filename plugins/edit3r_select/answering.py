@@ -1,22 +1,20 @@
-"""Marks on one photo, answered by the sum: any SAM gives the masks.
-
-A segmenter whose `ask` has no masks reads marks itself.
-"""
+"""Marks on one photo, answered by the sum: a segmenter gives the masks."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import zip_longest
 from typing import Protocol
 
 import cv2
 import numpy as np
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import Marks, Proposal, Segmenter, as_proposal
+from edit3r.contract.interfaces import SUBJECT, Proposal, Segmenter
 from edit3r.kit.compute.outlines import soft_edged
 from edit3r_select.cues import Asked, Box, Click, Place, Pool, pixel
+from edit3r_select.marks import Marks
 from edit3r_select.sum import (
     SURE,
     Chosen,
@@ -40,7 +38,7 @@ DISTINCT = 0.5  # IoU from which two are one thing
 
 Image = Float[Tensor, "3 height width"]
 Size = tuple[int, int]  # height and width
-Answer = tuple[np.ndarray, np.ndarray]
+Answer = tuple[np.ndarray, np.ndarray | None]
 
 
 class AnswersMarks(Protocol):
@@ -49,10 +47,26 @@ class AnswersMarks(Protocol):
         clicks: Sequence[Click],
         box: Box | None = None,
         before: np.ndarray | None = None,
-    ) -> Answer | None:
-        """A segmenter's `ask` on one photo: logits `[n, h, w]` of any size, which cover it, and the
-        IoU that each mask is expected to have `[n]`; None where it has none.
+    ) -> Answer:
+        """A segmenter's `masks` on one photo: logits `[n, h, w]` of any size, which cover it, and
+        the IoU that each mask is expected to have `[n]`; None where it cannot tell.
         """
+
+
+def answers_of(segmenter: Segmenter, image: Image) -> AnswersMarks:
+    """A segmenter's `masks` on one photo, in numpy."""
+
+    def ask(
+        clicks: Sequence[Click],
+        box: Box | None = None,
+        before: np.ndarray | None = None,
+    ) -> Answer:
+        given = None if before is None else torch.from_numpy(before)
+        found = segmenter.masks(image, clicks, box, given)
+        quality = None if found.quality is None else found.quality.numpy(force=True)
+        return found.logits.numpy(force=True), quality
+
+    return ask
 
 
 @dataclass(frozen=True)
@@ -74,11 +88,7 @@ def answered(segmenter: Segmenter, image: Image, marks: Marks) -> Answered:
     """What the marks mean on one photo."""
     scale = min(1.0, LONGER / max(image.shape[-2:]))
     height, width = (max(1, round(side * scale)) for side in image.shape[-2:])
-    chosen = _chosen(partial(segmenter.ask, image), (height, width), marks)
-    if chosen is None:
-        if marks.larger or marks.prior is not None:
-            return Answered((segmenter.segment_marks(image, marks),), None)
-        return Answered(segmenter.readings(image, marks), None)
+    chosen = _chosen(answers_of(segmenter, image), (height, width), marks)
     if marks.larger:
         stepped = chosen.stepped(marks.larger)
         return Answered((_as_proposal(image, stepped, 1.0),), None)
@@ -87,9 +97,8 @@ def answered(segmenter: Segmenter, image: Image, marks: Marks) -> Answered:
     return Answered(found, chosen.confidence)
 
 
-def _chosen(ask: AnswersMarks, size: Size, marks: Marks) -> Chosen | None:
-    """What the marks may mean by the sum, one click after the other; None where nobody has masks,
-    and without marks.
+def _chosen(ask: AnswersMarks, size: Size, marks: Marks) -> Chosen:
+    """What the marks may mean by the sum, one click after the other.
 
     Nobody told in which order clicks on the thing and beside it were made: they come in turns, and
     one that says what is known waits until an answer to another one disobeys it.
@@ -111,8 +120,7 @@ def _chosen(ask: AnswersMarks, size: Size, marks: Marks) -> Chosen | None:
         clicks = (*clicks, new[0])
         before = None if chosen is None else chosen.best.logits
         chosen = selected(size, Asked(clicks, marks.stroke, marks.box, before), ask)
-        if chosen is None:
-            return None
+    assert chosen is not None, "nothing is marked"
     return chosen
 
 
@@ -135,11 +143,9 @@ def changed_at(pool: Pool) -> Pool:
 
 def selected(
     size: Size, asked: Asked, ask: AnswersMarks, weights: CueWeights | None = None
-) -> Chosen | None:
-    """What is meant by marks on one photo, its masks at `size`; None where `ask` has none."""
+) -> Chosen:
+    """What is meant by marks on one photo, its masks at `size`."""
     pool, weights = gathered(size, asked, ask), weights or fitted(asked.kind)
-    if pool is None:
-        return None
     chosen = choose(pool, weights)
     return refined(pool, chosen, ask, weights) if asked.kind == "click" else chosen
 
@@ -154,20 +160,16 @@ def refined(
     if not first.mask.any():
         return chosen
     place, _ = innermost(first.mask)
-    answer = ask([*pool.asked.clicks, (place, True)], before=first.logits)
-    if answer is None:
-        return chosen
-    again = choose(
-        replace(pool, logits=_large(answer[0], pool.size), quality=answer[1]), weights
-    )
+    logits, quality = ask([*pool.asked.clicks, (place, True)], before=first.logits)
+    again = choose(pool_of(pool.asked, pool.size, [(logits, quality)]), weights)
     for one in again.candidates:
         if one.score > first.score and _is_same(one.mask, first.mask):
             return replace(chosen, candidates=(one, *chosen.candidates[1:]))
     return chosen
 
 
-def gathered(size: Size, asked: Asked, ask: AnswersMarks) -> Pool | None:
-    """All masks that answer the marks, at `size`; None where `ask` has none."""
+def gathered(size: Size, asked: Asked, ask: AnswersMarks) -> Pool:
+    """All masks that answer the marks, at `size`."""
     drawn = [(place, True) for place in along(asked.stroke)]
     clicks, before = [*drawn, *asked.clicks], asked.before
     answers = [ask(clicks, asked.box)]
@@ -180,24 +182,34 @@ def gathered(size: Size, asked: Asked, ask: AnswersMarks) -> Pool | None:
         answers.append(ask(clicks, asked.box, before))
         at_last = ask([(asked.clicks[-1][0], True)])
         answers.append(_joined(size, at_last, before, asked.clicks[-1][1]))
-    known = [one for one in answers if one is not None]
-    if answers[0] is None:
-        return None
-    logits = np.concatenate([_large(some, size) for some, _ in known])
-    pool = Pool(asked, logits, np.concatenate([good for _, good in known]))
+    pool = pool_of(asked, size, answers)
     return changed_at(pool) if asked.kind == "more" and before is not None else pool
+
+
+def pool_of(asked: Asked, size: Size, answers: Sequence[Answer]) -> Pool:
+    """All masks of some answers, at `size`."""
+    logits = np.concatenate([_large(some, size) for some, _ in answers])
+    quality = [
+        np.full(len(some), UNTOLD) if good is None else good for some, good in answers
+    ]
+    return Pool(asked, logits, np.concatenate(quality), answers[0][1] is not None)
+
+
+def subject_of(segmenter: Segmenter, image: Image) -> tuple[Proposal, ...]:
+    """What stands out most, as the segmenter tells; () where it does not know."""
+    return segmenter.words(image, SUBJECT) or ()
 
 
 def standing_out(segmenter: Segmenter, image: Image) -> tuple[Proposal, ...]:
     """What may be meant where nothing is marked, the likeliest first: the answers to a grid of
-    clicks by the sum, to which what is salient is what is expected. Without them, what is salient.
+    clicks by the sum, to which what is salient is what is expected. Of a segmenter that cannot tell
+    how good its masks are, what is salient.
     """
-    salient = segmenter.propose(image)
-    if not salient:
-        return ()
+    salient = subject_of(segmenter, image)
     scale = min(1.0, UNMARKED / max(image.shape[-2:]))
     height, width = (max(1, round(side * scale)) for side in image.shape[-2:])
-    pool = spread(partial(segmenter.ask, image), (height, width), salient[0].soft_mask)
+    expected = salient[0].soft_mask if salient else torch.zeros_like(image[0])
+    pool = spread(answers_of(segmenter, image), (height, width), expected)
     if pool is None:
         return salient
     chosen = choose(pool, fitted("unmarked"), DISTINCT)
@@ -206,19 +218,21 @@ def standing_out(segmenter: Segmenter, image: Image) -> tuple[Proposal, ...]:
 
 
 def spread(ask: AnswersMarks, size: Size, salient: Tensor) -> Pool | None:
-    """Masks of clicks all over a photo, at `size`; None where `ask` has none."""
-    places = (np.arange(GRID) + 0.5) / GRID
-    answers = [ask([((x, y), True)]) for y in places.tolist() for x in places.tolist()]
-    known = [one for one in answers if one is not None]
-    if not known:
-        return None
-    logits = np.concatenate([_large(some, size) for some, _ in known])
-    quality = np.concatenate([good for _, good in known])
-    areas = (logits > 0).mean((1, 2))
-    usual = (areas > SMALLEST) & (areas < LARGEST)
+    """Masks of clicks all over a photo, at `size`; None where there are none of a usual size, or
+    nobody tells how good they are.
+    """
+    places = [(index + 0.5) / GRID for index in range(GRID)]
+    answers: list[Answer] = []
+    for click in [((x, y), True) for y in places for x in places]:
+        answers.append(ask([click]))
+        if answers[-1][1] is None:
+            return None
     there, everywhere = _as_logits(salient, size) > 0, np.ones(size, dtype=bool)
-    asked = Asked(expected=there, known=everywhere)
-    return Pool(asked, logits[usual], quality[usual]) if usual.any() else None
+    pool = pool_of(Asked(expected=there, known=everywhere), size, answers)
+    usual = (pool.areas > SMALLEST) & (pool.areas < LARGEST)
+    if not usual.any():
+        return None
+    return replace(pool, logits=pool.logits[usual], quality=pool.quality[usual])
 
 
 def asked_by(marks: Marks, size: Size) -> Asked:
@@ -257,12 +271,8 @@ def along(stroke: Sequence) -> list:
     return [stroke[index] for index in chosen]
 
 
-def _joined(
-    size: Size, answer: Answer | None, before: np.ndarray, wanted: bool
-) -> Answer | None:
+def _joined(size: Size, answer: Answer, before: np.ndarray, wanted: bool) -> Answer:
     """The answer `before` with each part at the last click, or without it."""
-    if answer is None:
-        return None
     parts, whole = _large(answer[0], size), _large(before[None], size)
     return np.maximum(whole, parts) if wanted else np.minimum(whole, -parts), answer[1]
 
@@ -299,11 +309,4 @@ def _as_logits(mask: Tensor, size: Size) -> np.ndarray:
 def _as_proposal(image: Image, one: MaskCandidate, confidence: float) -> Proposal:
     """A candidate at the photo's size, its soft edge following the photo's own."""
     inside = cv2.resize(one.logits, tuple(image.shape[:0:-1])) > 0
-    found = as_proposal(soft_edged(image, inside))
-    stability = (one.logits > 1).sum() / max(1, (one.logits > -1).sum())
-    return replace(
-        found,
-        stability=float(stability),
-        predicted_iou=min(max(one.quality, 0.0), 1.0),
-        confidence=confidence,
-    )
+    return Proposal(soft_edged(image, inside), confidence)

@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from edit3r.contract.interfaces import Marks
 from edit3r.kit.geometry.warping import nearest_views, warp
 from edit3r_select.answering import answered
+from edit3r_select.marks import Marks
 from edit3r_select.obeying import MEASURED
 from edit3r_select.photos import Found, Mask, OnPhoto, Photos, clean
 
@@ -27,7 +27,7 @@ EXACT = 100  # votes of a mask that is taken as it is: nothing outvotes it
 
 def carried(photos: Photos, found: Found, missing: Iterable[int]) -> dict[int, OnPhoto]:
     """The masks of the `missing` photos: by what geometry says that the others show, those first
-    to which it was carried, else by pictures from the nearest photo with a mask of its own.
+    to which it was carried, else followed from the nearest photo with a mask of its own.
     """
     known, wanted = dict(found), sorted(missing)
     own = [view for view, one in found.items() if one.is_own]
@@ -78,12 +78,16 @@ def expected_on(photos: Photos, found: Found, view: int) -> Marks | None:
 def _followed(
     photos: Photos, mask: Mask, source: int, views: Sequence[int]
 ) -> dict[int, OnPhoto]:
-    """The object of a photo on those to one side of it, followed through all between."""
+    """The object of a photo on those to one side of it, followed through all between by a segmenter
+    that can; else it is not found there.
+    """
     if not views:
         return {}
     step = 1 if views[0] > source else -1
     way = list(range(source, (max(views) if step > 0 else min(views)) + step, step))
     tracks = photos.segmenter.track(photos.images[way], mask[None])
+    if tracks is None:
+        return {view: OnPhoto(torch.zeros_like(mask), "not found") for view in views}
     found = {}
     for view in views:
         logits = tracks.logits[abs(view - source), 0]

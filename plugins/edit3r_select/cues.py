@@ -11,12 +11,11 @@ from functools import cached_property
 import cv2
 import numpy as np
 
+from edit3r.contract.interfaces import Box, Click
+from edit3r.contract.interfaces.segmentation import Place
+
 SMALLEST = 4  # pixels under which a mask shows nothing but its size and quality
 OF_ANY_SIZE = ("quality", "square_of_log_area", "fourth_power_of_log_area", "obeyed")
-
-Place = tuple[float, float]  # x and y in [0, 1]
-Click = tuple[Place, bool]  # and whether the thing is there
-Box = tuple[float, float, float, float]  # x, y, width, height in [0, 1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,6 +57,8 @@ class Pool:
     asked: Asked
     logits: np.ndarray  # [n, h, w], > 0 inside
     quality: np.ndarray  # [n]: IoU that whoever made a mask expects, in [0, 1]
+    # False: nobody tells the quality
+    is_told: bool = True
 
     @property
     def size(self) -> tuple[int, int]:

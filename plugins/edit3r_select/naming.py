@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import torch
 
+from edit3r import default_registry
 from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
 from edit3r.contract.instructions import EVERY
@@ -12,14 +13,17 @@ from edit3r.contract.interfaces import (
     ASK,
     BACKGROUND,
     SURE,
-    Marks,
     Proposal,
     Reading,
+    Segmenter,
     Selection,
 )
-from edit3r.contract.reporting import say
+from edit3r.contract.reporting import say, warn
 from edit3r.kit.geometry.warping import warp
-from edit3r_select.answering import answered, standing_out
+from edit3r.kit.segmenting import automatic_masks
+from edit3r.kit.weights.find import at_hand
+from edit3r_select.answering import Image, answered, standing_out, subject_of
+from edit3r_select.marks import Marks
 from edit3r_select.obeying import MEASURED
 from edit3r_select.photos import Mask, Named, OnPhoto, Photos, overlap
 from edit3r_select.sum import SAME
@@ -164,7 +168,7 @@ def _asked(
     if not selection.words:
         if not selection.qualifiers:
             return {}, False
-        some = photos.segmenter.propose(photos.images[first])
+        some = automatic_masks(photos.segmenter, photos.images[first])
         return {first: tuple(replace(one, confidence=SURE / 2) for one in some)}, True
     there, known = _text(photos, selection, first)
     if not known:
@@ -179,9 +183,20 @@ def _asked(
 
 def _text(photos: Photos, selection: Selection, view: int) -> tuple[Proposals, bool]:
     """What the words name on a photo, and whether the segmenter knows them."""
-    told = photos.segmenter.segment_text(photos.images[view], selection.words)
+    image = photos.images[view]
+    if selection.words == BACKGROUND:
+        told = _background(photos.segmenter, image)
+    else:
+        told = photos.segmenter.words(image, selection.words)
     likely = [one for one in told or () if one.confidence >= FOUND_AT_ALL]
     return tuple(likely), told is not None
+
+
+def _background(segmenter: Segmenter, image: Image) -> Proposals:
+    """All but what stands out most on the photo, as surely as that does."""
+    warn("the background is taken to be all but what stands out most on the photo.")
+    subject = subject_of(segmenter, image)
+    return tuple(replace(one, soft_mask=1 - one.soft_mask) for one in subject[:1])
 
 
 def _confidence(found: Sequence[Proposal]) -> float:
@@ -361,7 +376,7 @@ def _standing_out(
         f"{why}; what stands out is taken, with a confidence of {sure:.0%} only: look at its "
         f"outline. To correct it{f', take {flags}, or' if flags else ':'} {ASK}"
     )
-    more = photos.segmenter.words_help() if selection.words and not known else ""
+    more = _more_words() if selection.words and not known else ""
     warning += f", or {more}." if more else "."
     taken = taken_of(options, selection.reading)
     found = {view: OnPhoto(taken.mask, "guess")}
@@ -377,3 +392,16 @@ def _why_not(photos: Photos, selection: Selection, view: int, known: bool) -> st
         return f"{words!r} was not found on photo {view + 1}"
     name = component_name(photos.segmenter.asked)
     return f"{words!r} is not a word that segmenter {name!r} knows"
+
+
+def _more_words() -> str:
+    """What to fetch, so that more words are known; "" where nothing more is offered."""
+    for offer in default_registry().offers("detector"):
+        one = offer.component
+        bundles = [its.bundle for its in one.weights if its.bundle]
+        if bundles and not any(map(at_hand, one.weights)):
+            install = f"pip install 'edit3r[{one.extra}]' and " if one.extra else ""
+            return (
+                f"fetch what knows more words: {install}edit3r weights get {bundles[0]}"
+            )
+    return ""

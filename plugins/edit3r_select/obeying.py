@@ -7,10 +7,11 @@ import cv2
 import numpy as np
 import torch
 
-from edit3r.contract.interfaces import Marks, Segmenter
+from edit3r.contract.interfaces import Segmenter
 from edit3r.kit.geometry.cameras import pixel_grid, project, unproject
 from edit3r_select.answering import Image, answered
 from edit3r_select.cues import pixel
+from edit3r_select.marks import Marks
 from edit3r_select.photos import SAME_SURFACE, Mask, Photos
 
 DOT = 0.006  # radius of what a mark is worth where nothing follows it [longer sides]

@@ -1,7 +1,7 @@
 """The selector `by-segmenter`: marks and words on some photos, and what they mean on all.
 
 On each photo a sum of cues says which mask is meant (`sum.py`). A photo without marks is told by
-the scene's geometry what others show, else by the pictures alone.
+the scene's geometry what others show, else by the segmenter, if it follows objects.
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,6 @@ from edit3r.contract.interfaces import (
     SURE,
     Box,
     Geometry,
-    Marks,
     Proposal,
     Reading,
     Segmenter,
@@ -34,7 +33,7 @@ from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
 from edit3r_select.answering import answered
 from edit3r_select.carrying import agreed, carried
-from edit3r_select.held import HeldSegmenter
+from edit3r_select.marks import Marks, marks_on
 from edit3r_select.naming import (
     MAX_READINGS,
     SAME_THING,
@@ -46,6 +45,7 @@ from edit3r_select.naming import (
 from edit3r_select.obeying import Point, obeyed, points_of, seen_elsewhere
 from edit3r_select.photos import Found, Mask, Named, OnPhoto, Photos, clean, overlap
 from edit3r_select.sum import SAME
+from edit3r_select.validated import ValidatedSegmenter
 
 INSIDE = 0.95  # share of a part that lies inside of its whole, at least
 CLICKED_SURE = 0.25  # confidence of words that a click lies on, from which they say how far it goes
@@ -80,14 +80,14 @@ def select_masks(
 ) -> Selected:
     """Find the chosen object on every view.
 
-    `geometry` (batch 1) and `intrinsics` are those of the same views; without them masks are
-    carried by pictures alone. What stands out is taken for words that nobody knows or finds, as a
-    question. Raises InputError for marks outside the photos.
+    `geometry` (batch 1) and `intrinsics` are those of the same views; without them only a
+    segmenter that follows objects carries masks. What stands out is taken for words that nobody
+    knows or finds, as a question. Raises InputError for marks outside the photos.
     """
     _check(selection, len(images))
     if geometry is not None and geometry.intrinsics is not None:
         intrinsics = geometry.intrinsics
-    photos = Photos(images, HeldSegmenter(segmenter), geometry, intrinsics)
+    photos = Photos(images, ValidatedSegmenter(segmenter), geometry, intrinsics)
     named = Named() if selection.says_where else looked_up(photos, selection)
     # a thing is found again on other photos, all else is not
     all_else = selection.words == BACKGROUND and not selection.says_where
@@ -210,9 +210,9 @@ def _marked(
     prior = None
     if before is not None and view not in selection.boxes and before.inside.any():
         prior = before.mask
-    marks = replace(selection.marks_on(view), prior=prior, larger=selection.larger)
+    marks = replace(marks_on(selection, view), prior=prior, larger=selection.larger)
     told = Described(nothing if prior is None else prior)
-    if marks.inside or marks.box is not None or (marks.negative and prior is not None):
+    if marks.says_where or (marks.negative and prior is not None):
         told = _described(photos, selection, view, marks)
     elif prior is None and view in {on for on, _ in selection.regions}:
         how = "region"
@@ -274,7 +274,7 @@ def _named_at(
     if not selection.words or not marks.positive or marks.box is not None:
         return None, False
     image, place = photos.images[view], Point(marks.positive[0], True)
-    there = photos.segmenter.segment_text(image, selection.words) or ()
+    there = photos.segmenter.words(image, selection.words) or ()
     for one in there:
         clicked = one.soft_mask[place.pixel(one.soft_mask.shape)] > 0.5
         if clicked and one.confidence >= CLICKED_SURE:
@@ -314,10 +314,10 @@ def _final(photos: Photos, selection: Selection, mask: Mask, view: int) -> Mask:
     """
     points: list[Point] = []
     for source in selection.views:
-        marks = points_of(selection.marks_on(source))
+        marks = points_of(marks_on(selection, source))
         if source != view:
             points += seen_elsewhere(marks, photos, source, view)
-    points += points_of(selection.marks_on(view))
+    points += points_of(marks_on(selection, view))
     held = obeyed(photos.images[view], mask, points, photos.segmenter)
     return _painted(selection, held, view)
 
@@ -340,6 +340,6 @@ def _told(
         if one == "not found":
             told.append(
                 f"the object was not found on photo {view + 1}, which is edited as if it were not "
-                "there; click on it if it is."
+                "there; if it is there, click on it, or give its mask (--mask)."
             )
     return told

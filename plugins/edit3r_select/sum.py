@@ -64,7 +64,7 @@ class Chosen:
 
     # the one that is taken first, then by their sums
     candidates: tuple[MaskCandidate, ...]
-    # in [0, 1]: how likely the first has an IoU of 0.7 with what is meant; None: nothing was asked
+    # in [0, 1]: how likely the first has an IoU of 0.7 with what is meant; None: nobody can tell
     confidence: float | None
 
     @property
@@ -106,7 +106,8 @@ def choose(pool: Pool, weights: CueWeights, same: float = SAME) -> Chosen:
         )
         for one in order
     )
-    return Chosen(candidates, confidence(evidence(pool, values), weights))
+    sure = confidence(evidence(pool, values), weights) if pool.is_told else None
+    return Chosen(candidates, sure)
 
 
 def obeying(pool: Pool, logits: np.ndarray) -> np.ndarray:

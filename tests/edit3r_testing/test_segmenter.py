@@ -5,40 +5,32 @@ from dataclasses import replace
 import pytest
 import torch
 
-from edit3r.contract.interfaces import Segmenter
+from edit3r.contract.interfaces import Proposal, Segmenter
 from edit3r_testing import SegmenterContract
 
 
 class Spoiled(Segmenter):
     """A good segmenter with some of its methods' answers changed."""
 
-    def __init__(self, good, propose=None, segment=None, track=None):
+    def __init__(self, good, masks=None, words=None, track=None):
         same = lambda answer: answer  # noqa: E731
-        self.good, self.changes = (
-            good,
-            (propose or same, segment or same, track or same),
-        )
+        self.good = good
+        self.changes = (masks or same, words or same, track or same)
 
-    def propose(self, image):
-        return self.changes[0](self.good.propose(image))
+    def masks(self, image, clicks, box=None, before=None):
+        if image.std() == 0 and self.changes[0] is fail_when_dull:
+            raise ValueError("nothing stands out")
+        return self.changes[0](self.good.masks(image, clicks, box, before))
 
-    def segment(self, image, points=(), box=None):
-        return self.changes[1](self.good.segment(image, points, box))
+    def words(self, image, text):
+        return self.changes[1]((Proposal(image.mean(0)),))
 
     def track(self, images, masks):
         return self.changes[2](self.good.track(images, masks))
 
 
-def fail_when_dull(proposals):
-    if proposals[0].area > 0.99:
-        raise ValueError("nothing stands out")
-    return proposals
-
-
-def first(**changes):
-    return {
-        "propose": lambda proposals: (replace(proposals[0], **changes), *proposals[1:])
-    }
+def fail_when_dull(answer):
+    return answer
 
 
 def never_lost(tracks):
@@ -51,56 +43,45 @@ def lost_but_drawn(tracks):
     return replace(tracks, logits=logits)
 
 
+MARKED = "test_a_click_and_a_box_give_masks"
+NAMED = "test_words_give_masks_or_nothing"
 CASES = {
-    "a list": (
-        {"propose": list},
-        "test_proposals_are_in_range",
-        "return tuple",
+    "a tuple": ({"masks": lambda m: (m.logits,)}, MARKED, "return MaskLogits"),
+    "one mask without its axis": (
+        {"masks": lambda m: replace(m, logits=m.logits[0])},
+        MARKED,
+        "logits [n, h, w]",
     ),
-    "a dictionary": (
-        {"propose": lambda p: (vars(p[0]),)},
-        "test_proposals_are_in_range",
-        "return Proposal",
+    "no mask": (
+        {"masks": lambda m: replace(m, logits=m.logits[:0])},
+        MARKED,
+        "logits [n, h, w]",
     ),
-    "logits for a soft mask": (
-        {
-            "propose": lambda p: (
-                replace(p[0], soft_mask=p[0].soft_mask * 8 - 4),
-                *p[1:],
-            )
-        },
-        "test_proposals_are_in_range",
-        "return probabilities, not logits",
+    "logits that are no numbers": (
+        {"masks": lambda m: replace(m, logits=m.logits * float("nan"))},
+        MARKED,
+        "finite logits",
     ),
-    "stability beyond 1": (
-        first(stability=1.5),
-        "test_proposals_are_in_range",
-        "stability spans [1.5, 1.5]",
+    "a quality in percent": (
+        {"masks": lambda m: replace(m, quality=torch.full((len(m.logits),), 90.0))},
+        MARKED,
+        "quality spans [90, 90]",
     ),
-    "area in pixels": (
-        first(area=900.0),
-        "test_proposals_are_in_range",
-        "it is a share",
-    ),
-    "area of something else": (
-        {"propose": lambda p: (replace(p[0], area=(p[0].area + 0.5) % 1), *p[1:])},
-        "test_proposals_are_in_range",
-        "soft_mask > 0.5 covers",
-    ),
-    "a box of corners": (
-        first(box=(80.0, 60.0, 96.0, 72.0)),
-        "test_proposals_are_in_range",
-        "(x, y, w, h) in pixels",
+    "qualities of other masks": (
+        {"masks": lambda m: replace(m, quality=torch.ones(7))},
+        MARKED,
+        "their quality [n]",
     ),
     "an error when nothing stands out": (
-        {"propose": fail_when_dull},
+        {"masks": fail_when_dull},
         "test_a_blank_image_is_no_error",
         "must handle this input",
     ),
-    "no proposal at a point": (
-        {"segment": lambda proposal: None},
-        "test_a_point_and_a_box_give_one_object",
-        "return Proposal",
+    "a list": ({"words": list}, NAMED, "return tuple"),
+    "logits for a soft mask": (
+        {"words": lambda found: (Proposal(found[0].soft_mask * 8 - 4),)},
+        NAMED,
+        "soft_mask in [0, 1]",
     ),
     "objects swapped": (
         {"track": lambda tracks: replace(tracks, logits=tracks.logits.flip(1))},
@@ -137,3 +118,15 @@ def test_a_segmenter_broken_by(case, examples, complaint):
 def test_every_claim_about_segmenters_can_fail():
     own = {name for name in vars(SegmenterContract) if name.startswith("test_")}
     assert own == {claim for _, claim, _ in CASES.values()}
+
+
+def test_a_segmenter_that_only_answers_marks_keeps_the_contract(examples):
+    good = examples.build("segmenter", "worked-segmenter")
+
+    class OnlyMarks(Segmenter):
+        def masks(self, image, clicks, box=None, before=None):
+            return good.masks(image, clicks, box, before)
+
+    bound = type("Bound", (SegmenterContract,), {"build": lambda self: OnlyMarks()})
+    for claim in {claim for _, claim, _ in CASES.values()}:
+        getattr(bound(), claim)()

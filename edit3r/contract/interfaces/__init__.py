@@ -31,7 +31,7 @@ from edit3r.contract.interfaces.reconstruction import (
     GaussianHead as GaussianHead,
     Geometry as Geometry,
     Matcher as Matcher,
-    MatchesLevelled as MatchesLevelled,
+    MatchesCorrected as MatchesCorrected,
     Reconstructor as Reconstructor,
 )
 from edit3r.contract.interfaces.rendering import (
@@ -41,13 +41,14 @@ from edit3r.contract.interfaces.rendering import (
     Refiner as Refiner,
 )
 from edit3r.contract.interfaces.segmentation import (
+    SUBJECT as SUBJECT,
+    Click as Click,
     Detection as Detection,
     Detector as Detector,
-    Marks as Marks,
+    MaskLogits as MaskLogits,
     Proposal as Proposal,
     Segmenter as Segmenter,
     Tracks as Tracks,
-    as_proposal as as_proposal,
 )
 from edit3r.contract.interfaces.selection import (
     ASK as ASK,

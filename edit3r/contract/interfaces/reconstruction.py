@@ -245,12 +245,12 @@ class Matcher(Configured, ABC):
         return None
 
 
-class MatchesLevelled(ABC):
+class MatchesCorrected(ABC):
     """A matcher that places photos as they were taken and measures depth in one exposure.
 
     Exposure moves no point, but it changes what the colours of two photos say about depth.
     """
 
     @abstractmethod
-    def match_levelled(self, views: Views, levelled: Views) -> Geometry:
-        """As `match` of `views`, with depth measured on `levelled`: the same in one exposure."""
+    def match_corrected(self, views: Views, corrected: Views) -> Geometry:
+        """As `match` of `views`, with depth measured on `corrected`: the same in one exposure."""

@@ -11,7 +11,6 @@ from torch import Tensor
 from edit3r.contract.component import Configured
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces.reconstruction import Geometry
-from edit3r.contract.interfaces.segmentation import Marks
 from edit3r.contract.types import Views
 
 Box = tuple[float, float, float, float]
@@ -147,16 +146,6 @@ class Selection:
         looked_for = (self.positive, self.strokes, self.boxes)
         return any((*looked_for, self.masks, self.added, self.regions))
 
-    def marks_on(self, view: int) -> Marks:
-        """Clicks, strokes and box of one view."""
-        drawn = [places for on, places in self.strokes if on == view]
-        return Marks(
-            positive=_places(self.positive, view),
-            negative=_places(self.negative, view),
-            box=self.boxes.get(view),
-            stroke=tuple((x, y) for places in drawn for x, y in places),
-        )
-
     @property
     def views(self) -> tuple[int, ...]:
         """Views with any mark, those with the most exact ones first: finished masks, then boxes,
@@ -244,10 +233,3 @@ def _numbers_of(value: Any, meaning: str, count: int) -> tuple[Any, ...]:
     if not hasattr(value, "__len__") or len(value) != count:
         raise InputError(f"{meaning}, got {value!r}.")
     return tuple(value)
-
-
-def _places(
-    points: tuple[tuple[int, float, float], ...], view: int
-) -> tuple[tuple[float, float], ...]:
-    """x and y of the points on one view."""
-    return tuple((x, y) for on, x, y in points if on == view)

@@ -13,6 +13,7 @@ from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.geometry.maps import dilate
 
 __all__ = [
+    "SAME_SURFACE",
     "Correspondences",
     "contradicted",
     "find_correspondences",
@@ -27,6 +28,10 @@ __all__ = [
 ]
 
 TOLERANCE = 0.03
+SAME_SURFACE = 0.05
+"""Relative difference of depths within which two views show one surface, where nothing asks for
+more.
+"""
 """Relative difference in depth by which a pixel must stand before a surface to hide it; below, it
 shows it too. No figure kept.
 """

@@ -1,8 +1,11 @@
-"""What among image files is not a photo of the scene: masks, our own sheets, and photos twice."""
+"""What among image files is not a photo of the scene: masks, our own sheets, and photos twice.
 
-import re
-from collections import Counter
-from collections.abc import Mapping, Sequence
+Pictures tell, not words in names: a file that is named after another one is a mask or a map where
+it is grey, of few colours or see-through beside a photo in colour, and a copy where it shows the
+same.
+"""
+
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,48 +17,40 @@ from edit3r.kit.photos.decode import decode, image_size, read_header
 # The numbers of this block: no figures kept.
 MADE_HERE = "edit3r, no photo"
 """What sheets, previews and masks of ours carry as their software."""
-_OWN_NAMES = ("edit3r-preview", "before_after")
-_MAPS = "masks?|mattes?|alpha|depth|disparity|normals?|seg(?:mentation)?|labels?"
-_NUMBER = r"(?:[ _.-]?\d{1,5})?$"  # of the object, or bits
-_MAP_SIGN = re.compile(
-    rf"[ _.-]?masks?{_NUMBER}|[ _.-](?:{_MAPS}){_NUMBER}|^(?:{_MAPS})[ _.-]"
-)
-_SUFFIX = re.compile(r"\.(jpe?g|png|tiff?|webp|heic|bmp)$")
-_COPY_WORDS = "copy|kopie|kopia|copie|copia|cópia|kopi|копия"
-_COPY_SIGN = re.compile(
-    rf"( ?\(\d+\)| \d+|~\d+| - ({_COPY_WORDS}).*|[-_ ]({_COPY_WORDS})( \d+)?"
-    rf"|[-_ ](thumb(nail)?|small|resized|edit(ed)?))$|^({_COPY_WORDS})( of| de| von)? "
-)
 _LIKE = 0.95  # correlation of small copies of one photo in two formats
 _COPIED = 0.995  # the same where the names differ: photos side by side are alike too
 _SMALL = (32, 32)  # their size [pixels]
+_GREY = 6.0  # most that the channels of a grey picture differ, in the mean [levels]
+_LABELS = 64  # most colours of a picture of labels
 
 
 def only_photos(files: Sequence[Path]) -> list[Path]:
-    """The files without masks, sheets of ours and second formats; says what was left out."""
-    stems = Counter(file.stem.casefold() for file in files)
-    photos_once = _without_doubles(
-        [file for file in files if not _is_none(file, stems)]
-    )
-    photos = set(photos_once)
-    left_out = [file.name for file in files if file not in photos]
-    if not photos_once or not left_out:
+    """The files without masks, sheets of ours and photos twice; says what was left out."""
+    left_out: set[Path] = set()
+    for file in files:
+        if _made_here(file):
+            left_out.add(file)
+    photos = [file for file in files if file not in left_out]
+    for file in sorted(photos, key=lambda one: -len(one.stem)):
+        for other in photos:
+            if left_out & {file, other} or not _is_named_after(file, other):
+                continue
+            if _is_map_of(file, other):
+                left_out.add(file)
+            elif _show_the_same(file, other):
+                # the original, where the copy has no more pixels
+                more = _pixels(file) > _pixels(other)
+                left_out.add(other if more else file)
+    kept = [file for file in files if file not in left_out]
+    if not kept or not left_out:
         return list(files)
-    listed = ", ".join(left_out[:6]) + (", ..." if len(left_out) > 6 else "")
+    names = [file.name for file in files if file in left_out]
+    listed = ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
     say(
         "photos.left_out",
         f"{listed}: no photo of its own (a mask, a sheet, or a photo twice)",
     )
-    return photos_once
-
-
-def _is_none(file: Path, stems: Mapping[str, int]) -> bool:
-    """Whether a file is a mask or map of a photo (`stems` are all files'), or a sheet made here."""
-    stem = file.stem.casefold()
-    without = _SUFFIX.sub("", _MAP_SIGN.sub("", stem))
-    return (
-        stem in _OWN_NAMES or (without != stem and without in stems) or _made_here(file)
-    )
+    return kept
 
 
 def _made_here(file: Path) -> bool:
@@ -66,55 +61,58 @@ def _made_here(file: Path) -> bool:
         return False
 
 
-def _without_doubles(files: Sequence[Path]) -> list[Path]:
-    """Of files of one stem, or named as its copies, that show the same, only the largest."""
-    stems = {file.stem.casefold() for file in files}
-    by_stem: dict[str, list[Path]] = {}
-    for file in files:
-        by_stem.setdefault(_copied_from(file.stem.casefold(), stems), []).append(file)
-    left_out: set[Path] = set()
-    for stem, twins in by_stem.items():
-        originals = [file for file in twins if file.stem.casefold() == stem]
-        copies = [file for file in twins if file.stem.casefold() != stem]
-        # the original, where no copy has more pixels
-        best, *others = originals + copies
-        for twin in others:
-            renamed = best.stem.casefold() != twin.stem.casefold()
-            if best.suffix == twin.suffix and not renamed:
-                continue  # of two folders
-            if not _show_the_same(best, twin, _COPIED if renamed else _LIKE):
-                continue
-            worse = twin if _pixels(best) >= _pixels(twin) else best
-            best = twin if worse is best else best
-            left_out.add(worse)
-    return [file for file in files if file not in left_out]
+def _is_named_after(file: Path, other: Path) -> bool:
+    """Whether a name begins or ends with the other's, and says more or has another suffix; phones
+    call the edited copy of IMG_1 IMG_E1. img10 is not named after img1.
+    """
+    name, stem = (one.stem.casefold() for one in (file, other))
+    if name == stem:
+        return file.suffix != other.suffix and _order(file) > _order(other)
+    if name.replace("img_e", "img_") == stem:
+        return True
+    begins = name.startswith(stem) and not name[len(stem)].isalnum()
+    return begins or (name.endswith(stem) and not name[-len(stem) - 1].isalnum())
 
 
-def _copied_from(stem: str, stems: set[str]) -> str:
-    """The stem of the file that this one is named as a copy of; its own without one."""
-    for original in (_COPY_SIGN.sub("", stem), re.sub(r"^img_e(?=\d)", "img_", stem)):
-        if original != stem and original in stems:
-            return original
-    return stem
+def _order(file: Path) -> tuple[int, str]:
+    """Of two formats of one photo the one with more pixels is the original."""
+    return -_pixels(file), file.suffix
 
 
-def _show_the_same(first: Path, second: Path, like: float) -> bool:
+def _is_map_of(file: Path, other: Path) -> bool:
+    """Whether a picture is see-through, grey or of few colours, beside a photo in colour."""
+    try:
+        mask, photo = (decode(one, 8 * _SMALL[0]) for one in (file, other))
+    except (InputError, MissingDependencyError):
+        return False
+    if photo.alpha is not None or _is_grey(photo.pixels):
+        return False
+    few = mask.pixels.getcolors(_LABELS) is not None
+    return mask.alpha is not None or few or _is_grey(mask.pixels)
+
+
+def _is_grey(pixels) -> bool:
+    values = np.asarray(pixels, np.int16)
+    return float(np.ptp(values, axis=2).mean()) < _GREY
+
+
+def _show_the_same(file: Path, other: Path) -> bool:
     """Whether small copies of two files are alike; of two formats one may need a package that is
     missing, and then the other is enough.
     """
+    renamed = file.stem.casefold() != other.stem.casefold()
     try:
-        sizes = [image_size(file) for file in (first, second)]
-        shapes = [width / height for height, width in sizes]
+        shapes = [width / height for height, width in map(image_size, (file, other))]
         if abs(shapes[0] / shapes[1] - 1) > 0.02:
             return False
-        one, other = (_small_copy(file) for file in (first, second))
+        one, two = (_small_copy(path) for path in (file, other))
     except MissingDependencyError:
         return True
     except InputError:
         return False
-    if min(one.std(), other.std()) < 1:
+    if min(one.std(), two.std()) < 1:
         return False
-    return float(np.corrcoef(one, other)[0, 1]) > like
+    return float(np.corrcoef(one, two)[0, 1]) > (_COPIED if renamed else _LIKE)
 
 
 def _small_copy(file: Path) -> np.ndarray:

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import torch
 
-from edit3r.contract.interfaces import Geometry, MatchesLevelled
+from edit3r.contract.interfaces import Geometry, MatchesCorrected
 from edit3r.contract.reporting import note, say, stage
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.cameras import field_of_view
@@ -44,11 +44,10 @@ def locate(inputs: Inputs, components: Components) -> tuple[Inputs, Located]:
         flat = any(photos.assumed) and lies_flat(geometry, photos)
         lenses = _note_lens(inputs, geometry)
         exposure = _exposure(photos, geometry, components)
-        corrected = None
-        source = components.geometry_source
-        if exposure is not None and isinstance(source, MatchesLevelled):
-            levelled = replace(photos, images=exposure.to_reference(photos.images))
-            corrected = find_geometry(source, photos, levelled).required()
+        corrected, source = None, components.geometry_source
+        if exposure is not None and isinstance(source, MatchesCorrected):
+            shown = replace(photos, images=exposure.to_reference(photos.images))
+            corrected = find_geometry(source, photos, shown).required()
         return inputs, Located(answer, corrected, flat, lenses, exposure)
 
 

@@ -78,7 +78,7 @@ def test_trained_weights_are_another_component():
 
 def test_fetched_weights_make_another_component(tmp_path, monkeypatch):
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
-    component = edit3r.build("segmenter", "classical")
+    component = edit3r.build("segmenter", "grabcut")
     without = identity(component)
     assert identity(component) == without
     weights = component.offer.component.weights[0]
@@ -106,7 +106,7 @@ GAUSSIANS = Gaussians(
 )
 ANSWERS = {
     "geometry": Geometry(torch.rand(1, 2, 4, 4), MAPS, MAPS, torch.ones(1, 2) > 0),
-    "proposals": (Proposal(torch.rand(3, 3), 0.5, 0.25, 1.0, (0.0, 1.0, 2.0, 3.0)),),
+    "proposals": (Proposal(torch.rand(3, 3), 0.5),),
     "no proposals": (),
     "cannot read": None,
     "tracks": Tracks(torch.rand(2, 1, 3, 3), torch.ones(2, 1) > 0),

@@ -49,7 +49,7 @@ def test_a_tighter_limit_holds_over_the_number_of_a_preset_or_of_the_user():
         ({"seeds": 1}, "run.seeds: unknown setting. Did you mean 'seed'?"),
         ({"size": 1}, "run.size: input should be greater than or equal to 8, got 1"),
         ({"edit_views": "last"}, "run.edit_views"),
-        ({"editor": {"strength": 1}}, "name one too: --editor recolor"),
+        ({"editor": {"strength": 1}}, "name it too, such as --editor recolor"),
         ({"larger": [1, "x"]}, "run.larger: input should be a valid integer"),
     ],
 )

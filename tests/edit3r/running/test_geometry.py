@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from edit3r.contract.errors import MatchingError, PluginError
-from edit3r.contract.interfaces import Geometry, MatchesLevelled
+from edit3r.contract.interfaces import Geometry, MatchesCorrected
 from edit3r.running.geometry import find_geometry, geometry_of, lies_flat
 from edit3r_testing.scenes import photograph
 
@@ -31,11 +31,11 @@ class Knows:
         return self.answer
 
 
-class Levels(Knows, MatchesLevelled):
-    """One that measures depth on levelled photos; keeps those that it was given."""
+class Levels(Knows, MatchesCorrected):
+    """One that measures depth on corrected photos; keeps those that it was given."""
 
-    def match_levelled(self, views, levelled):
-        self.levelled = [*getattr(self, "levelled", []), levelled]
+    def match_corrected(self, views, corrected):
+        self.corrected = [*getattr(self, "corrected", []), corrected]
         return self.answer
 
 
@@ -44,9 +44,9 @@ def test_depth_is_measured_on_the_corrected_photos_where_a_matcher_can():
     corrected = replace(views, images=0.5 * views.images)
     levels = Levels(true_geometry())
     find_geometry(levels, views)
-    assert not hasattr(levels, "levelled")
+    assert not hasattr(levels, "corrected")
     find_geometry(levels, views, corrected)
-    assert [one is corrected for one in levels.levelled] == [True]
+    assert [one is corrected for one in levels.corrected] == [True]
     assert find_geometry(Knows(true_geometry()), views, corrected).problem == ""
 
 

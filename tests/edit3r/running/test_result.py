@@ -15,13 +15,14 @@ import edit3r
 from edit3r.cli.main import main
 from edit3r.contract.errors import QuestionError
 from edit3r.contract.interfaces import (
+    MaskLogits,
+    Proposal,
     Reading,
     Reconstructor,
     Segmenter,
     Selected,
     Selection,
     Tracks,
-    as_proposal,
 )
 from edit3r.contract.reporting import Report, warn
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
@@ -314,15 +315,12 @@ class Doubting(Segmenter):
 
     confidence = 0.3
 
-    def propose(self, image):
-        return ()
+    def masks(self, image, clicks, box=None, before=None):
+        return MaskLogits(8 * self._square(image, 0.5)[None] - 4)
 
-    def segment(self, image, points=(), box=None):
-        return as_proposal(self._square(image, 0.5))
-
-    def segment_text(self, image, text):
-        found = [as_proposal(self._square(image, left)) for left in (0.3, 0.6)]
-        return tuple(replace(one, confidence=self.confidence) for one in found)
+    def words(self, image, text):
+        found = [self._square(image, left) for left in (0.3, 0.6)]
+        return tuple(Proposal(one, self.confidence) for one in found)
 
     def track(self, images, masks):
         return Tracks(

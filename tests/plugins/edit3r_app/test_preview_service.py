@@ -92,8 +92,8 @@ def test_the_segmenter_has_read_the_photos_before_the_first_click(folder, scene)
     clicked = []
 
     class Watched:
-        def segment_marks(self, image, marks):
-            clicked.append((image, marks))
+        def masks(self, image, clicks, box=None, before=None):
+            clicked.append((image, clicks))
             raise InputError("nothing at this click")
 
     previews.registry.build_choice = lambda kind, choice, *parts: (
@@ -105,14 +105,14 @@ def test_the_segmenter_has_read_the_photos_before_the_first_click(folder, scene)
     deadline = time.monotonic() + 60
     while len(clicked) < 2 and time.monotonic() < deadline:
         time.sleep(0.01)
-    for (image, marks), photo in zip(clicked, images, strict=True):
-        assert torch.equal(image, photo) and marks.positive
+    for (image, clicks), photo in zip(clicked, images, strict=True):
+        assert torch.equal(image, photo) and clicks == [((0.5, 0.5), True)]
 
 
 def test_two_who_ask_at_once_get_one_component(folder):
     previews, found = PreviewService(folder, default_registry(), SIZE), []
     ask = partial(
-        previews.registry.build_choice, "segmenter", PartChoice(name="classical")
+        previews.registry.build_choice, "segmenter", PartChoice(name="grabcut")
     )
     threads = [Thread(target=lambda: found.append(ask())) for _ in range(4)]
     for one in threads:
@@ -124,7 +124,7 @@ def test_two_who_ask_at_once_get_one_component(folder):
 
 def test_what_pointing_needs_is_loaded_once_before_there_are_photos(folder):
     previews, asked = PreviewService(folder, default_registry(), SIZE), []
-    segmenter = SimpleNamespace(segment_text=lambda image, text: asked.append(text))
+    segmenter = SimpleNamespace(words=lambda image, text: asked.append(text))
     previews.registry.build_choice = lambda *_: segmenter
     for _ in range(2):
         previews.prepare()

@@ -83,7 +83,7 @@ def test_photos_in_another_light_are_not_matched_anew(matcher, pair, monkeypatch
     first = matcher.match(pair.views)
     brighter = replace(pair.views, images=(1.3 * pair.views.images).clamp(max=1))
     monkeypatch.setattr(matchers, "find_features", None)
-    again = matcher.match_levelled(pair.views, brighter)
+    again = matcher.match_corrected(pair.views, brighter)
     assert torch.equal(again.c2w, first.c2w)
     assert not torch.equal(again.depths, first.depths)  # measured in one light
     with pytest.raises(TypeError):

@@ -54,7 +54,7 @@ def test_poses_that_do_not_belong_to_the_photos_are_refused(matcher, large):
         matcher.match(replace(views, c2w=away))
 
 
-def test_depth_is_measured_on_the_levelled_photos(matcher, large, monkeypatch):
+def test_depth_is_measured_on_the_corrected_photos(matcher, large, monkeypatch):
     _, views = large
     darker, seen = replace(views, images=0.8 * views.images), []
     measure = matchers.measure_depths
@@ -63,10 +63,10 @@ def test_depth_is_measured_on_the_levelled_photos(matcher, large, monkeypatch):
         "measure_depths",
         lambda images, *rest: seen.append(images) or measure(images, *rest),
     )
-    matcher.match_levelled(darker, views)
+    matcher.match_corrected(darker, views)
     (images,) = seen
-    for image, levelled in zip(images, matchers.calibrated_images(views, 0)):
-        assert np.array_equal(image.pixels, levelled.pixels)
+    for image, corrected in zip(images, matchers.calibrated_images(views, 0)):
+        assert np.array_equal(image.pixels, corrected.pixels)
 
 
 class PosedContract(MatcherContract):

@@ -13,7 +13,7 @@ from edit3r_objects.finding import Finders
 from PIL import Image
 
 from edit3r.cli.main import main
-from edit3r.contract.interfaces import Segmenter, as_proposal
+from edit3r.contract.interfaces import MaskLogits, Segmenter
 from edit3r.contract.types import Gaussians
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.scenes.ply import load_ply, save_ply
@@ -91,16 +91,10 @@ class Half(Segmenter):
     def __init__(self):
         pass
 
-    def propose(self, image):
-        return ()
-
-    def segment_marks(self, image, marks):
-        mask = torch.zeros_like(image[0])
-        mask[6:26, 4:20] = 1
-        return as_proposal(mask)
-
-    def track(self, images, masks):
-        raise NotImplementedError
+    def masks(self, image, clicks, box=None, before=None):
+        logits = torch.full_like(image[:1], -4)
+        logits[:, 6:26, 4:20] = 4
+        return MaskLogits(logits)
 
 
 def test_things_are_found_by_one_press(made, monkeypatch, capsys):

@@ -5,7 +5,13 @@ import torch
 from edit3r_objects.finding import MOST, Finders, find_things
 
 from edit3r import Cameras
-from edit3r.contract.interfaces import Detection, Detector, Segmenter, as_proposal
+from edit3r.contract.interfaces import (
+    Detection,
+    Detector,
+    MaskLogits,
+    Proposal,
+    Segmenter,
+)
 from edit3r.running import usual_selector
 
 SIZE = 60
@@ -28,22 +34,25 @@ def made(*things):
     return images, depths, Cameras(c2w, lens, (SIZE, SIZE))
 
 
+@pytest.fixture(autouse=True)
+def sharp(monkeypatch):
+    """Outlines are those of the masks, which no picture softens."""
+    monkeypatch.setattr(
+        "edit3r_select.answering.soft_edged",
+        lambda image, inside: torch.from_numpy(inside).to(image),
+    )
+
+
 class OneColour(Segmenter):
     """All that has the colour of the click, or of the middle of the box."""
 
     def __init__(self):
         pass
 
-    def propose(self, image):
-        return ()
-
-    def segment_marks(self, image, marks):
-        x, y, across, down = marks.box or (*marks.positive[0], 0, 0)
+    def masks(self, image, clicks, box=None, before=None):
+        x, y, across, down = box or (*clicks[0][0], 0, 0)
         row, column = int((y + down / 2) * SIZE), int((x + across / 2) * SIZE)
-        return as_proposal((image[0] == image[0, row, column]).float())
-
-    def track(self, images, masks):
-        raise NotImplementedError
+        return MaskLogits((image[:1] == image[0, row, column]) * 8.0 - 4)
 
 
 class Calls(Detector):
@@ -56,7 +65,7 @@ class Calls(Detector):
         assert text == ""
         found = []
         for name, labels in self.labels.items():
-            proposal = as_proposal((image[0] == COLOURS[name]).float())
+            proposal = Proposal((image[0] == COLOURS[name]).float())
             second = image[0, 0, 0] > 0
             found.append(Detection(labels[int(second)], 0.5, proposal.box))
         return tuple(found)

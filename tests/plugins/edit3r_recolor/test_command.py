@@ -94,12 +94,17 @@ def test_cameras_follow_the_pictures_size_and_keep_their_poses(scene, tmp_path):
 
 
 @pytest.mark.slow
-def test_the_classical_segmenter_finds_the_object_and_a_replay_gives_the_same_files(
-    scene, tmp_path
-):
+def test_grabcut_finds_the_object_and_a_replay_gives_the_same_files(scene, tmp_path):
     """Colours, masks and faults come from the recipe; the second run needs no segmenter."""
     first, second = tmp_path / "first", tmp_path / "second"
-    loose = ("--set", "filter.min_predicted_iou=0", "--set", "filter.min_stability=0.5")
+    loose = (
+        "--segmenter",
+        "grabcut",
+        "--set",
+        "filter.min_predicted_iou=0",
+        "--set",
+        "filter.min_stability=0.5",
+    )
     assert _run(scene, first, "--seed", 4, "--augment", *loose) == 0
     box = torch.zeros(SIZE)
     box[12:32, 16:36] = 1
@@ -134,7 +139,7 @@ def test_files_of_others_are_never_replaced(scene, tmp_path):
         (("--masks", "empty"), "no masks for these photos"),
         (("--set", "filter.area=1"), "recolor.filter.area: unknown setting"),
         (("--set", "segmenter.sise=1"), "segmenter"),
-        (("--segmenter", "clasical"), "Did you mean 'classical'"),
+        (("--segmenter", "grabut"), "Did you mean 'grabcut'"),
         (("--seed", "-1"), "--seed: must be at least 0"),
         (("--replay", "missing.json"), "missing.json: cannot be read"),
         (

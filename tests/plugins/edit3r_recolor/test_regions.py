@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import pytest
 import torch
 from edit3r_recolor.regions import (
@@ -12,7 +14,7 @@ from edit3r_recolor.regions import (
 )
 
 from edit3r.contract.errors import SettingsError
-from edit3r.contract.interfaces import Proposal, Tracks
+from edit3r.contract.interfaces import Tracks
 from edit3r.contract.settings import make_settings
 
 CRITERIA = ProposalFilter(
@@ -23,8 +25,10 @@ SIZE = (40, 60)
 
 def _proposal(
     area=0.1, stability=0.9, predicted_iou=0.8, box=(3.0, 3.0, 20.0, 10.0)
-) -> Proposal:
-    return Proposal(torch.zeros(SIZE), area, stability, predicted_iou, box)
+) -> SimpleNamespace:
+    return SimpleNamespace(
+        area=area, stability=stability, predicted_iou=predicted_iou, box=box
+    )
 
 
 def test_a_proposal_on_every_threshold_passes():

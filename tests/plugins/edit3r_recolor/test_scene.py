@@ -2,6 +2,7 @@ from typing import ClassVar
 
 import pytest
 import torch
+from edit3r_recolor import scene
 from edit3r_recolor.recoloring import recolor, renormalize
 from edit3r_recolor.regions import processed_views
 from edit3r_recolor.scene import (
@@ -13,14 +14,19 @@ from edit3r_recolor.scene import (
     make_recipe,
 )
 
+from edit3r import Views
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Proposal, Segmenter, Tracks
+from edit3r.contract.interfaces import Segmenter, Tracks
+from edit3r.kit.geometry.cameras import intrinsics_from_fov
+from edit3r.kit.segmenting import AutomaticMask
 
 HEIGHT, WIDTH, VIEWS = 24, 32, 4
 NAMES = ("a", "b", "c", "d")
 IMAGES = 0.2 + 0.6 * torch.rand(
     VIEWS, 3, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(0)
 )
+LENSES = intrinsics_from_fov(1.0, (HEIGHT, WIDTH)).expand(1, VIEWS, 3, 3)
+SCENE = Views(IMAGES[None], LENSES)
 SETTINGS = RecoloringSettings(filter={"min_area": 0.02, "margin": 1})
 
 
@@ -38,19 +44,7 @@ class Boxes(Segmenter):
     BOXES = ((4, 4, 10, 8), (10, 6, 12, 10), (0, 0, 8, 8))
     seen: ClassVar = ((0, 1), (0, 1), (), (0,))
 
-    def propose(self, image):
-        return tuple(
-            Proposal(
-                _box_mask(*box),
-                box[2] * box[3] / HEIGHT / WIDTH,
-                1.0,
-                1.0,
-                tuple(map(float, box)),
-            )
-            for box in self.BOXES
-        )
-
-    def segment(self, image, points=(), box=None):
+    def masks(self, image, clicks, box=None, before=None):
         raise NotImplementedError
 
     def track(self, images, masks):
@@ -61,8 +55,15 @@ class Boxes(Segmenter):
         return Tracks(logits, (logits > 0).flatten(2).any(2))
 
 
+@pytest.fixture(autouse=True)
+def boxes(monkeypatch):
+    """What a grid of clicks finds."""
+    found = tuple(AutomaticMask(_box_mask(*box)) for box in Boxes.BOXES)
+    monkeypatch.setattr(scene, "automatic_masks", lambda *asked: found)
+
+
 def _recipe(seed: int = 0, settings: RecoloringSettings = SETTINGS):
-    found = find_regions(IMAGES, Boxes(), settings)
+    found = find_regions(SCENE, Boxes(), settings)
     return found, make_recipe(IMAGES, NAMES, found, settings, seed, "test")
 
 
@@ -172,7 +173,7 @@ def test_nothing_left_after_the_filter_is_an_error_that_counts_the_reasons():
     with pytest.raises(
         InputError, match=r"none of 3 proposals passes the filter \(area 3\)"
     ):
-        find_regions(IMAGES, Boxes(), strict)
+        find_regions(SCENE, Boxes(), strict)
 
 
 @pytest.mark.parametrize(

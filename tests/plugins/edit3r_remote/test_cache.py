@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 from edit3r_remote.cache import AnswerCache
-from edit3r_remote.service import Answer, Request
+from edit3r_remote.service import Request, ServiceAnswer
 
 REQUEST = Request("left.png", "paint it red", 0, b"image", None, (10, 20))
-ANSWER = Answer(b"answer", 3, 4)
+ANSWER = ServiceAnswer(b"answer", 3, 4)
 
 
 def test_an_answer_is_found_again_and_an_unknown_key_is_not(tmp_path):

@@ -76,7 +76,7 @@ def test_an_answer_that_is_late_is_asked_for_again(build, fake, two_views):
         ("status:500", RunError, r"failed on left\.png with status 500"),
         ("status:404", RunError, "status 404"),
         ("status:401", MissingDependencyError, "does not accept the key in "),
-        ("garbage", RunError, "no image.*this is no picture.*kept as"),
+        ("garbage", RunError, "not an image.*this is no picture.*kept as"),
         ("wrong-shape", RunError, "another shape.*kept as"),
         ("refusal", PromptError, r"I will not paint that\."),
         ("half-json", RunError, r"no usable answer for left\.png"),
@@ -99,7 +99,7 @@ def test_neither_key_nor_photo_follows_to_another_host(
 ):
     fake.script.extend([f"elsewhere:{status} {elsewhere.url}"] * 2)
     with pytest.raises(
-        RunError, match=r"leads elsewhere, which is not followed.*editor\.base_url"
+        RunError, match=r"redirects elsewhere, which is not followed.*editor\.base_url"
     ):
         build(attempts=1).edit(two_views, ASK)
     assert len(fake.requests) == 2 and not elsewhere.requests
@@ -116,7 +116,7 @@ def test_a_key_sent_back_as_the_picture_is_neither_shown_nor_kept(
     build, fake, two_views, tmp_path
 ):
     fake.script.extend(["key"] * 4)
-    with pytest.raises(RunError, match=r"no image .*ab \*\*\*") as caught:
+    with pytest.raises(RunError, match=r"not an image .*ab \*\*\*") as caught:
         build(attempts=1).edit(two_views, ASK)
     assert "sk-" not in str(caught.value)
     kept = list((tmp_path / "cache").iterdir())

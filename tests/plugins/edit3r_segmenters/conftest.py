@@ -329,9 +329,6 @@ def build_sam2(sam2_folder, dino_folder):
         settings = {
             "model": str(sam2_folder),
             "local_files_only": True,
-            "points_per_side": 4,
-            "min_predicted_iou": 0.0,
-            "min_stability": 0.0,
             **settings,
         }
         if parts is None:
@@ -349,9 +346,6 @@ def build_sam3(sam3_folder):
 
     def build(**settings):
         bounds = {
-            "points_per_side": 4,
-            "min_predicted_iou": 0.0,
-            "min_stability": 0.0,
             "min_score": 0.0,
         }
         chosen = {

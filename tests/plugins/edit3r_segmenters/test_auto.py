@@ -1,5 +1,5 @@
-"""Segmenter `auto`: SAM2 where its weights are at hand, `classical` otherwise, and the run says
-which.
+"""Segmenter `auto`: SAM2 where its weights are at hand, a smaller SAM or `grabcut` otherwise, and
+the run says which.
 """
 
 import pytest
@@ -7,20 +7,22 @@ import torch
 from edit3r_segmenters import SMALL
 
 import edit3r
-from edit3r.contract.interfaces import Marks
 from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.cache import identity
 from edit3r.running.config import DEFAULTS
 
-CLICK = Marks(positive=((0.3, 0.5),))
+CLICK = [((0.3, 0.5), True)]
 
 
-def test_without_weights_a_click_is_answered_by_classical(at_hand, photo):
+def test_without_weights_a_click_is_answered_by_grabcut_and_the_essentials_are_named(
+    at_hand, photo
+):
     with collecting(Report()) as report:
-        found = edit3r.build("segmenter", "auto").segment_marks(photo, CLICK)
-    assert report.notes["segmenter.picked"] == "classical"
-    alone = edit3r.build("segmenter", "classical").segment_marks(photo, CLICK)
-    assert torch.equal(found.soft_mask, alone.soft_mask)
+        found = edit3r.build("segmenter", "auto").masks(photo, CLICK)
+    assert report.notes["segmenter.picked"] == "grabcut"
+    assert "edit3r weights get essentials" in report.warnings[0]
+    alone = edit3r.build("segmenter", "grabcut").masks(photo, CLICK)
+    assert torch.equal(found.logits, alone.logits)
 
 
 @pytest.mark.slow
@@ -32,16 +34,16 @@ def test_with_weights_at_hand_clicks_and_tracks_are_sam2s_and_shown(
     events = []
     with collecting(Report(on_event=lambda *event: events.append(event[:2]))) as report:
         segmenter = edit3r.build("segmenter", "auto")
-        found = segmenter.segment_marks(photo, CLICK)
-        tracks = segmenter.track(photo.expand(2, 3, 60, 80), found.soft_mask[None])
-    assert ("say", "segmenter: sam2") in events
+        found = segmenter.masks(photo, CLICK)
+        mask = torch.zeros(1, 60, 80)
+        mask[0, 10:50, 5:35] = 1
+        tracks = segmenter.track(photo.expand(2, 3, 60, 80), mask)
+    assert ("say", "segmenter: sam2") in events and not report.warnings
     assert report.notes["segmenter.weights"]["name"] == size
     alone = edit3r.build("segmenter", "sam2")
-    assert torch.equal(found.soft_mask, alone.segment_marks(photo, CLICK).soft_mask)
-    assert torch.equal(
-        tracks.logits,
-        alone.track(photo.expand(2, 3, 60, 80), found.soft_mask[None]).logits,
-    )
+    assert torch.equal(found.logits, alone.masks(photo, CLICK).logits)
+    expected = alone.track(photo.expand(2, 3, 60, 80), mask)
+    assert torch.equal(tracks.logits, expected.logits)
 
 
 @pytest.mark.parametrize(
@@ -64,49 +66,36 @@ def test_the_better_small_network_answers_or_the_one_that_is_asked_for(
             place.write_bytes(b"")
     segmenter = edit3r.build("segmenter", "auto", pick=asked)
     assert segmenter.settings.pick == answers
-    assert segmenter._network.settings.weights == answers
-
-
-def test_proposals_without_a_mark_stay_classical(at_hand, photo):
-    at_hand("sam2")
-    found = edit3r.build("segmenter", "auto").propose(photo)
-    assert torch.equal(
-        found[0].soft_mask,
-        edit3r.build("segmenter", "classical").propose(photo)[0].soft_mask,
-    )
+    assert segmenter.picked.settings.weights == answers
 
 
 def test_words_need_the_weights_of_a_detector_too(at_hand, photo):
     at_hand("sam2")
     segmenter = edit3r.build("segmenter", "auto")
-    assert segmenter.segment_text(photo, "the bike") is None
+    assert segmenter.words(photo, "the bike") is None
     at_hand("grounding-dino-tiny")
-    assert segmenter.segment_text(photo, "the bike") is not None
-    # a word that classical knows
-    assert float(segmenter.segment_text(photo, "everything")[0].soft_mask.min()) == 1
+    assert segmenter.words(photo, "the bike") is not None
+    # a word that grabcut knows
+    assert float(segmenter.words(photo, "everything")[0].soft_mask.min()) == 1
 
 
 def test_the_pick_is_part_of_the_settings_and_can_be_made_by_hand(at_hand):
     at_hand("sam2")
     assert edit3r.build("segmenter", "auto").settings.pick == "sam2"
-    assert (
-        edit3r.build(
-            "segmenter", "auto", pick="classical", size=128
-        ).classical.settings.size
-        == 128
-    )
+    by_hand = edit3r.build("segmenter", "auto", pick="grabcut", size=128)
+    assert by_hand.picked.settings.size == 128
 
 
 def test_it_is_what_a_run_takes_for_clicks():
     assert DEFAULTS["segmenter"] == "auto"
 
 
-def test_what_is_remembered_of_classical_s_answers_depends_on_its_fetched_weights(
+def test_what_is_remembered_of_grabcut_s_answers_depends_on_its_fetched_weights(
     tmp_path, monkeypatch
 ):
     monkeypatch.setenv("EDIT3R_WEIGHTS", str(tmp_path))
-    classical = edit3r.build("segmenter", "auto").classical
-    without = identity(classical)
+    grabcut = edit3r.build("segmenter", "auto").grabcut
+    without = identity(grabcut)
     (tmp_path / "u2netp").mkdir()
     (tmp_path / "u2netp" / "u2netp.onnx").touch()
-    assert identity(classical) != without
+    assert identity(grabcut) != without

@@ -11,20 +11,18 @@ LEARNED = "test_lost_objects_are_reported"
 
 @pytest.fixture(scope="module")
 def segmenter(sam2_folder, dino_folder):
-    bounds = {"points_per_side": 4, "min_predicted_iou": 0.0, "min_stability": 0.0}
     return contract_for(
-        "segmenter", "sam2", model=str(sam2_folder), local_files_only=True, **bounds
+        "segmenter",
+        "sam2",
+        model=str(sam2_folder),
+        local_files_only=True,
+        detector={"name": "grounding-dino", "model": str(dino_folder)},
     )
 
 
 @pytest.fixture(scope="module")
 def sam3(sam3_folder):
-    bounds = {
-        "points_per_side": 4,
-        "min_predicted_iou": 0.0,
-        "min_stability": 0.0,
-        "min_score": 0.0,
-    }
+    bounds = {"min_score": 0.0}
     return contract_for(
         "segmenter", "sam3", model=str(sam3_folder), local_files_only=True, **bounds
     )

@@ -14,8 +14,8 @@ from edit3r.contract.reporting import Report, collecting
 
 
 def test_words_become_masks_of_the_photo_size_best_first(build_sam3, photo):
-    found = build_sam3().segment_text(photo, "the bike")
-    scores = [proposal.predicted_iou for proposal in found]
+    found = build_sam3().words(photo, "the bike")
+    scores = [proposal.confidence for proposal in found]
     assert 0 < len(found) <= 8 and scores == sorted(scores, reverse=True)
     assert all(p.soft_mask.shape == (60, 80) and p.area > 0 for p in found)
 
@@ -23,21 +23,19 @@ def test_words_become_masks_of_the_photo_size_best_first(build_sam3, photo):
 def test_other_words_score_differently_and_the_article_says_nothing(build_sam3, photo):
     segmenter = build_sam3()
     bike, the_bike, door = (
-        segmenter.segment_text(photo, text) for text in ("bike", "the bike", "door")
+        segmenter.words(photo, text) for text in ("bike", "the bike", "door")
     )
-    assert [p.predicted_iou for p in bike] == [p.predicted_iou for p in the_bike]
-    assert [p.predicted_iou for p in bike] != [p.predicted_iou for p in door]
+    assert [p.confidence for p in bike] == [p.confidence for p in the_bike]
+    assert [p.confidence for p in bike] != [p.confidence for p in door]
 
 
 def test_what_scores_below_the_bound_is_not_there(build_sam3, photo):
-    scores = [
-        proposal.predicted_iou for proposal in build_sam3().segment_text(photo, "bike")
-    ]
+    scores = [proposal.confidence for proposal in build_sam3().words(photo, "bike")]
     bound = (scores[0] + scores[1]) / 2
     assert [
-        p.predicted_iou for p in build_sam3(min_score=bound).segment_text(photo, "bike")
+        p.confidence for p in build_sam3(min_score=bound).words(photo, "bike")
     ] == scores[:1]
-    assert build_sam3(min_score=1.0).segment_text(photo, "bike") == ()
+    assert build_sam3(min_score=1.0).words(photo, "bike") == ()
 
 
 def test_its_words_network_is_the_one_that_the_file_holds(
@@ -49,7 +47,7 @@ def test_its_words_network_is_the_one_that_the_file_holds(
     from transformers import Sam3Model
 
     segmenter = build_sam3()
-    found = segmenter.segment_text(photo, "bike")
+    found = segmenter.words(photo, "bike")
     network = Sam3Model.from_pretrained(sam3_folder).eval()
     tokens = segmenter._tokenizer(
         "bike", return_tensors="pt", padding="max_length", max_length=32
@@ -57,20 +55,16 @@ def test_its_words_network_is_the_one_that_the_file_holds(
     with torch.no_grad():
         own = network(pixel_values=segmenter._pixels(photo[None], 112), **tokens)
     score = (own.pred_logits.sigmoid() * own.presence_logits.sigmoid()).max()
-    assert found[0].predicted_iou == pytest.approx(float(score), abs=1e-5)
+    assert found[0].confidence == pytest.approx(float(score), abs=1e-5)
 
 
 def test_a_click_and_a_box_give_different_masks_and_tracks_start_from_theirs(
     build_sam3, photo
 ):
     segmenter = build_sam3()
-    click, box = (
-        segmenter.segment(photo, points=[(0.3, 0.5)]),
-        segmenter.segment(photo, box=(0.1, 0.2, 0.4, 0.6)),
-    )
-    assert click.soft_mask.shape == (60, 80) and not torch.equal(
-        click.soft_mask, box.soft_mask
-    )
+    click = segmenter.masks(photo, [((0.3, 0.5), True)])
+    box = segmenter.masks(photo, (), (0.1, 0.2, 0.4, 0.6))
+    assert not torch.equal(click.logits, box.logits)
     masks = torch.zeros(1, 60, 80)
     masks[0, 10:50, 5:35] = 1
     tracks = segmenter.track(photo.expand(3, 3, 60, 80), masks)
@@ -107,10 +101,10 @@ def test_a_file_that_lacks_weights_is_refused(build_sam3, sam3_folder, photo, tm
         InputError,
         match="lacks 1 weights of Sam3TrackerModel, such as no_memory_embedding",
     ):
-        build_sam3(model=str(folder)).segment(photo, points=[(0.3, 0.5)])
+        build_sam3(model=str(folder)).masks(photo, [((0.3, 0.5), True)])
 
 
 def test_the_weights_that_were_used_are_noted(build_sam3, photo, sam3_folder):
     with collecting(Report()) as report:
-        build_sam3().segment(photo, points=[(0.3, 0.5)])
+        build_sam3().masks(photo, [((0.3, 0.5), True)])
     assert report.notes["segmenter.weights"]["model"] == str(sam3_folder)

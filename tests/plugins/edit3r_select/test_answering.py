@@ -5,15 +5,16 @@ import pytest
 import torch
 from edit3r_select.answering import answered, changed_at, standing_out
 from edit3r_select.cues import Asked, Pool
+from edit3r_select.marks import Marks
 from edit3r_select.select import select_masks
 
 from edit3r.contract.interfaces import (
-    Marks,
+    SUBJECT,
+    MaskLogits,
     Proposal,
     Segmenter,
     Selection,
     Tracks,
-    as_proposal,
 )
 
 HEIGHT, WIDTH = 48, 64
@@ -30,16 +31,10 @@ def image():
 
 
 class Plain(Segmenter):
-    """Has one mask for marks, all of the photo."""
+    """Has one mask for marks, all of the photo, and cannot tell how good it is."""
 
-    def segment_marks(self, image, marks) -> Proposal:
-        return as_proposal(torch.ones_like(image[0]))
-
-    def propose(self, image):
-        return ()
-
-    def track(self, images, masks) -> Tracks:
-        raise NotImplementedError
+    def masks(self, image, clicks, box=None, before=None):
+        return MaskLogits(torch.ones_like(image[:1]))
 
 
 class Discs(Plain):
@@ -48,16 +43,20 @@ class Discs(Plain):
     def __init__(self):
         self.asked = []
 
-    def ask(self, image, clicks, box=None, before=None):
+    def masks(self, image, clicks, box=None, before=None):
         self.asked.append((len(clicks), box is not None, before is not None))
         x, y = clicks[-1][0] if clicks else CENTRE
         away = np.hypot(COLUMNS - x * WIDTH, ROWS - y * HEIGHT)
         logits = np.stack([radius - away for radius in (12.0, 8.0, 12.0, 20.0)])
-        return logits.astype(np.float32), np.array([0.9, 0.6, 0.9, 0.2])
+        return told(logits, [0.9, 0.6, 0.9, 0.2])
 
     def track(self, images, masks):
         seen = torch.ones(len(images), len(masks), dtype=torch.bool)
         return Tracks((8 * masks - 4).repeat(len(images), 1, 1, 1), seen)
+
+
+def told(logits, quality):
+    return MaskLogits(torch.from_numpy(np.float32(logits)), torch.tensor(quality))
 
 
 def readings(segmenter, image, marks):
@@ -128,11 +127,12 @@ class FarBetterInTheMiddle(Plain):
     def __init__(self):
         self.asked = []
 
-    def ask(self, image, clicks, box=None, before=None):
+    def masks(self, image, clicks, box=None, before=None):
         self.asked.append((clicks, before))
         shown = DISC if len(clicks) > 1 else DISC & (COLUMNS < 32)
-        logits = np.where(shown, 4.0, -4.0).astype(np.float32)[None]
-        return logits, np.array([0.95 if len(clicks) > 1 else 0.6])
+        return told(
+            np.where(shown, 4.0, -4.0)[None], [0.95 if len(clicks) > 1 else 0.6]
+        )
 
 
 def test_a_first_click_is_asked_again_in_the_middle_of_what_it_found(image):
@@ -152,12 +152,12 @@ class OneBesideTheOther(Plain):
     def __init__(self):
         self.asked = []
 
-    def ask(self, image, clicks, box=None, before=None):
+    def masks(self, image, clicks, box=None, before=None):
         self.asked.append(tuple(wanted for _, wanted in clicks))
         left = np.where(COLUMNS < 32, 4.0, -4.0).astype(np.float32)
         whole = np.full_like(left, 4.0)
         outside = not all(wanted for _, wanted in clicks)
-        return np.stack([left, left] if outside else [whole, whole]), np.ones(2)
+        return told(np.stack([left, left] if outside else [whole, whole]), [1.0, 1.0])
 
 
 @pytest.mark.parametrize(
@@ -215,13 +215,6 @@ def test_a_box_and_a_stroke_are_asked_first(image, marks, asked):
     assert network.asked[:1] == asked
 
 
-def test_without_masks_to_choose_from_the_segmenter_reads_marks_itself(image):
-    for marks in (Marks(positive=(CENTRE,)), Marks(box=(0.2, 0.2, 0.5, 0.5))):
-        assert readings(Plain(), image, marks)[0].area == 1
-    prior = Marks(prior=torch.zeros(HEIGHT, WIDTH))  # no mark: not the sum's
-    assert readings(Discs(), image, prior)[0].area == 1
-
-
 def test_a_large_photo_is_answered_at_its_own_size(image):
     large = torch.nn.functional.interpolate(image[None], (960, 1280))[0]
     found = readings(Discs(), large, Marks(positive=(CENTRE,)))[0]
@@ -232,20 +225,25 @@ def test_a_large_photo_is_answered_at_its_own_size(image):
 class Salient(Discs):
     """The right half is salient."""
 
-    def propose(self, image):
-        return (as_proposal(torch.from_numpy(np.float32(COLUMNS > WIDTH / 2))),)
+    def words(self, image, text):
+        right = torch.from_numpy(np.float32(COLUMNS > WIDTH / 2))
+        return (Proposal(right),) if text == SUBJECT else None
 
 
 def test_what_stands_out_lies_where_it_is_salient_and_the_next_is_another_thing(image):
     first, second, *_ = (inside(one) for one in standing_out(Salient(), image))
     assert first[:, WIDTH // 2 :].sum() > 0.8 * first.sum()
     assert overlap(first, second) < 0.5
-    assert standing_out(Discs(), image) == ()  # nothing is salient
+    assert standing_out(Discs(), image)  # nothing is salient, and there are things
 
 
-def test_without_masks_to_choose_from_what_is_salient_stands_out(image):
+def test_a_segmenter_with_one_poor_mask_is_no_surer_than_it_can_tell(image):
+    found = answered(Plain(), image, Marks(positive=(CENTRE,)))
+    assert found.confidence is None and found.readings[0].area == 1
+
+
+def test_where_nobody_tells_how_good_masks_are_what_is_salient_stands_out(image):
     class Alone(Salient):
-        def ask(self, image, clicks, box=None, before=None):
-            return None
+        masks = Plain.masks
 
     assert standing_out(Alone(), image)[0].area == 0.5

@@ -1,14 +1,18 @@
 """Words are looked up where they are found most surely, and each photo keeps what it finds."""
 
-from dataclasses import replace
-
 import pytest
 import torch
-from edit3r_select.held import HeldSegmenter
 from edit3r_select.naming import SURER, UNCONFIRMED, looked_up
 from edit3r_select.photos import Photos
+from edit3r_select.validated import ValidatedSegmenter
 
-from edit3r.contract.interfaces import Segmenter, Selection, Tracks, as_proposal
+from edit3r.contract.interfaces import (
+    SUBJECT,
+    MaskLogits,
+    Proposal,
+    Segmenter,
+    Selection,
+)
 from edit3r.kit.geometry.cameras import pixel_grid
 
 
@@ -16,7 +20,7 @@ def thing(confidence, row):
     """A square of 4 pixels in an image of 16, at a row of four places."""
     mask = torch.zeros(16, 16)
     mask[4 * row : 4 * row + 4, 4:8] = 1
-    return replace(as_proposal(mask), confidence=confidence)
+    return Proposal(mask, confidence)
 
 
 class Finds(Segmenter):
@@ -25,18 +29,13 @@ class Finds(Segmenter):
     def __init__(self, *found):
         self.found = found
 
-    def segment_text(self, image, text):
+    def words(self, image, text):
+        if text == SUBJECT:
+            return (thing(1.0, 3),)
         return tuple(thing(*one) for one in self.found[int(image[0, 0, 0])])
 
-    def propose(self, image):
-        return (thing(1.0, 3),)
-
-    def segment_marks(self, image, marks):
-        there = torch.zeros_like(image[0]) if marks.prior is None else marks.prior
-        return as_proposal(there)
-
-    def track(self, images, masks):
-        return Tracks(masks[None], torch.ones(1, 1, dtype=torch.bool))
+    def masks(self, image, clicks, box=None, before=None):
+        return MaskLogits(torch.full((1, 16, 16), -4.0))
 
 
 class FromOnePlace(Photos):
@@ -54,7 +53,7 @@ class FromOnePlace(Photos):
 def photos(sees, *found):
     count = len(found)
     images = torch.arange(count).view(count, 1, 1, 1).expand(count, 3, 16, 16).float()
-    made = FromOnePlace(images, HeldSegmenter(Finds(*found)))
+    made = FromOnePlace(images, ValidatedSegmenter(Finds(*found)))
     object.__setattr__(made, "sees", sees)
     return made
 

@@ -13,7 +13,7 @@ from edit3r_select.obeying import (
 from edit3r_select.photos import Photos
 from edit3r_select.select import select_masks
 
-from edit3r.contract.interfaces import Geometry, Proposal, Segmenter, Selection, Tracks
+from edit3r.contract.interfaces import Geometry, MaskLogits, Segmenter, Selection
 from edit3r_testing.scenes import photograph
 
 SCENE = photograph(3, (48, 64))
@@ -43,26 +43,14 @@ class Balls(Segmenter):
     def __init__(self, follows=True):
         self.follows = follows
 
-    def segment_marks(self, image, marks):
+    def masks(self, image, clicks, box=None, before=None):
         view = [torch.equal(image, one) for one in VIEWS.images[0]].index(True)
-        mask = (FIRST[view] | SECOND[view]).float() if marks.positive else marks.prior
-        if marks.prior is not None and (marks.positive or marks.negative):
-            mask = marks.prior.clone()
-            for ball in (FIRST[view], SECOND[view]) if self.follows else ():
-                for places, value in ((marks.positive, 1.0), (marks.negative, 0.0)):
-                    for x, y in places:
-                        if ball[int(y * 48), int(x * 64)]:
-                            mask[ball] = value
-        return Proposal(mask, float(mask.mean()), 1.0, 1.0, (0, 0, 1, 1))
-
-    def propose(self, image):
-        return ()
-
-    def track(self, images, masks):
-        return Tracks(
-            masks[None].expand(len(images), -1, -1, -1) * 8 - 4,
-            torch.ones(len(images), 1, dtype=torch.bool),
-        )
+        mask = FIRST[view] | SECOND[view] if before is None else before > 0
+        for ball in (FIRST[view], SECOND[view]) if self.follows else ():
+            for (x, y), wanted in clicks if before is not None else ():
+                if ball[int(y * 48), int(x * 64)]:
+                    mask = mask | ball if wanted else mask & ~ball
+        return MaskLogits(mask[None] * 8.0 - 4)
 
 
 def test_a_point_is_seen_where_the_same_surface_is_shown_and_nowhere_else():

@@ -99,7 +99,10 @@ def test_a_click_asks_once_a_stroke_twice_and_a_correction_with_what_was_before(
 def test_selecting_uses_the_fitted_weights():
     chosen = selected(SIZE, Asked(clicks=(CLICK,)), Sam())
     assert chosen.best.mask[50, 50] and 0 < chosen.confidence < 1
-    assert selected(SIZE, Asked(clicks=(CLICK,)), lambda *_: None) is None
+    untold = selected(
+        SIZE, Asked(clicks=(CLICK,)), lambda *a, **k: (Sam()(*a)[0], None)
+    )
+    assert untold.best.mask.any() and untold.confidence is None
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -169,10 +169,10 @@ def test_a_link_leads_nowhere_that_was_not_meant(tmp_path, to_a_run):
         with atomic_folder(run) as folder:
             (folder / "mine").touch()
     link.symlink_to(run)
-    with pytest.raises(InputError, match="a link to"), atomic_folder(link):
+    with pytest.raises(InputError, match=r"a (broken )?link"), atomic_folder(link):
         pass
     assert run.exists() == to_a_run
-    with pytest.raises(InputError, match="a link to"):
+    with pytest.raises(InputError, match=r"a (broken )?link"):
         check_new_file(link, overwrite=False)
 
 

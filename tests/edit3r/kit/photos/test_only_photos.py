@@ -19,6 +19,10 @@ def picture(seed, size=48):
     return np.asarray(Image.fromarray(coarse).resize((size, size)))
 
 
+def picture_of(seed):
+    return Image.fromarray(picture(seed))
+
+
 def names(folder):
     return [file.name for file in find_photos(folder)]
 
@@ -26,25 +30,44 @@ def names(folder):
 @pytest.mark.parametrize(
     "name",
     [
-        "edit3r-preview.png",
-        "before_after.png",
         "left_mask.png",
         "right-mask.png",
         "mask_left.png",
         "left.mask.png",
-        "left_depth.png",
+        "left_tiefe.png",
         "left_depth_16.png",
-        "left_mask_0.png",
         "seg-right.png",
         "left.jpg.png",
-        "left.png",
-        "left.webp",
     ],
 )
-def test_what_is_no_photo_of_its_own_is_left_out(folder, name):
-    Image.open(folder / "left.jpg").save(folder / name)
+@pytest.mark.parametrize("kind", ["L", "RGBA", "labels"])
+def test_a_mask_or_map_beside_its_photo_is_no_photo_whatever_the_word(
+    folder, name, kind
+):
+    grey = Image.open(folder / "left.jpg").convert("L")
+    mask = (
+        Image.merge("RGBA", (*picture_of(7).split(), grey)) if kind == "RGBA" else grey
+    )
+    if kind == "labels":
+        mask = grey.point(lambda value: 255 * (value > 128)).convert("RGB")
+        mask = Image.merge(
+            "RGB", (mask.split()[0], *Image.new("RGB", mask.size).split()[:2])
+        )
+    mask.save(folder / name)
     assert names(folder) == ["left.jpg", "right.jpg"]
     assert len(find_photos(sorted(folder.iterdir()))) == 2  # as a shell lists them
+
+
+@pytest.mark.parametrize("name", ["left.png", "left.webp"])
+def test_a_photo_in_a_second_format_is_no_second_photo(folder, name):
+    Image.open(folder / "left.jpg").save(folder / name)
+    assert len(names(folder)) == 2
+
+
+def test_photos_in_grey_are_photos(tmp_path):
+    for seed, name in enumerate(("left.jpg", "left_2.jpg")):
+        picture_of(seed).convert("L").save(tmp_path / name)
+    assert len(names(tmp_path)) == 2
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".webp"])

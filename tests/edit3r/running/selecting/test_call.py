@@ -15,9 +15,7 @@ from edit3r_testing.scenes import photograph
 def test_masks_of_all_photos_come_at_their_size_with_readings_in_order_of_size():
     views = photograph(2, (48, 64)).views
     click = Selection(positive=((0, 0.3, 0.55),))
-    found = edit3r.select(
-        views, click, segmenter={"name": "classical", "learned": False}
-    )
+    found = edit3r.select(views, click, segmenter={"name": "grabcut", "learned": False})
     assert found.masks.shape == (1, 2, 48, 64)
     assert found.is_sure and found.confidence is None and "marked" in found.why
     areas = [float((one.mask > 0.5).sum()) for one in found.readings]
@@ -29,7 +27,7 @@ def test_masks_of_all_photos_come_at_their_size_with_readings_in_order_of_size()
 def test_a_number_chooses_among_the_readings():
     views = photograph(2, (48, 64)).views
     asked = {"positive": ((0, 0.3, 0.55),)}
-    chosen = {"name": "classical", "learned": False}
+    chosen = {"name": "grabcut", "learned": False}
     found = edit3r.select(views, Selection(**asked), segmenter=chosen)
     by_number = {one.number: one.mask for one in found.readings}
     for number, mask in by_number.items():
@@ -52,7 +50,7 @@ def test_what_one_call_found_is_kept_for_the_next():
 def test_a_further_call_with_the_same_cache_builds_a_segmenter_only_for_other_settings():
     cache = edit3r.Cache()
     small, large = (
-        {"name": "classical", "learned": False, "size": size} for size in (64, 96)
+        {"name": "grabcut", "learned": False, "size": size} for size in (64, 96)
     )
     first, again, other = (call._ready(one, cache) for one in (small, small, large))
     assert again is first

@@ -6,7 +6,14 @@ import pytest
 import torch
 
 from edit3r.contract.errors import InputError, PromptError
-from edit3r.contract.interfaces import Proposal, Segmenter, Selection, Tracks
+from edit3r.contract.interfaces import (
+    SUBJECT,
+    MaskLogits,
+    Proposal,
+    Segmenter,
+    Selection,
+    Tracks,
+)
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
 from edit3r.running import usual_selector
@@ -28,13 +35,12 @@ class Halves(Segmenter):
     def _half(self, image, columns):
         mask = torch.zeros(image.shape[-2:])
         mask[:, columns] = 1
-        box = (float(columns.start), 0.0, WIDTH / 2, float(HEIGHT))
-        return Proposal(mask, 0.5, 1.0, 1.0, box)
+        return Proposal(mask)
 
-    def propose(self, image):
-        return (self._half(image, LEFT),)
+    def masks(self, image, clicks, box=None, before=None):
+        return MaskLogits(self.clicked(image).soft_mask[None] * 20 - 10)
 
-    def segment(self, image, points=(), box=None):
+    def clicked(self, image):
         return self._half(image, LEFT)
 
     def track(self, images, masks):
@@ -43,7 +49,9 @@ class Halves(Segmenter):
         hidden = logits.clamp(max=-1)
         return Tracks(torch.where(present[..., None, None], logits, hidden), present)
 
-    def segment_text(self, image, text):
+    def words(self, image, text):
+        if text == SUBJECT:
+            return (self._half(image, LEFT),)
         self.looked_up.append(text)
         known = {
             "door": (LEFT,),
@@ -124,7 +132,7 @@ def test_marks_stand_for_what_the_sentence_names(prompt, expected):
 
 def test_a_name_says_how_far_goes_what_a_click_finds_a_small_part_of():
     class Small(Halves):
-        def segment(self, image, points=(), box=None):
+        def clicked(self, image):
             return self._half(image, slice(0, 3))
 
     assert columns(regions("paint the house red", CLICK, Small())[0]) == EVERYWHERE
@@ -167,8 +175,8 @@ def test_all_of_a_view_changes_where_what_is_left_out_is_not_found():
     class Lost(Halves):
         """Finds the door on the first photo that it is asked about, and nowhere else."""
 
-        def segment_text(self, image, text):
-            return () if self.looked_up else super().segment_text(image, text)
+        def words(self, image, text):
+            return () if self.looked_up else super().words(image, text)
 
     lost = Lost(found_in=(0,))
     with collecting(Report()) as report:
@@ -371,9 +379,9 @@ class Unsure(Halves):
         super().__init__()
         self.confidence = confidence
 
-    def segment_text(self, image, text):
+    def words(self, image, text):
         if text != "pot":
-            return super().segment_text(image, text)
+            return super().words(image, text)
         return (replace(self._half(image, LEFT), confidence=self.confidence),)
 
 

@@ -28,12 +28,12 @@ def find_skies(
     images: Sequence[Float[np.ndarray, "height width 3"]],
 ) -> list[Bool[np.ndarray, "height width"]] | None:
     """The sky on images (colours in [0, 1]) of one scene; None: too little to be sure."""
-    skies = [_sky_mask(image) for image in images]
+    skies = [sky_mask(image) for image in images]
     sure = [sky.mean() * (sky[0].mean() > MIN_TOP) for sky in skies]
     return skies if np.mean(sure) >= MIN_SHARE else None
 
 
-def _sky_mask(
+def sky_mask(
     image: Float[np.ndarray, "height width 3"],
 ) -> Bool[np.ndarray, "height width"]:
     """What looks like sky and comes down from the top of the image."""

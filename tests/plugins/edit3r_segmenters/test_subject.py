@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from edit3r_segmenters.salience import clearness
+from edit3r_segmenters.subject import clearness
 
 from edit3r.contract.interfaces import SURE
 

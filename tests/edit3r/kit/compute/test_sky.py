@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from edit3r_geometry.sky import coloured_like_sky, find_skies
+
+from edit3r.kit.compute.sky import coloured_like_sky, find_skies
 
 SIZE = (120, 160)
 

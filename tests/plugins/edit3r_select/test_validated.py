@@ -1,0 +1,102 @@
+"""A segmenter that breaks its contract is named, whatever it was asked."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from edit3r_select.validated import ValidatedSegmenter
+
+from edit3r.contract.component import component_name
+from edit3r.contract.errors import PluginError
+from edit3r.contract.interfaces import MaskLogits, Proposal, Segmenter, Tracks
+
+IMAGES = torch.rand(2, 3, 8, 12)
+MASK = torch.eye(8, 12)
+GOOD = Proposal(MASK)
+CLICK = [((0.5, 0.5), True)]
+SEVERAL = MaskLogits(torch.ones(3, 4, 6), torch.ones(3))
+FOLLOWED = Tracks(torch.ones(2, 1, 8, 12), torch.ones(2, 1, dtype=torch.bool))
+
+
+class Answers(Segmenter):
+    """Answers one thing, whatever it is asked; an error is raised."""
+
+    def __init__(self, answer):
+        self.answer = answer
+
+    def masks(self, image, clicks, box=None, before=None):
+        if isinstance(self.answer, Exception):
+            raise self.answer
+        return self.answer
+
+    def words(self, image, text):
+        return self.masks(image, ())
+
+    def track(self, images, masks):
+        return self.masks(images, ())
+
+
+class Spoils(Answers):
+    def masks(self, image, clicks, box=None, before=None):
+        image.numpy()[:] = 0
+        return self.answer
+
+
+ASKED = {
+    "masks": lambda checked: checked.masks(IMAGES[0], CLICK),
+    "words": lambda checked: checked.words(IMAGES[0], "box"),
+    "track": lambda checked: checked.track(IMAGES, MASK[None]),
+}
+OF = "edit3r.contract.interfaces."
+
+
+def named(**changes):
+    return (replace(GOOD, **changes),)
+
+
+@pytest.mark.parametrize(
+    "asked, answer, said",
+    [
+        *((asked, ValueError("no"), "raised ValueError: no") for asked in ASKED),
+        ("words", "box", f"must return a tuple of {OF}Proposal, got str"),
+        ("words", (MASK,), f"must return {OF}Proposal, got Tensor"),
+        ("words", named(soft_mask=MASK / 0), "soft_mask with 96 of 96 values not"),
+        ("words", named(soft_mask=MASK.numpy()), "soft_mask as a tensor, got ndarray"),
+        ("words", named(soft_mask=MASK[:6]), r"shape \[8, 12\], got \[6, 12\]"),
+        ("words", named(soft_mask=MASK.double()), "float32, got torch.float64"),
+        ("words", named(soft_mask=255 * MASK), r"in \[0, 1\], got 0 to 255"),
+        ("words", named(confidence=float("nan")), "confidence as a number, got nan"),
+        ("masks", None, f"must return {OF}MaskLogits, got NoneType"),
+        ("masks", replace(SEVERAL, logits=None), "must return torch.Tensor, got"),
+        ("masks", replace(SEVERAL, logits=torch.ones(4, 6)), r"logits \[n, h, w\]"),
+        ("masks", replace(SEVERAL, logits=torch.ones(0, 4, 6)), r"\[0, 4, 6\]"),
+        ("masks", replace(SEVERAL, quality=torch.ones(2)), r"\[3, 4, 6\], \[2\]"),
+        ("masks", replace(SEVERAL, logits=SEVERAL.logits / 0), "return finite logits"),
+        ("track", "box", f"must return {OF}Tracks, got str"),
+        (
+            "track",
+            replace(FOLLOWED, logits=FOLLOWED.logits[:1]),
+            r"logits of shape \[2, 1, 8, 12\]",
+        ),
+        ("track", replace(FOLLOWED, present=torch.ones(2, 1)), "present in torch.bool"),
+    ],
+)
+def test_a_segmenter_that_breaks_its_contract_is_named(asked, answer, said):
+    with pytest.raises(PluginError, match=f"^segmenter 'Answers' .*{said}"):
+        ASKED[asked](ValidatedSegmenter(Answers(answer)))
+
+
+def test_what_it_was_given_stays_as_it_was():
+    images = IMAGES.clone()
+    with pytest.raises(PluginError, match="must leave its arguments as they are"):
+        ValidatedSegmenter(Spoils(SEVERAL)).masks(images[0], CLICK)
+
+
+def test_good_answers_and_the_name_pass():
+    checked = ValidatedSegmenter(Answers(SEVERAL))
+    assert component_name(checked.asked) == "Answers"
+    assert checked.masks(IMAGES[0], CLICK) is SEVERAL
+    assert ValidatedSegmenter(Answers([GOOD])).words(IMAGES[0], "box") == (GOOD,)
+    assert ValidatedSegmenter(Answers(None)).words(IMAGES[0], "box") is None
+    assert ValidatedSegmenter(Answers(None)).track(IMAGES, MASK[None]) is None
+    assert ValidatedSegmenter(Answers(FOLLOWED)).track(IMAGES, MASK[None]) is FOLLOWED
