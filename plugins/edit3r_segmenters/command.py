@@ -17,11 +17,6 @@ class MaskCommand(Command):
         add_mark_flags(parser)
         add("--words", dest="thing", metavar="TEXT", help="the same as --thing")
         add(
-            "--sure",
-            action="store_true",
-            help="refuse words that find nothing for certain",
-        )
-        add(
             "--segmenter",
             default="auto",
             metavar="NAME",
