@@ -87,7 +87,7 @@ class _Photos:
         views = scene.photos.scene(0).select(used)
         self.pictures = blurred(lab(views.images[0]), 1)
         self.size = size_of(self.pictures)
-        sift = cv2.SIFT_create(2000, contrastThreshold=0.015)
+        sift = cv2.SIFT_create(2000, contrastThreshold=0.015)  # type: ignore[attr-defined]
         light = (2.55 * self.pictures[:, 0].clamp(0, 100)).byte().numpy()
         self.marks = [sift.detectAndCompute(one, None) for one in light]
         edited = scene.edited.scene(0).images[0]

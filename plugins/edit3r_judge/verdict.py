@@ -48,14 +48,22 @@ def judge(
     worse = max(one - other for one, other in zip(before, psnr))
     doubt = broken_part(scene, cheapest, worse) or doubt
     label, reason, part = _label(scene, before, psnr, between, unlike, doubt)
-    figures = (psnr, before, coverage, filled, between, unlike)
-    at_photos, at_first, *others = (
-        tuple(next(rest) if there else None for there in scene.placed)
-        for rest in map(
-            iter, (*figures, cheapest.geometry, cheapest.flat, cheapest.reference)
-        )
-    )
-    return Verdict(label, reason, at_photos, at_first, scene.placed, *others, part=part)
+    by_photo: dict[str, Sequence[float | None]] = {
+        "input_psnr": psnr,
+        "agreement": before,
+        "coverage": coverage,
+        "filled": filled,
+        "guessed_between": between,
+        "unlike_between": unlike,
+        "beside_geometry": cheapest.geometry,
+        "beside_flat": cheapest.flat,
+        "beside_reference": cheapest.reference,
+    }
+    entries = {
+        name: tuple(next(rest) if there else None for there in scene.placed)
+        for name, rest in ((name, iter(all_)) for name, all_ in by_photo.items())
+    }
+    return Verdict(label, reason, placed=scene.placed, part=part, **entries)
 
 
 def _psnr(scene: SceneToJudge, shown: Rendering) -> list[float]:

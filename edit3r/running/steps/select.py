@@ -29,8 +29,9 @@ from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.regions import RegionFinder
 
 ASKED = 0.35
-"""Confidence below which the thing that words name is asked about, and not edited (fitted, see
-docs/notes/selecting.md)."""
+"""Confidence below which the thing that words name is asked about, and not edited. Set by hand, not
+fitted: what stands out for a word that nobody knows has .25 at most.
+"""
 
 
 @torch.no_grad()

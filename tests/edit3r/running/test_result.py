@@ -355,6 +355,7 @@ def test_things_are_judged_and_drawn_on_the_photos_that_were_placed():
         "paint the bear red",
         segmenter=Doubting(),
         recon=WallOfTwo(),
+        guess=True,
         refine=0,
         gaussians="all",
         report=Report(),
