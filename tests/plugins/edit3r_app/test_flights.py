@@ -55,4 +55,9 @@ def test_what_is_no_flight_is_refused(asked, told):
 def test_a_run_without_a_scene_is_told_so(tmp_path):
     (tmp_path / "jar").mkdir()
     with pytest.raises(InputError, match="no scene to fly through yet"):
-        film(JobsFolder(tmp_path), "jar", [KEY, {**KEY, "t": [1, 0, 0]}], default_registry())
+        film(
+            JobsFolder(tmp_path),
+            "jar",
+            [KEY, {**KEY, "t": [1, 0, 0]}],
+            default_registry(),
+        )
