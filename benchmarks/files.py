@@ -16,7 +16,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from edit3r_outputs.api import load_scene
 from harness import Row, run_benchmark
 
 from edit3r import build
@@ -24,6 +23,7 @@ from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Gaussians
 from edit3r.kit.photos.cameras import read_scene_cameras
 from edit3r.kit.rendering import render_each
+from edit3r.kit.scenes.reading import load_scene
 
 # ---- formats ----
 

@@ -18,14 +18,14 @@ from edit3r.contract.interfaces import Editor, Reconstructor, Selection
 from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.torch_state import in_usual_torch
-from edit3r.contract.types import Cameras, Views
+from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.cache import Cache
 from edit3r.kit.photos.coverage import temporary_photos
 from edit3r.kit.photos.in_memory import Pictures, as_files
 from edit3r.loading.registry import Registry
-from edit3r.running.config import PART_KEYS, make_run_config
+from edit3r.running.config import DEFAULTS, PART_KEYS, make_run_config
 from edit3r.running.given import check_cameras, check_views, checked_masks
-from edit3r.running.job import RunJob, inherited, with_cameras
+from edit3r.running.job import RunJob, inherited, scene_among, with_cameras
 from edit3r.running.loop import run as run_job
 from edit3r.running.result import RunResult
 from edit3r.running.run_folder import EarlierRun, RunFolder
@@ -38,7 +38,7 @@ Files = str | Path | Sequence[str | Path]
 @in_usual_torch
 @temporary_photos()
 def run(
-    photos: Views | Pictures = (),
+    photos: Views | Pictures | Gaussians = (),
     prompt: str | None = None,
     *,
     editor: Choice | Editor | None = None,
@@ -53,14 +53,15 @@ def run(
     progress: bool = False,
     **settings: Unpack[RunSettings],
 ) -> RunResult:
-    """Edit photos as `prompt` says and reconstruct them in 3D.
+    """Edit photos as `prompt` says and reconstruct them in 3D, or edit a scene that is there.
 
     Settings that are not given have the defaults of `edit3r run --help`, which tells them.
 
     Args:
         photos: Loaded views; photo files, folders and videos; or pictures in memory, of any sizes:
             arrays [height, width, 3], tensors [3, height, width], PIL images. May be left out with
-            `earlier`.
+            `earlier`. Or a scene: its file (.ply, .spz, .sog, .splat, .glb), or its Gaussians;
+            `RunResult.scene` is then the edited one in its own frame.
         prompt: What to change, such as "paint the bike red".
         editor, recon: Names, names with settings, or built objects; `recon` is the reconstructor.
         masks: Where pixels may change: masks in [0, 1] of all views, mask files, or a Selection
@@ -89,6 +90,9 @@ def run(
         )
     named = {"prompt": prompt, "editor": editor, "reconstructor": recon}
     given = {k: v for k, v in {**settings, **named}.items() if v is not None}
+    scene, cameras = _scene(photos, cameras, earlier)
+    if scene is not None:  # an earlier run is its scene
+        earlier = None
     built = {key: given.pop(key) for key in PART_KEYS if _is_built(given.get(key))}
     if isinstance(earlier, RunResult) and not {"reconstructor", "quality"} & {
         *given,
@@ -101,14 +105,21 @@ def run(
     layers = [{key: _plain(value) for key, value in given.items()}]
     if before is not None:
         layers.insert(0, inherited(before, layers))
-    photos = _photos(photos, cameras)
+    if scene is not None:
+        layers.insert(0, DEFAULTS["of_scenes"])
+    loaded = (
+        ()
+        if scene is not None or isinstance(photos, Gaussians)
+        else _photos(photos, cameras)
+    )
     job = RunJob(
         config=make_run_config(*layers),
-        photos=photos,
+        photos=loaded,
+        scene=scene,
         cameras=Path(cameras) if isinstance(cameras, str) else cameras,
         refine_poses=refine_poses,
         masks=_masks(masks),
-        earlier=None if photos else before,
+        earlier=None if loaded else before,
         cache=cache,
         components=built,
     )
@@ -137,6 +148,27 @@ def _plain(value: Any) -> Any:
     return (
         [_plain(item) for item in value] if isinstance(value, list | tuple) else value
     )
+
+
+def _scene(
+    photos: Views | Pictures | Gaussians,
+    cameras: str | Path | Cameras | None,
+    earlier: RunResult | EarlierRun | str | Path | None,
+) -> tuple[Path | Gaussians | None, str | Path | Cameras | None]:
+    """The scene that is given in place of photos, or was by an earlier run, and its cameras."""
+    if isinstance(photos, Gaussians):
+        return photos, cameras
+    paths = (photos,) if isinstance(photos, str | Path) else photos
+    if isinstance(paths, list | tuple) and len(paths):
+        files = [one for one in paths if isinstance(one, str | Path)]
+        return scene_among(files), cameras
+    if isinstance(earlier, RunResult) and earlier.records.inputs.scene is not None:
+        given = earlier.records.inputs.scene
+        return earlier.scene, cameras or given.cameras_in_own_frame(earlier.cameras)
+    if isinstance(earlier, str | Path):
+        file, beside = RunFolder(earlier).given_scene() or (None, None)
+        return file, cameras or beside
+    return None, cameras
 
 
 def _photos(

@@ -72,6 +72,7 @@ DECLARATION_ONLY: dict[tuple[str, str], str] = {
         "reconstructor",
         "refit",
     ): "fits for minutes, and begins from a matcher that needs seconds a scene",
+    ("reconstructor", "in-place"): "needs a scene to edit",
     ("reconstructor", "instruct-nerf2nerf"): "as refit",
     ("reconstructor", "gaussctrl"): "as refit",
     ("reconstructor", "editsplat"): "as refit",

@@ -398,6 +398,28 @@ def _joined(parts: Iterable[Gaussians], axis: int) -> dict[str, Tensor]:
 
 
 @dataclass(frozen=True, repr=False)
+class GivenScene(Tensors):
+    """A scene that was there before the run (batch 1), and pictures of it."""
+
+    gaussians: Gaussians  # in the frame of view 0
+    cameras: Cameras  # of the pictures; that of view 0 is the identity
+    images: Float[
+        Tensor, "batch view 3 height width"
+    ]  # sRGB in [0, 1], over a background
+    background: float  # grey behind it all, in [0, 1]
+    # expected camera z of the pictures' pixels, 0 where nothing is
+    depths: Float[Tensor, "batch view height width"]
+    # how much of each pixel the scene covers, in [0, 1]; the rest is background
+    alphas: Float[Tensor, "batch view height width"]
+
+    def __post_init__(self) -> None:
+        maps = (*self.cameras.c2w.shape[:2], *self.cameras.image_size)
+        _check("GivenScene.images", self.images, (*maps[:2], 3, *maps[2:]))
+        _check("GivenScene.depths", self.depths, maps)
+        _check("GivenScene.alphas", self.alphas, maps)
+
+
+@dataclass(frozen=True, repr=False)
 class Reconstruction(Tensors):
     """A reconstructor's answer."""
 
@@ -414,6 +436,9 @@ class Reconstruction(Tensors):
     # what was added to the views' colours [sRGB] so that their edits agree, at a size of its own;
     # None: nothing
     fusion: Float[Tensor, "batch view 3 height width"] | None = None
+    # of an edit in place: which of the given scene's Gaussians come first here, in their order;
+    # None: the Gaussians were made anew
+    kept: Bool[Tensor, "given_gaussian"] | None = None
 
 
 _Images = Float[Tensor, "batch camera 3 height width"]

@@ -46,6 +46,33 @@ def render_one(
     return rendering
 
 
+class OverBackground(Rasterizer):
+    """A rasterizer whose pictures stand before a grey background, in [0, 1]."""
+
+    def __init__(self, rasterizer: Rasterizer, background: float) -> None:
+        self.rasterizer, self.background = rasterizer, background
+        self.settings = rasterizer.settings
+        for name in ("offer", "parts"):
+            if hasattr(rasterizer, name):
+                setattr(self, name, getattr(rasterizer, name))
+
+    def prepare(self, device: str) -> None:
+        self.rasterizer.prepare(device)
+
+    def render(self, gaussians: Gaussians, cameras: Cameras) -> Rendering:
+        rendering = self.rasterizer.render(gaussians, cameras)
+        images = rendering.images + (1 - rendering.alphas) * self.background
+        return replace(rendering, images=images)
+
+    def contributions(
+        self,
+        gaussians: Gaussians,
+        cameras: Cameras,
+        weights: Float[Tensor, "camera *map height width"] | None = None,
+    ) -> Float[Tensor, "batch gaussian *map"]:
+        return self.rasterizer.contributions(gaussians, cameras, weights)
+
+
 def render_numbers(
     rasterizer: Rasterizer,
     gaussians: Gaussians,

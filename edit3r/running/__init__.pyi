@@ -44,5 +44,10 @@ from .run_folder import (
     EarlierRun as EarlierRun,
     RunFolder as RunFolder,
 )
+from .scene_input import (
+    SCENE_ENDINGS as SCENE_ENDINGS,
+    SceneInput as SceneInput,
+    read_scene as read_scene,
+)
 from .selecting.call import select_with as select_with, usual_selector as usual_selector
 from .selecting.marks import MarkTexts as MarkTexts

@@ -19,13 +19,16 @@ from edit3r.contract.interfaces import (
     Refiner,
     Segmenter,
     Selector,
+    StartsFromScene,
     Writer,
 )
 from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say
 from edit3r.contract.settings import PartChoice
-from edit3r.contract.types import Views
+from edit3r.contract.types import GivenScene, Views
 from edit3r.kit.checks import errors_named_after
+from edit3r.kit.rendering import OverBackground
+from edit3r.kit.scenes.scene_views import SceneGeometry
 from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.editors import EditorTask, tasks_for_editor, tasks_without_editor
@@ -44,6 +47,7 @@ class Components:
         self.job = job
         self._registry = registry
         self._given = job.components
+        self._scene: GivenScene | None = None
 
     @property
     def edits_again(self) -> bool:
@@ -109,6 +113,22 @@ class Components:
             return False
         name = self.config.reconstructor.name
         return "editor" in self._registry.find("reconstructor", name).component.parts
+
+    def start_from(self, scene: GivenScene) -> None:
+        """Let the components that can go on from a given scene do so.
+
+        Raises SettingsError for a reconstructor that cannot.
+        """
+        recon = self.reconstructor
+        if not isinstance(recon, StartsFromScene):
+            raise SettingsError(
+                f"--recon {component_name(recon)}: makes a scene of photos and cannot go on from "
+                "one; leave it out."
+            )
+        self.__dict__["reconstructor"] = recon.starting_from(scene)
+        self.__dict__["rasterizer"] = OverBackground(self.rasterizer, scene.background)
+        self.__dict__["geometry_source"] = SceneGeometry(scene)
+        self._scene = scene
 
     @cached_property
     def rasterizer(self) -> Rasterizer:
@@ -197,7 +217,10 @@ class Components:
         choice = self.config.selector
         takes = self._registry.find("selector", choice.name).component.parts
         parts = {"segmenter": self.segmenter} if "segmenter" in takes else None
-        return self._registry.build_choice("selector", choice, parts)
+        selector = self._registry.build_choice("selector", choice, parts)
+        if self._scene is not None and isinstance(selector, StartsFromScene):
+            return selector.starting_from(self._scene)
+        return selector
 
     @cached_property
     def critic(self) -> Critic:

@@ -74,8 +74,9 @@ class RunConfig(Settings):
     """what judges the edit and the scene, and its settings"""
     segmenter: PartChoice | None = None
     """what outlines the thing that is marked or named; default: the editor's own"""
-    sure: bool = False
-    """refuse words that find nothing for certain, instead of taking the likeliest"""
+    guess: bool = False
+    """go on with the likeliest candidate even where words hardly tell which thing is meant, instead
+    of asking"""
     reading: int = Field(1, ge=1, le=MAX_STEPS)
     """which candidate for the clicks, strokes, boxes or words is taken: 1 is the likeliest"""
     larger: int = Field(0, ge=-MAX_STEPS, le=MAX_STEPS)
@@ -106,7 +107,9 @@ class RunConfig(Settings):
     """horizontal field of view [degrees] of photos that do not record it"""
     views: int | None = Field(None, ge=2)
     """use at most this many photos, those that together show most; default: all (of a video, 8
-    frames)"""
+    frames); of a scene, so many pictures of it (default 8)"""
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None = None
+    """which axis of a given scene points up; default: as its floor tells, else -y"""
     device: str = "cpu"
     """torch device of the learned parts, such as cpu or cuda"""
     frames: int = Field(36, ge=2, le=2000)
@@ -248,7 +251,7 @@ class JobInputs(Settings):
     """What a run works on, in words: flags of `edit3r run`, keys of a line of `edit3r batch`."""
 
     photos: tuple[str, ...] = ()
-    """photos, folders or videos of one scene"""
+    """photos, folders or videos of one scene; or a scene itself: .ply, .spz, .sog, .splat, .glb"""
     earlier: str | None = None
     """edit the scene of an earlier run again (its --out folder)"""
     cameras: str | None = None

@@ -185,7 +185,7 @@ def _places(
     return (here * sides).numpy(force=True), (there * sides).numpy(force=True)
 
 
-def geometry_answer(matcher: Matcher, views: Views) -> GeometryAnswer:
+def geometry_answer(matcher: Source, views: Views) -> GeometryAnswer:
     """The geometry of the photos, or why they cannot be placed; of one photo there is none."""
     return find_geometry(matcher, views) if views.count > 1 else NOT_ASKED
 

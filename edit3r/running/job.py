@@ -12,13 +12,15 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Selection
 from edit3r.contract.reporting import note
-from edit3r.contract.types import Cameras, Views
+from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.cache import Cache
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.running.config import DEFAULTS, JobInputs, RunConfig, make_run_config
 from edit3r.running.run_folder import EarlierRun, RunFolder
+from edit3r.running.scene_input import SceneInput, is_scene
 from edit3r.running.selecting.marks import MarkTexts
 
 
@@ -29,6 +31,8 @@ class RunJob:
     config: RunConfig
     # files, folders and videos, or loaded views; () where an earlier run brings them
     photos: Views | tuple[Path, ...] = ()
+    # edited in place of photos: a file, Gaussians, or both read and looked at
+    scene: Path | Gaussians | SceneInput | None = None
     # of loaded photos: a camera file, or the cameras of all of them
     cameras: Path | Cameras | None = None
     refine_poses: bool = False  # the given poses may move to where the photos want them
@@ -49,6 +53,11 @@ def job_from(
     Without photos and without an earlier run it is the packaged pair. Raises InputError for an
     earlier run that cannot be read, SettingsError for wrong settings. `trusted`: its run.json is.
     """
+    continued = RunFolder(inputs.earlier).given_scene() if inputs.earlier else None
+    if continued is not None and not inputs.photos:
+        file, cameras = map(str, continued)
+        again = {"photos": (file,), "cameras": inputs.cameras or cameras}
+        inputs = inputs.model_copy(update={**again, "earlier": None})
     earlier = RunFolder(inputs.earlier).read(trusted) if inputs.earlier else None
     cache = _answers(inputs)
     if earlier is not None:
@@ -56,6 +65,11 @@ def job_from(
     elif not inputs.photos and not _names_another("editor", DEFAULTS["editor"], layers):
         # what another editor does, its own settings say
         layers = ({"prompt": DEFAULTS["prompt"]}, *layers)
+    scene = scene_among(inputs.photos)
+    if scene is not None:
+        said = any({"prompt", "editor"} & {*layer} for layer in layers)
+        looks = () if said else ({"editor": "none"},)  # only looked at
+        layers = (DEFAULTS["of_scenes"], *looks, *layers)
     config = make_run_config(*layers)
     if earlier is None and not inputs.photos:
         inputs = _packaged(inputs, config)
@@ -70,7 +84,8 @@ def job_from(
     )
     return RunJob(
         config=config,
-        photos=tuple(map(Path, inputs.photos)),
+        photos=() if scene is not None else tuple(map(Path, inputs.photos)),
+        scene=scene,
         cameras=Path(inputs.cameras) if inputs.cameras else None,
         refine_poses=inputs.refine_poses,
         masks=texts if texts.given else None,
@@ -78,6 +93,16 @@ def job_from(
         earlier=None if inputs.photos else earlier,
         cache=cache,
     )
+
+
+def scene_among(photos: Sequence[str | Path]) -> Path | None:
+    """The scene that is given in place of photos. Raises InputError for one among others."""
+    scenes = [Path(path) for path in photos if is_scene(path)]
+    if scenes and len(photos) > 1:
+        raise InputError(
+            f"{scenes[0]}: a scene is edited alone; give it without photos and other scenes."
+        )
+    return scenes[0] if scenes else None
 
 
 def _answers(inputs: JobInputs) -> Cache | None:

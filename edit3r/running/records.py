@@ -23,6 +23,7 @@ from edit3r.kit.geometry.exposure import Exposure, ExposureOfEdit
 from edit3r.kit.photos.images import Photo
 from edit3r.running.geometry import NOT_ASKED, GeometryAnswer
 from edit3r.running.scale import GIVEN, Unit
+from edit3r.running.scene_input import SceneInput
 
 Masks = Float[Tensor, "batch view height width"]
 """In [0, 1]; 1: may change."""
@@ -53,6 +54,7 @@ class Inputs:
         default_factory=dict
     )
     before: Reconstruction | None = None  # an earlier run's scene
+    scene: SceneInput | None = None  # the given one that the photos are pictures of
     unit: Unit = GIVEN  # what lengths were multiplied by
 
     def select(self, indices: list[int]) -> "Inputs":

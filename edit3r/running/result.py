@@ -29,7 +29,7 @@ from edit3r.contract.interfaces import (
     Selected,
     Writer,
 )
-from edit3r.contract.reporting import Report, collecting, note
+from edit3r.contract.reporting import Report, collecting, note, say
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
@@ -42,19 +42,25 @@ from edit3r.kit.contact_sheet import (
     with_readings,
 )
 from edit3r.kit.files.atomic import atomic_folder
+from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.rendering import Flight, path_around, render_each
+from edit3r.kit.scenes.ply import save_ply
 from edit3r.running.before import colours_before
 from edit3r.running.components import Components
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.records import Inputs, Masks, Preview, Records, SelectedRegions
 from edit3r.running.run_folder import (
+    GIVEN_SCENE,
     VIEWS,
     EarlierRun,
     RunFolder,
     what_images_lack,
 )
 from edit3r.running.scale import Unit, has_given_poses
+from edit3r.running.scene_input import SceneInput
 
+OWN_FRAME = "that of the given scene; OpenCV axes in c2w; its own unit of length"
+"""What run.json says of the frame of a given scene and its cameras."""
 FITS = 15.0
 """PSNR [dB] of a photo in the scene from which the camera path comes near it. No figure kept."""
 
@@ -107,6 +113,17 @@ class RunResult:
     def gaussians(self) -> Gaussians:
         """The edited scene, in the frame of view 0."""
         return self._of_scene.gaussians(self.records.gaussians)
+
+    @cached_property
+    def scene(self) -> Gaussians:
+        """The edited scene; of a given one in its own frame and unit, with the bits it came with
+        where nothing changed.
+        """
+        given, records = self.records.inputs.scene, self.records
+        if given is None:
+            return self.gaussians
+        made = records.reconstructed.reconstruction
+        return given.edited(made, records.gaussians)
 
     @cached_property
     def cameras(self) -> Cameras:
@@ -335,8 +352,33 @@ def _write_rest(folder: RunFolder, result: RunResult, writers: list[Writer]) -> 
         folder.write_images(result.photos, result.edited, result.rendered, things)
     if "scene" in wanted:
         names, prompt = result.photos.names, result.config.prompt
-        folder.write_scene(result.gaussians, result.cameras, names, prompt)
+        given = result.records.inputs.scene
+        if given is not None:
+            _write_given(folder, result, given)
+        else:
+            folder.write_scene(result.gaussians, result.cameras, names, prompt)
     _write_by(writers, folder.root, _scene(result))
+
+
+def _write_given(folder: RunFolder, result: RunResult, given: SceneInput) -> None:
+    """The edited scene in the format that it came in, and the cameras in its frame."""
+    made = result.records.reconstructed.reconstruction
+    content = given.content(made, result.records.gaussians)
+    file = folder.root / f"scene{given.suffix}"
+    note(GIVEN_SCENE, file.name)
+    writer = DEFAULTS["writer_of_format"].get(given.form)
+    if content is not None:
+        file.write_bytes(content)
+    elif writer is None:
+        save_ply(file, result.scene)
+    else:
+        told = f"{given.form} keeps its Gaussians together, so all of them were written anew"
+        say("scene.rewritten", f"{told}, as exactly as it can")
+        scene = SceneToWrite(result.scene)
+        write_scene(result.components.writer(writer), file, scene)
+    names = [f"inputs/{name}.png" for name in result.photos.names]
+    own = given.cameras_in_own_frame(result.cameras)
+    write_cameras(folder.cameras, posed_cameras(own, names))
 
 
 def _about(result: RunResult) -> str:
@@ -401,7 +443,10 @@ def _preview_line(preview: Preview) -> str:
 def _answers(selection: SelectedRegions, edit: EditVerdict | None) -> str:
     """What was selected and how the edit was carried out, in a few words; "" without them."""
     line = "" if selection.verdict is None else f"; selected: {selection.verdict.short}"
-    return line if edit is None else f"{line}; edit: {edit.label}"
+    if edit is None:
+        return line
+    asked = selection.verdict is not None and selection.verdict.label == "question"
+    return f"{line}; edit: {edit.label}{' if it is the right thing' if asked else ''}"
 
 
 def _facts(result: RunResult) -> dict[str, Any]:
@@ -433,6 +478,7 @@ def _facts(result: RunResult) -> dict[str, Any]:
         "harmonics_degree": result.gaussians.degree,
         "stages": report.stages,
         "warnings": report.warnings,
+        **({} if records.inputs.scene is None else {"frame": OWN_FRAME}),
         "notes": {k: v for k, v in report.notes.items() if k not in weights},
     }
 

@@ -26,7 +26,7 @@ from edit3r.contract.settings import of_file
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.kit.contact_sheet import images_of
 from edit3r.kit.files.atomic import atomic_write
-from edit3r.kit.files.names import unique_names
+from edit3r.kit.files.names import is_plain_name, unique_names
 from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.cameras import (
     intrinsics_from_outside,
@@ -47,6 +47,7 @@ from edit3r.kit.scenes.ply import VIEWER_DEGREE, load_ply, save_ply
 from edit3r.running.records import READ_LENS, Inputs
 
 Read = TypeVar("Read")
+GIVEN_SCENE = "scene.file"  # note in run.json: the file of a given scene, as edited
 FORMAT = 1
 """Version of the layout of `run.json`; raised when a field changes its meaning or goes."""
 FRAME = (
@@ -116,6 +117,18 @@ class RunFolder:
         if trusted:
             return earlier
         return replace(earlier, settings=of_file(earlier.settings))
+
+    def given_scene(self) -> tuple[Path, Path] | None:
+        """The scene and the cameras of a run that edited a given scene; None of another one."""
+        try:
+            name = read_json(self.manifest)["notes"][GIVEN_SCENE]
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            return None
+        if not is_plain_name(name) or not (self.root / name).is_file():
+            raise InputError(
+                f"{self.root}: lacks its scene, which run.json calls {str(name)[:60]!r}."
+            )
+        return self.root / name, self.cameras
 
     def read_views(self) -> tuple[Views, Views]:
         """The unedited and the edited views, without the scene."""
@@ -272,7 +285,7 @@ class RunFolder:
         """
         content = {
             **{name: recorded(value) for name, value in facts.items()},
-            "frame": FRAME,
+            "frame": facts.get("frame", FRAME),
             "versions": recorded(installed_versions()),
             "format": FORMAT,
         }

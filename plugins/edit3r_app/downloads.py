@@ -12,6 +12,7 @@ from edit3r import default_registry
 from edit3r.contract.component import Offer
 from edit3r.contract.errors import InputError
 from edit3r.kit.files.atomic import atomic_write
+from edit3r.kit.scenes.files import scene_file
 from edit3r_app.jobs import PREVIEW, JobsFolder
 
 ARCHIVE = "all.zip"
@@ -69,12 +70,18 @@ def _place(what: str) -> tuple[int, str]:
 
 
 def _writers() -> dict[str, Offer]:
+    """The writers of what not every run has, by the file that they leave."""
+    files = _writers_by_file().items()
+    return {file: offer for file, offer in files if file not in OF_EVERY_RUN}
+
+
+def _writers_by_file() -> dict[str, Offer]:
     """The writers by the file that they leave; a folder is sent as an archive."""
     files = {}
     for offer in default_registry().offers("writer"):
         packed = ".zip" if offer.component.makes_folder else ""
         files[f"{offer.component.file_name()}{packed}"] = offer
-    return {file: offer for file, offer in files.items() if file not in OF_EVERY_RUN}
+    return files
 
 
 def prepared(folder: JobsFolder, run: str, what: str) -> Path:
@@ -93,10 +100,10 @@ def prepared(folder: JobsFolder, run: str, what: str) -> Path:
     for file in (source / what, made):
         if _is_file(file):
             return file
-    writer = _writers().get(what)
+    writer = _writers_by_file().get(what)
     if what == ARCHIVE:
         _pack(source, made)
-    elif writer is not None and (source / "scene.ply").is_file():
+    elif writer is not None and scene_file(str(source)).is_file():
         _write(writer, source, made)
     else:
         raise InputError(f"{run} has no {what}: its settings left it out.")
@@ -132,7 +139,7 @@ def _write(offer: Offer, run: Path, made: Path) -> None:
     """Let a writer make the file, or the folder that is then packed."""
     registry = default_registry()
     writer = registry.build("writer", offer.qualified_name)
-    saved = SavedScene(run / "scene.ply", registry)
+    saved = SavedScene(scene_file(str(run)), registry)
     if not offer.component.makes_folder:
         write_saved(writer, made, saved)
         return

@@ -1,6 +1,7 @@
 """The jobs folder: everything the app knows is a file in it, so that a reload or a restart loses
 nothing.
 
+NAME/scene/            a scene that was dropped, and the cameras of its pictures in `NAME/images`
 NAME/                  a set of photos (`NAME/images`, as `edit3r run NAME` takes it), or the folder
                        of a run
 .edit3r-app/NAME.json  what was asked for in run NAME, and what came of it; a run of the command
@@ -31,10 +32,13 @@ from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.files.names import expanded, is_plain_name, unique_names
 from edit3r.kit.files.text import read_json
 from edit3r.kit.photos.images import find_photos, save_image
+from edit3r.running import RunFolder
 
 PRIVATE = ".edit3r-app"
 DELETED = ".deleted"
 PREVIEW = "preview"
+SPLAT = "scene"
+"""Folder of a set of pictures: the scene of which they are."""
 KINDS = ("images", "inputs", "edited", "renders", PREVIEW)
 """Folders of images: of a set of photos, of a run, and of what a run will edit."""
 ASKED = "asked.json"
@@ -105,6 +109,17 @@ class JobsFolder:
         """The folder of a set of photos that is written to; raises InputError for one elsewhere."""
         _no_link(self.path(name) / "images")
         return _no_link(self.path(name))
+
+    def splat(self, name: str) -> tuple[Path, Path] | None:
+        """The file and the cameras of a scene that was dropped, or of a run that edited one."""
+        path = self.path(name)
+        if self.is_run(name):
+            return RunFolder(path).given_scene()
+        cameras = path / SPLAT / "cameras.json"
+        files = [one for one in sorted((path / SPLAT).glob("*")) if one != cameras]
+        if not files or not cameras.is_file():
+            return None
+        return _no_link(files[0]), cameras
 
     def is_run(self, name: str) -> bool:
         return (self.root / name / "run.json").is_file()

@@ -61,7 +61,10 @@ def command_of(folder: JobsFolder, job: AppJob) -> list[str]:
         partial.write_text(content, encoding="utf-8")
     command = ["run", "--config", str(settings), "--progress", "json"]
     command += out
-    if job.parent:
+    splat = folder.splat(job.parent or job.scene)
+    if splat is not None:
+        command += [str(splat[0]), "--cameras", str(splat[1])]
+    elif job.parent:
         command += ["--from", str(folder.path(job.parent))]
     else:
         command += [str(photo) for photo in folder.photos(job.scene).values()]

@@ -108,7 +108,7 @@ def make_app(
         yield
         await run_in_threadpool(runner.stop)
 
-    guard = Middleware(Guard, token=token, max_bytes=uploads.MAX_BYTES)
+    guard = Middleware(Guard, token=token, max_bytes=uploads.MAX_SCENE_BYTES)
     refusals = {Edit3rError: refused, OSError: refused}
     studio = Studio(folder, runner, previews, Drawing(folder, default_registry()))
     app = Starlette(

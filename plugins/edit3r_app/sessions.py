@@ -24,6 +24,7 @@ from edit3r.contract.types import Views
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.files.atomic import atomic_folder
 from edit3r.kit.photos.images import load_photos
+from edit3r.kit.scenes.scene_views import SceneGeometry
 from edit3r.running import (
     CACHE,
     DEFAULTS,
@@ -32,8 +33,10 @@ from edit3r.running import (
     RunConfig,
     RunFolder,
     RunJob,
+    SceneInput,
     default_matcher,
     geometry_answer,
+    read_scene,
 )
 from edit3r_app.jobs import JobsFolder
 
@@ -70,7 +73,7 @@ class KeepingRegistry(Registry):
 
 
 @dataclass(frozen=True)
-class Progress:
+class PhotosProgress:
     """What of a scene's photos is read already, beside the user's looking."""
 
     photos: bool = False  # a click is answered at once
@@ -88,6 +91,7 @@ class Session:
     cache: Cache
     began: float  # when they began to be read [seconds since 1970]
     earlier: EarlierRun | None  # the run, without its scene; None of photos
+    scene: SceneInput | None = None  # the given one of which these are pictures
     geometry: "Future[GeometryAnswer]" = field(default_factory=Future)
     read: dict[int, "Future[None]"] = field(default_factory=dict)
     """By photo: that the segmenter has read it."""
@@ -108,6 +112,8 @@ class Session:
         views: list[int] | None = None,
     ) -> RunJob:
         """The run of a draft: on photos, or on from what an earlier run left; of some views."""
+        if self.scene is not None and views is None:
+            return RunJob(config, scene=self.scene, masks=marks, cache=self.cache)
         if self.earlier is None:
             photos = self.views if views is None else self.views.select(views)
             return RunJob(config, photos, masks=marks, cache=self.cache)
@@ -116,14 +122,14 @@ class Session:
             earlier = replace(earlier, inputs=earlier.inputs.select(views))
         return RunJob(config, masks=marks, earlier=earlier, cache=self.cache)
 
-    def progress(self, pace: float) -> Progress:
+    def progress(self, pace: float) -> PhotosProgress:
         """How far it is read; `pace` [s] is what the geometry of a photo takes."""
         views = tuple(self.shown or self.read)
         seen = [self.read.get(view) for view in views]
         photos = bool(seen) and all(one is not None and one.done() for one in seen)
         trouble, placed = self._trouble()
         left = self.left(pace)
-        return Progress(photos, self.geometry.done(), left, trouble, placed)
+        return PhotosProgress(photos, self.geometry.done(), left, trouble, placed)
 
     def left(self, pace: float) -> float:
         """Until its geometry is known, about [s]."""
@@ -164,14 +170,14 @@ class Sessions:
         self._known: set[tuple[str, tuple[str, ...]]] = set()  # what was opened
         self._sessions = lru_cache(maxsize=4)(self._read)
 
-    def begin(self, state: str) -> Progress:
+    def begin(self, state: str) -> PhotosProgress:
         """Read a state's photos in the background, from the first call on; say how far it is."""
         if self._opening.acquire(blocking=False):
             self._opening.release()
             if self.is_open(state):
                 return self.open(state).progress(self._pace)
             self.do(self.open, state)
-        return Progress(left=self._pace * len(self.folder.photos(state)))
+        return PhotosProgress(left=self._pace * len(self.folder.photos(state)))
 
     def do(self, work: Any, *arguments: Any) -> "Future[Any]":
         """Do it in the background; what the user can mend is told with each answer."""
@@ -223,7 +229,11 @@ class Sessions:
         """Read a state's photos as a run does; `names` says which there are."""
         path = self.folder.path(state)
         began, earlier = time.time(), None
-        if self.folder.is_run(state):
+        scene = self._scene(state)
+        if scene is not None:
+            cache = Cache(self.answers(state))
+            photos = views = scene.views.pictures
+        elif self.folder.is_run(state):
             folder = RunFolder(path)
             cache, read = Cache(folder.cache), folder.read()
             earlier = replace(read, inputs=replace(read.inputs, before=None))
@@ -233,7 +243,7 @@ class Sessions:
             files = list(self.folder.photos(state).values())
             with as_in_a_run(cache):
                 photos = views = load_photos(files, size=self.size).views
-        session = Session(views, cache, began, earlier)
+        session = Session(views, cache, began, earlier, scene)
         session.geometry.add_done_callback(_print_unexpected)
         if photos is views:  # else the scene is looked at first
             self.read_photo(session, 0)
@@ -249,7 +259,7 @@ class Sessions:
         """
         wait(list(session.read.values()))
         try:
-            session.geometry.set_result(self._geometry(photos, session.cache))
+            session.geometry.set_result(self._geometry(photos, session))
         except Exception as error:  # told with each answer
             session.geometry.set_exception(error)
         if photos is not session.views:
@@ -276,9 +286,20 @@ class Sessions:
         ):
             cache.save(partial)
 
-    def _geometry(self, photos: Views, cache: Cache) -> GeometryAnswer:
+    def _scene(self, state: str) -> SceneInput | None:
+        """The given scene of a state, read and looked at; None where it is of photos."""
+        splat = self.folder.splat(state)
+        if splat is None:
+            return None
+        file, cameras = splat
+        rasterizer = self.registry.build_choice("rasterizer", RunConfig().rasterizer)
+        return read_scene(file, rasterizer, cameras=cameras)
+
+    def _geometry(self, photos: Views, session: Session) -> GeometryAnswer:
         """Poses and depths, as a run with the default reconstructor finds them."""
-        began = time.time()
+        began, cache = time.time(), session.cache
+        if session.scene is not None:
+            return geometry_answer(SceneGeometry(session.scene.views.scene), photos)
         with as_in_a_run(cache):
             answer = geometry_answer(default_matcher(self.registry), photos)
         if "match" in cache.computed:

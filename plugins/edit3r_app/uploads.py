@@ -15,17 +15,21 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import edit3r
 from edit3r.contract.errors import Edit3rError, InputError
 from edit3r.kit.files.atomic import sha256_of
 from edit3r.kit.files.names import unique_names
+from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.coverage import VIDEO_SUFFIXES, take_frames, temporary_photos
 from edit3r.kit.photos.decode import READABLE, decode
-from edit3r.kit.photos.images import SUFFIXES
-from edit3r_app.jobs import JobsFolder
+from edit3r.kit.photos.images import SUFFIXES, save_image
+from edit3r.running import SCENE_ENDINGS, read_scene
+from edit3r_app.jobs import SPLAT, JobsFolder
 
 DRAFT = ".upload-"  # how names of files begin that are still being received
 MAX_PHOTOS = 60  # of one set: more take hours on the machine of one person
 MAX_BYTES = 100 * 1024**2  # of one photo
+MAX_SCENE_BYTES = 1 << 30  # of one scene: four million Gaussians as PLY
 
 UNNAMED = re.compile(
     r"(dsc[fn]?|frame|gopr|image|img|mvimg|photo|pxl|wp)?[\W\d_]*", re.I
@@ -44,18 +48,29 @@ def refuse_unwanted(
         raise InputError(
             f"{label}: the photos of a finished run cannot be changed; begin with new photos."
         )
-    if Path(label).suffix.lower() not in (*SUFFIXES, *VIDEO_SUFFIXES):
+    is_splat = Path(label).suffix.lower() in SCENE_ENDINGS
+    if not is_splat and Path(label).suffix.lower() not in (*SUFFIXES, *VIDEO_SUFFIXES):
         raise InputError(
-            f"{label}: not a photo by its name; expected {READABLE}, or a video."
+            f"{label}: not a photo by its name; expected {READABLE}, a video, or a scene "
+            f"({', '.join(SCENE_ENDINGS)})."
         )
-    if size is not None and size > MAX_BYTES:
+    if size is not None and size > most_bytes(label):
         raise InputError(
-            f"{label}: {size / 1024**2:,.0f} MB; photos of at most {MAX_BYTES >> 20} MB are taken."
+            f"{label}: {size / 1024**2:,.0f} MB; files of at most {most_bytes(label) >> 20} MB are "
+            "taken."
         )
+    if folder.splat(scene) or (is_splat and folder.photos(scene)):
+        raise InputError(f"{label}: a scene is edited alone; drop it by itself.")
     if len(folder.photos(scene)) >= MAX_PHOTOS:
         raise InputError(
             f"{label}: at most {MAX_PHOTOS} photos are taken; leave some out."
         )
+
+
+def most_bytes(name: str) -> int:
+    """The largest file of that name that is taken."""
+    is_splat = Path(name).suffix.lower() in SCENE_ENDINGS
+    return MAX_SCENE_BYTES if is_splat else MAX_BYTES
 
 
 def title_of(photo: str) -> str:
@@ -78,9 +93,10 @@ async def receive(
         with draft.open("wb") as file:
             async for chunk in chunks:
                 received += len(chunk)
-                if received > MAX_BYTES:
+                if received > most_bytes(_label(name)):
+                    most = most_bytes(_label(name)) >> 20
                     raise InputError(
-                        f"{_label(name)}: photos of at most {MAX_BYTES >> 20} MB are taken."
+                        f"{_label(name)}: files of at most {most} MB are taken."
                     )
                 file.write(chunk)
         return await asyncio.to_thread(accept, folder, scene, name, draft)
@@ -94,6 +110,8 @@ def accept(folder: JobsFolder, scene: str, name: str, draft: Path) -> Path:
     """
     label = Path(_label(name))
     try:
+        if label.suffix.lower() in SCENE_ENDINGS:
+            return _keep_splat(folder, scene, label.name, draft)
         if label.suffix.lower() not in VIDEO_SUFFIXES:
             decode(draft, 1)
             return _keep(folder, scene, label.name, draft)
@@ -107,12 +125,31 @@ def accept(folder: JobsFolder, scene: str, name: str, draft: Path) -> Path:
     return copies[0]
 
 
+def _keep_splat(folder: JobsFolder, scene: str, label: str, draft: Path) -> Path:
+    """Keep a scene with pictures of it, which are what the page shows of it."""
+    looked = read_scene(draft, edit3r.build("rasterizer", "auto"), cameras="none")
+    place = folder.own(scene) / SPLAT
+    place.mkdir(exist_ok=True)
+    kept = place / label
+    names = looked.places.names
+    files = [f"{name}.png" for name in names]
+    cameras = posed_cameras(looked.places.cameras, files)
+    images = folder.own(scene) / "images"
+    for name, picture in zip(files, looked.views.pictures.images[0]):
+        save_image(picture, images / name)
+    write_cameras(place / "cameras.json", cameras)
+    os.replace(draft, kept)
+    return kept
+
+
 def remove(folder: JobsFolder, scene: str, photo: str) -> None:
     """Take a photo, by its name, out of a set that nothing was made from yet."""
     if folder.is_run(scene) or folder.history(scene):
         raise InputError(
             f"{scene}: edits were made from these photos; begin with new photos to leave one out."
         )
+    if folder.splat(scene):
+        raise InputError(f"{scene}: its pictures belong to the scene and stay.")
     folder.own(scene)
     file = folder.photos(scene).get(photo)
     if file is not None:  # else it is out already

@@ -44,9 +44,9 @@ def without_object(
     known = scene.count
     for view, hole in enumerate(holes):
         camera = cameras.select([view])
-        patch = _patch(scene, hole > 0, camera, rasterizer)
-        patch = replace(patch, view_index=torch.full_like(patch.view_index, view))
-        scene = Gaussians.cat([scene, patch])
+        closing = patch(scene, hole > 0, camera, rasterizer)
+        index = torch.full_like(closing.view_index, view)
+        scene = Gaussians.cat([scene, replace(closing, view_index=index)])
     return scene, scene.count - known
 
 
@@ -63,13 +63,13 @@ def _outlines(
     return dilate((share > COVERED).to(share), reach)[0]
 
 
-def _patch(
+def patch(
     scene: Gaussians,
     hole: Bool[Tensor, "height width"],
     camera: Cameras,
     rasterizer: Rasterizer,
 ) -> Gaussians:
-    """New Gaussians, one a pixel, where the scene is open in the hole."""
+    """New Gaussians, one a pixel, where one scene (batch 1) is open in the hole of one camera."""
     shown = rasterizer.render(scene, camera)
     alpha = shown.alphas[0, 0, 0]
     missing = hole & (alpha < OPEN)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from edit3r_outputs.api import load_scene
 from jaxtyping import Bool
 from torch import Tensor
 
@@ -29,6 +28,7 @@ from edit3r.kit.rendering import render_each
 from edit3r.kit.scenes.files import scene_file
 from edit3r.kit.scenes.look import look_at
 from edit3r.kit.scenes.ply import save_ply
+from edit3r.kit.scenes.reading import load_scene
 from edit3r.running import (
     MarkTexts,
     RunFolder,

@@ -3,6 +3,7 @@ fit to the edits.
 """
 
 from abc import abstractmethod
+from copy import copy
 from dataclasses import dataclass, replace
 
 import torch
@@ -18,13 +19,22 @@ from edit3r.contract.interfaces import (
     Rasterizer,
     Reconstructor,
     StartsFromImages,
+    StartsFromScene,
 )
 from edit3r.contract.reporting import note, warn
 from edit3r.contract.settings import PartChoice
-from edit3r.contract.types import Cameras, EditRequest, Gaussians, Reconstruction, Views
+from edit3r.contract.types import (
+    Cameras,
+    EditRequest,
+    Gaussians,
+    GivenScene,
+    Reconstruction,
+    Views,
+)
 from edit3r.kit.checks import check_edit, check_reconstruction, errors_named_after
 from edit3r.kit.geometry.maps import composite
 from edit3r.kit.geometry.pose import estimate_cameras
+from edit3r.kit.rendering import OverBackground
 from edit3r.running import instructions_for
 from edit3r_optimisers.fitting import FitSettings, TargetImages, fit
 
@@ -65,10 +75,14 @@ class EditJob:
         return not torch.equal(self.photos.images, self.edited.images)
 
 
-class FittingMethod(Reconstructor, EditsViews):
-    """Fits Gaussians scene by scene and edits in between; a method fills in `_reconstruct`."""
+class FittingMethod(Reconstructor, EditsViews, StartsFromScene):
+    """Fits Gaussians scene by scene and edits in between; a method fills in `_reconstruct`.
+
+    A given scene is begun with as it is, as published; no photos are fitted then.
+    """
 
     settings: MethodSettings
+    given: GivenScene | None = None
 
     def __init__(
         self,
@@ -80,6 +94,12 @@ class FittingMethod(Reconstructor, EditsViews):
         self.settings, self.reconstructor = settings, reconstructor
         self.editor, self.rasterizer = editor, rasterizer
         self.uses_geometry = reconstructor.uses_geometry
+
+    def starting_from(self, scene: GivenScene) -> "FittingMethod":
+        started = copy(self)
+        started.given, started.uses_geometry = scene, False
+        started.rasterizer = OverBackground(self.rasterizer, scene.background)
+        return started
 
     def __call__(
         self,
@@ -128,7 +148,13 @@ class FittingMethod(Reconstructor, EditsViews):
         """Return the edited scene, and its cameras in the frame of view 0."""
 
     def _fit_photos(self, scene: EditJob) -> tuple[Gaussians, Cameras]:
-        """Fit the unedited scene; returns it and its cameras in the frame of view 0."""
+        """Fit the unedited scene; returns it and its cameras in the frame of view 0.
+
+        A given one is fitted already.
+        """
+        if self.given is not None:
+            note("refit.given_gaussians", self.given.gaussians.count)
+            return self.given.gaussians, self.given.cameras
         chosen, photos = self.settings, TargetImages(scene.photos.images[0])
         start, cameras = begin(scene, self.reconstructor, chosen.points, chosen.seed)
         return self._fit("photos", start, cameras, photos), cameras

@@ -14,9 +14,9 @@ from edit3r.kit.compute.colour import srgb_to_linear
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.geometry.rotations import normalise_quats
 from edit3r.kit.scenes.axes import UP_AND_BACK, flipped
+from edit3r.kit.scenes.glb_reading import FLOAT, OWN
 from edit3r.kit.scenes.ply import SMALLEST_SCALE, VIEWER_DEGREE
 from edit3r_outputs.formats import tell_of_losses
-from edit3r_outputs.glb_reading import FLOAT, OWN
 
 
 class GlbWriter(Writer):

@@ -161,7 +161,7 @@ def _rasterizer(args: argparse.Namespace) -> "Rasterizer":
 
 def _gaussians(args: argparse.Namespace) -> "Gaussians":
     """The file's Gaussians, those of one view alone where that is asked for."""
-    from edit3r_outputs.reading import load_scene
+    from edit3r.kit.scenes.reading import load_scene
 
     gaussians = load_scene(args.scene)
     if args.only_view is None:

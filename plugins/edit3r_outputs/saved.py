@@ -20,8 +20,8 @@ from edit3r.kit.photos.cameras import PosedCamera, read_cameras, read_scene_came
 from edit3r.kit.photos.images import read_image
 from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.kit.scenes.look import camera_file_of, look_at
+from edit3r.kit.scenes.reading import load_scene
 from edit3r.running import RunConfig, write_scene
-from edit3r_outputs.reading import load_scene
 
 
 class SavedScene:

@@ -53,8 +53,6 @@ class SimplifyCommand(Command):
         add_common(parser, settings, overwrite="replace a file that is there")
 
     def main(self, args: argparse.Namespace) -> int:
-        from edit3r_outputs.api import load_scene
-
         from edit3r import default_registry
         from edit3r.contract.errors import SettingsError
         from edit3r.contract.reporting import Report, collecting
@@ -63,6 +61,7 @@ class SimplifyCommand(Command):
         from edit3r.kit.files.atomic import check_new_file
         from edit3r.kit.scenes.look import SIDES, look_at
         from edit3r.kit.scenes.ply import save_ply
+        from edit3r.kit.scenes.reading import load_scene
         from edit3r_refiners.clean import find_floaters
         from edit3r_refiners.simplify import agreement, simplify
 

@@ -8,7 +8,6 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from edit3r_outputs.api import load_scene
 from jaxtyping import Float
 from torch import Tensor
 
@@ -25,6 +24,7 @@ from edit3r.kit.photos.images import save_image
 from edit3r.kit.rendering import render_each, render_uncertainty
 from edit3r.kit.scenes.files import scene_file
 from edit3r.kit.scenes.ply import save_ply
+from edit3r.kit.scenes.reading import load_scene
 from edit3r.running import RunFolder
 from edit3r_uncertainty.signals import photos_of, uncertainty
 

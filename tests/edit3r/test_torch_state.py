@@ -4,11 +4,11 @@ import contextlib
 
 import pytest
 import torch
-from edit3r_outputs.reading import load_scene
 
 import edit3r
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.photos.images import packaged_pair
+from edit3r.kit.scenes.reading import load_scene
 
 
 @contextlib.contextmanager

@@ -23,7 +23,6 @@ from unittest import mock
 import cv2
 import numpy as np
 import torch
-from edit3r_outputs.reading import load_scene
 from edit3r_training.checkpoint import TrainingState, copied_weights
 from mangling import TEXTS, json_bytes, mangled_bytes, mangled_text, nasty
 from PIL import Image
@@ -46,6 +45,7 @@ from edit3r.kit.photos.images import load_photos, save_image
 from edit3r.kit.photos.masks import load_masks
 from edit3r.kit.provenance import recorded
 from edit3r.kit.scenes.ply import load_ply, save_ply
+from edit3r.kit.scenes.reading import load_scene
 from edit3r.kit.weights.files import load_weights as load_trained
 from edit3r.loading.registry import build, default_registry
 from edit3r.running.config import make_run_config

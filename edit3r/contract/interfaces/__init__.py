@@ -20,6 +20,7 @@ from edit3r.contract.interfaces.judging import (
     Critic as Critic,
     EditToJudge as EditToJudge,
     HalfWay as HalfWay,
+    Reference as Reference,
     SceneToJudge as SceneToJudge,
 )
 from edit3r.contract.interfaces.reading import Reader as Reader
@@ -32,6 +33,7 @@ from edit3r.contract.interfaces.reconstruction import (
     Matcher as Matcher,
     MatchesCorrected as MatchesCorrected,
     Reconstructor as Reconstructor,
+    StartsFromScene as StartsFromScene,
 )
 from edit3r.contract.interfaces.rendering import (
     ComparesWithBefore as ComparesWithBefore,

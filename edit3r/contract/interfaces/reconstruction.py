@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
@@ -13,6 +13,7 @@ from edit3r.contract.types import (
     EditRequest,
     Features,
     Gaussians,
+    GivenScene,
     Reconstruction,
     Tensors,
     Views,
@@ -174,6 +175,18 @@ class FindsGeometry(ABC):
         """Geometry of unedited photos, at their resolution.
 
         Raises MatchingError when view 0 cannot be placed relative to any other view.
+        """
+
+
+class StartsFromScene(ABC):
+    """A reconstructor or selector that uses the scene that is there, where a run is given one."""
+
+    @abstractmethod
+    def starting_from(self, scene: GivenScene) -> Any:
+        """The same component for views that are pictures of `scene`.
+
+        A reconstructor answers with the scene's cameras, and with `kept` where it changes the
+        scene's own Gaussians.
         """
 
 

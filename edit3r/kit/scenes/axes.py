@@ -4,7 +4,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
@@ -48,6 +48,15 @@ def turned(gaussians: Gaussians, rotation: Float[Tensor, "3 3"]) -> Gaussians:
         quats=matrices_to_quats(rotation @ quats_to_matrices(gaussians.quats)),
         harmonics=turn_harmonics(gaussians.harmonics, rotation),
     )
+
+
+def drawable(gaussians: Gaussians) -> Bool[Tensor, "gaussian"]:
+    """Which of a scene (batch 1) are finite and have a rotation."""
+    values = (gaussians.means, gaussians.scales, gaussians.quats, gaussians.harmonics)
+    finite = torch.isfinite(gaussians.opacities[0])
+    for each in values:
+        finite &= torch.isfinite(each[0]).flatten(1).all(1)
+    return finite & (gaussians.quats[0].norm(dim=-1) > SHORTEST_QUAT)
 
 
 def sound(path: Path, gaussians: Gaussians, *, visible: bool) -> Gaussians:

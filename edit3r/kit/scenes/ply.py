@@ -107,7 +107,7 @@ def save_ply(
             f"{path}: object_index goes up to {int(gaussians.objects.max())}; a PLY holds "
             f"{MAX_OBJECT} at most."
         )
-    table = _to_table(gaussians, degree)
+    table = to_table(gaussians, degree)
     if not all(np.isfinite(table[name]).all() for name in table.dtype.names or ()):
         raise InputError(f"{path}: the Gaussians hold values that are not finite.")
     comments = [
@@ -141,7 +141,7 @@ def load_ply(path: str | Path, *, visible: bool = False) -> Gaussians:
             f"{path}: this PLY does not hold 3D Gaussians, it lacks {', '.join(missing)}."
         )
     _tell_unknown(header)
-    gaussians = _from_table(header.read_vertices(), header)
+    gaussians = from_table(header.read_vertices(), header)
     gaussians = sound(path, gaussians, visible=visible)
     if gaussians.count:
         _tell_coarse(path, gaussians)
@@ -176,7 +176,7 @@ def _tell_coarse(path: Path, gaussians: Gaussians) -> None:
         )
 
 
-def _to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
+def to_table(gaussians: Gaussians, degree: int) -> np.ndarray:
     """Structured array of the vertex element; logits and logarithms in double precision."""
     coefficients = (degree + 1) ** 2
     quats = gaussians.quats[0].detach().double()
@@ -272,7 +272,7 @@ def _read_view_runs(header: "PlyHeader") -> Int64[np.ndarray, "gaussian"]:
     return np.full(header.count, -1, dtype=np.int64)
 
 
-def _from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
+def from_table(table: np.ndarray, header: "PlyHeader") -> Gaussians:
     degree = _degree(header)
     rest = (degree + 1) ** 2 - 1  # coefficients per colour above degree 0
     dc = _plain_colours(table, header)[:, None]

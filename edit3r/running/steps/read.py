@@ -7,7 +7,7 @@ from pathlib import Path
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Reader, Selection
+from edit3r.contract.interfaces import Rasterizer, Reader, Selection
 from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say, stage, warn
 from edit3r.contract.types import Views
@@ -24,6 +24,7 @@ from edit3r.kit.photos.masks import read_mask
 from edit3r.running.job import RunJob
 from edit3r.running.records import Inputs
 from edit3r.running.scale import has_given_poses, own_unit
+from edit3r.running.scene_input import SceneInput, read_scene
 from edit3r.running.selecting.marks import MarkTexts
 
 _MOST_OF_A_THING = 0.5
@@ -31,13 +32,22 @@ _MOST_OF_A_THING = 0.5
 
 
 @temporary_photos()
-def read(job: RunJob, read_lens: Callable[[Views], Lens | None]) -> Inputs:
+def read(
+    job: RunJob,
+    read_lens: Callable[[Views], Lens | None],
+    rasterizer: Callable[[], Rasterizer],
+) -> Inputs:
     """The photos of the job, or of the earlier run that it goes on from, and their marks.
 
-    `read_lens` says of photos whose lens nobody knows what bends straight lines in them.
+    `read_lens` says of photos whose lens nobody knows what bends straight lines in them; the
+    `rasterizer` makes the pictures of a given scene.
     """
     with stage("read photos"):
         masks = job.masks
+        if job.scene is not None:
+            inputs = _read_scene(job, rasterizer())
+            inputs = replace(inputs, prompts=(job.config.prompt,))
+            return _with_marks(inputs, masks, job.components["reader"])
         if job.earlier is not None:
             inputs = job.earlier.inputs
         elif isinstance(job.photos, Views):
@@ -54,6 +64,23 @@ def read(job: RunJob, read_lens: Callable[[Views], Lens | None]) -> Inputs:
         inputs = replace(inputs, prompts=(*inputs.prompts, job.config.prompt))
         inputs = _with_marks(inputs, masks, job.components["reader"])
         return _in_own_unit(inputs)
+
+
+def _read_scene(job: RunJob, rasterizer: Rasterizer) -> Inputs:
+    """Pictures of the given scene in place of photos."""
+    config, scene = job.config, job.scene
+    assert scene is not None
+    if not isinstance(scene, SceneInput):
+        scene = read_scene(
+            scene,
+            rasterizer,
+            views=config.views,
+            size=config.size if "size" in config.set_by_the_user() else None,
+            up=config.up,
+            cameras=job.cameras,
+        )
+    pictures = scene.views.pictures
+    return Inputs(pictures, pictures, scene.records(), scene=scene)
 
 
 def _in_own_unit(inputs: Inputs) -> Inputs:

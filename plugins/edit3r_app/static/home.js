@@ -96,7 +96,7 @@ export function home(page) {
             ),
             el("button", { type: "button", onclick: () => choose(true, take) }, "Choose a folder"),
           ),
-          el("small", {}, "JPEG, PNG, WebP, TIFF, AVIF, or a video; up to 60 photos of 100 MB."),
+          el("small", {}, "JPEG, PNG, WebP, TIFF, AVIF, or a video; up to 60 photos of 100 MB. Or a splat: PLY, SPZ, SOG, splat, GLB."),
         ),
         told,
       ),

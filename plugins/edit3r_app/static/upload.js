@@ -64,7 +64,7 @@ export async function dropped(items) {
 // Ask for files, or for a folder of them.
 export function choose(isFolder, chosen) {
   // Without HEIC in the list, phones send JPEG instead.
-  const accept = "image/jpeg,image/png,image/webp,image/tiff,image/avif,video/*";
+  const accept = "image/jpeg,image/png,image/webp,image/tiff,image/avif,video/*,.ply,.spz,.sog,.splat,.ksplat,.glb";
   const input = Object.assign(document.createElement("input"), {
     type: "file",
     multiple: true,

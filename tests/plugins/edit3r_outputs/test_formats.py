@@ -12,8 +12,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from edit3r_outputs import reading as read
-from edit3r_outputs.reading import load_scene
 
 import edit3r
 from edit3r.cli.main import main
@@ -21,7 +19,9 @@ from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc
+from edit3r.kit.scenes import reading as read
 from edit3r.kit.scenes.ply import load_ply, save_ply
+from edit3r.kit.scenes.reading import load_scene
 
 gaussforge = pytest.importorskip("gaussforge", reason="needs the extra export")
 

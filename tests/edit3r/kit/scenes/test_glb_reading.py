@@ -6,13 +6,13 @@ import struct
 import numpy as np
 import pytest
 import torch
-from edit3r_outputs.reading import load_scene
 
 import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Gaussians
+from edit3r.kit.scenes.reading import load_scene
 
 P = "KHR_gaussian_splatting:"
 KINDS = {"u1": 5121, "i1": 5120, "u2": 5123, "i2": 5122, "f4": 5126}

@@ -18,10 +18,10 @@ from edit3r.kit.children import PYTHON
 from edit3r.kit.files.names import refuse_elsewhere
 from edit3r.kit.scenes.axes import UP_AND_BACK, flipped, sound
 from edit3r.kit.scenes.files import gathered, is_loose_sog
+from edit3r.kit.scenes.glb_reading import load_glb
+from edit3r.kit.scenes.placement import placed_back, placement_of
 from edit3r.kit.scenes.ply import load_ply
-from edit3r_outputs.glb_reading import load_glb
-from edit3r_outputs.placement import placed_back, placement_of
-from edit3r_outputs.spz_header import GZIP, read_spz_header
+from edit3r.kit.scenes.spz_header import GZIP, read_spz_header
 
 # seconds of one conversion: SOG takes half a minute for 380,000 Gaussians
 LONGEST = 600

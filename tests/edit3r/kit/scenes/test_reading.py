@@ -9,8 +9,6 @@ import zipfile
 import numpy as np
 import pytest
 import torch
-from edit3r_outputs import reading as read
-from edit3r_outputs.reading import load_scene
 
 import edit3r
 from edit3r.contract.errors import InputError
@@ -18,8 +16,10 @@ from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Gaussians
 from edit3r.kit.geometry.cameras import project
+from edit3r.kit.scenes import reading as read
 from edit3r.kit.scenes.files import scene_file
 from edit3r.kit.scenes.look import SIDES, from_outside, look_at
+from edit3r.kit.scenes.reading import load_scene
 
 
 def scene(count=50, degree=1, **more):

@@ -12,13 +12,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from edit3r_outputs.reading import load_scene
 
 import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
+from edit3r.kit.scenes.reading import load_scene
 
 pytest.importorskip("gaussforge", reason="needs the extra export")
 

@@ -1,0 +1,127 @@
+"""The edit goes into the scene's own Gaussians, and nowhere else."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+import edit3r
+from edit3r.contract.errors import InputError, PromptError
+from edit3r.contract.types import EditRequest, Views
+from edit3r.kit.checks import check_geometry, check_reconstruction
+from edit3r.kit.rendering import OverBackground
+from edit3r.kit.scenes.scene_views import look_around, pictures_of
+from tests.plugins.scan import of_ball, scan
+
+BLUE = torch.tensor([0.1, 0.2, 0.9]).view(3, 1, 1)
+
+
+@pytest.fixture(scope="module")
+def rasterizer():
+    return edit3r.build("rasterizer", "numba")
+
+
+def seen(gaussians, rasterizer, count=6, size=64):
+    places = look_around(gaussians, rasterizer, count=count, size=(size, size))
+    return pictures_of(gaussians, places, rasterizer).scene
+
+
+def in_place(scene, **settings):
+    return edit3r.build("reconstructor", "in-place", **settings).starting_from(scene)
+
+
+def red_pixels(scene):
+    """Where the red ball is seen."""
+    red, green, blue = scene.images[0].unbind(1)
+    return ((red > 1.8 * green) & (red > 1.8 * blue)).float()
+
+
+def painted(scene, masks):
+    images = scene.images[0] + masks[:, None] * (BLUE - scene.images[0])
+    return Views(images[None], scene.cameras.intrinsics)
+
+
+@pytest.mark.parametrize("degree", [0, 2])
+def test_a_painted_thing_is_painted_from_places_that_no_editor_saw(rasterizer, degree):
+    scene = seen(scan(degree), rasterizer)
+    views = painted(scene, red_pixels(scene))
+    made = in_place(scene)(views)
+    check_reconstruction(in_place(scene), views, made)
+    shown = OverBackground(rasterizer, scene.background)
+    others = seen(scan(degree), rasterizer, count=7)
+    # Both scenes come into frames of their own; compare by the colours of the ball instead.
+    ball = made.gaussians.harmonics[0, of_ball(made.gaussians, 0), 0]
+    blue = (BLUE.flatten() - 0.5) / 0.28209479
+    assert (ball.median(0).values - blue).abs().max() < 0.35
+    assert others.cameras.count == 7
+    again = shown.render(made.gaussians, scene.cameras).images[0]
+    before = shown.render(scene.gaussians, scene.cameras).images[0]
+    error = ((again - views.images[0]) ** 2).mean()
+    assert error < 0.05 * ((before - views.images[0]) ** 2).mean()
+
+
+def test_all_but_the_harmonics_of_the_painted_have_the_bits_they_had(rasterizer):
+    scene = seen(scan(1), rasterizer)
+    made = in_place(scene)(painted(scene, red_pixels(scene))).gaussians
+    for name in ("means", "scales", "quats", "opacities"):
+        assert torch.equal(getattr(made, name), getattr(scene.gaussians, name))
+    changed = (made.harmonics != scene.gaussians.harmonics).flatten(2).any(2)[0]
+    assert changed[of_ball(made, 0)].float().mean() > 0.9
+    assert not changed[of_ball(made, 1)].any()
+    assert changed[600:].float().mean() < 0.1  # of the floor, what the ball hides
+
+
+def test_pictures_without_an_edit_change_nothing(rasterizer):
+    scene = seen(scan(1), rasterizer, count=2)
+    made = in_place(scene)(Views(scene.images, scene.cameras.intrinsics))
+    assert made.gaussians is scene.gaussians
+    assert bool(made.kept.all())
+
+
+def removal(masks):
+    reader = edit3r.build("reader", "grammar")
+    text = "remove the ball"
+    return EditRequest(text, masks=masks[None], instructions=reader.read(text))
+
+
+def test_a_removed_thing_is_taken_out_and_the_rest_keeps_its_bits(rasterizer):
+    scene = seen(scan(), rasterizer)
+    views = Views(scene.images, scene.cameras.intrinsics)
+    recon = in_place(scene, fill=False)
+    made = recon.edit_and_reconstruct(views, views, removal(red_pixels(scene)))
+    assert not made.kept[of_ball(scene.gaussians, 0)].float().mean() > 0.1
+    assert made.kept[of_ball(scene.gaussians, 1)].all()
+    assert torch.equal(made.gaussians.means, scene.gaussians.means[:, made.kept])
+
+
+def test_a_removal_that_nothing_places_is_refused(rasterizer):
+    scene = seen(scan(), rasterizer, count=2)
+    views = Views(scene.images, scene.cameras.intrinsics)
+    with pytest.raises(PromptError, match="what is to be removed"):
+        in_place(scene).edit_and_reconstruct(
+            views, views, replace(removal(red_pixels(scene)), masks=None)
+        )
+    with pytest.raises(InputError, match="none of the scene"):
+        in_place(scene).edit_and_reconstruct(
+            views, views, removal(torch.zeros_like(scene.alphas[0]))
+        )
+
+
+def test_its_geometry_is_the_scenes_whatever_the_pictures_show(rasterizer):
+    scene = seen(scan(), rasterizer, count=3)
+    views = Views(torch.rand_like(scene.images), scene.cameras.intrinsics)
+    geometry = in_place(scene).find_geometry(views)
+    check_geometry(in_place(scene), views, geometry)
+    solid = scene.alphas > 0.5
+    assert torch.equal(geometry.depths[solid], scene.depths[solid])
+    assert torch.equal(geometry.confidence, solid.float())
+
+
+def test_without_a_scene_it_says_what_to_give(rasterizer):
+    recon = edit3r.build("reconstructor", "in-place")
+    views = Views(torch.rand(1, 2, 3, 8, 8), torch.eye(3).expand(1, 2, 3, 3))
+    with pytest.raises(InputError, match="splat file in place of photos"):
+        recon(views)
+    other = in_place(seen(scan(), rasterizer, count=2))
+    with pytest.raises(InputError, match="given scene's"):
+        other(views)

@@ -1,0 +1,103 @@
+"""What is meant on one picture is carried to all by the scene's Gaussians."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from edit3r_in_place.belonging import SHARE, belonging, evidence
+from edit3r_in_place.in_scene import InSceneSelector
+
+import edit3r
+from edit3r.contract.errors import InputError
+from edit3r.contract.interfaces import Selected, Selection
+from edit3r.contract.types import Views
+from edit3r.kit.scenes.scene_views import look_around, pictures_of
+from tests.plugins.scan import of_ball, scan
+
+
+class Asked:
+    """The usual selector, which takes what is red on the pictures it is shown."""
+
+    def __init__(self):
+        self.pictures = []
+
+    def select(self, views, selection, geometry=None):
+        self.pictures.append(views.count)
+        red, green, blue = views.images[0].unbind(1)
+        masks = ((red > 1.8 * green) & (red > 1.8 * blue)).float()
+        return Selected(masks[:, None], ("marked",) * views.count, confidence=0.8)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    rasterizer = edit3r.build("rasterizer", "numba")
+    places = look_around(scan(), rasterizer, count=8, size=(64, 64))
+    return pictures_of(scan(), places, rasterizer).scene
+
+
+@pytest.fixture
+def selector(scene):
+    built = edit3r.build("selector", "in-scene")
+    built.usual = Asked()
+    return built.starting_from(scene)
+
+
+def on_ball(scene, view=0):
+    """A click on the red ball of a picture."""
+    red, green, _ = scene.images[0, view].unbind(0)
+    row, column = divmod(int((red - green).argmax()), 64)
+    return Selection(positive=((view, (column + 0.5) / 64, (row + 0.5) / 64),))
+
+
+def test_one_click_selects_the_thing_on_all_pictures_and_few_are_looked_at(
+    scene, selector
+):
+    found = selector.select(
+        Views(scene.images, scene.cameras.intrinsics), on_ball(scene)
+    )
+    red, green, blue = scene.images[0].unbind(1)
+    true = (red > 1.8 * green) & (red > 1.8 * blue)
+    masks = found.masks[:, 0] > 0.5
+    shows = true.sum((1, 2)) > 10  # else the other ball stands before it
+    both, either = (one.sum((1, 2))[shows] for one in (masks & true, masks | true))
+    overlaps = both / either
+    assert overlaps.min() > 0.75
+    assert sum(selector.usual.pictures) <= 3
+    assert found.how.count("geometry") == 7
+    assert found.confidence == 0.8
+
+
+def test_the_rest_is_selected_where_the_selection_is_inverted(scene, selector):
+    views = Views(scene.images, scene.cameras.intrinsics)
+    marks = on_ball(scene)
+    plain = selector.select(views, marks).masks
+    inverted = selector.select(views, replace(marks, inverted=True)).masks
+    assert torch.allclose(plain + inverted, torch.ones_like(plain))
+
+
+def test_what_no_picture_shows_belongs_to_what_is_nearest(scene):
+    rasterizer = edit3r.build("rasterizer", "numba")
+    red, green, blue = scene.images[0, :1].unbind(1)
+    mask = ((red > 1.8 * green) & (red > 1.8 * blue)).float()
+    shown = evidence(scene.gaussians, scene.cameras.select([0]), mask, rasterizer)
+    ball = of_ball(scene.gaussians, 0)
+    hidden = ball & ~shown.seen
+    assert hidden.any()
+    chosen = belonging(scene.gaussians, shown) > SHARE
+    assert chosen[hidden].float().mean() > 0.8
+    assert chosen[of_ball(scene.gaussians, 1)].float().mean() < 0.02
+
+
+def test_a_click_on_the_background_is_refused(scene, selector):
+    views = Views(scene.images, scene.cameras.intrinsics)
+    with pytest.raises(InputError, match="on nothing"):
+        selector.select(views, Selection(positive=((0, 0.01, 0.01),)))
+
+
+def test_without_a_scene_the_usual_selector_answers():
+    built = edit3r.build("selector", "in-scene")
+    assert isinstance(built, InSceneSelector)
+    built.usual = Asked()
+    views = Views(torch.rand(1, 2, 3, 16, 16), torch.eye(3).expand(1, 2, 3, 3))
+    built.select(views, Selection(positive=((0, 0.5, 0.5),)))
+    assert built.usual.pictures == [2]
