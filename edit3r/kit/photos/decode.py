@@ -169,7 +169,7 @@ def decode(path: str | Path, enough: int | None = None) -> DecodedImage:
         _check_size(image, path)
         _check_whole(image, path)
         _check_flat(image, path)
-        _check_stereo(image, path)
+        _check_stereo(image, file, path)
         _tell_damage(image, file, path)
         _tell_bright(file, path)
         digest = _from_start(file, digest_of)
@@ -364,7 +364,7 @@ def _check_flat(image: Image.Image, path: Path) -> None:
         )
 
 
-def _check_stereo(image: Image.Image, path: Path) -> None:
+def _check_stereo(image: Image.Image, file: BinaryIO, path: Path) -> None:
     """Raise InputError for two pictures in one, and warn of a second one of the same size."""
     parts = getattr(image, "applist", ())
     if path.suffix.lower() in _SIDE_BY_SIDE or any(
@@ -374,17 +374,21 @@ def _check_stereo(image: Image.Image, path: Path) -> None:
             f"{path}: a stereo photo with both pictures side by side; cut it in two, and give both."
         )
     is_bright = _GAIN_MAP in (image.info.get("xmp") or b"")
-    if image.format != "MPO" or is_bright or getattr(image, "n_frames", 1) < 2:
-        return
-    sizes = []
-    for index in (1, 0):
-        image.seek(index)
-        sizes.append(image.size)
-    if sizes[0] == sizes[1]:
+    if image.format == "MPO" and not is_bright and _second_size(file) == image.size:
         warn(
             f"{path}: holds two pictures of one size, as stereo cameras make them; the first is "
             "used. Save the other as a file of its own to use both."
         )
+
+
+def _second_size(file: BinaryIO) -> tuple[int, int] | None:
+    """(width, height) of the second picture in a file; None where there is none to be read."""
+    content = io.BytesIO(_from_start(file, lambda file: file.read()))
+    # a damaged one, which is not used, raises almost anything
+    with contextlib.suppress(Exception), Image.open(content, formats=FORMATS) as image:
+        image.seek(1)
+        return image.size
+    return None
 
 
 def _tell_damage(image: Image.Image, file: BinaryIO, path: Path) -> None:

@@ -286,7 +286,15 @@ def test_what_is_trained_is_used_and_converted_without_further_settings(
     assert main(["train", str(tmp_path / "tiny.yaml"), "--out", str(tmp_path)]) == 0
     assert main(["convert", str(tmp_path / "best"), str(tmp_path / "ours")]) == 0
     stored = load_weights(tmp_path / "best").tensors
-    for name, folder in (("edit3r", "best"), ("noposplat", "best"), ("edit3r", "ours")):
+    with pytest.raises(InputError, match=r"its weights are in .*best"):
+        load_weights(tmp_path / "last.pt")
+    given = (
+        ("edit3r", "best"),
+        ("noposplat", "best"),
+        ("edit3r", "ours"),
+        ("edit3r", ""),
+    )
+    for name, folder in given:  # "": that of the training
         weights = str(tmp_path / folder)
         made = edit3r.build("reconstructor", name, weights=weights)
         assert made.form.resolution == 32 and made.network.backbone.decoder_heads == 8

@@ -267,3 +267,12 @@ def test_the_second_picture_of_a_stereo_camera_is_named_and_a_preview_is_not(
     assert ["two pictures of one size" in one for one in report.warnings] == [
         True
     ] * said
+
+
+def test_a_damaged_second_picture_does_not_cost_the_first(tmp_path):
+    left = Image.new("RGB", (40, 20), "red")
+    left.save(tmp_path / "a.mpo", "MPO", save_all=True, append_images=[left])
+    content = (tmp_path / "a.mpo").read_bytes()
+    second = content.rindex(b"\xff\xd8")
+    (tmp_path / "a.mpo").write_bytes(content[:second] + bytes(len(content) - second))
+    assert decode(tmp_path / "a.mpo").pixels.getpixel((5, 5))[0] > 200
