@@ -13,7 +13,7 @@ from edit3r.contract.types import Rendering, Views
 from edit3r.contract.verdicts import LABELS, EditVerdict, Verdict
 from edit3r.kit.checks import check_edit_verdict, check_verdict
 from edit3r_testing.contract import Contract
-from edit3r_testing.scenes import true_geometry
+from edit3r_testing.scenes import gaussian_cloud, true_geometry
 
 PLACED = (True, False, True)  # of the photos that were used
 INSTRUCTION = Instruction("other", Target("marked"))
@@ -55,6 +55,8 @@ class CriticContract(Contract):
             placed=PLACED,
             geometry=self._geometry(photos) if known else None,
             edited=edited,
+            cameras=self.scene(3).cameras.select(used),
+            gaussians=gaussian_cloud(len(used)),
             first=rendered,
             rendered=rendered,
             measured=torch.full((1, len(used)), 0.9).to(photos.images)
@@ -97,7 +99,7 @@ class CriticContract(Contract):
                 f"placed is {verdict.placed}; hand on that of the scene, {PLACED}.",
             )
             for name, values in asdict(verdict).items():
-                if name not in ("label", "reason", "placed"):
+                if name not in ("label", "reason", "part", "placed") and values != ():
                     self._require_entries(name, values)
 
     def test_a_scene_that_shows_other_pictures_is_worse(self) -> None:

@@ -51,6 +51,7 @@ ORDINARY_WORDS = {
         "none",
         "auto",
         "command",
+        "plugins",
         "folder",
         "mp4",
         "network",

@@ -68,8 +68,9 @@ class Parser(argparse.ArgumentParser):
 def main(argv: Sequence[str] | None = None, interruptions: Sequence[int] = ()) -> int:
     """Run one command and return the exit code.
 
-    0: done, 1: failed, 2: wrong use or unusable input, 130: interrupted. `interruptions` fills when
-    the user presses Ctrl-C; any error after that is taken for its consequence.
+    0: done, 1: failed, 2: wrong use or unusable input, 3: a question, 130: interrupted.
+    `interruptions` fills when the user presses Ctrl-C; any error after that is taken for its
+    consequence.
     """
     argv = [at_home(one) for one in (sys.argv[1:] if argv is None else argv)]
     try:

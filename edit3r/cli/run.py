@@ -8,7 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from edit3r.contract.command import Command
-from edit3r.contract.errors import Edit3rError, InputError, RunError, as_known
+from edit3r.contract.errors import (
+    Edit3rError,
+    InputError,
+    QuestionError,
+    RunError,
+    as_known,
+)
 from edit3r.kit.command.flags import add_common, add_trust_flag
 from edit3r.kit.files.names import require_there
 from edit3r.running.config import PART_KEYS, JobInputs, RunConfig
@@ -155,11 +161,26 @@ class RunCommand(Command):
             with atomic_folder(args.out, args.overwrite) as folder:
                 result = run(job, registry, report, on_edited=edited.append)
                 write_result(folder, result)
+        except QuestionError as question:
+            raise _with_sheet(question, Path(args.out), job.config.prompt) from None
         except Exception as error:
             if not edited:
                 raise
             raise _with_edits_kept(error, Path(args.out), edited[0]) from error
         return result
+
+
+def _with_sheet(question: QuestionError, out: Path, prompt: str) -> QuestionError:
+    """The question, once its numbered candidates are drawn beside `out`."""
+    import numpy as np
+
+    from edit3r.kit.photos.images import save_pixels
+    from edit3r.running.result import preview_sheet
+
+    file = out.with_name(f"{out.name}-question.png")
+    sheet = np.asarray(preview_sheet(question.preview, prompt))
+    save_pixels(sheet, file, is_photo=False)
+    return QuestionError(f"{question} Look at {file}.", question.candidates)
 
 
 def _with_edits_kept(error: Exception, out: Path, edited: "Views") -> Edit3rError:

@@ -7,6 +7,7 @@ The command line prints the message as one sentence and exits with `exit_code`; 
 import difflib
 import errno
 from collections.abc import Iterable
+from typing import Any
 
 
 class Edit3rError(Exception):
@@ -37,6 +38,23 @@ class PluginError(Edit3rError):
 
 class PromptError(Edit3rError):
     """The editor cannot carry out this instruction."""
+
+
+class QuestionError(Edit3rError):
+    """Nobody can tell surely enough which thing is meant; exit code 3. Nothing was edited.
+
+    `candidates` are what may be meant (`edit3r.contract.interfaces.Reading`), the likeliest first:
+    their masks on one photo, and the numbers that take them (`reading=`, --reading).
+    """
+
+    exit_code = 3
+
+    def __init__(
+        self, message: str, candidates: tuple[Any, ...] = (), preview: Any = None
+    ) -> None:
+        super().__init__(message)
+        self.candidates = candidates
+        self.preview = preview  # of a run: what `edit3r.running` draws as a sheet
 
 
 class MatchingError(Edit3rError):

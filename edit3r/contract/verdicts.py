@@ -9,6 +9,8 @@ from typing import Any, Literal
 Label = Literal["good", "fair", "poor", "failed"]
 LABELS: tuple[Label, ...] = ("good", "fair", "poor", "failed")
 """Of scenes, best first."""
+Part = Literal["geometry", "reconstructor", "refiner", "rasterizer", "editor", "photos"]
+"""Of a run, that may be to blame for a scene."""
 EditLabel = Literal["good", "doubtful"]
 SelectionLabel = Literal["given", "found", "question"]
 
@@ -55,6 +57,18 @@ class Verdict:
     guessed_between: tuple[float | None, ...]
     # how much of that picture looks like neither of the two views; None: not known
     unlike_between: tuple[float | None, ...]
+    # how many times as unlike the view its nearest one is, laid onto it by the scene's depths and
+    # poses, as by those of the run's geometry; 1: the scene is as good; None: not known
+    beside_geometry: tuple[float | None, ...] = ()
+    # the same of the run's geometry (of the scene, where there is none) beside one flat picture
+    # (homography); 1: it has no depth; None: not known, or the photos show a plane
+    beside_flat: tuple[float | None, ...] = ()
+    # how much more of the view half-way looks like no photo than of the cheapest scene of that
+    # geometry, one Gaussian a pixel, in [-1, 1]; None: not known
+    beside_reference: tuple[float | None, ...] = ()
+    part: Part | None = (
+        None  # that is to blame; None: the scene is good, or nobody knows
+    )
 
 
 @dataclass(frozen=True)

@@ -230,10 +230,9 @@ def check_proposal(
 def check_masks(segmenter: Segmenter, answer: MaskLogits) -> None:
     """Finite logits `[n, h, w]` of at least one mask, and the quality of each `[n]` if told."""
     _require_type(segmenter, answer, MaskLogits)
-    parts = {"logits": answer.logits, "quality": answer.quality}
-    told = {
-        name: one for name, one in parts.items() if one is not None or name == "logits"
-    }
+    told: dict[str, torch.Tensor] = {"logits": answer.logits}
+    if answer.quality is not None:
+        told["quality"] = answer.quality
     for name, one in told.items():
         _require_type(segmenter, one, torch.Tensor)
         _require(segmenter, bool(one.isfinite().all()), f"return finite {name}")

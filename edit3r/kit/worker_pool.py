@@ -8,7 +8,6 @@ from collections import deque
 from collections.abc import Callable, Generator, Hashable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from concurrent.futures.thread import BrokenThreadPool
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
@@ -93,22 +92,20 @@ def spread(
         """Begin a thread with a worker of its own, as soon as there is room for it."""
         try:
             own.worker, own.group = crew.worker(), None
+        except WorkerDied:
+            own.worker = None
         finally:
             begun.set()
 
-    def take() -> KeyedJob:
-        """The next job, or one soon after it of the group that this worker did last."""
-        with lock:
-            ahead = range(min(len(todo), MOST_AHEAD))
-            same = (k for k in ahead if group(todo[k][1]) == own.group)
-            number = next(same, 0)
-            job = todo[number]
-            del todo[number]
-        own.group = group(job[1])
-        return job
-
     def do_one() -> KeyedRow:
-        job = take()
+        if own.worker is None:
+            raise RunError(
+                "a worker died before its first job; is edit3r installed on all nodes? Finished "
+                "jobs are kept."
+            )
+        with lock:
+            job = _next(todo, group, own.group)
+        own.group = group(job[1])
         try:
             return own.worker.do(job)
         except WorkerDied as error:
@@ -127,15 +124,19 @@ def spread(
             raise RunError(crew.no_room())
         for row in as_completed(rows):
             yield row.result()
-    except BrokenThreadPool:
-        raise RunError(
-            "a worker died before its first job; is edit3r installed on all nodes? What is done "
-            "is kept."
-        ) from None
     finally:
         threads.shutdown(wait=False, cancel_futures=True)
         crew.close()
         threads.shutdown()
+
+
+def _next(todo: deque[KeyedJob], group: Group, before: Hashable) -> KeyedJob:
+    """Take the next job, or one soon after it of the group that its worker did `before`."""
+    ahead = range(min(len(todo), MOST_AHEAD))
+    number = next((k for k in ahead if group(todo[k][1]) == before), 0)
+    job = todo[number]
+    del todo[number]
+    return job
 
 
 class InProcesses:

@@ -74,8 +74,9 @@ class RunConfig(Settings):
     """what judges the edit and the scene, and its settings"""
     segmenter: PartChoice | None = None
     """what outlines the thing that is marked or named; default: the editor's own"""
-    sure: bool = False
-    """refuse words that find nothing for certain, instead of taking the likeliest"""
+    guess: bool = False
+    """go on with the likeliest candidate even where words hardly tell which thing is meant, instead
+    of asking"""
     reading: int = Field(1, ge=1, le=MAX_STEPS)
     """which candidate for the clicks, strokes, boxes or words is taken: 1 is the likeliest"""
     larger: int = Field(0, ge=-MAX_STEPS, le=MAX_STEPS)

@@ -26,7 +26,7 @@ from edit3r.running.steps.locate import correct_exposure, locate
 from edit3r.running.steps.read import read
 from edit3r.running.steps.reconstruct import reconstruct
 from edit3r.running.steps.refine import refine
-from edit3r.running.steps.select import as_many_as_fit, load, select
+from edit3r.running.steps.select import as_many_as_fit, load, require_answer, select
 
 
 @in_usual_torch
@@ -42,7 +42,8 @@ def run(
     `on_edited` is handed the edited photos as soon as they are there, so that they outlive a later
     step that fails.
 
-    Where a mask is 0, pixels stay bit-equal, whatever the editor does. Raises InputError for photos
+    Where a mask is 0, pixels stay bit-equal, whatever the editor does. Raises QuestionError where
+    words hardly tell which thing is meant (but for `guess`), InputError for photos
     or masks that cannot be used, SettingsError and UnknownComponentError for wrong settings before
     any photo is read, and PluginError for a component that breaks its contract.
     """
@@ -62,6 +63,7 @@ def _records(
     """All steps, one after the other."""
     inputs, located = locate(inputs, components)
     selection = select(inputs, located, components)
+    require_answer(inputs, selection, components)
     used = as_many_as_fit(inputs.start, components.reconstructor)
     inputs, located = inputs.select(used), located.select(used)
     selection = selection.select(used)

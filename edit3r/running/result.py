@@ -443,7 +443,10 @@ def _preview_line(preview: Preview) -> str:
 def _answers(selection: SelectedRegions, edit: EditVerdict | None) -> str:
     """What was selected and how the edit was carried out, in a few words; "" without them."""
     line = "" if selection.verdict is None else f"; selected: {selection.verdict.short}"
-    return line if edit is None else f"{line}; edit: {edit.label}"
+    if edit is None:
+        return line
+    asked = selection.verdict is not None and selection.verdict.label == "question"
+    return f"{line}; edit: {edit.label}{' if it is the right thing' if asked else ''}"
 
 
 def _facts(result: RunResult) -> dict[str, Any]:

@@ -30,7 +30,7 @@ class RunSettings(TypedDict, total=False):
     segmenter: Choice | Segmenter | None
     critic: Choice | Critic
     refiners: Sequence[Choice]
-    sure: bool
+    guess: bool
     reading: int
     larger: int
     grow: float

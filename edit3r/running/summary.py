@@ -9,11 +9,14 @@ from edit3r.running.records import READ_LENS, SelectedRegions
 from edit3r.running.result import RunResult
 from edit3r.running.run_folder import RunFolder
 
-MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "sure"}
+MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "guess"}
 """Settings that may differ from the defaults without the run being another kind of run."""
 
 # measured by `scenes.py dial`, at the default's size and at 1024 pixels
 BEST_COSTS, LARGE_COSTS = "half as long again", "two to four times as long"
+
+
+IF_RIGHT = " if it is the right thing"
 
 
 def summary(out: Path, result: RunResult) -> str:
@@ -39,8 +42,12 @@ def summary(out: Path, result: RunResult) -> str:
 
 def answers(selection: SelectedRegions, edit: EditVerdict | None) -> list[str]:
     """What was selected and how the edit was carried out, a line each; fewer without them."""
-    said = {"selected": selection.verdict, "edit": edit}
-    return [f"{on}: {one}." for on, one in said.items() if one is not None]
+    meant = selection.verdict
+    lines = [] if meant is None else [f"selected: {meant}."]
+    if edit is not None:
+        asked = meant is not None and meant.label == "question"
+        lines.append(f"edit: {edit.label}{IF_RIGHT if asked else ''}, {edit.reason}.")
+    return lines
 
 
 def _sharper(result: RunResult) -> list[str]:

@@ -1,5 +1,6 @@
 """A flight through a scene along views that the user chose, as a video."""
 
+import itertools
 import math
 from pathlib import Path
 from typing import Annotated, Any
@@ -56,6 +57,11 @@ def read_keys(asked: Any) -> list[KeyView]:
         raise InputError(f"expected 2 to {MOST} views to fly along, got {len(keys)}.")
     if any(min(one.K[:2]) <= 0 or one.c2w[:3, :3].det() < 0.5 for one in keys):
         raise InputError("not views that can be flown along.")
+    for number, (one, other) in enumerate(itertools.pairwise(keys), start=2):
+        if one == other:
+            raise InputError(
+                f"view {number} is where view {number - 1} is; turn the scene before it is added."
+            )
     return keys
 
 

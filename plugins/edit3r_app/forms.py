@@ -20,7 +20,7 @@ NOT_IN_FORM = (
     *CHOSEN,
     *BESIDE_THE_PHOTO,
     *Draft().outline,
-    *("prompt", "quality", "size", "writer"),
+    *("prompt", "quality", "size", "writer", "guess"),
 )
 """Settings of a run that have a place of their own, or that masks were made for."""
 WHO = {
@@ -204,6 +204,9 @@ def run_settings(draft: Draft, registry: Registry) -> dict[str, Any]:
     form = draft.form
     settings = _typed(form, "run")
     settings["prompt"] = str(form.get("prompt", "")).strip()
+    settings["guess"] = (
+        True  # the page shows what is meant, and asks, before anything is edited
+    )
     usual = Draft().outline
     steps = draft.outline.items()
     settings |= {key: value for key, value in steps if value != usual[key]}

@@ -75,7 +75,7 @@ def _is_of_another_page(asked: HTTPConnection) -> bool:
     """Whether a browser says that a page from elsewhere asks; a link that leads here may."""
     site = asked.headers.get("sec-fetch-site", "none")
     is_document = asked.headers.get("sec-fetch-dest") == "document"
-    is_link = is_document and asked.scope.get("method") in ("GET", "HEAD")
+    is_link = is_document and asked.scope.get("method", "GET") in ("GET", "HEAD")
     return site not in ("same-origin", "none") and not is_link
 
 

@@ -103,9 +103,7 @@ class JobsFolder:
         """Folder of a set of photos or a run; raises InputError for what is no name of one."""
         if _is_name(name) and (self.root / name).is_dir():
             return self.root / name
-        raise InputError(
-            f"{str(name)[:60]!r}: no photos and no run of that name in {self.root}."
-        )
+        raise InputError(f"{str(name)[:60]!r}: no photos and no run of that name here.")
 
     def own(self, name: str) -> Path:
         """The folder of a set of photos that is written to; raises InputError for one elsewhere."""
@@ -237,7 +235,7 @@ class JobsFolder:
         """One job; raises InputError where there is none of that name."""
         job = self._read(name, _is_name(name) and self.is_run(name))
         if job is None:
-            raise InputError(f"{str(name)[:60]!r}: no run of that name in {self.root}.")
+            raise InputError(f"{str(name)[:60]!r}: no run of that name here.")
         return job
 
     def history(self, scene: str) -> list[AppJob]:

@@ -25,11 +25,9 @@ from edit3r.contract.interfaces import Reading, Selected, Selection
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict
-from edit3r.kit.compute.outlines import overlap
 from edit3r.kit.contact_sheet import outlined
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.photos.images import save_image
-from edit3r.kit.segmenting import automatic_masks
 from edit3r.running import (
     DEFAULTS,
     Components,
@@ -47,7 +45,7 @@ from edit3r_app.pictures import around, jpeg, over, picture
 from edit3r_app.sessions import (
     SEGMENTER,
     KeepingRegistry,
-    Progress,
+    PhotosProgress,
     Session,
     Sessions,
     as_in_a_run,
@@ -55,13 +53,11 @@ from edit3r_app.sessions import (
 
 # The numbers of this block: no figures kept.
 GEOMETRY_PATIENCE = 10.0
-"""[s] that the full answer waits for poses and depths where they are nearly there; else masks are
-carried by what the photos show, and it is answered anew later.
+"""[s] that the full answer waits for poses and depths where they are nearly there; else photos
+without marks wait, and it is answered anew later.
 """
 AGAIN = 0.2
 """[s] after which one who waits asks whether the answer is still wanted."""
-CANDIDATES = 5  # that are shown of what may be meant
-ANOTHER = 0.6  # overlap from which two of them are one
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,20 +138,14 @@ class Candidates(Stage):
         super().__init__(registry, self._find, kept=16)
 
     def _find(self, session: Session, name: str) -> tuple[tuple[Mark, Tensor], ...]:
-        image = session.views.images[0, session.place(name)]
-        with as_in_a_run(session.cache):
-            segmenter = self.registry.build_choice("segmenter", SEGMENTER)
-            proposals = automatic_masks(segmenter, image)
-        masks: list[Tensor] = []
-        for one in proposals:
-            if all(
-                overlap(one.soft_mask > 0.5, mask > 0.5) < ANOTHER for mask in masks
-            ):
-                masks.append(one.soft_mask)
-        return tuple((around(mask, name), mask) for mask in masks[:CANDIDATES])
+        alone = session.views.select([session.place(name)])
+        with as_in_a_run(session.cache), suppress(Edit3rError):
+            found = usual_selector().select(alone, Selection())
+            return tuple((around(one.mask, name), one.mask) for one in found.readings)
+        return ()
 
 
-class Selecting(Stage):
+class DraftSelection(Stage):
     """What a whole draft selects on all photos, and how its sentence is read."""
 
     def __init__(self, registry: Registry) -> None:
@@ -302,7 +292,7 @@ class PreviewService:
         # Pointing never waits for an answer in full. The segmenter is the same, so that what it
         # read of the photos is read once.
         self.pointing = Pointing(self.registry)
-        self.selecting = Selecting(self.registry)
+        self.selecting = DraftSelection(self.registry)
         self.editing = Editing(self.registry, self.pointing)
         self._candidates = Candidates(self.registry)
         self._prepared = threading.Event()
@@ -319,7 +309,7 @@ class PreviewService:
             segmenter = self.registry.build_choice("segmenter", SEGMENTER)
             segmenter.words(torch.zeros(3, 48, 64), "sky")
 
-    def begin(self, state: str) -> Progress:
+    def begin(self, state: str) -> PhotosProgress:
         """Read a state's photos in the background, from the first call on; say how far it is."""
         return self.sessions.begin(state)
 

@@ -261,6 +261,7 @@ class Answers:
     def photo(self, request: Request) -> Response:
         shown = "shown" in request.query_params
         state, name = _named(request, *PHOTO)
+        self.folder.path(state)
         return _jpeg(self.previews.photo(state, name, shown))
 
     def overlay(self, request: Request) -> Response:

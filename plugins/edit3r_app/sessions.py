@@ -73,7 +73,7 @@ class KeepingRegistry(Registry):
 
 
 @dataclass(frozen=True)
-class Progress:
+class PhotosProgress:
     """What of a scene's photos is read already, beside the user's looking."""
 
     photos: bool = False  # a click is answered at once
@@ -122,14 +122,14 @@ class Session:
             earlier = replace(earlier, inputs=earlier.inputs.select(views))
         return RunJob(config, masks=marks, earlier=earlier, cache=self.cache)
 
-    def progress(self, pace: float) -> Progress:
+    def progress(self, pace: float) -> PhotosProgress:
         """How far it is read; `pace` [s] is what the geometry of a photo takes."""
         views = tuple(self.shown or self.read)
         seen = [self.read.get(view) for view in views]
         photos = bool(seen) and all(one is not None and one.done() for one in seen)
         trouble, placed = self._trouble()
         left = self.left(pace)
-        return Progress(photos, self.geometry.done(), left, trouble, placed)
+        return PhotosProgress(photos, self.geometry.done(), left, trouble, placed)
 
     def left(self, pace: float) -> float:
         """Until its geometry is known, about [s]."""
@@ -170,14 +170,14 @@ class Sessions:
         self._known: set[tuple[str, tuple[str, ...]]] = set()  # what was opened
         self._sessions = lru_cache(maxsize=4)(self._read)
 
-    def begin(self, state: str) -> Progress:
+    def begin(self, state: str) -> PhotosProgress:
         """Read a state's photos in the background, from the first call on; say how far it is."""
         if self._opening.acquire(blocking=False):
             self._opening.release()
             if self.is_open(state):
                 return self.open(state).progress(self._pace)
             self.do(self.open, state)
-        return Progress(left=self._pace * len(self.folder.photos(state)))
+        return PhotosProgress(left=self._pace * len(self.folder.photos(state)))
 
     def do(self, work: Any, *arguments: Any) -> "Future[Any]":
         """Do it in the background; what the user can mend is told with each answer."""

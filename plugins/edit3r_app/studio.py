@@ -23,7 +23,7 @@ from edit3r_app.objects import DRAWN, MARKED, objects_of, read_action
 from edit3r_app.preview_service import DraftAnswer, PreviewService
 from edit3r_app.progress import read_progress, time_left
 from edit3r_app.runner import Runner
-from edit3r_app.sessions import Progress
+from edit3r_app.sessions import PhotosProgress
 from edit3r_app.wording import in_app
 
 SAY = "Say what to change first, such as: paint it golden."
@@ -104,7 +104,9 @@ class Studio:
         history = folder.history(scene)
         at_rest = waits or by_hand
         self._leave_at(scene, state)
-        reading = Progress(by_hand, by_hand) if at_rest else self.previews.begin(state)
+        reading = (
+            PhotosProgress(by_hand, by_hand) if at_rest else self.previews.begin(state)
+        )
         if is_run and reading.photos:  # nothing else is waited for
             self.runner.make_ready()
         return {

@@ -1,10 +1,13 @@
 """The critic `limits`: figures of edit and scene, held to limits that were fitted to known ones."""
 
+from collections.abc import Mapping
+
 from edit3r.contract.interfaces import Critic, EditToJudge, SceneToJudge
 from edit3r.contract.verdicts import EditVerdict, Verdict
 from edit3r_judge.between import guessed_between
+from edit3r_judge.blame import Doubt
 from edit3r_judge.signals import faults_of, fitted_limits, measured
-from edit3r_judge.verdict import Doubt, judge
+from edit3r_judge.verdict import judge
 
 FLAT = (
     "all that the photos share lies on one plane: a flat thing, or photos from one place. Take a "
@@ -20,12 +23,16 @@ MOVED = (
 )
 
 
+LEAST = 1.5 / 255  # difference of colours [sRGB] that a picture of 8 bits can hold
+
+
 class LimitsCritic(Critic):
     """See docs/verdict.md."""
 
     def judge_edit(self, edit: EditToJudge) -> EditVerdict:
         figures = measured(edit)
         faults = (*edit.faults, *faults_of(figures, fitted_limits("edit")).values())
+        faults = faults or silence(edit, figures)
         measures = {**figures, "faults": list(edit.faults), "moved": list(edit.moved)}
         if faults:
             return EditVerdict("doubtful", "; ".join(faults), measures)
@@ -39,6 +46,23 @@ class LimitsCritic(Critic):
         return judge(scene, guessed, doubt_of(scene))
 
 
+def silence(edit: EditToJudge, figures: Mapping[str, float | None]) -> tuple[str, ...]:
+    """What is said where no signal tells anything; () where one does, or the picture changed."""
+    views = list(edit.edited)
+    masks = None if edit.masks is None else edit.masks[0, views]
+    if masks is not None and not bool((masks > 0.5).any()):
+        return ("nothing is selected on any photo, so nothing was to change",)
+    before, after = edit.before.images[0, views], edit.after.images[0, views]
+    if float((after - before).abs().amax()) < LEAST:
+        return ("nothing changed",)
+    if masks is not None and all(one is None for one in figures.values()):
+        share = float((masks > 0.5).float().mean())
+        return (
+            f"what is selected is too small to tell ({share:.2%} of the photos): look at it",
+        )
+    return ()
+
+
 def _praise(edit: EditToJudge) -> str:
     """What was measured of an edit that nothing speaks against; not that it was what was meant."""
     where = "the whole picture" if edit.masks is None else "what was selected"
@@ -50,11 +74,12 @@ def doubt_of(scene: SceneToJudge) -> Doubt | None:
     """What else speaks against the scene: its edits, or photos that tell no depth or no lens."""
     measures = {} if scene.edit is None else scene.edit.measures
     if measures.get("faults"):
-        return Doubt("the 2D edits do not show what their photos show (see the edit)")
+        clause = "the 2D edits do not show what their photos show (see the edit)"
+        return Doubt(clause, "editor")
     if scene.flat:
-        return Doubt(FLAT)
+        return Doubt(FLAT, "photos")
     if scene.lenses is not None:
-        return Doubt(UNSURE_LENS.format(*scene.lenses))
+        return Doubt(UNSURE_LENS.format(*scene.lenses), "photos")
     if measures.get("moved"):
-        return Doubt(MOVED, best="good")
+        return Doubt(MOVED, "editor", best="good")
     return None

@@ -1,9 +1,11 @@
 """`edit3r judge --fit ROWS`: the limits of the signals, from what is known to be good and bad.
 
 A row of ROWS (JSON lines) is an edit (`python benchmarks/verdict.py edits`): its `place`, its
-`fault` (the signal that names it; null: none), its `kind` and its `figures`; or a scene
+`fault` (the signal that names it; null: none), its `kind` and its `figures`; a scene
 (`python benchmarks/verdict.py scenes`): its `place`, the `label` that views which no run saw
-deserve, and its `figures`.
+deserve, and its `figures`; or what a reconstructor made that is broken on purpose
+(`python benchmarks/broken.py`): its `place`, `kind`, `strength` from 1 to 3 (0: it is sound), and
+its `figures`.
 """
 
 import argparse
@@ -11,6 +13,7 @@ import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain, pairwise
 from pathlib import Path
+from statistics import quantiles
 from typing import Any
 
 import yaml
@@ -23,6 +26,9 @@ from edit3r.kit.files.configs import read_yaml
 NEVER = 3  # each third place is fitted on by nobody
 # hardly any scene fails, so what parts poor and failed is not fitted
 FITTED_LABELS = LABELS[:2]
+MUST = 2  # strength from which a broken reconstructor must be told
+BLURRED = ("torn", "fat")  # kinds whose depths are right
+NO_DEPTH = ("plane", "exchanged", "turned", "aside")  # as one flat picture, or worse
 Row = Mapping[str, Any]
 Limits = Mapping[str, Any]
 Outcomes = Iterator[tuple[str, bool]]
@@ -53,18 +59,21 @@ class JudgeCommand(Command):
         print(report(outcomes(row, limits) for row in rest))
         print(json.dumps(limits, indent=1))
         if args.write:
-            write_limits({what: limits})
+            write_limits(
+                {"scene": {"beside": limits}} if what == "part" else {what: limits}
+            )
         return 0
 
 
 def read_rows(path: str) -> tuple[str, list[Row]]:
-    """The "edit"s or "scene"s of a file. Raises InputError for what is neither."""
+    """The "edit"s, "scene"s or "part"s of a file. Raises InputError for what is none of them."""
     try:
         rows = [json.loads(line) for line in Path(path).read_text().splitlines()]
-        for what, needed in ("edit", {"fault", "kind"}), ("scene", {"label"}):
+        kinds = ("edit", {"fault"}), ("part", {"strength"}), ("scene", {"label"})
+        for what, needed in kinds:
             if all(needed | {"place", "figures"} <= {*row} for row in rows):
                 return what, rows
-        raise ValueError("a row lacks place, figures, or fault and kind, or label")
+        raise ValueError("a row lacks place, figures, or fault, strength or label")
     except (OSError, ValueError, TypeError) as error:
         raise InputError(
             f"{path}: {error}; expected rows of benchmarks/verdict.py."
@@ -114,6 +123,40 @@ def limits_of_scenes(rows: Sequence[Row]) -> Limits:
     return limits
 
 
+def is_sound(row: Row) -> bool:
+    """Whether nothing is broken, nor the scene poor without that."""
+    return not row["strength"] and not _is_poor(row)
+
+
+def _is_poor(row: Row) -> bool:
+    """Whether the view half-way alone makes a scene poor."""
+    from edit3r_judge.signals import fitted_limits
+
+    return row["figures"]["half_way"] > fitted_limits("scene")["fair"]["half_way"]
+
+
+def limits_of_parts(rows: Sequence[Row]) -> Limits:
+    """Half-way between the worst sound part and what nine of ten reach that are broken so much that
+    one sees it: a limit just above the sound ones that were fitted would blame others.
+    """
+    sound = [row["figures"] for row in rows if is_sound(row)]
+    broken = [row for row in rows if row["strength"] >= MUST]
+    bad: dict[str, list[float]] = {"geometry": [], "reference": [], "flat": []}
+    for row in broken:
+        figures, kind = row["figures"], row["kind"]
+        bad["reference" if kind in BLURRED else "geometry"].append(
+            figures["reference" if kind in BLURRED else "geometry"]
+        )
+        if kind in NO_DEPTH and figures["flat"] is not None:
+            # as if the run's geometry were so, and not what was made of it
+            bad["flat"].append(figures["flat"] * figures["geometry"])
+    limits = {}
+    for name, values in bad.items():
+        worst = max(one[name] for one in sound if one[name] is not None)
+        limits[name] = (worst + quantiles(values, n=10)[0]) / 2
+    return limits
+
+
 def between(good: Sequence[float], bad: Sequence[float], over: float = 1) -> float:
     """The limit above which the least share of `good` values, which counts `over` times, and below
     which the least of `bad` ones lies; of equal limits the middle of the widest gap.
@@ -136,6 +179,22 @@ def outcomes_of_scenes(row: Row, limits: Limits) -> Outcomes:
         right = said == (LABELS.index(row["label"]) <= number)
         yield f"{called} or not", right
         yield f"  {'' if said else 'not '}called {called}", right
+
+
+def outcomes_of_parts(row: Row, limits: Limits) -> Outcomes:
+    """How often what a broken reconstructor makes is poor, by kind and strength, and a sound one is
+    not blamed.
+    """
+    figures, strength = row["figures"], row["strength"]
+    blamed = any(figures[name] > limits[name] for name in ("geometry", "reference"))
+    told = blamed or _is_poor(row)
+    if is_sound(row):
+        yield "sound ones not blamed", not told
+    elif strength >= MUST:
+        yield "broken ones told", told
+    yield f"  {row['kind']} {strength or ''} told", told
+    if is_sound(row) and figures["flat"] is not None:
+        yield "geometry not blamed", figures["flat"] <= limits["flat"]
 
 
 def outcomes_of_edits(row: Row, limits: Limits) -> Outcomes:
@@ -164,5 +223,6 @@ def report(outcomes: Iterable[Outcomes]) -> str:
 WAYS = {
     "edit": (limits_of_edits, outcomes_of_edits),
     "scene": (limits_of_scenes, outcomes_of_scenes),
+    "part": (limits_of_parts, outcomes_of_parts),
 }
 """How limits are fitted, and what is counted."""

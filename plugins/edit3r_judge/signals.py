@@ -40,6 +40,7 @@ FEW = 30  # pixels below which nothing is told
 Maps = Float[Tensor, "view height width"]
 Where = Bool[Tensor, "view height width"]
 Picture = Float[Tensor, "channel height width"]
+RGB = tuple[float, float, float]  # sRGB in [0, 1]
 
 
 @cache
@@ -55,14 +56,14 @@ class Pictures:
         views = list(edit.edited)
         self.edit, self.views = edit, views
         self.old, self.new = (
-            _lab(one.images[0, views]) for one in (edit.before, edit.after)
+            lab(one.images[0, views]) for one in (edit.before, edit.after)
         )
         drawn = edit.rendered
-        self.shown = None if drawn is None else _lab(drawn.images[0, views])
+        self.shown = None if drawn is None else lab(drawn.images[0, views])
         self.change = (self.new - self.old).norm(dim=1)
         masks = torch.ones_like(self.change)
         if edit.masks is not None:
-            masks = _small(edit.masks[0, views])
+            masks = small(edit.masks[0, views])
         self.inside = masks > 0.5
         self.touched = masks > 0.02  # soft edges may change a little
         self.core = ~_grown(~self.inside, BAND)  # without its rim
@@ -191,8 +192,8 @@ def shared(found: Pictures) -> float | None:
     if found.removes or edit.masks is None or edit.rendered is None or cameras is None:
         return None
     things = [one.masks[:, 0] for one in edit.selected] or [edit.masks[0]]
-    masks = _small(torch.stack(things).amax(0))
-    depths, overlaps = _small(edit.rendered.depths[0, :, 0]), []
+    masks = small(torch.stack(things).amax(0))
+    depths, overlaps = small(edit.rendered.depths[0, :, 0]), []
     for pair in map(list, permutations(range(len(masks)), 2)):
         lenses, poses = cameras.intrinsics[0, pair].cpu(), cameras.c2w[0, pair].cpu()
         grid, seen = shared_surface(depths[pair], lenses, poses, SAME_SURFACE)
@@ -214,7 +215,8 @@ def as_asked(found: Pictures) -> float | None:
     """How far what changed came to what was asked for: 1: all the way, 0 or less: elsewhere.
 
     To a colour, or to black and white: in hue and saturation, but for what nobody sees, the median;
-    what had the colour and has it still is all the way. Of brightness the share of the change that
+    what is darker than the colour cannot have all of its saturation; what had the colour and has it
+    still is all the way. Of brightness the share of the change that
     has the right sign. The least of the changes; None where nothing tells.
     """
     shares = []
@@ -228,8 +230,8 @@ def as_asked(found: Pictures) -> float | None:
             shares.append(float(size[lighter * change.amount > 0].sum() / size.sum()))
         elif change.kind == "greyscale" or (change.kind == "paint" and change.colour):
             paint = change.colour.rgb if change.colour else (0.0, 0.0, 0.0)
-            goal = _lab_of(paint)
-            before, left = ((goal - one)[:, 1:].norm(dim=1) for one in (old, new))
+            goal = _goal(paint, new[:, 0])
+            before, left = ((goal - one[:, 1:]).norm(dim=1) for one in (old, new))
             share = 1 - (left - SEEN).clamp(min=0) / before.clamp(min=CLEAR)
             share[_painted(old, paint) & _painted(new, paint)] = 1
             shares.append(float(share.median()))
@@ -278,8 +280,8 @@ def closed(found: Pictures) -> float | None:
     now = found.new if found.shown is None else found.shown
     shares = []
     around = _grown(found.inside, WIDE) & ~_grown(found.inside, BAND)
-    fine = (found.new - _blurred(found.new))[:, 0].abs() + 0.01  # flat walls have none
-    told = _blurred(fine, WIDE)
+    fine = (found.new - blurred(found.new))[:, 0].abs() + 0.01  # flat walls have none
+    told = blurred(fine, WIDE)
     for view, (inside, beside) in enumerate(zip(found.inside, around)):
         if min(int(inside.sum()), int(beside.sum())) < FEW:
             continue
@@ -304,7 +306,7 @@ def missed(found: Pictures) -> float | None:
         wanted, got = new - old, shown - old
         changed = wanted.norm(dim=0) > SEEN
         if int(changed.sum()) >= FEW:
-            arrived, asked = _blurred(
+            arrived, asked = blurred(
                 torch.stack([wanted * got, wanted * wanted]).sum(1)
             )
             lost = changed & (arrived < 0.4 * asked)
@@ -351,14 +353,14 @@ def unlike_either(
     Each pixel is compared where optical flow finds it in the photos: a thing that is torn or
     dissolved is found in none, one that lies a little aside is.
     """
-    for pair, shown in zip(between.pairs, _lab(between.rendered.images[0])):
+    for pair, shown in zip(between.pairs, lab(between.rendered.images[0])):
         if not {*pair} <= {*photos} or min(shown.shape[1:]) < FEW:
             continue
         thing, off = torch.zeros_like(shown[0]), torch.full_like(shown[0], torch.inf)
         for view in pair:
-            picture = (_blurred(photos[view], soft), masks[view][None].float())
+            picture = (blurred(photos[view], soft), masks[view][None].float())
             *colour, inside = warp(torch.cat(picture), _found_in(photos[view], shown))
-            unlike = (_blurred(shown, soft) - torch.stack(colour)).norm(dim=0)
+            unlike = (blurred(shown, soft) - torch.stack(colour)).norm(dim=0)
             off, thing = torch.minimum(off, unlike), torch.maximum(thing, inside)
         if int((thing > 0.5).sum()) >= FEW:
             yield pair, float((off / wholly).clamp(max=1)[thing > 0.5].mean())
@@ -366,7 +368,7 @@ def unlike_either(
 
 def unlike_between(scene: SceneToJudge) -> list[float | None]:
     """For each placed photo how much of the view half-way to its nearest looks like neither."""
-    photos = dict(enumerate(_lab(scene.edited.images[0])))
+    photos = dict(enumerate(lab(scene.edited.images[0])))
     shares: list[float | None] = [None] * len(photos)
     if scene.half_way is not None:
         all_ = {view: torch.ones_like(one[0]) > 0 for view, one in photos.items()}
@@ -392,10 +394,10 @@ def _region(found: Pictures, number: int) -> Where:
     """Where an instruction applies."""
     if found.edit.regions is None:
         return torch.ones_like(found.inside)
-    return _small(found.edit.regions[number, 0, found.views]) > 0.5
+    return small(found.edit.regions[number, 0, found.views]) > 0.5
 
 
-def _small(maps: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch h w"]:
+def small(maps: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch h w"]:
     """Maps with `SIDE` pixels on the longer side, at most, on the CPU."""
     height, width = maps.shape[-2:]
     scale = min(1.0, SIDE / max(height, width))
@@ -404,31 +406,44 @@ def _small(maps: Float[Tensor, "*batch height width"]) -> Float[Tensor, "*batch 
     return F.adaptive_avg_pool2d(flat, size).view(*maps.shape[:-2], *size)
 
 
-def _lab(images: Float[Tensor, "view 3 height width"]) -> Float[Tensor, "view 3 h w"]:
-    return rgb_to_lab(_small(images).clamp(0, 1))
+def lab(images: Float[Tensor, "view 3 height width"]) -> Float[Tensor, "view 3 h w"]:
+    """In CIE Lab, `SIDE` pixels at most."""
+    return rgb_to_lab(small(images).clamp(0, 1))
 
 
 def _lab_of(rgb: tuple[float, float, float]) -> Float[Tensor, "3"]:
     return rgb_to_lab(torch.tensor(rgb)[:, None, None])[:, 0, 0]
 
 
-def _painted(
-    pixels: Float[Tensor, "pixel 3"], paint: tuple[float, float, float]
-) -> Tensor:
+def _painted(pixels: Float[Tensor, "pixel 3"], paint: RGB) -> Tensor:
     """Which pixels have a paint's hue and saturation, in whatever light [bool]."""
+    goal = _in_light(paint, pixels[:, 0])
+    return (pixels[:, 1:] - goal).norm(dim=1) < goal.norm(dim=1) / 4
+
+
+def _goal(paint: RGB, lightness: Float[Tensor, "pixel"]) -> Float[Tensor, "pixel 2"]:
+    """The hue and saturation that pixels can take of a paint: all of it, less where it is dark."""
+    whole = _lab_of(paint)
+    dark = (lightness < whole[0])[:, None]
+    return torch.where(dark, _in_light(paint, lightness), whole[1:])
+
+
+def _in_light(
+    paint: RGB, lightness: Float[Tensor, "pixel"]
+) -> Float[Tensor, "pixel 2"]:
+    """Hue and saturation (a, b) of a paint in the light in which it is so light."""
     light = 8 * torch.linspace(0, 1, 257) ** 2
     lit = (srgb_to_linear(torch.tensor(paint))[:, None] * light).clamp(max=1)
     shades = rgb_to_lab(linear_to_srgb(lit)[:, None])[:, 0]
-    shade = torch.searchsorted(shades[0], pixels[:, 0].contiguous()).clamp(max=256)
-    goal = shades[1:, shade]
-    return (pixels[:, 1:].T - goal).norm(dim=0) < goal.norm(dim=0) / 4
+    shade = torch.searchsorted(shades[0], lightness.contiguous()).clamp(max=256)
+    return shades[1:, shade].T
 
 
 def _grown(where: Where, pixels: int) -> Where:
     return torch.stack([dilate(one.float(), pixels) > 0 for one in where])
 
 
-def _blurred(maps: Tensor, pixels: float = 2) -> Tensor:
+def blurred(maps: Tensor, pixels: float = 2) -> Tensor:
     """Over two pixels: scenes are softer than photos."""
     flat = maps.reshape(-1, *maps.shape[-2:]).numpy()
     smooth = [cv2.GaussianBlur(one, (0, 0), pixels) for one in flat]
@@ -446,8 +461,8 @@ def _found_in(picture: Picture, other: Picture) -> Float[Tensor, "height width 2
 
 def _mean_around(picture: Picture, where: Bool[Tensor, "height width"]) -> Picture:
     """The mean colour about each pixel of what lies in `where`."""
-    weight = _blurred(where[None].float())
-    return _blurred(picture * where) / weight.clamp(min=1e-3)
+    weight = blurred(where[None].float())
+    return blurred(picture * where) / weight.clamp(min=1e-3)
 
 
 def _steps(light: Float[Tensor, "height width"]) -> Float[Tensor, "2 height width"]:

@@ -1,30 +1,28 @@
-"""How good a scene came out, judged without any truth: does it show its own input views?
+"""How good a scene came out, judged without any truth, and which part is to blame.
 
 Half-way between photos it shows what was guessed, or what looks like no photo, where it does not
-hold. Three signals, whose limits for each label stand in `fitted.yaml`: the sum of both shares in
-the worst view half-way, how many photos are left out [share], and the agreement of the worst photo
-[dB]: a scene whose rendering of a photo differs much from it shows other viewpoints no better. See
-docs/notes/verdict.md.
+hold: the sum of both shares in the worst view, and how many photos are left out, give the label. A
+part that is broken (`faults.py`) makes it `poor`, and photos that do not look like themselves make
+it `failed`. Limits stand in `fitted.yaml`. See docs/notes/verdict.md.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import SceneToJudge
 from edit3r.contract.types import Rendering
-from edit3r.contract.verdicts import LABELS, Label, Verdict
+from edit3r.contract.verdicts import LABELS, Label, Part, Verdict
+from edit3r_judge.blame import Doubt, beside, broken_part
 from edit3r_judge.signals import fitted_limits, unlike_between
 
-
-@dataclass(frozen=True)
-class Doubt:
-    """What speaks against a scene though it may show its photos well."""
-
-    clause: str  # what was found and what to do, instead of advice about the photos
-    best: Label = "fair"  # that the scene can get
+AS_SHARP = (
+    (30, "as they are"),
+    (25, "nearly as they are"),
+    (20, "softer than they are"),
+)
+"""Agreement of scene and photos [dB], and what one sees of it."""
 
 
 def judge(
@@ -46,12 +44,18 @@ def judge(
     filled = unknown if measured is None else (1 - measured.amin(0)).tolist()
     between = unknown if guessed is None else guessed.amax(0).tolist()
     unlike = unlike_between(scene)
-    label, reason = _label(scene, before, psnr, between, unlike, doubt)
+    cheapest = beside(scene, unlike)
+    worse = max(one - other for one, other in zip(before, psnr))
+    doubt = broken_part(scene, cheapest, worse) or doubt
+    label, reason, part = _label(scene, before, psnr, between, unlike, doubt)
+    figures = (psnr, before, coverage, filled, between, unlike)
     at_photos, at_first, *others = (
         tuple(next(rest) if there else None for there in scene.placed)
-        for rest in map(iter, (psnr, before, coverage, filled, between, unlike))
+        for rest in map(
+            iter, (*figures, cheapest.geometry, cheapest.flat, cheapest.reference)
+        )
     )
-    return Verdict(label, reason, at_photos, at_first, scene.placed, *others)
+    return Verdict(label, reason, at_photos, at_first, scene.placed, *others, part=part)
 
 
 def _psnr(scene: SceneToJudge, shown: Rendering) -> list[float]:
@@ -75,8 +79,8 @@ def _label(
     between: list[float | None],
     unlike: list[float | None],
     doubt: Doubt | None,
-) -> tuple[Label, str]:
-    """The best label whose conditions hold, and one sentence for it."""
+) -> tuple[Label, str, Part | None]:
+    """The best label whose conditions hold, one sentence for it, and the part to blame."""
     evidence = [min(pair) for pair in zip(before, psnr)]
     worst, names, count = min(evidence), scene.edited.called, len(scene.placed)
     half_way = [(one or 0.0) + (other or 0.0) for one, other in zip(between, unlike)]
@@ -85,20 +89,23 @@ def _label(
 
     def holds(label: Label) -> bool:
         limit = limits[label]
-        agrees = worst >= limit["agreement"] and bad <= limit["half_way"]
-        return agrees and left_out <= limit["left_out"] * count
+        return bad <= limit["half_way"] and left_out <= limit["left_out"] * count
 
-    label = next(filter(holds, LABELS[:-1]), LABELS[-1])
+    alike = worst >= limits["agreement"]
+    label = next(filter(holds, LABELS[:-1]), LABELS[-1]) if alike else LABELS[-1]
     if doubt is not None:
         label = max(label, doubt.best, key=LABELS.index)
-    shown = f"the scene shows its photos at {sum(psnr) / len(psnr):.1f} dB on average"
+    sharp = sum(psnr) / len(psnr)
+    seen = next((text for least, text in AS_SHARP if sharp >= least), "only roughly")
+    shown = f"the scene shows its photos {seen}"
     if label == "good":
-        return label, f"{shown}."
-    blamed, mean = names[evidence.index(worst)], sum(evidence) / len(evidence)
-    shown += f", and they fit together at {mean:.1f} dB, the worst ({blamed}) at {worst:.1f} dB"
+        return label, f"{shown}.", None
+    blamed = names[evidence.index(worst)]
+    if not alike:
+        shown += f", and {blamed} hardly at all"
     if left_out:
         shown += f"; {left_out} of {count} photos could not be placed"
-    if bad > limits["good"]["half_way"]:
+    if bad > limits["good"]["half_way"] and (doubt is None or doubt.best != "poor"):
         view = half_way.index(bad)
         guessed, off = (one[view] or 0.0 for one in (between, unlike))
         shown += (
@@ -106,10 +113,11 @@ def _label(
             f"picture is guessed, since no photo shows it well enough, and {off:.0%} looks like no "
             "photo"
         )
-        if worst >= limits[LABELS[LABELS.index(label) - 1]]["agreement"]:
+        if alike:
             blamed = names[view]
-    way = doubt.clause if doubt else _way_out(blamed, names, left_out)
-    return label, f"{shown}; {way}."
+    if doubt is not None:
+        return label, f"{shown}; {doubt.clause}.", doubt.part
+    return label, f"{shown}; {_way_out(blamed, names, left_out)}.", "photos"
 
 
 def _way_out(blamed: str, names: Sequence[str], left_out: int) -> str:

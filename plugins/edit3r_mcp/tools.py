@@ -91,11 +91,13 @@ class Tools:
         photos: list[str] | None = None,
         marks: MarkArguments | None = None,
         earlier: str = "",
+        guess: bool = False,
     ) -> list:
         """Edit photos of one scene as a sentence says ("paint the bike red"), and make it 3D.
 
         Give two or more photos, or as `earlier` the name of a run that is edited again. What
         changes is the thing that the sentence names, or the marks. It takes some seconds a photo.
+        Words that hardly tell which thing is meant are asked about; `guess` takes the likeliest.
         """
         given = [f"--from={self._found(earlier)}"] if earlier else []
         given += self._photos(photos or [])
@@ -103,6 +105,7 @@ class Tools:
             raise ToolError("Give photos, or the name of an earlier run.")
         given += marks.flags() if marks else []
         given += [f"--config={self.config}"] if self.config else []
+        given += ["--guess"] if guess else []
         words = ("run", *given, f"--prompt={prompt}", "--progress=json")
         async with self._turn(context):
             out = self._unused("edit")

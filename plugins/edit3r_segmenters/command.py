@@ -17,11 +17,6 @@ class MaskCommand(Command):
         add_mark_flags(parser)
         add("--words", dest="thing", metavar="TEXT", help="the same as --thing")
         add(
-            "--sure",
-            action="store_true",
-            help="refuse words that find nothing for certain",
-        )
-        add(
             "--segmenter",
             default="auto",
             metavar="NAME",
@@ -77,7 +72,7 @@ class MaskCommand(Command):
             {
                 name: value
                 for name, value in given_flags(args, RunConfig).items()
-                if name in ("sure", "larger", "reading", "grow", "invert")
+                if name in ("larger", "reading", "grow", "invert")
             }
         )
         given = parse_assignments(args.set)
@@ -110,7 +105,6 @@ class MaskCommand(Command):
                 photos = load_photos(args.images, size=args.size)
                 marks = replace(
                     texts.read(photos),
-                    sure=outline.sure,
                     larger=outline.larger,
                     reading=outline.reading,
                     grow=outline.grow,

@@ -88,7 +88,9 @@ class GrabCutSegmenter(Segmenter):
             trimaps = [_around(clicks, window, size) for window in WINDOWS]
             masks = [_cut(picture, trimap, clicks) for trimap in trimaps]
             masks += [_regions(picture, clicks, scale) for scale in SCALES]
-        return MaskLogits(torch.from_numpy(LOGIT * (2 * np.float32(masks) - 1)))
+        return MaskLogits(
+            torch.from_numpy(LOGIT * (2 * np.array(masks, np.float32) - 1))
+        )
 
     @remembered
     def words(

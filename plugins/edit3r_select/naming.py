@@ -48,8 +48,6 @@ Proposals = tuple[Proposal, ...]
 def looked_up(photos: Photos, selection: Selection) -> Named:
     """What the words of a selection mean; what stands out, as a question, where nobody knows them
     or finds it.
-
-    Raises InputError for what is not sure where only sure things may be taken.
     """
     named = _named(photos, selection)
     if named.confidence is not None and SURE <= named.confidence < 1:
@@ -113,7 +111,6 @@ def _kept(selection: Selection, named: Named, own: Mapping[int, Proposal]) -> Na
     warnings = named.warnings
     if confidence < SURE <= (named.confidence or 0.0):
         what = f"{selection.words!r} was found on photo {view + 1}"
-        _refuse_unsure(selection, f"{what}, but", confidence)
         warnings += (
             f"{what} with a confidence of only {confidence:.0%}: look at its outline there. To "
             f"correct it: {ASK}.",
@@ -188,7 +185,7 @@ def _text(photos: Photos, selection: Selection, view: int) -> tuple[Proposals, b
     """What the words name on a photo, and whether the segmenter knows them."""
     image = photos.images[view]
     if selection.words == BACKGROUND:
-        told = _background(photos.segmenter, image)
+        told: Proposals | None = _background(photos.segmenter, image)
     else:
         told = photos.segmenter.words(image, selection.words)
     likely = [one for one in told or () if one.confidence >= FOUND_AT_ALL]
@@ -259,9 +256,6 @@ def _taken(photos: Photos, selection: Selection, view: int, found: Proposals) ->
     named = " ".join((*which, words)).strip()
     if len(picked) > 1:
         say("selection.several", f"{len(picked)} {words} on photo {view + 1}")
-    _refuse_unsure(
-        selection, f"{named!r} was found on photo {view + 1}, but", confidence
-    )
     masks = [_stepped(photos, view, one, selection.larger) for one in picked]
     mask = torch.stack(masks).amax(0)
     options: tuple[Reading, ...] = ()
@@ -277,14 +271,6 @@ def _taken(photos: Photos, selection: Selection, view: int, found: Proposals) ->
         )
     here = {view: OnPhoto(mask, "words")}
     return Named(here, confidence, least, options, tuple(warnings))
-
-
-def _refuse_unsure(selection: Selection, what: str, confidence: float) -> None:
-    if confidence < SURE and selection.sure:
-        raise InputError(
-            f"{what} it may be something else (confidence {confidence:.0%}, {SURE:.0%} are "
-            f"needed); {ASK}, or leave out --sure to take it."
-        )
 
 
 def numbered(view: int, options: Iterable[tuple[Mask, float]]) -> tuple[Reading, ...]:
@@ -371,12 +357,8 @@ def _on_others(photos: Photos, selection: Selection, named: Named, best: int) ->
 def _standing_out(
     photos: Photos, selection: Selection, view: int, known: bool
 ) -> Named:
-    """What stands out on a photo, with other candidates: nothing is refused that can be shown, but
-    where only sure things may be taken.
-    """
+    """What stands out on a photo, with other candidates: nothing is refused that can be shown."""
     why = _why_not(photos, selection, view, known)
-    if selection.sure:
-        raise InputError(f"{why}; {ASK}, or leave out --sure to take what stands out.")
     some = standing_out(photos.segmenter, photos.images[view])
     if not some:
         raise InputError(f"{why}, and nothing stands out on photo {view + 1}; {ASK}.")

@@ -82,8 +82,7 @@ def select_masks(
 
     `geometry` (batch 1) and `intrinsics` are those of the same views; without them only a
     segmenter that follows objects carries masks. What stands out is taken for words that nobody
-    knows or finds, as a question. Raises InputError for marks outside the photos, and with
-    `selection.sure` for what words found unsurely or not at all.
+    knows or finds, as a question. Raises InputError for marks outside the photos.
     """
     _check(selection, len(images))
     if geometry is not None and geometry.intrinsics is not None:

@@ -1,9 +1,22 @@
 """Outlines drawn by hand: the file holds what it promises."""
 
 import json
+import runpy
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+
+
+def test_photos_that_are_there_are_not_fetched_again(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    fetch = runpy.run_path(str(ROOT / "benchmarks/outlines.py"))["fetch"]
+    asked = []
+    answer = lambda source, clones: asked.append(source["path"]) or b"photo"  # noqa: E731
+    monkeypatch.setitem(fetch.__globals__, "content", answer)
+    fetch(tmp_path)
+    count = len(asked)
+    fetch(tmp_path)
+    assert count > 50 and len(asked) == count
 
 
 def test_every_outline_of_the_file_has_a_word_and_rings_that_enclose_something():

@@ -20,6 +20,7 @@ from edit3r.contract.interfaces.judging import (
     Critic as Critic,
     EditToJudge as EditToJudge,
     HalfWay as HalfWay,
+    Reference as Reference,
     SceneToJudge as SceneToJudge,
 )
 from edit3r.contract.interfaces.reading import Reader as Reader

@@ -1,7 +1,8 @@
 """Critics: how well an edit was carried out, and whether a scene holds."""
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from jaxtyping import Float
 from torch import Tensor
@@ -10,7 +11,7 @@ from edit3r.contract.component import Configured
 from edit3r.contract.instructions import Instruction
 from edit3r.contract.interfaces.reconstruction import Geometry
 from edit3r.contract.interfaces.selection import Selected
-from edit3r.contract.types import Cameras, Rendering, Views
+from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict, Verdict
 
 
@@ -22,6 +23,17 @@ class HalfWay:
     cameras: Cameras  # batch 1
     # between which two placed photos each camera stands
     pairs: tuple[tuple[int, int], ...]
+
+
+@dataclass(frozen=True, repr=False)
+class Reference:
+    """The cheapest scene that the run's geometry makes, one round Gaussian of each pixel of the
+    edited photos, drawn by the run's rasterizer: what a sound reconstructor reaches at least.
+    """
+
+    first: Rendering  # from the place of the first placed photo, smaller than it
+    depths: Float[Tensor, "height width"]  # what the geometry says of it: camera z
+    half_way: HalfWay | None  # None: there is one photo alone
 
 
 @dataclass(frozen=True, repr=False)
@@ -59,6 +71,8 @@ class SceneToJudge:
     placed: tuple[bool, ...]
     geometry: Geometry | None  # of the photos; None: the scene stands on none
     edited: Views
+    cameras: Cameras  # the photos', in the scene's frame
+    gaussians: Gaussians  # before any refiner
     first: Rendering  # the scene before any refiner, from the photos' places
     rendered: Rendering  # the final one
     measured: Float[Tensor, "batch view"] | None  # share of pixels with measured depth
@@ -68,6 +82,12 @@ class SceneToJudge:
     lenses: tuple[float, float] | None = None
     edit: EditVerdict | None = None  # what is said of the edit in 2D
     half_way: HalfWay | None = None  # None: there is one photo alone
+    reference: Reference | None = (
+        None  # None: the scene stands on no geometry of the run
+    )
+    # names of the run's components by kind, such as "reconstructor"; who read the geometry is the
+    # "geometry"
+    components: Mapping[str, str] = field(default_factory=dict)
 
 
 class Critic(Configured, ABC):

@@ -55,8 +55,6 @@ class Selection:
         str, ...
     ] = ()  # which one of several: "left", "big", "red", "all"
     several: bool = False  # True: a plural, so every one that is found surely is taken
-    # True: raise an error for a name that is not found surely; False: take the likeliest and ask
-    sure: bool = False
     # which candidate is taken: 1 is the likeliest, 2 the next
     reading: int = 1
     # above 0: so many steps to larger candidates ("the whole car"); below 0: to smaller ones
@@ -226,8 +224,8 @@ class Selector(Configured, ABC):
         For words that are unknown or not found, what stands out is taken, with "guess" in `how`.
 
         Raises:
-            InputError: For marks on a view that does not exist, marks of a kind that this selector
-                cannot read, and, with `selection.sure`, for words that were not found surely.
+            InputError: For marks on a view that does not exist, and of a kind that this selector
+                cannot read.
         """
 
 

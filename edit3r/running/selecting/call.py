@@ -61,7 +61,7 @@ def select(
     a run with the same cache, need not find them again.
 
     Raises:
-        InputError: For marks outside the photos, and for what is unsure where `selection.sure`.
+        InputError: For marks outside the photos.
     """
     cache = cache or Cache()
     matcher = default_matcher(default_registry())

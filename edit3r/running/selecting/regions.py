@@ -398,10 +398,9 @@ def _median_colour(
 
 
 def _with_defaults(selection: Selection, defaults: Selection) -> Selection:
-    """A selection with what the run says of outlines and of what is sure beside its own."""
+    """A selection with what the run says of outlines beside its own."""
     return replace(
         selection,
-        sure=selection.sure or defaults.sure,
         reading=max(selection.reading, defaults.reading),
         larger=selection.larger + defaults.larger,
         grow=selection.grow + defaults.grow,

@@ -4,13 +4,27 @@ from dataclasses import replace
 
 import torch
 
-from edit3r.contract.interfaces import HalfWay, Rasterizer, SceneToJudge
+from edit3r.contract.component import component_name
+from edit3r.contract.interfaces import (
+    Geometry,
+    HalfWay,
+    Rasterizer,
+    Reference,
+    SceneToJudge,
+)
 from edit3r.contract.reporting import stage
-from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering
+from edit3r.contract.types import (
+    Cameras,
+    Gaussians,
+    Reconstruction,
+    Rendering,
+    Views,
+)
 from edit3r.contract.verdicts import EditVerdict
 from edit3r.kit.checks import check_edit_verdict, check_verdict
+from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.paths import half_way
-from edit3r.kit.rendering import render_each
+from edit3r.kit.rendering import render_each, render_one
 from edit3r.running.components import Components
 from edit3r.running.editors import edit_to_judge
 from edit3r.running.records import (
@@ -25,6 +39,8 @@ from edit3r.running.records import (
 from edit3r.running.scene_input import SceneInput
 
 HALF_WAY_SIZE = 256  # longer side [pixels]: critics look at no finer pictures
+# standard deviation of the reference's Gaussians [pixels]: no gaps, no blur; by eye
+FOOTPRINT = 0.6
 
 
 @torch.no_grad()
@@ -39,25 +55,27 @@ def judge(
     components: Components,
 ) -> Judged:
     """The refined scene from its input views, and the verdicts."""
-    text, size = "render input views", inputs.start.image_size
+    size = inputs.start.image_size
     with stage("check"):
-        first, rendered = (
-            corrected.undone(render_each(components.rasterizer, scene, cameras, text))
-            for scene, cameras in (
-                (reconstructed.reconstruction.gaussians, reconstructed.cameras),
-                (gaussians, reconstructed.cameras.at(size)),
-            )
+        first, rendered = _from_photos(
+            corrected, reconstructed, gaussians, size, components.rasterizer
         )
         cameras, half = reconstructed.cameras.at(size), None
         # Half-way between places around a scene is a place like any other.
         if cameras.count > 1 and inputs.scene is None:
             half = seen_half_way(components.rasterizer, gaussians, cameras)
+        reference = None
+        if located.geometry is not None and inputs.scene is None:
+            used, drawn_by = reconstructed.used, components.rasterizer
+            reference = _reference(located.geometry, used, edit.views, drawn_by)
         verdict = components.critic.judge_scene(
             SceneToJudge(
                 photos=reconstructed.photos,
                 placed=reconstructed.placed,
                 geometry=located.geometry,
                 edited=edit.views,
+                cameras=reconstructed.cameras,
+                gaussians=reconstructed.reconstruction.gaussians,
                 first=first,
                 rendered=rendered,
                 measured=reconstructed.reconstruction.measured,
@@ -65,6 +83,8 @@ def judge(
                 lenses=located.lenses,
                 edit=edit.verdict,
                 half_way=half,
+                reference=reference,
+                components=_named(components),
             )
         )
         check_verdict(components.critic, verdict)
@@ -94,6 +114,68 @@ def _compared(scene: SceneInput, made: Reconstruction) -> str:
     return ", ".join((*told, "all others are as they came"))
 
 
+def _from_photos(
+    corrected: ExposureCorrected,
+    reconstructed: Reconstructed,
+    gaussians: Gaussians,
+    size: tuple[int, int],
+    rasterizer: Rasterizer,
+) -> tuple[Rendering, Rendering]:
+    """The scene before any refiner, no larger than critics look, and the final one; drawn once
+    where they are the same.
+    """
+    before, text = reconstructed.reconstruction.gaussians, "render input views"
+    cameras = reconstructed.cameras.at(size)
+    drawn = [(gaussians, cameras)]
+    if gaussians is not before:
+        drawn.insert(0, (before, cameras.at(_small(size))))
+    shown = [
+        corrected.undone(render_each(rasterizer, scene, cameras, text))
+        for scene, cameras in drawn
+    ]
+    return shown[0], shown[-1]
+
+
+def _reference(
+    geometry: Geometry, used: list[int], edited: Views, rasterizer: Rasterizer
+) -> Reference:
+    """The first scene of the batch, as sharp as critics look."""
+    size = _small(edited.image_size)
+    one, views = geometry.scene(0).at(size), edited.scene(0).at(size)
+    if one.intrinsics is not None:
+        views = replace(views, intrinsics=one.intrinsics[:, used])
+    c2w, depths = one.c2w[:, used], one.depths[:, used]
+    cameras = Cameras(c2w, views.intrinsics, size)
+    scales = pixel_scales(depths, views.intrinsics, FOOTPRINT)
+    opacities = torch.full_like(depths, 0.95)
+    pixels = pixels_to_gaussians(views.images, depths, cameras, scales, opacities)
+    return Reference(
+        first=render_one(rasterizer, pixels.from_view(0), cameras.select([0])),
+        depths=depths[0, 0],
+        half_way=seen_half_way(rasterizer, pixels, cameras) if len(used) > 1 else None,
+    )
+
+
+def _named(components: Components) -> dict[str, str]:
+    """The name of each component by the part of a run that it is."""
+    found = {
+        "editor": components.editor_names,
+        "reconstructor": component_name(components.reconstructor),
+        "refiner": " + ".join(map(component_name, components.refiners)),
+        "rasterizer": component_name(components.rasterizer),
+    }
+    if components.uses_geometry:
+        found["geometry"] = component_name(components.geometry_source)
+    return found
+
+
+def _small(size: tuple[int, int]) -> tuple[int, int]:
+    """(height, width) at which critics look [pixels]."""
+    share = min(1.0, HALF_WAY_SIZE / max(size))
+    height, width = (max(1, round(share * side)) for side in size)
+    return height, width
+
+
 def _edit_verdict(
     inputs: Inputs,
     selection: SelectedRegions,
@@ -119,8 +201,6 @@ def seen_half_way(
     rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras
 ) -> HalfWay:
     """One scene (batch 1) from half-way between each photo and its nearest one."""
-    share = min(1.0, HALF_WAY_SIZE / max(cameras.image_size))
-    height, width = (max(1, round(share * side)) for side in cameras.image_size)
-    between, pairs = half_way(cameras.at((height, width)))
+    between, pairs = half_way(cameras.at(_small(cameras.image_size)))
     rendered = render_each(rasterizer, gaussians, between, "look between the photos")
     return HalfWay(rendered, between, pairs)

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.component import component_name
-from edit3r.contract.errors import InputError
+from edit3r.contract.errors import InputError, QuestionError
 from edit3r.contract.instructions import Instruction, Target
 from edit3r.contract.interfaces import (
     ASK,
@@ -23,10 +23,14 @@ from edit3r.contract.types import Views
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.components import Components
 from edit3r.running.geometry import NOT_ASKED, GeometryAnswer, find_geometry
-from edit3r.running.records import Inputs, Located, SelectedRegions
+from edit3r.running.records import Inputs, Located, Preview, SelectedRegions
 from edit3r.running.scene_input import SceneInput
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.regions import RegionFinder
+
+ASKED = 0.35
+"""Confidence below which the thing that words name is asked about, and not edited (fitted, see
+docs/notes/selecting.md)."""
 
 
 @torch.no_grad()
@@ -39,6 +43,30 @@ def select(inputs: Inputs, located: Located, components: Components) -> Selected
         selection = _regions(inputs, located, components)
         selection = _widened(selection, inputs, components)
         return selection if inputs.scene is None else _on_scene(selection, inputs.scene)
+
+
+def require_answer(
+    inputs: Inputs, selection: SelectedRegions, components: Components
+) -> None:
+    """Raise QuestionError where words hardly tell which thing is meant, and nobody chose one."""
+    config = components.config
+    if config.guess or "reading" in config.set_by_the_user():
+        return
+    for thing in selection.selected:
+        by_words = {"words", "guess"} & {*thing.how}
+        if by_words and thing.confidence is not None and thing.confidence < ASKED:
+            numbers = " or ".join(f"--reading {one.number}" for one in thing.readings)
+            hints = "".join(
+                components.reader.hint(one) for one in selection.instructions
+            )
+            raise QuestionError(
+                f"which is the {thing.called or 'thing'}? The likeliest candidate has a confidence "
+                f"of {thing.confidence:.0%}, so nothing was edited. Take one ({numbers}), {ASK}, "
+                "or fetch a detector that knows most words (edit3r weights get words); --guess "
+                f"takes the likeliest.{hints}",
+                thing.readings,
+                Preview(inputs, selection, None),
+            )
 
 
 def load(inputs: Inputs, components: Components) -> Inputs:
@@ -217,7 +245,6 @@ def _finder(
         geometry=of_scene,
         marked=inputs.marked,
         defaults=Selection(
-            sure=config.sure,
             reading=config.reading,
             larger=config.larger,
             grow=config.grow,

@@ -208,8 +208,8 @@ function askToDelete(name, facts, refresh) {
     el(
       "div",
       { class: "row" },
-      el("button", { type: "button", class: "primary", onclick: act }, "Delete"),
-      el("button", { type: "button", onclick: () => asked.close() }, "Cancel"),
+      el("button", { type: "button", onclick: act }, "Delete"),
+      el("button", { type: "button", class: "primary", onclick: () => asked.close() }, "Cancel"),
     ),
   );
 }

@@ -81,7 +81,7 @@ def test_an_empty_prompt_is_enough_for_an_editor_that_needs_none():
     assert task.instructions[0].action == "remove"
     with pytest.raises(PromptError, match="there is nothing to do"):
         chosen("")
-    with pytest.raises(PromptError, match="nothing is asked for"):  # before any work
+    with pytest.raises(PromptError, match="nothing to do"):  # before any work
         recolor = edit3r.build("editor", "recolor")
         tasks_for_editor(recolor, "", usual_reader(), default_registry())
 

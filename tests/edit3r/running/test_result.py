@@ -13,7 +13,7 @@ from PIL import Image
 
 import edit3r
 from edit3r.cli.main import main
-from edit3r.contract.errors import InputError
+from edit3r.contract.errors import QuestionError
 from edit3r.contract.interfaces import (
     MaskLogits,
     Proposal,
@@ -32,7 +32,7 @@ from edit3r.running import result as result_module
 from edit3r.running.config import USUAL_OUTPUTS, make_run_config
 from edit3r.running.result import _other_readings
 from edit3r.running.run_folder import RunFolder
-from edit3r.running.summary import summary
+from edit3r.running.summary import answers, summary
 from edit3r_testing.scenes import photograph
 
 ALL = {
@@ -380,7 +380,12 @@ def test_what_was_found_unsurely_is_a_question_with_candidates_and_no_doubt_of_t
     asked = {"segmenter": Doubting(), "recon": Wall(), "refine": 0, "gaussians": "all"}
     asked |= {"outputs": ["sheet"]}
     report = Report()
-    doubtful = edit3r.run(views, "paint the bear red", report=report, **asked)
+    with pytest.raises(QuestionError, match=r"--reading 1 or .*--guess") as question:
+        edit3r.run(views, "paint the bear red", report=Report(), **asked)
+    assert [one.number for one in question.value.candidates] == [1, 2, 3]
+    doubtful = edit3r.run(
+        views, "paint the bear red", report=report, guess=True, **asked
+    )
     asks = doubtful.selection_verdict
     # The other photo confirms it in part only.
     assert asks.label == "question" and asks.confidence == pytest.approx(
@@ -409,8 +414,8 @@ def test_what_was_found_unsurely_is_a_question_with_candidates_and_no_doubt_of_t
         for name, one in (("doubtful", doubtful), ("plain", plain))
     ]
     assert heights[0] > heights[1] + 40  # readings below
-    with pytest.raises(InputError, match="--sure"):
-        edit3r.run(views, "paint the bear red", sure=True, report=Report(), **asked)
+    said = answers(doubtful.records.selection, doubtful.edit_verdict)
+    assert "if it is the right thing" in said[1]
 
 
 def test_other_readings_are_drawn_on_the_photo_they_are_of_where_one_was_not_placed():

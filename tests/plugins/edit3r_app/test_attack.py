@@ -33,7 +33,7 @@ def answer(
     """(status, text, how much of the body was read) of a request in chunks, without a length."""
     import asyncio
 
-    sent, size = [], -(-len(body) // chunks)
+    sent, size = [], max(1, -(-len(body) // chunks))
     parts = [body[at : at + size] for at in range(0, len(body), size)]
     read = 0
 

@@ -26,7 +26,8 @@ def test_a_flight_passes_every_view_and_rests_at_its_ends():
 
 
 def test_axes_of_a_viewer_that_are_nearly_right_become_a_rotation():
-    key = read_keys([{**KEY, "r": [[1.001, 0, 0], [0, 0.999, 0], [0, 0.001, 1]]}] * 2)
+    leaning = {**KEY, "r": [[1.001, 0, 0], [0, 0.999, 0], [0, 0.001, 1]]}
+    key = read_keys([leaning, KEY])
     turned = key[0].c2w[:3, :3]
     assert torch.allclose(turned @ turned.T, torch.eye(3).double(), atol=1e-9)
     assert turned.trace() > 2.99
@@ -37,6 +38,7 @@ def test_axes_of_a_viewer_that_are_nearly_right_become_a_rotation():
     [
         (None, "not views"),
         ([KEY], "expected 2 to 12"),
+        ([{**KEY, "t": [1, 0, 0]}, KEY, KEY], "view 3 is where view 2 is"),
         ([KEY] * 13, "expected 2 to 12"),
         ([{**KEY, "t": [0, 0]}] * 2, "not views"),
         ([{**KEY, "K": [0, 1, 0.5, 0.5]}] * 2, "not views"),
@@ -53,4 +55,9 @@ def test_what_is_no_flight_is_refused(asked, told):
 def test_a_run_without_a_scene_is_told_so(tmp_path):
     (tmp_path / "jar").mkdir()
     with pytest.raises(InputError, match="no scene to fly through yet"):
-        film(JobsFolder(tmp_path), "jar", [KEY] * 2, default_registry())
+        film(
+            JobsFolder(tmp_path),
+            "jar",
+            [KEY, {**KEY, "t": [1, 0, 0]}],
+            default_registry(),
+        )

@@ -48,11 +48,7 @@ def test_every_setting_of_the_run_is_in_the_dialog_in_plain_words():
 def test_settings_are_switches_selects_sliders_and_numbers():
     fields = fields_of({"editor": "recolor"})
     kinds = {name: field["kind"] for (_, name), field in fields.items()}
-    assert (kinds["sure"], kinds["exposure"], kinds["grid"]) == (
-        "switch",
-        "select",
-        "slider",
-    )
+    assert (kinds["exposure"], kinds["grid"]) == ("select", "slider")
     assert (kinds["strength"], kinds["frames"]) == ("slider", "number")
     assert fields["run", "seed"]["max"] is None  # no limit that anybody meets
     assert fields["run", "fov"]["unit"] == "degrees"

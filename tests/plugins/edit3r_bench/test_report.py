@@ -166,6 +166,7 @@ def test_a_difference_is_called_better_only_where_it_outlasts_the_correction():
     better.results["s0-edit"].metrics["psnr"] += 0.5
     better.results["s0-edit"].metrics["blur"] += 0.01
     text = report_text([first, better])
+    assert "| a - b |" in text
     assert " better |" in next(x for x in text.splitlines() if "+1.9" in x)
     assert " worse |" in next(x for x in text.splitlines() if "+0.29" in x)
     # One in 20 comparisons of equals looks different; corrected, none of 40 does.

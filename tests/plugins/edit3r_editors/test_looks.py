@@ -138,22 +138,6 @@ def test_describe_lists_every_look(capsys):
     ("flags", "says"),
     [
         (["--editor", "looks", "--prompt", "like mars"], "is not understood"),
-        (
-            ["--editor", "looks", "--sure", "--prompt", "turn the bear into gold"],
-            "--point",
-        ),
-        (
-            [
-                "--editor",
-                "looks",
-                "--prompt",
-                "turn the motorcycle into gold",
-                "--segmenter",
-                "classical",
-                "--sure",
-            ],
-            "not a word",
-        ),
         ([], "there is nothing to do"),
         (
             [
@@ -164,31 +148,39 @@ def test_describe_lists_every_look(capsys):
             ],
             "names 'door' and 'wall'",
         ),
-        (
-            ["--sure", "--prompt", "paint the door green and the wall white"],
-            "'door' is not a word",
-        ),
-        (["--sure", "--prompt", "paint the fxo red"], "Did you mean 'fox'?"),
         (["--prompt", "from green to brown", "--point", "100,100"], "near green"),
     ],
 )
 def test_what_cannot_be_carried_out_ends_with_exit_code_2_and_leaves_nothing(
     flags, says, tmp_path, capsys
 ):
-    photos = [str(file) for file in packaged_pair()[0]]
+    code, said = ended(flags, tmp_path, capsys)
+    assert code == 2 and says in said and not [*tmp_path.iterdir()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("flags", "says"),
+    [
+        (["--editor", "looks", "--prompt", "turn the gnome into gold"], "the gnome?"),
+        (["--prompt", "paint the fxo red"], "Did you mean 'fox'?"),
+    ],
+)
+def test_words_that_nobody_knows_are_asked_about_with_a_sheet_and_three_ways_on(
+    flags, says, tmp_path, capsys
+):
+    code, said = ended(flags, tmp_path, capsys)
+    assert code == 3 and says in said and "nothing was edited" in said
+    assert all(way in said for way in ("--reading 1", "--point", "weights get words"))
+    assert [file.name for file in tmp_path.iterdir()] == ["out-question.png"]
+    code, said = ended([*flags, "--guess"], tmp_path, capsys)
     assert (
-        main(
-            [
-                "run",
-                *photos,
-                "--size",
-                "64",
-                "--quiet",
-                "--out",
-                str(tmp_path / "out"),
-                *flags,
-            ]
-        )
-        == 2
-    )
-    assert says in capsys.readouterr().err and not (tmp_path / "out").exists()
+        code != 3 and "nothing was edited" not in said
+    )  # at 64 pixels nothing matches
+
+
+def ended(flags, tmp_path, capsys):
+    """Exit code of a run of the packaged pair, and what it said."""
+    photos = [str(file) for file in packaged_pair()[0]]
+    out = ["--size", "64", "--quiet", "--out", str(tmp_path / "out")]
+    return main(["run", *photos, *out, *flags]), capsys.readouterr().err

@@ -188,6 +188,15 @@ def test_photos_whose_lens_sift_does_not_tell_are_matched_by_learned_features_to
     assert (found is answer) == taken and (found is first) != taken
 
 
-def test_what_sift_alone_was_asked_for_is_not_helped():
-    found = FoundFeatures((), {})
-    assert with_learned(found, [], settings(matches="sift")) is found
+@pytest.mark.parametrize(
+    "matches, wanted, helped",
+    [(499, "auto", True), (500, "auto", False), (499, "sift", False)],
+)
+def test_pairs_with_many_matches_and_those_for_sift_alone_are_not_helped(
+    monkeypatch, matches, wanted, helped
+):
+    monkeypatch.setattr(features, "at_hand", lambda _: "weights")
+    monkeypatch.setattr(features, "_with_learned", lambda *_: "helped")
+    found = FoundFeatures((), {(0, 1): np.zeros((matches, 2), int)})
+    answer = with_learned(found, [], settings(matches=wanted))
+    assert answer == "helped" if helped else answer is found

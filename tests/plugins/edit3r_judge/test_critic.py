@@ -10,6 +10,7 @@ from edit3r_judge.critic import doubt_of
 from edit3r.contract.interfaces import SceneToJudge
 from edit3r.contract.types import Rendering, Views
 from edit3r.contract.verdicts import EditVerdict
+from edit3r_testing import gaussian_cloud
 from edit3r_testing.scenes import cameras_around
 
 BLACK = EditVerdict("doubtful", "it is black", {"faults": ["a black picture"]})
@@ -28,7 +29,8 @@ def test_a_scene_is_at_most_fair_where_photos_do_not_tell_or_edits_are_none(
 ):
     views = Views(torch.zeros(1, 2, 3, 8, 8), cameras_around(2).intrinsics)
     shown = Rendering(views.images, *(torch.ones(1, 2, 1, 8, 8) for _ in range(2)))
-    scene = SceneToJudge(views, (True, True), None, views, shown, shown, None)
+    drawn = (views, cameras_around(2), gaussian_cloud(1), shown, shown)
+    scene = SceneToJudge(views, (True, True), None, *drawn, None)
     assert doubt_of(scene) is None
     doubt = doubt_of(replace(scene, **changes))
     assert doubt.best == "fair" and re.search(said, doubt.clause)

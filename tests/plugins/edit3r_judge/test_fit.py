@@ -9,7 +9,9 @@ from edit3r_judge.fit import (
     JudgeCommand,
     between,
     limits_of_edits,
+    limits_of_parts,
     limits_of_scenes,
+    outcomes_of_parts,
     read_rows,
 )
 from edit3r_judge.signals import FITTED, SIGNALS
@@ -104,3 +106,36 @@ def test_limits_are_written_beside_those_of_scenes(tmp_path, monkeypatch):
     again = read_yaml(own)
     assert again["scene"].pop("fair") == was["scene"].pop("fair") | {"half_way": 0.25}
     assert again["scene"] == was["scene"] and again["edit"] == now["edit"]
+
+
+def parts(place: str) -> list[dict]:
+    """A sound part, and broken ones of each kind at each strength."""
+    sound = {"geometry": 1.0, "reference": 0.0, "flat": 0.5, "half_way": 0.1}
+    found = [{"kind": "sound", "strength": 0, "figures": sound}]
+    for strength in (1, 2, 3):
+        off = sound | {"geometry": 1 + strength}
+        found.append({"kind": "plane", "strength": strength, "figures": off})
+        blurred = sound | {"reference": 0.1 * strength}
+        found.append({"kind": "torn", "strength": strength, "figures": blurred})
+    return [{"place": place, **row} for row in found]
+
+
+def test_limits_of_parts_lie_between_sound_ones_and_what_must_be_told():
+    limits = limits_of_parts(parts("a"))
+    # nine of ten of 3 and 4 reach 2.3, of .2 and .3 reach .13
+    assert limits == pytest.approx(
+        {"geometry": 1.65, "reference": 0.065, "flat": 0.825}
+    )
+
+
+def test_a_broken_part_is_told_by_the_signal_of_its_kind(tmp_path, capsys):
+    path = tmp_path / "rows.jsonl"
+    rows = [row for place in "abcd" for row in parts(place)]
+    path.write_text("\n".join(map(json.dumps, rows)))
+    assert JudgeCommand(None).main(argparse.Namespace(fit=str(path), write=False)) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "broken ones told 8 of 8 (100.0%)" in said
+    assert "sound ones not blamed 2 of 2 (100.0%)" in said
+    without = {"geometry": 9, "reference": 0.15, "flat": 1}
+    told = dict(outcomes_of_parts(rows[3], without))
+    assert told["broken ones told"] is False  # each signal tells what no other does

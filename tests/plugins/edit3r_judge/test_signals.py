@@ -73,6 +73,46 @@ def good() -> EditToJudge:
     )
 
 
+def test_where_nothing_could_be_told_and_where_nothing_changed_that_is_said(good):
+    critic = LimitsCritic(None)
+    flat = replace(good, rendered=None, cameras=None)
+
+    def said(masks, after=good.after):
+        verdict = critic.judge_edit(
+            replace(flat, masks=masks, regions=masks[None], after=after)
+        )
+        assert verdict.label == "doubtful"
+        return verdict.reason
+
+    black = torch.zeros_like(good.masks)
+    assert "nothing is selected" in said(black, good.before)
+    tiny = black.clone()
+    tiny[..., 50:53, 50:53] = 1
+    assert said(tiny, good.before) == "nothing changed"
+    red = views(over(good.before.images[0], RED, tiny[0]))
+    assert "too small to tell" in said(tiny, red)
+
+
+def test_dark_parts_of_what_is_painted_in_metal_need_not_be_as_saturated(good):
+    """Light and shade of a metal stay: half of it is dark gold."""
+    gold = (0.83, 0.69, 0.22)
+    paint = Instruction(
+        "paint", Target("marked"), (Change("paint", Colour("gold", gold)),)
+    )
+    light = torch.ones(SIZE, SIZE)
+    light[:52] = 0.15
+    old = over(torch.full((2, 3, SIZE, SIZE), 0.4), (0.5, 0.5, 0.5), good.masks[0])
+    old = torch.where(good.masks[0][:, None] > 0, old * light, old)
+    shaded = over(old, gold, good.masks[0])
+    new = torch.where(good.masks[0][:, None] > 0, shaded * light, shaded)
+    edit = judged(
+        replace(good, before=views(old), instructions=(paint,)), after=views(new)
+    )
+    assert measured(edit)["as_asked"] > 0.9
+    faintly = judged(edit, after=views(old + 0.25 * (new - old)))
+    assert measured(faintly)["as_asked"] < fitted_limits("edit")["as_asked"]
+
+
 def half_done(edit):
     images = edit.after.images.clone()
     images[..., :48, :] = edit.before.images[..., :48, :]

@@ -6,12 +6,14 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_judge.blame import Doubt
 from edit3r_judge.signals import fitted_limits
-from edit3r_judge.verdict import Doubt, judge
+from edit3r_judge.verdict import judge
 from torch.nn.functional import interpolate
 
 from edit3r.contract.interfaces import HalfWay, SceneToJudge
 from edit3r.contract.types import Rendering, Views
+from edit3r_testing import gaussian_cloud
 from edit3r_testing.scenes import cameras_around
 
 EDITED = Views(
@@ -30,7 +32,9 @@ def rendered(*psnr: float) -> Rendering:
 def scene(edited, first, placed=(True,) * 3, final=None, measured=None, **others):
     """A scene that no refiner touched, where `final` is not given."""
     final = final or first
-    return SceneToJudge(edited, placed, None, edited, first, final, measured, **others)
+    cameras = cameras_around(edited.count)
+    drawn = (edited, cameras, gaussian_cloud(1), first, final)
+    return SceneToJudge(edited, placed, None, *drawn, measured, **others)
 
 
 def shown(edited, rendering, placed=(True,) * 3, guessed=None):
@@ -50,33 +54,41 @@ def test_the_figures_are_those_of_the_renderings():
     assert verdict.guessed_between == pytest.approx((0.1, 0.1, 0.3))
 
 
-@pytest.mark.parametrize("label", ["good", "poor"])
-def test_a_label_needs_the_agreement_of_the_worst_photo(label):
-    worst = fitted_limits("scene")[label]["agreement"]
+def test_a_scene_that_does_not_show_its_worst_photo_failed():
+    worst = fitted_limits("scene")["agreement"]
     enough = shown(EDITED, rendered(45.0, 45.0, worst + 0.1), [True] * 3)
     too_low = shown(EDITED, rendered(45.0, 45.0, worst - 0.1), [True] * 3)
-    assert enough.label == label != too_low.label
+    assert (enough.label, too_low.label) == ("good", "failed")
 
 
 def test_what_is_bad_is_said_with_the_photo_and_the_way_out():
     verdict = shown(EDITED, rendered(30.0, 10.0, 30.0), [True] * 3)
     assert (
         verdict.label == "failed"
-        and "the worst (b) at 10.0 dB; leave b out, or" in verdict.reason
+        and "b hardly at all; leave b out, or" in verdict.reason
     )
 
 
 def test_where_the_photos_are_not_to_blame_the_advice_is_about_what_is():
-    doubt = Doubt("look at the edits")
-    for psnr, label in ((40.0, "fair"), (11.5, "poor")):
+    doubt = Doubt("look at the edits", "editor")
+    for psnr, label in ((40.0, "fair"), (11.5, "failed")):
         rendering = rendered(psnr, psnr, psnr)
         verdict = judge(scene(EDITED, rendering), doubt=doubt)
         assert verdict.label == label
         assert verdict.reason.endswith("; look at the edits.")
+        assert verdict.part == "editor"
         assert "add photos" not in verdict.reason
     fits = scene(EDITED, rendered(40.0, 40.0, 40.0))
-    good = judge(fits, doubt=Doubt("x", "good"))
-    assert good.label == "good" and "x" not in good.reason.split("average")[1]
+    good = judge(fits, doubt=Doubt("moved back", "editor", "good"))
+    assert good.label == "good" and good.part is None and "moved" not in good.reason
+
+
+@pytest.mark.parametrize(
+    ("psnr", "seen"), [(31, "as they are"), (24, "softer"), (19, "only roughly")]
+)
+def test_how_sharp_photos_are_is_said_in_words(psnr, seen):
+    reason = shown(EDITED, rendered(*[float(psnr)] * 3)).reason
+    assert f"shows its photos {seen}" in reason and "dB" not in reason
 
 
 def test_a_photo_that_was_left_out_has_no_figures_and_the_run_is_not_good():
@@ -171,7 +183,7 @@ def test_steps_towards_the_photos_make_no_bad_scene_good():
     )
     assert (
         verdict.agreement[1] == pytest.approx(10, abs=1e-3)
-        and "(b) at 10.0 dB" in verdict.reason
+        and "and b hardly at all" in verdict.reason
     )
 
 

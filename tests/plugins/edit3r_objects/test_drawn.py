@@ -132,8 +132,10 @@ def test_growing_takes_in_what_lies_around_and_shrinking_leaves_it(scene):
 def test_what_is_no_stroke_is_refused(scene, change, told):
     with pytest.raises(InputError, match=told):
         chosen(scene, {"kind": "lasso", "places": LEFT, **change})
-    with pytest.raises(InputError, match="1 to 200 strokes"):
-        read_drawn([])
+    stroke = {"kind": "lasso", "places": LEFT, **VIEW}
+    for count in (0, 201):
+        with pytest.raises(InputError, match=f"1 to 200 strokes, got {count}"):
+            read_drawn([stroke] * count)
 
 
 def test_the_picture_has_the_shape_of_the_window():

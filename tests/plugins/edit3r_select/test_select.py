@@ -137,15 +137,13 @@ def test_a_region_is_its_box_exactly_and_adds_to_clicks():
         Selection(regions=((0, (0.5, 0.5, 0.9, 0.1)),))
 
 
-def test_unknown_words_take_what_stands_out_as_a_question_unless_it_must_be_sure():
+def test_unknown_words_take_what_stands_out_as_a_question():
     assert select_masks(IMAGES, Selection(words="box"), Squares()).how[0] == "words"
     for words, why in (("the teapot", "is not a word"), ("", "nothing says which")):
         found = select_masks(IMAGES, Selection(words=words), Squares())
         assert found.how[0] == "guess" and 0 < found.confidence <= 0.25
         assert not found.is_sure and (inside(found, 0) == square(1, 1).bool()).all()
         assert why in found.warnings[0] and "--point" in found.warnings[0]
-        with pytest.raises(InputError, match=f"{why}.*--point.*--sure"):
-            select_masks(IMAGES, Selection(words=words, sure=True), Squares())
 
 
 def test_what_else_stands_out_is_a_candidate():
@@ -456,11 +454,6 @@ def test_what_was_named_is_named_again_where_it_was_lost(words, how):
     chosen = Selection(words=words, masks={} if words else {0: square(2, 2)})
     found = select_masks(IMAGES, chosen, Squares(lost=True))
     assert found.how[1] == how and bool(inside(found, 1).any()) == bool(words)
-
-
-def test_what_words_found_unsurely_is_refused_where_only_sure_things_may_be_taken():
-    with pytest.raises(InputError, match=r"confidence 30%.*--sure"):
-        select_masks(IMAGES, Selection(words="box", sure=True), Unsure())
 
 
 def test_a_reading_that_is_not_there_is_told_and_the_last_one_taken():

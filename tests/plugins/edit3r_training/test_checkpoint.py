@@ -106,7 +106,7 @@ def test_weights_of_a_checkpoint_that_are_not_finite_are_refused(tmp_path, part)
 
 
 def test_resuming_without_a_checkpoint_says_what_to_do(tmp_path):
-    with pytest.raises(InputError, match="without --resume"):
+    with pytest.raises(InputError, match="--overwrite instead of --resume"):
         _state().load(tmp_path / "last.pt")
 
 

@@ -73,9 +73,11 @@ export function barOf(page) {
     const has = page.s.draft.selects;
     chip.hidden = page.s.byHand;
     const by = has ? "marked" : page.look && page.look.selected ? "named" : "";
+    const confidence = by && page.look ? page.look.confidence : null;
+    const found = confidence == null ? "" : `, ${Math.round(100 * confidence)}%`;
     chip.replaceChildren(
       ...(by
-        ? [el("span", {}, el("span", { class: "wide-only" }, "what you "), by)]
+        ? [el("span", {}, el("span", { class: "wide-only" }, "what you "), by + found)]
         : ["nothing marked"]),
       has ? icon("close") : "",
     );

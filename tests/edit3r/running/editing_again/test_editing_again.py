@@ -154,6 +154,19 @@ def test_a_second_edit_computes_only_the_edit_and_one_reconstruction(planted, fo
     )
 
 
+def test_a_second_edit_says_of_the_lens_what_the_first_said(folders, capsys):
+    manifest = folders / "first" / "run.json"
+    content = json.loads(manifest.read_text())
+    lens = ["read from the photos: 51.6 degrees across the longer side"]
+    content["notes"]["lens.source"] = lens
+    content["notes"]["views"]["assumed"] = [True, True]
+    manifest.write_text(json.dumps(content))
+    capsys.readouterr()
+    assert again(folders, "--prompt", "B", "--mask", *masks_of(folders, 1)) == 0
+    notes = json.loads((folders / "second" / "run.json").read_text())["notes"]
+    assert notes["lens.source"] == lens
+
+
 def test_a_sequence_of_edits_keeps_the_first_and_its_outside(
     planted, folders, rasterizer
 ):

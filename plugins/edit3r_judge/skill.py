@@ -1,0 +1,228 @@
+"""Skill: how much better a scene brings one photo onto another than the cheapest scene, one flat
+picture, and how much worse than the depths and poses do that it was made of.
+
+Each photo shows itself perfectly whatever stands behind its own Gaussians. So photo B is laid onto
+its neighbour A in three ways: by the best homography, by the depths and poses that the run found
+itself, and by those of the scene: of A's own Gaussians, since those of B may hide that they are
+wrong; of all that the rasterizer shows where nobody knows whose a Gaussian is. Only colours of the
+photos are compared, whatever the edit did.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from edit3r.contract.interfaces import SceneToJudge
+from edit3r.contract.types import Cameras, Gaussians
+from edit3r.kit.geometry.cameras import (
+    pixel_grid,
+    project,
+    project_to_pixels,
+    unproject,
+)
+from edit3r.kit.geometry.maps import dilate, size_of
+from edit3r.kit.geometry.warping import warp
+from edit3r_judge.signals import blurred, lab, small
+
+MOST = 24.0  # difference of colours from which it is another thing [CIE Lab]
+FLOOR = 2.0  # that noise and light alone make [CIE Lab]
+FEW = 0.02  # share of the picture below which nothing is told
+SHOWN = 0.8  # opacity from which the scene shows a surface
+KEPT = 0.02  # difference of colours [sRGB] from which an edit changed a pixel
+OWN = 0.2  # share of a photo that its own Gaussians show, below which all are asked
+MATCHES = 30  # below which photos do not tell who is wrong
+FLAT = 0.9  # share of the matches that one homography explains, where the photos show a plane
+
+Picture = Float[Tensor, "channel height width"]
+Places = Float[Tensor, "height width 2"]
+Matches = tuple[Float[np.ndarray, "match 2"], Float[np.ndarray, "match 2"]]
+
+
+@dataclass(frozen=True)
+class Skill:
+    """Of a photo beside the nearest one; differences are means over what all three ways show."""
+
+    view: int
+    scene: float  # difference that is left, by the scene [CIE Lab]
+    geometry: float | None  # by the run's geometry
+    # by a homography; None: the photos show one plane, or too little
+    flat: float | None
+
+    @property
+    def beside_geometry(self) -> float | None:
+        """How many times as much the scene leaves; 1: it is as good."""
+        if self.geometry is None:
+            return None
+        return max(self.scene, FLOOR) / max(self.geometry, FLOOR)
+
+    @property
+    def beside_flat(self) -> float | None:
+        """What the run's geometry, or a scene without any, leaves as a share of what one flat
+        picture does; 1: there is no depth.
+        """
+        left = self.scene if self.geometry is None else self.geometry
+        return None if self.flat is None else max(left, FLOOR) / max(self.flat, FLOOR)
+
+
+def skills(scene: SceneToJudge) -> list[Skill]:
+    """Of each placed photo that has a neighbour, both ways; of a batch the first scene counts."""
+    if scene.half_way is None:
+        return []
+    photos = _Photos(scene)
+    both = [way for pair in scene.half_way.pairs for way in (pair, pair[::-1])]
+    return [one for one in (photos.skill(*way) for way in both) if one is not None]
+
+
+class _Photos:
+    """The placed photos, and what the scene and the run's geometry say of their depths."""
+
+    def __init__(self, scene: SceneToJudge) -> None:
+        used = [view for view, there in enumerate(scene.placed) if there]
+        views = scene.photos.scene(0).select(used)
+        self.pictures = blurred(lab(views.images[0]), 1)
+        self.size = size_of(self.pictures)
+        sift = cv2.SIFT_create(2000, contrastThreshold=0.015)
+        light = (2.55 * self.pictures[:, 0].clamp(0, 100)).byte().numpy()
+        self.marks = [sift.detectAndCompute(one, None) for one in light]
+        edited = scene.edited.scene(0).images[0]
+        changed = (edited - views.images[0]).abs().amax(1, keepdim=True)
+        self.same = (small(changed) < KEPT)[:, 0]
+        self.cameras = scene.cameras.at(self.size)
+        self.depths = _sampled(scene.first.depths[0, :, 0], self.size)
+        self.depths[small(scene.first.alphas[0, :, 0]) < SHOWN] = 0
+        for view in range(len(used)):
+            own = _depths_of(scene.gaussians.from_view(view), self.cameras, view)
+            if float((own > 0).float().mean()) > OWN:
+                self.depths[view] = own
+        self._found: dict[tuple[int, int], Matches] = {}
+        self.geometry = None
+        if scene.geometry is not None:
+            one = scene.geometry.scene(0).at(self.size)
+            lenses = (
+                views.intrinsics if one.intrinsics is None else one.intrinsics[:, used]
+            )
+            self.geometry = (
+                one.depths[0, used],
+                Cameras(one.c2w[:, used], lenses, self.size),
+            )
+
+    def skill(self, view: int, other: int) -> Skill | None:
+        """How well each way lays photo `other` onto photo `view`; None: they share too little."""
+        ways = {"scene": _places(self.depths[view], self.cameras, view, other)}
+        if self.geometry is not None:
+            depths, cameras = self.geometry
+            ways["geometry"] = _places(depths[view], cameras, view, other)
+        here, there = self._matches(view, other)
+        flat = _homography(here, there, self.size)
+        if flat is not None:
+            ways["flat"] = flat
+        where = self.depths[view] > 0
+        for name, places in ways.items():
+            if name != "scene":
+                where &= ((places > 0) & (places < 1)).all(-1)
+        kept = where & self.same[view]
+        if float(kept.float().mean()) > 0.5 * float(where.float().mean()):
+            where = kept  # what an edit took away or added is at no depth of the photos
+        if float(where.float().mean()) < FEW:
+            return None
+        left = {
+            name: self._left(view, other, places, where)
+            for name, places in ways.items()
+        }
+        return Skill(view, left["scene"], left.get("geometry"), left.get("flat"))
+
+    def _matches(self, view: int, other: int) -> Matches:
+        if (other, view) in self._found:
+            return self._found[other, view][::-1]
+        found = _matched(self.marks[view], self.marks[other])
+        self._found[view, other] = found
+        return found
+
+    def _left(self, view: int, other: int, places: Places, where: Tensor) -> float:
+        """The difference that is left; what leaves the other photo is another thing."""
+        laid = warp(self.pictures[other], places)
+        off = (laid - self.pictures[view]).norm(dim=0).clamp(max=MOST)
+        off[~((places > 0) & (places < 1)).all(-1)] = MOST
+        return float(off[where].mean())
+
+
+def _depths_of(
+    gaussians: Gaussians, cameras: Cameras, view: int
+) -> Float[Tensor, "height width"]:
+    """Camera z of the nearest centre in and about each pixel of a photo; 0: there is none."""
+    solid = gaussians.select(gaussians.opacities[0] > 0.5).to("cpu")
+    lens, c2w = cameras.intrinsics[0, view].cpu(), cameras.c2w[0, view].cpu()
+    size = cameras.image_size
+    pixel, depth, inside = project_to_pixels(solid.means[0], lens, c2w, size)
+    nearest = torch.full((size[0] * size[1],), torch.inf)
+    nearest.scatter_reduce_(0, pixel[inside], depth[inside], "amin")
+    nearest = nearest.view(size)
+    about = -dilate(-nearest, 1)
+    nearest = torch.where(nearest.isfinite(), nearest, about)
+    return torch.where(nearest.isfinite(), nearest, 0.0)
+
+
+def _places(
+    depths: Float[Tensor, "height width"], cameras: Cameras, view: int, other: int
+) -> Places:
+    """Where in photo `other` each pixel of photo `view` lies, normalised; beside it, at -1, what is
+    behind its camera.
+    """
+    pair = [view, other]
+    lenses, c2w = cameras.intrinsics[0, pair].cpu(), cameras.c2w[0, pair].cpu()
+    points = unproject(depths, lenses[0], c2w[0])
+    places, z = project(points.flatten(0, 1), lenses[1], c2w[1])
+    places[(z <= 0) | ~places.isfinite().all(-1)] = -1
+    return places.view(*depths.shape, 2)
+
+
+def _homography(
+    here: Float[np.ndarray, "match 2"],
+    there: Float[np.ndarray, "match 2"],
+    size: tuple[int, int],
+) -> Places | None:
+    """Where the best homography brings each pixel, normalised; None where it explains nearly all
+    that the two share (a flat thing, a camera that only turned), or they share too little.
+    """
+    if len(here) < MATCHES:
+        return None
+    cv2.setRNGSeed(0)
+    matrix, inliers = cv2.findHomography(here, there, cv2.RANSAC, 3.0)
+    if matrix is None or inliers.mean() >= FLAT:
+        return None
+    sides = torch.tensor(size[::-1], dtype=torch.float32)
+    pixels = pixel_grid(size, sides) * sides
+    ones = torch.ones_like(pixels[..., :1])
+    moved = torch.cat((pixels, ones), -1) @ torch.from_numpy(matrix).float().T
+    return moved[..., :2] / moved[..., 2:] / sides
+
+
+def _matched(marks: tuple[Any, Any], marks_there: tuple[Any, Any]) -> Matches:
+    """Places that two pictures share [pixels]; SIFT, Lowe 2004."""
+    (points, words), (points_there, words_there) = marks, marks_there
+    if words is None or words_there is None or len(words_there) < 2:
+        return np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32)
+    pairs = cv2.BFMatcher().knnMatch(words, words_there, k=2)
+    good = [best for best, second in pairs if best.distance < 0.8 * second.distance]
+    here = [points[one.queryIdx].pt for one in good]
+    there = [points_there[one.trainIdx].pt for one in good]
+    return _as_places(here), _as_places(there)
+
+
+def _as_places(
+    points: list[tuple[float, float]],
+) -> Float[np.ndarray, "match 2"]:
+    return np.asarray(points, np.float32).reshape(-1, 2) + np.float32(0.5)
+
+
+def _sampled(
+    depths: Float[Tensor, "view height width"], size: tuple[int, int]
+) -> Tensor:
+    """Depths at another size, none mixed across an edge."""
+    return F.interpolate(depths[:, None].cpu(), size, mode="nearest-exact")[:, 0]
