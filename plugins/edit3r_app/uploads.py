@@ -55,10 +55,7 @@ def refuse_unwanted(
             f"({', '.join(SCENE_ENDINGS)})."
         )
     if size is not None and size > most_bytes(label):
-        raise InputError(
-            f"{label}: {size / 1024**2:,.0f} MB; files of at most {most_bytes(label) >> 20} MB are "
-            "taken."
-        )
+        raise InputError(f"{label}: {size / 1024**2:,.0f} MB; {_limit(label)}")
     if folder.splat(scene) or (is_splat and folder.photos(scene)):
         raise InputError(f"{label}: a scene is edited alone; drop it by itself.")
     if len(folder.photos(scene)) >= MAX_PHOTOS:
@@ -71,6 +68,12 @@ def most_bytes(name: str) -> int:
     """The largest file of that name that is taken."""
     is_splat = Path(name).suffix.lower() in SCENE_ENDINGS
     return MAX_SCENE_BYTES if is_splat else MAX_BYTES
+
+
+def _limit(name: str) -> str:
+    is_splat = Path(name).suffix.lower() in SCENE_ENDINGS
+    what = "scenes" if is_splat else "photos"
+    return f"{what} of at most {most_bytes(name) >> 20} MB are taken."
 
 
 def title_of(photo: str) -> str:
@@ -94,10 +97,7 @@ async def receive(
             async for chunk in chunks:
                 received += len(chunk)
                 if received > most_bytes(_label(name)):
-                    most = most_bytes(_label(name)) >> 20
-                    raise InputError(
-                        f"{_label(name)}: files of at most {most} MB are taken."
-                    )
+                    raise InputError(f"{_label(name)}: {_limit(_label(name))}")
                 file.write(chunk)
         return await asyncio.to_thread(accept, folder, scene, name, draft)
 
