@@ -120,6 +120,7 @@ TRIED_IN: dict[tuple[str, ...], str] = {
         "instruct-nerf2nerf",
         "refit",
     ): "edit3r_optimisers/test_methods.py",
+    ("in-place",): "edit3r_in_place/test_in_place.py",
     ("auto", "posed"): "edit3r_geometry/test_posed_matcher.py",
     ("da3",): "edit3r_geometry/test_depth_anything_3.py",
     ("clip",): "edit3r_bench/test_clip.py",

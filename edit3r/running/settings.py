@@ -40,6 +40,7 @@ class RunSettings(TypedDict, total=False):
     feather: float
     moved_edits: Literal["undo", "keep"]
     seed: int
+    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None
     size: int
     fov: float
     views: int

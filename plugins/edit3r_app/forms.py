@@ -20,7 +20,7 @@ NOT_IN_FORM = (
     *CHOSEN,
     *BESIDE_THE_PHOTO,
     *Draft().outline,
-    *("prompt", "quality", "size", "writer", "guess"),
+    *("prompt", "quality", "size", "writer", "guess", "up"),
 )
 """Settings of a run that have a place of their own, or that masks were made for."""
 WHO = {

@@ -13,6 +13,7 @@ from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.harmonics import dc_to_colour
 
+# The numbers of this block: no figures kept.
 SEEN = 0.02  # contribution [pixels] below which a picture says nothing of a Gaussian
 SHARE = 0.5  # of what a Gaussian shows, inside the masks, for it to belong to the thing
 NEAR = 0.05  # distance [sizes of the thing] that counts as much as `UNLIKE`

@@ -17,6 +17,7 @@ from edit3r.contract.reporting import track
 from edit3r.contract.types import DC, Cameras, Gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour
 
+# The numbers of this block: no figures kept.
 STEPS = 6  # of the conjugate gradients: further ones fit the noise of single pixels
 HELD = 0.02  # weight of the mean change beside the pictures [of what a Gaussian shows]
 SEEN = (

@@ -12,7 +12,7 @@ from torch import Tensor
 from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.types import Gaussians, GivenScene
 
-OPEN = 0.7  # alpha below which a pixel shows no surface
+OPEN = 0.7  # by eye: alpha below which a pixel shows no surface
 
 
 def filled(

@@ -30,6 +30,7 @@ from edit3r.kit.rendering import render_numbers
 from edit3r.running import usual_selector
 from edit3r_in_place.belonging import SHARE, Contribution, belonging, evidence
 
+# The numbers of this block: no figures kept.
 LOOKS = 3  # pictures on which a segmenter is asked, at most
 WORDS_ON = 3  # pictures on which words are looked for
 NEW = 0.15  # share of the thing in a picture that no other picture showed, for another look

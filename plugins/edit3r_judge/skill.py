@@ -30,6 +30,7 @@ from edit3r.kit.geometry.maps import dilate, size_of
 from edit3r.kit.geometry.warping import warp
 from edit3r_judge.signals import blurred, lab, small
 
+# The numbers of this block: chosen by hand before any limit was fitted (docs/notes/verdict.md).
 MOST = 24.0  # difference of colours from which it is another thing [CIE Lab]
 FLOOR = 2.0  # that noise and light alone make [CIE Lab]
 FEW = 0.02  # share of the picture below which nothing is told

@@ -6,6 +6,7 @@ import numpy as np
 from edit3r.kit.compute.sky import sky_mask
 from edit3r_segmenters.masks import graph_cut, tidied
 
+# The numbers of this block: those of the sky as said there, the ground's by eye.
 STUFF = ("sky", "ground", "floor", "road", "street", "pavement")
 # rows above which there is no ground and below which it is likely, in heights
 HIGHEST_GROUND, SURE_GROUND = 0.3, 0.93

@@ -8,8 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-# Half of a pair of code units, which no file or terminal can hold.
-_HALF = re.compile(r"[\ud800-\udfff]")
+# Half of a pair of code units, which no file or terminal can hold; but from U+DC80 to U+DCFF stand
+# the bytes of a file name that is no UTF-8 (PEP 383).
+HALF = re.compile(r"[\ud800-\udc7f\udd00-\udfff]")
 
 
 def parse_json(content: str | bytes, *, finite: bool = True) -> Any:
@@ -27,7 +28,7 @@ def parse_json(content: str | bytes, *, finite: bool = True) -> Any:
         )
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
-    if "\\ud" in text or "\\uD" in text or _HALF.search(text):
+    if "\\ud" in text or "\\uD" in text or HALF.search(text):
         _check_text(tree)
     return tree
 
@@ -67,7 +68,7 @@ def _number(text: str) -> float:
 
 
 def _check_text(tree: Any) -> None:
-    if _HALF.search(json.dumps(tree, ensure_ascii=False)):
+    if HALF.search(json.dumps(tree, ensure_ascii=False)):
         raise ValueError("it holds half a character (a lone surrogate)")
 
 

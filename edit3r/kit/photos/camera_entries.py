@@ -6,7 +6,6 @@ a fault in it concerns nobody else. All that is stated is checked: sizes, intrin
 """
 
 import math
-import re
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -20,7 +19,7 @@ from jaxtyping import Float64
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.lens import Lens
-from edit3r.kit.files.text import parse_json
+from edit3r.kit.files.text import HALF, parse_json
 from edit3r.kit.photos.decode import MAX_JPEG_PIXELS, SUFFIXES, image_size
 
 TOLERANCE = 0.01
@@ -177,19 +176,15 @@ def size_from_outside(width: Any, height: Any) -> tuple[int, int]:
     return int(width), int(height)
 
 
-_HALF = re.compile(r"[\ud800-\udc7f\udd00-\udfff]")
-
-
 def file_name(value: Any) -> str:
     """A path of an image as a file states it; raises ValueError for what names no file.
 
-    From U+DC80 to U+DCFF stand the bytes of a name that is no UTF-8 (PEP 383); other halves of a
-    character stand for nothing.
+    Bytes that are no UTF-8 stand for themselves, other halves of a character for nothing (`HALF`).
     """
     names_a_file = (
         isinstance(value, str)
         and "\0" not in value
-        and not _HALF.search(value)
+        and not HALF.search(value)
         and Path(value).name not in ("", "..")
         and len(value) <= 4096
     )

@@ -26,6 +26,7 @@ UPS = {
     "+z": (0.0, 0.0, 1.0),
     "-z": (0.0, 0.0, -1.0),
 }
+# The numbers of this block: no figures kept.
 AROUND = 50.0  # horizontal field of view of places around a thing [degrees]
 WITHIN = 75.0  # and of those in a room
 DISTANCE = 2.5  # of places around a thing [radii of the thing]

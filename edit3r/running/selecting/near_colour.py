@@ -10,6 +10,7 @@ from edit3r.contract.errors import PromptError
 from edit3r.contract.instructions import Colour
 from edit3r.kit.compute.colour import rgb_to_lab
 
+# The numbers of this block: no figures kept.
 NEAR, FAR = 13.0, 20.0
 """Differences up to which a pixel has the colour, and from which it has not."""
 LIGHTNESS_WEIGHT, HUE_WEIGHT = 0.5, 1.7

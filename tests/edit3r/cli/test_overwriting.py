@@ -7,7 +7,7 @@ from edit3r.kit.files.atomic import atomic_folder
 
 COMMANDS = [
     "simplify scene.ply --out theirs.ply",
-    "export scene.ply --to glb --out theirs.ply",
+    "export scene.ply --to glb --out theirs.glb",
     "evaluate nowhere --out theirs.md",
     "run a.jpg --preview theirs.jpg",
 ]

@@ -407,7 +407,7 @@ def test_a_photo_that_is_not_held_as_the_others_is_named_with_the_way_to_turn_it
     result = run(
         three, "x", editor=Invert(), recon=OnItsSide(), rasterizer="torch", **PLAIN
     )
-    told = [text for text in result.report.warnings if "not held" in text]
+    told = [text for text in result.report.warnings if "turned on its side" in text]
     assert len(told) == 1
     assert told[0].startswith("c: ") and "to the left" in told[0]
 

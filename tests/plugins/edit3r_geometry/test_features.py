@@ -168,7 +168,7 @@ def test_fewer_numbers_tell_the_same_features_apart():
 
 @pytest.mark.parametrize(
     "count, longest, limits",
-    [(10, 256, (4000, 640)), (11, 256, (2400, 384)), (11, 400, (2400, 512))],
+    [(10, 256, (2500, 640)), (11, 256, (2400, 384)), (11, 400, (2400, 512))],
 )
 def test_many_photos_are_enlarged_less_and_have_fewer_features(
     monkeypatch, count, longest, limits

@@ -11,6 +11,7 @@ from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.checks import check_geometry, check_reconstruction
 from edit3r.kit.rendering import OverBackground
 from edit3r.kit.scenes.scene_views import look_around, pictures_of
+from edit3r_testing import ReconstructorContract
 from tests.plugins.scan import of_ball, scan
 
 BLUE = torch.tensor([0.1, 0.2, 0.9]).view(3, 1, 1)
@@ -39,6 +40,33 @@ def red_pixels(scene):
 def painted(scene, masks):
     images = scene.images[0] + masks[:, None] * (BLUE - scene.images[0])
     return Views(images[None], scene.cameras.intrinsics)
+
+
+@pytest.mark.parametrize(
+    "claim",
+    [
+        "test_gaussians_are_valid_and_finite",
+        "test_geometry_of_its_own_is_valid",
+        "test_source_photos_are_accepted",
+        "test_predicted_cameras_are_poses_of_the_views",
+        "test_same_photos_give_the_same_result",
+        "test_leaves_its_inputs_alone",
+    ],
+)
+def test_started_from_a_scene_it_keeps_the_contract(claim, rasterizer):
+    scene = seen(scan(1), rasterizer, count=2)
+
+    class OfScene(ReconstructorContract):
+        component = "in-place"
+        image_size = (64, 64)
+
+        def build(self):
+            return in_place(scene)
+
+        def _views(self, count=None, batch=1):
+            return painted(scene, red_pixels(scene))
+
+    getattr(OfScene(), claim)()
 
 
 @pytest.mark.parametrize("degree", [0, 2])

@@ -329,7 +329,7 @@ def test_the_command_writes_beside_the_scene_and_never_over_it(tmp_path, capsys)
     }
     assert (
         main(["export", str(tmp_path), "--to", "spz"]) == 2
-        and "already there" in capsys.readouterr().err
+        and "already exists" in capsys.readouterr().err
     )
     assert (
         main(["export", str(tmp_path / "scene.ply"), "--to", "ply", "--overwrite"]) == 2

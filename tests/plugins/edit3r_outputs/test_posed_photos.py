@@ -143,7 +143,7 @@ def test_a_folder_of_others_is_never_replaced(run, tmp_path, capsys):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("mine")
     command = ["export", str(run), "--to", "colmap", "--out", str(tmp_path / "out")]
-    assert main(command) == 2 and "already there" in capsys.readouterr().err
+    assert main(command) == 2 and "already exists" in capsys.readouterr().err
     assert main([*command, "--overwrite"]) == 2
     assert (tmp_path / "out" / "mine.txt").read_text() == "mine"
 
@@ -180,5 +180,8 @@ def test_names_of_images_are_safe_and_no_two_alike(run, name):
 def test_the_run_that_is_read_is_not_replaced_by_its_cameras(run, capsys):
     (run / MARKER).write_text("{}")
     command = ["export", str(run), "--to", "colmap", "--out", str(run), "--overwrite"]
-    assert main(command) == 2 and "holds the file" in capsys.readouterr().err
+    assert (
+        main(command) == 2
+        and "would overwrite a file that is read" in capsys.readouterr().err
+    )
     assert (run / "scene.ply").is_file()

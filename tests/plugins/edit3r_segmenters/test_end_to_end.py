@@ -86,5 +86,5 @@ def test_words_that_nothing_matches_end_the_run(photos, sam2, tmp_path, capsys):
         "mock-diffusion",
     ]
     command = ["run", *photos, *CHEAP, *sam2, *words, "--out", str(out)]
-    assert main([*command, "--prompt", "paint the bike red"]) == 2
-    assert "'bike' was not found" in capsys.readouterr().err and not out.exists()
+    assert main([*command, "--prompt", "paint the bike red"]) == 3
+    assert "which is the bike?" in capsys.readouterr().err and not out.exists()

@@ -41,7 +41,7 @@ def scene(tmp_path):
         config = {"prompt": prompt, **(settings or {})}
         job = replace(job_from(inputs, config), components={"reader": None})
         with collecting(Report()) as report:
-            return read(job, None), report
+            return read(job, None, None), report
 
     return of
 
