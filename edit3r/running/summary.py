@@ -30,10 +30,11 @@ def summary(out: Path, result: RunResult) -> str:
         f"Gaussians from {result.photos.count} photos in {seconds:.1f} s; {_field_of_view(result)}",
     ]
     folder = RunFolder(out)
+    given = folder.given_scene()
     places = (
         (folder.before_after, "look first   {}"),
         (folder.viewer, "walk around  {} (opens in a browser, no network needed)"),
-        (folder.scene, "scene        {}"),
+        (folder.scene if given is None else given[0], "scene        {}"),
         (folder.manifest, "how it was   {}"),
     )
     lines += [f"  {text.format(place)}" for place, text in places if place.exists()]

@@ -138,6 +138,8 @@ def test_a_region_marked_on_a_picture_is_edited_from_the_command_line(tmp_path, 
     words = ["run", str(tmp_path / "scan.ply"), "--prompt", "paint it blue"]
     marks = ["--region", "1:0.3,0.3,0.3,0.3", "--size", "48", "--views", "4"]
     assert main([*words, *marks, "--out", str(out), "--outputs", "scene"]) == 0
+    said = capsys.readouterr().out
+    assert f"scene        {out / 'scene.ply'}" in said and ".;" not in said
     changed = json.loads((out / "run.json").read_text())["notes"]["scene.changed"]
     assert 0 < changed["gaussians"] < scan().count
 
