@@ -164,6 +164,7 @@ SLOW = {
     ("refiner", "simplify"),
     ("segmenter", "auto"),
     ("selector", "by-segmenter"),
+    ("selector", "in-scene"),
     ("critic", "limits"),
 }
 """Components whose contract takes half a CPU second or more."""

@@ -8,7 +8,7 @@ wrong; of all that the rasterizer shows where nobody knows whose a Gaussian is. 
 photos are compared, whatever the edit did.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import cv2
@@ -75,9 +75,22 @@ def skills(scene: SceneToJudge) -> list[Skill]:
     """Of each placed photo that has a neighbour, both ways; of a batch the first scene counts."""
     if scene.half_way is None:
         return []
-    photos = _Photos(scene)
+    photos = _Photos(_on_cpu(scene))
     both = [way for pair in scene.half_way.pairs for way in (pair, pair[::-1])]
     return [one for one in (photos.skill(*way) for way in both) if one is not None]
+
+
+def _on_cpu(scene: SceneToJudge) -> SceneToJudge:
+    """What is compared, where OpenCV can read it."""
+    return replace(
+        scene,
+        photos=scene.photos.to("cpu"),
+        edited=scene.edited.to("cpu"),
+        geometry=None if scene.geometry is None else scene.geometry.to("cpu"),
+        first=scene.first.to("cpu"),
+        cameras=scene.cameras.to("cpu"),
+        gaussians=scene.gaussians.to("cpu"),
+    )
 
 
 class _Photos:
@@ -157,8 +170,8 @@ def _depths_of(
     gaussians: Gaussians, cameras: Cameras, view: int
 ) -> Float[Tensor, "height width"]:
     """Camera z of the nearest centre in and about each pixel of a photo; 0: there is none."""
-    solid = gaussians.select(gaussians.opacities[0] > 0.5).to("cpu")
-    lens, c2w = cameras.intrinsics[0, view].cpu(), cameras.c2w[0, view].cpu()
+    solid = gaussians.select(gaussians.opacities[0] > 0.5)
+    lens, c2w = cameras.intrinsics[0, view], cameras.c2w[0, view]
     size = cameras.image_size
     pixel, depth, inside = project_to_pixels(solid.means[0], lens, c2w, size)
     nearest = torch.full((size[0] * size[1],), torch.inf)
@@ -176,7 +189,7 @@ def _places(
     behind its camera.
     """
     pair = [view, other]
-    lenses, c2w = cameras.intrinsics[0, pair].cpu(), cameras.c2w[0, pair].cpu()
+    lenses, c2w = cameras.intrinsics[0, pair], cameras.c2w[0, pair]
     points = unproject(depths, lenses[0], c2w[0])
     places, z = project(points.flatten(0, 1), lenses[1], c2w[1])
     places[(z <= 0) | ~places.isfinite().all(-1)] = -1
@@ -226,4 +239,4 @@ def _sampled(
     depths: Float[Tensor, "view height width"], size: tuple[int, int]
 ) -> Tensor:
     """Depths at another size, none mixed across an edge."""
-    return F.interpolate(depths[:, None].cpu(), size, mode="nearest-exact")[:, 0]
+    return F.interpolate(depths[:, None], size, mode="nearest-exact")[:, 0]

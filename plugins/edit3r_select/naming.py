@@ -274,9 +274,13 @@ def _taken(photos: Photos, selection: Selection, view: int, found: Proposals) ->
 
 
 def numbered(view: int, options: Iterable[tuple[Mask, float]]) -> tuple[Reading, ...]:
-    """What differs among masks and their scores, the likeliest first."""
+    """What differs among masks and their scores, the likeliest first; one that shows nothing only
+    where there is no other.
+    """
     kept: list[tuple[Mask, float]] = []
-    for mask, score in options:
+    options = list(options)
+    shown = [one for one in options if bool((one[0] > 0.5).any())] or options[:1]
+    for mask, score in shown:
         if all(overlap(mask, other) < SAME for other, _ in kept):
             kept.append((mask, score))
     return tuple(

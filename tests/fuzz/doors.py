@@ -318,7 +318,8 @@ def run_folders(rng, folder, given):
     (run / damaged).write_bytes(
         mangled_bytes(rng, content) if tree is None else json_bytes(rng, tree)
     )
-    earlier = RunFolder(run).read().inputs
+    read = RunFolder(run).read()
+    earlier = read.inputs
     _sound(earlier.before.gaussians)
     for views in (earlier.photos, earlier.start):
         assert (
@@ -332,9 +333,9 @@ def run_folders(rng, folder, given):
     Image.new("L", (32, 24), 255).save(mask)
     load_masks(
         [mask] * earlier.photos.count,
-        SimpleNamespace(photos=earlier.records),
+        SimpleNamespace(photos=earlier.files),
     )
-    make_run_config({"frames": earlier.frames, "reconstructor": earlier.reconstructor})
+    make_run_config(read.settings)
 
 
 def manifests(rng, folder, given):

@@ -21,9 +21,9 @@ from edit3r.kit.scenes.spz_header import GZIP
 
 CHUNK = 256  # Gaussians of a compressed PLY that share bounds
 SPZ_COLOUR = 0.15  # of a constant harmonic, in an SPZ's shares of a byte
-_PLAIN = tuple(f"f_dc_{channel}" for channel in range(3))
+_PLAIN = ("f_dc_0", "f_dc_1", "f_dc_2")
 _BYTES = ("red", "green", "blue")
-_BOUNDS = tuple(f"{end}_{channel}" for end in ("min", "max") for channel in "rgb")
+_BOUNDS = ("min_r", "min_g", "min_b", "max_r", "max_g", "max_b")
 
 
 @dataclass(frozen=True)

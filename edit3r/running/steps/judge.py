@@ -91,7 +91,9 @@ def judge(
         made = reconstructed.reconstruction
         if inputs.scene is not None and made.kept is not None:
             told = _compared(inputs.scene, made)
-            verdict = replace(verdict, reason=f"{verdict.reason.removesuffix('.')}; {told}.")
+            verdict = replace(
+                verdict, reason=f"{verdict.reason.removesuffix('.')}; {told}."
+            )
         selection = replace(selection, masks=reconstructed.masks)
         edit_verdict = _edit_verdict(
             inputs, selection, edit, rendered, cameras, half, components

@@ -173,7 +173,7 @@ def test_what_a_default_run_is_made_of_loads_no_library_that_it_does_not_use():
     process = program(
         "import edit3r_recolor.editor, edit3r_segmenters.auto, edit3r_geometry.matchers\n"
         "import edit3r_refiners.refine\n"
-        "from edit3r.running import run, write\n"
+        "from edit3r.running import result, run\n"
         "heavy = {'kornia', 'skimage', 'scipy.optimize', 'scipy.spatial', 'scipy.ndimage'}\n"
         f"{HEAVY}"
     )

@@ -222,7 +222,7 @@ def test_geometry_is_kept_in_the_cache(previews, scene):
     opened = previews.sessions.open(scene)
     first = opened.geometry.result()
     with collecting(Report()):
-        again = previews.sessions._geometry(opened.views, opened.cache)
+        again = previews.sessions._geometry(opened.views, opened)
     assert torch.equal(first.geometry.depths, again.geometry.depths)
 
 

@@ -73,7 +73,7 @@ def found_in(manifest: dict, key: str):
 def test_an_edit_is_confined_to_words_where_a_segmenter_is_named(
     photos, sam2, tmp_path, words
 ):
-    manifest = run(photos, tmp_path / "out", *words, *sam2)
+    manifest = run(photos, tmp_path / "out", *words, *sam2, "--guess")
     assert found_in(manifest, "selection")["how"][0] == "words"
 
 
