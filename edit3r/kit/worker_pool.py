@@ -4,12 +4,10 @@ import logging
 import multiprocessing
 import os
 import threading
-from collections import deque
-from collections.abc import Callable, Generator, Hashable, Iterable, Mapping
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from collections.abc import Callable, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Literal
 
 from edit3r.contract.errors import MissingDependencyError, RunError
@@ -21,10 +19,6 @@ Function = Callable[[Any], Mapping[str, Any]]
 KeyedJob = tuple[str, Any]
 KeyedRow = tuple[str, Mapping[str, Any]]
 
-Group = Callable[[Any], Hashable]
-
-MOST_AHEAD = 1000
-"""Jobs that are looked through for one of the group that a worker did last."""
 MOST_WAIT = 600
 """Seconds until a cluster that has no room for a single worker ends the run; one that grows on
 demand takes minutes.
@@ -68,7 +62,7 @@ class Task:
 
 
 class WorkerDied(Exception):
-    """A worker ended in the middle of a job, or could not begin."""
+    """A worker ended in the middle of a job."""
 
     def __str__(self) -> str:
         return (
@@ -77,108 +71,51 @@ class WorkerDied(Exception):
         )
 
 
-def spread(
-    task: Task, jobs: Iterable[KeyedJob], workers: Workers, group: Group
-) -> Generator[KeyedRow, None, None]:
-    """Yield keys and rows in any order, each worker with one job at a time.
-
-    A job whose worker died is a failure where `may_die`, else it ends all, as an error does.
-    """
-    todo = deque(jobs)
-    lock, begun, own = threading.Lock(), threading.Event(), threading.local()
-    crew = OnRay(task, workers) if workers.spread == "ray" else InProcesses(task)
-
-    def begin() -> None:
-        """Begin a thread with a worker of its own, as soon as there is room for it."""
-        try:
-            own.worker, own.group = crew.worker(), None
-        except WorkerDied:
-            own.worker = None
-        finally:
-            begun.set()
-
-    def do_one() -> KeyedRow:
-        if own.worker is None:
-            raise RunError(
-                "a worker died before its first job; is edit3r installed on all nodes? Finished "
-                "jobs are kept."
-            )
-        with lock:
-            job = _next(todo, group, own.group)
-        own.group = group(job[1])
-        try:
-            return own.worker.do(job)
-        except WorkerDied as error:
-            if not workers.may_die:
-                raise RunError(f"{error} Finished jobs are kept.") from None
-            return job[0], {"failure": str(error)}
-        finally:
-            if not todo:  # others may need its room
-                own.worker.close()
-
-    count = min(workers.count, len(todo))
-    threads = ThreadPoolExecutor(max(1, count), initializer=begin)
-    try:
-        rows = [threads.submit(do_one) for _ in range(len(todo))]
-        if rows and not begun.wait(MOST_WAIT):
-            raise RunError(crew.no_room())
-        for row in as_completed(rows):
-            yield row.result()
-    finally:
-        threads.shutdown(wait=False, cancel_futures=True)
-        crew.close()
-        threads.shutdown()
-
-
-def _next(todo: deque[KeyedJob], group: Group, before: Hashable) -> KeyedJob:
-    """Take the next job, or one soon after it of the group that its worker did `before`."""
-    ahead = range(min(len(todo), MOST_AHEAD))
-    number = next((k for k in ahead if group(todo[k][1]) == before), 0)
-    job = todo[number]
-    del todo[number]
-    return job
-
-
 class InProcesses:
-    """Workers as new processes: forking one that has used torch's threads can hang."""
+    """Workers as new processes: forking one that has used torch's threads can hang.
+
+    As `OnRay`, it starts workers, gives them jobs and takes their answers, each by a ticket: what
+    stands for something that will be there.
+    """
+
+    tries = 1  # workers that may die of a job: here the next one would die of it too
 
     def __init__(self, task: Task) -> None:
-        arguments = (task, os.environ.get(SAFE_PATH))
-        starting = threading.Lock()  # `safe_path` is of all threads
-        self.worker = partial(_Process, arguments, starting)
+        self._task = task
+        self._pools: list[ProcessPoolExecutor] = []
 
-    def no_room(self) -> str:
-        return "no worker process could be started on this machine; free some memory."
+    def start(self) -> tuple[ProcessPoolExecutor, None]:
+        """A new worker, and the ticket of its being ready; None: it is.
 
-    def close(self) -> None:
-        """Each worker ends with the job that it does."""
+        It is a pool of one, so that it is known which job a process died of.
+        """
+        context = multiprocessing.get_context("spawn")
+        arguments = (self._task, os.environ.get(SAFE_PATH))
+        with safe_path():  # its locks already start a process that watches them
+            pool = ProcessPoolExecutor(
+                1, context, initializer=_begin_worker, initargs=arguments
+            )
+        self._pools.append(pool)
+        return pool, None
 
+    def give(self, pool: ProcessPoolExecutor, job: KeyedJob) -> Future:
+        with safe_path():  # the first job starts the worker's process
+            return pool.submit(_call_task, job)
 
-class _Process:
-    """A pool of one process, so that it is known which job a process died of; then a new one."""
+    def first(self, futures: list[Future], any_ready: bool) -> Future:
+        """Wait for one ticket; `any_ready`: some worker has been there."""
+        return next(iter(wait(futures, return_when=FIRST_COMPLETED).done))
 
-    def __init__(self, arguments: tuple[Any, ...], starting: threading.Lock) -> None:
-        self._arguments, self._starting = arguments, starting
-        self._pool: ProcessPoolExecutor | None = None
-
-    def do(self, job: KeyedJob) -> KeyedRow:
-        with self._starting, safe_path():  # the first job starts the process
-            if self._pool is None:
-                context = multiprocessing.get_context("spawn")
-                self._pool = ProcessPoolExecutor(
-                    1, context, initializer=_begin_worker, initargs=self._arguments
-                )
-            row = self._pool.submit(_call_task, job)
+    def answer(self, future: Future) -> KeyedRow:
+        """What a job brought; raises what the job raised, and WorkerDied."""
         try:
-            return row.result()
+            return future.result()
         except BrokenProcessPool:
-            self._pool = None
             raise WorkerDied from None
 
-    def close(self) -> None:
-        if self._pool is not None:
-            self._pool.shutdown()
-            self._pool = None
+    def end(self) -> None:
+        for pool in self._pools:
+            pool.shutdown(wait=True, cancel_futures=True)
 
 
 # of this worker process; set once, so that what its function has built stays
@@ -205,12 +142,23 @@ def _call_task(job: KeyedJob) -> KeyedRow:
     return _task.do(job)
 
 
-class OnRay:
-    """Workers as actors of the Ray cluster of RAY_ADDRESS, else one here; nodes share all paths.
+class _Actor:
+    """A worker on Ray."""
 
-    Ray itself starts one that died anew, and gives it its job once more: a node may have gone away,
-    which is not the job's fault.
-    """
+    def __init__(self, task: Task) -> None:
+        self._task = task
+
+    def ready(self) -> None:
+        """Answered as soon as the cluster had room for this worker."""
+
+    def do(self, job: KeyedJob) -> KeyedRow:
+        return self._task.do(job)
+
+
+class OnRay:
+    """Workers as actors of the Ray cluster of RAY_ADDRESS, else one here; nodes share all paths."""
+
+    tries = 2  # a node may have gone away, which is not the job's fault
 
     def __init__(self, task: Task, workers: Workers) -> None:
         os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -233,51 +181,34 @@ class OnRay:
         self._asked: dict[str, Any] = {"num_cpus": cores, "num_gpus": workers.gpus}
         if workers.memory:
             self._asked["memory"] = workers.memory
-        asked = {**self._asked, "max_restarts": -1, "max_task_retries": 1}
-        self._actor: Any = ray.remote(**asked)(Task)
-        self._arguments = ray.put(task.function), task.threads  # once for all workers
-        self._workers: list[_Actor] = []
+        self._actor: Any = ray.remote(**self._asked)(_Actor)
+        self._task = ray.put(task)  # once for all workers; photos are paths in it
 
-    def worker(self) -> "_Actor":
-        """A new worker, as soon as the cluster has room for it."""
-        worker = _Actor(self._ray, self._actor.remote(*self._arguments))
-        self._workers.append(worker)
-        worker.be_ready()
-        return worker
+    def start(self) -> tuple[Any, Any]:
+        worker = self._actor.remote(self._task)
+        return worker, worker.ready.remote()
 
-    def no_room(self) -> str:
+    def give(self, worker: Any, job: KeyedJob) -> Any:
+        return worker.do.remote(job)
+
+    def first(self, tickets: list[Any], any_ready: bool) -> Any:
+        """Raises RunError where the cluster has no room for one worker in `MOST_WAIT` seconds."""
+        timeout = None if any_ready else MOST_WAIT
+        ready, _ = self._ray.wait(tickets, num_returns=1, timeout=timeout)
+        if ready:
+            return ready[0]
         has = {
             name: round(amount, 2)
             for name, amount in self._ray.cluster_resources().items()
             if name in ("CPU", "GPU", "memory")
         }
-        return (
+        raise RunError(
             f"no worker got a place on the Ray cluster in {MOST_WAIT} s: each asks for "
             f"{self._asked}, the cluster has {has}; ask for less with --threads, "
             "--gpus-per-worker or --memory-per-worker."
         )
 
-    def close(self) -> None:
-        for worker in self._workers:
-            worker.close()
-        if self._started:
-            self._ray.shutdown()
-
-
-class _Actor:
-    """A worker on Ray, as its thread sees it."""
-
-    def __init__(self, ray: Any, actor: Any) -> None:
-        self._ray, self._actor = ray, actor
-
-    def be_ready(self) -> None:
-        self._answer(self._actor.__ray_ready__.remote())
-
-    def do(self, job: KeyedJob) -> KeyedRow:
-        return self._answer(self._actor.do.remote(job))
-
-    def _answer(self, ticket: Any) -> Any:
-        """What a job brought; raises what the job raised, and WorkerDied."""
+    def answer(self, ticket: Any) -> Any:
         exceptions = self._ray.exceptions
         try:
             return self._ray.get(ticket)
@@ -286,5 +217,14 @@ class _Actor:
         except exceptions.RayError:
             raise WorkerDied from None
 
-    def close(self) -> None:
-        self._ray.kill(self._actor)
+    def end(self) -> None:
+        if self._started:
+            self._ray.shutdown()
+
+
+WorkerPool = InProcesses | OnRay
+
+
+def pool_of(task: Task, workers: Workers) -> WorkerPool:
+    """The pool that `workers.spread` names."""
+    return OnRay(task, workers) if workers.spread == "ray" else InProcesses(task)

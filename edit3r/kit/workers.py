@@ -8,7 +8,8 @@ moment goes on where it stopped.
 import json
 import os
 import time
-from collections.abc import Callable, Hashable, Iterable, Mapping
+from collections import deque
+from collections.abc import Callable, Generator, Hashable, Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,15 +17,19 @@ from typing import Any
 
 from pydantic_core import to_json
 
-from edit3r.contract.errors import InputError
+from edit3r.contract.errors import InputError, RunError
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.files.text import parse_json
 from edit3r.kit.worker_pool import (
     ONE_HERE,
     Function,
+    KeyedJob,
+    KeyedRow,
     Task,
+    WorkerDied,
+    WorkerPool,
     Workers,
-    spread,
+    pool_of,
 )
 
 __all__ = [
@@ -38,6 +43,10 @@ __all__ = [
 ]
 
 Row = Mapping[str, Any]
+MOST_AHEAD = 1000
+"""Jobs that are looked through for one of the group that a worker did last."""
+MOST_STARTS = 5
+"""Workers in a row that may die before they are ready."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +59,7 @@ class Progress:
     total: int
     seconds_left: float
 
-    def line(self, what: str, of: str = "") -> str:
+    def said(self, what: str, of: str = "") -> str:
         """One line about the job, with what it is `of`, what came of it and the time left."""
         left = self.seconds_left
         size, unit = (
@@ -89,8 +98,8 @@ def run_resumable(
     task = Task(function, workers.threads)
     alone = workers.spread == "processes" and workers.count == 1 and not workers.may_die
     todo = left.items()
-    one_by_one = (task.do(job) for job in todo)
-    with closing(one_by_one if alone else spread(task, todo, workers, group)) as rows:
+    made = _alone(task, todo) if alone else _spread(task, todo, workers, group)
+    with closing(made) as rows:
         for count, (key, row) in enumerate(rows, start=1):
             rows_by_key[key] = append_row(path, {key_name: key, **row})
             rate = (time.monotonic() - start) / count
@@ -135,7 +144,7 @@ def read_rows(
             rows[row[key_name]] = read(row)
         except (ValueError, TypeError, KeyError, AttributeError):
             raise InputError(
-                f"{path}, line {number}: not a result; delete the line to run that job again."
+                f"{path}, line {number}: not a result; delete the line to measure it anew."
             ) from None
     return rows
 
@@ -161,3 +170,118 @@ def _line(row: Row) -> str:
         json.dumps(json.loads(to_json(row, inf_nan_mode="null")), ensure_ascii=False)
         + "\n"
     )
+
+
+def _alone(task: Task, jobs: Iterable[KeyedJob]) -> Generator[KeyedRow, None, None]:
+    yield from map(task.do, jobs)
+
+
+def _spread(
+    task: Task,
+    jobs: Iterable[KeyedJob],
+    workers: Workers,
+    group: Callable[[Any], Hashable],
+) -> Generator[KeyedRow, None, None]:
+    """Yield keys and rows in any order, each worker with one job at a time."""
+    pool = pool_of(task, workers)
+    shift = _Shift(pool, jobs, workers, group)
+    try:
+        while shift.hand_out():
+            if row := shift.next_row():
+                yield row
+    finally:
+        pool.end()
+
+
+@dataclass(eq=False)
+class _Hand:
+    """A worker, and the group of its last job."""
+
+    worker: Any
+    group: Hashable = None
+
+
+class _Shift:
+    """Which worker does which job."""
+
+    def __init__(
+        self,
+        pool: WorkerPool,
+        jobs: Iterable[KeyedJob],
+        workers: Workers,
+        group: Callable[[Any], Hashable],
+    ) -> None:
+        self._pool, self._workers, self._group = pool, workers, group
+        self._todo = deque(jobs)
+        self._deaths: dict[str, int] = {}  # by key of a job
+        self._idle: list[_Hand] = []
+        self._starting: dict[Any, _Hand] = {}  # by ticket
+        self._busy: dict[Any, tuple[_Hand, KeyedJob]] = {}  # by ticket
+        self._failed_starts = 0
+
+    def hand_out(self) -> bool:
+        """Start workers, and give a job to each that is ready; False: all is done."""
+        wanted = min(self._workers.count, len(self._todo) + len(self._busy))
+        present = len(self._idle) + len(self._starting) + len(self._busy)
+        for _ in range(wanted - present):
+            worker, ticket = self._pool.start()
+            if ticket is None:
+                self._idle.append(_Hand(worker))
+            else:
+                self._starting[ticket] = _Hand(worker)
+        while self._idle and self._todo:
+            hand = self._idle.pop()
+            job = self._job_for(hand)
+            self._busy[self._pool.give(hand.worker, job)] = hand, job
+        return bool(self._busy or self._todo)
+
+    def next_row(self) -> KeyedRow | None:
+        """Wait until something happens; a row, where that was a finished job."""
+        any_ready = bool(self._busy or self._idle)
+        ticket = self._pool.first([*self._busy, *self._starting], any_ready)
+        if ticket in self._starting:
+            self._arrived(ticket)
+            return None
+        hand, job = self._busy.pop(ticket)
+        try:
+            row = self._pool.answer(ticket)
+        except WorkerDied as error:
+            return self._died(job, error)
+        self._idle.append(hand)
+        return row
+
+    def _job_for(self, hand: _Hand) -> KeyedJob:
+        """The next job, or one soon after it that needs what this worker has loaded."""
+        ahead = range(min(len(self._todo), MOST_AHEAD))
+        same = (k for k in ahead if self._group(self._todo[k][1]) == hand.group)
+        number = next(same, 0)
+        job = self._todo[number]
+        del self._todo[number]
+        hand.group = self._group(job[1])
+        return job
+
+    def _arrived(self, ticket: Any) -> None:
+        hand = self._starting.pop(ticket)
+        try:
+            self._pool.answer(ticket)
+        except WorkerDied:
+            self._failed_starts += 1
+            if self._failed_starts == MOST_STARTS:
+                raise RunError(
+                    f"{MOST_STARTS} workers died one after the other before their first job; is "
+                    "edit3r installed on all nodes? What is done is kept."
+                ) from None
+            return
+        self._failed_starts = 0
+        self._idle.append(hand)
+
+    def _died(self, job: KeyedJob, error: WorkerDied) -> KeyedRow | None:
+        """What becomes of a job whose worker died: another try, a failure, or the end of all."""
+        key = job[0]
+        self._deaths[key] = self._deaths.get(key, 0) + 1
+        if self._deaths[key] < self._pool.tries:
+            self._todo.appendleft(job)
+            return None
+        if not self._workers.may_die:
+            raise RunError(f"{error} What is done is kept.") from None
+        return key, {"failure": str(error)}

@@ -2,10 +2,12 @@
 
 import math
 import os
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 
 import pytest
 
 from edit3r.contract.errors import InputError, RunError
+from edit3r.kit.worker_pool import InProcesses, Task
 from edit3r.kit.workers import Workers, append_row, read_rows, repair, run_resumable
 
 JOBS = {"a": {"value": 1}, "b": {"value": 2}, "c": {"value": 3}}
@@ -61,7 +63,7 @@ def dies_of_two(job):
 
 @pytest.mark.slow
 def test_a_worker_that_dies_is_the_row_of_its_job_alone_where_it_may(path):
-    with pytest.raises(RunError, match=r"worker process died.*Finished jobs are kept"):
+    with pytest.raises(RunError, match=r"worker process died.*What is done is kept"):
         run_resumable(JOBS, dies_of_two, path, workers=Workers(2))
     for count in (1, 2):
         own = path.with_name(f"{count}.jsonl")
@@ -73,6 +75,16 @@ def test_a_worker_that_dies_is_the_row_of_its_job_alone_where_it_may(path):
             "process" in rows[key] and rows[key]["process"] != os.getpid()
             for key in "ac"
         )
+
+
+def test_an_answer_is_taken_while_another_is_waited_for():
+    done, waiting = Future(), Future()
+    done.set_result(None)
+    with ThreadPoolExecutor(1) as asker:
+        first = asker.submit(InProcesses(Task(dict, None)).first, [waiting, done], True)
+        finished = wait([first], timeout=10).done
+        waiting.set_result(None)  # ends a pool that waits for all
+    assert finished and first.result() is done
 
 
 def test_rows_of_other_jobs_stay(path):
