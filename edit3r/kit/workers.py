@@ -59,7 +59,7 @@ class Progress:
     total: int
     seconds_left: float
 
-    def said(self, what: str, of: str = "") -> str:
+    def line(self, what: str, of: str = "") -> str:
         """One line about the job, with what it is `of`, what came of it and the time left."""
         left = self.seconds_left
         size, unit = (
