@@ -10,9 +10,10 @@ number of its polygons.
 import json
 import subprocess
 import urllib.request
+from collections.abc import Iterator
 from pathlib import Path
 
-from harness import run_benchmark
+from harness import Row, run_benchmark
 
 ELSEWHERE = [
     Path(__file__).with_name(f"{name}.json") for name in ("elsewhere", "judged")
@@ -20,7 +21,7 @@ ELSEWHERE = [
 RAW = "https://raw.githubusercontent.com/{repository}/{commit}/{path}"
 
 
-def fetch(folder: Path, *, clones: Path | None = None) -> None:
+def fetch(folder: Path, *, clones: Path | None = None) -> Iterator[Row]:
     """Bring the photos of `elsewhere.json` and `judged.json`."""
     listed = [json.loads(file.read_text())["photos"] for file in ELSEWHERE]
     for name, source in (listed[0] | listed[1]).items():
@@ -29,7 +30,11 @@ def fetch(folder: Path, *, clones: Path | None = None) -> None:
             continue
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(content(source, clones))
-        print(f"{name}: {source['repository']}, {source['licence']}")
+        yield {
+            "photo": name,
+            "from": source["repository"],
+            "licence": source["licence"],
+        }
 
 
 def content(source: dict, clones: Path | None) -> bytes:
