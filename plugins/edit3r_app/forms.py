@@ -220,7 +220,7 @@ def run_settings(draft: Draft, registry: Registry) -> dict[str, Any]:
             settings[kind] = {"name": name, **_typed(form, f"{kind} {name}")}
     if _names_program({**settings, "prompt": ""}):
         raise SettingsError(
-            f"{RUNS_PROGRAMS} starts programs of your choice, which only edit3r run does."
+            f"{RUNS_PROGRAMS} starts a program of your choice; only edit3r run may do that."
         )
     check_components(make_run_config(settings), registry)
     return settings

@@ -74,7 +74,8 @@ class Re10kDataset(PhotoDataset):
         count = len(scene["images"])
         if max(indices) >= count:
             raise InputError(
-                f"scene {key}: frame {max(indices)} was asked for, but it has {count}."
+                f"scene {key}: frame {max(indices)} was asked for, but it has {count} frames, "
+                "counted from 0."
             )
         drawn = self._drawn(scene, list(indices))
         return [

@@ -143,7 +143,7 @@ def _box(flag: str, text: str, frames: list[Frame]) -> tuple[int, Box]:
     frame = frames[view]
     x, y, width, height = _as_shares(numbers, frame)
     if min(width, height) < 0:
-        raise InputError(f"{flag} {text}: width and height must not be below 0.")
+        raise InputError(f"{flag} {text}: width and height must be at least 0.")
     corners = ((x, y), (x + width, y + height))
     if frame.lens is not None:
         corners = _straightened(corners, frame.lens)

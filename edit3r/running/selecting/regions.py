@@ -348,8 +348,8 @@ def _refuse_places_and_marks(instructions: Sequence[Instruction]) -> None:
         and not any(w.without for w in instructions)
     ):
         raise PromptError(
-            f"the sentence says the {places[0]}, and clicks, boxes or masks say another place; "
-            "leave out one of them."
+            f"the sentence says the {places[0]}, but clicks, boxes or masks mark another place; "
+            "keep only one of the two."
         )
 
 

@@ -302,7 +302,7 @@ def test_frames_of_a_chunk_are_found_by_the_scenes_key(tmp_path):
         first.intrinsics, SCENE.context_cameras.intrinsics[0, 1], atol=1e-5
     )
     assert np.allclose(second.c2w, SCENE.context_cameras.c2w[0, 4], atol=1e-5)
-    with pytest.raises(InputError, match="frame 9 was asked for, but it has 5"):
+    with pytest.raises(InputError, match="frame 9 was asked for, but it has 5 frames"):
         data.photos("wanted", (0, 9))
     with pytest.raises(InputError, match="no chunk has the scene 'lost'"):
         data.photos("lost", (0,))
