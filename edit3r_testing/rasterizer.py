@@ -23,7 +23,7 @@ from edit3r_testing.scenes import cameras_around, gaussian_cloud
 
 REFERENCE = DEFAULTS["reference_rasterizer"]
 
-SCENE_SETTINGS = ("near", "far", "background")
+SCENE_SETTINGS = ("near_plane", "far_plane", "background")
 """Settings that say what is to be seen, which the reference shares with the one under test."""
 
 
@@ -74,7 +74,7 @@ class RasterizerContract(Contract):
         behind = replace(cloud, means=cloud.means * torch.tensor([1.0, 1.0, -1.0]))
         empty = cloud.select(torch.arange(0))
         found = self.render(behind, cameras_around()).given
-        fix = "Gaussians behind the camera are seen: cull z <= near"
+        fix = "Gaussians behind the camera are seen: cull z <= near_plane"
         for name, nothing in self.render(empty, cameras_around()).given.items():
             self.require_equal(f"{name} of them", found[name], nothing, fix, 0)
 

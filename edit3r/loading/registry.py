@@ -325,7 +325,7 @@ def _loaded(local_files: tuple[str | Path, ...]) -> Registry:
 def build(
     kind: str, name: str, /, parts: Mapping[str, Any] | None = None, **settings: Any
 ) -> Any:
-    """Build an installed component: `edit3r.build("rasterizer", "numba", near=0.01)`."""
+    """Build an installed component: `edit3r.build("rasterizer", "numba", near_plane=0.01)`."""
     return default_registry().build(kind, name, parts, **settings)
 
 

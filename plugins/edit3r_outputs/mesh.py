@@ -15,7 +15,7 @@ from edit3r.contract.interfaces import SceneToWrite, Writer
 from edit3r.contract.types import Cameras, Rendering
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.warping import warp
-from edit3r_outputs.ply import coloured_ply
+from edit3r_outputs.mesh_ply import coloured_ply
 
 # The numbers of this block: no figures kept.
 CELLS = (216, 288, 160)  # of the usual grid: rows, columns, steps of inverse depth

@@ -18,7 +18,7 @@ from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.geometry.rotations import matrices_to_quats
 from edit3r.kit.photos.cameras import write_transforms
 from edit3r.kit.photos.images import save_image
-from edit3r_outputs.ply import coloured_ply
+from edit3r_outputs.mesh_ply import coloured_ply
 
 MAX_POINTS = 100_000  # as many as COLMAP finds in some hundred photos
 POINTS = "sparse_pc.ply"  # as nerfstudio calls it

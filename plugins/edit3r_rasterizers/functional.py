@@ -71,7 +71,7 @@ def rasterization(
         )
     size = height, width
     cameras = Cameras(c2w[None], from_pixels(Ks.double(), size)[None], size)
-    settings = NumbaSettings(near=near_plane, far=far_plane, eps2d=eps2d)
+    settings = NumbaSettings(near_plane=near_plane, far_plane=far_plane, eps2d=eps2d)
     fields = (field[None] for field in (means, scales, quats, opacities, harmonics))
     rendering = NumbaRasterizer(settings).render(
         Gaussians(*fields), cameras, backgrounds

@@ -83,7 +83,7 @@ class GsplatRasterizer(Rasterizer):
             width=width,
             height=height,
             near_plane=near,
-            far_plane=self.settings.far,
+            far_plane=self.settings.far_plane,
             eps2d=self.settings.eps2d,
             sh_degree=gaussians.degree,
             render_mode="RGB+ED",

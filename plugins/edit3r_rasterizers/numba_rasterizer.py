@@ -182,7 +182,7 @@ class _Rasterize(torch.autograd.Function):
             for b in range(batch)
         ]
         for b, c in product(range(batch), range(count)):
-            near = settings.model_copy(update={"near": nears[b]})
+            near = settings.model_copy(update={"near_plane": nears[b]})
             camera = _array(cameras[b, c])
             shown = _images_of((images, alphas, depths), b, c)
             frame = project_scene(near, threads, scenes[b], camera, grid, learns)
@@ -255,7 +255,7 @@ def project_scene(
     records = aligned_empty((count, RECORD))
     boxes, keys = np.empty((count, 4), np.uint16), np.empty(count, np.float32)
     size = float(grid.width), float(grid.height)
-    depths = settings.near, settings.far
+    depths = settings.near_plane, settings.far_plane
     sound = run_slices(
         project,
         even_bounds(count, threads),

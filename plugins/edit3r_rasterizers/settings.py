@@ -36,11 +36,11 @@ MIN_TOTAL_ALPHA = 1e-10
 class RasterizerSettings(Settings):
     """How Gaussians become pixels; as 3D Gaussian Splatting but for a `max_alpha` of 0.999."""
 
-    near: float | None = Field(None, ge=1e-30, le=1e10)
+    near_plane: float | None = Field(None, ge=1e-30, le=1e10)
     """Gaussians with camera z below are culled [scene units]; default: 0.01, less in scenes smaller
     than 0.32.
     """
-    far: float = Field(FAR, ge=1e-6, le=FAR)
+    far_plane: float = Field(FAR, ge=1e-6, le=FAR)
     """Gaussians with camera z above are culled [scene units]; default: 1e30, none."""
     background: tuple[Share, Share, Share] = (0.0, 0.0, 0.0)
     """sRGB colour behind everything, each in [0, 1]."""
@@ -55,20 +55,22 @@ class RasterizerSettings(Settings):
 
     @model_validator(mode="after")
     def _check_ranges(self) -> "RasterizerSettings":
-        near = NEAR if self.near is None else self.near
-        if self.far <= near:
-            raise ValueError(f"far ({self.far}) must be above near ({near})")
+        near = NEAR if self.near_plane is None else self.near_plane
+        if self.far_plane <= near:
+            raise ValueError(
+                f"far_plane ({self.far_plane}) must be above near_plane ({near})"
+            )
         return self
 
     def near_planes(self, gaussians: Gaussians) -> list[float]:
-        """Each scene's near plane: `near`, or what suits the scene's size: halved until it is a
-        32nd of it at most.
+        """Each scene's near plane: `near_plane`, or what suits the scene's size: halved until it is
+        a 32nd of it at most.
 
         Scenes of ordinary size all have the same, so that parts of one are drawn as the whole is.
         """
         scenes = range(gaussians.means.shape[0])
-        if self.near is not None:
-            return [self.near for _ in scenes]
+        if self.near_plane is not None:
+            return [self.near_plane for _ in scenes]
         return [_near_plane(size_of(gaussians, scene)) for scene in scenes]
 
 

@@ -199,7 +199,7 @@ def project_scene(
     rotation = c2w[:3, :3].to(work)
     depth = (offsets.detach() @ rotation)[:, 2]
     opacities = gaussians.opacities[scene].to(work)
-    kept = (depth >= near) & (depth <= settings.far)
+    kept = (depth >= near) & (depth <= settings.far_plane)
     kept &= opacities.detach() >= settings.min_alpha
     index = kept.nonzero().squeeze(-1)
     # front to back, ties in index order

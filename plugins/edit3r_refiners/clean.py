@@ -34,7 +34,7 @@ SOLID = 0.75
 class CleanSettings(Settings):
     """What counts as hanging before a surface."""
 
-    before: float = Field(0.1, gt=0, lt=1)
+    in_front: float = Field(0.1, gt=0, lt=1)
     """share of the surface's depth by which a floater stands before it"""
     beside: float = Field(3 / 256, ge=0, le=0.1)
     """the nearest surface so far around counts: what frays beside an edge stays [long sides]"""
@@ -95,7 +95,7 @@ def find_floaters(
         surface = warp(nearest, places[None, None], mode="nearest", padding="zeros")
         surface = surface[0, 0, 0]
         there = (depth > 0) & (surface > 0)
-        in_front = depth < (1 - settings.before) * surface
+        in_front = depth < (1 - settings.in_front) * surface
         before |= there & in_front
         elsewhere |= there & ~in_front
         shown.append(rendering.images.clamp(0, 1))

@@ -49,7 +49,7 @@ class SimplifyCommand(Command):
             help="rasterizer that judges what is seen (default auto)",
         )
         add("--out", metavar="FILE", help="the new scene, as 3DGS PLY")
-        settings = "such as simplify.relative_price=2 or clean.before=0.2"
+        settings = "such as simplify.relative_price=2 or clean.in_front=0.2"
         add_common(parser, settings, overwrite="replace a file that is there")
 
     def main(self, args: argparse.Namespace) -> int:

@@ -120,7 +120,7 @@ CASES = {
     "sees behind itself": (
         {"scene": mirrored},
         "test_gaussians_behind_the_camera_are_not_seen",
-        "cull z <= near",
+        "cull z <= near_plane",
     ),
     "no empty scene": (
         {"scene": no_empty_scene},

@@ -55,8 +55,8 @@ def render(
     scene: int = 0,
     camera: int = 0,
     background=(0.0, 0.0, 0.0),
-    near: float = 0.01,
-    far: float = 1e10,
+    near_plane: float = 0.01,
+    far_plane: float = 1e10,
     eps2d: float = 0.3,
     max_alpha: float = 0.999,
 ) -> Picture:
@@ -82,7 +82,7 @@ def render(
     drawn_z = np.full((height, width), -np.inf)
     for i in np.argsort(view[:, 2], kind="stable"):
         z = view[i, 2]
-        if not near <= z <= far:
+        if not near_plane <= z <= far_plane:
             continue
         mean, cov = _project(
             view[i], scales[i], quats[i], c2w, (fx, fy, cx, cy), (width, height), eps2d

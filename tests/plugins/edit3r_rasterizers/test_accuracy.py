@@ -42,8 +42,8 @@ def test_batches_render_each_scene_with_its_own_cameras(rasterizer):
 
 def test_settings_change_the_picture_as_they_say(rasterizer):
     changed = {
-        "near": 2.8,
-        "far": 3.4,
+        "near_plane": 2.8,
+        "far_plane": 3.4,
         "eps2d": 1.0,
         "max_alpha": 0.7,
         "background": (0.2, 0.5, 0.9),

@@ -129,7 +129,7 @@ def test_scenes_of_a_batch_are_drawn_as_each_alone_whatever_their_units(
     for index, (scene, seen) in enumerate(alone):
         expected = rasterizer.render(scene, seen)
         assert float(expected.alphas.max()) > 0.5
-        assert_matches_naive(expected, scene, seen, near=0, far=math.inf)
+        assert_matches_naive(expected, scene, seen, near_plane=0, far_plane=math.inf)
         for name in ("images", "alphas", "depths"):
             shown = getattr(batch, name)[index : index + 1]
             assert torch.equal(shown, getattr(expected, name)), (index, name)

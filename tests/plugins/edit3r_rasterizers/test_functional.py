@@ -95,7 +95,9 @@ def test_a_scene_looks_as_in_the_pipeline(sh_degree):
         render_mode="RGB+ED",
     )
     scene.harmonics[:, :, coefficients:] = 0
-    pipeline = edit3r.build("rasterizer", "numba", near=2.5, far=3.5, eps2d=0.5)
+    pipeline = edit3r.build(
+        "rasterizer", "numba", near_plane=2.5, far_plane=3.5, eps2d=0.5
+    )
     expected = pipeline.render(scene, views)
     both = torch.cat((expected.images, expected.depths), 2)[0]
     assert torch.allclose(images, both.movedim(1, -1), atol=1e-4)

@@ -136,7 +136,10 @@ def test_another_device_is_refused_with_the_way_out():
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"far": 0.005}, r"far \(0.005\) must be above near \(0.01\)"),
+        (
+            {"far_plane": 0.005},
+            r"far_plane \(0.005\) must be above near_plane \(0.01\)",
+        ),
         (
             {"background": (0.0, 2.0, 0.0)},
             r"rasterizer\.background\.1: .* less than or equal to 1",
@@ -153,8 +156,8 @@ def test_settings_out_of_range_are_errors_that_name_them(changed, message):
 def test_the_defaults_are_the_stated_convention():
     defaults = RasterizerSettings().model_dump()
     assert defaults == {
-        "near": None,
-        "far": 1e30,
+        "near_plane": None,
+        "far_plane": 1e30,
         "background": (0.0, 0.0, 0.0),
         "eps2d": 0.3,
         "max_alpha": 0.999,
@@ -171,7 +174,7 @@ def test_the_near_plane_follows_small_scenes_and_no_others(scale, expected):
     small = replace(scene, means=scene.means * scale)
     settings = RasterizerSettings()
     assert settings.near_planes(small) == [expected]
-    assert RasterizerSettings(near=0.02).near_planes(small) == [0.02]
+    assert RasterizerSettings(near_plane=0.02).near_planes(small) == [0.02]
     far_away = replace(small, means=small.means + 5)
     assert settings.near_planes(far_away)[0] / expected in (0.5, 1, 2)
 

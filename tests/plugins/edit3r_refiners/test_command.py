@@ -57,7 +57,7 @@ def test_a_file_becomes_a_smaller_file_of_the_same_views(scene_file, capsys):
             "simplify.prices: unknown setting. Did you mean 'price'?",
         ),
         (
-            ["--set", "rasterizer.near=1"],
+            ["--set", "rasterizer.near_plane=1"],
             "--set rasterizer: simplify takes only its own settings",
         ),
     ],
