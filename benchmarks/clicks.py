@@ -1,6 +1,6 @@
 """What a person marks or names: how well it is found, how long that takes, and what words find.
 
-python benchmarks/clicks.py marks|seconds|words --help
+python benchmarks/clicks.py marks|seconds|words|questions --help
 """
 
 import argparse
@@ -27,7 +27,7 @@ from edit3r_select.sum import CueWeights
 from harness import run_benchmark
 from PIL import Image, ImageDraw
 
-from edit3r import Views, build, default_registry, load_views
+from edit3r import Views, build, default_registry, load_views, select
 from edit3r.contract.errors import Edit3rError, InputError
 from edit3r.contract.interfaces import SURE, Selection
 from edit3r.kit.cache import Cache, using
@@ -770,5 +770,61 @@ def told_of_words(rows, absent) -> None:
     print(f"words of absent things: {len(absent)}, taken as sure: {unasked}")
 
 
+# ---- questions ----
+
+LIMITS = [round(0.01 * step, 2) for step in range(5, 61)]
+Answer = tuple[str, float, bool]  # place, confidence, whether the answer is right
+
+
+def questions() -> None:
+    """The confidence below which a word is asked about instead of edited: words of two photos each
+    whose answers were looked at (`questions.json`), and words that nothing here knows.
+
+        python benchmarks/clicks.py questions DATA
+
+    DATA holds the photos of `benchmarks/outlines.py` beside the photo sets. A limit is as bad as
+    the right answers that it stops and the others that it lets pass; places are left out in turn.
+    """
+    parser = argparse.ArgumentParser(description=questions.__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path, help="folder of photo sets")
+    data = parser.parse_args().data
+    asked = json.loads(Path(__file__).with_name("questions.json").read_text())
+    answers: list[Answer] = []
+    for place, one in asked.items():
+        photos = load_views([data / name for name in one["photos"]])
+        for kind in ("right", "wrong", "unknown"):
+            for word in one[kind]:
+                thing = usual_reader().read_target(word)
+                asks = Selection(words=thing.name, qualifiers=thing.qualifiers)
+                start, found = time.process_time(), select(photos, asks)
+                cpu, confidence = time.process_time() - start, found.confidence or 1.0
+                answers.append((place, confidence, kind == "right"))
+                print(f"{place:20} {word:14} {kind:8} {confidence:.2f} {cpu:5.1f} s")
+    places = {place for place, *_ in answers}
+    parts = [_parted(answers, place) for place in places]
+    left_out = sum(_mistakes(ours, _limit(others)) for ours, others in parts)
+    limit = _limit(answers)
+    print(
+        f"limit {limit}: {_mistakes(answers, limit)} of {len(answers)} mistakes, "
+        f"with the place left out {left_out}"
+    )
+
+
+def _parted(answers: list[Answer], place: str) -> tuple[list[Answer], list[Answer]]:
+    ours = [one for one in answers if one[0] == place]
+    return ours, [one for one in answers if one[0] != place]
+
+
+def _mistakes(answers: list[Answer], limit: float) -> int:
+    return sum((confidence >= limit) != right for _, confidence, right in answers)
+
+
+def _limit(answers: list[Answer]) -> float:
+    """The middle one of the best limits."""
+    counts = [_mistakes(answers, limit) for limit in LIMITS]
+    best = [limit for limit, count in zip(LIMITS, counts) if count == min(counts)]
+    return best[len(best) // 2]
+
+
 if __name__ == "__main__":
-    run_benchmark(marks, seconds, words)
+    run_benchmark(marks, seconds, words, questions)

@@ -26,7 +26,13 @@ from edit3r.running.steps.locate import correct_exposure, locate
 from edit3r.running.steps.read import read
 from edit3r.running.steps.reconstruct import reconstruct
 from edit3r.running.steps.refine import refine
-from edit3r.running.steps.select import as_many_as_fit, load, require_answer, select
+from edit3r.running.steps.select import (
+    as_many_as_fit,
+    load,
+    require_answer,
+    require_known_words,
+    select,
+)
 
 
 @in_usual_torch
@@ -61,6 +67,7 @@ def _records(
     inputs: Inputs, components: Components, on_edited: Callable[[Views], None] | None
 ) -> Records:
     """All steps, one after the other."""
+    require_known_words(inputs, components)
     inputs, located = locate(inputs, components)
     selection = select(inputs, located, components)
     require_answer(inputs, selection, components)

@@ -1,6 +1,7 @@
 """The jobs file: a job a line, all of them read and checked before the first one runs."""
 
 import unicodedata
+from codecs import BOM_UTF16_BE, BOM_UTF16_LE, EncodedFile
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,7 +105,10 @@ def _lines(file: Path) -> Iterator[tuple[int, bytes]]:
     if not file.is_file():
         raise InputError(f"{file}: no such file of jobs.")
     with file.open("rb") as stream:
-        lines = iter(lambda: stream.readline(MAX_BYTES + 1), b"")
+        is_utf_16 = stream.peek(2)[:2] in (BOM_UTF16_LE, BOM_UTF16_BE)
+        # PowerShell writes UTF-16
+        source = EncodedFile(stream, "utf-8", "utf-16") if is_utf_16 else stream
+        lines = iter(lambda: source.readline(MAX_BYTES + 1), b"")
         for number, line in enumerate(lines, start=1):
             if len(line) > MAX_BYTES:
                 raise InputError(

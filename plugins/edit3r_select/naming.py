@@ -384,7 +384,8 @@ def _standing_out(
     warning += f", or {more}." if more else "."
     taken = taken_of(options, selection.reading)
     found = {view: OnPhoto(taken.mask, "guess")}
-    return Named(found, sure, SURE, options, (warning,))
+    knows_words = known or not selection.words
+    return Named(found, sure, SURE, options, (warning,), knows_words=knows_words)
 
 
 def _why_not(photos: Photos, selection: Selection, view: int, known: bool) -> str:

@@ -53,6 +53,7 @@ class Named:
     readings: tuple[Reading, ...] = ()
     warnings: tuple[str, ...] = ()
     each: bool = False  # True: each photo shows its own, so that photos do not vote
+    knows_words: bool = True  # False: nothing here knows the words
 
 
 @dataclass(frozen=True)

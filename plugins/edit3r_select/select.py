@@ -138,6 +138,7 @@ def select_masks(
         options,
         selection.reading,
         fits=fits,
+        knows_words=named.knows_words,
     )
 
 

@@ -188,6 +188,9 @@ class Selected:
     called: str = ""  # the name that was asked for, such as "left cup"
     # True: what is marked has that name; False: the name was found elsewhere; None: not checked
     fits: bool | None = None
+    knows_words: bool = (
+        True  # False: nothing here knows the words, so what stands out is taken
+    )
 
     @property
     def is_sure(self) -> bool:

@@ -65,7 +65,7 @@ def refuse_elsewhere(path: str | Path) -> None:
             f"{text[:200]}: a web address; download what lies there, and give the files."
         )
     if _ARCHIVE.search(text) and Path(text).is_file():
-        raise InputError(f"{path}: an archive; unpack it, and give the folder.")
+        raise InputError(f"{path}: an archive; unpack it, and give what was in it.")
 
 
 def require_there(path: str | Path) -> None:

@@ -18,7 +18,7 @@ from edit3r.contract.interfaces import (
     Reconstructor,
     Selection,
 )
-from edit3r.contract.reporting import stage, warn
+from edit3r.contract.reporting import Report, collecting, stage, warn
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.components import Components
@@ -28,9 +28,9 @@ from edit3r.running.scene_input import SceneInput
 from edit3r.running.selecting.near_colour import near_colour
 from edit3r.running.selecting.regions import RegionFinder
 
-ASKED = 0.35
-"""Confidence below which the thing that words name is asked about, and not edited. Set by hand, not
-fitted: what stands out for a word that nobody knows has .25 at most.
+ASKED = 0.2
+"""Confidence below which the thing that words name is asked about, and not edited: fitted with
+places left out (`python benchmarks/clicks.py questions DATA`).
 """
 
 
@@ -46,12 +46,31 @@ def select(inputs: Inputs, located: Located, components: Components) -> Selected
         return selection if inputs.scene is None else _on_scene(selection, inputs.scene)
 
 
+@torch.no_grad()
+def require_known_words(inputs: Inputs, components: Components) -> None:
+    """Raise QuestionError for words that nothing here knows, from the first photo alone: before
+    geometry is read, which takes most of the time that a question would.
+    """
+    if inputs.marked is not None or inputs.masks is not None or _guesses(components):
+        return
+    first = inputs.select([0])
+    with stage("select"), collecting(Report()):
+        selection = _regions(first, Located(), components)
+    if not all(one.knows_words for one in selection.selected):
+        require_answer(first, selection, components)
+
+
+def _guesses(components: Components) -> bool:
+    """Whether the likeliest candidate, or a numbered one, is taken without asking."""
+    config = components.config
+    return config.guess or "reading" in config.set_by_the_user()
+
+
 def require_answer(
     inputs: Inputs, selection: SelectedRegions, components: Components
 ) -> None:
     """Raise QuestionError where words hardly tell which thing is meant, and nobody chose one."""
-    config = components.config
-    if config.guess or "reading" in config.set_by_the_user():
+    if _guesses(components):
         return
     for thing in selection.selected:
         by_words = {"words", "guess"} & {*thing.how}

@@ -51,6 +51,15 @@ def test_settings_are_those_of_a_configuration_file_over_the_defaults(folder):
     assert jobs["bike"].inputs.photos[0] == str(folder / "a.png")
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_file_of_jobs_is_read_as_windows_writes_it(folder, encoding):
+    lines = [json.dumps({**GOOD, "id": name}) for name in ("ä", "b")]
+    text = "\r\n".join([*lines, "", ""])
+    (folder / "jobs.jsonl").write_bytes(text.encode(encoding))
+    file = folder / "jobs.jsonl"
+    assert [*read_jobs(file, {}, default_registry(), trusted=True)] == ["ä", "b"]
+
+
 def _editor(strength):
     return {"editor": {"name": "recolor", "strength": strength}}
 
