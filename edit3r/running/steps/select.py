@@ -74,14 +74,15 @@ def require_answer(
         return
     for thing in selection.selected:
         by_words = {"words", "guess"} & {*thing.how}
-        if by_words and thing.confidence is not None and thing.confidence < ASKED:
+        confidence = 1.0 if thing.confidence is None else thing.confidence
+        if not thing.knows_words or (by_words and confidence < ASKED):
             numbers = " or ".join(f"--reading {one.number}" for one in thing.readings)
             hints = "".join(
                 components.reader.hint(one) for one in selection.instructions
             )
             raise QuestionError(
                 f"which is the {thing.called or 'thing'}? The likeliest candidate has a confidence "
-                f"of {thing.confidence:.0%}, so nothing was edited. Take one ({numbers}), {ASK}, "
+                f"of {confidence:.0%}, so nothing was edited. Take one ({numbers}), {ASK}, "
                 "or fetch a detector that knows most words (edit3r weights get words); --guess "
                 f"takes the likeliest.{hints}",
                 thing.readings,
