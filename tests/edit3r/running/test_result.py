@@ -430,6 +430,10 @@ class Unknowing(Doubting):
         self.asked.add(float(image.mean()))
         return super().words(image, text) if text == SUBJECT else None
 
+    def track(self, images, masks):
+        self.asked |= {float(image.mean()) for image in images}
+        return super().track(images, masks)
+
 
 def test_of_words_that_nothing_knows_is_asked_by_the_first_photo_alone():
     views, segmenter = photograph(2, (48, 64)).views, Unknowing()
