@@ -39,7 +39,8 @@ from edit3r.running.job import RunJob
 class Components:
     """What the steps of a run work with: settings, and the components that they name.
 
-    Components that the job brings along are used as they are.
+    Components that the job brings along are used as they are. Two steps replace some before they
+    are used: `start_from` where a scene is given, `settle_matcher` where poses are.
     """
 
     def __init__(self, config: RunConfig, registry: Registry, job: RunJob) -> None:
@@ -125,9 +126,9 @@ class Components:
                 f"--recon {component_name(recon)}: makes a scene of photos and cannot go on from "
                 "one; leave it out."
             )
-        self.__dict__["reconstructor"] = recon.starting_from(scene)
-        self.__dict__["rasterizer"] = OverBackground(self.rasterizer, scene.background)
-        self.__dict__["geometry_source"] = SceneGeometry(scene)
+        self.reconstructor = recon.starting_from(scene)
+        self.rasterizer = OverBackground(self.rasterizer, scene.background)
+        self.geometry_source = SceneGeometry(scene)
         self._scene = scene
 
     @cached_property
@@ -148,13 +149,18 @@ class Components:
         reconstructor = self.reconstructor
         if not isinstance(reconstructor, FindsGeometry):
             return self._build("matcher")
-        if "matcher" in {*self._given, *self.config.set_by_the_user()}:
+        if self._chose_matcher:
             name = component_name(reconstructor)
             raise SettingsError(
                 f"matcher: reconstructor {name!r} finds geometry by itself, so no matcher is asked;"
                 " leave --matcher out."
             )
         return reconstructor
+
+    @property
+    def _chose_matcher(self) -> bool:
+        """Whether the user asked for a matcher."""
+        return "matcher" in {*self._given, *self.config.set_by_the_user()}
 
     @property
     def asked_matcher(self) -> Matcher | None:
@@ -181,8 +187,9 @@ class Components:
         Raises InputError for poses that shall be refined and are not there.
         """
         job = self.job
-        chosen = "matcher" in {*self._given, *self.config.set_by_the_user()}
-        usable = photos.c2w is not None and not chosen and self.uses_geometry
+        usable = (
+            photos.c2w is not None and not self._chose_matcher and self.uses_geometry
+        )
         if job.refine_poses and not usable:
             raise InputError(
                 "--refine-poses: needs --cameras with the poses of all photos, and no other matcher"
@@ -192,11 +199,12 @@ class Components:
             return
         if isinstance(self.reconstructor, FindsGeometry):
             return
-        say(
-            "poses.source",
-            "those that were given" + ("" if job.refine_poses else ", as they are"),
-        )
-        choice = DEFAULTS["refined_poses" if job.refine_poses else "known_poses"]
+        if job.refine_poses:
+            say("poses.source", "those that were given")
+            choice = DEFAULTS["refined_poses"]
+        else:
+            say("poses.source", "those that were given, as they are")
+            choice = DEFAULTS["known_poses"]
         matcher = PartChoice.model_validate(choice)
         self.config = self.config.model_copy(update={"matcher": matcher})
         self.__dict__.pop("geometry_source", None)

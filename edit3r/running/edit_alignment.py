@@ -22,60 +22,66 @@ from edit3r.kit.photos.images import Pixels, to_bytes
 class AlignmentSettings:
     """What decides whether an edit lies on its photo.
 
-    Chosen by hand; nobody wrote down on what. Of 160 cases on four pairs, 92 % are put right or
-    named (docs/notes/ledger.md).
+    Chosen by hand, but for `ratio`; nobody wrote down on what. Of 160 cases on four pairs, 92 % are
+    put right or named (docs/notes/ledger.md).
     """
 
-    # how pictures are compared
-    side: int = 384
+    # the pictures that are compared
+    max_side: int = 384
     """longer side of the copies that are compared [pixels]"""
-    least_side: int = 32
-    """shorter side below which nothing can be told [pixels]"""
-    tile: int = 40
-    """least side of a tile [pixels]"""
-    tiles: int = 4
+    min_side: int = 32
+    """shorter side of a copy below which no edit is judged [pixels]"""
+    uniform_range: int = 8
+    """range of each channel up to which pixels count as one colour [levels of 255]"""
+    black_level: int = 16
+    """brightest channel of a picture of one colour that is called black [levels of 255]"""
+    paper_sigma: float = 3.0
+    """of the Gaussian whose mean is the paper beside a drawn line [pixels]"""
+    # tiles, whose shifts phase correlation measures
+    min_tile_side: int = 40
+    """[pixels]"""
+    max_tiles: int = 4
     """along the longer side; along the other one fewer"""
-    paper: float = 3.0
-    """over which the paper beside a drawn line is averaged [pixels]"""
-    features: int = 1500
-    """of a picture"""
-    one_colour: int = 8
-    """range of a channel that is one colour [levels]"""
-    black: int = 16
-    """most of a channel that is black [levels]"""
-    # when tiles lie where they were
-    least_response: float = 0.1
-    """of a phase correlation that tells something"""
-    least_structure: float = 0.5
-    """deviation of the edges in a tile that shows something"""
-    in_place: float = 0.4
-    """shift of a tile that is none [pixels]"""
-    moved_back: float = 0.8
-    """the same once a motion was undone, which may be a little off"""
-    stayed: float = 0.6
-    """motion of a corner that is none [pixels]"""
-    most_off: float = 0.5
-    """share of the tiles that may lie elsewhere"""
+    min_response: float = 0.1
+    """of the phase correlation, in [0, 1], below which a tile is left out"""
+    min_structure: float = 0.5
+    """standard deviation of its edges below which a tile is left out"""
+    max_shift: float = 0.4
+    """with which a tile counts as in place [pixels]"""
+    max_shift_undone: float = 0.8
+    """the same once a motion was undone, which is known less exactly [pixels]"""
+    min_in_place: float = 0.5
+    """share of the tiles above which an edit lies on a photo"""
     # when a motion is believed
-    least_agreeing: int = 12
-    """matches that tell a motion"""
-    alike: float = 1.25
-    """times as many matches an affine map must explain to be taken"""
-    better: float = 0.25
-    """share of the tiles that it must bring in place"""
-    surely: float = 0.9
-    """share of them in place at which no other photo is looked at"""
-    least_told: float = 0.15
-    """share of a photo that an edit must show for anything to be told"""
-    least_shown: float = 0.65
-    """share of a photo that an edit must show to be moved back"""
+    features: int = 1500
+    """SIFT features of a picture, at most"""
+    ratio: float = 0.8
+    """distance of the nearest feature over that of the second up to which they match (Lowe 2004)"""
+    max_residual: float = 1.5
+    """of a match that agrees with a map, in RANSAC [pixels]"""
+    min_matches: int = 12
+    """that must agree with a map"""
+    affine_gain: float = 1.25
+    """how many times the matches of a similarity an affine map must explain to be taken instead"""
+    min_motion: float = 0.6
+    """of a corner, below which nothing moved [pixels]"""
+    min_gain: float = 0.25
+    """share of the tiles that undoing a motion must bring in place"""
+    sure_in_place: float = 0.9
+    """share of the tiles in place from which no other photo is tried"""
+    min_overlap: float = 0.15
+    """share of its photo that an edit must show for a motion to be looked at"""
+    min_shown: float = 0.65
+    """share of its photo that an edit must show to be moved back"""
+    fill_sigma: float = 0.02
+    """of the Gaussian that smooths the change carried into what left the picture [longer sides]"""
     # when an edit is at fault
-    least_bar: float = 0.03
-    """share of a side that a bar of one colour takes"""
-    no_likeness: float = 0.25
-    """correlation of edges below which nothing is left of the photo"""
-    shifted: float = 1.5
-    """middle motion of the matches that no one map explains [pixels]"""
+    min_bar: float = 0.03
+    """share of a side from which a border of one colour is a bar"""
+    min_likeness: float = 0.25
+    """correlation of edges below which an edit shows nothing of its photo"""
+    min_displacement: float = 1.5
+    """median motion of matches that no map explains, above which it is named [pixels]"""
 
 
 LIMITS = AlignmentSettings()
@@ -144,7 +150,7 @@ class _Picture:
 
     @property
     def scale(self) -> float:
-        return min(1.0, LIMITS.side / max(self.pixels.shape[:2]))
+        return min(1.0, LIMITS.max_side / max(self.pixels.shape[:2]))
 
     @cached_property
     def small(self) -> Pixels:
@@ -161,7 +167,7 @@ class _Picture:
         if self.is_drawn:
             grey = smooth.mean(-1)
             return np.sqrt(
-                (cv2.GaussianBlur(grey, (0, 0), LIMITS.paper) - grey).clip(0)
+                (cv2.GaussianBlur(grey, (0, 0), LIMITS.paper_sigma) - grey).clip(0)
             )
         across, down = (cv2.Sobel(smooth, cv2.CV_32F, *way) for way in ((1, 0), (0, 1)))
         return np.sqrt(np.sqrt((across**2 + down**2).max(-1)))
@@ -211,7 +217,7 @@ class _Motion:
         height, width = self.size
         corners = np.array([(x, y) for x in (0, width) for y in (0, height)])
         moved = corners @ self.matrix[:, :2].T + self.matrix[:, 2] - corners
-        return not self.mirrored and float(np.abs(moved).max()) < LIMITS.stayed
+        return not self.mirrored and float(np.abs(moved).max()) < LIMITS.min_motion
 
     @property
     def in_words(self) -> str:
@@ -245,29 +251,41 @@ def _judged(
     """The motion to undo, what is wrong, or None where the edit lies on its photo."""
     photo = photos[view]
     if (
-        min(photo.small.shape[:2]) < LIMITS.least_side
-        or photo.spread <= LIMITS.one_colour
+        min(photo.small.shape[:2]) < LIMITS.min_side
+        or photo.spread <= LIMITS.uniform_range
     ):
         return None
-    if edit.spread <= LIMITS.one_colour:
-        return BLACK_ONLY if edit.small.max() <= LIMITS.black else ONE_COLOUR_ONLY
-    if _share_in_place(photo.edges, edit.edges) > LIMITS.most_off:
+    if edit.spread <= LIMITS.uniform_range:
+        return BLACK_ONLY if edit.small.max() <= LIMITS.black_level else ONE_COLOUR_ONLY
+    if _share_in_place(photo.edges, edit.edges) > LIMITS.min_in_place:
         return _bar(edit, photo)
     drawn = replace(edit, is_drawn=True)
-    if _share_in_place(photo.edges, drawn.edges, LIMITS.moved_back) > LIMITS.most_off:
+    if (
+        _share_in_place(photo.edges, drawn.edges, LIMITS.max_shift_undone)
+        > LIMITS.min_in_place
+    ):
         return None
-    motion = _explained(edit, photo)
-    if motion is None:
-        motion = _explained(drawn, photo)
-        edit = edit if motion is None else drawn
-    if isinstance(motion, _Motion):
-        as_it_is = _share_in_place(photo.edges, edit.edges, LIMITS.moved_back)
-        if motion.is_none or motion.fits < as_it_is + LIMITS.better:
-            return None
-    if motion is None or (isinstance(motion, _Motion) and motion.fits < LIMITS.surely):
-        least = 0.0 if motion is None else motion.fits
-        motion = _of_another(edit, photos, view, least) or motion
-    return motion or _unexplained(edit, photo)
+    for seen in (edit, drawn):
+        explained = _explained(seen, photo)
+        if explained is not None:
+            return _believed(explained, seen, photos, view)
+    return _of_another(edit, photos, view, 0.0) or _unexplained(edit, photo)
+
+
+def _believed(
+    explained: _Motion | _Fault, edit: _Picture, photos: Sequence[_Picture], view: int
+) -> _Motion | _Fault | None:
+    """What explains an edit; None where undoing it gains little, and a fault where the edit fits
+    another photo better.
+    """
+    if isinstance(explained, _Fault):
+        return explained
+    as_it_is = _share_in_place(photos[view].edges, edit.edges, LIMITS.max_shift_undone)
+    if explained.is_none or explained.fits < as_it_is + LIMITS.min_gain:
+        return None
+    if explained.fits >= LIMITS.sure_in_place:
+        return explained
+    return _of_another(edit, photos, view, explained.fits) or explained
 
 
 def _of_another(
@@ -278,10 +296,10 @@ def _of_another(
         if other == view:
             continue
         fits = _share_in_place(its.edges, edit.edges)
-        if fits <= LIMITS.most_off:
+        if fits <= LIMITS.min_in_place:
             motion = _explained(edit, its)
             fits = motion.fits if isinstance(motion, _Motion) else 0.0
-        if fits > max(least, LIMITS.most_off):
+        if fits > max(least, LIMITS.min_in_place):
             return _Fault("the edit of {name} shows the photo {other}", other)
     return None
 
@@ -290,19 +308,19 @@ def _bar(edit: _Picture, photo: _Picture) -> _Fault | None:
     """That a straight part of the picture is one colour, which the photo is not there."""
     for turns, side in enumerate(("top", "right", "bottom", "left")):
         pixels, before = (np.rot90(one.small, turns) for one in (edit, photo))
-        if np.ptp(pixels[0], axis=0).max() > 2 * LIMITS.one_colour:
+        if np.ptp(pixels[0], axis=0).max() > 2 * LIMITS.uniform_range:
             continue
         pixels = pixels.astype(np.int16)
-        one_colour = (np.abs(pixels - pixels[0, 0]).max(-1) <= LIMITS.one_colour).mean(
-            1
-        )
+        one_colour = (
+            np.abs(pixels - pixels[0, 0]).max(-1) <= LIMITS.uniform_range
+        ).mean(1)
         rows = int(np.argmin(one_colour > 0.99))
         # An object before a plain background touches the last row of it in few places.
         cut = rows + 2 < len(one_colour) and one_colour[rows + 2] < 0.4
         if (
             cut
-            and rows > LIMITS.least_bar * len(one_colour)
-            and np.ptp(before[:rows], axis=(0, 1)).max() > 4 * LIMITS.one_colour
+            and rows > LIMITS.min_bar * len(one_colour)
+            and np.ptp(before[:rows], axis=(0, 1)).max() > 4 * LIMITS.uniform_range
         ):
             share = f"{rows / len(one_colour):.0%} of the edit of {{name}}"
             return _Fault(f"the {side} {share} are one colour", of_all=True)
@@ -318,12 +336,14 @@ def _explained(edit: _Picture, photo: _Picture) -> _Motion | _Fault | None:
         motion = _Motion(matrix, photo.scale, photo.edges.shape, mirrored)
         there = _warped(edit.edges[:, ::-1] if mirrored else edit.edges, matrix)
         shown = _warped(np.ones_like(edit.edges), matrix) > 0.99
-        if shown.mean() < LIMITS.least_told:
+        if shown.mean() < LIMITS.min_overlap:
             continue
-        fits = _share_in_place(photo.edges * shown, there * shown, LIMITS.moved_back)
-        if fits <= LIMITS.most_off:
+        fits = _share_in_place(
+            photo.edges * shown, there * shown, LIMITS.max_shift_undone
+        )
+        if fits <= LIMITS.min_in_place:
             continue
-        if shown.mean() < LIMITS.least_shown:
+        if shown.mean() < LIMITS.min_shown:
             share = f"{shown.mean():.0%} of its photo only ({motion.in_words})"
             return _Fault(f"the edit of {{name}} shows {share}")
         return replace(motion, fits=fits)
@@ -334,26 +354,30 @@ def _unexplained(edit: _Picture, photo: _Picture) -> _Fault | None:
     """What is wrong with an edit that no map brings to its photo; None where nobody can tell."""
     here, there = _matched(photo.features, edit.features)
     away = np.linalg.norm(there - here, axis=1)
-    near = away[away < 0.2 * LIMITS.side]
+    near = away[away < 0.2 * LIMITS.max_side]
     if (
-        len(near) >= 2 * LIMITS.least_agreeing
+        len(near) >= 2 * LIMITS.min_matches
         and len(near) > 0.5 * len(away)
-        and np.median(near) > LIMITS.shifted
+        and np.median(near) > LIMITS.min_displacement
     ):
         pixels = np.median(near) / photo.scale
         return _Fault(
             f"the edit of {{name}} lies about {pixels:.0f} px beside its photo"
         )
     seen = (edit.edges, replace(edit, is_drawn=True).edges)
-    near = (np.sum(_shifts(photo.edges, edges) < 4 * LIMITS.in_place) for edges in seen)
+    near = (
+        np.sum(_shifts(photo.edges, edges) < 4 * LIMITS.max_shift) for edges in seen
+    )
     likeness = (_likeness(photo.edges, edges) for edges in seen)
-    return UNLIKE if max(near) < 2 and max(likeness) < LIMITS.no_likeness else None
+    return UNLIKE if max(near) < 2 and max(likeness) < LIMITS.min_likeness else None
 
 
 # ---- comparing ----
 
 
-def _share_in_place(photo: Edges, edit: Edges, limit: float = LIMITS.in_place) -> float:
+def _share_in_place(
+    photo: Edges, edit: Edges, limit: float = LIMITS.max_shift
+) -> float:
     """Share of the tiles that lie where they were, 0 where no tile tells."""
     shifts = _shifts(photo, edit)
     return float(np.mean(shifts <= limit)) if len(shifts) else 0.0
@@ -365,8 +389,8 @@ def _shifts(photo: Edges, edit: Edges) -> Float[np.ndarray, "tile"]:
         return np.zeros(0)
     height, width = photo.shape
     rows, columns = (
-        max(1, min(most, side // LIMITS.tile))
-        for most, side in ((LIMITS.tiles - 1, height), (LIMITS.tiles, width))
+        max(1, min(most, side // LIMITS.min_tile_side))
+        for most, side in ((LIMITS.max_tiles - 1, height), (LIMITS.max_tiles, width))
     )
     tall, wide = height // rows, width // columns
     window = cv2.createHanningWindow((wide, tall), cv2.CV_32F)
@@ -375,12 +399,12 @@ def _shifts(photo: Edges, edit: Edges) -> Float[np.ndarray, "tile"]:
         for left in range(0, columns * wide, wide):
             place = (slice(top, top + tall), slice(left, left + wide))
             one, other = photo[place], edit[place]
-            if min(one.std(), other.std()) < LIMITS.least_structure:
+            if min(one.std(), other.std()) < LIMITS.min_structure:
                 continue
             shift, response = cv2.phaseCorrelate(
                 one - one.mean(), other - other.mean(), window
             )
-            if response > LIMITS.least_response:
+            if response > LIMITS.min_response:
                 shifts.append(np.hypot(shift[0], shift[1]))
     return np.array(shifts)
 
@@ -409,7 +433,7 @@ def _matched(first: tuple, second: tuple) -> tuple[np.ndarray, np.ndarray]:
     matches = [
         best
         for best, second_best in pairs
-        if best.distance < 0.8 * second_best.distance
+        if best.distance < LIMITS.ratio * second_best.distance
     ]
     return (
         here[[one.queryIdx for one in matches]].reshape(-1, 2),
@@ -421,15 +445,15 @@ def _map_between(photo: _Picture, edit: _Picture) -> Map | None:
     """The similarity, or where that explains much less the affine map, from photo to edit."""
     for kind in ("edge_features",) if edit.is_drawn else ("features", "edge_features"):
         here, there = _matched(getattr(photo, kind), getattr(edit, kind))
-        if len(here) < LIMITS.least_agreeing:
+        if len(here) < LIMITS.min_matches:
             continue
         similar, affine = (
             _fitted(find, here, there)
             for find in (cv2.estimateAffinePartial2D, cv2.estimateAffine2D)
         )
-        best = affine if affine[1] > LIMITS.alike * similar[1] else similar
+        best = affine if affine[1] > LIMITS.affine_gain * similar[1] else similar
         # A mirrored picture is found mirrored back; and nothing shrinks to a point.
-        if best[1] >= LIMITS.least_agreeing and np.linalg.det(best[0][:, :2]) > 0.01:
+        if best[1] >= LIMITS.min_matches and np.linalg.det(best[0][:, :2]) > 0.01:
             return best[0]
     return None
 
@@ -438,7 +462,11 @@ def _fitted(find, here: np.ndarray, there: np.ndarray) -> tuple[Map, int]:
     """A map by RANSAC, and how many matches agree with it."""
     cv2.setRNGSeed(0)
     matrix, inliers = find(
-        here, there, ransacReprojThreshold=1.5, maxIters=3000, confidence=0.999
+        here,
+        there,
+        ransacReprojThreshold=LIMITS.max_residual,
+        maxIters=3000,
+        confidence=0.999,
     )
     return (np.eye(2, 3), 0) if matrix is None else (matrix, int(inliers.sum()))
 
@@ -482,7 +510,7 @@ def _change_beside(
 ) -> Float[np.ndarray, "height width 3"]:
     """The smoothed change at the nearest place that the edit shows, for each pixel."""
     height, width = shown.shape
-    reach = 0.02 * max(height, width)
+    reach = LIMITS.fill_sigma * max(height, width)
     weight = shown.astype(np.float32)
     change = cv2.GaussianBlur((after - before) * weight[..., None], (0, 0), reach)
     change /= cv2.GaussianBlur(weight, (0, 0), reach)[..., None] + 1e-6

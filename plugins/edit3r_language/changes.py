@@ -3,26 +3,20 @@
 from dataclasses import dataclass, replace
 
 from edit3r.contract.instructions import Change
-from edit3r.kit.compute.colour_names import TONES, read_colour
+from edit3r.kit.compute.colour_names import BASIC_COLOURS, TONES, read_colour
 from edit3r_language.nouns import is_noun, is_thing_too
 from edit3r_language.paints import read_paint
 from edit3r_language.shades import read_taken
-from edit3r_language.vocabulary import (
-    ADJUSTMENTS,
-    BASIC,
-    PROPERTIES,
-    TINT_SHARE,
-    TINTS,
-    WORDS,
-    words_of,
-)
+from edit3r_language.vocabulary import ADJUSTMENTS, PROPERTIES, TINTS, WORDS, words_of
 
 _BOTTLES_AND_TREES = words_of("bottle tree leaf")
 _OF_BOTTLES_AND_TREES = words_of(
     "wine beer water milk juice glass plastic apple pear orange lemon lime cherry fig olive "
     "banana palm pine oak birch maple christmas"
 )
+_BASIC = frozenset(BASIC_COLOURS)
 _BEFORE_SNOW = words_of("of into to like in with")
+TINT_SHARE = 0.35  # how far a tint goes towards its colour, in [0, 1]; no figure kept
 PERCENT_AS_NAMED = {"saturation": (80, 60), "contrast": (45, 31)}
 """What "more saturated" alone adds and "less saturated" takes away [%]."""
 
@@ -180,7 +174,7 @@ def _names_thing_and_colour(before: list[str], rest: list[str], length: int) -> 
     """Whether "the sea green" is a green sea, and "turn red blue" a change of red."""
     if before[-1:] == ["the"]:
         return rest[0] not in TONES
-    two_basics = length == 2 and {rest[0], rest[1]} <= BASIC
+    two_basics = length == 2 and {rest[0], rest[1]} <= _BASIC
     return two_basics and not set(before) - WORDS.fillers - WORDS.paint
 
 
@@ -208,6 +202,6 @@ def _more_or_less(rest: list[str], start: int) -> ChangeSpan | None:
     if word in ADJUSTMENTS:
         known = ADJUSTMENTS[word]
         return ChangeSpan(start, end, replace(known, amount=sign * known.amount))
-    if rest[0] == "more" and word in BASIC:  # "more snow" is no colour
+    if rest[0] == "more" and word in _BASIC:  # "more snow" is no colour
         return ChangeSpan(start, end, _tint(word))
     return None

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from importlib.resources import files
 
 from edit3r.contract.instructions import Change, ChangeKind
-from edit3r.kit.compute.colour_names import BASIC_COLOURS
 
 
 def words_of(text: str) -> frozenset[str]:
@@ -114,7 +113,6 @@ def _phrases() -> list[tuple[re.Pattern, str]]:
 
 WORDS = WordSets.read()
 PHRASES = _phrases()
-BASIC = frozenset(BASIC_COLOURS)
 
 _ADJUSTMENTS: dict[tuple[ChangeKind, float], str] = {
     ("brightness", 1.0): "brighter lighter brighten lighten bright",
@@ -148,7 +146,6 @@ PROPERTIES: dict[str, ChangeKind] = {
 TINTS = pairs_of(
     "redder=red greener=green bluer=blue yellower=yellow pinker=pink browner=brown"
 )
-TINT_SHARE = 0.35
 
 INSTEAD = {
     "snow": "'make it look like winter' is a look; no snow falls.",

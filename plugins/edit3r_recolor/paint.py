@@ -58,6 +58,16 @@ class Paint:
     lightness: float  # median
     tolerance: float  # largest difference in hue that is wholly this paint [degrees]
 
+    @property
+    def is_clear(self) -> bool:
+        """Whether the thing has a paint of its own, apart from the rest of it."""
+        return self.saturation != 0
+
+    @property
+    def may_be_natural(self) -> bool:
+        """Whether stone, fur, skin or leaves may have this colour."""
+        return 0 < self.saturation < VIVID
+
 
 def paint(
     images: Images,
@@ -86,22 +96,7 @@ def paint(
     goal = rgb_to_oklab(old.new_tensor(rgb)[:, None, None])
     own = own_paint(lab, weights, tolerance, flood)
     goal = _compared(goal, own, than_now)
-    member = membership(lab, own)
-    share = float((weights * member).sum() / weights.sum())
-    natural = 0 < own.saturation < VIVID
-    if natural and (share >= MOSTLY or _is_in_islands(_placed(member, inside), region)):
-        say(
-            "paint",
-            f"{share:.0%} of the thing has one colour, and no clear parts: all of it is painted",
-        )
-        own = own_paint(lab, weights, tolerance, flood=True)
-        member = membership(lab, own)
-    elif own.saturation:
-        say(
-            "paint",
-            f"{share:.0%} of the thing has its main colour and is painted; say 'all of it' to "
-            "paint the rest too",
-        )
+    own, member = _all_or_part(own, lab, weights, region)
     touched = member[0] > 0
     new = repainted(lab[..., touched], own, goal, metal, matte)
     weight = member[:, touched]
@@ -109,6 +104,33 @@ def paint(
     painted = images.clone()
     painted.movedim(1, 0)[:, inside] = old[:, 0]
     return painted
+
+
+def _all_or_part(
+    own: Paint, lab: Pixels, weights: Weights, region: Masks
+) -> tuple[Paint, Weights]:
+    """The paint that is changed and how much of it each pixel inside has; says which it is.
+
+    All of the thing, where its colour may be natural and is on most of it or in islands.
+    """
+    member = membership(lab, own)
+    share = float((weights * member).sum() / weights.sum())
+    if own.may_be_natural and (
+        share >= MOSTLY or _is_in_islands(_placed(member, region > 0), region)
+    ):
+        say(
+            "paint",
+            f"{share:.0%} of the thing has one colour, and no clear parts: all of it is painted",
+        )
+        own = own_paint(lab, weights, own.tolerance, flood=True)
+        return own, membership(lab, own)
+    if own.is_clear:
+        say(
+            "paint",
+            f"{share:.0%} of the thing has its main colour and is painted; say 'all of it' to "
+            "paint the rest too",
+        )
+    return own, member
 
 
 def _placed(values: Weights, inside: Bool[Tensor, "view height width"]) -> Masks:
@@ -168,7 +190,7 @@ def own_paint(lab: Pixels, weights: Weights, tolerance: float, flood: bool) -> P
 
 def membership(lab: Pixels, own: Paint) -> Weights:
     """How much each pixel is of the paint, in [0, 1], by saturation and hue."""
-    if not own.saturation:
+    if not own.is_clear:
         return torch.ones_like(lab[0])
     share = _saturation(lab, own) / own.saturation
     coloured = ((share - PART_PAINT) / (ALL_PAINT - PART_PAINT)).clamp(0, 1)
@@ -201,7 +223,7 @@ def repainted(
     shade = (lightness / end).clamp(max=1)
     shine = ((1 - lightness) / (1 - end)).clamp(0, 1)
     chroma = shade * (shine.sqrt() if metal else shine)
-    if own.saturation and not metal:
+    if own.is_clear and not metal:
         chroma = chroma * (_saturation(lab, own) / own.saturation).clamp(max=1.1)
     return torch.cat((lightness[None], chroma * goal[1:]))
 
@@ -245,8 +267,8 @@ def _near_hue(lab: Pixels, own: Paint) -> Weights:
     """1 up to the paint's tolerance, falling to 0 beyond; noise widens it in the dark."""
     apart = (_hue(lab) - own.hue + math.pi).remainder(2 * math.pi) - math.pi
     light, dark = NOISE_FADES
-    faint = 0 < own.saturation < VIVID
-    noise = faint * DARK_NOISE * ((light - lab[0]) / (light - dark)).clamp(0, 1)
+    most = DARK_NOISE if own.may_be_natural else 0.0
+    noise = most * ((light - lab[0]) / (light - dark)).clamp(0, 1)
     tolerance = own.tolerance + torch.rad2deg(torch.atan2(noise, _chroma(lab)))
     beyond = torch.rad2deg(apart).abs() / tolerance - 1
     return (1 - beyond / HUE_FALL).clamp(0, 1)

@@ -1,8 +1,6 @@
 """Which of many photos, and which frames of a video, to use: few that together show what all show.
 
-Two images share what their features (ORB, Rublee et al. 2011) have in common. Photos are chosen
-greedily, each time the one that shows most of what those chosen so far do not (facility location;
-Krause and Golovin 2014, section 1).
+Both are files; frames, and pictures from memory, only inside a block of `temporary_photos`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,12 +11,20 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import UInt8
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import say, track, warn
 from edit3r.kit.files.atomic import scratch_folder
 from edit3r.kit.photos.decode import MAX_PIXELS, read_image
+from edit3r.kit.photos.overlap import (
+    SIDE,
+    ImageFeatures,
+    covering,
+    features_of,
+    motion,
+    shared,
+)
 
 # The numbers of this block: no figures kept.
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi")
@@ -26,12 +32,8 @@ USUAL_FRAMES = 8  # of a video, where no number is asked for
 MAX_COMPARED = 90  # frames of a video
 # A longer video is taken for a damaged one: an hour has 108,000 at 30 a second.
 MAX_FRAMES = 200_000
-SIDE = 400  # longer side of the images that are compared [pixels]
-FEATURES = 600  # of an image
-MAX_HAMMING = 48  # bits of 256 in which the features of one point may differ
-MIN_SHARED = 0.04  # share of features that two neighbours have in common
 SECONDS = 4  # of a core, that a frame's part of a scene usually takes
-MIN_MOTION = 0.01  # of features between frames that are kept [image widths]
+MIN_MOTION = 0.01  # median, between frames that are kept [image widths]
 
 
 class TakenPhotos:
@@ -79,15 +81,6 @@ def origin(file: Path) -> str:
     """The file as people know it: for a frame of a video, the video and the frame's number."""
     taken = _taken.get()
     return str(file) if taken is None else taken.origins.get(file, str(file))
-
-
-@dataclass(frozen=True)
-class ImageFeatures:
-    """What a small copy of an image shows."""
-
-    points: Float[np.ndarray, "feature 2"]  # [image widths]
-    descriptors: UInt8[np.ndarray, "feature 32"] | None
-    sharpness: float  # variance of the Laplacian
 
 
 @dataclass(frozen=True)
@@ -139,66 +132,6 @@ def take_frames(video: Path, most: int = USUAL_FRAMES) -> list[Path]:
         f"{SECONDS * len(chosen)} s at 512 pixels, besides the edit",
     )
     return _write(chosen, video)
-
-
-def features_of(pixels: UInt8[np.ndarray, "height width 3"]) -> ImageFeatures:
-    """Features and sharpness of an RGB image, measured on a copy of `SIDE` pixels."""
-    scale = SIDE / max(pixels.shape[:2])
-    small = cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-    grey = cv2.cvtColor(small, cv2.COLOR_RGB2GRAY)
-    orb = cv2.ORB.create(FEATURES, fastThreshold=7)
-    keypoints, descriptors = orb.detectAndCompute(grey, None)  # None: no mask
-    points = cv2.KeyPoint.convert(keypoints)
-    points = np.reshape(points, (-1, 2)).astype(np.float64) / grey.shape[1]
-    return ImageFeatures(points, descriptors, cv2.Laplacian(grey, cv2.CV_64F).var())
-
-
-def motion(first: ImageFeatures, second: ImageFeatures) -> float:
-    """Median way of what both show [image widths]; infinite where they share little."""
-    pairs = _matches(first, second)
-    if len(pairs) < max(1, MIN_SHARED * len(first.points)):
-        return float("inf")
-    ways = first.points[pairs[:, 0]] - second.points[pairs[:, 1]]
-    return float(np.median(np.linalg.norm(ways, axis=1)))
-
-
-def shared(images: Sequence[ImageFeatures]) -> Float[np.ndarray, "photo photo"]:
-    """For each pair the share of features that both show, in [0, 1]; 1 on the diagonal."""
-    result = np.eye(len(images))
-    for i, first in enumerate(images):
-        for j, second in enumerate(images[:i]):
-            fewer = max(1, min(len(first.points), len(second.points)))
-            result[i, j] = result[j, i] = len(_matches(first, second)) / fewer
-    return result
-
-
-def covering(common: Float[np.ndarray, "photo photo"], most: int) -> list[int]:
-    """Indices, in order, of at most `most` photos that show most of what all show.
-
-    Each is linked to another of them where that is possible.
-    """
-    chosen: list[int] = []
-    best = np.zeros(len(common))  # how much of each photo those chosen show
-    while len(chosen) < min(most, len(common)):
-        gains = np.maximum(common - best[:, None], 0).sum(0)
-        free = np.ones(len(common), bool)
-        free[chosen] = False
-        linked = free & (best >= MIN_SHARED)
-        eligible = linked if linked.any() else free
-        chosen.append(int(np.argmax(np.where(eligible, gains, -1))))
-        best = np.maximum(best, common[:, chosen[-1]])
-    return sorted(chosen)
-
-
-def _matches(first: ImageFeatures, second: ImageFeatures) -> np.ndarray:
-    """Index pairs of features that are each other's nearest and alike."""
-    pairs = []
-    if first.descriptors is not None and second.descriptors is not None:
-        matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
-        for match in matcher.match(first.descriptors, second.descriptors):
-            if match.distance < MAX_HAMMING:
-                pairs.append((match.queryIdx, match.trainIdx))
-    return np.array(pairs, dtype=int).reshape(-1, 2)
 
 
 def _sharpest(video: Path, stretches: int) -> list[VideoFrame]:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from PIL.Image import Image
 
 from edit3r.contract.errors import InputError, MissingDependencyError
 from edit3r.contract.reporting import say
@@ -20,27 +21,19 @@ MADE_HERE = "edit3r, no photo"
 _LIKE = 0.95  # correlation of small copies of one photo in two formats
 _COPIED = 0.995  # the same where the names differ: photos side by side are alike too
 _SMALL = (32, 32)  # their size [pixels]
+_BENT = 0.02  # most that width over height of two copies differs [shares]
 _GREY = 6.0  # most that the channels of a grey picture differ, in the mean [levels]
 _LABELS = 64  # most colours of a picture of labels
 
 
 def only_photos(files: Sequence[Path]) -> list[Path]:
     """The files without masks, sheets of ours and photos twice; says what was left out."""
-    left_out: set[Path] = set()
-    for file in files:
-        if _made_here(file):
-            left_out.add(file)
+    left_out = {file for file in files if _made_here(file)}
     photos = [file for file in files if file not in left_out]
     for file in sorted(photos, key=lambda one: -len(one.stem)):
         for other in photos:
-            if left_out & {file, other} or not _is_named_after(file, other):
-                continue
-            if _is_map_of(file, other):
-                left_out.add(file)
-            elif _show_the_same(file, other):
-                # the original, where the copy has no more pixels
-                more = _pixels(file) > _pixels(other)
-                left_out.add(other if more else file)
+            if not left_out & {file, other} and _is_named_after(file, other):
+                left_out.update(_not_its_own(file, other))
     kept = [file for file in files if file not in left_out]
     if not kept or not left_out:
         return list(files)
@@ -51,6 +44,17 @@ def only_photos(files: Sequence[Path]) -> list[Path]:
         f"{listed}: no photo of its own (a mask, a sheet, or a photo twice)",
     )
     return kept
+
+
+def _not_its_own(file: Path, other: Path) -> list[Path]:
+    """Which of a file and the one that it is named after is no photo of its own, if any: the map,
+    or the copy, which is the file unless it has more pixels.
+    """
+    if _is_map_of(file, other):
+        return [file]
+    if not _show_the_same(file, other):
+        return []
+    return [other] if _pixels(file) > _pixels(other) else [file]
 
 
 def _made_here(file: Path) -> bool:
@@ -75,7 +79,7 @@ def _is_named_after(file: Path, other: Path) -> bool:
 
 
 def _order(file: Path) -> tuple[int, str]:
-    """Of two formats of one photo the one with more pixels is the original."""
+    """By which the original comes before the other formats of it: the one with most pixels."""
     return -_pixels(file), file.suffix
 
 
@@ -91,7 +95,7 @@ def _is_map_of(file: Path, other: Path) -> bool:
     return mask.alpha is not None or few or _is_grey(mask.pixels)
 
 
-def _is_grey(pixels) -> bool:
+def _is_grey(pixels: Image) -> bool:
     values = np.asarray(pixels, np.int16)
     return float(np.ptp(values, axis=2).mean()) < _GREY
 
@@ -103,7 +107,7 @@ def _show_the_same(file: Path, other: Path) -> bool:
     renamed = file.stem.casefold() != other.stem.casefold()
     try:
         shapes = [width / height for height, width in map(image_size, (file, other))]
-        if abs(shapes[0] / shapes[1] - 1) > 0.02:
+        if abs(shapes[0] / shapes[1] - 1) > _BENT:
             return False
         one, two = (_small_copy(path) for path in (file, other))
     except MissingDependencyError:

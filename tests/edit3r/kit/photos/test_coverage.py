@@ -9,12 +9,8 @@ import pytest
 from edit3r.contract.errors import InputError
 from edit3r.contract.reporting import Report, collecting
 from edit3r.kit.photos.coverage import (
-    MIN_SHARED,
     choose_photos,
-    covering,
-    features_of,
     origin,
-    shared,
     take_frames,
     temporary_photos,
 )
@@ -50,32 +46,6 @@ def video(path, places, blurred=()):
         writer.write(cv2.GaussianBlur(frame, (0, 0), 4) if number in blurred else frame)
     writer.release()
     return path
-
-
-def test_photos_are_chosen_that_cover_what_all_show():
-    """Four photos in a row, one of them taken five times: by counting, copies of that one would be
-    used.
-    """
-    place = np.array([0, 0.02, 0.01, 0.03, 0.04, 1, 2, 3])
-    common = np.maximum(0, 1 - abs(place[:, None] - place) / 1.5)
-    chosen = covering(common, 4)
-    assert len(chosen) == 4 and {5, 6, 7} < set(chosen)
-
-
-def test_photos_of_other_things_share_nothing_though_each_feature_has_a_nearest():
-    noise = np.random.default_rng(1).integers(0, 255, (SIDE, SIDE, 3), dtype=np.uint8)
-    here, elsewhere = features_of(wall()[:, :SIDE]), features_of(noise)
-    assert shared([here, here])[0, 1] > 0.9
-    assert shared([here, elsewhere])[0, 1] < MIN_SHARED
-
-
-def test_a_photo_that_shares_nothing_is_not_chosen_before_those_that_do():
-    place = np.array([0, 1, 2, 90])
-    assert covering(np.maximum(0, 1 - abs(place[:, None] - place) / 1.5), 3) == [
-        0,
-        1,
-        2,
-    ]
 
 
 def test_views_n_takes_the_photos_that_differ(tmp_path):
