@@ -24,6 +24,7 @@ from edit3r_language.answers import instructions_of_answer, system_prompt
 from edit3r_language.grammar import GrammarReader
 
 Message = dict[str, str]
+MOST_RETURNED = 10_000  # characters of a malformed answer that go back: ten times a long one
 
 
 class ModelSettings(Settings):
@@ -57,7 +58,7 @@ class AskingReader(Reader, ABC):
             except ValueError as error:
                 why = str(error)
             messages += [
-                {"role": "assistant", "content": answer},
+                {"role": "assistant", "content": answer[:MOST_RETURNED]},
                 {"role": "user", "content": f"That cannot be used: {why}. Try again."},
             ]
         raise RunError(

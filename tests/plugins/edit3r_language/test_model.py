@@ -48,6 +48,12 @@ def test_an_answer_of_another_form_is_sent_back_with_what_is_wrong(chat):
     assert "no JSON object" in complaint["content"]
 
 
+def test_of_an_endless_answer_only_the_beginning_is_sent_back(chat):
+    chat.answers.extend(["x" * 1_000_000, RIGHT])
+    service(chat).read(SENTENCE)
+    assert len(chat.requests[1]["messages"][2]["content"]) == 10_000
+
+
 def test_after_all_attempts_the_model_is_quoted_and_there_is_a_way_out(chat):
     chat.answers.append("I will not\x1b[2J")
     told = (
