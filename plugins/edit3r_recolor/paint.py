@@ -40,6 +40,7 @@ MAX_BEND = 3.0  # slope on one side of the paint's lightness over that on the ot
 METAL_CONTRAST = 2.0  # slope of new lightness over old in the middle
 DARKEST, BRIGHTEST = 0.08, 0.98  # lightness of metal
 MOSTLY = 0.85  # share of the thing from which a paint that is not vivid is all of it
+ELSEWHERE = 0.25  # by eye: of the largest share that a paint has on one photo
 MAX_BORDER = 4.5  # length of the border of the paint on a thing [sides of the thing]
 BORDER_SIDE = 256  # pixels of the longer side at which that is measured
 HUE_BINS = 72
@@ -89,7 +90,11 @@ def paint(
     member = membership(lab, own)
     share = float((weights * member).sum() / weights.sum())
     natural = 0 < own.saturation < VIVID
-    if natural and (share >= MOSTLY or _is_in_islands(_placed(member, inside), region)):
+    placed = _placed(member, inside)
+    if own.saturation and (
+        _is_elsewhere(placed, region)
+        or (natural and (share >= MOSTLY or _is_in_islands(placed, region)))
+    ):
         say(
             "paint",
             f"{share:.0%} of the thing has one colour, and no clear parts: all of it is painted",
@@ -116,6 +121,14 @@ def _placed(values: Weights, inside: Bool[Tensor, "view height width"]) -> Masks
     places = values.new_zeros(inside.shape)
     places[inside] = values[0]
     return places
+
+
+def _is_elsewhere(member: Masks, region: Masks) -> bool:
+    """Whether a photo of the thing shows hardly any of a paint: that of its other side."""
+    area = region.sum((1, 2))
+    share = (region * member).sum((1, 2)) / area.clamp(min=1e-9)
+    shows = area > ELSEWHERE * area.max()
+    return float(share[shows].min()) < ELSEWHERE * float(share.max())
 
 
 def _is_in_islands(member: Masks, region: Masks) -> bool:
