@@ -28,7 +28,7 @@ from edit3r.contract.types import (
 )
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.scenes.scene_views import SceneGeometry
-from edit3r_in_place.belonging import SHARE, belonging, evidence
+from edit3r_in_place.belonging import SHARE, belonging, evidence, with_specks
 from edit3r_in_place.colours import bounded, repainted, shine_of, solved
 from edit3r_in_place.filling import filled
 
@@ -92,6 +92,7 @@ class InPlaceReconstructor(Reconstructor, EditsViews, FindsGeometry, StartsFromS
         gone = _removed(request, removals)
         chosen = self._chosen(scene, gone)
         _check_removal(scene, gone, chosen)
+        chosen = with_specks(scene.gaussians, chosen)
         gaussians = scene.gaussians
         if not all(removals):
             wanted = torch.where(gone[:, None] > 0, scene.images[0], views.images[0])

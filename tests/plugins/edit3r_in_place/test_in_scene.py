@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_in_place.belonging import SHARE, belonging, evidence
+from edit3r_in_place.belonging import SHARE, belonging, evidence, with_specks
 from edit3r_in_place.in_scene import InSceneSelector
 
 import edit3r
@@ -111,6 +111,13 @@ def test_what_no_picture_shows_belongs_to_what_is_nearest(scene):
     chosen = belonging(scene.gaussians, shown) > SHARE
     assert chosen[hidden].float().mean() > 0.8
     assert chosen[of_ball(scene.gaussians, 1)].float().mean() < 0.02
+
+
+def test_specks_of_a_thing_go_with_it_and_what_it_stands_on_stays(scene):
+    ball = of_ball(scene.gaussians, 0)
+    chosen = ball.clone()
+    chosen[:300:20] = False
+    assert torch.equal(with_specks(scene.gaussians, chosen), ball)
 
 
 def test_a_click_on_the_background_is_refused(scene, selector):
