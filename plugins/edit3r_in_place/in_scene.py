@@ -95,16 +95,17 @@ class InSceneSelector(Selector, StartsFromScene):
         )
         lifting = _Lifting(self.scene, rasterizer)
         shown = lifting.evidence_of(masks)
+        share = belonging(self.scene.gaussians, shown)
         while len(masks) < LOOKS and selection.says_where:
-            view = lifting.next_view(shown, set(masks))
+            view = lifting.next_view(share, shown, set(masks))
             if view is None:
                 break
-            expected = lifting.shown_in(view, belonging(self.scene.gaussians, shown))
+            expected = lifting.shown_in(view, share)
             mask = self._look_again(views.select([view]), plain, expected)
             masks[view] = expected if mask is None else mask
             shown = shown + lifting.evidence_of({view: masks[view]})
-        chosen = belonging(self.scene.gaussians, shown) > SHARE
-        final = lifting.on_all(chosen)
+            share = belonging(self.scene.gaussians, shown)
+        final = lifting.on_all(share > SHARE)
         for view in selection.views:  # marks are obeyed to the pixel
             final[view] = masks[view]
         say(
@@ -160,9 +161,10 @@ class _Lifting:
         cameras = self.scene.cameras.select(views)
         return evidence(self.scene.gaussians, cameras, stacked, self.rasterizer)
 
-    def next_view(self, shown: Contribution, done: set[int]) -> int | None:
+    def next_view(
+        self, share: Float[Tensor, "gaussian"], shown: Contribution, done: set[int]
+    ) -> int | None:
         """The picture that shows most of the thing that no other one showed; None for little."""
-        share = belonging(self.scene.gaussians, shown)
         news = share * (~shown.seen)
         best, most = None, 0.0
         for view in set(range(self.scene.cameras.count)) - done:
