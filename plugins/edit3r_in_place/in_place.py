@@ -170,7 +170,7 @@ def _check_removal(
 ) -> None:
     """Raise InputError where nothing is to go, or so much that hardly anything is left."""
     shown = scene.alphas[0]
-    left = float((shown * (1 - masks)).sum() / shown.sum())
+    left = float((shown - masks).clamp(min=0).sum() / shown.sum())
     if bool(chosen.any()) and not bool(chosen.all()) and left > LEFT:
         return
     which = "all" if bool(chosen.any()) else "none"

@@ -7,7 +7,7 @@ import torch
 
 import edit3r
 from edit3r.contract.errors import InputError, PromptError
-from edit3r.contract.types import EditRequest, Views
+from edit3r.contract.types import EditRequest, Gaussians, Views
 from edit3r.kit.checks import check_geometry, check_reconstruction
 from edit3r.kit.rendering import OverBackground
 from edit3r.kit.scenes.scene_views import look_around, pictures_of
@@ -136,10 +136,15 @@ def test_a_removal_that_nothing_places_is_refused(rasterizer):
 
 
 def test_nearly_all_of_a_scene_is_not_removed(rasterizer):
-    scene = seen(scan(), rasterizer, count=2)
+    fly = scan().select(torch.arange(20))
+    means = 0.2 * fly.means - torch.tensor([0.0, 1.5, 0.0])
+    fly = replace(fly, means=means, scales=0.5 * fly.scales)
+    scene = seen(Gaussians.cat([scan(), fly]), rasterizer, count=1)
     views = Views(scene.images, scene.cameras.intrinsics)
     masks = scene.alphas[0].clone()
-    masks[:, :20] = 0  # a little that the outline left out
+    empty = (masks[0].amax(1) < 0.1).nonzero()[:, 0]
+    top = int((masks[0].amax(1) >= 0.1).nonzero()[0])
+    masks[:, : int(empty[empty > top][0])] = 0  # all but the fly
     with pytest.raises(InputError, match=r"all of the scene.*--reading 2"):
         in_place(scene).edit_and_reconstruct(views, views, removal(masks))
 
