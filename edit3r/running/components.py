@@ -81,14 +81,21 @@ class Components:
         )
 
     @property
-    def only_task(self) -> EditorTask:
-        """The task of a reconstructor that edits by itself; raises PromptError for several."""
-        if len(self.tasks) > 1:
+    def whole_task(self) -> EditorTask:
+        """The sentence as one task, for a reconstructor that edits by itself.
+
+        Raises PromptError where that takes the run's editor, and the sentence needs several.
+        """
+        first, *more = self.tasks
+        if more and self._takes_an_editor:
             raise PromptError(
                 f"reconstructor {component_name(self.reconstructor)!r} edits by itself, with one "
                 f"editor, and this sentence needs {self.editor_names}; ask for one thing at a time."
             )
-        return self.tasks[0]
+        if not more:
+            return first
+        every = tuple(one for task in self.tasks for one in task.instructions)
+        return replace(first, prompt=self.config.prompt, instructions=every)
 
     def edited_count(self, views: Views) -> int:
         """How many of the views, from the first, are edited."""

@@ -43,7 +43,8 @@ from edit3r.kit.photos.images import (
     to_bytes,
 )
 from edit3r.kit.provenance import installed_versions, recorded
-from edit3r.kit.scenes.ply import VIEWER_DEGREE, load_ply, save_ply
+from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
+from edit3r.kit.scenes.reading import load_scene
 from edit3r.running.records import READ_LENS, Inputs
 
 Read = TypeVar("Read")
@@ -130,6 +131,12 @@ class RunFolder:
             )
         return self.root / name, self.cameras
 
+    @property
+    def _saved_scene(self) -> Path:
+        """The file of the scene, a given one in its own format."""
+        given = self.given_scene()
+        return self.scene if given is None else given[0]
+
     def read_views(self) -> tuple[Views, Views]:
         """The unedited and the edited views, without the scene."""
         return self._of_manifest(self._views)
@@ -141,7 +148,7 @@ class RunFolder:
                 f"{self.root}: no such folder; expected that of an earlier run, as edit3r run "
                 "wrote it with --out."
             )
-        for needed in (self.manifest, self.scene, self.cameras):
+        for needed in (self.manifest, self._saved_scene, self.cameras):
             if not needed.is_file():
                 raise InputError(
                     f"{self.root}: not the folder of an earlier run that can be continued, it "
@@ -177,7 +184,7 @@ class RunFolder:
             files=_files(manifest, photos.count),
             prompts=tuple(str(prompt) for prompt in notes["edits"]),
             things=self._things(notes.get(THINGS, []), photos),
-            before=Reconstruction(load_ply(self.scene, visible=True), cameras),
+            before=Reconstruction(load_scene(self._saved_scene), cameras),
         )
         chosen = {
             kind: {"name": run[kind]["name"], **run[kind]["settings"]}
@@ -297,7 +304,7 @@ class RunFolder:
         self, before: Path, folders: Sequence[str], content: Mapping[str, Any]
     ) -> None:
         """Write what stays true of the run in `before`: cameras, the `folders` of images that are
-        there, and run.json with this `content`.
+        there, and run.json with this `content`; a given scene goes on as `scene.ply`.
 
         The run may be a stranger's: what is a link there is not followed, and a linked folder left
         out.
@@ -307,6 +314,9 @@ class RunFolder:
             source = before / name
             if source.is_dir() and not source.is_symlink():
                 shutil.copytree(source, self.root / name, symlinks=True)
+        notes = content.get("notes", {})
+        if GIVEN_SCENE in notes:
+            content = {**content, "notes": {**notes, GIVEN_SCENE: self.scene.name}}
         text = json.dumps(content, indent=2, ensure_ascii=False)
         self.manifest.write_text(text + "\n", encoding="utf-8")
 

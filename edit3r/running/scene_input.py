@@ -36,7 +36,7 @@ from edit3r.kit.scenes.spz_header import GZIP
 SCENE_ENDINGS = (".ply", ".spz", ".sog", ".splat", ".ksplat", ".glb")
 USUAL_VIEWS = 8
 USUAL_SIZE = 384  # of the longer side of a picture [pixels]
-BYTES_OF_ONE = 1100  # that a run holds for a Gaussian at most: an estimate
+BYTES_OF_ONE = 1200  # that a run holds for a Gaussian (benchmarks/splats.py large)
 NAME = "the given scene"
 ZSTD = "spz of zstd"  # SPZ from version 4 on
 

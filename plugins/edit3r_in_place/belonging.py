@@ -20,6 +20,10 @@ NEAR = 0.05  # distance [sizes of the thing] that counts as much as `UNLIKE`
 UNLIKE = 0.3  # difference of colours
 NEIGHBOURS = 8
 SWEEPS = 20  # of what neighbours say of each other
+LEFT_ALONE = (
+    0.7  # share of chosen neighbours from which a Gaussian is a speck of the thing
+)
+SPECKS = 3  # sweeps: a speck has a few Gaussians
 ROUND = 1.0  # sizes of the thing around it, beyond which nothing unseen belongs to it
 
 
@@ -81,6 +85,27 @@ def belonging(gaussians: Gaussians, shown: Contribution) -> Float[Tensor, "gauss
     first = share[known].numpy()[nearest]
     result[asked] = torch.from_numpy(_smoothed(places, known, asked, share, first))
     return result
+
+
+def with_specks(
+    gaussians: Gaussians, chosen: Bool[Tensor, "gaussian"]
+) -> Bool[Tensor, "gaussian"]:
+    """What is chosen of one scene, and what would be left of it among nothing."""
+    points, chosen = gaussians.means[0], chosen.clone()
+    for _ in range(SPECKS):
+        low, high = points[chosen].amin(0), points[chosen].amax(0)
+        margin = NEAR * (high - low).max()
+        within = ((points >= low - margin) & (points <= high + margin)).all(1)
+        near = within.nonzero()[:, 0]
+        asked = near[~chosen[near]]
+        if not len(asked):
+            break
+        tree = cKDTree(points[near].numpy())
+        count = min(NEIGHBOURS + 1, len(near))  # the first is itself
+        _, found = tree.query(points[asked].numpy(), count, workers=-1)
+        share = chosen[near][torch.from_numpy(found.reshape(len(asked), -1))[:, 1:]]
+        chosen[asked] = share.float().mean(1) > LEFT_ALONE
+    return chosen
 
 
 def _smoothed(

@@ -1,5 +1,6 @@
 """The reconstructor `in-place`: the edit goes into the scene that is there."""
 
+from collections.abc import Sequence
 from copy import copy
 
 import torch
@@ -27,11 +28,12 @@ from edit3r.contract.types import (
 )
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.scenes.scene_views import SceneGeometry
-from edit3r_in_place.belonging import SHARE, belonging, evidence
+from edit3r_in_place.belonging import SHARE, belonging, evidence, with_specks
 from edit3r_in_place.colours import bounded, repainted, shine_of, solved
 from edit3r_in_place.filling import filled
 
 LEAST = 1 / 255  # change of a picture [sRGB] that counts
+LEFT = 0.05  # by eye: share of the pictures that a removal leaves, at least
 
 
 class InPlaceReconstructor(Reconstructor, EditsViews, FindsGeometry, StartsFromScene):
@@ -82,29 +84,21 @@ class InPlaceReconstructor(Reconstructor, EditsViews, FindsGeometry, StartsFromS
         request: EditRequest,
         geometry: Geometry | None = None,
     ) -> Reconstruction:
-        """As pictures and request say: what is to be removed goes, all else changes colours.
-
-        Raises PromptError for a request of both.
-        """
+        """As pictures and request say: what is to be removed goes, all else changes colours."""
         scene = self._given(views)
         removals = [one.action == "remove" for one in request.instructions]
         if not any(removals):
             return self(views, source, geometry)
+        gone = _removed(request, removals)
+        chosen = self._chosen(scene, gone)
+        _check_removal(scene, gone, chosen)
+        chosen = with_specks(scene.gaussians, chosen)
+        gaussians = scene.gaussians
         if not all(removals):
-            raise PromptError(
-                "in-place: removes things or changes colours; ask for one after the other."
-            )
-        masks = request.masks
-        if masks is None:
-            raise PromptError(
-                "in-place: nothing says what is to be removed; click on it."
-            )
-        chosen = self._chosen(scene, masks[0])
-        if not bool(chosen.any()) or bool(chosen.all()):
-            which = "all" if bool(chosen.any()) else "none"
-            raise InputError(f"in-place: {which} of the scene would be removed.")
+            wanted = torch.where(gone[:, None] > 0, scene.images[0], views.images[0])
+            gaussians = self._recoloured(scene, wanted)
         kept = ~chosen
-        rest = scene.gaussians.select(kept)
+        rest = gaussians.select(kept)
         guesses = filled(scene, rest, self.rasterizer) if self.settings.fill else None
         facts = {"gaussians": int(chosen.sum())}
         if guesses is not None:
@@ -156,6 +150,34 @@ class InPlaceReconstructor(Reconstructor, EditsViews, FindsGeometry, StartsFromS
     ) -> Bool[Tensor, "gaussian"]:
         shown = evidence(scene.gaussians, scene.cameras, masks, self.rasterizer)
         return belonging(scene.gaussians, shown) > SHARE
+
+
+def _removed(
+    request: EditRequest, removals: Sequence[bool]
+) -> Float[Tensor, "view height width"]:
+    """Where the pictures show what is to go. Raises PromptError where nothing says it."""
+    if request.regions is not None:
+        return request.regions[torch.tensor(removals), 0].amax(0)
+    if request.masks is None:
+        raise PromptError("in-place: nothing says what is to be removed; click on it.")
+    return request.masks[0]
+
+
+def _check_removal(
+    scene: GivenScene,
+    masks: Float[Tensor, "view height width"],
+    chosen: Bool[Tensor, "gaussian"],
+) -> None:
+    """Raise InputError where nothing is to go, or so much that hardly anything is left."""
+    shown = scene.alphas[0]
+    left = float((shown - masks).clamp(min=0).sum() / shown.sum())
+    if bool(chosen.any()) and not bool(chosen.all()) and left > LEFT:
+        return
+    which = "all" if bool(chosen.any()) else "none"
+    raise InputError(
+        f"in-place: {which} of the scene would be removed; click on one thing of it, or take "
+        "another candidate (--reading 2)."
+    )
 
 
 def _answer(

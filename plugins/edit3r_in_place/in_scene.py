@@ -38,6 +38,9 @@ SAME = 0.55  # overlap from which a further look confirms what is expected
 SOLID = 0.2  # alpha from which a place is on the scene
 SMALLEST = 3e-4  # share of a picture under which a thing does not show
 CERTAIN = 0.9  # share of a thing's pixels around which it is clicked on
+WHOLE = (
+    0.9  # share of what a picture shows of the scene, from which a thing is all of it
+)
 
 Mask = Float[Tensor, "height width"]
 
@@ -77,22 +80,32 @@ class InSceneSelector(Selector, StartsFromScene):
         part = None if geometry is None else _of_views(geometry, looked_at)
         asked = _renumbered(plain, {view: new for new, view in enumerate(looked_at)})
         found = self.usual.select(views.select(looked_at), asked, part)
+        smaller = _part_of_scene(found, selection, self.scene.alphas[0, looked_at])
+        if smaller > 1:
+            say(
+                "selection.part",
+                f"the {selection.words} is taken for a part of the scene; "
+                "'paint everything' is said of all of it",
+            )
+            asked = replace(asked, reading=smaller)
+            found = self.usual.select(views.select(looked_at), asked, part)
         masks = dict(zip(looked_at, found.masks[:, 0]))
         rasterizer = edit3r.default_registry().build_choice(
             "rasterizer", self.settings.rasterizer
         )
         lifting = _Lifting(self.scene, rasterizer)
         shown = lifting.evidence_of(masks)
+        share = belonging(self.scene.gaussians, shown)
         while len(masks) < LOOKS and selection.says_where:
-            view = lifting.next_view(shown, set(masks))
+            view = lifting.next_view(share, shown, set(masks))
             if view is None:
                 break
-            expected = lifting.shown_in(view, belonging(self.scene.gaussians, shown))
+            expected = lifting.shown_in(view, share)
             mask = self._look_again(views.select([view]), plain, expected)
             masks[view] = expected if mask is None else mask
             shown = shown + lifting.evidence_of({view: masks[view]})
-        chosen = belonging(self.scene.gaussians, shown) > SHARE
-        final = lifting.on_all(chosen)
+            share = belonging(self.scene.gaussians, shown)
+        final = lifting.on_all(share > SHARE)
         for view in selection.views:  # marks are obeyed to the pixel
             final[view] = masks[view]
         say(
@@ -148,9 +161,10 @@ class _Lifting:
         cameras = self.scene.cameras.select(views)
         return evidence(self.scene.gaussians, cameras, stacked, self.rasterizer)
 
-    def next_view(self, shown: Contribution, done: set[int]) -> int | None:
+    def next_view(
+        self, share: Float[Tensor, "gaussian"], shown: Contribution, done: set[int]
+    ) -> int | None:
         """The picture that shows most of the thing that no other one showed; None for little."""
-        share = belonging(self.scene.gaussians, shown)
         news = share * (~shown.seen)
         best, most = None, 0.0
         for view in set(range(self.scene.cameras.count)) - done:
@@ -194,6 +208,28 @@ def _check_places(selection: Selection, scene: GivenScene) -> None:
                 f"the mark at {x:.2f}, {y:.2f} of picture {view + 1} lies on nothing, beside the "
                 "scene; look at the pictures with --preview and mark a thing."
             )
+
+
+def _part_of_scene(
+    found: Selected,
+    selection: Selection,
+    alphas: Float[Tensor, "view height width"],
+) -> int:
+    """The reading that takes what a click and a name mean, where the first is all of the scene.
+
+    A thing that stands alone has the clearest outline there is; who names what is clicked on means
+    one thing of several.
+    """
+    left_open = selection.reading == 1 and not selection.larger and not found.fits
+    if not (left_open and selection.words and selection.positive):
+        return 1
+    smaller = [
+        one.number
+        for one in found.readings
+        if float((one.mask * alphas[one.view]).sum())
+        < WHOLE * float(alphas[one.view].sum())
+    ]
+    return min(smaller, default=1)
 
 
 def _spread(count: int, wanted: int) -> list[int]:

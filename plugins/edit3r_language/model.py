@@ -24,7 +24,9 @@ from edit3r_language.answers import instructions_of_answer, system_prompt
 from edit3r_language.grammar import GrammarReader
 
 Message = dict[str, str]
-MOST_RETURNED = 10_000  # characters of a malformed answer that go back: ten times a long one
+MOST_RETURNED = (
+    10_000  # characters of a malformed answer that go back: ten times a long one
+)
 
 
 class ModelSettings(Settings):

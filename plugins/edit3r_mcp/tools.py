@@ -95,9 +95,10 @@ class Tools:
     ) -> list:
         """Edit photos of one scene as a sentence says ("paint the bike red"), and make it 3D.
 
-        Give two or more photos, or as `earlier` the name of a run that is edited again. What
-        changes is the thing that the sentence names, or the marks. It takes some seconds a photo.
-        Words that hardly tell which thing is meant are asked about; `guess` takes the likeliest.
+        Give two or more photos, or one splat file, or as `earlier` the name of a run that is edited
+        again. What changes is the thing that the sentence names, or the marks. It takes some
+        seconds a photo. Words that hardly tell which thing is meant are asked about; `guess` takes
+        the likeliest.
         """
         given = [f"--from={self._found(earlier)}"] if earlier else []
         given += self._photos(photos or [])

@@ -161,7 +161,9 @@ def _edited(
         return run.without(args.name, scene)
     if args.action == "copy":
         run = run.named(args.values[0], run.free)
-        twin = edits.moved(scene, chosen, numbers).select(chosen)
+        twin = edits.in_view_0(
+            scene, chosen, run.cameras, lambda one: edits.moved(one, chosen, numbers)
+        )
         index = torch.full_like(twin.objects, run.names[args.values[0]])
         both = Gaussians.cat([scene, replace(twin, object_index=index)])
         return replace(run, gaussians=both)
@@ -171,7 +173,9 @@ def _edited(
     run = replace(run, guessed=guessed)
     if args.action == "remove":
         return run.without(args.name, rest)
-    own = _changed(scene, chosen, args, numbers).select(chosen)
+    own = edits.in_view_0(
+        scene, chosen, run.cameras, lambda one: _changed(one, chosen, args, numbers)
+    )
     return replace(run, gaussians=Gaussians.cat([rest, own]))
 
 

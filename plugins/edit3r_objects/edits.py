@@ -1,5 +1,6 @@
 """Edits of some Gaussians of a scene (batch 1): moved, turned, scaled, painted."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -8,14 +9,38 @@ from torch import Tensor
 
 from edit3r.contract.errors import PromptError
 from edit3r.contract.interfaces import Editor
-from edit3r.contract.types import EditRequest, Gaussians, Views
+from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
+from edit3r.kit.geometry.cameras import up_direction
 from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour, turn_harmonics
 from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
+from edit3r.kit.scenes.axes import turned as rotated
 from edit3r.running import usual_reader
 
 FOOT = 0.98  # quantile of y (down) at which a thing stands; no figure kept
 
 Chosen = Bool[Tensor, "gaussian"]
+
+
+def in_view_0(
+    gaussians: Gaussians,
+    chosen: Chosen,
+    cameras: Cameras,
+    edit: Callable[[Gaussians], Gaussians],
+) -> Gaussians:
+    """The chosen Gaussians once edited in the frame of view 0, held upright where it is not the
+    scene's own, as that of a splat of another program.
+    """
+    c2w = cameras.c2w[0]
+    if torch.equal(c2w[0], torch.eye(4)):
+        return edit(gaussians).select(chosen)
+    down = -up_direction(c2w)
+    right = torch.linalg.cross(down, c2w[0, :3, 2])
+    right = torch.nn.functional.normalize(right, dim=0)
+    axes = torch.stack((right, down, torch.linalg.cross(right, down)), 1)
+    eye = c2w[0, :3, 3]
+    shifted = replace(gaussians, means=gaussians.means - eye)
+    own = rotated(edit(rotated(shifted, axes.T)).select(chosen), axes)
+    return replace(own, means=own.means + eye)
 
 
 def moved(gaussians: Gaussians, chosen: Chosen, steps: tuple[float, ...]) -> Gaussians:

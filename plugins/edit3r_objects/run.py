@@ -14,6 +14,8 @@ from torch import Tensor
 from edit3r import default_registry
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
+    Geometry,
+    Matcher,
     NamedObjects,
     Rasterizer,
     RefineInputs,
@@ -29,6 +31,7 @@ from edit3r.kit.scenes.files import scene_file
 from edit3r.kit.scenes.look import look_at
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.scenes.reading import load_scene
+from edit3r.kit.scenes.scene_views import SceneGeometry, as_given, pictures_of
 from edit3r.running import (
     MarkTexts,
     RunFolder,
@@ -163,7 +166,9 @@ def add_object(run: Run, args: argparse.Namespace, rasterizer: Rasterizer) -> Ru
         chosen = what_is_drawn(run, Path(args.drawn), rasterizer)
     else:
         _check_photos(run)
-        chosen = lift(run.gaussians, run.cameras, _masks(run, args), rasterizer)
+        chosen = lift(
+            run.gaussians, run.cameras, _masks(run, args, rasterizer), rasterizer
+        )
     if not chosen.any():
         raise InputError(
             f"{name}: nothing of the scene lies inside the masks; mark it with --point X,Y, "
@@ -242,7 +247,19 @@ def _free_name(run: Run, name: str) -> str:
     return next(one for one in numbered if one not in run.names and one != f"{name} 1")
 
 
-def _masks(run: Run, args: argparse.Namespace) -> Tensor:
+class SceneMatcher(Matcher):
+    """The geometry of a given scene at its cameras; nothing is matched."""
+
+    def __init__(self, run: Run, rasterizer: Rasterizer) -> None:
+        self.run, self.rasterizer = run, rasterizer
+
+    def match(self, views: Views) -> Geometry:
+        places = as_given(self.run.cameras, self.run.views)
+        seen = pictures_of(self.run.gaussians, places, self.rasterizer)
+        return SceneGeometry(seen.scene).find_geometry(views)
+
+
+def _masks(run: Run, args: argparse.Namespace, rasterizer: Rasterizer) -> Tensor:
     """Masks of the object `[V, H, W]` on the run's photos."""
     earlier = RunFolder(run.root).read().inputs
     views = earlier.photos
@@ -270,7 +287,9 @@ def _masks(run: Run, args: argparse.Namespace) -> Tensor:
         inverted=bool(args.invert),
     )
     segmenter = default_registry().build("segmenter", "auto")
-    matcher = default_matcher(default_registry())
+    matcher: Matcher = default_matcher(default_registry())
+    if RunFolder(run.root).given_scene() is not None:
+        matcher = SceneMatcher(run, rasterizer)
     return select_with(views, marks, usual_selector(segmenter), matcher).masks[0]
 
 

@@ -40,6 +40,7 @@ MAX_BEND = 3.0  # slope on one side of the paint's lightness over that on the ot
 METAL_CONTRAST = 2.0  # slope of new lightness over old in the middle
 DARKEST, BRIGHTEST = 0.08, 0.98  # lightness of metal
 MOSTLY = 0.85  # share of the thing from which a paint that is not vivid is all of it
+ELSEWHERE = 0.25  # by eye: of the largest share that a paint has on one photo
 MAX_BORDER = 4.5  # length of the border of the paint on a thing [sides of the thing]
 BORDER_SIDE = 256  # pixels of the longer side at which that is measured
 HUE_BINS = 72
@@ -111,13 +112,14 @@ def _all_or_part(
 ) -> tuple[Paint, Weights]:
     """The paint that is changed and how much of it each pixel inside has; says which it is.
 
-    All of the thing, where its colour may be natural and is on most of it or in islands.
+    All of the thing, where another side of it has another colour, or its colour may be natural and
+    is on most of it or in islands.
     """
     member = membership(lab, own)
     share = float((weights * member).sum() / weights.sum())
-    if own.may_be_natural and (
-        share >= MOSTLY or _is_in_islands(_placed(member, region > 0), region)
-    ):
+    placed = _placed(member, region > 0)
+    natural = own.may_be_natural and (share >= MOSTLY or _is_in_islands(placed, region))
+    if natural or (own.is_clear and _is_elsewhere(placed, region)):
         say(
             "paint",
             f"{share:.0%} of the thing has one colour, and no clear parts: all of it is painted",
@@ -138,6 +140,14 @@ def _placed(values: Weights, inside: Bool[Tensor, "view height width"]) -> Masks
     places = values.new_zeros(inside.shape)
     places[inside] = values[0]
     return places
+
+
+def _is_elsewhere(member: Masks, region: Masks) -> bool:
+    """Whether a photo of the thing shows hardly any of a paint: that of its other side."""
+    area = region.sum((1, 2))
+    share = (region * member).sum((1, 2)) / area.clamp(min=1e-9)
+    shows = area > ELSEWHERE * area.max()
+    return float(share[shows].min()) < ELSEWHERE * float(share.max())
 
 
 def _is_in_islands(member: Masks, region: Masks) -> bool:

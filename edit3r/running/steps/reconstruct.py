@@ -96,7 +96,7 @@ def _reconstruction(
     if not isinstance(recon, EditsViews):
         grid = _grid(components, edited)
         return _checked(recon, edited, lambda: recon(edited, source, geometry, grid))
-    task = components.only_task
+    task = components.whole_task
     instructions = range(len(task.instructions))
     request = request_of(task, selection, components.config.seed, instructions)
     return _checked(

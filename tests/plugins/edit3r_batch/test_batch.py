@@ -10,10 +10,13 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
 from PIL import Image
 
 from edit3r.cli.main import main
 from edit3r.kit.photos.images import packaged_pair
+from edit3r.kit.scenes.ply import load_ply, save_ply
+from tests.plugins.scan import scan
 
 HERE = Path(__file__).parent
 QUICK = [
@@ -257,3 +260,17 @@ def test_workers_that_cannot_be_asked_for_are_told_before_anything_runs(
 ):
     assert batch(jobs_file(place, "a"), place / "out", *options) == 2
     assert said in capsys.readouterr().err and not (place / "out").exists()
+
+
+@pytest.mark.slow
+def test_a_splat_in_place_of_photos_is_a_job_too(place):
+    save_ply(place / "scan.ply", scan())
+    file = place / "jobs.jsonl"
+    job = {"photos": ["scan.ply"], "prompt": "make everything black and white"}
+    file.write_text(json.dumps({**job, "id": "grey"}))
+    sizes = ["--set", "size=32", "--set", "views=3", "--set", "outputs=scene"]
+    assert main(["batch", str(file), "--out", str(place / "out"), *sizes]) == 0
+    after = load_ply(place / "out" / "grey" / "scene.ply")
+    assert torch.equal(after.means, scan().means)
+    spread = after.harmonics[0, :, 0].amax(1) - after.harmonics[0, :, 0].amin(1)
+    assert spread.median() < 0.1

@@ -7,7 +7,7 @@ import torch
 
 import edit3r
 from edit3r.contract.errors import InputError, PromptError
-from edit3r.contract.types import EditRequest, Views
+from edit3r.contract.types import EditRequest, Gaussians, Views
 from edit3r.kit.checks import check_geometry, check_reconstruction
 from edit3r.kit.rendering import OverBackground
 from edit3r.kit.scenes.scene_views import look_around, pictures_of
@@ -133,6 +133,40 @@ def test_a_removal_that_nothing_places_is_refused(rasterizer):
         in_place(scene).edit_and_reconstruct(
             views, views, removal(torch.zeros_like(scene.alphas[0]))
         )
+
+
+def test_nearly_all_of_a_scene_is_not_removed(rasterizer):
+    fly = scan().select(torch.arange(20))
+    means = 0.2 * fly.means - torch.tensor([0.0, 1.5, 0.0])
+    fly = replace(fly, means=means, scales=0.5 * fly.scales)
+    scene = seen(Gaussians.cat([scan(), fly]), rasterizer, count=1)
+    views = Views(scene.images, scene.cameras.intrinsics)
+    masks = scene.alphas[0].clone()
+    empty = (masks[0].amax(1) < 0.1).nonzero()[:, 0]
+    top = int((masks[0].amax(1) >= 0.1).nonzero()[0])
+    masks[:, : int(empty[empty > top][0])] = 0  # all but the fly
+    with pytest.raises(InputError, match=r"all of the scene.*--reading 2"):
+        in_place(scene).edit_and_reconstruct(views, views, removal(masks))
+
+
+def test_one_thing_is_painted_and_another_removed_by_one_sentence(rasterizer):
+    scene = seen(scan(), rasterizer)
+    red, green, blue = scene.images[0].unbind(1)
+    balls = torch.stack(
+        [red_pixels(scene), ((green > 1.8 * red) & (green > 1.8 * blue)).float()]
+    )
+    views = painted(scene, balls.amax(0))  # as if a 2D removal had made it blue
+    text = "paint the apple blue and remove the pear"
+    instructions = edit3r.build("reader", "grammar").read(text)
+    request = EditRequest(text, 0, balls[None, 0], instructions, balls[:, None])
+    made = in_place(scene, fill=False).edit_and_reconstruct(views, views, request)
+    apple, pear = (of_ball(scene.gaussians, one) for one in (0, 1))
+    assert made.kept[pear].float().mean() < 0.1
+    assert made.kept[apple].all()
+    colour = made.gaussians.harmonics[0, :300, 0] * 0.28209479 + 0.5
+    assert colour.mean(0)[2] > 2 * colour.mean(0)[0]
+    floor = made.gaussians.harmonics[0, 300:]
+    assert (floor == scene.gaussians.harmonics[0, made.kept][300:]).float().mean() > 0.9
 
 
 def test_its_geometry_is_the_scenes_whatever_the_pictures_show(rasterizer):

@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_in_place.belonging import SHARE, belonging, evidence
+from edit3r_in_place.belonging import SHARE, belonging, evidence, with_specks
 from edit3r_in_place.in_scene import InSceneSelector
 
 import edit3r
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Selected, Selection
+from edit3r.contract.interfaces import Reading, Selected, Selection
 from edit3r.contract.types import Views
 from edit3r.kit.scenes.scene_views import look_around, pictures_of
 from tests.plugins.scan import of_ball, scan
@@ -67,6 +67,31 @@ def test_one_click_selects_the_thing_on_all_pictures_and_few_are_looked_at(
     assert found.confidence == 0.8
 
 
+class AllOfIt(Asked):
+    """What stands out most is the scene; what is red is the second candidate."""
+
+    def select(self, views, selection, geometry=None):
+        found = super().select(views, selection, geometry)
+        masks = [torch.ones_like(found.masks[0, 0]), found.masks[0, 0]]
+        readings = tuple(Reading(0, mask, 0.5, k + 1) for k, mask in enumerate(masks))
+        taken = masks[min(selection.reading, 2) - 1] if selection.positive else None
+        if taken is None or views.count > 1:
+            return found
+        return replace(found, masks=taken[None, None], readings=readings)
+
+
+@pytest.mark.parametrize(("words", "share"), [("jacket", 0.3), ("", 0.9)])
+def test_a_name_beside_a_click_is_that_of_a_part_of_the_scene(
+    scene, selector, words, share
+):
+    selector.usual = AllOfIt()
+    views = Views(scene.images, scene.cameras.intrinsics)
+    found = selector.select(views, replace(on_ball(scene), words=words))
+    alphas = scene.alphas[0, 0]
+    covered = float((found.masks[0, 0] * alphas).sum() / alphas.sum())
+    assert (covered > share) == (not words)
+
+
 def test_the_rest_is_selected_where_the_selection_is_inverted(scene, selector):
     views = Views(scene.images, scene.cameras.intrinsics)
     marks = on_ball(scene)
@@ -86,6 +111,13 @@ def test_what_no_picture_shows_belongs_to_what_is_nearest(scene):
     chosen = belonging(scene.gaussians, shown) > SHARE
     assert chosen[hidden].float().mean() > 0.8
     assert chosen[of_ball(scene.gaussians, 1)].float().mean() < 0.02
+
+
+def test_specks_of_a_thing_go_with_it_and_what_it_stands_on_stays(scene):
+    ball = of_ball(scene.gaussians, 0)
+    chosen = ball.clone()
+    chosen[:300:20] = False
+    assert torch.equal(with_specks(scene.gaussians, chosen), ball)
 
 
 def test_a_click_on_the_background_is_refused(scene, selector):

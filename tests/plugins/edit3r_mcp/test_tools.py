@@ -14,6 +14,8 @@ from PIL import Image
 
 from edit3r.cli.main import main
 from edit3r.kit.photos.images import packaged_pair
+from edit3r.kit.scenes.ply import save_ply
+from tests.plugins.scan import scan
 
 pytest.importorskip("mcp", reason='needs the server: pip install "edit3r[mcp]"')
 from edit3r_mcp import tools
@@ -274,3 +276,14 @@ def test_a_limit_of_nothing_is_one_sentence(place, capsys):
 def test_a_folder_that_cannot_be_made_is_one_sentence(place, capsys):
     assert main(["mcp", "--folder", str(place / "quick.yaml")]) == 2
     assert "cannot be made" in capsys.readouterr().err
+
+
+def test_a_splat_is_edited_in_place_of_photos(call, place):
+    save_ply(place / "work" / "scan.ply", scan())
+    text, image, failed = call(
+        "edit", prompt="make everything black and white", photos=["scan.ply"]
+    )
+    assert not failed and "all others are as they came" in text
+    assert image.size[0] > 100
+    run = text.split()[1]
+    assert (place / "work" / run / "scene.ply").is_file()

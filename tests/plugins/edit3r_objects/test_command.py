@@ -12,13 +12,16 @@ import torch
 from edit3r_objects.finding import Finders
 from PIL import Image
 
+import edit3r
 from edit3r.cli.main import main
-from edit3r.contract.interfaces import MaskLogits, Segmenter
+from edit3r.contract.interfaces import MaskLogits, SceneToWrite, Segmenter
 from edit3r.contract.types import Gaussians
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.scenes.ply import load_ply, save_ply
+from edit3r.kit.scenes.reading import load_scene
 from edit3r.running import usual_selector
 from edit3r_testing import CommandContract
+from tests.plugins.scan import scan
 
 FLAT = Path(__file__).parents[1] / "flat_scene.py"
 
@@ -283,3 +286,47 @@ def test_floaters_are_taken_out_and_a_clean_scene_is_told(made, capsys, tmp_path
     line = ["objects", str(dirty), "clean", "--out", str(tmp_path / "clean"), "--quiet"]
     assert main(line) == 0
     assert scene.count <= scene_of(tmp_path / "clean").count < scene.count + 2
+
+
+@pytest.mark.slow
+def test_things_of_an_edited_splat_are_taken_hold_of(tmp_path):
+    """Of whatever format it is, and wherever its own frame lies."""
+    writer = edit3r.build("writer", "spz")
+    writer.write(tmp_path / "scan.spz", SceneToWrite(scan(1)))
+    quick = {"size": 48, "views": 4, "outputs": ("scene", "images")}
+    looked = edit3r.run(tmp_path / "scan.spz", editor="none", **quick)
+    red, green, blue = looked.photos.images.unbind(2)
+    masks = ((red > 1.8 * green) & (red > 1.8 * blue)).float()
+    made = edit3r.run(
+        tmp_path / "scan.spz", "paint the ball blue", masks=masks, **quick
+    )
+    made.save(tmp_path / "run")
+    # What two pictures show is carried to the others by the scene itself.
+    files = [tmp_path / f"place_{k + 1}.png" for k in (0, 2)]
+    for file, mask in zip(files, masks[0, ::2]):
+        Image.fromarray((255 * mask).byte().numpy()).save(file)
+    marks = f"--mask {' '.join(map(str, files))}"
+    assert objects(tmp_path, f"run add ball {marks} --out {tmp_path}/add") == 0
+    given = load_scene(tmp_path / "run" / "scene.spz")
+    ball = scene_of(tmp_path / "add").object_index == 0
+    assert ball[:300].float().mean() > 0.9 and not ball[300:600].any()
+    assert torch.equal(scene_of(tmp_path / "add").means, given.means)
+
+    def after(line, name):
+        assert objects(tmp_path, f"add {line} --out {tmp_path}/{name}") == 0
+        return scene_of(tmp_path / name)
+
+    count = int(ball.sum())
+    assert after("isolate ball", "only").count == count
+    twice = after("copy ball twin 0 1 0", "twice")
+    assert twice.count == given.count + count
+    shift = (twice.means[0, -count:] - given.means[0, ball]).median(0).values
+    assert shift[1] < -1 and shift[[0, 2]].abs().max() < 0.02  # y is down
+    large = after("scale ball 2", "large")
+    own = large.select(large.object_index == 0)
+    assert float(own.scales.median() / given.scales[:, ball].median()) == pytest.approx(
+        2, rel=0.05
+    )
+    moved = after("move ball 1 0 0", "moved")
+    again = edit3r.run(earlier=tmp_path / "moved", editor="none", **quick)
+    assert again.scene.count == moved.count

@@ -34,7 +34,7 @@ def test_a_given_scene_is_begun_with_and_no_photo_is_fitted(method, scene, build
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", ["refit", "instruct-nerf2nerf", "editsplat"])
+@pytest.mark.parametrize("method", METHODS)
 def test_a_run_on_a_scene_with_a_method_comes_back_in_the_scenes_own_frame(
     method, tmp_path
 ):

@@ -282,6 +282,17 @@ def test_a_thing_whose_colour_comes_and_goes_is_painted_whole_not_in_islands():
     assert ((painted - image).abs().amax(1) > VISIBLE).all()
 
 
+def test_a_thing_whose_other_side_has_the_colour_is_painted_whole():
+    """Of a guitar that is seen from all sides, the brown back is no reason to leave the front."""
+    images = torch.full((2, 3, 24, 24), 0.4)
+    images[1] = torch.tensor([0.5, 0.2, 0.05])[:, None, None]
+    moved = (paint(images, torch.ones(2, 24, 24), rgb_of("blue")) - images).abs()
+    assert (moved.amax(1) > VISIBLE).all()
+    assert (
+        paint(images[1:], torch.ones(1, 24, 24), rgb_of("blue")) != images[1:]
+    ).any()
+
+
 def test_specks_that_are_left_of_a_thing_are_painted_too():
     """Dark fur and wood lose their hue pixel by pixel: nine tenths painted look moth-eaten."""
     image = torch.full((1, 3, 96, 96), 0.4)

@@ -207,6 +207,20 @@ def test_a_compressed_ply_keeps_all_but_colours_of_the_painted_and_their_chunks(
 
 
 @pytest.mark.slow
+def test_a_compressed_ply_keeps_every_bit_outside_the_groups_of_the_painted(tmp_path):
+    made = scan(degree=1)
+    source = written(tmp_path, "compressed-ply", made)
+    read, chosen = load_scene(source), torch.arange(made.count) == 300
+    (tmp_path / "n.compressed.ply").write_bytes(
+        rewritten(source, painted(made.count, chosen))
+    )
+    found = load_scene(tmp_path / "n.compressed.ply")
+    same = (found.harmonics == read.harmonics).flatten(2).all(2)[0]
+    assert not same[300]
+    assert same[:256].all() and same[512:].all()
+
+
+@pytest.mark.slow
 def test_what_hangs_together_is_left_to_a_writer(tmp_path):
     made = scan()
     source = written(tmp_path, "spz4", made)
