@@ -199,10 +199,18 @@ class Registry:
         return self._build(kind, choice, parts or {}, {}, where=kind)
 
     def build_choice(
-        self, kind: str, choice: PartChoice, parts: Mapping[str, Any] | None = None
+        self,
+        kind: str,
+        choice: PartChoice,
+        parts: Mapping[str, Any] | None = None,
+        where: str = "",
     ) -> Any:
-        """Build the component that a configuration chose; its settings may have any names."""
-        return self._build(kind, choice, parts or {}, {}, _key(kind, choice.name))
+        """Build the component that a configuration chose; its settings may have any names.
+
+        `where` is its key there, where that is not the kind's own.
+        """
+        key = where or _key(kind, choice.name)
+        return self._build(kind, choice, parts or {}, {}, key)
 
     def check(self, kind: str, choice: PartChoice) -> Settings:
         """The settings; raises what building the component would raise about its name and them."""

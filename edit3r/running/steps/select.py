@@ -20,6 +20,7 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import stage, warn
 from edit3r.contract.types import Views
+from edit3r.kit import asking
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.components import Components
 from edit3r.running.geometry import NOT_ASKED, GeometryAnswer, find_geometry
@@ -58,7 +59,7 @@ def require_answer(
         if by_words and thing.confidence is not None and thing.confidence < ASKED:
             numbers = " or ".join(f"--reading {one.number}" for one in thing.readings)
             hints = "".join(
-                components.reader.hint(one) for one in selection.instructions
+                asking.hint(components.reader, one) for one in selection.instructions
             )
             raise QuestionError(
                 f"which is the {thing.called or 'thing'}? The likeliest candidate has a confidence "
@@ -139,7 +140,7 @@ def _regions(
 
     def hints() -> str:
         """What the reader of the sentence advises, such as "Did you mean 'bear'?"."""
-        return "".join(components.reader.hint(one) for one in instructions)
+        return "".join(asking.hint(components.reader, one) for one in instructions)
 
     geometry = _geometry(inputs.photos, located.answer, components)
     try:
@@ -176,7 +177,7 @@ def _widened(
     )
     regions = torch.cat(
         [
-            task.editor.widened(region, inputs.start.images)
+            asking.widened(task.editor, region, inputs.start.images)
             for task, region in zip(components.tasks, of_tasks)
         ]
     )

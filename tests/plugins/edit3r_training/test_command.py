@@ -10,7 +10,14 @@ def test_a_second_training_does_not_write_into_the_same_folder(
     tmp_path, monkeypatch, capsys
 ):
     begun = []
-    trainer = SimpleNamespace(train=begun.append)
+
+    def train(job):
+        begun.append(job)
+        (job.out / "best").mkdir()
+        (job.out / "best/weights").touch()
+        return job.out / "best"
+
+    trainer = SimpleNamespace(train=train)
     job = SimpleNamespace(out=tmp_path)
     monkeypatch.setattr("edit3r_training.job.prepare", lambda *_, **__: (trainer, job))
     command = ["train", "training/noposplat-tiny"]
