@@ -80,9 +80,9 @@ CASES = {
     "masks of other objects": (
         {"spoil": lambda me, s: replace(s, target_masks=s.target_masks[:1])},
         SHAPES,
-        "sample.target_masks has shape",
+        "return target_masks of shape",
     ),
-    "pixel intrinsics": ({"spoil": in_pixels}, FRAME, "normalise focal lengths"),
+    "pixel intrinsics": ({"spoil": in_pixels}, FRAME, "normalise the focal lengths"),
     "world poses": ({"spoil": in_the_world}, FRAME, "in the frame of context view 0"),
     "random": (
         {"spoil": lambda me, s: dim(s, torch.rand(1))},
