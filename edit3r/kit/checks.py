@@ -634,7 +634,7 @@ def _require_range(component: Any, what: str, tensor: torch.Tensor) -> None:
 
 
 def _require_share(component: Any, name: str, value: Any) -> None:
-    held = isinstance(value, Real) and 0 <= value <= 1  # NaN is in no range
+    held = isinstance(value, Real) and 0 <= float(value) <= 1  # NaN is in no range
     _require(component, held, f"return {name} in [0, 1], got {value!r}")
 
 

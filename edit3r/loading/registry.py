@@ -199,18 +199,14 @@ class Registry:
         return self._build(kind, choice, parts or {}, {}, where=kind)
 
     def build_choice(
-        self,
-        kind: str,
-        choice: PartChoice,
-        parts: Mapping[str, Any] | None = None,
-        where: str = "",
+        self, kind: str, choice: PartChoice, parts: Mapping[str, Any] | None = None
     ) -> Any:
-        """Build the component that a configuration chose; its settings may have any names.
+        """Build the component that a configuration chose; its settings may have any names."""
+        return self._build(kind, choice, parts or {}, {}, _key(kind, choice.name))
 
-        `where` is its key there, where that is not the kind's own.
-        """
-        key = where or _key(kind, choice.name)
-        return self._build(kind, choice, parts or {}, {}, key)
+    def build_at(self, where: str, kind: str, choice: PartChoice) -> Any:
+        """The same where its key in the configuration, `where`, is not the kind's own."""
+        return self._build(kind, choice, {}, {}, where)
 
     def check(self, kind: str, choice: PartChoice) -> Settings:
         """The settings; raises what building the component would raise about its name and them."""

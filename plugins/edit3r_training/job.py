@@ -79,7 +79,7 @@ def prepare(
     _check_free(Path(config.out), resume or overwrite)
 
     def build(kind: str, choice: PartChoice, where: str = "") -> Any:
-        return registry.build_choice(kind, choice, where=where)
+        return registry.build_at(where or kind, kind, choice)
 
     validation, reference = config.validation_data, config.reference
     job = TrainingJob(
@@ -139,4 +139,4 @@ def _loss(registry: Registry, name: str, given: Mapping[str, Any]) -> tuple[floa
             f"training.losses.{name}.weight: expected a number of at least 0, got {weight!r}."
         )
     choice = PartChoice(name=name, settings=settings)
-    return float(weight), registry.build_choice("loss", choice, where=f"losses.{name}")
+    return float(weight), registry.build_at(f"losses.{name}", "loss", choice)
