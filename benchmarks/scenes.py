@@ -46,12 +46,13 @@ from edit3r import default_registry
 from edit3r.contract.errors import Edit3rError, InputError, MatchingError
 from edit3r.contract.interfaces import Geometry, RefineInputs
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r.kit import asking
 from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.photos.images import find_photos
 from edit3r.kit.photos.posed_folder import read_posed_folder
 from edit3r.kit.reconstructing import WithMatcher
-from edit3r.kit.rendering import path_around, render_one
+from edit3r.kit.rendering import path_around
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.workers import run_resumable
 from edit3r.running.geometry import default_matcher
@@ -241,7 +242,7 @@ def measure_run(files: list[Path], middle: Path, size: int, plain: bool) -> Row:
     start = time.process_time()
     with torch.no_grad():
         for frame in range(0, FRAMES, FRAMES // DRAWN):
-            render_one(result.rasterizer, result.gaussians, path.select([frame]))
+            asking.render(result.rasterizer, result.gaussians, path.select([frame]))
     shown = (time.process_time() - start) * FRAMES / DRAWN
     full = edit3r.load_views([*files, middle], size=FULL)
     camera = unseen_camera(result, full, [0, 1], 2)

@@ -54,7 +54,6 @@ from edit3r_select.carrying import expected_on
 from edit3r_select.cues import CUES, Asked, Pool, table
 from edit3r_select.photos import OnPhoto, Photos
 from edit3r_select.sum import CERTAINTY, FITTED, CueWeights, choose, confidence, lead
-from edit3r_select.validated import ValidatedSegmenter
 from PIL import Image
 from scipy.optimize import minimize
 
@@ -260,7 +259,7 @@ class Bench:
             return
         lens = intrinsics_from_fov(FOV, size).expand(1, 2, 3, 3)
         lens = lens if geometry.intrinsics is None else geometry.intrinsics
-        photos = Photos(frames, ValidatedSegmenter(self.sam), geometry, lens)
+        photos = Photos(frames, self.sam, geometry, lens)
         given = OnPhoto(torch.from_numpy(truths[0]).float(), "given")
         marks = expected_on(photos, {0: given}, 1)
         if marks is not None:

@@ -55,8 +55,9 @@ def run_once(folder: str, photos: int, size: int) -> dict[str, float]:
 
     import edit3r
     from edit3r.contract.reporting import peak_memory_mb
+    from edit3r.kit import asking
     from edit3r.kit.photos.posed_folder import read_posed_folder
-    from edit3r.kit.rendering import path_around, render_one
+    from edit3r.kit.rendering import path_around
 
     torch.set_num_threads(1)
     middle = len(cameras := read_posed_folder(folder).cameras) // 2
@@ -75,7 +76,7 @@ def run_once(folder: str, photos: int, size: int) -> dict[str, float]:
     path = path_around(result.cameras, result.rendered, 12)
     with torch.no_grad():
         for frame in range(path.count):
-            render_one(result.rasterizer, result.gaussians, path.select([frame]))
+            asking.render(result.rasterizer, result.gaussians, path.select([frame]))
     height, width = views.image_size
     return {
         "photos": photos,

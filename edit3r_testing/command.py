@@ -4,7 +4,7 @@ import argparse
 import contextlib
 import io
 
-from edit3r.cli.main import Parser, parse
+from edit3r.cli.main import Parser, parse, parser_of
 from edit3r.contract.command import Command
 from edit3r.contract.errors import Edit3rError
 from edit3r_testing.contract import Contract
@@ -25,10 +25,7 @@ class CommandContract(Contract):
 
     def parser(self) -> Parser:
         """The parser with the command's arguments, as the program makes it."""
-        name = self.component or "command"
-        parser = Parser(prog=f"edit3r {name}", description=self.subject.__doc__)
-        self.call("add_arguments()", self.subject.add_arguments, parser)
-        return parser
+        return self.call(parser_of, self.subject, self.component or "command")
 
     def test_arguments_are_declared_without_importing_torch(self) -> None:
         """`edit3r NAME --help` must be quick: import in `main` what it needs."""
@@ -43,12 +40,15 @@ class CommandContract(Contract):
     def test_help_works_and_explains_every_argument(self) -> None:
         parser = self.parser()
         said = io.StringIO()
-        code: object = 0
-        try:
-            with contextlib.redirect_stdout(said):
-                self.call("--help", parse, parser, ["--help"])
-        except SystemExit as left:
-            code = left.code
+
+        def shown() -> object:
+            try:
+                with contextlib.redirect_stdout(said):
+                    return parse(parser, ["--help"])
+            except SystemExit as left:
+                return left.code
+
+        code = self.call(shown)
         self.require(
             not code and "usage:" in said.getvalue(),
             f"--help printed no usage, exit code {code}; leave it to the parser.",

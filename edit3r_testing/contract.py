@@ -16,9 +16,10 @@ import torch
 from torch import Tensor
 
 from edit3r.contract.component import Offer
-from edit3r.contract.errors import PluginError
+from edit3r.contract.errors import Edit3rError, PluginError
 from edit3r.contract.hookspecs import API_VERSION
 from edit3r.contract.types import PER_GAUSSIAN, Gaussians
+from edit3r.kit.checks import errors_named_after, named_after
 from edit3r.kit.children import PYTHON
 from edit3r.loading.check import check_offer
 from edit3r.loading.registry import (
@@ -108,13 +109,29 @@ class Contract:
             who = self.component or type(self).__name__
             raise ContractViolation(f"{self.kind} {who!r}: {change}")
 
-    def keeps(self, check: Callable[..., None], *answer: Any) -> None:
-        """Hold the component to a function of `edit3r.kit.checks`, as every run does."""
+    def ask(self, how: Callable[..., Any], *given: Any, subject: Any = None) -> Any:
+        """What the component answers to `how`, a function of `edit3r.kit.asking`, as in a run.
+
+        What it raises, and a promise that it breaks, is a violation in the run's own words.
+        """
         __tracebackhide__ = True
+        asked = self.subject if subject is None else subject
+        return self.call(how, asked, *given, subject=asked)
+
+    def call(
+        self, function: Callable[..., Any], *given: Any, subject: Any = None
+    ) -> Any:
+        """What `function` of the component returns; what it raises is a violation."""
+        __tracebackhide__ = True
+        subject = self.subject if subject is None else subject
         try:
-            check(self.subject, *answer)
+            with errors_named_after(subject):
+                return function(*given)
         except PluginError as error:
-            raise ContractViolation(str(error)) from None
+            raise ContractViolation(str(error)) from error
+        except Edit3rError as error:
+            told = f"{named_after(subject)} refused what it must handle: {error}"
+            raise ContractViolation(told) from error
 
     def require_type(self, what: str, value: Any, expected: type) -> None:
         """`what` is where the value comes from, such as "propose()"."""
@@ -123,26 +140,6 @@ class Contract:
             isinstance(value, expected),
             f"{what} is a {type(value).__name__}; return {expected.__name__}.",
         )
-
-    def call(
-        self,
-        what: str,
-        function: Callable[..., Any],
-        *args: Any,
-        returns: type = object,
-    ) -> Any:
-        """Call the component and return its answer.
-
-        What it raises, and an answer of another type, is a violation that names the call, `what`.
-        """
-        __tracebackhide__ = True
-        try:
-            answer = function(*args)
-        except Exception as error:
-            told = f"{type(error).__name__}: {' '.join(str(error).split())}"
-            self.require(False, f"{what} raised {told}. It must handle this input.")
-        self.require_type(what, answer, returns)
-        return answer
 
     def require_tensor(
         self,
@@ -180,16 +177,6 @@ class Contract:
                 low <= least and most <= high,
                 f"{name} spans [{least:.4g}, {most:.4g}], allowed is [{low}, {high}]; {fix}.",
             )
-
-    def require_box(self, name: str, box: Any, image_size: tuple[int, int]) -> None:
-        """(x, y, width, height) [pixels] inside an image of (height, width)."""
-        __tracebackhide__ = True
-        x, y, width, height = box
-        rows, columns = image_size
-        self.require(
-            min(box) >= 0 and x + width <= columns + 1 and y + height <= rows + 1,
-            f"{name} is {box} on an image of {columns}x{rows}; it is (x, y, w, h) in pixels.",
-        )
 
     def require_equal(
         self,
@@ -291,17 +278,3 @@ def claims(contract: type[Contract]) -> tuple[str, ...]:
     """Names of the claims of a contract, in the order they are written, the common ones first."""
     names = [name for cls in reversed(contract.__mro__) for name in vars(cls)]
     return tuple(dict.fromkeys(name for name in names if name.startswith("test_")))
-
-
-def require_of_views(contract: Contract, gaussians: Gaussians, view_count: int) -> None:
-    """Unit quaternions, and numbers of existing views; at least one Gaussian."""
-    contract.require(
-        gaussians.count > 0, "there is not one Gaussian; return at least one per scene."
-    )
-    fix = "normalise them, F.normalize(quats, dim=-1)"
-    norms = gaussians.quats.norm(dim=-1)
-    contract.require_range("norms of Gaussians.quats", norms, 0.999, 1.001, fix)
-    fix = "it is the input view a Gaussian came from, or -1"
-    contract.require_range(
-        "Gaussians.view_index", gaussians.view_index, -1, view_count - 1, fix
-    )

@@ -3,11 +3,11 @@
 from contextlib import suppress
 from typing import ClassVar
 
-from edit3r.contract.errors import PromptError
+from edit3r.contract.errors import PluginError, PromptError
 from edit3r.contract.instructions import Instruction, Target
 from edit3r.contract.interfaces import Reader
-from edit3r.kit.checks import check_instructions
-from edit3r_testing.contract import Contract
+from edit3r.kit import asking
+from edit3r_testing.contract import Contract, ContractViolation
 
 NO_WORDS = "qwxz vbnk"
 STRANGE = ("", "  ", "...", "\N{SNOWMAN}\0", "and, and; but", "a" * 9000, "x, " * 3000)
@@ -23,14 +23,9 @@ class ReaderContract(Contract):
     def read(self, text: str) -> tuple[Instruction, ...]:
         """The instructions of a text, checked as every run does. Raises PromptError for none."""
         try:
-            instructions = self.subject.read(text)
-        except PromptError:
-            raise
-        except Exception as error:
-            told = f"read({text[:40]!r}) raised {type(error).__name__}: {error}"
-            self.require(False, f"{told}; raise PromptError for what cannot be read.")
-        self.keeps(check_instructions, instructions)
-        return instructions
+            return asking.read(self.subject, text)
+        except PluginError as error:
+            raise ContractViolation(str(error)) from error
 
     def test_reads_a_sentence_of_its_language(self) -> None:
         """Its `example` gives instructions that editors can carry out, each with its words."""
@@ -77,9 +72,7 @@ class ReaderContract(Contract):
 
     def test_reads_a_thing_alone(self) -> None:
         """As it stands after `--thing`: "the left cup"."""
-        named = self.call(
-            "read_target()", self.subject.read_target, self.target, returns=Target
-        )
+        named = self.ask(asking.read_target, self.target)
         self.require(
             named.name or named.scope != "named",
             f"read_target({self.target!r}) has no name; name what segmenters shall look for.",
@@ -89,7 +82,7 @@ class ReaderContract(Contract):
         instruction = Instruction(
             "other", Target(), text=NO_WORDS, unread=tuple(NO_WORDS.split())
         )
-        hint = self.call("hint()", self.subject.hint, instruction, returns=str)
+        hint = self.ask(asking.hint, instruction)
         self.require(
             hint == "" or hint.startswith(" "),
             f"hint() gave {hint!r}; it follows a sentence, so begin it with a space.",

@@ -22,15 +22,12 @@ from edit3r.contract.interfaces import (
     Refiner,
 )
 from edit3r.contract.types import PER_GAUSSIAN, Gaussians, Reconstruction, Views
-from edit3r.kit.checks import (
-    check_geometry,
-    check_reconstruction,
-    check_refinement,
-)
+from edit3r.kit import asking
+from edit3r.kit.checks import check_reconstruction
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.rotations import rotation_angle
 from edit3r.kit.weights.files import WEIGHTS, save_weights
-from edit3r_testing.contract import Contract, require_of_views
+from edit3r_testing.contract import Contract
 from edit3r_testing.network import require_gradients
 from edit3r_testing.rasterizer import reference_rasterizer
 from edit3r_testing.scenes import Photographed, true_geometry
@@ -47,23 +44,7 @@ class MatcherContract(Contract):
     max_angle: float = 0.1  # [radians] rotation error allowed on the easy scene
 
     def test_geometry_is_valid(self) -> None:
-        geometry = self._match(self.scene(3).views)
-        maps = (1, 3, *self.image_size)
-        self.require_tensor("c2w", geometry.c2w, (1, 3, 4, 4))
-        self.require_tensor("depths", geometry.depths, maps)
-        self.require_tensor("confidence", geometry.confidence, maps)
-        self.require_tensor("registered", geometry.registered, (1, 3), torch.bool)
-        self.require(
-            geometry.depths.min() > 0,
-            "a depth is not positive; fill in where nothing matched.",
-        )
-        fix = "scale it; 0 means filled in"
-        self.require_range("confidence", geometry.confidence, 0, 1, fix)
-        _require_origin(self, geometry.c2w, 1e-5)
-        self.require(
-            geometry.registered[0, 0],
-            "view 0 is not registered; everything is placed relative to it.",
-        )
+        self._match(self.scene(3).views)
 
     def test_an_easy_scene_is_placed_right(self) -> None:
         scene = self.scene()
@@ -105,8 +86,7 @@ class MatcherContract(Contract):
         )
 
     def _match(self, views: Views) -> Geometry:
-        match = self.subject.match
-        return self.call("match()", match, views, returns=Geometry)
+        return self.ask(asking.find_geometry, views)
 
 
 def _depth_error(
@@ -165,12 +145,11 @@ class ReconstructorContract(Contract):
     ) -> Reconstruction:
         """One reconstruction, without gradients, that keeps what the pipeline checks."""
         given = (views, source, self.geometry(views), views.image_size)
-        what = f"reconstructing photos {list(views.images.shape)}"
+        asked = subject or self.subject
         with torch.no_grad():
-            result = self.call(what, subject or self.subject, *given)
-        self.keeps(check_reconstruction, views, result)
-        require_of_views(self, result.gaussians, views.count)
-        return result
+            return self.ask(
+                asking.reconstruct, views, lambda: asked(*given), subject=asked
+            )
 
     def geometry(self, views: Views) -> Geometry | None:
         """The true one of the test photos, where the reconstructor uses any."""
@@ -184,8 +163,7 @@ class ReconstructorContract(Contract):
         if not isinstance(self.subject, FindsGeometry):
             return
         views = self._views()
-        found = self.call("find_geometry()", self.subject.find_geometry, views)
-        self.keeps(check_geometry, views, found)
+        self.ask(asking.find_geometry, views)
 
     def test_source_photos_are_accepted(self) -> None:
         """With the photos before editing beside; they are what geometry is best read from."""
@@ -250,7 +228,7 @@ class ReconstructorContract(Contract):
             self, views, lambda v: self.subject(v, v, geometry), Edit3rError
         )
         if result is not None:
-            self.keeps(check_reconstruction, views, result)
+            self.call(check_reconstruction, self.subject, views, result)
 
     def test_checkpoint_round_trip(self) -> None:
         """The network's state_dict in a fresh component of the same settings gives the same."""
@@ -260,7 +238,7 @@ class ReconstructorContract(Contract):
         fresh = self.build()
         saved = {key: value.clone() for key, value in network.state_dict().items()}
         load = fresh.network.load_state_dict
-        self.call("loading its own state_dict into a fresh one", load, saved)
+        self.call(load, saved)
         fix = "register everything the result depends on as parameters or buffers of network"
         what = "a checkpoint put into a fresh component differs"
         self._require_same_of(fresh, self.subject, what, fix)
@@ -287,7 +265,7 @@ class ReconstructorContract(Contract):
         with tempfile.TemporaryDirectory() as folder:
             save_weights(Path(folder) / WEIGHTS, subject.network.state_dict())
             chosen = {**self.settings, **self.trained_with, "weights": folder}
-            loaded = self.call("building it with weights", self.build_with, chosen)
+            loaded = self.call(self.build_with, chosen)
             what = "loaded weights give another result"
             self._require_same_of(loaded, subject, what, fix)
 
@@ -310,13 +288,7 @@ class ReconstructorContract(Contract):
         network = subject.network
         views = self._views()
         network.train()
-        result = self.call(
-            "reconstructing in training mode",
-            subject,
-            views,
-            views,
-            self.geometry(views),
-        )
+        result = self.call(subject, views, views, self.geometry(views))
         outputs = [getattr(result.gaussians, name) for name in PER_GAUSSIAN]
         require_gradients(self, outputs, {}, network)
         for name, part in network.named_modules():
@@ -360,10 +332,7 @@ class RefinerContract(Contract):
         before = _on_surfaces(scene)
         edited = _brighter(before)
         inputs = self._inputs(scene, before, masks)
-        refined = self.call("refining", self.subject, edited, inputs)
-        self.keeps(check_refinement, edited, refined)
-        require_of_views(self, refined, scene.views.count)
-        return refined
+        return self.ask(asking.refine, edited, inputs)
 
     def test_refined_gaussians_are_valid(self) -> None:
         for count in (2, 3):

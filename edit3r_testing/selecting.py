@@ -5,11 +5,11 @@ from typing import Any
 
 import torch
 
-from edit3r.contract.errors import InputError
+from edit3r.contract.errors import InputError, PluginError
 from edit3r.contract.interfaces import Selected, Selection, Selector
-from edit3r.contract.interfaces.selection import WAYS
+from edit3r.kit import asking
 from edit3r.kit.geometry.warping import SAME_SURFACE, shared_surface, warp
-from edit3r_testing.contract import Contract
+from edit3r_testing.contract import Contract, ContractViolation
 from edit3r_testing.scenes import Photographed, true_geometry
 
 SHARED = 0.5  # least overlap of a carried mask with where its surface is seen
@@ -30,17 +30,12 @@ class SelectorContract(Contract):
         views = self.scene(3).views
         known = true_geometry(views) if geometry else None
         try:
-            found = self.subject.select(views, selection, known)
+            return asking.select(self.subject, views, selection, known)
         except InputError as error:
             self.require(str(error), f"{what} was refused without a word; say why.")
             return None
-        except Exception as error:
-            self.require(False, f"{what} raised {type(error).__name__}: {error}.")
-        self.require_type(what, found, Selected)
-        self.require_tensor("masks", found.masks, (3, 1, *self.image_size))
-        fix = "return probabilities, not logits"
-        self.require_range("masks", found.masks, 0, 1, fix)
-        return found
+        except PluginError as error:
+            raise ContractViolation(str(error)) from error
 
     def clicked(self, geometry: bool = True, **more: Any) -> Selected:
         """What a click on the second ball selects."""
@@ -58,11 +53,7 @@ class SelectorContract(Contract):
 
     def test_it_says_how_it_found_the_thing_on_each_photo(self) -> None:
         """One word for each; "not found" where the mask is empty, and nowhere else."""
-        found, known = self.clicked(), (*WAYS, "not found")
-        self.require(
-            len(found.how) == 3 and {*found.how} <= {*known},
-            f"how is {found.how}; return one for each photo, of {', '.join(known)}.",
-        )
+        found = self.clicked()
         empty = [not bool((mask > 0.5).any()) for mask in found.masks]
         self.require(
             [how == "not found" for how in found.how] == empty,
@@ -151,7 +142,7 @@ class SelectorContract(Contract):
         selection = Selection(positive=((0, *self._centre(1)),))
         tensors = (views.images, geometry.depths, geometry.c2w)
         before = [tensor.clone() for tensor in tensors]
-        self.call("select()", self.subject.select, views, selection, geometry)
+        self.ask(asking.select, views, selection, geometry)
         for tensor, copy in zip(tensors, before):
             self.require_equal("its input was changed", tensor, copy, "work on a copy")
 

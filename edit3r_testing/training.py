@@ -25,10 +25,10 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import PER_GAUSSIAN, Cameras, Reconstruction, Views
+from edit3r.kit import asking
 from edit3r.kit.geometry.cameras import pixels_to_gaussians
 from edit3r_testing.contract import Contract
 from edit3r_testing.rasterizer import reference_rasterizer
-from edit3r_testing.reconstruction import FRAME
 from edit3r_testing.scenes import (
     cameras_around,
     gaussian_cloud,
@@ -44,47 +44,17 @@ class DatasetContract(Contract):
     subject: Dataset
 
     def sample(self, index: int = 0, subject: Dataset | None = None) -> SceneSample:
-        get = (subject or self.subject).__getitem__
-        return self.call(f"dataset[{index}]", get, index, returns=SceneSample)
+        asked = subject or self.subject
+        return self.ask(asking.sample, lambda: asked[index], subject=asked)
 
     def test_has_samples(self) -> None:
-        count = self.call("len(dataset)", len, self.subject)
+        count = self.call(len, self.subject)
         self.require(count > 0, "len(dataset) is 0; nothing could be trained on it.")
 
-    def test_shapes_and_ranges(self) -> None:
-        sample = self.sample()
-        context, target = (len(sample.context), 3), (len(sample.target), 3)
-        masks = [
-            m for m in (sample.context_masks, sample.target_masks) if m is not None
-        ]
-        objects = len(masks[0]) if masks else 0
-        expected = {
-            "context": context,
-            "target": target,
-            "edited_context": context,
-            "edited_target": target,
-            "context_masks": (objects, context[0]),
-            "target_masks": (objects, target[0]),
-        }
-        image_size = tuple(sample.context.shape[-2:])
-        for name, first in expected.items():
-            tensor = getattr(sample, name)
-            if tensor is not None:
-                name = f"sample.{name}"
-                self.require_tensor(name, tensor, first + image_size)
-                fix = "divide 8-bit images by 255"
-                self.require_range(name, tensor, 0, 1, fix)
-        if sample.context_depths is not None:
-            shape = context[:1] + image_size
-            self.require_tensor("sample.context_depths", sample.context_depths, shape)
-
-    def test_cameras_are_in_the_frame_of_view_0(self) -> None:
-        sample = self.sample()
-        self._check_cameras(sample.context_cameras, sample.context)
-        self._check_cameras(sample.target_cameras, sample.target)
-        first = sample.context_cameras.c2w[0, 0]
-        what = "context view 0 is not at the origin"
-        self.require_equal(what, first, torch.eye(4), FRAME, 1e-4)
+    def test_samples_are_valid(self) -> None:
+        """Shapes, ranges, and cameras in the frame of context view 0."""
+        self.sample()
+        self.sample(len(self.subject) - 1)
 
     def test_the_same_index_gives_the_same_sample(self) -> None:
         first = self.sample()
@@ -96,7 +66,7 @@ class DatasetContract(Contract):
         self._require_same(fresh, first, "index 0 of a fresh dataset", fix)
 
     def test_survives_pickling(self) -> None:
-        copy = self.call("pickling", lambda: pickle.loads(pickle.dumps(self.subject)))
+        copy = self.call(lambda: pickle.loads(pickle.dumps(self.subject)))
         fix = "open files in __getitem__, hold only paths and numbers"
         again = self.sample(0, copy)
         self._require_same(again, self.sample(), "index 0 of a pickled copy", fix)
@@ -116,20 +86,6 @@ class DatasetContract(Contract):
             f"dataset[{end}] gave {found}; raise IndexError, iteration would never end.",
         )
 
-    def _check_cameras(
-        self, cameras: Cameras, images: Float[Tensor, "view 3 height width"]
-    ) -> None:
-        self.require_type("cameras", cameras, Cameras)
-        self.require_tensor("cameras.c2w", cameras.c2w, (1, len(images), 4, 4))
-        size = tuple(images.shape[-2:])
-        self.require(
-            tuple(cameras.image_size) == size,
-            f"cameras.image_size is {cameras.image_size}, images are {size}.",
-        )
-        focal = cameras.intrinsics[..., 0, 0]
-        fix = "intrinsics are normalised, in image widths and not in pixels"
-        self.require_range("focal lengths", focal, 0, 20, fix)
-
     def _require_same(
         self, sample: SceneSample, expected: SceneSample, what: str, fix: str
     ) -> None:
@@ -141,24 +97,30 @@ class DatasetContract(Contract):
 
 
 class LossContract(Contract):
-    """A finite scalar, zero at the target, positive away from it, with finite gradients at both."""
+    """A finite scalar, less at the target than away from it, with finite gradients at both."""
 
     kind = "loss"
     subject: Loss
-    zero: float = 1e-5  # what counts as zero at the target
 
-    def test_zero_at_the_target(self) -> None:
-        value = self._value(self._inputs(distance=0)).item()
-        self.require(
-            abs(value) <= self.zero,
-            f"at the target it is {value:.4g}; subtract its minimum, it must be 0.",
+    def test_less_at_the_target_than_away_from_it(self) -> None:
+        """Of a loss that compares; one that asks for no target holds the scene to a rule alone."""
+        at, away = (self._inputs(distance) for distance in (0, 0.2))
+        assert away.target is not None and away.reference is not None
+        assert away.depths is not None and away.geometry is not None
+        other = replace(
+            away,
+            target=1 - away.target,
+            reference=replace(away.reference, means=away.reference.means + 1),
+            depths=2 * away.depths,
+            geometry=replace(away.geometry, depths=2 * away.geometry.depths),
         )
-
-    def test_positive_away_from_the_target(self) -> None:
-        value = self._value(self._inputs(distance=0.2)).item()
+        values = [self._value(inputs).item() for inputs in (at, away, other)]
+        if values[1] == values[2]:
+            return
         self.require(
-            value > self.zero,
-            f"away from the target it is {value:.4g}; it must grow with the difference.",
+            values[0] < values[1],
+            f"at the target it is {values[0]:.4g}, away from it {values[1]:.4g}; it must grow with "
+            "the difference.",
         )
 
     def test_gradients_are_finite(self) -> None:
@@ -173,10 +135,6 @@ class LossContract(Contract):
             render = partial(self._rasterizer.render, gaussians)
             given = {"rendered": rendered, "gaussians": gaussians, "render": render}
             value = self._value(replace(inputs, **given))
-            self.require(
-                value.requires_grad,
-                "it carries no gradient; compute it from inputs.rendered or .gaussians.",
-            )
             leaves = [rendered, *own.values()]
             found = torch.autograd.grad(value, leaves, allow_unused=True)
             largest = max(g.abs().max() for g in found if g is not None)  # NaN stays
@@ -195,7 +153,9 @@ class LossContract(Contract):
         self.require_untouched(inputs.rendered, lambda: self._value(inputs))
 
     def _value(self, inputs: LossInputs) -> Float[Tensor, ""]:
-        value = self.call("the loss", self.subject, inputs)
+        with torch.random.fork_rng():
+            torch.manual_seed(0)  # for one that samples
+            value = self.ask(asking.loss, inputs)
         self.require_tensor("the loss", value, ())
         return value
 
@@ -251,14 +211,7 @@ class TrainerContract(Contract):
             job = tiny_job(Path(folder).resolve())
             weight = job.reconstructor.network.weight
             before = weight.detach().clone()
-            best = self.call("train()", self.subject.train, job, returns=Path)
-            self.require(
-                best.is_dir() and best.resolve().is_relative_to(job.out),
-                f"train() returned {best}, which is no folder in job.out; write nothing elsewhere.",
-            )
-            self.require(
-                any(best.iterdir()), f"{best.name}/ is empty; save a checkpoint there."
-            )
+            self.ask(asking.train, job)
             self.require(
                 not torch.equal(before, weight),
                 "no weight moved; step the optimiser of reconstructor.network.",
@@ -267,13 +220,9 @@ class TrainerContract(Contract):
     def test_resumes(self) -> None:
         with tempfile.TemporaryDirectory() as folder:
             job = tiny_job(Path(folder))
-            self.call("train()", self.subject.train, job)
+            self.ask(asking.train, job)
             again = replace(tiny_job(Path(folder)), resume=True)
-            best = self.call("train() with resume=True", self.subject.train, again)
-            self.require(
-                best.is_dir(),
-                f"a resumed training returned {best}, which is no folder.",
-            )
+            self.ask(asking.train, again)
 
 
 class _PixelReconstructor(Reconstructor):

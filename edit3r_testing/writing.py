@@ -10,7 +10,6 @@ from pathlib import Path
 
 import torch
 
-from edit3r.contract.errors import Edit3rError
 from edit3r.contract.interfaces import (
     NamedObjects,
     OtherReadings,
@@ -19,11 +18,11 @@ from edit3r.contract.interfaces import (
     Writer,
 )
 from edit3r.contract.types import Gaussians
+from edit3r.kit import asking
 from edit3r.kit.geometry.cameras import pixel_rays
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.images import to_bytes
 from edit3r.kit.rendering import render_each
-from edit3r.running.result import write_scene
 from edit3r_testing.contract import Contract
 from edit3r_testing.rasterizer import reference_rasterizer
 from edit3r_testing.scenes import Photographed
@@ -70,27 +69,24 @@ class WriterContract(Contract):
         )
 
     @contextmanager
-    def written(self, scene: SceneToWrite, what: str) -> Iterator[Path]:
+    def written(self, scene: SceneToWrite) -> Iterator[Path]:
         """What the writer leaves of a scene, until the block ends."""
         name = self.subject.offer.component.file_name()
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / name
-            try:
-                write_scene(self.subject, path, scene)
-            except Edit3rError as error:
-                self.require(False, f"{what} is not written: {error}")
+            self.ask(asking.write, path, scene)
             yield path
 
     def test_writes_the_one_file_or_folder_that_it_is_given(self) -> None:
         """Whole when `write` ends, and nothing beside it."""
-        with self.written(self.scene_to_write(), "a scene") as path:
+        with self.written(self.scene_to_write()) as path:
             beside = sorted(one.name for one in path.parent.iterdir() if one != path)
             self.require(not beside, f"it leaves {', '.join(beside)} beside its path.")
 
     def test_same_scene_gives_the_same_bytes(self) -> None:
         """Dates, random numbers and the order of sets do not belong into a file."""
         scene = self.scene_to_write()
-        with self.written(scene, "a scene") as first, self.written(scene, "it") as path:
+        with self.written(scene) as first, self.written(scene) as path:
             before, after = _bytes_of(first), _bytes_of(path)
             other = [name for name in after if before.get(name) != after[name]]
             self.require(
@@ -101,8 +97,7 @@ class WriterContract(Contract):
     def test_takes_harmonics_of_every_degree(self) -> None:
         """A format without them leaves them out, and says so in `loses`."""
         for degree in DEGREES:
-            what = f"a scene with harmonics of degree {degree}"
-            with self.written(self.scene_to_write(degree), what):
+            with self.written(self.scene_to_write(degree)):
                 pass
 
     def test_needs_what_it_says_and_no_more(self) -> None:
@@ -110,14 +105,13 @@ class WriterContract(Contract):
         whole = self.scene_to_write()
         needed = {name: getattr(whole, name) for name in self.subject.needs}
         least = SceneToWrite(**{**needed, "gaussians": whole.gaussians})
-        told = " and ".join(("the Gaussians", *self.subject.needs))
-        with self.written(least, f"a scene of which only {told} are known"):
+        with self.written(least):
             pass
 
     def test_leaves_its_inputs_alone(self) -> None:
         scene = self.scene_to_write()
         before = deepcopy(scene.gaussians)
-        with self.written(scene, "a scene"):
+        with self.written(scene):
             fix = "work on a copy"
             self.require_equal("its input was changed", scene.gaussians, before, fix)
 

@@ -6,7 +6,8 @@ import os
 import re
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import takewhile
 from typing import TYPE_CHECKING, NoReturn
 
@@ -123,12 +124,34 @@ def _dispatch(argv: list[str]) -> int:
         for photo in takewhile(lambda one: not one.startswith("-"), rest):
             require_there(photo)
     command = find_command(name)
+    with _named_after(command):
+        return command.main(parse(parser_of(command, name), rest)) or 0
+
+
+@contextmanager
+def _named_after(command: "Command") -> Iterator[None]:
+    """Name a plugin's command in an error that was not meant for the user."""
+    try:
+        yield
+    except (Edit3rError, OSError):
+        raise
+    except Exception:
+        if not hasattr(command, "offer"):
+            raise
+        from edit3r.kit.checks import errors_named_after  # which imports torch
+
+        with errors_named_after(command):
+            raise
+
+
+def parser_of(command: "Command", name: str) -> Parser:
+    """The parser with the command's arguments, and with those of every command."""
     parser = Parser(prog=f"edit3r {name}", description=command.__doc__)
     command.add_arguments(parser)
     parser.add_argument(
         "--debug", action="store_true", help="show the full traceback of an error"
     )
-    return command.main(parse(parser, rest)) or 0
+    return parser
 
 
 def find_command(name: str) -> "Command":

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from edit3r.contract.interfaces import FindsGeometry, Geometry, Matcher, Reconstructor
 from edit3r.contract.types import Reconstruction, Views
+from edit3r.kit import asking
 
 
 @dataclass(frozen=True)
@@ -22,10 +23,10 @@ class WithMatcher:
         Raises MatchingError when the photos cannot be placed relative to each other.
         """
         if isinstance(self.reconstructor, FindsGeometry):
-            return self.reconstructor.find_geometry(source)
+            return asking.find_geometry(self.reconstructor, source)
         if not self.reconstructor.uses_geometry:
             return None
-        return self.matcher.match(source)
+        return asking.find_geometry(self.matcher, source)
 
     def __call__(
         self,
@@ -35,4 +36,7 @@ class WithMatcher:
     ) -> Reconstruction:
         """Reconstruct `views`; geometry is read from `source`, where given, as edits disagree."""
         source = views if source is None else source
-        return self.reconstructor(views, source, self.geometry(source), grid)
+        recon, geometry = self.reconstructor, self.geometry(source)
+        return asking.reconstruct(
+            recon, views, lambda: recon(views, source, geometry, grid)
+        )

@@ -15,7 +15,8 @@ from edit3r.contract.interfaces import Rasterizer
 from edit3r.contract.interfaces.writing import Frame
 from edit3r.contract.reporting import track
 from edit3r.contract.types import Cameras, Gaussians, Rendering
-from edit3r.kit.checks import check_rendering, errors_named_after
+from edit3r.kit import asking
+from edit3r.kit.checks import errors_named_after
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.geometry.paths import between_and_around
 from edit3r.kit.photos.images import save_pixels, to_bytes
@@ -27,7 +28,7 @@ def render_each(
     """Render camera by camera, showing progress under `text`."""
     whole: dict[str, Tensor] = {}
     for i in track(range(cameras.count), text):
-        one = render_one(rasterizer, gaussians, cameras.select([i]))
+        one = asking.render(rasterizer, gaussians, cameras.select([i]))
         for name, part in one.given.items():
             if i == 0:  # each part goes where it stays: parts and their whole are twice
                 batch, _, *shape = part.shape
@@ -36,23 +37,12 @@ def render_each(
     return Rendering.of(whole)
 
 
-def render_one(
-    rasterizer: Rasterizer, gaussians: Gaussians, camera: Cameras
-) -> Rendering:
-    """Render one camera and check the answer."""
-    with errors_named_after(rasterizer):
-        rendering = rasterizer.render(gaussians, camera)
-    check_rendering(rasterizer, gaussians, camera, rendering)
-    return rendering
+class CheckedRasterizer(Rasterizer):
+    """A rasterizer each of whose answers is checked."""
 
-
-class OverBackground(Rasterizer):
-    """A rasterizer whose pictures stand before a grey background, in [0, 1]."""
-
-    def __init__(self, rasterizer: Rasterizer, background: float) -> None:
-        self.rasterizer, self.background = rasterizer, background
-        self.settings = rasterizer.settings
-        for name in ("offer", "parts"):
+    def __init__(self, rasterizer: Rasterizer) -> None:
+        self.rasterizer, self.gives = rasterizer, rasterizer.gives
+        for name in ("settings", "offer", "parts"):
             if hasattr(rasterizer, name):
                 setattr(self, name, getattr(rasterizer, name))
 
@@ -60,9 +50,7 @@ class OverBackground(Rasterizer):
         self.rasterizer.prepare(device)
 
     def render(self, gaussians: Gaussians, cameras: Cameras) -> Rendering:
-        rendering = self.rasterizer.render(gaussians, cameras)
-        images = rendering.images + (1 - rendering.alphas) * self.background
-        return replace(rendering, images=images)
+        return asking.render(self.rasterizer, gaussians, cameras)
 
     def contributions(
         self,
@@ -70,7 +58,24 @@ class OverBackground(Rasterizer):
         cameras: Cameras,
         weights: Float[Tensor, "camera *map height width"] | None = None,
     ) -> Float[Tensor, "batch gaussian *map"]:
-        return self.rasterizer.contributions(gaussians, cameras, weights)
+        own = type(self.rasterizer).contributions is not Rasterizer.contributions
+        if not own:  # each picture that it is read from is checked
+            return super().contributions(gaussians, cameras, weights)
+        with errors_named_after(self.rasterizer):
+            return self.rasterizer.contributions(gaussians, cameras, weights)
+
+
+class OverBackground(CheckedRasterizer):
+    """A rasterizer whose pictures stand before a grey background, in [0, 1]."""
+
+    def __init__(self, rasterizer: Rasterizer, background: float) -> None:
+        super().__init__(rasterizer)
+        self.background = background
+
+    def render(self, gaussians: Gaussians, cameras: Cameras) -> Rendering:
+        rendering = super().render(gaussians, cameras)
+        images = rendering.images + (1 - rendering.alphas) * self.background
+        return replace(rendering, images=images)
 
 
 def render_numbers(
@@ -123,7 +128,7 @@ class Flight:
     def __call__(self) -> Iterator[Frame]:
         for index in track(range(self.path.count), "render camera path"):
             camera = self.path.select([index])
-            rendering = render_one(self.rasterizer, self.gaussians, camera)
+            rendering = asking.render(self.rasterizer, self.gaussians, camera)
             frame = to_bytes(rendering.images[0, 0])
             if self.pictures is not None:
                 save_pixels(frame, self.pictures / f"path_{index:04d}.png")

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import MaskLogits, Proposal, Segmenter
 from edit3r.contract.reporting import progress
+from edit3r.kit import asking
 from edit3r.kit.compute.outlines import soft_edged
 from edit3r.kit.geometry.maps import size_of
 
@@ -32,7 +33,7 @@ def mask_in_box(
     segmenter: Segmenter, image: Float[Tensor, "3 height width"], box: Box
 ) -> Float[Tensor, "height width"]:
     """The best mask for a box (x, y, width, height in [0, 1]), soft, in [0, 1]."""
-    answer = segmenter.masks(image, (), box)
+    answer = asking.masks(segmenter, image, (), box)
     best = 0 if answer.quality is None else int(answer.quality.argmax())
     return _softened(image, answer.logits[best])
 
@@ -51,7 +52,7 @@ def automatic_masks(
     places = [(x, y) for y in steps for x in steps]
     kept: list[tuple[Tensor, Tensor, Tensor]] = []
     for number, place in enumerate(places, 1):
-        answer = segmenter.masks(image, [(place, True)])
+        answer = asking.masks(segmenter, image, [(place, True)])
         logits, quality = answer.logits, quality_of(answer)
         stable = stability(logits)
         good = (quality >= min_predicted_iou) & (stable >= min_stability)

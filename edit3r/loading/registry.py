@@ -204,6 +204,10 @@ class Registry:
         """Build the component that a configuration chose; its settings may have any names."""
         return self._build(kind, choice, parts or {}, {}, _key(kind, choice.name))
 
+    def build_at(self, where: str, kind: str, choice: PartChoice) -> Any:
+        """The same where its key in the configuration, `where`, is not the kind's own."""
+        return self._build(kind, choice, {}, {}, where)
+
     def check(self, kind: str, choice: PartChoice) -> Settings:
         """The settings; raises what building the component would raise about its name and them."""
         cls = self.settings_class(self.find(kind, choice.name))

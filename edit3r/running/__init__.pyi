@@ -37,7 +37,6 @@ from .records import Preview as Preview
 from .result import (
     RunResult as RunResult,
     write_result as write_result,
-    write_scene as write_scene,
 )
 from .run_folder import (
     CACHE as CACHE,

@@ -26,6 +26,7 @@ from edit3r.contract.lens import Lens
 from edit3r.contract.reporting import say
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import GivenScene, Views
+from edit3r.kit import asking
 from edit3r.kit.checks import errors_named_after
 from edit3r.kit.rendering import OverBackground
 from edit3r.kit.scenes.scene_views import SceneGeometry
@@ -279,7 +280,7 @@ def undone(job: RunJob) -> RunJob:
 
     Raises PromptError where no earlier run is given.
     """
-    rest = job.components["reader"].after_undo(job.config.prompt)
+    rest = asking.after_undo(job.components["reader"], job.config.prompt)
     if rest is None:
         return job
     if job.earlier is None:

@@ -12,7 +12,7 @@ from edit3r.contract.interfaces import Editor, EditsRegions, EditToJudge, Reader
 from edit3r.contract.reporting import say, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import EditRequest
-from edit3r.kit.checks import check_instructions, errors_named_after
+from edit3r.kit import asking
 from edit3r.kit.weights.find import at_hand
 from edit3r.loading.registry import Registry, default_registry
 from edit3r.running.config import DEFAULTS
@@ -77,7 +77,7 @@ def tasks_for_editor(
     """
     instructions = instructions_for(editor, prompt, reader)
     for instruction in instructions:
-        if not editor.understands(instruction):
+        if not asking.understands(editor, instruction):
             raise PromptError(_refusal(editor, instruction, reader, registry))
     if isinstance(editor, EditsRegions):
         _tell_left_out(instructions)
@@ -99,7 +99,7 @@ def tasks_without_editor(
             name = offer.qualified_name
             if name not in built:
                 built[name] = registry.build_choice("editor", PartChoice(name=name))
-            if built[name].understands(instruction):
+            if asking.understands(built[name], instruction):
                 chosen.append((name, instruction))
                 break
         else:
@@ -179,7 +179,8 @@ def _nobody(instruction: Instruction, reader: Reader, registry: Registry) -> str
         reason = f"{unread} in {instruction.text!r} {verb} not understood"
     learned = any("other" in one.component.actions for one in registry.offers("editor"))
     more = " Editors with a model of their own may do more (edit3r list-plugins --kind editor)."
-    return f"{reason}.{reader.hint(instruction)} {reader.abilities}{more if learned else ''}"
+    hint = asking.hint(reader, instruction)
+    return f"{reason}.{hint} {reader.abilities}{more if learned else ''}"
 
 
 @cache
@@ -201,10 +202,7 @@ def read(prompt: str, reader: Reader | None = None) -> tuple[Instruction, ...]:
             "there is nothing to do; say what to change with --prompt, or keep the photos as they "
             f"are with --editor none. {reader.abilities}"
         )
-    with errors_named_after(reader):
-        instructions = reader.read(prompt)
-    check_instructions(reader, instructions)
-    return instructions
+    return asking.read(reader, prompt)
 
 
 def instructions_for(

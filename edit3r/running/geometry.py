@@ -12,13 +12,12 @@ from edit3r.contract.interfaces import (
     FindsGeometry,
     Geometry,
     Matcher,
-    MatchesCorrected,
     Reconstructor,
 )
 from edit3r.contract.reporting import warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
-from edit3r.kit.checks import check_geometry, errors_named_after
+from edit3r.kit import asking
 from edit3r.kit.geometry.cameras import pixel_grid, project, unproject
 from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS
@@ -82,21 +81,11 @@ def find_geometry(
     """The geometry of `views`, or why they cannot be placed. `corrected`: the same photos in one
     exposure, on which depth is measured where the matcher can do that.
     """
-    with errors_named_after(source, views.images):
-        try:
-            geometry = _read(source, views, corrected)
-        except MatchingError as error:
-            return GeometryAnswer(None, str(error))
-    check_geometry(source, views, geometry)
+    try:
+        geometry = asking.find_geometry(source, views, corrected)
+    except MatchingError as error:
+        return GeometryAnswer(None, str(error))
     return GeometryAnswer(geometry, "" if _has_depth(geometry, views) else STOOD_STILL)
-
-
-def _read(source: Source, views: Views, corrected: Views | None) -> Geometry:
-    if isinstance(source, FindsGeometry):
-        return source.find_geometry(views)
-    if corrected is not None and isinstance(source, MatchesCorrected):
-        return source.match_corrected(views, corrected)
-    return source.match(views)
 
 
 def uses_geometry(reconstructor: Reconstructor) -> bool:

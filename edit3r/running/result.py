@@ -33,8 +33,8 @@ from edit3r.contract.reporting import Report, collecting, note, say
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
+from edit3r.kit import asking
 from edit3r.kit.cache import Cache
-from edit3r.kit.checks import check_needs, check_written, errors_named_after
 from edit3r.kit.contact_sheet import (
     draw_sheet,
     images_of,
@@ -262,18 +262,6 @@ def write_result(root: Path, result: RunResult) -> None:
     folder.write_manifest(_facts(result))
 
 
-def write_scene(writer: Writer, path: Path, scene: SceneToWrite) -> None:
-    """Let a writer write `scene`, and hold it to its contract.
-
-    Raises InputError for a scene that lacks what the writer needs, PluginError for a writer that
-    fails.
-    """
-    check_needs(writer, scene)
-    with errors_named_after(writer):
-        writer.write(path, scene)
-    check_written(writer, path)
-
-
 def _shown(result: RunResult, what: str, folder: Path) -> Path:
     """The file in `folder` that the writer of the picture, or of the page, made."""
     writer = result.components.writer(DEFAULTS["shown"][what])
@@ -283,7 +271,7 @@ def _shown(result: RunResult, what: str, folder: Path) -> Path:
 
 def _write_by(writers: Iterable[Writer], root: Path, scene: SceneToWrite) -> None:
     for writer in writers:
-        write_scene(writer, root / writer.offer.component.file_name(), scene)
+        asking.write(writer, root / writer.offer.component.file_name(), scene)
 
 
 def _scene(result: RunResult, flight: Flight | None = None) -> SceneToWrite:
@@ -375,7 +363,7 @@ def _write_given(folder: RunFolder, result: RunResult, given: SceneInput) -> Non
         told = f"{given.form} keeps its Gaussians together, so all of them were written anew"
         say("scene.rewritten", f"{told}, as exactly as it can")
         scene = SceneToWrite(result.scene)
-        write_scene(result.components.writer(writer), file, scene)
+        asking.write(result.components.writer(writer), file, scene)
     names = [f"inputs/{name}.png" for name in result.photos.names]
     own = given.cameras_in_own_frame(result.cameras)
     write_cameras(folder.cameras, posed_cameras(own, names))

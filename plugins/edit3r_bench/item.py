@@ -19,6 +19,7 @@ from edit3r.contract.interfaces import Editor
 from edit3r.contract.reporting import Report
 from edit3r.contract.settings import PartChoice, make_settings
 from edit3r.contract.types import RENDERED, Cameras, EditRequest
+from edit3r.kit import asking
 from edit3r.kit.checks import require_gives
 from edit3r.kit.contact_sheet import draw_sheet
 from edit3r.kit.geometry.cameras import scale_poses
@@ -134,7 +135,7 @@ class ItemRunner:
         assert isinstance(editor, Editor)  # what is built later edits photos alone
         instructions = instructions_for(editor, item.record.prompt)
         request = EditRequest(item.record.prompt, item.record.seed, masks, instructions)
-        edited = editor.edit(views, request).images
+        edited = asking.edit(editor, views, request).images
         if masks is not None:
             edited = composite(images[None], edited, masks)
         return edited[0]

@@ -27,6 +27,7 @@ from torch import Tensor
 from edit3r.contract.errors import InputError, RunError
 from edit3r.contract.interfaces import Detection, Detector, Segmenter
 from edit3r.contract.settings import Settings, make_settings
+from edit3r.kit import asking
 from edit3r.kit.command.results import write_text
 from edit3r.kit.files.configs import read_yaml
 from edit3r.kit.geometry.maps import dilate_softly
@@ -74,7 +75,7 @@ def find_objects(
     boxes: dict[str, Boxes] = dict.fromkeys(words, ())
     for image in images:
         for word in words:
-            boxes[word] += (_best_box(detector.detect(image, word), image),)
+            boxes[word] += (_best_box(asking.detect(detector, image, word), image),)
     scores = {}
     for word, own in boxes.items():
         seen = [box.score for box in own if box]

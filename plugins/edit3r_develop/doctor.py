@@ -45,7 +45,7 @@ CORE_MODULES = {
 """Importable name of each core dependency, and the package that brings it."""
 
 JOB_SIZE = 96  # longer side of the tiny job's photos [pixels]
-JOB_PROMPT = "make it blue"
+JOB_PROMPT = "make everything blue"
 MARKS = {True: "ok   ", False: "WRONG", None: "note "}
 GIB = 2**30
 

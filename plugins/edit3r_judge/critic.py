@@ -36,7 +36,8 @@ class LimitsCritic(Critic):
         measures = {**figures, "faults": list(edit.faults), "moved": list(edit.moved)}
         if faults:
             return EditVerdict("doubtful", "; ".join(faults), measures)
-        return EditVerdict("good", _praise(edit), measures)
+        told = figures["as_asked"] is not None or figures["closed"] is not None
+        return EditVerdict("good", _praise(edit, told), measures)
 
     def judge_scene(self, scene: SceneToJudge) -> Verdict:
         guessed = None
@@ -63,10 +64,12 @@ def silence(edit: EditToJudge, figures: Mapping[str, float | None]) -> tuple[str
     return ()
 
 
-def _praise(edit: EditToJudge) -> str:
+def _praise(edit: EditToJudge, told: bool) -> str:
     """What was measured of an edit that nothing speaks against; not that it was what was meant."""
     where = "the whole picture" if edit.masks is None else "what was selected"
     shown = "" if edit.rendered is None else ", in 3D too"
+    if not told:
+        return f"{where} changed{shown}; whether as asked, no signal tells"
     return f"carried out as asked on {where}{shown}"
 
 

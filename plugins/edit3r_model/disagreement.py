@@ -65,9 +65,7 @@ def edits_conflict(views: EditedViews, disagree: Maps) -> Maps:
     contrary = contrary * (own.amax((2, 3), keepdim=True) > CHANGE)
     alike = (views.source - before).abs().mean(2) < ALIKE
     shown = (matches.depth_ratio < SAME_SURFACE) | (elsewhere & alike)
-    conflict = disagree * contrary * matches.inside * shown
-    conflict[:, 0] = 0
-    return conflict
+    return disagree * contrary * matches.inside * shown
 
 
 @torch.no_grad()

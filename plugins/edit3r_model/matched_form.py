@@ -19,6 +19,7 @@ from edit3r.contract import settings as config
 from edit3r.contract.interfaces import Geometry
 from edit3r.contract.settings import Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Views
+from edit3r.kit import asking
 from edit3r.kit.compute.layers import one_thread
 from edit3r.kit.geometry.background_fill import background_layer, rim
 from edit3r.kit.geometry.cameras import scale_poses
@@ -112,8 +113,9 @@ class MatchedForm:
             coarse.image_size, self.settings.network_size, backbone.patch_size
         )
         images = resize(coarse.images, size)
-        features = backbone(images, coarse.intrinsics, averaged(prior, size))
-        return head(features, views.images, source, prior)
+        near = averaged(prior, size)
+        features = asking.features(backbone, images, coarse.intrinsics, near)
+        return asking.gaussians(head, features, views.images, source, prior)
 
     def _with_background_fill(
         self,

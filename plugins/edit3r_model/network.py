@@ -10,6 +10,7 @@ from edit3r.contract.interfaces import Backbone, GaussianHead
 from edit3r.contract.reporting import note, progress, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Gaussians, Reconstruction, Views
+from edit3r.kit import asking
 from edit3r.kit.files.atomic import sha256_of
 from edit3r_model.checkpoints import LoadedWeights, fill, load_weights
 from edit3r_model.engine import EnginePlan, prepare_leaf
@@ -41,8 +42,8 @@ class GaussianNetwork(nn.Module):
 
     def reconstruct(self, views: Views) -> Reconstruction:
         """A single pass, with the cameras that the backbone predicts, if it does."""
-        features = self.backbone(views.images, views.intrinsics)
-        gaussians = self.head(features, views.images, views, None)
+        features = asking.features(self.backbone, views.images, views.intrinsics)
+        gaussians = asking.gaussians(self.head, features, views.images, views, None)
         return Reconstruction(
             gaussians, features.cameras, per_pixel=self.head.per_pixel
         )

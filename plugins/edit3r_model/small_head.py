@@ -22,7 +22,7 @@ from edit3r.contract.errors import InputError, SettingsError
 from edit3r.contract.interfaces import Backbone, GaussianHead, Geometry
 from edit3r.contract.settings import Index, Share
 from edit3r.contract.types import Cameras, Features, Gaussians, Views
-from edit3r.kit.compute.layers import bilinear
+from edit3r.kit.compute.layers import bilinear, guided_upsample
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.maps import resize, size_of
 from edit3r.kit.geometry.warping import contradicted, find_correspondences, warp
@@ -37,7 +37,6 @@ from edit3r_model.edit_fusion import CANDIDATES, EditFusion, EditTransport, Fuse
 from edit3r_model.edited_views import EditedViews, Exposure, Images, Maps, find_exposure
 from edit3r_model.small_backbone import STRIDE, averaged, zero_conv
 from edit3r_model.surface import discs
-from edit3r_model.upsampling import guided_upsample
 
 KEY_STRIDE = 4
 """Pixels of the backbone's images per side of what the reference offers to attention."""

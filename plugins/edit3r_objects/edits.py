@@ -10,6 +10,7 @@ from torch import Tensor
 from edit3r.contract.errors import PromptError
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
+from edit3r.kit import asking
 from edit3r.kit.geometry.cameras import up_direction
 from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour, turn_harmonics
 from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
@@ -103,7 +104,7 @@ def painted(
     request = EditRequest(prompt, instructions=usual_reader().read(prompt))
     if len(request.instructions) > 1:
         raise PromptError(f"recolor: expected one colour, got {colour!r}.")
-    new = editor.edit(views, request).images[0, 0, :, 0]
+    new = asking.edit(editor, views, request).images[0, 0, :, 0]
     own[:, 1:] = own[:, 1:].mean(-1, keepdim=True)
     own[:, 0] = colour_to_dc(new.T)
     harmonics[0, chosen] = own

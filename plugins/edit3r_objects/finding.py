@@ -17,6 +17,7 @@ from torch import Tensor
 from edit3r import default_registry
 from edit3r.contract.interfaces import Detection, Detector, Selection, Selector
 from edit3r.contract.types import Cameras, Views
+from edit3r.kit import asking
 from edit3r.kit.compute.outlines import overlap
 from edit3r.kit.geometry.warping import shared_surface, warp
 from edit3r.running import usual_selector
@@ -134,7 +135,7 @@ def _seen_on(photo: Views, tools: Finders) -> list[_Seen]:
 
 def _selected(photo: Views, asked: Selection, selector: Selector) -> tuple[Mask, float]:
     """What is selected on one photo, and how likely that is meant."""
-    selected = selector.select(photo, asked)
+    selected = asking.select(selector, photo, asked, None)
     mask = selected.masks[0, 0].numpy(force=True) > 0.5
     return mask, selected.readings[0].score if selected.readings else 1.0
 
@@ -142,7 +143,7 @@ def _selected(photo: Views, asked: Selection, selector: Selector) -> tuple[Mask,
 def _boxes(photo: Views, tools: Finders) -> tuple[Detection, ...]:
     if tools.detector is None:
         return ()
-    return tools.detector.detect(photo.images[0, 0], "")
+    return asking.detect(tools.detector, photo.images[0, 0], "")
 
 
 def _named_by_both(seen: _Seen, there: Mask, boxes: Sequence[Detection]) -> _Seen:

@@ -31,10 +31,11 @@ from edit3r.contract.types import (
     Reconstruction,
     Views,
 )
-from edit3r.kit.checks import check_edit, check_reconstruction, errors_named_after
+from edit3r.kit import asking
+from edit3r.kit.checks import check_edit, errors_named_after
 from edit3r.kit.geometry.maps import composite
 from edit3r.kit.geometry.pose import estimate_cameras
-from edit3r.kit.rendering import OverBackground
+from edit3r.kit.rendering import CheckedRasterizer, OverBackground
 from edit3r.running import instructions_for
 from edit3r_optimisers.fitting import FitSettings, TargetImages, fit
 
@@ -92,7 +93,7 @@ class FittingMethod(Reconstructor, EditsViews, StartsFromScene):
         rasterizer: Rasterizer,
     ) -> None:
         self.settings, self.reconstructor = settings, reconstructor
-        self.editor, self.rasterizer = editor, rasterizer
+        self.editor, self.rasterizer = editor, CheckedRasterizer(rasterizer)
         self.uses_geometry = reconstructor.uses_geometry
 
     def starting_from(self, scene: GivenScene) -> "FittingMethod":
@@ -184,9 +185,9 @@ def begin(
     photos.
     """
     photos = scene.photos
-    with errors_named_after(reconstructor):
-        answer = reconstructor(photos, photos, scene.geometry)
-    check_reconstruction(reconstructor, photos, answer)
+    answer = asking.reconstruct(
+        reconstructor, photos, lambda: reconstructor(photos, photos, scene.geometry)
+    )
     every = answer.gaussians
     cameras = answer.cameras or estimate_cameras(every, photos, answer.per_pixel)
     gaussians = thinned(every.select(every.opacities[0] > 0), most, seed)
@@ -208,8 +209,7 @@ def thinned(gaussians: Gaussians, most: int, seed: int) -> Gaussians:
 @torch.no_grad()
 def edited(editor: Editor, views: Views, request: EditRequest) -> Views:
     """The edited views, held to the editor's contract and confined to the request's masks."""
-    with errors_named_after(editor):
-        answer = editor.edit(views, request)
+    answer = asking.edit(editor, views, request)
     return _confined(editor, views, answer, request)
 
 

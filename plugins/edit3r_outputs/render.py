@@ -124,14 +124,14 @@ def _views(
 
     from edit3r.contract.reporting import track
     from edit3r.contract.types import Rendering
+    from edit3r.kit import asking
     from edit3r.kit.photos.images import save_image
-    from edit3r.kit.rendering import render_one
 
     height, width = cameras.image_size
     step = 1 + math.isqrt(cameras.count * height * width // MOST_KEPT)
     kept = []
     for index in track(range(cameras.count), "views"):
-        view = render_one(rasterizer, gaussians, cameras.select([index]))
+        view = asking.render(rasterizer, gaussians, cameras.select([index]))
         if files:
             save_image(view.images[0, 0].clamp(0, 1), files[index])
         parts = view.given.items()

@@ -14,6 +14,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Rasterizer, SceneToWrite, Writer
 from edit3r.contract.reporting import warn
 from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
+from edit3r.kit import asking
 from edit3r.kit.files.atomic import atomic_folder, atomic_write
 from edit3r.kit.files.names import unique_names
 from edit3r.kit.photos.cameras import PosedCamera, read_cameras, read_scene_cameras
@@ -21,7 +22,7 @@ from edit3r.kit.photos.images import read_image
 from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.kit.scenes.look import camera_file_of, look_at
 from edit3r.kit.scenes.reading import load_scene
-from edit3r.running import RunConfig, write_scene
+from edit3r.running import RunConfig
 
 
 class SavedScene:
@@ -135,7 +136,7 @@ def write_saved(
     """Write a saved scene to `path`, where it appears whole or not at all."""
     scene = saved.for_writer(writer)
     with _in_place(writer, path, overwrite) as partial:
-        write_scene(writer, partial, scene)
+        asking.write(writer, partial, scene)
 
 
 @contextmanager

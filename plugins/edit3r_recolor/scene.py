@@ -20,6 +20,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Segmenter, Selection, Tracks
 from edit3r.contract.reporting import progress, track
 from edit3r.contract.settings import Settings
+from edit3r.kit import asking
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.command.results import write_json
 from edit3r.kit.files.text import parse_json
@@ -165,7 +166,7 @@ def find_regions(
     chosen, rejected = _choose(proposals, size_of(images), settings)
     progress("find objects", 1, 2)
     masks = torch.stack([proposal.soft_mask for proposal in chosen]).to(images)
-    tracks = segmenter.track(images, masks) or _carried(views, masks, segmenter)
+    tracks = asking.track(segmenter, images, masks) or _carried(views, masks, segmenter)
     progress("find objects", 2, 2)
     return _found(chosen, tracks, rejected)
 

@@ -18,10 +18,10 @@ from edit3r.contract.interfaces import Rasterizer, RefineInputs, Refiner
 from edit3r.contract.reporting import note, progress
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras, Gaussians, Rendering
+from edit3r.kit import asking
 from edit3r.kit.compute.layers import one_thread
 from edit3r.kit.geometry.cameras import project
 from edit3r.kit.geometry.warping import warp
-from edit3r.kit.rendering import render_one
 
 # The numbers of this block: docs/notes/simplify.md.
 OPAQUE = 0.5  # a pixel that is less so shows no surface
@@ -87,7 +87,7 @@ def find_floaters(
     elsewhere, shown = before.clone(), []
     for view in range(cameras.count):
         camera = cameras.select([view])
-        rendering = render_one(rasterizer, gaussians, camera)
+        rendering = asking.render(rasterizer, gaussians, camera)
         places, depth = project(
             gaussians.means[0], camera.intrinsics[0, 0], camera.c2w[0, 0]
         )
@@ -105,7 +105,7 @@ def find_floaters(
         return Floaters(floating, 0.0)
     rest = gaussians.select(~floating)
     changed = [
-        _changed(image, render_one(rasterizer, rest, cameras.select([view])))
+        _changed(image, asking.render(rasterizer, rest, cameras.select([view])))
         for view, image in enumerate(shown)
     ]
     return Floaters(floating, sum(changed) / len(changed))
@@ -121,7 +121,7 @@ def _veiling(
     left = candidates.clone()
     for view in range(cameras.count if candidates.any() else 0):
         camera = cameras.select([view])
-        veil = render_one(rasterizer, gaussians.select(candidates), camera).alphas
+        veil = asking.render(rasterizer, gaussians.select(candidates), camera).alphas
         places, depth = project(
             gaussians.means[0], camera.intrinsics[0, 0], camera.c2w[0, 0]
         )

@@ -12,7 +12,9 @@ from torch import Tensor
 
 from edit3r import build, default_registry
 from edit3r.contract.interfaces import Detection, Proposal, Segmenter
+from edit3r.kit import asking
 from edit3r.kit.segmenting import mask_in_box
+from edit3r.kit.weights.find import at_hand
 from edit3r_segmenters.words import coco_classes
 
 DETECTORS = {
@@ -37,7 +39,7 @@ def named(
     detector = _knowing(text)
     if detector is None:
         return None
-    detections = build("detector", detector).detect(image, text)
+    detections = asking.detect(build("detector", detector), image, text)
     height, width = image.shape[-2:]
     found = []
     for one in _distinct(detections)[:MAX_THINGS]:
@@ -49,16 +51,27 @@ def named(
 
 
 def _knowing(text: str) -> str | None:
-    """The first usable detector that knows the words; None: there is none."""
-    for detector in DETECTORS:
-        if usable(detector) and (detector != "coco" or coco_classes(text)):
+    """The first usable detector that knows the words; None: there is none.
+
+    Those that others brought come before NanoDet, which knows 80 words.
+    """
+    best, last = DETECTORS
+    others = (offer.qualified_name for offer in default_registry().offers("detector"))
+    brought = [one for one in others if one.partition(":")[2] not in DETECTORS]
+    for detector in (best, *brought, last):
+        if usable(detector) and (detector != last or coco_classes(text)):
             return detector
     return None
 
 
 def usable(detector: str) -> bool:
     """Whether a detector and its weights are on this machine."""
-    return default_registry().ready("detector", detector, *DETECTORS[detector])
+    registry = default_registry()
+    if detector in DETECTORS:
+        return registry.ready("detector", detector, *DETECTORS[detector])
+    offer = registry.find("detector", detector)
+    ready = all(at_hand(weights) is not None for weights in offer.component.weights)
+    return ready and not registry.missing(offer)
 
 
 def _distinct(detections: Sequence[Detection]) -> list[Detection]:

@@ -24,6 +24,7 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import note, progress
 from edit3r.contract.settings import PartChoice, Settings
+from edit3r.kit import asking
 from edit3r.kit.cache import fingerprint, remembered
 from edit3r.kit.compute.perceptual import IMAGENET_MEAN, IMAGENET_STD
 from edit3r.kit.geometry.maps import size_of
@@ -264,7 +265,7 @@ class Sam2Segmenter(SamSegmenter):
                 ),
                 one.score,
             )
-            for one in self.detector.detect(image, text)
+            for one in asking.detect(self.detector, image, text)
             for x, y, w, h in [one.box]
         )
 

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import SUBJECT, Proposal, Segmenter
+from edit3r.kit import asking
 from edit3r.kit.compute.outlines import soft_edged
 from edit3r_select.cues import Asked, Box, Click, Place, Pool, pixel
 from edit3r_select.marks import Marks
@@ -62,7 +63,7 @@ def answers_of(segmenter: Segmenter, image: Image) -> AnswersMarks:
         before: np.ndarray | None = None,
     ) -> Answer:
         given = None if before is None else torch.from_numpy(before)
-        found = segmenter.masks(image, clicks, box, given)
+        found = asking.masks(segmenter, image, clicks, box, given)
         quality = None if found.quality is None else found.quality.numpy(force=True)
         return found.logits.numpy(force=True), quality
 
@@ -197,7 +198,7 @@ def pool_of(asked: Asked, size: Size, answers: Sequence[Answer]) -> Pool:
 
 def subject_of(segmenter: Segmenter, image: Image) -> tuple[Proposal, ...]:
     """What stands out most, as the segmenter tells; () where it does not know."""
-    return segmenter.words(image, SUBJECT) or ()
+    return asking.words(segmenter, image, SUBJECT) or ()
 
 
 def standing_out(segmenter: Segmenter, image: Image) -> tuple[Proposal, ...]:

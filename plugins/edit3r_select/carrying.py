@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
+from edit3r.kit import asking
 from edit3r.kit.geometry.warping import nearest_views, warp
 from edit3r_select.answering import answered
 from edit3r_select.marks import Marks
@@ -85,7 +86,7 @@ def _followed(
         return {}
     step = 1 if views[0] > source else -1
     way = list(range(source, (max(views) if step > 0 else min(views)) + step, step))
-    tracks = photos.segmenter.track(photos.images[way], mask[None])
+    tracks = asking.track(photos.segmenter, photos.images[way], mask[None])
     if tracks is None:
         return {view: OnPhoto(torch.zeros_like(mask), "not found") for view in views}
     found = {}

@@ -19,6 +19,7 @@ from edit3r.contract.interfaces import (
     Selection,
 )
 from edit3r.contract.reporting import say, warn
+from edit3r.kit import asking
 from edit3r.kit.geometry.warping import warp
 from edit3r.kit.segmenting import automatic_masks
 from edit3r.kit.weights.find import at_hand
@@ -187,7 +188,7 @@ def _text(photos: Photos, selection: Selection, view: int) -> tuple[Proposals, b
     if selection.words == BACKGROUND:
         told: Proposals | None = _background(photos.segmenter, image)
     else:
-        told = photos.segmenter.words(image, selection.words)
+        told = asking.words(photos.segmenter, image, selection.words)
     likely = [one for one in told or () if one.confidence >= FOUND_AT_ALL]
     return tuple(likely), told is not None
 
@@ -395,7 +396,7 @@ def _why_not(photos: Photos, selection: Selection, view: int, known: bool) -> st
         return "nothing says which object is meant"
     if known:
         return f"{words!r} was not found on photo {view + 1}"
-    name = component_name(photos.segmenter.asked)
+    name = component_name(photos.segmenter)
     return f"{words!r} is not a word that segmenter {name!r} knows"
 
 

@@ -8,10 +8,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import Geometry, Reading
+from edit3r.contract.interfaces import Geometry, Reading, Segmenter
 from edit3r.kit.cache import fingerprint
 from edit3r.kit.geometry.warping import surfaces_apart
-from edit3r_select.validated import ValidatedSegmenter
 
 CARRIED = ("geometry", "pictures", "not found")
 """How a mask comes to a photo that has none of its own."""
@@ -61,7 +60,7 @@ class Photos:
     """Photos of one scene, who answers marks on one, and where they were taken."""
 
     images: Float[Tensor, "view 3 height width"]
-    segmenter: ValidatedSegmenter
+    segmenter: Segmenter
     geometry: Geometry | None = None  # batch 1
     intrinsics: Float[Tensor, "1 view 3 3"] | None = None
 

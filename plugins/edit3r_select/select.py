@@ -31,6 +31,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import note, say, warn
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
+from edit3r.kit import asking
 from edit3r_select.answering import answered
 from edit3r_select.carrying import agreed, carried
 from edit3r_select.marks import Marks, marks_on
@@ -45,7 +46,6 @@ from edit3r_select.naming import (
 from edit3r_select.obeying import Point, obeyed, points_of, seen_elsewhere
 from edit3r_select.photos import Found, Mask, Named, OnPhoto, Photos, clean, overlap
 from edit3r_select.sum import SAME
-from edit3r_select.validated import ValidatedSegmenter
 
 INSIDE = 0.95  # share of a part that lies inside of its whole, at least
 CLICKED_SURE = 0.25  # confidence of words that a click lies on, from which they say how far it goes
@@ -87,7 +87,7 @@ def select_masks(
     _check(selection, len(images))
     if geometry is not None and geometry.intrinsics is not None:
         intrinsics = geometry.intrinsics
-    photos = Photos(images, ValidatedSegmenter(segmenter), geometry, intrinsics)
+    photos = Photos(images, segmenter, geometry, intrinsics)
     named = Named() if selection.says_where else looked_up(photos, selection)
     # a thing is found again on other photos, all else is not
     all_else = selection.words == BACKGROUND and not selection.says_where
@@ -275,7 +275,7 @@ def _named_at(
     if not selection.words or not marks.positive or marks.box is not None:
         return None, False
     image, place = photos.images[view], Point(marks.positive[0], True)
-    there = photos.segmenter.words(image, selection.words) or ()
+    there = asking.words(photos.segmenter, image, selection.words) or ()
     for one in there:
         clicked = one.soft_mask[place.pixel(one.soft_mask.shape)] > 0.5
         if clicked and one.confidence >= CLICKED_SURE:

@@ -39,6 +39,7 @@ class TrainCommand(Command):
     def main(self, args: argparse.Namespace) -> int:
         from edit3r import default_registry
         from edit3r.contract.settings import merge
+        from edit3r.kit import asking
         from edit3r.kit.command.results import alone_in, shown_stages
         from edit3r.kit.files.configs import parse_assignments, read_config
         from edit3r_training.job import prepare
@@ -55,7 +56,7 @@ class TrainCommand(Command):
                 values, registry, resume=args.resume, overwrite=args.overwrite
             )
             with alone_in(job.out) if first else nullcontext():
-                best = trainer.train(job)
+                best = asking.train(trainer, job)
         if first:
             print(f"best checkpoint: {best}")
         return 0

@@ -78,22 +78,26 @@ def prepare(
     _check_inside(values.get("out"))
     _check_free(Path(config.out), resume or overwrite)
 
-    def build(kind: str, choice: PartChoice) -> Any:
-        return registry.build(kind, choice.name, **choice.settings)
+    def build(kind: str, choice: PartChoice, where: str = "") -> Any:
+        return registry.build_at(where or kind, kind, choice)
 
     validation, reference = config.validation_data, config.reference
     job = TrainingJob(
         reconstructor=build("reconstructor", config.reconstructor),
         matcher=build("matcher", config.matcher),
         rasterizer=build("rasterizer", config.rasterizer),
-        train_data=build("dataset", config.train_data),
-        validation_data=None if validation is None else build("dataset", validation),
+        train_data=build("dataset", config.train_data, "train_data"),
+        validation_data=None
+        if validation is None
+        else build("dataset", validation, "validation_data"),
         losses={
             name: _loss(registry, name, given) for name, given in config.losses.items()
         },
         out=Path(config.out),
         resume=resume,
-        reference=None if reference is None else build("reconstructor", reference),
+        reference=None
+        if reference is None
+        else build("reconstructor", reference, "reference"),
         config=config.model_dump(mode="json"),
     )
     require_gives(job.rasterizer, config.rasterizer.name, "images", who="training")
@@ -134,4 +138,5 @@ def _loss(registry: Registry, name: str, given: Mapping[str, Any]) -> tuple[floa
         raise SettingsError(
             f"training.losses.{name}.weight: expected a number of at least 0, got {weight!r}."
         )
-    return float(weight), registry.build("loss", name, **settings)
+    choice = PartChoice(name=name, settings=settings)
+    return float(weight), registry.build_at(f"losses.{name}", "loss", choice)

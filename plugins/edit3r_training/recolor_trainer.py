@@ -27,6 +27,7 @@ from edit3r.contract.errors import SettingsError
 from edit3r.contract.interfaces import LossInputs, SceneSample, Trainer, TrainingJob
 from edit3r.contract.settings import Index, NonNegative, Share
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering
+from edit3r.kit import asking
 from edit3r.kit.reconstructing import WithMatcher
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import TrainingBatch, Unit, make_batch
@@ -167,7 +168,8 @@ class RecolorRecipe(Recipe):
     def _sample(self, index: int, step: int) -> SceneSample:
         """One sample, as hard as it should be at that step."""
         steps = self.settings.steps * self.settings.accumulate
-        return self.job.train_data.at_progress(index, step / steps)
+        data = self.job.train_data
+        return asking.sample(data, lambda: data.at_progress(index, step / steps))
 
     def _terms(self, batch: TrainingBatch, step: int) -> dict[str, Tensor]:
         """All weighted terms of the objective by name."""
@@ -209,12 +211,12 @@ class RecolorRecipe(Recipe):
         shown = gaussians.without_view(0) if dropped else gaussians
         first = int(dropped) if chosen.render_context else batch.source.count
         cameras, wished, depths = _supervised_views(batch, first)
-        drawn = self.job.rasterizer.render(shown, cameras)
+        drawn = asking.render(self.job.rasterizer, shown, cameras)
 
         def render(wanted: Cameras) -> Rendering:
             if wanted is cameras:
                 return drawn
-            return self.job.rasterizer.render(shown, wanted)
+            return asking.render(self.job.rasterizer, shown, wanted)
 
         inputs = LossInputs(
             rendered=drawn.images,
@@ -226,8 +228,10 @@ class RecolorRecipe(Recipe):
             render=render,
             geometry=batch.geometry,
         )
-        losses = self.job.losses
-        return {name: weight * loss(inputs) for name, (weight, loss) in losses.items()}
+        return {
+            name: weight * asking.loss(loss, inputs)
+            for name, (weight, loss) in self.job.losses.items()
+        }
 
 
 def _supervised_views(
@@ -273,9 +277,11 @@ class GeometricReference:
     @staticmethod
     def of_start(job: TrainingJob) -> "GeometricReference":
         """The job's reference, frozen, or a copy of the network where losses need one."""
-        frozen = job.reference
-        if frozen is None and job.losses and job.train_data[0].context_depths is None:
-            frozen = copy.deepcopy(job.reconstructor)
+        frozen, data = job.reference, job.train_data
+        if frozen is None and job.losses:
+            first = asking.sample(data, partial(data.__getitem__, 0))
+            if first.context_depths is None:
+                frozen = copy.deepcopy(job.reconstructor)
         if frozen is not None and frozen.network is not None:
             network = job.reconstructor.network
             assert network is not None  # the recipe has asked

@@ -19,6 +19,7 @@ from torch import Tensor
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import Geometry, Matcher, SceneSample
 from edit3r.contract.types import Views
+from edit3r.kit import asking
 from edit3r.kit.compute.layers import weighted_smooth
 from edit3r.kit.geometry.cameras import project, unproject
 
@@ -70,9 +71,8 @@ def simulate_match(sample: SceneSample, rng: np.random.Generator) -> SimulatedMa
 def really_match(sample: SceneSample, matcher: Matcher) -> SimulatedMatch | None:
     """The matcher's answer for the sample's context views; None where it does not place all."""
     try:
-        geometry = matcher.match(
-            Views(sample.context[None], sample.context_cameras.intrinsics)
-        )
+        views = Views(sample.context[None], sample.context_cameras.intrinsics)
+        geometry = asking.find_geometry(matcher, views)
     except MatchingError:
         return None
     matched, true = (

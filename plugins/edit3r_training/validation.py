@@ -1,6 +1,7 @@
 """What a network does with held-out scenes, measured, and shown on a sheet of images."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -9,6 +10,7 @@ from edit3r.contract import reporting
 from edit3r.contract.errors import MatchingError, SettingsError
 from edit3r.contract.interfaces import Dataset, TrainingJob
 from edit3r.contract.types import Reconstruction
+from edit3r.kit import asking
 from edit3r.kit.photos.images import save_image
 from edit3r.kit.reconstructing import WithMatcher
 from edit3r_training.asymmetric_inputs import RegimeShares
@@ -86,9 +88,10 @@ def _novel(
         raise SettingsError(
             "trainer.score: renderings need held-out scenes with novel views; give them targets."
         )
-    rendered = job.rasterizer.render(
-        reconstruction.gaussians, batch.target_cameras
-    ).images
+    drawn = asking.render(
+        job.rasterizer, reconstruction.gaussians, batch.target_cameras
+    )
+    rendered = drawn.images
     error = float((rendered - batch.target).square().mean())
     return {"novel": error, "score": error}
 
@@ -105,7 +108,8 @@ def held_out_batches(
     batches = []
     for start in range(0, min(len(data), MOST_SCENES) // size * size, size):
         generators = [step_generator(SEED, 0, start + slot) for slot in range(size)]
-        samples = [data[start + slot] for slot in range(size)]
+        indices = range(start, start + size)
+        samples = [asking.sample(data, partial(data.__getitem__, i)) for i in indices]
         batches.append(make_batch(samples, shares, generators, unit, match))
     return batches
 

@@ -57,7 +57,7 @@ def by_chance(verdict, _):
 
 
 EDIT = "test_an_edit_is_judged_in_2d_and_again_in_3d"
-FIGURES = "test_figures_of_an_edit_are_numbers_that_a_file_can_hold"
+FIGURES = "test_an_edit_is_judged_in_2d_and_again_in_3d"
 NOTHING = "test_an_edit_that_changed_nothing_is_doubtful"
 ENTRIES = "test_a_verdict_has_an_entry_for_each_photo"
 WORSE = "test_a_scene_that_shows_other_pictures_is_worse"
@@ -66,18 +66,18 @@ CASES = {
     "a word": ({"edit": lambda *_: "good"}, EDIT, "must return"),
     "a label of its own": ({"edit": saying(label="fine")}, EDIT, "label an edit good"),
     "no reason": ({"edit": saying(reason="")}, EDIT, "say why"),
-    "masks always": ({"edit": needs_masks}, EDIT, "judge_edit() raised"),
-    "3D at once": ({"edit": needs_3d}, EDIT, "judge_edit() raised"),
+    "masks always": ({"edit": needs_masks}, EDIT, "raised AttributeError"),
+    "3D at once": ({"edit": needs_3d}, EDIT, "raised AttributeError"),
     "a list of figures": ({"edit": saying(measures=[1])}, FIGURES, "return dict"),
     "a tensor": (
         {"edit": saying(measures={"changed": torch.ones(())})},
         FIGURES,
-        "do not go into run.json",
+        "that go into run.json",
     ),
     "not a number": (
         {"edit": saying(measures={"changed": float("nan")})},
         FIGURES,
-        "do not go into run.json",
+        "that go into run.json",
     ),
     "praise for nothing": (
         {"edit": saying(label="good")},
@@ -85,31 +85,31 @@ CASES = {
         "call them doubtful",
     ),
     "a scene's label": ({"scene": saying(label="fine")}, ENTRIES, "label a scene good"),
-    "geometry always": ({"scene": needs_geometry}, ENTRIES, "judge_scene() raised"),
+    "geometry always": ({"scene": needs_geometry}, ENTRIES, "raised AttributeError"),
     "all placed": (
         {"scene": saying(placed=(True, True, True))},
         ENTRIES,
-        "hand on that of the scene",
+        "hand on `placed` of the scene",
     ),
     "the placed ones alone": (
         {"scene": saying(input_psnr=(30.0, 30.0))},
         ENTRIES,
-        "one entry for each of 3 photos",
+        "for each of 3 photos",
     ),
     "0 for what is not known": (
         {"scene": saying(filled=(0.0, 0.0, 0.0))},
         ENTRIES,
-        "return None where nothing is known",
+        "None where nothing is known",
     ),
     "infinite": (
         {"scene": saying(agreement=(float("inf"), None, 30.0))},
         ENTRIES,
-        "return None where nothing is known",
+        "None where nothing is known",
     ),
     "percent": (
         {"scene": saying(coverage=(93.0, None, 97.0))},
         ENTRIES,
-        "in [0, 1]",
+        "return coverage as a share",
     ),
     "praise for all": (
         {"scene": saying(label="good")},

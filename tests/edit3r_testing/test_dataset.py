@@ -55,31 +55,35 @@ def in_the_world(me, sample):
     )
 
 
-SHAPES, FRAME = "test_shapes_and_ranges", "test_cameras_are_in_the_frame_of_view_0"
+SHAPES, FRAME = "test_samples_are_valid", "test_samples_are_valid"
 SAME, END = (
     "test_the_same_index_gives_the_same_sample",
     "test_an_index_beyond_the_end_is_an_index_error",
 )
 CASES = {
     "no samples": ({"count": 0}, "test_has_samples", "nothing could be trained on it"),
-    "dictionaries": ({"spoil": lambda me, s: vars(s)}, SHAPES, "return SceneSample"),
+    "dictionaries": (
+        {"spoil": lambda me, s: vars(s)},
+        SHAPES,
+        "interfaces.SceneSample, got dict",
+    ),
     "8-bit values": (
         {"spoil": lambda me, s: dim(s, 255)},
         SHAPES,
-        "divide 8-bit images by 255",
+        "return context in [0, 1]",
     ),
     "depths of another size": (
         {"spoil": lambda me, s: replace(s, context_depths=s.context_depths[..., ::2])},
         SHAPES,
-        "return [2, 48, 64]",
+        "of shape [2, 48, 64]",
     ),
     "masks of other objects": (
         {"spoil": lambda me, s: replace(s, target_masks=s.target_masks[:1])},
         SHAPES,
-        "sample.target_masks has shape",
+        "return target_masks of shape",
     ),
-    "pixel intrinsics": ({"spoil": in_pixels}, FRAME, "intrinsics are normalised"),
-    "world poses": ({"spoil": in_the_world}, FRAME, "relative_to_first"),
+    "pixel intrinsics": ({"spoil": in_pixels}, FRAME, "normalise the focal lengths"),
+    "world poses": ({"spoil": in_the_world}, FRAME, "in the frame of context view 0"),
     "random": (
         {"spoil": lambda me, s: dim(s, torch.rand(1))},
         SAME,
@@ -93,7 +97,7 @@ CASES = {
     "an open file": (
         {"keep": (i for i in [])},
         "test_survives_pickling",
-        "must handle this input",
+        "raised TypeError",
     ),
     "endless": ({"bound": False}, END, "iteration would never end"),
     "a key error": ({"spoil": None, "count": 7}, END, "raise IndexError"),

@@ -25,23 +25,23 @@ IN_RANGE, BLANK = (
 )
 CASES = {
     "a list": ([GOOD], IN_RANGE, "return tuple"),
-    "a tuple of boxes": (((1, 2, 3, 4),), IN_RANGE, "return Detection"),
+    "a tuple of boxes": (((1, 2, 3, 4),), IN_RANGE, "interfaces.Detection, got tuple"),
     "a percentage": (
         (Detection("ball", 70, (1, 1, 2, 2)),),
         IN_RANGE,
-        "allowed is [0, 1]",
+        "return score in [0, 1], got 70",
     ),
     "a box of corners": (
         (Detection("ball", 0.7, (90, 60, 96, 70)),),
         IN_RANGE,
-        "(x, y, w, h) in pixels",
+        "(x, y, width, height) in pixels",
     ),
     "worst first": (
         (Detection("ball", 0.1, (1, 1, 2, 2)), GOOD),
         IN_RANGE,
         "return the best first",
     ),
-    "an error on nothing": (None, BLANK, "must handle this input"),
+    "an error on nothing": (None, BLANK, "raised ZeroDivisionError"),
 }
 
 

@@ -90,7 +90,7 @@ CASES = {
     "two views at most": (
         at_most_two_views,
         "test_any_number_of_views_and_scenes",
-        "must handle this input",
+        "raised IndexError",
     ),
     "one view lost": (
         lambda v, r, a: a.select(range(1)),
@@ -105,12 +105,12 @@ CASES = {
     "writes into the photos": (
         brightened_in_place,
         "test_leaves_its_inputs_alone",
-        "work on a copy",
+        "clone it first",
     ),
     "refuses masks": (
         refuses_masks,
         "test_pixels_outside_the_masks_stay_after_the_composite",
-        "must handle this input",
+        "raised AssertionError",
     ),
 }
 

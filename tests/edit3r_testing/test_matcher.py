@@ -55,23 +55,23 @@ CASES = {
     "depths of 0": (
         {"spoil": lambda g: replace(g, depths=g.depths * 0)},
         VALID,
-        "fill in where nothing matched",
+        "return depths above 0, got 0",
     ),
     "confidence beyond 1": (
         {"spoil": lambda g: replace(g, confidence=g.confidence * 5)},
         VALID,
-        "scale it",
+        "return confidence in [0, 1]",
     ),
     "world coordinates": ({"spoil": shifted}, VALID, "in the frame of view 0"),
     "view 0 not placed": (
         {"spoil": lambda g: replace(g, registered=torch.zeros_like(g.registered))},
         VALID,
-        "view 0 is not registered",
+        "place view 0 and another one",
     ),
     "a tuple": (
         {"spoil": lambda g: (g.c2w, g.depths)},
         VALID,
-        "return Geometry",
+        "interfaces.Geometry, got tuple",
     ),
     "a wrong rotation": ({"spoil": turned}, PLACED, "the rotation is off by"),
     "flat depths": (

@@ -48,17 +48,17 @@ SHAPE, BATCH, GRADIENT = (
     "test_gradients_are_finite",
 )
 BACKBONES = {
-    "a tuple": (lambda i, f: f.levels, SHAPE, "return Features"),
-    "two views only": (two_views_only, SHAPE, "must handle this input"),
+    "a tuple": (lambda i, f: f.levels, SHAPE, "types.Features, got tuple"),
+    "two views only": (two_views_only, SHAPE, "raised ValueError: expected 2 views"),
     "a level too few": (
         lambda i, f: Features(f.levels[1:], f.grid),
         SHAPE,
-        "return one per width",
+        "as feature_widths say",
     ),
     "other widths": (
         lambda i, f: levels(f, lambda x: x[..., :5]),
         SHAPE,
-        "return [1, 2, 6, 12]",
+        "as feature_widths say",
     ),
     "half precision": (
         lambda i, f: levels(f, torch.Tensor.half),
@@ -68,7 +68,7 @@ BACKBONES = {
     "a grid turned over": (
         lambda i, f: Features(f.levels, f.grid[::-1]),
         SHAPE,
-        "(height, width) // patch_size",
+        "return grid (2, 3) for patches of 16, got (3, 2)",
     ),
     "batch statistics": (
         lambda i, f: levels(f, lambda x: x - x.mean()),
@@ -102,11 +102,10 @@ HEADS = {
         VALID,
         "return scales above 0",
     ),
-    "raw quaternions": (lambda g: replace(g, quats=g.quats * 3), VALID, "F.normalize"),
     "a Gaussian too few": (
         lambda g: g.select(torch.arange(g.count - 1)),
         VALID,
-        "return 1 each",
+        "1 (per_pixel) of each pixel",
     ),
     "no view numbers": (
         lambda g: replace(g, view_index=None),

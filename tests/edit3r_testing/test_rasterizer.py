@@ -89,7 +89,7 @@ CASES = {
     "alphas beyond 1": (
         {"answer": lambda r: replace(r, alphas=r.alphas * 3)},
         RANGE,
-        "1 minus the transmittance",
+        "return alphas in [0, 1]",
     ),
     "negative colours": (
         {"answer": lambda r: replace(r, images=r.images - 1)},
@@ -125,7 +125,7 @@ CASES = {
     "no empty scene": (
         {"scene": no_empty_scene},
         "test_empty_scene_shows_the_background",
-        "must handle this input",
+        "raised IndexError",
     ),
     "alphas of nothing": (
         {"answer": lambda r: replace(r, alphas=r.alphas + 0.1)},
@@ -157,7 +157,7 @@ CASES = {
             )
         },
         GRADIENT,
-        "carries no gradient",
+        "render differentiably",
     ),
 }
 

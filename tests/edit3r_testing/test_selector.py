@@ -85,13 +85,21 @@ PHOTO, WORDS = (
 TWICE = "test_same_marks_give_the_same_masks"
 ALONE = "test_leaves_its_inputs_alone"
 CASES = {
-    "a tuple": ({"answer": lambda found, *_: (found,)}, CLICK, "return Selected"),
+    "a tuple": (
+        {"answer": lambda found, *_: (found,)},
+        CLICK,
+        "interfaces.Selected, got tuple",
+    ),
     "masks without a channel": (
         {"answer": masks(lambda m: m[:, 0])},
         CLICK,
-        "return [3, 1, 72, 96]",
+        "of shape [3, 1, 72, 96]",
     ),
-    "logits": ({"answer": masks(lambda m: 8 * m - 4)}, CLICK, "not logits"),
+    "logits": (
+        {"answer": masks(lambda m: 8 * m - 4)},
+        CLICK,
+        "return masks in [0, 1], got -4 to 4",
+    ),
     "nothing": ({"answer": masks(torch.zeros_like)}, CLICK, "is not selected"),
     "the second click unheard": (
         {"answer": masks(torch.ones_like)},
@@ -113,11 +121,15 @@ CASES = {
         CLICK,
         "raised KeyError",
     ),
-    "one word for all": ({"answer": ways(lambda h: h[:1])}, HOW, "one for each photo"),
+    "one word for all": (
+        {"answer": ways(lambda h: h[:1])},
+        HOW,
+        "how it was found on each view",
+    ),
     "a word of its own": (
         {"answer": ways(lambda h: ("lasso", *h[1:]))},
         HOW,
-        "one for each photo",
+        "how it was found on each view",
     ),
     "an empty mask as marked": ({"answer": masks(lost)}, HOW, '"not found" where'),
     "photo 1 alone": ({"answer": masks(lost)}, CARRY, "overlaps by 0%"),
@@ -163,7 +175,7 @@ CASES = {
         TWICE,
         "seed what is random",
     ),
-    "writing": ({"answer": write_into}, ALONE, "work on a copy"),
+    "writing": ({"answer": write_into}, ALONE, "clone it first"),
 }
 
 

@@ -28,11 +28,15 @@ class Pretending(Trainer):
 
 TRAINS, RESUMES = "test_trains_and_returns_the_folder_of_a_checkpoint", "test_resumes"
 CASES = {
-    "a text": ({"folder": "text"}, TRAINS, "return Path"),
-    "another place": ({"folder": "../elsewhere"}, TRAINS, "write nothing elsewhere"),
-    "no checkpoint": ({"save": False}, TRAINS, "save a checkpoint there"),
+    "a text": ({"folder": "text"}, TRAINS, "return pathlib.Path, got str"),
+    "another place": (
+        {"folder": "../elsewhere"},
+        TRAINS,
+        "of a checkpoint in job.out, got elsewhere",
+    ),
+    "no checkpoint": ({"save": False}, TRAINS, "of a checkpoint in job.out, got last"),
     "no training": ({"move": False}, TRAINS, "step the optimiser"),
-    "no resuming": ({"resume": False}, RESUMES, "must handle this input"),
+    "no resuming": ({"resume": False}, RESUMES, "raised FileExistsError"),
 }
 
 

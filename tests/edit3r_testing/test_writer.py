@@ -64,8 +64,8 @@ CASES = {
     "another error": (lambda path, scene: 1 / 0, GIVEN, "ZeroDivisionError"),
     "a file more": (beside, GIVEN, "leaves scene.log beside"),
     "chance": (by_chance, SAME, "other bytes the second time (scene.txt)"),
-    "a refusal": (only_plain_colours, DEGREE, "degree 4 is not written: harmonics"),
-    "a need that it hides": (of_the_cameras, NEEDS, "only the Gaussians are known"),
+    "a refusal": (only_plain_colours, DEGREE, "refused what it must handle: harmonics"),
+    "a need that it hides": (of_the_cameras, NEEDS, "raised AttributeError"),
     "writing into its input": (in_place, INPUTS, "work on a copy"),
 }
 
@@ -94,5 +94,5 @@ def test_a_writer_may_need_all_that_a_scene_may_have():
     Bound().test_needs_what_it_says_and_no_more()
     least = SceneToWrite(Bound().scene_to_write().gaussians)
     told = "spoiled needs cameras and names and"
-    with pytest.raises(ContractViolation, match=told), Bound().written(least, "it"):
+    with pytest.raises(ContractViolation, match=told), Bound().written(least):
         pass

@@ -13,7 +13,12 @@ from PIL import Image
 pytestmark = pytest.mark.slow
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-PACKAGES = {"edit3r-sepia": "sepia", "edit3r-program": "program", "edit3r-ffgs": "ffgs"}
+PACKAGES = {
+    "edit3r-sepia": "sepia",
+    "edit3r-program": "program",
+    "edit3r-ffgs": "ffgs",
+    "edit3r-vggt": "vggt",
+}
 """Each package and the component it brings."""
 
 

@@ -42,7 +42,7 @@ class Loss(Configured, ABC):
 
     @abstractmethod
     def __call__(self, inputs: LossInputs) -> Float[Tensor, ""]:
-        """A finite scalar, 0 at the target."""
+        """A finite scalar, least at the target; a rule of the scene alone compares with none."""
 
 
 @dataclass(frozen=True)

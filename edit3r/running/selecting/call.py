@@ -21,6 +21,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.torch_state import in_usual_torch
 from edit3r.contract.types import Views
+from edit3r.kit import asking
 from edit3r.kit.cache import Cache, using
 from edit3r.kit.photos.images import load_photos
 from edit3r.kit.photos.in_memory import Pictures
@@ -81,7 +82,8 @@ def select_with(
     _check_masks(views, selection)
     geometry = None if matcher is None else geometry_of(matcher, views)
     scenes = [
-        selector.select(
+        asking.select(
+            selector,
             views.scene(index),
             selection,
             None if geometry is None else geometry.scene(index),

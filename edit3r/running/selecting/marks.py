@@ -12,6 +12,7 @@ from edit3r.contract.errors import InputError
 from edit3r.contract.instructions import Target
 from edit3r.contract.interfaces import Box, Reader, Selection
 from edit3r.contract.lens import Lens
+from edit3r.kit import asking
 from edit3r.kit.photos.framing import Frame
 from edit3r.kit.photos.images import LoadedPhotos
 from edit3r.kit.photos.masks import load_masks, masks_by_photo, read_mask
@@ -83,7 +84,7 @@ class MarkTexts:
         """The thing in words, with a name to look for; without words one without a name."""
         if not self.thing.strip():
             return Target()
-        thing = (reader or usual_reader()).read_target(self.thing)
+        thing = asking.read_target(reader or usual_reader(), self.thing)
         scope = {"whole": "everything"}.get(thing.scope, thing.scope)
         return replace(thing, name=thing.name or scope)
 

@@ -30,7 +30,7 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import note, say, warn
 from edit3r.contract.types import Views
-from edit3r.kit.checks import check_selected, errors_named_after
+from edit3r.kit import asking
 from edit3r.kit.geometry.maps import dilate
 from edit3r.running.selecting.near_colour import near_colour
 
@@ -298,9 +298,7 @@ class RegionFinder:
             given = _as_given(selection, self._views.images[0])
             if given is None:
                 selector = self._selector()
-                with errors_named_after(selector, self._views.images):
-                    given = selector.select(self._views, selection, geometry)
-                check_selected(selector, self._views, given)
+                given = asking.select(selector, self._views, selection, geometry)
             called = selection.words if thing is None else str(thing)
             self._found[key] = replace(given, called=called)
         return self._found[key]

@@ -8,9 +8,9 @@ from torch import Tensor
 
 from edit3r.contract.interfaces import Editor, EditsRegions
 from edit3r.contract.reporting import note, say, stage, warn
-from edit3r.contract.types import EditRequest, Views
+from edit3r.contract.types import Views
 from edit3r.contract.verdicts import EditVerdict
-from edit3r.kit.checks import check_edit, check_edit_verdict, errors_named_after
+from edit3r.kit import asking
 from edit3r.kit.geometry.maps import composite, feathered
 from edit3r.running.components import Components
 from edit3r.running.edit_alignment import AlignedEdit, align_edit
@@ -44,7 +44,7 @@ def edit_alone(
         instructions = range(done, done + len(task.instructions))
         request = request_of(task, selection, config.seed, instructions)
         request = request.of_views(range(count))
-        answer = _answer(task.editor, edited, request)
+        answer = asking.edit(task.editor, edited, request)
         if config.moved_edits == "undo":
             aligned = _in_place(edited, answer, request.masks)
             faults += aligned.faults
@@ -87,19 +87,10 @@ def _verdict(
         return None
     count = components.edited_count(inputs.start)
     asked = edit_to_judge(inputs, selection, edited, components.tasks, count)
-    verdict = components.critic.judge_edit(asked)
-    check_edit_verdict(components.critic, verdict)
+    verdict = asking.judge_edit(components.critic, asked)
     if verdict.label == "doubtful":
         warn(f"the edit is doubtful: {verdict.reason}.")
     return verdict
-
-
-def _answer(editor: Editor, views: Views, request: EditRequest) -> Views:
-    """The editor's answer, held to its contract."""
-    with errors_named_after(editor, views.images):
-        answer = editor.edit(views, request)
-    check_edit(editor, views, answer)
-    return answer
 
 
 def _in_place(views: Views, answer: Views, masks: Tensor | None) -> AlignedEdit:

@@ -21,10 +21,10 @@ from edit3r.contract.types import (
     Views,
 )
 from edit3r.contract.verdicts import EditVerdict
-from edit3r.kit.checks import check_edit_verdict, check_verdict
+from edit3r.kit import asking
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.paths import half_way
-from edit3r.kit.rendering import render_each, render_one
+from edit3r.kit.rendering import render_each
 from edit3r.running.components import Components
 from edit3r.running.editors import edit_to_judge
 from edit3r.running.records import (
@@ -68,7 +68,8 @@ def judge(
         if located.geometry is not None and inputs.scene is None:
             used, drawn_by = reconstructed.used, components.rasterizer
             reference = _reference(located.geometry, used, edit.views, drawn_by)
-        verdict = components.critic.judge_scene(
+        verdict = asking.judge_scene(
+            components.critic,
             SceneToJudge(
                 photos=reconstructed.photos,
                 placed=reconstructed.placed,
@@ -85,9 +86,8 @@ def judge(
                 half_way=half,
                 reference=reference,
                 components=_named(components),
-            )
+            ),
         )
-        check_verdict(components.critic, verdict)
         made = reconstructed.reconstruction
         if inputs.scene is not None and made.kept is not None:
             told = _compared(inputs.scene, made)
@@ -152,7 +152,7 @@ def _reference(
     opacities = torch.full_like(depths, 0.95)
     pixels = pixels_to_gaussians(views.images, depths, cameras, scales, opacities)
     return Reference(
-        first=render_one(rasterizer, pixels.from_view(0), cameras.select([0])),
+        first=asking.render(rasterizer, pixels.from_view(0), cameras.select([0])),
         depths=depths[0, 0],
         half_way=seen_half_way(rasterizer, pixels, cameras) if len(used) > 1 else None,
     )
@@ -192,11 +192,8 @@ def _edit_verdict(
         return None
     count = components.edited_count(inputs.start)
     asked = edit_to_judge(inputs, selection, edit, components.tasks, count)
-    verdict = components.critic.judge_edit(
-        replace(asked, rendered=rendered, cameras=cameras, half_way=half)
-    )
-    check_edit_verdict(components.critic, verdict)
-    return verdict
+    whole = replace(asked, rendered=rendered, cameras=cameras, half_way=half)
+    return asking.judge_edit(components.critic, whole)
 
 
 def seen_half_way(

@@ -13,8 +13,8 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import note, stage, warn
 from edit3r.contract.types import Cameras, Reconstruction, Views
+from edit3r.kit import asking
 from edit3r.kit.cache import recall
-from edit3r.kit.checks import check_reconstruction, errors_named_after
 from edit3r.kit.geometry.cameras import quarter_turns
 from edit3r.kit.geometry.pose import estimate_cameras
 from edit3r.running.components import Components
@@ -121,9 +121,7 @@ def _checked(
     """The answer, held to the contract, with cameras by PnP where it predicts none, and without
     what could not be placed.
     """
-    with errors_named_after(recon, views.images):
-        reconstruction = compute()
-    check_reconstruction(recon, views, reconstruction)
+    reconstruction = asking.reconstruct(recon, views, compute)
     if reconstruction.cameras is None:
         note("cameras", "PnP on the predicted Gaussian centres")
         per_pixel = reconstruction.per_pixel

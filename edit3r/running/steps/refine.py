@@ -6,9 +6,10 @@ from edit3r.contract.component import component_name
 from edit3r.contract.interfaces import ComparesWithBefore, RefineInputs, Refiner
 from edit3r.contract.reporting import say, stage
 from edit3r.contract.types import Gaussians, Views
-from edit3r.kit.checks import check_refinement, errors_named_after
+from edit3r.kit import asking
 from edit3r.kit.compute.layers import bilinear
 from edit3r.kit.geometry.maps import composite
+from edit3r.kit.rendering import CheckedRasterizer
 from edit3r.running.components import Components
 from edit3r.running.records import ExposureCorrected, Reconstructed
 
@@ -40,7 +41,7 @@ def refine(
         views=corrected.edited.select([0])
         if first_alone
         else _as_fused(corrected.edited, reconstructed),
-        rasterizer=components.rasterizer,
+        rasterizer=CheckedRasterizer(components.rasterizer),
         masks=reconstructed.masks,
         before=None if reconstructed.before is None else reconstructed.before.gaussians,
         seed=components.config.seed,
@@ -57,10 +58,8 @@ def refine(
 
 
 def _refined(refiner: Refiner, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
-    with stage(component_name(refiner)), errors_named_after(refiner):
-        answer = refiner(gaussians, inputs)
-    check_refinement(refiner, gaussians, answer)
-    return answer
+    with stage(component_name(refiner)):
+        return asking.refine(refiner, gaussians, inputs)
 
 
 def _as_fused(edited: Views, reconstructed: Reconstructed) -> Views:

@@ -20,6 +20,7 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.reporting import Report, collecting, stage, warn
 from edit3r.contract.types import Views
+from edit3r.kit import asking
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.components import Components
 from edit3r.running.geometry import NOT_ASKED, GeometryAnswer, find_geometry
@@ -78,7 +79,7 @@ def require_answer(
         if not thing.knows_words or (by_words and confidence < ASKED):
             numbers = " or ".join(f"--reading {one.number}" for one in thing.readings)
             hints = "".join(
-                components.reader.hint(one) for one in selection.instructions
+                asking.hint(components.reader, one) for one in selection.instructions
             )
             raise QuestionError(
                 f"which is the {thing.called or 'thing'}? The likeliest candidate has a confidence "
@@ -159,7 +160,7 @@ def _regions(
 
     def hints() -> str:
         """What the reader of the sentence advises, such as "Did you mean 'bear'?"."""
-        return "".join(components.reader.hint(one) for one in instructions)
+        return "".join(asking.hint(components.reader, one) for one in instructions)
 
     geometry = _geometry(inputs.photos, located.answer, components)
     try:
@@ -196,7 +197,7 @@ def _widened(
     )
     regions = torch.cat(
         [
-            task.editor.widened(region, inputs.start.images)
+            asking.widened(task.editor, region, inputs.start.images)
             for task, region in zip(components.tasks, of_tasks)
         ]
     )

@@ -274,7 +274,8 @@ def test_whoever_edits_by_a_model_may_leave_most_of_it(good):
     hat = replace(
         half_done(good), instructions=(Instruction("other", Target("marked")),)
     )
-    assert LimitsCritic(None).judge_edit(hat).label == "good"
+    verdict = LimitsCritic(None).judge_edit(hat)
+    assert verdict.label == "good" and "as asked, no signal tells" in verdict.reason
     none = judged(hat, after=hat.before)
     assert "did not change" in LimitsCritic(None).judge_edit(none).reason
 
@@ -335,3 +336,11 @@ def test_what_lies_in_the_shade_is_painted_too(good):
     done = torch.stack([square(left) for left in LEFTS]) * (shade == 1)
     edit = judged(good, before=views(before), after=views(over(before, RED, done)))
     assert measured(edit)["unchanged"] > fitted_limits("edit")["unchanged"]
+
+
+def test_outlines_on_two_photos_may_lie_a_rim_apart(good):
+    def shared(apart):
+        masks = torch.stack([square(LEFTS[0]), square(LEFTS[1] + apart)])
+        return measured(replace(good, masks=masks[None]))["shared"]
+
+    assert shared(0) == shared(2) == 1 and shared(8) < 0.9

@@ -80,3 +80,11 @@ def test_of_further_answers_those_that_agree_count():
 def test_an_empty_mask_shows_its_size_and_quality_alone():
     empty = table(pool(masks=(DISC, np.zeros_like(DISC))))[1]
     assert {name for name, value in zip(CUES, empty) if value} <= {*OF_ANY_SIZE}
+
+
+def test_what_other_photos_do_not_tell_of_counts_for_nothing():
+    told = Asked((CENTRE,), expected=LEFT, known=COLUMNS < 60)
+    whole, part, photo, _ = CUES["expected"](pool(told))
+    assert whole == part == 1 > photo
+    everywhere = Asked((CENTRE,), expected=LEFT, known=ALL)
+    assert CUES["expected"](pool(everywhere))[0] == LEFT.sum() / DISC.sum()

@@ -4,7 +4,6 @@ import pytest
 import torch
 from edit3r_select.naming import SURER, UNCONFIRMED, looked_up
 from edit3r_select.photos import Photos
-from edit3r_select.validated import ValidatedSegmenter
 
 from edit3r.contract.interfaces import (
     SUBJECT,
@@ -53,7 +52,7 @@ class FromOnePlace(Photos):
 def photos(sees, *found):
     count = len(found)
     images = torch.arange(count).view(count, 1, 1, 1).expand(count, 3, 16, 16).float()
-    made = FromOnePlace(images, ValidatedSegmenter(Finds(*found)))
+    made = FromOnePlace(images, Finds(*found))
     object.__setattr__(made, "sees", sees)
     return made
 

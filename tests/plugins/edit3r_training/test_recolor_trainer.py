@@ -25,6 +25,7 @@ from edit3r.contract.interfaces import (
     TrainingJob,
 )
 from edit3r.contract.reporting import Report, collecting, warn
+from edit3r.contract.types import Rendering
 from edit3r.kit.geometry.cameras import scale_poses
 from edit3r.loading.registry import build
 from edit3r_testing import TrainerContract
@@ -227,6 +228,7 @@ class _Spy:
 
     def __init__(self, job: TrainingJob, **settings) -> None:
         self.uses_geometry = job.reconstructor.uses_geometry
+        self.gives = job.rasterizer.gives
         self.reconstructor, self.rasterizer, self.network = (
             job.reconstructor,
             job.rasterizer,
@@ -331,9 +333,9 @@ def test_a_training_begun_anew_leaves_no_checkpoint_of_the_one_before(tmp_path):
 
     class Killed:
         def __call__(self, inputs):
-            raise SystemExit
+            raise KeyboardInterrupt
 
-    with pytest.raises(SystemExit):
+    with pytest.raises(KeyboardInterrupt):
         _trainer(steps=2, render_every=1).train(
             replace(tiny_job(tmp_path), losses={"killed": (1.0, Killed())})
         )
@@ -466,12 +468,14 @@ def test_the_score_of_renderings_is_their_error_to_the_edited_novel_views(tmp_pa
     (batch,) = batches
 
     class Answer:
+        gives = ("images",)
+
         def __init__(self, images) -> None:
             self.images = images
 
         def render(self, gaussians, cameras):
             assert torch.equal(cameras.c2w, batch.target_cameras.c2w)
-            return self
+            return Rendering(self.images)
 
     def score(images) -> float:
         drawn = replace(job, rasterizer=Answer(images))

@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_select.validated import ValidatedSegmenter
 
-from edit3r.contract.component import component_name
 from edit3r.contract.errors import PluginError
 from edit3r.contract.interfaces import MaskLogits, Proposal, Segmenter, Tracks
+from edit3r.kit import asking
 
 IMAGES = torch.rand(2, 3, 8, 12)
 MASK = torch.eye(8, 12)
@@ -43,9 +42,9 @@ class Spoils(Answers):
 
 
 ASKED = {
-    "masks": lambda checked: checked.masks(IMAGES[0], CLICK),
-    "words": lambda checked: checked.words(IMAGES[0], "box"),
-    "track": lambda checked: checked.track(IMAGES, MASK[None]),
+    "masks": lambda one: asking.masks(one, IMAGES[0], CLICK),
+    "words": lambda one: asking.words(one, IMAGES[0], "box"),
+    "track": lambda one: asking.track(one, IMAGES, MASK[None]),
 }
 OF = "edit3r.contract.interfaces."
 
@@ -65,7 +64,7 @@ def named(**changes):
         ("words", named(soft_mask=MASK[:6]), r"shape \[8, 12\], got \[6, 12\]"),
         ("words", named(soft_mask=MASK.double()), "float32, got torch.float64"),
         ("words", named(soft_mask=255 * MASK), r"in \[0, 1\], got 0 to 255"),
-        ("words", named(confidence=float("nan")), "confidence as a number, got nan"),
+        ("words", named(confidence=float("nan")), r"confidence in \[0, 1\], got nan"),
         ("masks", None, f"must return {OF}MaskLogits, got NoneType"),
         ("masks", replace(SEVERAL, logits=None), "must return torch.Tensor, got"),
         ("masks", replace(SEVERAL, logits=torch.ones(4, 6)), r"logits \[n, h, w\]"),
@@ -83,20 +82,18 @@ def named(**changes):
 )
 def test_a_segmenter_that_breaks_its_contract_is_named(asked, answer, said):
     with pytest.raises(PluginError, match=f"^segmenter 'Answers' .*{said}"):
-        ASKED[asked](ValidatedSegmenter(Answers(answer)))
+        ASKED[asked](Answers(answer))
 
 
 def test_what_it_was_given_stays_as_it_was():
     images = IMAGES.clone()
     with pytest.raises(PluginError, match="must leave its arguments as they are"):
-        ValidatedSegmenter(Spoils(SEVERAL)).masks(images[0], CLICK)
+        asking.masks(Spoils(SEVERAL), images[0], CLICK)
 
 
-def test_good_answers_and_the_name_pass():
-    checked = ValidatedSegmenter(Answers(SEVERAL))
-    assert component_name(checked.asked) == "Answers"
-    assert checked.masks(IMAGES[0], CLICK) is SEVERAL
-    assert ValidatedSegmenter(Answers([GOOD])).words(IMAGES[0], "box") == (GOOD,)
-    assert ValidatedSegmenter(Answers(None)).words(IMAGES[0], "box") is None
-    assert ValidatedSegmenter(Answers(None)).track(IMAGES, MASK[None]) is None
-    assert ValidatedSegmenter(Answers(FOLLOWED)).track(IMAGES, MASK[None]) is FOLLOWED
+def test_good_answers_pass():
+    assert asking.masks(Answers(SEVERAL), IMAGES[0], CLICK) is SEVERAL
+    assert asking.words(Answers([GOOD]), IMAGES[0], "box") == (GOOD,)
+    assert asking.words(Answers(None), IMAGES[0], "box") is None
+    assert asking.track(Answers(None), IMAGES, MASK[None]) is None
+    assert asking.track(Answers(FOLLOWED), IMAGES, MASK[None]) is FOLLOWED
