@@ -39,6 +39,7 @@ from edit3r.running import (
     read_scene,
 )
 from edit3r_app.jobs import JobsFolder
+from edit3r_app.uploads import looked_at
 
 # The numbers of this block: no figures kept.
 USUAL_PACE = 2.0
@@ -203,11 +204,21 @@ class Sessions:
         if session.left(self._pace) <= patience:
             wait([session.geometry], patience)
 
+    def scene_of(self, state: str) -> SceneInput | None:
+        """The given scene of a state, as its page has it; None where it is of photos."""
+        return self.open(state).scene if self.folder.splat(state) else None
+
     def forget(self, state: str) -> None:
         """Read a state anew where its name comes back."""
         with self._opening:
             self._known = {one for one in self._known if one[0] != state}
             self._sessions.cache_clear()
+
+    def close(self) -> None:
+        """Begin nothing more, and let nothing be half-written."""
+        for pool in (self.background, self._ahead):
+            pool.shutdown(wait=False, cancel_futures=True)
+        self._changing.acquire()
 
     def read_photo(self, session: Session, view: int) -> "Future[None]":
         """Let the segmenter read a photo, once; a click on it is answered soon then."""
@@ -293,7 +304,8 @@ class Sessions:
             return None
         file, cameras = splat
         rasterizer = self.registry.build_choice("rasterizer", RunConfig().rasterizer)
-        return read_scene(file, rasterizer, cameras=cameras)
+        known = None if self.folder.is_run(state) else looked_at(file)
+        return known or read_scene(file, rasterizer, cameras=cameras)
 
     def _geometry(self, photos: Views, session: Session) -> GeometryAnswer:
         """Poses and depths, as a run with the default reconstructor finds them."""

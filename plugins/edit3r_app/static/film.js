@@ -33,18 +33,22 @@ export function showFilm(drawer, acts, close) {
     el("ol", { class: "keyviews" }, keys.map(item)),
     el(
       "div",
-      { class: "thing" },
+      { class: "row" },
       el(
         "button",
-        { type: "button", disabled: busy || keys.length >= MOST_VIEWS, onclick: acts.add },
+        { type: "button", class: "other", disabled: busy || keys.length >= MOST_VIEWS, onclick: acts.add },
         icon("add"),
         "Add this view",
       ),
       el(
         "button",
-        { type: "button", class: "primary", disabled: busy || few, onclick: acts.make },
+        { type: "button", class: "primary grow", disabled: busy || few, onclick: acts.make },
         busy ? "Drawing it" : "Make the video",
       ),
+    ),
+    el(
+      "div",
+      { class: "thing" },
       el(
         "small",
         {},
