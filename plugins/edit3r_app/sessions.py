@@ -167,6 +167,7 @@ class Sessions:
         self._ahead = ThreadPoolExecutor(6)  # waits for what is in the background
         self._opening = threading.RLock()
         self._changing = threading.Lock()  # what a session has read, and its files
+        self._is_closed = False
         self._pace = USUAL_PACE
         self._known: set[tuple[str, tuple[str, ...]]] = set()  # what was opened
         self._sessions = lru_cache(maxsize=4)(self._read)
@@ -182,6 +183,8 @@ class Sessions:
 
     def do(self, work: Any, *arguments: Any) -> "Future[Any]":
         """Do it in the background; what the user can mend is told with each answer."""
+        if self._is_closed:
+            raise CancelledError
         future = self.background.submit(work, *arguments)
         future.add_done_callback(_print_unexpected)
         return future
@@ -216,9 +219,8 @@ class Sessions:
 
     def close(self) -> None:
         """Begin nothing more, and let nothing be half-written."""
-        for pool in (self.background, self._ahead):
-            pool.shutdown(wait=False, cancel_futures=True)
-        self._changing.acquire()
+        with self._changing:
+            self._is_closed = True
 
     def read_photo(self, session: Session, view: int) -> "Future[None]":
         """Let the segmenter read a photo, once; a click on it is answered soon then."""
@@ -291,11 +293,11 @@ class Sessions:
         """Keep what was read from a set of photos for the next start of the server."""
         if not cache.computed:
             return
-        with (
-            self._changing,
-            atomic_folder(self.answers(state), overwrite=True) as partial,
-        ):
-            cache.save(partial)
+        with self._changing:
+            if self._is_closed:
+                return
+            with atomic_folder(self.answers(state), overwrite=True) as partial:
+                cache.save(partial)
 
     def _scene(self, state: str) -> SceneInput | None:
         """The given scene of a state, read and looked at; None where it is of photos."""
