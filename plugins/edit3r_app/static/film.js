@@ -1,5 +1,5 @@
 // A flight through the scene along views that the user chose, and its video.
-import { button, el, icon } from "./dom.js";
+import { button, el, icon, seconds } from "./dom.js";
 
 export const MOST_VIEWS = 12;
 
@@ -33,7 +33,7 @@ export function showFilm(drawer, acts, close) {
     el("ol", { class: "keyviews" }, keys.map(item)),
     el(
       "div",
-      { class: "row" },
+      { class: "row film" },
       el(
         "button",
         { type: "button", class: "other", disabled: busy || keys.length >= MOST_VIEWS, onclick: acts.add },
@@ -54,7 +54,7 @@ export function showFilm(drawer, acts, close) {
         {},
         few
           ? "Add at least two views."
-          : `About ${Math.round(((keys.length - 1) * 24) / 18)} seconds long; every frame is drawn, which takes a while.`,
+          : `About ${seconds(((keys.length - 1) * 24) / 18)} long; every frame is drawn, which takes a while.`,
       ),
     ),
   );

@@ -20,7 +20,7 @@ export function showHistory(drawer, s, close) {
         {
           name: s.scene,
           depth: -1,
-          prompt: "The photos as they are",
+          prompt: s.isSplat ? "The scene as it came" : "The photos as they are",
           photo: "",
           state: "done",
           verdicts: [],
