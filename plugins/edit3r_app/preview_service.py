@@ -204,7 +204,7 @@ class DraftSelection(Stage):
                 if config.prompt or config.editor is not None:
                     said = _instructions(components)
                     if draft.selects:
-                        said = map(_confined, said)
+                        said = [_confined(one) for one in said]
                     asked = "; ".join(map(str, said))
                     understood = f"{asked or config.prompt} ({components.editor_names})"
                     look = replace(look, understood=understood)
