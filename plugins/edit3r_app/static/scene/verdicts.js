@@ -44,7 +44,7 @@ export function verdictsOf(page) {
     if (node.dataset.key === key) return;
     node.dataset.key = key;
     compared.replaceChildren(
-      ...kinds.map((value) => el("option", { value, selected: value === taken }, page.s.isSplat && value === "photos" ? "Compare: the scene before" : COMPARED[value])),
+      ...kinds.map((value) => el("option", { value, selected: value === taken }, page.s.isSplat && value === "photos" ? "Compare: before" : COMPARED[value])),
     );
     words.replaceChildren(...(NARROW.matches && said.length > 1 ? [together(said)] : said.map(badge)));
   }
