@@ -1,7 +1,7 @@
 """The look before the edit: colours that the Gaussians of an edited scene would have without it."""
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.types import Cameras, Gaussians, Rendering, Views
@@ -26,9 +26,10 @@ def colours_before(
 
     For each Gaussian, the pixel most like it in colour is looked for among the nine around its
     place, in the view it came from, or in the first view that shows one of no view. The difference
-    photo less edited photo at that pixel is added to its colour. What is like none of them (hidden
-    things) keeps its colour. So this is a stand-in, not the scene before the edit, whose shapes may
-    have been others. One scene (batch 1).
+    photo less edited photo at that pixel is added to its colour. What the edit left far from what
+    the photo shows there, such as a rim of both colours, takes the photo's. What is like none of
+    them (hidden things) keeps its colour. So this is a stand-in, not the scene before the edit,
+    whose shapes may have been others. One scene (batch 1).
     """
     colours = dc_to_colour(gaussians.harmonics[0, :, 0])
     view_index = gaussians.view_index
@@ -43,10 +44,31 @@ def colours_before(
         likely = (difference < LIKE_COLOUR) & (depths < SAME_DEPTH * depth_seen)
         inside = ((places > 0) & (places < 1)).all(-1) & (depths > 0)
         of_view = (view_index == view) | (view_index < 0)
-        mine = ((difference < SAME_COLOUR) | likely) & inside & of_view & ~settled
+        own = inside & of_view & ~settled
+        mine = ((difference < SAME_COLOUR) | likely) & own
         colours = torch.where(mine[:, None], colours + change, colours)
-        settled |= mine
+        photo, is_edited = _photo_there(photos, edited, view, places)
+        off = (colours - photo).abs().amax(-1) > SAME_COLOUR
+        stray = off & is_edited & (depths < SAME_DEPTH * depth_seen) & own
+        colours = torch.where(stray[:, None], photo, colours)
+        settled |= mine | stray
     return colours
+
+
+def _photo_there(
+    photos: Views, edited: Views, view: int, places: Float[Tensor, "gaussian 2"]
+) -> tuple[Float[Tensor, "gaussian 3"], Bool[Tensor, "gaussian"]]:
+    """What a photo shows at places, and whether the edit changed something near by."""
+    photo = photos.images[:, view].to(places)
+    change = (photo - edited.images[:, view].to(places)).abs().amax(1, keepdim=True)
+    near = torch.nn.functional.max_pool2d(change, 2 * NEARBY + 1, 1, NEARBY)
+    sampled = torch.nn.functional.grid_sample(
+        torch.cat([photo, near], 1),
+        2 * places[None, None] - 1,
+        padding_mode="border",
+        align_corners=False,
+    )[0, :, 0].T
+    return sampled[:, :3], sampled[:, 3] > SAME_COLOUR
 
 
 def _most_alike(

@@ -42,6 +42,7 @@ from edit3r.kit.contact_sheet import (
     with_readings,
 )
 from edit3r.kit.files.atomic import atomic_folder
+from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.kit.scenes.ply import save_ply
@@ -300,6 +301,14 @@ def _scene(result: RunResult, flight: Flight | None = None) -> SceneToWrite:
 
 def _look_before(result: RunResult) -> SecondLook:
     corrected = result.records.corrected
+    given = result.records.inputs.scene
+    made = result.records.reconstructed.reconstruction
+    kept = made.kept if result.records.gaussians is made.gaussians else None
+    if given is not None and kept is not None:  # it is known
+        colours = dc_to_colour(result.gaussians.harmonics[0, :, 0])
+        before = given.views.scene.gaussians.harmonics[0, kept, 0]
+        colours[: len(before)] = dc_to_colour(before)
+        return SecondLook(colours)
     colours = colours_before(
         result.gaussians,
         result.cameras,

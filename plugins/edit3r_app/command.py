@@ -2,6 +2,7 @@
 
 import argparse
 import os
+import re
 import secrets
 import socket
 from contextlib import suppress
@@ -11,6 +12,7 @@ from urllib.parse import quote
 from edit3r.contract.command import Command
 from edit3r.contract.errors import InputError
 
+ROOT_PATH = re.compile(r"(/[\w.~-]+)*")
 LOCAL = ("127.0.0.1", "::1")
 
 
@@ -27,6 +29,10 @@ class AppCommand(Command):
         add("--host", default=LOCAL[0], help=about)
         about = "port to listen on; default: 8090, or the next that is free"
         add("--port", type=int, metavar="N", help=about)
+        about = (
+            "path that a proxy serves the app under, such as /edit3r; asks for a token"
+        )
+        add("--root-path", default="", metavar="PATH", help=about)
         about = "print the address and open nothing"
         add("--no-browser", action="store_true", help=about)
         about = "longer side that photos are reduced to (default 512)"
@@ -40,6 +46,11 @@ class AppCommand(Command):
         if not 8 <= args.size <= 8192 or not 0 <= (args.port or 0) < 65536:
             raise InputError(
                 "--size: expected 8 to 8192 pixels; --port: expected 0 to 65535."
+            )
+        root = args.root_path.rstrip("/")
+        if not ROOT_PATH.fullmatch(root):
+            raise InputError(
+                f"--root-path {args.root_path!r}: expected a path such as /edit3r."
             )
         host = LOCAL[0] if args.host == "localhost" else args.host
         # No process that this one starts looks for modules in the current folder.
@@ -56,13 +67,14 @@ class AppCommand(Command):
                 name = Path(args.photos[0]).resolve().stem
                 start = f"/s/{quote(copied(folder, name, photos))}"
         token = None
-        if host not in LOCAL:
+        if host not in LOCAL or root:
             token = os.environ.get("EDIT3R_APP_TOKEN") or secrets.token_urlsafe(24)
         serve(
             folder,
             host=host,
             port=port,
             token=token,
+            root=root,
             size=args.size,
             start=start,
             show=not args.no_browser,

@@ -16,8 +16,10 @@ from edit3r.kit.scenes.files import scene_file
 from edit3r_app.jobs import PREVIEW, JobsFolder
 
 ARCHIVE = "all.zip"
+VIEWER = "viewer.html"
 EDITED = "edited-photos.zip"  # the 2D edits, also of a run that failed
-FILM = "flight.webm"  # of a flight that the user made
+FILMS = {"flight.mp4": "mp4", "flight.webm": "video"}
+"""Of a flight that the user made, and their writers."""
 OF_EVERY_RUN = {
     "scene.ply": "3D Gaussians, for most programs",
     "cameras.json": "where the photos were taken from",
@@ -25,7 +27,14 @@ OF_EVERY_RUN = {
     EDITED: "the edited photos",
     ARCHIVE: "everything in one file",
 }
-FIRST = ("viewer.html", "video.webm", "before_after.png", "scene.ply", ARCHIVE)
+FIRST = (
+    "viewer.html",
+    "video.mp4",
+    "video.webm",
+    "before_after.png",
+    "scene.ply",
+    ARCHIVE,
+)
 """What most people want, above all else."""
 
 
@@ -78,7 +87,10 @@ def _writers() -> dict[str, Offer]:
 def _writers_by_file() -> dict[str, Offer]:
     """The writers by the file that they leave; a folder is sent as an archive."""
     files = {}
-    for offer in default_registry().offers("writer"):
+    registry = default_registry()
+    for offer in registry.offers("writer"):
+        if registry.missing(offer):
+            continue
         packed = ".zip" if offer.component.makes_folder else ""
         files[f"{offer.component.file_name()}{packed}"] = offer
     return files
@@ -93,7 +105,7 @@ def prepared(folder: JobsFolder, run: str, what: str) -> Path:
         return _edited_photos(folder, run)
     source = folder.path(run)
     made = folder.beside(run) / what
-    if what == FILM and _is_file(made):
+    if what in FILMS and _is_file(made):
         return made
     if what not in downloads():
         raise InputError(f"{what[:40]!r}: not a file of a run.")

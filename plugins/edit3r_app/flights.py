@@ -15,7 +15,9 @@ from edit3r.contract.interfaces import SceneToWrite
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.paths import interpolate_poses
 from edit3r.kit.rendering import Flight
-from edit3r_app.downloads import FILM
+from edit3r.kit.scenes.files import scene_file
+from edit3r.running import SceneInput
+from edit3r_app.downloads import FILMS
 from edit3r_app.jobs import JobsFolder
 
 PER_LEG = 24  # pictures from one view to the next
@@ -81,18 +83,37 @@ def path_along(keys: list[KeyView], size: tuple[int, int]) -> Cameras:
     return Cameras(c2w[None].float(), intrinsics[None].float(), size)
 
 
-def film(folder: JobsFolder, run: str, asked: Any, registry: Registry) -> Path:
-    """Write the video of a flight beside a run, in place of the one before."""
+def film(
+    folder: JobsFolder,
+    run: str,
+    asked: Any,
+    registry: Registry,
+    given: SceneInput | None = None,
+    plays_mp4: bool = False,
+) -> Path:
+    """Write the video of a flight beside a run, in place of the one before.
+
+    `given` is the run's scene where one was given: its page has the frame of view 0.
+    """
     keys = read_keys(asked)
-    scene = folder.path(run) / "scene.ply"
+    scene = scene_file(str(folder.path(run)))
     if not scene.is_file():
         raise InputError("there is no scene to fly through yet.")
     saved = SavedScene(scene, registry)
     path = path_along(keys, saved.cameras.image_size)
     rasterizer = registry.build("rasterizer", "auto")
     with torch.no_grad():
-        frames = Flight(rasterizer, saved.gaussians, path)
-        made = folder.beside(run) / FILM
-        scene_to_film = SceneToWrite(saved.gaussians, frames=frames)
-        registry.build("writer", "video").write(made, scene_to_film)
+        gaussians = saved.gaussians if given is None else given.views.scene.gaussians
+        scene_to_film = SceneToWrite(
+            gaussians, frames=Flight(rasterizer, gaussians, path)
+        )
+        name = next(one for one in FILMS if _can_write(one, registry, plays_mp4))
+        made = folder.beside(run) / name
+        registry.build("writer", FILMS[name]).write(made, scene_to_film)
     return made
+
+
+def _can_write(name: str, registry: Registry, plays_mp4: bool) -> bool:
+    """Whether a film of that name can be made here and played there."""
+    is_there = not registry.missing(registry.find("writer", FILMS[name]))
+    return is_there and (plays_mp4 or not name.endswith(".mp4"))

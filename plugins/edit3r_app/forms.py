@@ -91,7 +91,7 @@ def set_by_hand(settings: dict[str, Any]) -> list[str]:
     """What was set for a run beside its sentence, in words."""
     said = []
     for name, value in settings.items():
-        if name == "prompt" or value in ("", None, False):
+        if name in ("prompt", "guess") or value in ("", None, False):
             continue
         label = EXPLAINED.get(name, (name.replace("_", " "),))[0]
         shown = value.get("name", value) if isinstance(value, dict) else value

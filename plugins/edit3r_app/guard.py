@@ -2,13 +2,17 @@
 them.
 """
 
+import asyncio
 import hmac
 import urllib.parse
+from typing import Any
 
+import h11
 from starlette.datastructures import MutableHeaders
 from starlette.requests import HTTPConnection
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 COOKIE = "edit3r-token"
 LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
@@ -24,12 +28,46 @@ HEADERS = {
 }
 
 
+PATIENCE = 20.0
+"""[s] that a request may take until its header is there; no figure kept."""
+
+
+class Connection(H11Protocol):
+    """One that is closed where the header of a request does not arrive in time."""
+
+    _late: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: Any) -> None:
+        super().connection_made(transport)
+        self._wait()
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        self._wait()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        if self._late is not None:
+            self._late.cancel()
+
+    def _wait(self) -> None:
+        """Begin to wait where a header is due, however little of it has come; else end it."""
+        is_due = self.conn.their_state is h11.IDLE
+        if is_due and self._late is None:
+            self._late = self.loop.call_later(PATIENCE, self.transport.close)
+        elif not is_due and self._late is not None:
+            self._late.cancel()
+            self._late = None
+
+
 class Guard:
     """ASGI middleware: refuses foreign hosts and origins, missing tokens, and endless bodies."""
 
-    def __init__(self, app: ASGIApp, *, token: str | None, max_bytes: int) -> None:
+    def __init__(
+        self, app: ASGIApp, *, token: str | None, max_bytes: int, root: str = ""
+    ) -> None:
         self.app = app
-        self.token = token
+        self.token, self.root = token, root
         self.max_bytes = max_bytes  # of one request
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -44,7 +82,7 @@ class Guard:
         elif refusal is not None:
             await send({"type": "websocket.close", "code": 4403})
         elif is_page and self.token and asked.query_params.get("token"):
-            await _entry(asked)(scope, receive, send)
+            await _entry(asked, self.root)(scope, receive, send)
         else:
             await self.app(scope, receive, _with_headers(send) if is_page else send)
 
@@ -55,7 +93,9 @@ class Guard:
         name, _, port = host.rpartition(":")
         if self.token is None and (name if port.isdecimal() else host) not in LOOPBACK:
             return PlainTextResponse("This server answers to localhost only.", 421)
-        if origin is not None and _host_of(origin) != host:
+        # A proxy may have put another host there: then the browser's word counts.
+        vouched = self.root and asked.headers.get("sec-fetch-site") == "same-origin"
+        if origin is not None and _host_of(origin) != host and not vouched:
             return PlainTextResponse("Requests of other pages are refused.", 403)
         if _is_of_another_page(asked):
             return PlainTextResponse("Requests of other pages are refused.", 403)
@@ -87,11 +127,12 @@ def _host_of(origin: str) -> str:
         return ""
 
 
-def _entry(asked: HTTPConnection) -> Response:
+def _entry(asked: HTTPConnection, root: str) -> Response:
     """Turn the token of the address into a cookie, and the address into one without it."""
     kept = [pair for pair in asked.query_params.multi_items() if pair[0] != "token"]
     # Never an address of another host.
-    path = urllib.parse.quote("/" + asked.scope["path"].lstrip("/\\"))
+    path = asked.scope["path"].removeprefix(root).lstrip("/\\")
+    path = urllib.parse.quote(f"{root}/{path}")
     query = urllib.parse.urlencode(kept)
     answer = RedirectResponse(f"{path}?{query}" if query else path, 303)
     token = asked.query_params["token"]

@@ -21,9 +21,10 @@ from torch import Tensor
 from edit3r import Registry
 from edit3r.contract.component import Component
 from edit3r.contract.errors import Edit3rError, InputError, PromptError
-from edit3r.contract.interfaces import Reading, Selected, Selection
+from edit3r.contract.instructions import Instruction
+from edit3r.contract.interfaces import Reading, SceneToWrite, Selected, Selection
 from edit3r.contract.reporting import Report, collecting
-from edit3r.contract.types import Views
+from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict
 from edit3r.kit.contact_sheet import outlined
 from edit3r.kit.files.atomic import atomic_write
@@ -32,12 +33,14 @@ from edit3r.running import (
     DEFAULTS,
     Components,
     Preview,
+    RunConfig,
     RunJob,
     make_run_config,
     preview,
     preview_photo,
     usual_selector,
 )
+from edit3r_app.downloads import VIEWER
 from edit3r_app.draft import DRAFT, Draft, Mark
 from edit3r_app.forms import run_settings
 from edit3r_app.jobs import PREVIEW, JobsFolder
@@ -199,7 +202,10 @@ class DraftSelection(Stage):
                 if draft.selects:
                     look = _with_marks(look, draft, session, components)
                 if config.prompt or config.editor is not None:
-                    asked = "; ".join(map(str, _instructions(components)))
+                    said = _instructions(components)
+                    if draft.selects:
+                        said = [_confined(one) for one in said]
+                    asked = "; ".join(map(str, said))
                     understood = f"{asked or config.prompt} ({components.editor_names})"
                     look = replace(look, understood=understood)
                     look = self._with_regions(look, session, components)
@@ -308,6 +314,13 @@ class PreviewService:
         with collecting(Report()), suppress(Edit3rError):
             segmenter = self.registry.build_choice("segmenter", SEGMENTER)
             segmenter.words(torch.zeros(3, 48, 64), "sky")
+            rasterizer = self.registry.build_choice(
+                "rasterizer", RunConfig().rasterizer
+            )
+            one, eye = torch.ones(1, 1, 4), torch.eye(4).expand(1, 1, 4, 4)
+            place, opacity = one[..., :3], one[..., 0]
+            dot = Gaussians(place, place, one, opacity, place[:, :, None])
+            rasterizer.render(dot, Cameras(eye, eye[..., :3, :3], (8, 8)))
 
     def begin(self, state: str) -> PhotosProgress:
         """Read a state's photos in the background, from the first call on; say how far it is."""
@@ -349,6 +362,19 @@ class PreviewService:
             session.shown.add(view)
             self.sessions.read_photo(session, view)
         return jpeg(session.views.images[0, view])
+
+    def viewer(self, state: str) -> Path:
+        """The page of a dropped scene, before anything is made of it."""
+        made = self.folder.beside(state) / VIEWER
+        scene = self.sessions.open(state).scene
+        if scene is None:
+            raise InputError(f"{state}: there is no scene yet.")
+        if not made.is_file():
+            shown, names = scene.views.scene, scene.places.names
+            to_write = SceneToWrite(shown.gaussians, shown.cameras, names, title=state)
+            with atomic_write(made) as partial:
+                self.registry.build("writer", "viewer").write(partial, to_write)
+        return made
 
     def overlay(self, state: str, draft: Draft, name: str, line: bool = False) -> bytes:
         """PNG to lie over one photo: what is selected is outlined, and the rest is darker.
@@ -432,6 +458,15 @@ class PreviewService:
 
 def _instructions(components: Components) -> list[Any]:
     return [one for task in components.tasks for one in task.instructions]
+
+
+def _confined(one: Instruction) -> Instruction:
+    """What is said of the whole picture is done, beside marks, where they are."""
+    is_all = one.target.scope == "whole" and not one.without
+    if not is_all:
+        return one
+    target = replace(one.target, scope="marked", name="what you marked")
+    return replace(one, target=target)
 
 
 def _all_quick(components: Components) -> bool:

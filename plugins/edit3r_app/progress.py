@@ -8,6 +8,12 @@ from pathlib import Path
 
 from edit3r_app.jobs import AppJob, JobsFolder, manifest_of
 
+STEPS = (
+    *("read photos", "load components", "geometry", "select", "edit", "reconstruct"),
+    *("refine", "check", "render", "write files"),
+)
+"""Stages of a run, of which the bar shows how many are behind."""
+
 
 @dataclass
 class RunProgress:
@@ -17,6 +23,7 @@ class RunProgress:
     done: dict[str, float] = field(default_factory=dict)
     stage: str = ""
     share: float | None = None  # of the stage's current step, in [0, 1]
+    whole: float = 0.0  # of all steps, in [0, 1]; never less than before
     since: float = 0.0  # when the stage began [seconds since 1970]
     told: list[str] = field(default_factory=list)  # choices and warnings
     error: str = ""  # the sentence of a run that failed
@@ -30,6 +37,7 @@ class RunProgress:
             self.stage = text
             self.since = float(event["at"])
             self.share = None
+            self._step()
         elif kind == "end":
             self.done[text] = float(event["at"]) - self.since
             self.stage = ""
@@ -37,6 +45,14 @@ class RunProgress:
             self.told.append(text)
         elif kind == "progress" and event["total"]:
             self.share = event["done"] / event["total"]
+            self._step()
+
+    def _step(self) -> None:
+        """Count the steps that are behind; a scene is read in place of photos."""
+        name = self.stage.partition(" (")[0].replace("read scene", STEPS[0])
+        if name in STEPS:
+            reached = (STEPS.index(name) + (self.share or 0)) / len(STEPS)
+            self.whole = max(self.whole, reached)
 
 
 def read_progress(log: Path) -> RunProgress:

@@ -1,6 +1,8 @@
 """The app in one process: its one page, and the addresses of its data, images and files."""
 
 import io
+import os
+import sys
 import urllib.parse
 import webbrowser
 from collections.abc import AsyncIterator, Callable
@@ -16,6 +18,7 @@ from starlette.middleware import Middleware
 from starlette.requests import ClientDisconnect, Request
 from starlette.responses import (
     FileResponse,
+    HTMLResponse,
     JSONResponse,
     PlainTextResponse,
     RedirectResponse,
@@ -33,7 +36,7 @@ from edit3r_app.draft import MARK, Draft, read_draft
 from edit3r_app.drawing import Drawing
 from edit3r_app.essentials import Essentials
 from edit3r_app.flights import film
-from edit3r_app.guard import Guard
+from edit3r_app.guard import Connection, Guard
 from edit3r_app.jobs import KINDS, JobsFolder
 from edit3r_app.made_scenes import offered_scenes, photo_of
 from edit3r_app.phone import phone_link
@@ -62,12 +65,14 @@ def serve(
     host: str,
     port: int,
     token: str | None,
+    root: str,
     size: int,
     start: str,
     show: bool,
 ) -> None:
-    """Serve the app until it is interrupted; `start` is the path that the browser opens."""
-    path = f"{start}?token={urllib.parse.quote(token)}" if token else start
+    """Serve the app until it is interrupted; the browser opens `start`, below `root`."""
+    path = root + start
+    path = f"{path}?token={urllib.parse.quote(token)}" if token else path
     name = "localhost" if host == "127.0.0.1" else host
     address = f"http://{name}:{port}{path}"
 
@@ -80,10 +85,19 @@ def serve(
         if show:
             webbrowser.open(address)
 
-    app = make_app(folder, token=token, size=size, ready=ready, place=(host, port))
-    uvicorn.run(
-        app, host=host, port=port, log_level="warning", timeout_graceful_shutdown=2
+    app = make_app(
+        folder, token=token, root=root, size=size, ready=ready, place=(host, port)
     )
+    uvicorn.run(
+        app,
+        host=host,
+        port=port,
+        http=Connection,
+        log_level="warning",
+        timeout_graceful_shutdown=2,
+    )
+    sys.stdout.flush()
+    os._exit(0)  # whatever is still being read of photos
 
 
 def make_app(
@@ -91,12 +105,13 @@ def make_app(
     *,
     token: str | None,
     size: int,
+    root: str = "",
     ready: Callable[[], None] = lambda: None,
     place: tuple[str, int] = ("localhost", 0),
 ) -> Starlette:
     """The app with its queue, which runs while the app is up; `ready` is called when it is.
 
-    `place` is the host and port that it listens on.
+    `place` is the host and port that it listens on; `root` a path that a proxy serves it under.
     """
     runner = Runner(folder)
     previews = PreviewService(folder, default_registry(), size)
@@ -107,12 +122,13 @@ def make_app(
         ready()
         yield
         await run_in_threadpool(runner.stop)
+        await run_in_threadpool(previews.sessions.close)
 
-    guard = Middleware(Guard, token=token, max_bytes=uploads.MAX_SCENE_BYTES)
+    guard = Middleware(Guard, token=token, root=root, max_bytes=uploads.MAX_SCENE_BYTES)
     refusals = {Edit3rError: refused, OSError: refused}
     studio = Studio(folder, runner, previews, Drawing(folder, default_registry()))
     app = Starlette(
-        routes=Answers(studio, place, token).routes(),
+        routes=Answers(studio, place, token, root).below_root(),
         middleware=[guard],
         exception_handlers=refusals,
         lifespan=running,
@@ -132,19 +148,24 @@ class Answers:
     """Answers to all addresses."""
 
     def __init__(
-        self, studio: Studio, place: tuple[str, int], token: str | None
+        self, studio: Studio, place: tuple[str, int], token: str | None, root: str
     ) -> None:
         self.studio = studio
-        self.place, self.token = place, token
+        self.place, self.token, self.root = place, token, root
         self.folder = studio.folder
         self.previews = studio.previews
         self.essentials = Essentials(studio.renew)
 
+    def below_root(self) -> list[Route | Mount]:
+        """All routes, and below the root path too: proxies may take it away, or leave it."""
+        routes = self.routes()
+        return [Mount(self.root, routes=routes), *routes] if self.root else routes
+
     def routes(self) -> list[Route | Mount]:
         studio, get, post = self.studio, _asked, _told
         return [
-            Route("/", _page),
-            Route("/s/{scene}", _page),
+            Route("/", self.page),
+            Route("/s/{scene}", self.page),
             Mount("/static", StaticFiles(directory=STATIC)),
             Route("/api/home", get(lambda: self.home())),
             Route("/api/scene/{scene}", get(studio.scene, "scene", at="")),
@@ -161,6 +182,7 @@ class Answers:
             post("/api/object/{scene}", self.act, "scene"),
             post("/api/draw/{run}", studio.draw, "run"),
             post("/api/cancel/{run}", self.cancel, "run"),
+            post("/api/upright/{scene}", self.turn_upright, "scene"),
             post("/api/remove/{scene}", self.take_out, "scene"),
             post("/api/delete/{scene}", self.delete, "scene"),
             post("/api/prepare/{run}", self.prepare, "run"),
@@ -206,6 +228,9 @@ class Answers:
         at = str(asked.pop("at", ""))
         return self.studio.act(scene, at, asked)
 
+    def turn_upright(self, scene: str, asked: dict[str, Any]) -> None:
+        self.studio.turn_upright(scene, str(asked.get("up", "")))
+
     def take_out(self, scene: str, asked: dict[str, Any]) -> None:
         self.studio.take_out(scene, str(asked.get("photo", "")))
 
@@ -217,10 +242,17 @@ class Answers:
         file = downloads.prepared(self.folder, run, str(asked.get("file", "")))
         return file.stat().st_size
 
-    def film(self, run: str, asked: dict[str, Any]) -> int:
-        """Make the video of a flight, and return its size [bytes]."""
-        made = film(self.folder, run, asked.get("keys"), default_registry())
-        return made.stat().st_size
+    def film(self, run: str, asked: dict[str, Any]) -> dict[str, Any]:
+        """Make the video of a flight; returns its file and its size [bytes]."""
+        made = film(
+            self.folder,
+            run,
+            asked.get("keys"),
+            default_registry(),
+            self.previews.sessions.scene_of(run),
+            bool(asked.get("mp4")),
+        )
+        return {"file": made.name, "bytes": made.stat().st_size}
 
     def phone(self, asked: dict[str, Any]) -> dict[str, Any]:
         return phone_link(*self.place, self.token, str(asked.get("page", "/")))
@@ -246,6 +278,10 @@ class Answers:
                 return PlainTextResponse("broken off", 400)  # nobody reads it
             raise
         return PlainTextResponse(scene)
+
+    def page(self, request: Request) -> Response:
+        text = (STATIC / "index.html").read_text(encoding="utf-8")
+        return HTMLResponse(text.replace('"/static/', f'"{self.root}/static/'))
 
     # ---- images and files ----
 
@@ -321,9 +357,13 @@ class Answers:
         It is shown in a frame only, which our page keeps here: on its own it could lead away.
         """
         if request.headers.get("sec-fetch-dest") == "document":
-            return RedirectResponse("/", 303)
+            return RedirectResponse(f"{self.root}/", 303)
         run = request.path_params["run"]
-        file = _there(downloads.prepared(self.folder, run, "viewer.html"))
+        if self.folder.is_run(run):
+            file = downloads.prepared(self.folder, run, downloads.VIEWER)
+        else:
+            file = self.previews.viewer(run)
+        file = _there(file)
         policy = {"content-security-policy": SANDBOX}
         return FileResponse(file, media_type="text/html", headers=policy)
 
@@ -332,10 +372,6 @@ class Answers:
         file = downloads.prepared(self.folder, run, what)
         name = f"{run}-{what}"
         return FileResponse(file, media_type="application/octet-stream", filename=name)
-
-
-def _page(request: Request) -> Response:
-    return FileResponse(STATIC / "index.html", media_type="text/html")
 
 
 def _named(request: Request, *names: str) -> tuple[str, ...]:

@@ -39,6 +39,7 @@ from edit3r.running import (
     read_scene,
 )
 from edit3r_app.jobs import JobsFolder
+from edit3r_app.uploads import looked_at
 
 # The numbers of this block: no figures kept.
 USUAL_PACE = 2.0
@@ -166,6 +167,7 @@ class Sessions:
         self._ahead = ThreadPoolExecutor(6)  # waits for what is in the background
         self._opening = threading.RLock()
         self._changing = threading.Lock()  # what a session has read, and its files
+        self._is_closed = False
         self._pace = USUAL_PACE
         self._known: set[tuple[str, tuple[str, ...]]] = set()  # what was opened
         self._sessions = lru_cache(maxsize=4)(self._read)
@@ -181,6 +183,8 @@ class Sessions:
 
     def do(self, work: Any, *arguments: Any) -> "Future[Any]":
         """Do it in the background; what the user can mend is told with each answer."""
+        if self._is_closed:
+            raise CancelledError
         future = self.background.submit(work, *arguments)
         future.add_done_callback(_print_unexpected)
         return future
@@ -203,11 +207,20 @@ class Sessions:
         if session.left(self._pace) <= patience:
             wait([session.geometry], patience)
 
+    def scene_of(self, state: str) -> SceneInput | None:
+        """The given scene of a state, as its page has it; None where it is of photos."""
+        return self.open(state).scene if self.folder.splat(state) else None
+
     def forget(self, state: str) -> None:
         """Read a state anew where its name comes back."""
         with self._opening:
             self._known = {one for one in self._known if one[0] != state}
             self._sessions.cache_clear()
+
+    def close(self) -> None:
+        """Begin nothing more, and let nothing be half-written."""
+        with self._changing:
+            self._is_closed = True
 
     def read_photo(self, session: Session, view: int) -> "Future[None]":
         """Let the segmenter read a photo, once; a click on it is answered soon then."""
@@ -280,11 +293,11 @@ class Sessions:
         """Keep what was read from a set of photos for the next start of the server."""
         if not cache.computed:
             return
-        with (
-            self._changing,
-            atomic_folder(self.answers(state), overwrite=True) as partial,
-        ):
-            cache.save(partial)
+        with self._changing:
+            if self._is_closed:
+                return
+            with atomic_folder(self.answers(state), overwrite=True) as partial:
+                cache.save(partial)
 
     def _scene(self, state: str) -> SceneInput | None:
         """The given scene of a state, read and looked at; None where it is of photos."""
@@ -293,7 +306,8 @@ class Sessions:
             return None
         file, cameras = splat
         rasterizer = self.registry.build_choice("rasterizer", RunConfig().rasterizer)
-        return read_scene(file, rasterizer, cameras=cameras)
+        known = None if self.folder.is_run(state) else looked_at(file)
+        return known or read_scene(file, rasterizer, cameras=cameras)
 
     def _geometry(self, photos: Views, session: Session) -> GeometryAnswer:
         """Poses and depths, as a run with the default reconstructor finds them."""

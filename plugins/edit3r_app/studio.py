@@ -7,13 +7,14 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import torch
 from pydantic import ValidationError
 
 from edit3r.contract.errors import InputError
 from edit3r.kit.files.atomic import atomic_write
-from edit3r.running import MAX_PROMPT
+from edit3r.running import MAX_PROMPT, SceneInput
 from edit3r_app import uploads
-from edit3r_app.downloads import has_edits, offered_files
+from edit3r_app.downloads import VIEWER, has_edits, offered_files
 from edit3r_app.draft import MARK, STEP, Draft, read_draft, write_draft
 from edit3r_app.drawing import Drawing
 from edit3r_app.forms import run_settings, set_by_hand, settings_form
@@ -74,7 +75,11 @@ class Studio:
     def _left_at(self, scene: str) -> str:
         """The state of a scene that was looked at last; "" for its photos."""
         note = self.folder.private / scene / LEFT
-        name = note.read_text(encoding="utf-8") if note.is_file() else ""
+        if not note.is_file():  # nobody looked: the newest that worked
+            history = self.folder.history(scene)
+            done = [one.name for one in history if one.state == "done"]
+            return next((one for one in reversed(done) if one != scene), "")
+        name = note.read_text(encoding="utf-8")
         with suppress(InputError):
             if name and self.folder.job(name).scene == scene:
                 return name
@@ -103,6 +108,7 @@ class Studio:
             photos = list(folder.images(state, "renders"))
         history = folder.history(scene)
         at_rest = waits or by_hand
+        is_splat = not waits and folder.splat(state) is not None
         self._leave_at(scene, state)
         reading = (
             PhotosProgress(by_hand, by_hand) if at_rest else self.previews.begin(state)
@@ -114,9 +120,10 @@ class Studio:
             "state": state,
             "isRun": is_run,
             "byHand": by_hand,
+            "isSplat": is_splat,
             "objects": objects_of(folder, state),
             "photos": photos,
-            "fixed": bool(history) or folder.is_run(scene),
+            "fixed": bool(history) or is_splat or folder.is_run(scene),
             "fromRun": folder.is_run(scene),
             "history": [self._told(job, depth) for depth, job in tree(history)],
             "job": self._work(state) if waits else None,
@@ -160,7 +167,7 @@ class Studio:
             "sentence": in_app(job.sentence),
             "active": job.is_active,
             "stage": progress.stage,
-            "share": progress.share,
+            "share": progress.whole or None,
             "left": left,
             "done": [
                 {"name": stage, "seconds": round(seconds, 1)}
@@ -305,6 +312,9 @@ class Studio:
 
     def draw(self, run: str, asked: dict[str, Any]) -> dict[str, Any]:
         """Change what is drawn over a scene; returns what it chooses."""
+        given = self.previews.sessions.scene_of(run)
+        if given is not None and asked.get("do") == "stroke":
+            asked = {**asked, "value": _in_own_frame(asked.get("value"), given)}
         return self.drawing.change(run, asked)
 
     def _queued(self, job: AppJob, look: DraftAnswer) -> str:
@@ -313,6 +323,13 @@ class Studio:
         job = self.folder.new_job(job, masks, known)
         self.previews.begin_preview(look, job.name)
         return job.name
+
+    def turn_upright(self, scene: str, up: str) -> None:
+        """Show a dropped scene with another axis of it upwards; its marks are forgotten."""
+        uploads.turn_upright(self.folder, scene, up)
+        write_draft(self.folder, scene, Draft())
+        (self.folder.beside(scene) / VIEWER).unlink(missing_ok=True)
+        self.previews.sessions.forget(scene)
 
     def take_out(self, scene: str, photo: str) -> None:
         uploads.remove(self.folder, scene, photo)
@@ -332,6 +349,19 @@ class Studio:
 
     def _is_state(self, state: str) -> None:
         self.folder.path(state)
+
+
+def _in_own_frame(stroke: Any, given: SceneInput) -> Any:
+    """A stroke whose camera is in the frame of view 0, in the frame of the scene's file."""
+    c2w, unit = given.views.c2w.double(), given.views.unit
+    with suppress(TypeError, KeyError, ValueError, RuntimeError):
+        moved = {
+            axis: (c2w[:3, :3] @ torch.tensor(stroke[axis]).double()).tolist()
+            for axis in ("right", "down", "forward")
+        }
+        centre = c2w[:3, :3] @ torch.tensor(stroke["centre"]).double() * unit
+        return {**stroke, **moved, "centre": (centre + c2w[:3, 3]).tolist()}
+    return stroke  # what is none is refused where strokes are read
 
 
 def _change(draft: Draft, do: str, value: Any) -> None:

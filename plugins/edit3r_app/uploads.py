@@ -13,6 +13,7 @@ import shutil
 import threading
 from collections.abc import AsyncIterator, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 
 import edit3r
@@ -23,7 +24,7 @@ from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.coverage import VIDEO_SUFFIXES, take_frames, temporary_photos
 from edit3r.kit.photos.decode import READABLE, decode
 from edit3r.kit.photos.images import SUFFIXES, save_image
-from edit3r.running import SCENE_ENDINGS, read_scene
+from edit3r.running import SCENE_ENDINGS, SceneInput, make_run_config, read_scene
 from edit3r_app.jobs import SPLAT, JobsFolder
 
 DRAFT = ".upload-"  # how names of files begin that are still being received
@@ -35,6 +36,8 @@ UNNAMED = re.compile(
     r"(dsc[fn]?|frame|gopr|image|img|mvimg|photo|pxl|wp)?[\W\d_]*", re.I
 )
 """Names that cameras give; they say nothing of what a photo shows."""
+_LOOKED: dict[Path, SceneInput] = {}
+"""The scene that was kept last, until it is opened."""
 _KEEPING = threading.Lock()
 """Several uploads come at once: a free name is found and taken under this lock."""
 
@@ -127,19 +130,46 @@ def accept(folder: JobsFolder, scene: str, name: str, draft: Path) -> Path:
 
 def _keep_splat(folder: JobsFolder, scene: str, label: str, draft: Path) -> Path:
     """Keep a scene with pictures of it, which are what the page shows of it."""
-    looked = read_scene(draft, edit3r.build("rasterizer", "auto"), cameras="none")
+    looked = _looked_at(draft)
     place = folder.own(scene) / SPLAT
     place.mkdir(exist_ok=True)
-    kept = place / label
+    _keep_pictures(folder, scene, looked)
+    os.replace(draft, place / label)
+    _LOOKED.clear()
+    _LOOKED[place / label] = replace(looked, file=place / label)
+    return place / label
+
+
+def turn_upright(folder: JobsFolder, scene: str, up: str) -> None:
+    """Take the pictures of a dropped scene anew, with another axis of it upwards."""
+    splat = folder.splat(scene)
+    if splat is None or folder.is_run(scene) or folder.history(scene):
+        raise InputError(
+            f"{scene}: only a scene that nothing was made of can be turned."
+        )
+    looked = _looked_at(splat[0], make_run_config({"up": up[:20]}).up)
+    _keep_pictures(folder, scene, looked)
+    _LOOKED[splat[0]] = looked
+
+
+def looked_at(file: Path) -> SceneInput | None:
+    """The scene of a file, where it was just kept: it need not be read again."""
+    return _LOOKED.pop(file, None)
+
+
+def _looked_at(file: Path, up: str | None = None) -> SceneInput:
+    rasterizer = edit3r.build("rasterizer", "auto")
+    return read_scene(file, rasterizer, cameras="none", up=up)
+
+
+def _keep_pictures(folder: JobsFolder, scene: str, looked: SceneInput) -> None:
     names = looked.places.names
     files = [f"{name}.png" for name in names]
     cameras = posed_cameras(looked.places.cameras, files)
     images = folder.own(scene) / "images"
     for name, picture in zip(files, looked.views.pictures.images[0]):
         save_image(picture, images / name)
-    write_cameras(place / "cameras.json", cameras)
-    os.replace(draft, kept)
-    return kept
+    write_cameras(folder.own(scene) / SPLAT / "cameras.json", cameras)
 
 
 def remove(folder: JobsFolder, scene: str, photo: str) -> None:

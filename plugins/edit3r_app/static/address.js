@@ -1,4 +1,7 @@
 // Addresses of pages, which can be kept and sent.
+
+// Where the app begins: "/", or below a path that a proxy serves it under.
+export const ROOT = new URL("..", import.meta.url).pathname;
 export function go(address) {
   history.pushState(null, "", address);
   dispatchEvent(new PopStateEvent("popstate"));
@@ -8,5 +11,5 @@ export const sceneAddress = (scene, at = "", beside = "") => {
     ...(at && at !== scene ? { at } : {}),
     ...(beside ? { beside } : {}),
   });
-  return `/s/${encodeURIComponent(scene)}${query.size ? "?" + query : ""}`;
+  return `${ROOT}s/${encodeURIComponent(scene)}${query.size ? "?" + query : ""}`;
 };

@@ -1,7 +1,7 @@
 // Talking with the server; what it refuses is thrown as a sentence.
+import { ROOT } from "./address.js";
 
-const part = encodeURIComponent;
-export const path = (...parts) => "/" + parts.map(part).join("/");
+export const path = (...parts) => ROOT + parts.map(encodeURIComponent).join("/");
 
 async function answer(response) {
   if (response.ok) return response.json();

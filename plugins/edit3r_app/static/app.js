@@ -1,5 +1,5 @@
 // Which page is shown: the first, or that of a scene.
-import { go } from "./address.js";
+import { go, ROOT } from "./address.js";
 import { home } from "./home.js";
 import { scenePage } from "./scene.js";
 
@@ -9,7 +9,7 @@ function show() {
   leave();
   for (const open of document.querySelectorAll("dialog")) open.close();
   const query = new URLSearchParams(location.search),
-    [, kind, name] = location.pathname.split("/");
+    [kind, name] = location.pathname.slice(ROOT.length).split("/");
   const page = document.getElementById("page");
   leave =
     kind === "s"

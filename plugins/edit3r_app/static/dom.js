@@ -43,6 +43,7 @@ const PATHS = {
   cube: "M12 3l8 4.5v9L12 21l-8-4.5v-9zM12 12l8-4.5M12 12v9M12 12L4 7.5",
   clear: "M5 7h14M10 7V4h4v3M7 7l1 13h8l1-13",
   add: "M12 5v14M5 12h14",
+  upright: "M12 20V5M6 11l6-6 6 6M5 21h14",
   which: "M4 4h7v7H4zM13 4h7v7h-7zM4 13h7v7H4zM13 13h7v7h-7z",
   clean: "M20 4l-8 8M12 12l-3-3-6 6 6 6 6-6zM6 18l3-3M9 21l3-3",
   keep: "M6 4h12v16l-6-4-6 4z",

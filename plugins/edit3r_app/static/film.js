@@ -1,5 +1,5 @@
 // A flight through the scene along views that the user chose, and its video.
-import { button, el, icon } from "./dom.js";
+import { button, el, icon, seconds } from "./dom.js";
 
 export const MOST_VIEWS = 12;
 
@@ -33,24 +33,28 @@ export function showFilm(drawer, acts, close) {
     el("ol", { class: "keyviews" }, keys.map(item)),
     el(
       "div",
-      { class: "thing" },
+      { class: "row film" },
       el(
         "button",
-        { type: "button", disabled: busy || keys.length >= MOST_VIEWS, onclick: acts.add },
+        { type: "button", class: "other", disabled: busy || keys.length >= MOST_VIEWS, onclick: acts.add },
         icon("add"),
         "Add this view",
       ),
       el(
         "button",
-        { type: "button", class: "primary", disabled: busy || few, onclick: acts.make },
+        { type: "button", class: "primary grow", disabled: busy || few, onclick: acts.make },
         busy ? "Drawing it" : "Make the video",
       ),
+    ),
+    el(
+      "div",
+      { class: "thing" },
       el(
         "small",
         {},
         few
           ? "Add at least two views."
-          : `About ${Math.round(((keys.length - 1) * 24) / 18)} seconds long; every frame is drawn, which takes a while.`,
+          : `About ${seconds(((keys.length - 1) * 24) / 18)} long; every frame is drawn, which takes a while.`,
       ),
     ),
   );

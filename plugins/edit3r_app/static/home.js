@@ -1,5 +1,5 @@
 // The first page: what this is, how to take photos that work, and the scenes that are there.
-import { go, sceneAddress } from "./address.js";
+import { go, ROOT, sceneAddress } from "./address.js";
 import { ask, path, tell } from "./api.js";
 import { button, changeTheme, dialog, el, icon, toast } from "./dom.js";
 import { ADVICE, STORY } from "./pictures.js";
@@ -66,7 +66,7 @@ export function home(page) {
     el(
       "header",
       { class: "top" },
-      el("a", { href: "/", "data-ours": true, class: "brand" }, icon("cube"), "edit3r"),
+      el("a", { href: ROOT, "data-ours": true, class: "brand" }, icon("cube"), "edit3r"),
       el("span", { class: "grow" }),
       button("theme", "dark or light", changeTheme),
     ),

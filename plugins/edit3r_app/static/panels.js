@@ -20,7 +20,7 @@ export function showHistory(drawer, s, close) {
         {
           name: s.scene,
           depth: -1,
-          prompt: "The photos as they are",
+          prompt: s.isSplat ? "The scene as it came" : "The photos as they are",
           photo: "",
           state: "done",
           verdicts: [],
@@ -142,13 +142,9 @@ export function showSettings(groups, set, again) {
       select: () =>
         el(
           "select",
-          { ...inside, onchange: (event) => keep(group, one.name, event.target.value) },
-          one.options.map(({ value, label: text, told: why }) =>
-            el(
-              "option",
-              { value, selected: value === (one.value || one.default || "") },
-              why ? `${text}: ${why}`.slice(0, 110) : text,
-            ),
+          { ...inside, onchange: ({ target }) => (explain(target.value), keep(group, one.name, target.value)) },
+          one.options.map(({ value, label: text }) =>
+            el("option", { value, selected: value === (one.value || one.default || "") }, text),
           ),
         ),
       slider: () => {
@@ -179,17 +175,18 @@ export function showSettings(groups, set, again) {
           onchange: (event) => keep(group, one.name, event.target.value),
         }),
     };
-    return el(
-      "div",
-      { class: "field" },
-      label,
-      kinds[one.kind](),
-      el("small", { id: told }, one.help),
-    );
+    // What is chosen is explained below, where no line cuts it.
+    const explained = el("small", { id: told }),
+      explain = (value) =>
+        (explained.textContent = one.options?.find((each) => each.value === value)?.told || one.help);
+    explain(one.value || one.default || "");
+    return el("div", { class: "field" }, label, kinds[one.kind](), explained);
   }
 }
 
 // ---- downloads ----
+
+export const PLAYS_MP4 = Boolean(el("video").canPlayType('video/mp4; codecs="avc1.64001f"'));
 
 // `film()` begins a flight of one's own, `phone()` shows the link for a phone.
 export function showFiles(files, run, film, phone) {
@@ -219,6 +216,9 @@ export function showFiles(files, run, film, phone) {
     );
     return made;
   };
+  // One video is enough: the one that this browser plays.
+  const video = files.find(({ file }) => file === (PLAYS_MP4 ? "video.mp4" : "video.webm"));
+  for (const one of files) if (video && one.file.startsWith("video.")) one.usual = one === video;
   const other = (name, text, act) =>
     button(name, text, () => (shown.close(), act()), { text, class: "other" });
   const shown = dialog(
@@ -324,7 +324,7 @@ const KEYS = [
   ["arrow keys, Enter", "on the photo: move a cross, point at it"],
   ["/ · Enter", "to the sentence · Go"],
   ["M", "photos or 3D"],
-  ["Alt, or press and wait", "in 3D: draw a line over the thing"],
+  ["Alt and drag", "in 3D: draw a line over the thing"],
   ["R · L in 3D", "choose points of the scene: hide, remove, keep, take"],
   ["C · B in 3D", "handle between before and after · switch"],
   ["arrows, W A S D in 3D", "turn and fly"],

@@ -1,4 +1,5 @@
 // The page of a scene: the scene, or before there is one the photo, fills it.
+import { ROOT } from "./address.js";
 import { ask } from "./api.js";
 import { button, el, icon } from "./dom.js";
 import { showKeys } from "./panels.js";
@@ -21,7 +22,7 @@ import { waitingOf } from "./scene/waiting.js";
 
 const POLLED = { soon: 500, later: 1500 }; // [ms]
 const allScenes = (props, ...content) =>
-  el("a", { href: "/", "data-ours": true, ...props }, ...content);
+  el("a", { href: ROOT, "data-ours": true, ...props }, ...content);
 
 // Returns what is to be called when another page is shown.
 export function scenePage(root, scene, at, beside) {
@@ -86,7 +87,13 @@ export function scenePage(root, scene, at, beside) {
   );
   const { notice, node: verdicts } = page.verdicts;
   const over = el("div", { class: "over-stage" }, notice, verdicts, page.waiting.node);
-  const middle = el("div", { class: "middle" }, stage, over, page.adjust.node, page.sculpt.node, page.question.node);
+  const gestures = el(
+    "p",
+    { class: "gestures" },
+    el("span", { class: "by-mouse" }, "Drag to turn · wheel to zoom · right drag to shift · click to mark"),
+    el("span", { class: "by-finger" }, "Drag to turn · pinch to zoom · two fingers shift · tap to mark"),
+  );
+  const middle = el("div", { class: "middle" }, stage, gestures, over, page.adjust.node, page.sculpt.node, page.question.node);
   root.replaceChildren(top, el("main", {}, strip, middle, page.drawers.node), dock);
 
   // ---- following the server ----

@@ -1,4 +1,5 @@
 // Photos from the disk, from a drop, or from a phone's camera to the server, one after the other.
+import { path } from "./api.js";
 
 const PHOTO = /\.(jpe?g|jpe|jfif|mpo|png|webp|tiff?|hei[cf]|avif|bmp|p[pg]m|jp2)$/i;
 const inOrder = (files) =>
@@ -22,7 +23,7 @@ export async function send(files, scene, folder, told, begun = () => {}) {
       "X-Folder": encodeURIComponent(folder || ""),
     };
     try {
-      const answer = await fetch("/upload/" + encodeURIComponent(scene || "-"), {
+      const answer = await fetch(path("upload", scene || "-"), {
         method: "POST",
         body: file,
         headers,

@@ -64,3 +64,25 @@ def test_what_two_photos_show_gets_its_colour_back_from_the_first_alone():
     views = [Views(images, lens) for images in (photos, edited)]
     found = colours_before(scene, cameras, *views, rendered)
     torch.testing.assert_close(found, torch.full((1, 3), 0.55))
+
+
+def test_a_rim_of_both_colours_takes_that_of_the_photo_and_what_is_hidden_none():
+    """Left half of the photo is edited; rims lie on it, beside it, and behind what it shows."""
+    lens = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]]).expand(1, 1, 3, 3)
+    cameras = Cameras(torch.eye(4)[None, None], lens, (30, 40))
+    photos = torch.full((1, 1, 3, 30, 40), 0.2)
+    edited = photos.clone()
+    edited[..., :20] = 1.0
+    depths = torch.full((1, 1, 1, 30, 40), 2.0)
+    means = torch.tensor([[[-0.8, 0.0, 2], [0.8, 0, 2], [-1.6, 0, 4]]])
+    scene = Gaussians(
+        means,
+        torch.ones(1, 3, 3),
+        torch.ones(1, 3, 4),
+        torch.ones(1, 3),
+        colour_to_dc(torch.full((1, 3, 1, 3), 0.6)),
+    )
+    rendered = Rendering(edited, torch.ones_like(depths), depths)
+    views = [Views(images, lens) for images in (photos, edited)]
+    found = colours_before(scene, cameras, *views, rendered)
+    torch.testing.assert_close(found[:, 0], torch.tensor([0.2, 0.6, 0.6]))

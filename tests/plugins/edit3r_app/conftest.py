@@ -1,6 +1,5 @@
 """A server of the app and a browser, for the tests that click."""
 
-import contextlib
 import os
 import shutil
 import signal
@@ -8,6 +7,7 @@ import socket
 import subprocess
 import sys
 import time
+import urllib.error
 import urllib.request
 
 import pytest
@@ -28,8 +28,8 @@ SOFTWARE_GL = [
 class Server:
     """`edit3r app` in a process of its own."""
 
-    def __init__(self, folder, **environment):
-        self.environment = environment
+    def __init__(self, folder, *more, **environment):
+        self.more, self.environment = more, environment
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
@@ -46,7 +46,7 @@ class Server:
             "--size",
             "96",
         ]
-        call += ["--port", str(self.port), "--jobs", str(self.folder)]
+        call += ["--port", str(self.port), "--jobs", str(self.folder), *self.more]
         plain = {
             name: value
             for name, value in os.environ.items()
@@ -60,10 +60,13 @@ class Server:
         )
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         for _ in range(3000):
-            with contextlib.suppress(OSError):
+            try:
                 opener.open(f"{self.address}/static/app.css").close()
                 return
-            assert self.process.poll() is None, "the server ended"
+            except urllib.error.HTTPError:  # asks for a token
+                return
+            except OSError:
+                assert self.process.poll() is None, "the server ended"
             time.sleep(0.2)
         raise AssertionError("the server did not begin to answer")
 

@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import time
+import urllib.error
 import urllib.request
 import zipfile
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -21,8 +22,11 @@ from edit3r_app.draft import read_draft
 from edit3r_app.jobs import JobsFolder
 
 from edit3r.kit.photos.images import packaged_pair
+from edit3r.kit.scenes.ply import load_ply, save_ply
+from tests.plugins.scan import scan
 
 from ..looks import AXE_FILE, serious
+from .conftest import Server
 
 pytestmark = pytest.mark.slow
 
@@ -326,6 +330,167 @@ def test_an_edit_outlives_a_server_that_is_killed(server, tab):
     page.get_by_text("does not answer").wait_for()
     server.start()
     page.locator(".stage iframe").wait_for()  # without a reload
+
+
+def beside_each_other(page):
+    """Whether the open panel covers nothing of the scene, and the window holds both."""
+    return page.evaluate(
+        """() => {
+          const [a, b] = [".middle", ".drawer"].map((one) =>
+            document.querySelector(one).getBoundingClientRect());
+          const over = Math.min(a.right, b.right) - Math.max(a.left, b.left) > 1
+            && Math.min(a.bottom, b.bottom) - Math.max(a.top, b.top) > 1;
+          return !over && Math.max(a.right, b.right) <= innerWidth && a.height >= innerHeight / 4;
+        }"""
+    )
+
+
+def drawn_3d(page):
+    viewer = page.frame_locator(".stage iframe")
+    viewer.locator("body[data-drawn]").wait_for()
+    viewer.locator("body.pointing").wait_for()
+    return next(frame for frame in page.frames if "/viewer/" in frame.url)
+
+
+def test_a_dropped_splat_is_turned_clicked_changed_undone_and_exported(
+    server, tab, tmp_path
+):
+    save_ply(tmp_path / "balls.ply", scan())
+    page = tab((800, 500))
+    page.goto(server.address)
+    upload(page, [str(tmp_path / "balls.ply")])
+    page.wait_for_url("**/s/balls*")
+    scene = page.url
+    page.get_by_label("which way is up").wait_for()
+    page.get_by_role("button", name="3D", exact=True).click()
+    frame = drawn_3d(page)
+    assert page.locator(".gestures").inner_text().startswith("Drag to turn")
+    frame.evaluate("orbit(0.3, 0)")
+    frame.evaluate(
+        "tell({pointed: point([[canvas.clientWidth * 0.4, canvas.clientHeight / 2]])})"
+    )
+    page.locator(".chip", has_text="marked").wait_for()
+    frame.wait_for_function("document.body.dataset.marked > 50", polling=200)
+    said = page.get_by_label("what to change")
+    said.fill("make it night")  # what is understood is what will be done
+    page.get_by_text("Understood: what you marked: night").wait_for()
+    said.fill("paint it blue")
+    page.get_by_text("Understood: it: blue").wait_for()
+    page.get_by_role("button", name="Go", exact=True).click()
+    page.wait_for_url("**at=**")
+    page.locator(".pill progress[value]").wait_for()  # at the first edit, too
+    drawn_3d(page)
+    edited = page.url
+
+    page.get_by_role("button", name="download").click()
+    with page.expect_download() as loading:
+        page.locator(".file", has_text="scene.ply").press("Enter")
+    before, after = (
+        load_ply(one) for one in (tmp_path / "balls.ply", loading.value.path())
+    )
+    changed = (before.harmonics != after.harmonics).flatten(2).any(2)[0]
+    red, rest = changed[:300].float().mean(), changed[300:].float().mean()
+    assert red > 0.8 and rest < 0.1
+    page.get_by_role("button", name="Film a flight").press("Enter")
+    page.get_by_text("Add at least two views").wait_for()
+    assert beside_each_other(page)
+
+    phone = tab((390, 844))
+    phone.goto(edited)
+    drawn_3d(phone)
+    assert phone.locator(".verdicts .badge").count() == 1
+    assert phone.locator(".verdicts").bounding_box()["height"] < 50
+    hint = phone.locator(".gestures").bounding_box()
+    assert hint["x"] >= 0 and hint["x"] + hint["width"] <= 390
+    phone.get_by_role("button", name="things", exact=True).click()
+    phone.get_by_role("heading", name="Things").wait_for()
+    assert beside_each_other(phone)
+    phone.close()
+
+    page.get_by_role("button", name="close").first.press("Enter")
+    page.get_by_role("button", name="undo").first.click()
+    page.wait_for_url(scene)
+    page.locator(".chip", has_text="marked").wait_for()  # shown, as it is meant
+    assert said.input_value() == "paint it blue"
+    page.goto(server.address)
+    card = page.locator(".scenes li", has_text="balls").locator("a")
+    assert card.get_attribute("href") == scene.removeprefix(server.address)
+    assert tab.problems == []
+
+
+class Proxy(BaseHTTPRequestHandler):
+    """A page's server that has the app under a path, as nginx passes it on: with another host."""
+
+    to = ""
+
+    def do_GET(self):
+        size = int(self.headers.get("content-length") or 0)
+        headers = {
+            name: value for name, value in self.headers.items() if name != "Host"
+        }
+        body = self.rfile.read(size) if size else None
+        path = self.path.removeprefix("/lab/edit3r")
+        self.asked.append(self.path)
+        passed = urllib.request.Request(
+            self.to + path, body, headers, method=self.command
+        )
+        plain = urllib.request.build_opener(urllib.request.ProxyHandler({}), Stays)
+        try:
+            answer = plain.open(passed)
+        except urllib.error.HTTPError as error:
+            answer = error
+        content = answer.read()
+        self.send_response(answer.status)
+        for name, value in answer.headers.items():
+            if name.lower() not in ("transfer-encoding", "content-length"):
+                self.send_header(name, value)
+        self.send_header("content-length", str(len(content)))
+        self.end_headers()
+        self.wfile.write(content)
+
+    do_POST = do_GET
+
+    def log_message(self, *_):
+        pass
+
+
+class Stays(urllib.request.HTTPRedirectHandler):
+    def redirect_request(self, *_):
+        return None
+
+
+def test_below_a_proxys_path_and_ended_while_it_reads_photos(browser, tmp_path):
+    folder = tmp_path / "jobs"
+    weights = str(tmp_path / "weights")
+    below = Server(
+        folder,
+        *("--root-path", "/lab/edit3r/"),
+        EDIT3R_WEIGHTS=weights,
+        EDIT3R_APP_TOKEN="word",
+    )
+    handler = type("To", (Proxy,), {"to": below.address, "asked": []})
+    proxy = ThreadingHTTPServer(("127.0.0.1", 0), handler)
+    threading.Thread(target=proxy.serve_forever, daemon=True).start()
+    start = f"http://localhost:{proxy.server_port}/lab/edit3r/"
+    context = browser.new_context()
+    try:
+        page = context.new_page()
+        page.goto(f"{start}?token=word")
+        assert page.url == start
+        upload(page, packaged_pair()[0])
+        page.wait_for_url(f"{start}s/**")
+        page.wait_for_function("document.querySelector('.box .base')?.naturalWidth > 0")
+        page.reload()
+        page.locator(".thumb").nth(1).wait_for()
+        page.get_by_title("all scenes").click()
+        page.locator(".scenes .name", has_text="motorcycle").first.wait_for()
+        assert all(one.startswith("/lab/edit3r/") for one in handler.asked)
+        below.process.send_signal(signal.SIGINT)
+        assert below.process.wait(timeout=10) == 0
+    finally:
+        context.close()
+        proxy.shutdown()
+        below.process.kill()
 
 
 PHOTO_VIEWS = {

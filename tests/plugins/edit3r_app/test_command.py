@@ -11,6 +11,7 @@ from edit3r.cli.main import main
         (["--port", "-1"], "0 to 65535"),
         (["--port", "70000"], "0 to 65535"),
         (["--size", "4"], "8 to 8192"),
+        (["--root-path", "edit3r/../x"], "expected a path such as /edit3r"),
         (["nope.jpg"], "nope.jpg: no such file"),
         (["--host", "999.1.1.1"], "--host 999.1.1.1: cannot be listened on"),
     ],

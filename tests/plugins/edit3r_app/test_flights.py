@@ -1,7 +1,10 @@
 """Flights along views that the user chose."""
 
+from types import SimpleNamespace
+
 import pytest
 import torch
+from edit3r_app import flights
 from edit3r_app.flights import PER_LEG, film, path_along, read_keys
 from edit3r_app.jobs import JobsFolder
 
@@ -50,6 +53,43 @@ def test_axes_of_a_viewer_that_are_nearly_right_become_a_rotation():
 def test_what_is_no_flight_is_refused(asked, told):
     with pytest.raises(InputError, match=told):
         read_keys(asked)
+
+
+class Drawn:
+    """A registry that draws nothing, and notes which writer wrote."""
+
+    def __init__(self, lacks):
+        self.lacks, self.used = lacks, []
+
+    def find(self, kind, name):
+        return name
+
+    def missing(self, offer):
+        return ["av"] if offer in self.lacks else []
+
+    def build(self, kind, name):
+        self.used.append(name)
+        return SimpleNamespace(write=lambda path, scene: path.write_bytes(b"film"))
+
+
+@pytest.mark.parametrize(
+    ("plays_mp4", "lacks", "name"),
+    [
+        (True, [], "flight.mp4"),
+        (False, [], "flight.webm"),
+        (True, ["mp4"], "flight.webm"),
+    ],
+)
+def test_a_film_is_mp4_where_the_browser_plays_it(
+    plays_mp4, lacks, name, tmp_path, monkeypatch
+):
+    (tmp_path / "jar").mkdir()
+    (tmp_path / "jar" / "scene.ply").touch()
+    shown = SimpleNamespace(gaussians=None, cameras=SimpleNamespace(image_size=(8, 8)))
+    monkeypatch.setattr(flights, "SavedScene", lambda *asked: shown)
+    keys = [KEY, {**KEY, "t": [1, 0, 0]}]
+    made = film(JobsFolder(tmp_path), "jar", keys, Drawn(lacks), plays_mp4=plays_mp4)
+    assert made.name == name and made.read_bytes() == b"film"
 
 
 def test_a_run_without_a_scene_is_told_so(tmp_path):

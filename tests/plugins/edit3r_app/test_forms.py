@@ -55,7 +55,9 @@ def test_settings_are_switches_selects_sliders_and_numbers():
 
 
 def test_what_was_set_beside_the_sentence_is_told_in_words():
-    told = set_by_hand({"prompt": "x", "fov": 65.0, "editor": {"name": "looks"}})
+    told = set_by_hand(
+        {"prompt": "x", "guess": True, "fov": 65.0, "editor": {"name": "looks"}}
+    )
     assert told == ["Width of the lens: 65.0", "editor: looks"]
 
 

@@ -5,10 +5,13 @@ app.
 import asyncio
 
 import pytest
-from edit3r_app.guard import COOKIE, Guard
+import uvicorn
+from edit3r_app import guard
+from edit3r_app.guard import COOKIE, Connection, Guard
+from uvicorn.server import ServerState
 
 
-def ask(kind="http", token=None, path="/", query="", **headers):
+def ask(kind="http", token=None, path="/", query="", root="", **headers):
     """Status (or close code) that a request gets, and the headers of the answer."""
     sent = []
 
@@ -23,7 +26,7 @@ def ask(kind="http", token=None, path="/", query="", **headers):
         (key.replace("_", "-").encode(), value.encode())
         for key, value in headers.items()
     ]
-    asyncio.run(Guard(app, token=token, max_bytes=1000)(scope, None, send))
+    asyncio.run(Guard(app, token=token, max_bytes=1000, root=root)(scope, None, send))
     return sent[0].get("status") or sent[0].get("code"), dict(
         sent[0].get("headers", [])
     )
@@ -117,6 +120,58 @@ def test_the_token_of_the_address_becomes_a_cookie_and_leaves_the_address():
         b"HttpOnly" in headers[b"set-cookie"]
         and b"SameSite=strict" in headers[b"set-cookie"]
     )
+
+
+def test_below_a_root_path_the_address_keeps_it_whether_a_proxy_took_it_away_or_not():
+    for path in ("/x", "/edit3r/x"):
+        _, headers = ask(
+            token="s3cret", host="h", path=path, query="token=s3cret", root="/edit3r"
+        )
+        assert headers[b"location"] == b"/edit3r/x"
+
+
+@pytest.mark.parametrize(("root", "status"), [("", 403), ("/edit3r", 200)])
+def test_behind_a_proxy_with_another_host_the_browsers_word_counts(root, status):
+    asked = {"token": "s3cret", "host": "localhost:8090", "root": root}
+    asked |= {"origin": "https://lab.org", "cookie": f"{COOKIE}=s3cret"}
+    assert ask(**asked, sec_fetch_site="same-origin")[0] == status
+    assert ask(**asked)[0] == ask(**asked, sec_fetch_site="cross-site")[0] == 403
+
+
+def test_a_header_that_drips_is_not_waited_for(monkeypatch):
+    monkeypatch.setattr(guard, "PATIENCE", 0.2)
+
+    async def app(scope, receive, send):
+        await asyncio.sleep(0.4)  # an answer may take longer than a header
+        await send({"type": "http.response.start", "status": 200, "headers": []})
+        await send({"type": "http.response.body", "body": b"here"})
+
+    async def exchange():
+        config = uvicorn.Config(app, lifespan="off", log_level="critical")
+        listening = await asyncio.get_running_loop().create_server(
+            lambda: Connection(config, ServerState(), {}), "127.0.0.1", 0
+        )
+        place = listening.sockets[0].getsockname()
+
+        async def answer(*parts):
+            reader, writer = await asyncio.open_connection(*place)
+            for part in parts:
+                writer.write(part)
+                await asyncio.sleep(0.1)
+            try:
+                return await asyncio.wait_for(reader.read(4000), 3)
+            except ConnectionError:  # closed while more was sent
+                return b""
+            finally:
+                writer.close()
+
+        dripping = [b"GET / HTTP/1.1\r\n", b"a: b\r\n", b"c: d\r\n", b"e: f\r\n"]
+        return await asyncio.gather(
+            answer(b"GET / HTTP/1.1\r\nhost: x\r\n\r\n"), answer(*dripping)
+        )
+
+    whole, dripped = asyncio.run(exchange())
+    assert b"200" in whole and dripped == b""
 
 
 @pytest.mark.parametrize(

@@ -58,6 +58,20 @@ def stroke(previews, scene, kind, radius, places):
     return Mark(kind, first, places, radius)
 
 
+@pytest.mark.parametrize(
+    ("marked", "said"), [(True, "what you marked: night"), (False, "whole: night")]
+)
+def test_what_is_said_of_all_says_so_where_marks_confine_it(
+    previews, scene, marked, said
+):
+    square = [(0.2, 0.2), (0.6, 0.2), (0.6, 0.6)]
+    draft = Draft([stroke(previews, scene, "lasso", 0, square)] if marked else [])
+    draft.form["prompt"] = "make it night"
+    look = previews.look(scene, draft)
+    assert look.understood.startswith(said), look
+    assert (look.masks is None) != marked
+
+
 @pytest.mark.slow
 def test_a_click_gives_a_mask_on_every_photo(previews, scene):
     assert previews.look(scene, Draft()).masks is None

@@ -29,11 +29,28 @@ def test_progress_is_read_from_the_log(tmp_path):
         done={"edit": 2.5},
         stage="render",
         share=0.25,
+        whole=(8 + 0.25) / 10,
         since=4.0,
         told=["dark"],
         error="too dark.",
     )
     assert read_progress(tmp_path / "none") == RunProgress()
+
+
+def test_the_bar_of_a_first_edit_counts_steps_and_never_goes_back():
+    progress, seen = RunProgress(), []
+    for kind, text, done in (
+        ("start", "read scene", 0),
+        ("start", "geometry", 0),
+        ("progress", "geometry", 3),
+        ("progress", "geometry", 1),  # another thing of the same step
+        ("start", "edit (recolor)", 0),
+        ("start", "simplify", 0),  # a step that not every run has
+        ("start", "write files", 0),
+    ):
+        progress.take(event(kind, text, done, 4))
+        seen.append(progress.whole)
+    assert seen == [0, 0.2, 0.275, 0.275, 0.4, 0.4, 0.9]
 
 
 def test_the_time_left_is_that_of_the_newest_run_of_the_same_reconstructor(tmp_path):

@@ -1,6 +1,7 @@
 """What the page asks for: plain data in and out, and every press that is impossible said."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -55,6 +56,26 @@ def test_a_state_of_another_scene_is_refused(studio, scene):
     job = studio.folder.new_job(AppJob("", other))
     with pytest.raises(InputError, match="not an edit of"):
         studio.scene(scene, job.name)
+
+
+def test_a_card_opens_where_it_was_left_else_at_the_newest_edit_that_worked(
+    studio, scene
+):
+    def opens():
+        return next(one["at"] for one in studio.scenes() if one["name"] == scene)
+
+    first, second, failed = (
+        studio.folder.new_job(AppJob("", scene, settings={"prompt": word}))
+        for word in ("gold", "blue", "red")
+    )
+    assert opens() == ""
+    for job in (first, second):
+        (studio.folder.root / job.name).mkdir()
+        (studio.folder.root / job.name / "run.json").write_text("{}")
+    studio.folder.write(replace(failed, state="failed"))
+    assert opens() == second.name
+    studio.scene(scene, "")
+    assert opens() == ""
 
 
 def test_a_draft_is_changed_undone_and_redone(studio, scene):

@@ -492,7 +492,19 @@ def test_inside_of_the_app_a_click_points_and_handles_ask_for_the_object(
     page.evaluate(f"tell({{meant: {other}}})")  # an answer that comes late
     marked = page.frames[1].evaluate("marked.reduce((sum, one) => sum + one, 0)")
     assert marked == int(share)
-    # with Alt, or after a press that waits, a line is drawn and the camera stays
+    # a press that lasts, as on a slow machine, and is then dragged turns: it marks nothing
+    before = page.frames[1].evaluate("pose.t")
+    page.evaluate("heard.length = 0")
+    page.mouse.down()
+    page.wait_for_timeout(600)
+    page.mouse.move(0.61 * WIDTH, 0.51 * HEIGHT, steps=2)
+    page.mouse.up()
+    assert not page.evaluate("heard.some((one) => one.pointed)")
+    assert page.frames[1].evaluate("pose.t") != before
+    page.evaluate("tell({view: 0})")
+    page.frames[1].wait_for_function("pose === views[0].pose")
+    page.mouse.move(0.6 * WIDTH, HEIGHT / 2)
+    # with Alt a line is drawn and the camera stays
     page.evaluate("heard.length = 0")
     page.keyboard.down("Alt")
     page.mouse.down()

@@ -1,9 +1,10 @@
 // What opens beside the scene: history, things, a flight; and the dialogs of settings and downloads.
+import { ROOT } from "../address.js";
 import { ask, path, tell } from "../api.js";
 import { button, el, size, toast } from "../dom.js";
 import { showFilm } from "../film.js";
 import { showObjects } from "../objects.js";
-import { showFiles, showHistory, showPhone, showSettings } from "../panels.js";
+import { PLAYS_MP4, showFiles, showHistory, showPhone, showSettings } from "../panels.js";
 
 const TITLES = { history: "history", objects: "things", film: "a flight" };
 
@@ -90,14 +91,14 @@ export function drawersOf(page) {
     draw();
     page.waiting.long("Drawing the flight");
     const keys = kept.keys.map(({ pose, K }) => ({ ...pose, K }));
-    const bytes = await page.attempt(() => tell(["film", page.state()], { keys }));
+    const made = await page.attempt(() => tell(["film", page.state()], { keys, mp4: PLAYS_MP4 }));
     filming = false;
     page.waiting.long("");
     if (page.gone()) return;
     if (kept.drawer === "film") draw();
-    if (!bytes) return;
-    el("a", { href: path("download", page.state(), "flight.webm"), download: "" }).click();
-    toast(`flight.webm is made: ${size(bytes)}.`);
+    if (!made) return;
+    el("a", { href: path("download", page.state(), made.file), download: "" }).click();
+    toast(`${made.file} is made: ${size(made.bytes)}.`);
   }
 
   // ---- dialogs ----
@@ -108,7 +109,7 @@ export function drawersOf(page) {
   }
   const openPhone = () =>
     opening(async () =>
-      showPhone(await tell(["phone"], { page: location.pathname + location.search })),
+      showPhone(await tell(["phone"], { page: `/${location.pathname.slice(ROOT.length)}${location.search}` })),
     );
   const openSettings = () =>
     opening(async () =>

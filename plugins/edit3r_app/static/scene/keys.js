@@ -1,6 +1,6 @@
 // Keys, and the wheel over a photo.
 import { showKeys } from "../panels.js";
-import { fullScreen } from "./stage.js";
+import { fullScreen, has3d } from "./stage.js";
 
 export function keysOf(page, stage, toggleStrip) {
   const flip = (what) => () => {
@@ -32,7 +32,7 @@ export function keysOf(page, stage, toggleStrip) {
     "?": () => showKeys(),
     "/": () => page.bar.focus(),
     m: () => {
-      if (!page.s.isRun || page.s.byHand) return;
+      if (!has3d(page.s) || page.s.byHand) return;
       page.view = page.view === "3d" ? "photo" : "3d";
       page.stage.draw();
     },

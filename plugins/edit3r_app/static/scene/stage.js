@@ -2,18 +2,20 @@
 import { path } from "../api.js";
 import { el } from "../dom.js";
 
+export const has3d = (s) => s.isRun || s.isSplat; // whether there is a scene to turn
+
 // `parts`: what is shown with one of them only, {stage, views, files, objects, dock}.
 export function stageOf(page, { stage, views, files, objects, dock }) {
   let shown = "";
   function draw() {
     const { s } = page;
-    const kind = s.isRun && page.view === "3d" ? "3d" : s.job ? "job" : "photo";
+    const kind = has3d(s) && page.view === "3d" ? "3d" : s.job ? "job" : "photo";
     document.body.dataset.view = kind;
     page.verdicts.draw();
     page.adjust.draw(false);
     fill(kind);
     stage.classList.toggle("two", kind === "3d" && Boolean(page.beside));
-    views.hidden = !s.isRun || s.byHand;
+    views.hidden = !has3d(s) || s.byHand;
     files.hidden = !s.isRun;
     objects.hidden = !s.isRun;
     dock.inert = Boolean(s.job); // it keeps its place, so that nothing shifts
@@ -27,7 +29,14 @@ export function stageOf(page, { stage, views, files, objects, dock }) {
     if (wanted === shown) return;
     shown = wanted;
     if (before) return page.viewer.show([before]);
-    if (kind === "3d") return page.viewer.show([page.state(), page.beside].filter(Boolean));
+    if (kind === "3d") {
+      page.viewer.show([page.state(), page.beside].filter(Boolean));
+      for (const name of page.s.photos) {
+        const known = page.strip.over(name); // what was selected before, on the photos
+        if (known) page.viewer.tint(name, known);
+      }
+      return;
+    }
     stage.replaceChildren(
       page.s.photos.length
         ? page.picture.box
@@ -51,7 +60,7 @@ export function stageOf(page, { stage, views, files, objects, dock }) {
   const drawViews = () =>
     views.replaceChildren(
       ...[
-        ["photo", "Photos"],
+        ["photo", page.s.isSplat ? "Pictures" : "Photos"],
         ["3d", "3D"],
       ].map(([key, text]) =>
         el(

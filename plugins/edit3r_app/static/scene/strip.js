@@ -1,6 +1,6 @@
 // The photos of a scene in a row: one is chosen, some are added or taken out.
 import { path, tell } from "../api.js";
-import { button, el, toast } from "../dom.js";
+import { button, dialog, el, toast } from "../dom.js";
 import { choose, dropAnywhere, send } from "../upload.js";
 
 export function stripOf(page, strip) {
@@ -33,9 +33,24 @@ export function stripOf(page, strip) {
   function draw() {
     const { s } = page;
     strip.replaceChildren(...s.photos.map(holder));
+    if (s.isSplat && !s.isRun && !s.history.length)
+      strip.prepend(button("upright", "which way is up", askUp, { text: "up", class: "icon tool add" }));
     if (!s.fixed && !s.fromRun)
       strip.append(button("add", "add photos", () => choose(false, add), { class: "icon add" }));
     mark();
+  }
+  function askUp() {
+    const axis = (up) => el("button", { type: "button", onclick: () => turn(up) }, up.toUpperCase());
+    const turn = async (up) => {
+      asked.close();
+      page.waiting.long("Turning the scene");
+      if ((await page.attempt(() => tell(["upright", scene], { up }))) !== null) location.reload();
+    };
+    const asked = dialog(
+      "Which way is up?",
+      el("p", {}, "If the scene lies on its side or on its head, choose the axis that points up in its file. Marks on it are forgotten."),
+      el("div", { class: "row" }, ["-y", "+y", "+z", "-z", "+x", "-x"].map(axis)),
+    );
   }
   const mark = () =>
     [...strip.querySelectorAll(".thumb")].forEach((one, k) =>
@@ -44,7 +59,7 @@ export function stripOf(page, strip) {
   function show(index) {
     page.photo = index;
     mark();
-    if (page.s.isRun && page.view === "3d") return page.viewer.post({ view: index });
+    if (page.view === "3d") return page.viewer.post({ view: index });
     page.stage.draw();
   }
   async function add(chosen, folder) {
@@ -62,7 +77,7 @@ export function stripOf(page, strip) {
   }
   const undrop = dropAnywhere((chosen, folder) =>
     page.s && page.s.fixed
-      ? toast("Edits were made from these photos; begin with new photos on the first page.", true)
+      ? toast("This scene takes no more photos; begin with new ones on the first page.", true)
       : add(chosen, folder),
   );
 

@@ -28,7 +28,7 @@ export function toolsOf(page) {
     if (page.s.byHand && !draws) return;
     // points and draws on photos and in 3D; for the box the photos come first
     page.tool = name;
-    if (name === "box") page.view = "photo";
+    if (name === "box" || (SCULPTS.includes(name) && !page.s.isRun)) page.view = "photo";
     draw();
     if (!stays) page.stage.draw();
   }
@@ -42,7 +42,7 @@ export function toolsOf(page) {
     draw();
   }
   const offered = ([name]) => !page.s.byHand || SCULPTS.includes(name);
-  const isTaken = (name) => page.tool === name && (page.view === "photo" || name !== "box");
+  const isTaken = (name) => page.tool === name && (page.view === "photo" || name === "point" || (name !== "box" && page.s.isRun));
   const pointers = () => [
     ...Object.entries(TOOLS).filter(offered).map(([name, [label, key]]) =>
       pressed(name, label.split(":")[0], isTaken(name), label, () => take(name), key),

@@ -9,6 +9,9 @@ const COMPARED = {
   last: "Compare: the last state",
 };
 
+const NARROW = matchMedia("(max-width: 720px)"); // there the worst answer stands for all
+const BAD = ["poor", "doubtful", "question", "failed"];
+
 export function verdictsOf(page) {
   const compared = el("select", { "aria-label": "compare with", title: "before and after (C)" });
   compared.addEventListener("change", () => take(compared.value));
@@ -35,15 +38,15 @@ export function verdictsOf(page) {
       kinds = Object.keys(COMPARED).filter((one) => can[one]),
       taken = page.beside ? "last" : page.kept.compares && can.photos ? "photos" : "none",
       said = edit()?.verdicts || [];
-    node.hidden = document.body.dataset.view !== "3d";
+    node.hidden = document.body.dataset.view !== "3d" || !page.s.isRun;
     compared.hidden = kinds.length < 2;
     const key = JSON.stringify([kinds, taken, said]);
     if (node.dataset.key === key) return;
     node.dataset.key = key;
     compared.replaceChildren(
-      ...kinds.map((value) => el("option", { value, selected: value === taken }, COMPARED[value])),
+      ...kinds.map((value) => el("option", { value, selected: value === taken }, page.s.isSplat && value === "photos" ? "Compare: before" : COMPARED[value])),
     );
-    words.replaceChildren(...said.map(badge));
+    words.replaceChildren(...(NARROW.matches && said.length > 1 ? [together(said)] : said.map(badge)));
   }
   const badge = ({ on, label, reason }) =>
     el(
@@ -52,6 +55,12 @@ export function verdictsOf(page) {
       el("summary", {}, `${on[0].toUpperCase()}${on.slice(1)}: ${label}`),
       el("p", {}, reason),
     );
+  const together = (said) => {
+    const worst = said.find(({ label }) => BAD.includes(label)) || said.at(-1);
+    const one = badge(worst);
+    one.replaceChildren(one.firstChild, ...said.map(({ on, label, reason }) => el("p", {}, `${on}: ${label}, ${reason}`)));
+    return one;
+  };
   function drawNotice() {
     const { trouble, placed } = page.s.reading;
     if (notice.dataset.text === trouble) return;

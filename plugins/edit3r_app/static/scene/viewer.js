@@ -12,7 +12,7 @@ export function viewerOf(page, stage) {
   const { scene, beside, kept } = page;
   let drawn = false;
   const ofThings = () => kept.drawer === "objects";
-  const compares = () => kept.compares && !beside && !ofThings();
+  const compares = () => kept.compares && !beside && !["objects", "film"].includes(kept.drawer);
   const frame = (run) =>
     el("iframe", {
       src: `${path("viewer", run)}?embed`,

@@ -90,7 +90,7 @@ export function waitingOf(page) {
       el("span", {}, line),
       job.active
         ? el("progress", {
-            "aria-label": "share of this step",
+            "aria-label": "share of this edit",
             ...(job.share === null ? {} : { value: job.share, max: 1 }),
           })
         : el("span", { class: "problem" }, job.sentence),
