@@ -13,9 +13,9 @@ def test_photos_that_are_there_are_not_fetched_again(tmp_path, monkeypatch):
     asked = []
     answer = lambda source, clones: asked.append(source["path"]) or b"photo"  # noqa: E731
     monkeypatch.setitem(fetch.__globals__, "content", answer)
-    fetch(tmp_path)
+    told = [*fetch(tmp_path)]
     count = len(asked)
-    fetch(tmp_path)
+    assert not [*fetch(tmp_path)] and len(told) == count
     assert count > 50 and len(asked) == count
 
 

@@ -52,10 +52,16 @@ def require_known_words(inputs: Inputs, components: Components) -> None:
     """Raise QuestionError for words that nothing here knows, from the first photo alone: before
     geometry is read, which takes most of the time that a question would.
     """
-    if inputs.marked is not None or inputs.masks is not None or _guesses(components):
+    marked = inputs.marked is not None or inputs.masks is not None
+    named = any(
+        instruction.target.scope == "named"
+        for task in components.tasks
+        for instruction in task.instructions
+    )
+    if marked or not named or inputs.photos.count < 2 or _guesses(components):
         return
     first = inputs.select([0])
-    with stage("select"), collecting(Report()):
+    with stage("look up words"), collecting(Report()):
         selection = _regions(first, Located(), components)
     if not all(one.knows_words for one in selection.selected):
         require_answer(first, selection, components)

@@ -489,6 +489,7 @@ def test_stages_are_timed_in_order(views):
     assert names == [
         "read photos",
         "load components",
+        "look up words",
         "select",
         "edit (Invert)",
         "reconstruct (Flat)",

@@ -99,7 +99,7 @@ def test_the_forms_of_every_component_left_alone_give_a_run_that_is_valid(kind):
                 "reconstructor": "refit",
                 "settings": {"reconstructor refit": {"editor": "command"}},
             },
-            "starts programs",
+            "starts a program",
         ),
         (
             {
@@ -109,7 +109,7 @@ def test_the_forms_of_every_component_left_alone_give_a_run_that_is_valid(kind):
                     }
                 }
             },
-            "starts programs",
+            "starts a program",
         ),
         ({"settings": {"run": {"seed": "-1"}}}, "run.seed"),
         ({"settings": {"run": {"fov": "{"}}}, "fov"),

@@ -36,7 +36,7 @@ def test_an_entry_of_this_repository_says_what_its_package_says(one):
         (package / "pyproject.toml").read_text()
     )["project"]
     declared = (package / f"{one.name.replace('-', '_')}" / "__init__.py").read_text()
-    assert project["name"] == one.name and one.install.endswith(one.home)
+    assert project["name"] == one.name and f"./{one.home}" in one.install.split()
     assert f"EDIT3R_API = {one.api}" in declared
     for kind, names in one.offers.items():
         assert f"def register_{kind}s(" in declared

@@ -41,7 +41,8 @@ def test_every_kind_gets_a_package_with_all_its_parts(kind):
         and "test" in project["project"]["optional-dependencies"]
     )
     for path, text in files.items():
-        assert "$" not in text.replace("${", "$"), f"{path} holds an unfilled word"
+        filled = text.replace("$schema=", "")  # of the YAML language server
+        assert "$" not in filled, f"{path} holds an unfilled word"
         assert max(len(line) for line in text.splitlines()) <= 120
         if path.endswith(".py"):
             assert max(len(line) for line in text.splitlines()) <= 100, path

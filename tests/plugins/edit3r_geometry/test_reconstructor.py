@@ -146,9 +146,12 @@ def test_a_guess_before_what_the_other_view_saw_is_dropped(pair, truth):
 
 
 def test_views_that_were_not_placed_leave_no_gaussians(pair, truth):
-    geometry = dataclasses.replace(truth, registered=torch.tensor([[True, False]]))
-    gaussians = build(geometry)(pair.views).gaussians
-    assert set(gaussians.view_index.tolist()) == {0}
+    three = [0, 1, 1]
+    geometry = dataclasses.replace(
+        truth.select(three), registered=torch.tensor([[True, False, True]])
+    )
+    gaussians = build(geometry)(pair.views.select(three)).gaussians
+    assert set(gaussians.view_index.tolist()) == {0, 2}
 
 
 def test_predicted_cameras_are_those_of_the_photos(pair, truth):

@@ -257,7 +257,7 @@ def test_a_place_of_the_picture_is_its_box():
 
 
 def test_a_place_and_a_click_together_are_an_error():
-    with pytest.raises(PromptError, match=r"left half of the picture.*leave out one"):
+    with pytest.raises(PromptError, match=r"left half of the picture.*keep only one"):
         regions("brighten the left half", CLICK)
 
 
