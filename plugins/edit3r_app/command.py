@@ -39,6 +39,7 @@ class AppCommand(Command):
         add("--size", type=int, default=512, metavar="N", help=about)
 
     def main(self, args: argparse.Namespace) -> int:
+        from edit3r.kit.children import safe_path
         from edit3r.kit.photos.coverage import temporary_photos
         from edit3r.kit.photos.images import find_photos
         from edit3r_app.jobs import JobsFolder
@@ -53,8 +54,6 @@ class AppCommand(Command):
                 f"--root-path {args.root_path!r}: expected a path such as /edit3r."
             )
         host = LOCAL[0] if args.host == "localhost" else args.host
-        # No process that this one starts looks for modules in the current folder.
-        os.environ["PYTHONSAFEPATH"] = "1"
         from edit3r_app.server import serve
         from edit3r_app.uploads import copied
 
@@ -69,16 +68,18 @@ class AppCommand(Command):
         token = None
         if host not in LOCAL or root:
             token = os.environ.get("EDIT3R_APP_TOKEN") or secrets.token_urlsafe(24)
-        serve(
-            folder,
-            host=host,
-            port=port,
-            token=token,
-            root=root,
-            size=args.size,
-            start=start,
-            show=not args.no_browser,
-        )
+        # No process that the app starts looks for modules in the current folder.
+        with safe_path():
+            serve(
+                folder,
+                host=host,
+                port=port,
+                token=token,
+                root=root,
+                size=args.size,
+                start=start,
+                show=not args.no_browser,
+            )
         return 0
 
 
