@@ -64,7 +64,7 @@ def test_pictures_poses_and_lens_reach_the_scene():
     assert geometry.depths.shape == (1, 2, 48, 64)
     across, high = geometry.intrinsics[0, 1].diagonal()[:2]
     wide, tall = (0.5 / told["pose_enc"][0, 1, [8, 7]].mul(0.5).tan()).tolist()
-    assert (float(across), float(high)) == pytest.approx((wide, tall), rel=1e-5)
+    assert (float(across), float(high)) == pytest.approx((wide, tall), rel=1e-4)
     assert result.cameras.c2w[0, 1, :3, 3].norm() > 0
     assert torch.equal(result.cameras.c2w, geometry.c2w)
 

@@ -245,8 +245,10 @@ def test_a_scene_reopens_where_it_was_left(server, page_once):
     make_grey(page, server)
     viewer = page.frame_locator(".stage iframe")
     viewer.locator("body[data-drawn]").wait_for()
-    page.get_by_text("Scene: ").wait_for()  # both verdicts stand over it
-    page.get_by_text("Edit: ").click()
+    page.locator(
+        "summary", has_text="Scene: "
+    ).wait_for()  # both verdicts stand over it
+    page.locator("summary", has_text="Edit: ").click()
     all_can_be_read(page)
     left = page.url
     # while the next edit is made, the scene before it stays

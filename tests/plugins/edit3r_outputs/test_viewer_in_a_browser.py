@@ -497,7 +497,7 @@ def test_inside_of_the_app_a_click_points_and_handles_ask_for_the_object(
     page.evaluate("heard.length = 0")
     page.mouse.down()
     page.wait_for_timeout(600)
-    page.mouse.move(0.61 * WIDTH, 0.51 * HEIGHT, steps=2)
+    page.mouse.move(0.65 * WIDTH, 0.52 * HEIGHT, steps=2)
     page.mouse.up()
     assert not page.evaluate("heard.some((one) => one.pointed)")
     assert page.frames[1].evaluate("pose.t") != before
