@@ -245,10 +245,10 @@ def test_a_scene_reopens_where_it_was_left(server, page_once):
     make_grey(page, server)
     viewer = page.frame_locator(".stage iframe")
     viewer.locator("body[data-drawn]").wait_for()
-    page.locator(
-        "summary", has_text="Scene: "
-    ).wait_for()  # both verdicts stand over it
-    page.locator("summary", has_text="Edit: ").click()
+    # both verdicts stand over it, on a phone in one chip
+    page.locator(".verdicts summary").last.click()
+    for of in "Scene: ", "Edit: ":
+        page.locator(".verdicts", has_text=of).wait_for()
     all_can_be_read(page)
     left = page.url
     # while the next edit is made, the scene before it stays
