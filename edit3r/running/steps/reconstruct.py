@@ -9,6 +9,7 @@ from edit3r.contract.component import component_name
 from edit3r.contract.interfaces import (
     ComparesWithBefore,
     EditsViews,
+    Geometry,
     Reconstructor,
 )
 from edit3r.contract.reporting import note, stage, warn
@@ -91,8 +92,7 @@ def _reconstruction(
     if components.changes_shape:
         source = edited
         if components.uses_geometry:
-            asked = components.geometry_source
-            geometry = find_geometry(asked, edited).required()
+            geometry = _after_edit(edited, geometry, components)
     if not isinstance(recon, EditsViews):
         grid = _grid(components, edited)
         return _checked(recon, edited, lambda: recon(edited, source, geometry, grid))
@@ -104,6 +104,26 @@ def _reconstruction(
         edited,
         lambda: recon.edit_and_reconstruct(edited, source, request, geometry),
     )
+
+
+def _after_edit(
+    edited: Views, of_photos: Geometry | None, components: Components
+) -> Geometry:
+    """The geometry of edited views in which things came or went.
+
+    No camera moved: views that share too little to be placed anew, as after a large removal, stand
+    where their photos do. Raises MatchingError where those have no place either.
+    """
+    answer = find_geometry(components.geometry_source, edited)
+    if answer.geometry is not None or of_photos is None:
+        return answer.required()
+    warn(
+        "the edited photos show too little to be placed anew; they keep the cameras of the photos."
+    )
+    posed = replace(of_photos.calibrated(edited), c2w=of_photos.c2w)
+    geometry = find_geometry(components.matcher_of_known_poses, posed).required()
+    registered = geometry.registered & of_photos.registered
+    return replace(geometry, intrinsics=posed.intrinsics, registered=registered)
 
 
 def _grid(components: Components, views: Views) -> tuple[int, int]:
