@@ -189,12 +189,6 @@ class Components:
         with errors_named_after(source, photos.images):
             return source.lens(photos)
 
-    @cached_property
-    def matcher_of_known_poses(self) -> Matcher:
-        """The one that reads depth from views whose poses are known."""
-        choice = PartChoice.model_validate(DEFAULTS["known_poses"])
-        return self._registry.build_choice("matcher", choice)
-
     def settle_matcher(self, photos: Views) -> None:
         """Take the matcher of known poses where the job's cameras have them and none was chosen.
 

@@ -3,7 +3,11 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import cv2
+import numpy as np
 import torch
+from jaxtyping import Bool
+from torch import Tensor
 
 from edit3r.contract.component import component_name
 from edit3r.contract.interfaces import (
@@ -17,6 +21,7 @@ from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit import asking
 from edit3r.kit.cache import recall
 from edit3r.kit.geometry.cameras import quarter_turns
+from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.geometry.pose import estimate_cameras
 from edit3r.running.components import Components
 from edit3r.running.editors import request_of
@@ -38,6 +43,11 @@ FINE_VIEWS = 20
 the same surfaces again, and memory must hold them.
 """
 
+AROUND = 0.01
+"""How far around what changed depth is still that of what was there [long sides]. By eye, on one
+pair; no figure kept.
+"""
+
 
 @torch.no_grad()
 def reconstruct(
@@ -50,7 +60,7 @@ def reconstruct(
 ) -> Reconstructed:
     """Gaussians and cameras of the edited views, and the scene as it was before the edit."""
     with stage(f"reconstruct ({component_name(components.reconstructor)})"):
-        scene = _reconstruction(located, corrected, selection, components)
+        scene = _reconstruction(inputs, located, corrected, selection, edit, components)
         masks = _masks_of_change(inputs, selection, edit, components)
         before = _before(inputs, located, corrected, masks, components)
     if before is not None:
@@ -81,9 +91,11 @@ def _tell_of_turned(photos: Views, cameras: Cameras) -> None:
 
 
 def _reconstruction(
+    inputs: Inputs,
     located: Located,
     corrected: ExposureCorrected,
     selection: SelectedRegions,
+    edit: EditedPhotos,
     components: Components,
 ) -> Reconstruction:
     """The edited views in 3D; their geometry is that of the photos, unless things come or go."""
@@ -92,7 +104,8 @@ def _reconstruction(
     if components.changes_shape:
         source = edited
         if components.uses_geometry:
-            geometry = _after_edit(edited, geometry, components)
+            changed = (edit.views.images != inputs.start.images).any(2)
+            geometry = _after_edit(edited, changed, geometry, components)
     if not isinstance(recon, EditsViews):
         grid = _grid(components, edited)
         return _checked(recon, edited, lambda: recon(edited, source, geometry, grid))
@@ -107,23 +120,33 @@ def _reconstruction(
 
 
 def _after_edit(
-    edited: Views, of_photos: Geometry | None, components: Components
+    edited: Views,
+    changed: Bool[Tensor, "batch view height width"],
+    of_photos: Geometry | None,
+    components: Components,
 ) -> Geometry:
-    """The geometry of edited views in which things came or went.
+    """The geometry of edited views in which things came or went where they `changed`.
 
-    No camera moved: views that share too little to be placed anew, as after a large removal, stand
-    where their photos do. Raises MatchingError where those have no place either.
+    Views that share too little to be placed anew, as after a large removal, stand where their
+    photos do, since no camera moved: depth is that of the photos, and goes on from around where
+    something changed. Raises MatchingError where the photos have no place either, or all changed.
     """
     answer = find_geometry(components.geometry_source, edited)
     if answer.geometry is not None or of_photos is None:
         return answer.required()
+    hole = dilate(changed.to(edited.images), round(AROUND * max(edited.image_size))) > 0
+    if bool(hole.flatten(2).all(-1).any()):
+        return answer.required()
     warn(
-        "the edited photos show too little to be placed anew; they keep the cameras of the photos."
+        "the edited photos share too little to be placed anew: they keep the photos' cameras, and "
+        "what came or went has the depth of what is around it."
     )
-    posed = replace(of_photos.calibrated(edited), c2w=of_photos.c2w)
-    geometry = find_geometry(components.matcher_of_known_poses, posed).required()
-    registered = geometry.registered & of_photos.registered
-    return replace(geometry, intrinsics=posed.intrinsics, registered=registered)
+    inverse = (1 / of_photos.depths).flatten(0, 1).numpy(force=True)
+    holes = hole.flatten(0, 1).numpy(force=True).astype(np.uint8)
+    filled = [cv2.inpaint(*one, 1, cv2.INPAINT_NS) for one in zip(inverse, holes)]
+    depths = 1 / torch.from_numpy(np.stack(filled)).to(of_photos.depths)
+    confidence = of_photos.confidence.masked_fill(hole, 0)
+    return replace(of_photos, depths=depths.view_as(hole), confidence=confidence)
 
 
 def _grid(components: Components, views: Views) -> tuple[int, int]:
