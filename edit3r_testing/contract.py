@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from edit3r.contract.component import Offer
-from edit3r.contract.errors import Edit3rError, PluginError
+from edit3r.contract.errors import Edit3rError, PluginError, UnknownComponentError
 from edit3r.contract.hookspecs import API_VERSION
 from edit3r.contract.types import PER_GAUSSIAN, Gaussians
 from edit3r.kit.checks import errors_named_after, named_after
@@ -83,7 +83,14 @@ class Contract:
     @property
     def offer(self) -> Offer | None:
         """What the plugin declared; None for an object that no plugin offers."""
-        return self.registry.find(self.kind, self.component) if self.component else None
+        __tracebackhide__ = True
+        if not self.component:
+            return None
+        try:
+            return self.registry.find(self.kind, self.component)
+        except UnknownComponentError as error:
+            how = "install the package that offers it (pip install -e FOLDER), or name its folder"
+            raise ContractViolation(f"{error} Yours? {how} in plugin_files.") from None
 
     @property
     def device(self) -> torch.device:

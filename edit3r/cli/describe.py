@@ -67,7 +67,7 @@ def _use(offer, settings) -> str:
 
 
 def _title(offer) -> str:
-    version = f" {offer.version}" if offer.version else " (local file)"
+    version = f" {offer.version}" if offer.version else " (not installed)"
     component = offer.component
     source = f"from plugin {offer.plugin}{version}"
     return f"{offer.kind} {component.name}, {source}\n{component.summary}"

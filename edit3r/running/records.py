@@ -126,6 +126,8 @@ class SelectedRegions:
     instructions: tuple[Instruction, ...] = ()
     # the things that were looked for, of the first scene
     selected: tuple[Selected, ...] = ()
+    # somebody saw the candidates and took one of them (`--reading`)
+    chosen: bool = False
     # masks of what was named, in this run and before; of the first scene
     things: Mapping[str, Float[Tensor, "view height width"]] = field(
         default_factory=dict
@@ -136,7 +138,8 @@ class SelectedRegions:
         """What was selected and how likely it is what was meant; None: nothing was looked for."""
         said = dict.fromkeys(str(one.target) for one in self.instructions)
         exactly = "; ".join(said) or MARKED
-        return verdict_on_selection(self.selected, exactly if self.confined else "")
+        exactly = exactly if self.confined else ""
+        return verdict_on_selection(self.selected, exactly, self.chosen)
 
     @property
     def confined(self) -> bool:
@@ -273,15 +276,17 @@ GUESS = "guess"  # of `Selected.how`: nobody said what is meant
 
 
 def verdict_on_selection(
-    things: Sequence[Selected], exactly: str = ""
+    things: Sequence[Selected], exactly: str = "", chosen: bool = False
 ) -> SelectionVerdict | None:
     """What is said of all things that were looked for; None where none was.
 
     `exactly`: what else keeps some pixels as they are, such as masks that were handed over.
 
-    The least confident one decides. A thing that was marked exactly, or taken as another candidate
-    (`--reading`), is what was asked for: it has no confidence.
+    The least confident one decides. A thing that was marked exactly, or taken as a numbered
+    candidate (`chosen`, `--reading`), is what was asked for: it has no confidence.
     """
+    if chosen:
+        things = [replace(one, confidence=None) for one in things]
     if not things:
         return SelectionVerdict("given", exactly, None) if exactly else None
     listed = "; ".join(dict.fromkeys(_in_words(one) for one in things))

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from pydantic import Field, TypeAdapter
 from torch import Tensor
 
-from edit3r.contract.errors import InputError
+from edit3r.contract.errors import InputError, PromptError
 from edit3r.contract.interfaces import Box, Selection
 from edit3r.contract.types import Views
 from edit3r.kit.files.atomic import atomic_write
@@ -63,6 +63,7 @@ class Draft:
     marks: list[Mark | Step] = field(default_factory=list)
     undone: list[Mark | Step] = field(default_factory=list)  # the last taken back last
     words: str = ""  # name the thing where nothing is marked
+    chosen_for: str = ""  # the sentence for which the last reading was chosen
     # what was typed: the sentence, names of components, settings
     form: dict[str, Any] = field(default_factory=dict)
     # of a set of photos, for all edits of it: marks by the name that the user gave them
@@ -75,12 +76,21 @@ class Draft:
         return bool(self.words or kinds & SELECTS)
 
     @property
+    def chose(self) -> bool:
+        """Whether somebody looked at the readings of what is meant now and chose one."""
+        if not self._steps("reading"):
+            return False
+        now = self.form.get("prompt", "")
+        return self.selects or _things(now) == _things(self.chosen_for)
+
+    @property
     def outline(self) -> dict[str, Any]:
         """What the steps come to: the settings larger, reading, grow and invert of a run."""
         larger = sum(int(value) for value in self._steps("larger"))
+        chosen = self._steps("reading")[-1] if self.chose else 1.0
         return {
             "larger": min(max(larger, -MAX_STEPS), MAX_STEPS),
-            "reading": int(min(max([1.0, *self._steps("reading")][-1], 1), MAX_STEPS)),
+            "reading": int(min(max(chosen, 1), MAX_STEPS)),
             "grow": [0.0, *self._steps("grow")][-1],
             "invert": len(self._steps("invert")) % 2 == 1,
         }
@@ -96,6 +106,8 @@ class Draft:
             self.marks.pop()
         self.marks.append(mark)
         self.undone = []
+        if mark.kind == "reading":
+            self.chosen_for = self.form.get("prompt", "")
 
     def take_back(self) -> None:
         """Forget the last mark or step; the words where there is none."""
@@ -163,6 +175,13 @@ def write_draft(folder: JobsFolder, state: str, draft: Draft) -> None:
         )
     with atomic_write(folder.beside(state) / "draft.json") as partial:
         partial.write_text(draft.as_json(), encoding="utf-8")
+
+
+def _things(sentence: str) -> list[str]:
+    """What a sentence names; nothing where it cannot be read."""
+    with suppress(PromptError):
+        return [str(one.target) for one in usual_reader().read(sentence)]
+    return []
 
 
 def _box(mark: Mark) -> Box:

@@ -210,6 +210,8 @@ def run_settings(draft: Draft, registry: Registry) -> dict[str, Any]:
     usual = Draft().outline
     steps = draft.outline.items()
     settings |= {key: value for key, value in steps if value != usual[key]}
+    if draft.chose:
+        settings["reading"] = draft.outline["reading"]
     if form.get("quality"):
         settings["quality"] = form["quality"]
     for kind in CHOSEN:

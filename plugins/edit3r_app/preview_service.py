@@ -212,6 +212,8 @@ class DraftSelection(Stage):
             except Edit3rError as error:
                 asks = isinstance(error, InputError)
                 look = replace(look, problem=str(error), asks=asks)
+        if draft.chose:
+            look = replace(look, confidence=None, is_sure=True)
         return replace(look, messages=tuple(messages))
 
     def _with_regions(

@@ -1,5 +1,6 @@
 """The directory of plugins: packages that add to edit3r, from `directory.yaml` beside this file."""
 
+import itertools
 from importlib import metadata
 from pathlib import Path
 
@@ -59,8 +60,14 @@ class Directory(Settings):
     @classmethod
     def _sorted_and_once(cls, value: tuple[Listed, ...]) -> tuple[Listed, ...]:
         names = [one.name for one in value]
-        if names != sorted(set(names)):
-            raise ValueError("list each package once, by the alphabet")
+        for before, name in itertools.pairwise(names):
+            if before == name:
+                raise ValueError(f"{name!r} is listed twice")
+            if before > name:
+                after = next(one for one in names if one > name)
+                raise ValueError(
+                    f"packages are listed by the alphabet; put {name!r} before {after!r}"
+                )
         return value
 
 

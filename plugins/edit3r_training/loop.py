@@ -242,10 +242,8 @@ class _Loop:
                 state.update_average(chosen.average)
             else:
                 state.skipped += 1
-                reporting.warn(
-                    f"step {state.step} was skipped: its loss or gradient is not finite, or "
-                    "nothing could be matched."
-                )
+                why = _why_skipped(loss.terms, total, learnt)
+                reporting.warn(f"step {state.step} was skipped: {why}.")
         if state.step % chosen.log_every == 0:
             self._log(total, loss.terms, norm)
 
@@ -333,6 +331,19 @@ def parameter_groups(
         (slow if name.startswith(settings.pretrained) else full).append(value)
     shares = [(1.0, full), (settings.pretrained_rate, slow)]
     return [(rate, values) for rate, values in shares if values]
+
+
+def _why_skipped(terms: Mapping[str, Tensor], total: Tensor, learnt: bool) -> str:
+    """Why no weight was changed: `terms` are this process's, `total` is the mean over all."""
+    broken = [name for name, term in terms.items() if not torch.isfinite(term)]
+    if broken:
+        values = (f"{name!r} is {float(terms[name])}" for name in broken)
+        return f"its loss {' and '.join(values)}"
+    if not torch.isfinite(total):
+        return "the loss of another process is not finite"
+    if learnt:
+        return "its loss is finite, its gradient is not"
+    return "nothing could be matched"
 
 
 @contextmanager

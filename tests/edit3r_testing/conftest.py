@@ -3,7 +3,6 @@ contract says.
 """
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,13 +19,8 @@ def examples(tmp_path_factory) -> Registry:
     from edit3r.loading.registry import default_registry
 
     parent = tmp_path_factory.mktemp("examples")
-    for kind in KINDS:
-        new_package(kind, f"worked-{kind}", parent)
-    return default_registry(tuple(str(folder(parent, kind)) for kind in KINDS))
-
-
-def folder(parent: Path, kind: str) -> Path:
-    return parent / f"edit3r-worked-{kind}" / f"edit3r_worked_{kind}"
+    folders = (new_package(kind, f"worked-{kind}", parent) for kind in KINDS)
+    return default_registry(tuple(map(str, folders)))
 
 
 @pytest.fixture(scope="session")

@@ -25,10 +25,9 @@ def add_output_flags(parser: argparse.ArgumentParser, overwrite: str = "") -> No
 
 
 def add_plugin_option(parser: argparse.ArgumentParser) -> None:
-    """Add `--plugin FILE`, whose values a registry takes as local files."""
-    parser.add_argument(
-        "--plugin", metavar="FILE", help="also load this local plugin file", **REPEATED
-    )
+    """Add `--plugin PATH`, whose values a registry takes as local files."""
+    about = "also load this plugin, which need not be installed: a file, or a package's folder"
+    parser.add_argument("--plugin", metavar="PATH", help=about, **REPEATED)
 
 
 def add_trust_flag(parser: argparse.ArgumentParser) -> None:

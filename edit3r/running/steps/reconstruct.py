@@ -3,12 +3,17 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+import cv2
+import numpy as np
 import torch
+from jaxtyping import Bool
+from torch import Tensor
 
 from edit3r.contract.component import component_name
 from edit3r.contract.interfaces import (
     ComparesWithBefore,
     EditsViews,
+    Geometry,
     Reconstructor,
 )
 from edit3r.contract.reporting import note, stage, warn
@@ -16,6 +21,7 @@ from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit import asking
 from edit3r.kit.cache import recall
 from edit3r.kit.geometry.cameras import quarter_turns
+from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.geometry.pose import estimate_cameras
 from edit3r.running.components import Components
 from edit3r.running.editors import request_of
@@ -37,6 +43,11 @@ FINE_VIEWS = 20
 the same surfaces again, and memory must hold them.
 """
 
+AROUND = 0.01
+"""How far around what changed depth is still that of what was there [long sides]. By eye, on one
+pair; no figure kept.
+"""
+
 
 @torch.no_grad()
 def reconstruct(
@@ -49,7 +60,7 @@ def reconstruct(
 ) -> Reconstructed:
     """Gaussians and cameras of the edited views, and the scene as it was before the edit."""
     with stage(f"reconstruct ({component_name(components.reconstructor)})"):
-        scene = _reconstruction(located, corrected, selection, components)
+        scene = _reconstruction(inputs, located, corrected, selection, edit, components)
         masks = _masks_of_change(inputs, selection, edit, components)
         before = _before(inputs, located, corrected, masks, components)
     if before is not None:
@@ -80,9 +91,11 @@ def _tell_of_turned(photos: Views, cameras: Cameras) -> None:
 
 
 def _reconstruction(
+    inputs: Inputs,
     located: Located,
     corrected: ExposureCorrected,
     selection: SelectedRegions,
+    edit: EditedPhotos,
     components: Components,
 ) -> Reconstruction:
     """The edited views in 3D; their geometry is that of the photos, unless things come or go."""
@@ -91,8 +104,8 @@ def _reconstruction(
     if components.changes_shape:
         source = edited
         if components.uses_geometry:
-            asked = components.geometry_source
-            geometry = find_geometry(asked, edited).required()
+            changed = (edit.views.images != inputs.start.images).any(2)
+            geometry = _after_edit(edited, changed, geometry, components)
     if not isinstance(recon, EditsViews):
         grid = _grid(components, edited)
         return _checked(recon, edited, lambda: recon(edited, source, geometry, grid))
@@ -104,6 +117,36 @@ def _reconstruction(
         edited,
         lambda: recon.edit_and_reconstruct(edited, source, request, geometry),
     )
+
+
+def _after_edit(
+    edited: Views,
+    changed: Bool[Tensor, "batch view height width"],
+    of_photos: Geometry | None,
+    components: Components,
+) -> Geometry:
+    """The geometry of edited views in which things came or went where they `changed`.
+
+    Views that share too little to be placed anew, as after a large removal, stand where their
+    photos do, since no camera moved: depth is that of the photos, and goes on from around where
+    something changed. Raises MatchingError where the photos have no place either, or all changed.
+    """
+    answer = find_geometry(components.geometry_source, edited)
+    if answer.geometry is not None or of_photos is None:
+        return answer.required()
+    hole = dilate(changed.to(edited.images), round(AROUND * max(edited.image_size))) > 0
+    if bool(hole.flatten(2).all(-1).any()):
+        return answer.required()
+    warn(
+        "the edited photos share too little to be placed anew: they keep the photos' cameras, and "
+        "what came or went has the depth of what is around it."
+    )
+    inverse = (1 / of_photos.depths).flatten(0, 1).numpy(force=True)
+    holes = hole.flatten(0, 1).numpy(force=True).astype(np.uint8)
+    filled = [cv2.inpaint(*one, 1, cv2.INPAINT_NS) for one in zip(inverse, holes)]
+    depths = 1 / torch.from_numpy(np.stack(filled)).to(of_photos.depths)
+    confidence = of_photos.confidence.masked_fill(hole, 0)
+    return replace(of_photos, depths=depths.view_as(hole), confidence=confidence)
 
 
 def _grid(components: Components, views: Views) -> tuple[int, int]:

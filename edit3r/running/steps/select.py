@@ -188,6 +188,7 @@ def _regions(
         regions=regions if instructions else None,
         instructions=scenes[0].instructions if instructions else (),
         selected=scenes[0].selected,
+        chosen="reading" in components.config.set_by_the_user(),
         things=scenes[0].things,
     )
 

@@ -6,7 +6,6 @@ import edit3r
 from edit3r.contract.interfaces import FindsGeometry, Geometry, Reconstructor
 from edit3r.contract.types import Cameras, Reconstruction, Views
 from edit3r.kit.geometry import cameras as kit
-from edit3r.kit.geometry.maps import resize
 from edit3r.kit.geometry.rotations import quats_to_matrices
 
 PATCH = 14  # sides of its images are multiples of this [pixels]
@@ -34,7 +33,7 @@ class VggtReconstructor(Reconstructor, FindsGeometry):
     def find_geometry(self, views: Views) -> Geometry:
         scale = self.settings.size / max(views.image_size) / PATCH
         size = tuple(max(1, round(scale * side)) * PATCH for side in views.image_size)
-        told = self.model.to(views.images.device)(resize(views.images, size))
+        told = self.model.to(views.images.device)(views.at(size).images)
         poses = told["pose_enc"].float()  # world to camera: place, xyzw, fields of view
         w2c = torch.eye(4).to(poses).repeat(*poses.shape[:2], 1, 1)
         w2c[..., :3, :3] = quats_to_matrices(poses[..., [6, 3, 4, 5]])

@@ -46,7 +46,7 @@ export function showHistory(drawer, s, close) {
 
   function step(all, one, image) {
     const labels = one.verdicts.map(({ on, label, reason }) =>
-      el("span", { class: `badge ${label}`, title: reason }, `${on}: ${label}`),
+      el("span", { class: "badge", "data-label": label, title: reason }, `${on}: ${label}`),
     );
     const words = one.state === "done" ? labels : el("span", { class: "badge" }, WORD[one.state]);
     const item = el(

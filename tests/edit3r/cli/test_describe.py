@@ -134,7 +134,7 @@ def test_all_there_is_to_know_is_shown(local, capsys):
     said = capsys.readouterr().out
     for words in (
         "a thing",
-        "(local file)",
+        "(not installed)",
         "Doe 2026",
         "strength = 0.25",
         "float, > 0, ≤ 1",

@@ -1,6 +1,7 @@
 """What is said of the selection: the least confident thing decides, and what was given is given."""
 
 import re
+from dataclasses import replace
 
 import pytest
 import torch
@@ -43,6 +44,13 @@ def test_the_least_confident_thing_decides(things, label, confidence, said):
     assert (found.label, found.confidence) == (label, confidence)
     assert re.search(said, str(found))
     assert found.candidates == ((2,) if things[-1] is UNSURE else ())
+
+
+def test_a_candidate_that_somebody_chose_is_given_the_likeliest_too():
+    asked = SelectedRegions(MASKS[None, :, 0], selected=(UNSURE,))
+    assert asked.verdict.label == "question"
+    chosen = replace(asked, chosen=True).verdict
+    assert (chosen.label, chosen.confidence, chosen.candidates) == ("given", None, ())
 
 
 @pytest.mark.parametrize(

@@ -146,6 +146,19 @@ def test_a_lasso_takes_what_it_goes_around_and_carves_it_away():
     assert found.removed[0][12, 28] == 1 and found.removed[0][28, 12] == 0
 
 
+def test_a_reading_is_chosen_for_the_things_of_its_sentence():
+    draft = Draft(form={"prompt": "paint the tractor red"})
+    draft.take(Step("reading", 2))
+    for sentence, chose in (
+        ("paint the tractor blue", True),
+        ("paint the chair blue", False),
+        ("paint the tractor green", True),
+    ):
+        draft.form["prompt"] = sentence
+        assert draft.chose == chose, sentence
+        assert draft.outline["reading"] == (2 if chose else 1)
+
+
 def test_the_last_reading_that_was_picked_counts():
     draft = Draft([Mark("add", "a", [(0.1, 0.2)])])
     for number in (2, 3):

@@ -134,4 +134,7 @@ def test_steps_are_settings_of_the_run():
     config = make_run_config(run_settings(Draft(steps), REGISTRY))
     assert (config.larger, config.reading) == (-1, 2)
     assert (config.grow, config.invert) == (2.5, True)
-    assert "reading" not in run_settings(Draft([Step("reading", 1)]), REGISTRY)
+    assert "reading" not in run_settings(Draft([Step("invert")]), REGISTRY)
+    # who is asked and takes the first has chosen it: the run does not ask again
+    chosen = make_run_config(run_settings(Draft([Step("reading", 1)]), REGISTRY))
+    assert "reading" in chosen.set_by_the_user()

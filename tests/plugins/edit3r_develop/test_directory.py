@@ -60,9 +60,12 @@ def test_a_wrong_entry_is_refused(old, new, sentence, monkeypatch, tmp_path):
 
 def test_a_package_stands_once_and_in_order(monkeypatch, tmp_path):
     assert len(entries(monkeypatch, tmp_path, ENTRY)) == 1
-    twice = ENTRY + ENTRY.removeprefix("\nplugins:\n")
-    with pytest.raises(SettingsError, match="once, by the alphabet"):
-        entries(monkeypatch, tmp_path, twice)
+    again = ENTRY.removeprefix("\nplugins:\n")
+    with pytest.raises(SettingsError, match="'edit3r-lamp' is listed twice"):
+        entries(monkeypatch, tmp_path, ENTRY + again)
+    behind = ENTRY + again.replace("lamp", "bulb")
+    with pytest.raises(SettingsError, match="put 'edit3r-bulb' before 'edit3r-lamp'"):
+        entries(monkeypatch, tmp_path, behind)
 
 
 def test_the_command_prints_the_line_that_installs_what_is_not_here(

@@ -17,11 +17,16 @@ from edit3r_develop.new_plugin import (
     next_steps,
     package_files,
 )
+from PIL import Image
 
+from edit3r import load_ply
 from edit3r.cli.main import main
 from edit3r.contract.component import KINDS
 from edit3r.contract.errors import InputError
+from edit3r.kit.photos.images import packaged_pair
 from edit3r_testing import CONTRACTS
+
+FLAT = Path(__file__).parents[1] / "flat_scene.py"
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -49,14 +54,17 @@ def test_every_kind_gets_a_package_with_all_its_parts(kind):
             compile(text, path, "exec")
 
 
-def test_what_is_written_is_formatted_as_the_house_formats(tmp_path):
+def test_what_is_written_is_formatted_and_sorted_as_ruff_does_it(tmp_path):
     ruff = pytest.importorskip("ruff").find_ruff_bin()
     for kind in KINDS:
         for path, text in package_files(kind, "made-up").items():
             if path.endswith(f"{kind}.py"):
                 (tmp_path / path.replace("/", "-")).write_text(text)
-    check = [ruff, "format", "--check", "--isolated", str(tmp_path)]
-    assert subprocess.run(check, capture_output=True).returncode == 0
+    for check in (["format", "--check"], ["check", "--select", "E4,E7,E9,F,I,UP"]):
+        # in a folder of its own edit3r is a package of others, as it is for the author
+        command = [ruff, *check, "--isolated", "."]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout
 
 
 def test_there_is_a_starter_and_a_contract_for_every_kind():
@@ -122,6 +130,22 @@ def test_the_command_writes_and_says_what_to_do_next(tmp_path, capsys):
 def test_a_name_that_an_installed_component_has_is_refused(tmp_path, capsys):
     assert main(["new-plugin", "editor", "none", "--path", str(tmp_path)]) == 2
     assert "already offered by plugin 'editors'" in capsys.readouterr().err
+
+
+def test_a_run_takes_the_new_folder_as_it_is_without_installing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name, photo in zip("ab", packaged_pair()[0]):
+        Image.open(photo).resize((48, 32)).save(f"{name}.png")
+    assert main(["new-plugin", "editor", "made-here"]) == 0
+    run = (
+        f"run a.png b.png --editor made-here --plugin edit3r-made-here --plugin {FLAT}"
+    )
+    parts = "--recon flat --rasterizer torch --size 24 --refine 0 --gaussians all"
+    assert main(f"{run} {parts} --outputs scene --quiet --out out".split()) == 0
+    facts = json.loads(Path("out/run.json").read_text())
+    used = {(one["kind"], one["name"], one["plugin"]) for one in facts["plugins"]}
+    assert ("editor", "made-here", "edit3r_made_here") in used
+    assert load_ply("out/scene.ply").count > 0
 
 
 @pytest.mark.slow

@@ -106,10 +106,9 @@ export function questionOf(page) {
   }
   async function pick(number) {
     close();
-    if (number !== page.s.draft.outline.reading)
+    // Who is asked and says yes has chosen, too.
+    if (number !== page.s.draft.outline.reading || !page.look.sure)
       await page.draft.change("step", ["reading", number]);
-    answered = page.look.version;
-    close();
   }
   return { node, draw, close, point, showOthers: () => show("Which one?") };
 }

@@ -51,7 +51,7 @@ export function verdictsOf(page) {
   const badge = ({ on, label, reason }) =>
     el(
       "details",
-      { class: `badge ${label}` },
+      { class: "badge", "data-label": label },
       el("summary", {}, `${on[0].toUpperCase()}${on.slice(1)}: ${label}`),
       el("p", {}, reason),
     );
