@@ -24,6 +24,7 @@ from edit3r.contract.reporting import note, progress
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.compute.layers import one_thread
+from edit3r.kit.geometry.harmonics import DC
 from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.photos.images import evenly
 
@@ -55,6 +56,10 @@ class RefineSettings(Settings):
     growth: float = Field(1.15, ge=1, le=1000)
     """most times as large as it was that a Gaussian may become: what grows over a depth edge at the
     photos stands before others' surfaces between them
+    """
+    recolouring: float = Field(0.15, gt=0, le=1000)
+    """most by which a Gaussian's colour may change [sRGB]: one that the photos hardly show would
+    become black or white, since Adam's steps are as long for it as for others
     """
     centre: float = Field(0.2, ge=0, le=1)
     """step of the centres [own smallest two scales' mean]"""
@@ -261,6 +266,7 @@ class _Variables:
             name: value.clone().requires_grad_(True) for name, value in values.items()
         }
         self.largest = values["scale"] + math.log(settings.growth)
+        self.range = settings.recolouring / DC
         self.optimizer = Adam(
             list(self.values.values()),
             [getattr(settings, name) for name in self.values],
@@ -281,6 +287,8 @@ class _Variables:
         )
         with torch.no_grad():
             self.values["scale"].clamp_(max=self.largest)
+            colour, start = self.values["colour"], self.start.harmonics
+            colour.clamp_(start - self.range, start + self.range)
 
 
 def _held_back(

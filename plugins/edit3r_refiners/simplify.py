@@ -44,7 +44,7 @@ from edit3r_refiners.settings import Budget, SimplifySettings, parse_budget, pas
 # Smaller steps than towards photos: the scene is nearly what it should show.
 # merged Gaussians may grow to close what is left between them
 POLISH = RefineSettings(
-    colour=0.015, opacity=0.08, scale=0.08, centre=0.04, growth=1000
+    colour=0.015, opacity=0.08, scale=0.08, centre=0.04, growth=1000, recolouring=1000
 )
 TELLING_VIEWS = 3  # that tell what simplifying lost, where there are more
 # how far new views of a lone photo are taken to be [its median depth]

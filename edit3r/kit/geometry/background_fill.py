@@ -2,15 +2,17 @@
 
 The rim continues each image beyond its border, so that a camera that moved a little does not look
 past the edge. The background layer continues the surface behind each depth edge a short way under
-what stands before it, so that a gap shows what surrounds it instead of nothing. Both are made of
-large soft Gaussians, and none stands before what a photo shows.
+what stands before it, so that a gap shows what surrounds it instead of nothing: beside the edge in
+the colour and depth of the nearest place of that surface, and far behind all as a mean of what is
+farthest. Both are made of large soft Gaussians, and none stands before what a photo shows.
 """
 
 import math
+from itertools import product
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from edit3r.contract.interfaces import Geometry
@@ -22,13 +24,17 @@ from edit3r.kit.geometry.cameras import (
     to_pixels,
     unproject,
 )
-from edit3r.kit.geometry.warping import seen_by, stands_before_others
+from edit3r.kit.geometry.warping import SAME_SURFACE, seen_by, stands_before_others
 
 __all__ = ["background_layer", "rim"]
 
 # Side of the square of pixels that one Gaussian stands for.
 RIM_BLOCK = 4
 BACKGROUND_BLOCK = 6
+# The numbers of this block: docs/notes/scenes.md.
+CONTINUED_BLOCK = 4
+CONTINUED_FOOTPRINT = 0.7
+RIM_WIDTH = 2  # of a depth edge, on which a depth belongs to neither surface [pixels]
 
 # The numbers of this block: docs/notes/ledger.md.
 # Standard deviation in blocks: neighbours close up without gaps.
@@ -63,6 +69,30 @@ def background_layer(views: Views, geometry: Geometry, opacity: float) -> Gaussi
 
     A guess in front of it may be faint without letting the empty background through.
     """
+    layers = _farthest(views, geometry), _continued_surfaces(views, geometry)
+    placed = geometry.registered[..., None, None]
+    made = []
+    for coarse, depths, needed, footprint in layers:
+        points = unproject(depths, views.intrinsics, geometry.c2w)
+        hiding = stands_before_others(
+            points, geometry.depths * placed, views.intrinsics, geometry.c2w
+        )
+        opacities = opacity * (needed & placed & ~hiding).to(depths.dtype)
+        made.append(_layer(coarse, depths, geometry, opacities, footprint))
+    return Gaussians.cat(made)
+
+
+_Layer = tuple[
+    Views,
+    Float[Tensor, "batch view rows columns"],
+    Bool[Tensor, "batch view rows columns"],
+    float,
+]
+"""Colours, depths, where it is needed, and its footprint [its pixels]."""
+
+
+def _farthest(views: Views, geometry: Geometry) -> _Layer:
+    """The farthest depth around each block, smoothed, behind guesses and all that is nearer."""
     shape = geometry.depths.shape[:2]
     colour, inverse, sure = _block_means(
         BACKGROUND_BLOCK, views, 1 / geometry.depths, geometry.confidence
@@ -76,16 +106,91 @@ def background_layer(views: Views, geometry: Geometry, opacity: float) -> Gaussi
     smooth = torch.cat((behind.view_as(colour), -farthest), 1)
     for _ in range(BLURS):
         smooth = F.avg_pool2d(smooth, 3, 1, 1, count_include_pad=False)
-    depths = (BEHIND / smooth[:, 3]).unflatten(0, shape)
-    placed = geometry.registered[..., None, None]
-    points = unproject(depths, views.intrinsics, geometry.c2w)
-    hiding = stands_before_others(
-        points, geometry.depths * placed, views.intrinsics, geometry.c2w
-    )
-    shown = needed[:, 0].unflatten(0, shape) & placed & ~hiding
     coarse = Views(smooth[:, :3].unflatten(0, shape), views.intrinsics)
-    opacities = opacity * shown.to(depths.dtype)
-    return _layer(coarse, depths, geometry, opacities, BACKGROUND_FOOTPRINT)
+    depths = (BEHIND / smooth[:, 3]).unflatten(0, shape)
+    return coarse, depths, needed[:, 0].unflatten(0, shape), BACKGROUND_FOOTPRINT
+
+
+def _continued_surfaces(views: Views, geometry: Geometry) -> _Layer:
+    """The surface beside each depth edge, gone on behind what stands before it: each pixel there
+    has the colour and depth of the nearest place of a surface that is farther away.
+    """
+    shape, (height, width) = geometry.depths.shape[:2], views.image_size
+    depths = geometry.depths.flatten(0, 1)
+    reach = max(1, round(REACH * max(views.image_size)))
+    nearest = torch.stack([_nearest_behind(one, reach) for one in depths])
+    place = nearest.clamp(min=0).flatten(1)
+    behind = depths.flatten(1).gather(1, place).view_as(depths)
+    colour = views.images.flatten(0, 1).flatten(2)
+    colour = colour.gather(2, place[:, None].expand(-1, 3, -1))
+    start = CONTINUED_BLOCK // 2
+    rows = torch.arange(min(start, height - 1), height, CONTINUED_BLOCK)
+    columns = torch.arange(min(start, width - 1), width, CONTINUED_BLOCK)
+
+    def sampled(maps: Tensor) -> Tensor:
+        chosen = maps[..., rows[:, None], columns].contiguous()
+        return chosen.unflatten(0, shape)
+
+    smooth = _mean_within(
+        torch.cat((colour.unflatten(2, (height, width)), 1 / behind[:, None]), 1),
+        nearest >= 0,
+    )
+    return (
+        Views(sampled(smooth[:, :3]), views.intrinsics),
+        sampled(torch.maximum(1 / smooth[:, 3], BEHIND * depths)),
+        sampled(nearest) >= 0,
+        CONTINUED_FOOTPRINT,
+    )
+
+
+def _nearest_behind(
+    depths: Float[Tensor, "height width"], reach: int
+) -> Int[Tensor, "height width"]:
+    """Index of the nearest pixel beside a depth edge, within `reach`, whose surface lies behind
+    the pixel's own; -1: none. Nearest by steps from neighbour to neighbour.
+    """
+    height, width = depths.shape
+    apart, side = 1 + SAME_SURFACE, 2 * RIM_WIDTH + 1
+    farthest, closest = (
+        sign * F.max_pool2d(sign * depths[None, None], side, 1, RIM_WIDTH)[0, 0]
+        for sign in (1, -1)
+    )
+    rows, columns = torch.meshgrid(
+        torch.arange(height), torch.arange(width), indexing="ij"
+    )
+    index = (rows * width + columns).to(depths.device)
+    beside = (depths >= farthest / EDGE) & (depths > apart * closest)
+    nearest = torch.where(beside, index, -1)
+    distance = torch.where(beside, 0, torch.inf).to(depths)
+    for _ in range(reach):
+        before, around = nearest, F.pad(nearest, (1, 1, 1, 1), value=-1)
+        for y, x in product(range(3), repeat=2):
+            offered = around[y : y + height, x : x + width]
+            place = offered.clamp(min=0)
+            far = torch.hypot(
+                (rows - place // width).to(depths),
+                (columns - place % width).to(depths),
+            )
+            taken = (offered >= 0) & (far < distance) & (far <= reach)
+            taken &= depths.flatten()[place] > apart * depths
+            nearest = torch.where(taken, offered, nearest)
+            distance = torch.where(taken, far, distance)
+        if torch.equal(nearest, before):
+            break
+    return torch.where(beside, -1, nearest)
+
+
+def _mean_within(
+    maps: Float[Tensor, "image channel height width"],
+    inside: Bool[Tensor, "image height width"],
+) -> Float[Tensor, "image channel height width"]:
+    """Means over 3x3 pixels of those inside, `BLURS` times; outside the maps as they are."""
+    weight = inside[:, None].to(maps)
+    share = F.avg_pool2d(weight, 3, 1, 1).clamp(min=torch.finfo(maps.dtype).tiny)
+    for _ in range(BLURS):
+        mean = F.avg_pool2d(maps * weight, 3, 1, 1) / share
+        maps = torch.where(inside[:, None], mean, maps)
+    return maps
 
 
 def _block_means(

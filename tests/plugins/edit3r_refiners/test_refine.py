@@ -13,6 +13,7 @@ from edit3r_refiners.refine import BETAS, Adam, RefineRefiner, RefineSettings, r
 from edit3r.contract.interfaces import Rasterizer, RefineInputs
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
+from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r_testing.scenes import cameras_around, gaussian_cloud
 
 FIELDS = ("means", "scales", "quats", "opacities", "harmonics")
@@ -228,6 +229,16 @@ def test_no_gaussian_grows_by_more_than_it_may(rasterizer, scene, growth):
     refined = refine(small, cameras, images, rasterizer, 20, settings)
     change = refined.gaussians.scales / small.scales
     assert refined.steps > 0 and change.max() == pytest.approx(growth)
+
+
+@pytest.mark.parametrize("most", [0.05, 0.15])
+def test_no_colour_goes_farther_than_it_may(rasterizer, scene, most):
+    gaussians, cameras, images = scene
+    settings = RefineSettings(recolouring=most)
+    refined = refine(gaussians, cameras, 1 - images, rasterizer, 20, settings)
+    change = refined.gaussians.harmonics - gaussians.harmonics
+    colours = dc_to_colour(change[:, :, 0]) - 0.5
+    assert refined.steps > 0 and colours.abs().max() == pytest.approx(most, abs=1e-5)
 
 
 @pytest.mark.parametrize("large", [False, True])

@@ -108,3 +108,29 @@ def test_a_flat_measured_wall_needs_no_background_layer(pair, truth):
 def test_a_view_that_was_not_placed_has_no_background_layer(pair, truth):
     first = dataclasses.replace(truth, registered=torch.tensor([[True, False]]))
     assert set(background_layer(pair.views, first, 0.9).view_index.tolist()) == {0}
+
+
+def test_behind_an_edge_the_surface_beside_it_goes_on_in_its_own_colour(pair, truth):
+    """A box before a wall that is red on the left and blue on the right."""
+    height, width = pair.views.image_size
+    images = torch.zeros_like(pair.views.images)
+    images[:, :, 0, :, : width // 2] = 1
+    images[:, :, 2, :, width // 2 :] = 1
+    depths = torch.full_like(truth.depths, 4.0)
+    box = slice(height // 4, 3 * height // 4), slice(width // 4, 3 * width // 4)
+    depths[..., box[0], box[1]] = 2
+    images[..., box[0], box[1]] = 0.5
+    views = dataclasses.replace(pair.views, images=images).select([0])
+    one = _first(truth) | {"depths": depths[:, :1]}
+    boxed = dataclasses.replace(truth, **one)
+    layer = background_layer(views, boxed, 0.9)
+    places, z = project(layer.means, views.intrinsics[:, 0], truth.c2w[:, 0])
+    colour = dc_to_colour(layer.harmonics)[0, :, 0]
+    size = layer.scales[0].amax(-1) / z[0]
+    fine = size < (size.min() + size.max()) / 2  # beside the edge, not far behind
+    x = places[0, :, 0]
+    left, right = fine & (x < 0.35), fine & (x > 0.65)
+    assert left.sum() > 5 and right.sum() > 5
+    assert torch.allclose(z[0, left | right], torch.tensor(4.0), rtol=1e-3)
+    assert torch.allclose(colour[left], torch.tensor([1.0, 0, 0]), atol=1e-4)
+    assert torch.allclose(colour[right], torch.tensor([0, 0, 1.0]), atol=1e-4)
