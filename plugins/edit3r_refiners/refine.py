@@ -24,7 +24,7 @@ from edit3r.contract.reporting import note, progress
 from edit3r.contract.settings import Settings
 from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.compute.layers import one_thread
-from edit3r.kit.geometry.harmonics import DC
+from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.geometry.maps import size_of
 from edit3r.kit.photos.images import evenly
 
@@ -266,7 +266,8 @@ class _Variables:
             name: value.clone().requires_grad_(True) for name, value in values.items()
         }
         self.largest = values["scale"] + math.log(settings.growth)
-        self.range = settings.recolouring / DC
+        grey = torch.tensor([0.5, 0.5, 0.5])
+        self.range = float(colour_to_dc(grey + settings.recolouring)[0])
         self.optimizer = Adam(
             list(self.values.values()),
             [getattr(settings, name) for name in self.values],

@@ -31,7 +31,7 @@ __all__ = ["background_layer", "rim"]
 # Side of the square of pixels that one Gaussian stands for.
 RIM_BLOCK = 4
 BACKGROUND_BLOCK = 6
-# The numbers of this block: docs/notes/scenes.md.
+# The numbers of this block: docs/notes/classical.md.
 CONTINUED_BLOCK = 4
 CONTINUED_FOOTPRINT = 0.7
 RIM_WIDTH = 2  # of a depth edge, on which a depth belongs to neither surface [pixels]

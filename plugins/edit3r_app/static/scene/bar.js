@@ -111,6 +111,7 @@ export function barOf(page) {
       return toast("Say first what should change, for example: paint it golden.", true);
     }
     goButton.disabled = true;
+    page.question.close();
     page.waiting.long("Beginning");
     const job = await page.attempt(() => tell(["go", scene], { at, say: said.value }));
     goButton.disabled = false;

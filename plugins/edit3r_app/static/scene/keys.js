@@ -47,6 +47,7 @@ export function keysOf(page, stage, toggleStrip) {
   function back() {
     if (page.kept.drawer) page.drawers.toggle(page.kept.drawer, false);
     else if (document.body.classList.contains("only-scene")) fullScreen();
+    page.verdicts.close();
     page.question.close();
   }
   addEventListener(

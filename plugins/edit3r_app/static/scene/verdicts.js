@@ -40,7 +40,7 @@ export function verdictsOf(page) {
       said = edit()?.verdicts || [];
     node.hidden = document.body.dataset.view !== "3d" || !page.s.isRun;
     compared.hidden = kinds.length < 2;
-    const key = JSON.stringify([kinds, taken, said]);
+    const key = JSON.stringify([kinds, taken, said, NARROW.matches]);
     if (node.dataset.key === key) return;
     node.dataset.key = key;
     compared.replaceChildren(
@@ -79,5 +79,6 @@ export function verdictsOf(page) {
     );
   }
   const toggle = () => take(page.kept.compares && !page.beside ? "none" : "photos");
-  return { node, notice, draw, drawNotice, toggle };
+  const close = () => words.querySelectorAll("[open]").forEach((one) => (one.open = false));
+  return { node, notice, draw, drawNotice, toggle, close };
 }
