@@ -124,8 +124,10 @@ def _continued_surfaces(views: Views, geometry: Geometry) -> _Layer:
     colour = views.images.flatten(0, 1).flatten(2)
     colour = colour.gather(2, place[:, None].expand(-1, 3, -1))
     start = CONTINUED_BLOCK // 2
-    rows = torch.arange(min(start, height - 1), height, CONTINUED_BLOCK)
-    columns = torch.arange(min(start, width - 1), width, CONTINUED_BLOCK)
+    rows, columns = (
+        torch.arange(min(start, side - 1), side, CONTINUED_BLOCK, device=depths.device)
+        for side in (height, width)
+    )
 
     def sampled(maps: Tensor) -> Tensor:
         chosen = maps[..., rows[:, None], columns].contiguous()
@@ -155,13 +157,12 @@ def _nearest_behind(
         sign * F.max_pool2d(sign * depths[None, None], side, 1, RIM_WIDTH)[0, 0]
         for sign in (1, -1)
     )
-    rows, columns = torch.meshgrid(
-        torch.arange(height), torch.arange(width), indexing="ij"
-    )
-    index = (rows * width + columns).to(depths.device)
+    sides = (torch.arange(side, device=depths.device) for side in (height, width))
+    rows, columns = torch.meshgrid(*sides, indexing="ij")
+    index = rows * width + columns
     beside = (depths >= farthest / EDGE) & (depths > apart * closest)
     nearest = torch.where(beside, index, -1)
-    distance = torch.where(beside, 0, torch.inf).to(depths)
+    distance = torch.where(beside, 0.0, torch.inf).to(depths)
     for _ in range(reach):
         before, around = nearest, F.pad(nearest, (1, 1, 1, 1), value=-1)
         for y, x in product(range(3), repeat=2):
