@@ -35,7 +35,10 @@ FAILING = (
 
 COLOUR = """async ([name, [x, y]]) => {
   const image = document.querySelector(".box " + name);
-  await image.decode();
+  // decoding ends with an error where the next picture comes meanwhile
+  const decoded = () => image.decode().then(() => true, () => false);
+  for (let tries = 0; tries < 50 && !(await decoded()); tries++)
+    await new Promise((done) => setTimeout(done, 50));
   const ink = document.createElement("canvas");
   [ink.width, ink.height] = [image.naturalWidth, image.naturalHeight];
   const pen = ink.getContext("2d");
