@@ -212,3 +212,16 @@ def test_after_two_dashes_nothing_is_an_option():
     parser.add_argument("--quiet", action="store_true")
     found = parse(parser, ["--quiet", "--", "--b.jpg", "--quiet"])
     assert found.quiet and found.photos == ["--b.jpg", "--quiet"]
+
+
+def test_an_error_of_the_disk_in_a_plugins_command_is_no_fault_of_the_plugin(
+    capsys, monkeypatch
+):
+    def full(self, arguments):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    command = default_registry().build("command", "doctor")
+    monkeypatch.setattr(type(command), "main", full)
+    assert main(["doctor"]) == 1
+    told = capsys.readouterr().err
+    assert "no space is left on the disk" in told and "plugin" not in told

@@ -6,7 +6,13 @@ import pytest
 import torch
 
 from edit3r.contract.errors import PluginError
-from edit3r.contract.interfaces import MaskLogits, Proposal, Segmenter, Tracks
+from edit3r.contract.interfaces import (
+    Editor,
+    MaskLogits,
+    Proposal,
+    Segmenter,
+    Tracks,
+)
 from edit3r.kit import asking
 
 IMAGES = torch.rand(2, 3, 8, 12)
@@ -97,3 +103,19 @@ def test_good_answers_pass():
     assert asking.words(Answers(None), IMAGES[0], "box") is None
     assert asking.track(Answers(None), IMAGES, MASK[None]) is None
     assert asking.track(Answers(FOLLOWED), IMAGES, MASK[None]) is FOLLOWED
+
+
+class Darkens(Editor):
+    """Changes the images while it only has to say where it edits."""
+
+    def edit(self, views, request):
+        return views
+
+    def widened(self, regions, images):
+        images.mul_(0.5)
+        return regions
+
+
+def test_an_editor_that_changes_the_photos_where_it_is_asked_for_regions_is_named():
+    with pytest.raises(PluginError, match="must leave its arguments as they are"):
+        asking.widened(Darkens(), torch.ones(1, 1, 2, 8, 12), IMAGES[None].clone())

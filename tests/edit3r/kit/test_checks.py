@@ -11,13 +11,20 @@ import torch
 
 from edit3r.contract.component import Component, Offer, component_name
 from edit3r.contract.errors import InputError, PluginError, SettingsError
-from edit3r.contract.interfaces import Editor, Rasterizer, Reconstructor
+from edit3r.contract.interfaces import (
+    Editor,
+    Rasterizer,
+    Reconstructor,
+    RefineInputs,
+    Refiner,
+)
 from edit3r.contract.torch_state import require_device
 from edit3r.contract.types import Reconstruction, Rendering
 from edit3r.kit import checks
 from edit3r.kit.checks import (
     check_edit,
     check_reconstruction,
+    check_refinement,
     check_rendering,
     errors_named_after,
 )
@@ -229,3 +236,16 @@ def test_classes_are_named_as_a_plugin_imports_them():
         promised = importlib.import_module(module)
         assert getattr(promised, attribute) is getattr(checks, name)
     assert checks.where(tuple) == "tuple"
+
+
+class Keeps(Refiner):
+    def __call__(self, gaussians, inputs):
+        return gaussians
+
+
+def test_a_refiner_must_leave_something_but_of_an_empty_scene():
+    inputs = RefineInputs(CAMERAS_OF_2, VIEWS, Dense())
+    none = GOOD.gaussians.select(torch.zeros(5, dtype=torch.bool))
+    check_refinement(Keeps(), none, inputs, none)
+    with pytest.raises(PluginError, match="leave some of 5 Gaussians"):
+        check_refinement(Keeps(), GOOD.gaussians, inputs, none)

@@ -86,3 +86,24 @@ def test_a_rim_of_both_colours_takes_that_of_the_photo_and_what_is_hidden_none()
     views = [Views(images, lens) for images in (photos, edited)]
     found = colours_before(scene, cameras, *views, rendered)
     torch.testing.assert_close(found[:, 0], torch.tensor([0.2, 0.6, 0.6]))
+
+
+def test_what_took_the_colour_of_a_photo_is_left_alone_by_the_photos_after_it():
+    """A rim on the first photo, whose colour then is like the edit on the second."""
+    lens = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
+    cameras = Cameras(torch.eye(4).repeat(1, 2, 1, 1), lens, (30, 40))
+    photos = torch.full((1, 2, 3, 30, 40), 0.2)
+    edited = torch.full_like(photos, 1.0)
+    photos[:, 1], edited[:, 1] = 0.9, 0.2
+    scene = Gaussians(
+        torch.tensor([[[0.0, 0, 2]]]),
+        torch.ones(1, 1, 3),
+        torch.ones(1, 1, 4),
+        torch.ones(1, 1),
+        colour_to_dc(torch.full((1, 1, 1, 3), 0.6)),
+    )
+    depths = torch.full((1, 2, 1, 30, 40), 2.0)
+    rendered = Rendering(edited, torch.ones_like(depths), depths)
+    views = [Views(images, lens) for images in (photos, edited)]
+    found = colours_before(scene, cameras, *views, rendered)
+    torch.testing.assert_close(found, torch.full((1, 3), 0.2))

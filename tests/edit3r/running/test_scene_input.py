@@ -14,7 +14,7 @@ from edit3r.contract.types import Views
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.scenes.reading import load_scene
-from edit3r.kit.scenes.scene_views import look_around
+from edit3r.kit.scenes.scene_views import BACKGROUND, look_around
 from tests.plugins.scan import of_ball, scan
 
 QUICK = {"size": 48, "views": 4, "outputs": ("scene",)}
@@ -200,3 +200,11 @@ def test_a_stranger_that_knows_no_scenes_is_refused_before_work():
     views = Views(torch.rand(1, 2, 3, 8, 8), torch.eye(3).expand(1, 2, 3, 3))
     with pytest.raises(InputError, match="splat file in place of photos"):
         edit3r.run(views, "paint it blue", recon="in-place")
+
+
+def test_the_edited_scene_is_drawn_over_the_grey_that_its_pictures_have():
+    result = edit3r.run(scan(), editor="none", **QUICK)
+    empty = result.rendered.alphas[:, :, 0] == 0
+    assert empty.any()
+    drawn = result.rendered.images.movedim(2, 0)[:, empty]
+    assert torch.equal(drawn, torch.full_like(drawn, BACKGROUND))

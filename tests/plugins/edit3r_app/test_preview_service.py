@@ -395,3 +395,36 @@ def test_fetched_weights_are_used_without_a_restart(previews, scene):
     previews.renew()
     assert previews.look(scene, draft) is not before
     assert previews.registry.build_choice("rasterizer", choice) is not kept
+
+
+def test_a_component_of_other_parts_is_another_one(folder):
+    """A selector keeps its segmenter: one of another segmenter is not the one that was built."""
+    registry = PreviewService(folder, default_registry(), SIZE).registry
+    choice = RunConfig.model_fields["selector"].default
+    first, second = (
+        registry.build("segmenter", "grabcut", learned=learned)
+        for learned in (True, False)
+    )
+    built = [
+        registry.build_choice("selector", choice, {"segmenter": one})
+        for one in (first, second, first)
+    ]
+    assert built[0] is built[2] is not built[1]
+
+
+def test_an_outline_that_is_moved_is_moved_once_before_go(previews, scene):
+    """On one photo the mark answers with its outline moved already."""
+    paint = stroke(previews, scene, "paint", 0.1, [(0.3, 0.4), (0.6, 0.4)])
+    form = {"prompt": "paint all of it red"}
+    draft = Draft([paint, Step("grow", 4)], form=form)
+    look = previews.look(scene, draft)
+    name = look.views.names[0]
+    shown = previews.edited(scene, draft, name)
+    whole = preview_service.preview(look.job, previews.registry).edit.views.images[0, 0]
+    image = torch.from_numpy(np.array(Image.open(io.BytesIO(shown)))) / 255
+    before = look.views.images[0, 0]
+    areas = [
+        int(((one - before).abs().amax(0) > 0.2).sum())
+        for one in (image.permute(2, 0, 1), whole)
+    ]
+    assert areas[0] == pytest.approx(areas[1], rel=0.15)

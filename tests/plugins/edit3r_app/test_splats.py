@@ -122,3 +122,16 @@ def test_what_is_drawn_on_one_picture_is_answered_on_all(dropped):
     assert look.job.scene is not None
     shown = (look.masks > 0.5).flatten(1).any(1)
     assert shown.float().mean() > 0.7
+
+
+def test_a_scene_that_an_edit_was_made_of_keeps_its_pictures(tmp_path):
+    folder = JobsFolder(tmp_path)
+    scene = folder.new_scene("scan")
+    draft = tmp_path / "sent"
+    save_ply(draft, scan())
+    accept(folder, scene, "scan.ply", draft)
+    folder.new_job(AppJob("", scene, settings={"prompt": "paint it blue"}))
+    before = folder.photos(scene)["place_1"].read_bytes()
+    with pytest.raises(InputError, match="nothing was made of"):
+        uploads.turn_upright(folder, scene, "+y")
+    assert folder.photos(scene)["place_1"].read_bytes() == before

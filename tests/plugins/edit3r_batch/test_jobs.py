@@ -77,6 +77,7 @@ def _editor(strength):
         ({**GOOD, "photos": ["a.png", "gone.png"]}, "gone.png: no such file"),
         ({**GOOD, "photos": "a" * 5000}, "File name too long"),
         ({**GOOD, "mask": "gone.png"}, "gone.png: no such file"),
+        ({**GOOD, "cameras": "gone.json"}, "gone.json: no such file"),
         ({**GOOD, "size": 1}, "run.size"),
         ({**GOOD, "editor": "recolr"}, "Did you mean 'recolor'?"),
         ({**GOOD, "outputs": ["vewer"]}, "Did you mean 'viewer'?"),

@@ -341,14 +341,15 @@ def test_a_guess_stays_where_no_place_hides_nothing(noise):
 
 
 def test_only_guesses_that_look_like_no_sky_are_moved_before_it():
-    """A branch, a pale cloud and a measured roof, before the neighbour's sky."""
+    """A branch, clouds and a measured roof, before the neighbour's sky."""
     image = np.full((*SIZE, 3), (0.4, 0.6, 0.9), np.float32)
     branch, roof = np.zeros(SIZE, bool), np.zeros(SIZE, bool)
     branch[:10, 30:40] = True
     roof[20:30, 30:40] = True
     image[branch | roof] = 0.1
+    image[:10, 10:20] = (1.0, 0.8, 0.3)  # a cloud in the evening, found by its place
     sky = ~branch & ~roof
-    sky[:, 45:50] = False  # a cloud that was not found
+    sky[:, 45:50] = False  # a pale cloud that was not found
     registration = SimpleNamespace(
         neighbours_of=lambda view: [1], relative=lambda view, other: SIDEWAYS
     )

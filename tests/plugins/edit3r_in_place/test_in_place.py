@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_in_place.colours import shine_of
 
 import edit3r
 from edit3r.contract.errors import InputError, PromptError
@@ -187,3 +188,56 @@ def test_without_a_scene_it_says_what_to_give(rasterizer):
     other = in_place(seen(scan(), rasterizer, count=2))
     with pytest.raises(InputError, match="given scene's"):
         other(views)
+
+
+def test_beside_what_is_removed_nothing_takes_the_colours_of_the_picture_without_it(
+    rasterizer,
+):
+    """A soft outline reaches over the floor, where a 2D removal changed the picture too."""
+    scene = seen(scan(), rasterizer)
+    red, green, blue = scene.images[0].unbind(1)
+    pear = ((green > 1.8 * red) & (green > 1.8 * blue)).float()
+    rim = torch.nn.functional.max_pool2d(pear[:, None], 9, 1, 4)[:, 0]
+    apple = red_pixels(scene) * (rim == 0)
+    outlines = torch.stack([apple, torch.maximum(pear, 0.2 * rim)])
+    views = painted(scene, torch.maximum(apple, rim))
+    text = "paint the apple blue and remove the pear"
+    instructions = edit3r.build("reader", "grammar").read(text)
+    request = EditRequest(text, 0, outlines[None, 0], instructions, outlines[:, None])
+    made = in_place(scene, fill=False).edit_and_reconstruct(views, views, request)
+    before = scene.gaussians.harmonics[0, made.kept]
+    stays = of_ball(scene.gaussians, 0)[made.kept].logical_not()
+    assert torch.equal(made.gaussians.harmonics[0, stays], before[stays])
+
+
+def test_all_that_one_sentence_removes_is_taken_out(rasterizer):
+    scene = seen(scan(), rasterizer)
+    red, green, blue = scene.images[0].unbind(1)
+    pear = ((green > 1.8 * red) & (green > 1.8 * blue)).float()
+    things = torch.stack([red_pixels(scene), pear])
+    views = Views(scene.images, scene.cameras.intrinsics)
+    text = "remove the apple and remove the pear"
+    instructions = edit3r.build("reader", "grammar").read(text)
+    assert len(instructions) == 2
+    request = EditRequest(text, 0, things.amax(0)[None], instructions, things[:, None])
+    made = in_place(scene, fill=False).edit_and_reconstruct(views, views, request)
+    for ball in (0, 1):
+        assert made.kept[of_ball(scene.gaussians, ball)].float().mean() < 0.1
+
+
+def test_shine_is_fitted_by_its_own_colour_into_the_wanted_one(rasterizer):
+    """Of red shine that becomes green, green is made of red, and not the other way round."""
+    scene = seen(scan(1), rasterizer, count=4)
+    given = scene.gaussians
+    harmonics = given.harmonics.clone()
+    harmonics[..., 1:, 1:] = 0  # all shine is red
+    shining = replace(given, harmonics=harmonics)
+    green = harmonics.clone()
+    green[..., 1:, :] = harmonics[..., 1:, [1, 0, 2]]
+    wanted = rasterizer.render(replace(given, harmonics=green), scene.cameras)
+    inside = torch.ones(4, 64, 64, dtype=torch.bool)
+    every = torch.ones(given.count, dtype=torch.bool)
+    found = shine_of(
+        shining, scene.cameras, wanted.images[0], inside, every, rasterizer
+    )
+    assert found[1, 0] > 0.7 and abs(found[0, 1]) < 0.1

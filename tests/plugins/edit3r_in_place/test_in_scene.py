@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from edit3r_in_place.belonging import SHARE, belonging, evidence, with_specks
-from edit3r_in_place.in_scene import InSceneSelector
+from edit3r_in_place.in_scene import InSceneSelector, _part_of_scene
 
 import edit3r
 from edit3r.contract.errors import InputError
@@ -133,3 +133,31 @@ def test_without_a_scene_the_usual_selector_answers():
     views = Views(torch.rand(1, 2, 3, 16, 16), torch.eye(3).expand(1, 2, 3, 3))
     built.select(views, Selection(positive=((0, 0.5, 0.5),)))
     assert built.usual.pictures == [2]
+
+
+def test_of_several_parts_of_the_scene_a_name_takes_the_likeliest(scene):
+    whole, part = torch.ones(64, 64), torch.zeros(64, 64)
+    part[20:40, 20:40] = 1
+    masks = (whole, part, 0.5 * part)
+    found = Selected(
+        whole[None, None],
+        ("marked",),
+        readings=tuple(Reading(0, mask, 0.3, k + 1) for k, mask in enumerate(masks)),
+    )
+    asked = replace(on_ball(scene), words="jacket")
+    assert _part_of_scene(found, asked, scene.alphas[0, :1]) == 2
+
+
+@pytest.mark.parametrize(("around", "taken"), [(6, True), (5, False)])
+def test_a_speck_is_what_most_of_its_neighbours_do_not_count_itself(around, taken):
+    """Of eight neighbours six belong to the thing (0.75 > 0.7), or five."""
+    angles = torch.arange(8) * torch.pi / 4
+    ring = torch.stack((angles.cos(), angles.sin(), 0 * angles), 1)
+    far = torch.tensor([[30.0, 0, 0], [-30, 0, 0], [0, 30, 0], [0, -30, 0]])
+    means = torch.cat((torch.zeros(1, 3), ring, far))
+    plain = scan().select(torch.arange(len(means)))
+    chosen = torch.zeros(len(means), dtype=torch.bool)
+    chosen[1 : 1 + around] = True
+    chosen[9:] = True
+    grown = with_specks(replace(plain, means=means[None]), chosen)
+    assert bool(grown[0]) == taken

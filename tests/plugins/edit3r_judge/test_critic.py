@@ -34,3 +34,13 @@ def test_a_scene_is_at_most_fair_where_photos_do_not_tell_or_edits_are_none(
     assert doubt_of(scene) is None
     doubt = doubt_of(replace(scene, **changes))
     assert doubt.best == "fair" and re.search(said, doubt.clause)
+
+
+def test_edits_that_were_moved_back_are_told_and_may_still_be_good():
+    views = Views(torch.zeros(1, 2, 3, 8, 8), cameras_around(2).intrinsics)
+    shown = Rendering(views.images, *(torch.ones(1, 2, 1, 8, 8) for _ in range(2)))
+    drawn = (views, cameras_around(2), gaussian_cloud(1), shown, shown)
+    moved = EditVerdict("good", "as asked", {"faults": [], "moved": ["a was shifted"]})
+    scene = SceneToJudge(views, (True, True), None, *drawn, None, edit=moved)
+    doubt = doubt_of(scene)
+    assert doubt.best == "good" and "moved back" in doubt.clause

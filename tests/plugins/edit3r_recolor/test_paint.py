@@ -352,3 +352,14 @@ def test_a_darker_blue_is_darker_than_the_thing_was(name, than_now):
         paint(images, thing.region, rgb, than_now=than_now), thing
     ).median()
     assert than_now * float(plain - before) < 0 < than_now * float(after - before)
+
+
+def test_a_photo_that_hardly_shows_the_thing_says_nothing_of_its_other_side():
+    """Of a thing in red and grey, one photo shows a few grey pixels at its border alone."""
+    images = torch.full((2, 3, 24, 24), 0.4)
+    images[0, :, :, :12] = torch.tensor([0.8, 0.1, 0.1])[:, None, None]
+    region = torch.ones(2, 24, 24)
+    region[1] = 0
+    region[1, :4, :4] = 1
+    moved = (paint(images, region, rgb_of("blue")) - images).abs().amax(1)[0] > VISIBLE
+    assert moved[:, :12].all() and not moved[:, 12:].any()

@@ -12,7 +12,11 @@ from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import make_batch
 from edit3r_training.checkpoint import LAST
 from edit3r_training.processes import Processes
-from edit3r_training.recolor_trainer import RecolorRecipe, RecolorTrainer
+from edit3r_training.recolor_trainer import (
+    RecolorRecipe,
+    RecolorTrainer,
+    _supervised_views,
+)
 from edit3r_training.schedule import step_generator
 from edit3r_training.validation import held_out_batches, held_out_measures
 
@@ -540,3 +544,17 @@ def test_without_pixel_by_pixel_terms_any_set_of_gaussians_can_be_trained(tmp_pa
         job
     )
     assert not torch.equal(inner.network.weight, before)
+
+
+@pytest.mark.parametrize("first", [0, 1])
+def test_where_an_edit_reshaped_a_view_its_true_depth_is_not_compared(tmp_path, first):
+    """Also where the first view is dropped, and the views move up by one."""
+    recipe = RecolorRecipe(_trainer(batch=1).settings, _job(tmp_path))
+    batch = recipe._batch(0, Processes())
+    reshaped = torch.zeros_like(batch.depths, dtype=torch.bool)
+    reshaped[:, 1, :16] = True
+    cameras, _, depths = _supervised_views(replace(batch, reshaped=reshaped), first)
+    assert depths.shape[1] == cameras.count == 3 - first
+    expected = torch.where(reshaped, 0.0, batch.depths)[:, first:]
+    assert torch.equal(depths[:, :-1], expected)
+    assert not depths[:, -1].any()  # of the novel view

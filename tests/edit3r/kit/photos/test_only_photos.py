@@ -121,3 +121,11 @@ def test_another_photo_of_that_name_stays(folder):
 def test_a_photo_called_mask_stays(folder):
     Image.fromarray(picture(5)).save(folder / "venice_mask.jpg")
     assert len(names(folder)) == 3
+
+
+@pytest.mark.parametrize("name", ["left copy.jpg", "Copy of left.jpg"])
+def test_of_a_copy_with_as_many_pixels_the_photo_it_is_named_after_is_taken(
+    folder, name
+):
+    (folder / name).write_bytes((folder / "left.jpg").read_bytes())
+    assert names(folder) == ["left.jpg", "right.jpg"]

@@ -32,3 +32,15 @@ def test_a_photo_that_shares_nothing_is_not_chosen_before_those_that_do():
         1,
         2,
     ]
+
+
+def test_of_two_photos_the_one_that_shows_less_counts_in_whichever_order():
+    rng = np.random.default_rng(1)
+    blocks = rng.integers(0, 255, (8, 8, 3), dtype=np.uint8)
+    wall = blocks.repeat(40, 0).repeat(40, 1)
+    part = np.full_like(wall, 128)
+    part[:160, :160] = wall[:160, :160]
+    few, many = features_of(part), features_of(wall)
+    assert len(few.points) < 0.6 * len(many.points)
+    orders = [shared(pair)[0, 1] for pair in ((few, many), (many, few))]
+    assert orders[0] == orders[1] > 0.6

@@ -128,3 +128,18 @@ def test_a_scene_of_one_point_is_refused(rasterizer):
     point = scan().select(torch.tensor([0]))
     with pytest.raises(InputError, match="single point"):
         look_around(point, rasterizer, count=2, size=SIZE)
+
+
+def test_places_around_a_thing_stand_low_and_high_by_turns(rasterizer):
+    places = look_around(scan(), rasterizer, count=6, size=SIZE)
+    heights = places.cameras.c2w[0, :, :3, 3] @ torch.tensor(places.up)
+    assert heights[::2].max() < heights[1::2].min() - 0.2
+
+
+def test_a_floor_with_as_large_a_ceiling_tells_no_up():
+    box = room()  # each of its sides has a sixth of the area
+    assert up_of(replace(box, scales=box.scales * torch.tensor([0.1, 1, 1]))) == (
+        0,
+        -1,
+        0,
+    )

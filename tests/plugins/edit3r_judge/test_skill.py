@@ -1,0 +1,49 @@
+"""How well a scene, its geometry and one flat picture lay a photo onto its neighbour."""
+
+import pytest
+import torch
+from edit3r_judge.skill import FLOOR, skills
+
+from edit3r.contract.interfaces import SceneToJudge
+from edit3r.contract.interfaces.judging import HalfWay
+from edit3r.contract.types import Rendering
+from edit3r_testing.broken import BrokenReconstructor
+from edit3r_testing.scenes import photograph, true_geometry
+
+SIZE = (192, 256)
+
+
+def scene():
+    """A scene of the true depths, judged by photos of two balls before a wall."""
+    taken = photograph(2, SIZE)
+    geometry = true_geometry(taken.views)
+    made = BrokenReconstructor()(taken.views, geometry=geometry)
+    shown = Rendering(
+        taken.views.images,
+        torch.ones(1, 2, 1, *SIZE),
+        geometry.depths[:, :, None],
+    )
+    half_way = HalfWay(shown, made.cameras, ((0, 1),))
+    views = taken.views
+    return SceneToJudge(
+        views,
+        (True, True),
+        geometry,
+        views,
+        made.cameras,
+        made.gaussians,
+        shown,
+        shown,
+        None,
+        half_way=half_way,
+    )
+
+
+def test_one_flat_picture_explains_a_neighbour_worse_than_depth_from_either_side():
+    """What two photos share is searched for once: the other way round it is the same pairs."""
+    both = skills(scene())
+    assert [one.view for one in both] == [0, 1]
+    for one in both:
+        assert one.scene < FLOOR + 1 and one.geometry < FLOOR + 1
+        assert one.flat > one.geometry
+    assert both[0].flat == pytest.approx(both[1].flat, rel=0.4)
