@@ -8,11 +8,11 @@ farthest. Both are made of large soft Gaussians, and none stands before what a p
 """
 
 import math
-from itertools import product
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
+from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from edit3r.contract.interfaces import Geometry
@@ -148,37 +148,24 @@ def _continued_surfaces(views: Views, geometry: Geometry) -> _Layer:
 def _nearest_behind(
     depths: Float[Tensor, "height width"], reach: int
 ) -> Int[Tensor, "height width"]:
-    """Index of the nearest pixel beside a depth edge, within `reach`, whose surface lies behind
-    the pixel's own; -1: none. Nearest by steps from neighbour to neighbour.
+    """Index of the nearest pixel beside a depth edge, if it is within `reach` and its surface lies
+    behind the pixel's own; else -1.
     """
-    height, width = depths.shape
     apart, side = 1 + SAME_SURFACE, 2 * RIM_WIDTH + 1
     farthest, closest = (
         sign * F.max_pool2d(sign * depths[None, None], side, 1, RIM_WIDTH)[0, 0]
         for sign in (1, -1)
     )
-    sides = (torch.arange(side, device=depths.device) for side in (height, width))
-    rows, columns = torch.meshgrid(*sides, indexing="ij")
-    index = rows * width + columns
     beside = (depths >= farthest / EDGE) & (depths > apart * closest)
-    nearest = torch.where(beside, index, -1)
-    distance = torch.where(beside, 0.0, torch.inf).to(depths)
-    for _ in range(reach):
-        before, around = nearest, F.pad(nearest, (1, 1, 1, 1), value=-1)
-        for y, x in product(range(3), repeat=2):
-            offered = around[y : y + height, x : x + width]
-            place = offered.clamp(min=0)
-            far = torch.hypot(
-                (rows - place // width).to(depths),
-                (columns - place % width).to(depths),
-            )
-            taken = (offered >= 0) & (far < distance) & (far <= reach)
-            taken &= depths.flatten()[place] > apart * depths
-            nearest = torch.where(taken, offered, nearest)
-            distance = torch.where(taken, far, distance)
-        if torch.equal(nearest, before):
-            break
-    return torch.where(beside, -1, nearest)
+    if not beside.any():
+        return torch.full_like(beside, -1, dtype=torch.long)
+    distance, (row, column) = distance_transform_edt(
+        ~beside.numpy(force=True), return_indices=True
+    )
+    nearest = torch.from_numpy(row * depths.shape[1] + column).long().to(depths.device)
+    near = torch.from_numpy(distance <= reach).to(depths.device)
+    behind = depths.flatten()[nearest] > apart * depths
+    return torch.where(near & behind, nearest, -1)
 
 
 def _mean_within(
