@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.interfaces import SceneToJudge
@@ -132,17 +132,20 @@ class _Photos:
         if self.geometry is not None:
             depths, cameras = self.geometry
             ways["geometry"] = _places(depths[view], cameras, view, other)
-        here, there = self._matches(view, other)
-        flat = _homography(here, there, self.size)
-        if flat is not None:
-            ways["flat"] = flat
         where = self.depths[view] > 0
         for name, places in ways.items():
             if name != "scene":
-                where &= ((places > 0) & (places < 1)).all(-1)
-        kept = where & self.same[view]
+                where &= _within(places)
+        matches, unchanged = self._matches(view, other), self.same[view]
+        kept = where & unchanged
         if float(kept.float().mean()) > 0.5 * float(where.float().mean()):
             where = kept  # what an edit took away or added is at no depth of the photos
+            # whether the photos show one plane is asked of what is compared
+            matches = _where(unchanged, matches)
+        flat = _homography(*matches, self.size)
+        if flat is not None:
+            ways["flat"] = flat
+            where &= _within(flat)
         if float(where.float().mean()) < FEW:
             return None
         left = {
@@ -162,8 +165,22 @@ class _Photos:
         """The difference that is left; what leaves the other photo is another thing."""
         laid = warp(self.pictures[other], places)
         off = (laid - self.pictures[view]).norm(dim=0).clamp(max=MOST)
-        off[~((places > 0) & (places < 1)).all(-1)] = MOST
+        off[~_within(places)] = MOST
         return float(off[where].mean())
+
+
+def _within(places: Places) -> Bool[Tensor, "height width"]:
+    """Which of them lie in the other photo."""
+    return ((places > 0) & (places < 1)).all(-1)
+
+
+def _where(inside: Bool[Tensor, "height width"], matches: Matches) -> Matches:
+    """The matches whose place in the first photo, in pixels, is inside."""
+    here, there = matches
+    height, width = inside.shape
+    column, row = here.astype(int).clip(0, (width - 1, height - 1)).T
+    chosen = inside.numpy()[row, column]
+    return here[chosen], there[chosen]
 
 
 def _depths_of(

@@ -1,5 +1,7 @@
 """How well a scene, its geometry and one flat picture lay a photo onto its neighbour."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from edit3r_judge.skill import FLOOR, skills
@@ -47,3 +49,12 @@ def test_one_flat_picture_explains_a_neighbour_worse_than_depth_from_either_side
         assert one.scene < FLOOR + 1 and one.geometry < FLOOR + 1
         assert one.flat > one.geometry
     assert both[0].flat == pytest.approx(both[1].flat, rel=0.4)
+
+
+def test_where_an_edit_leaves_a_wall_alone_to_compare_no_depth_is_missed():
+    """What stands before the wall is painted: one flat picture explains all the rest."""
+    plain, balls = scene(), photograph(2, SIZE).objects.amax(0)[:, :, None]
+    assert 0.1 < balls.mean() < 0.4
+    painted = torch.where(balls > 0, 0.0, plain.photos.images)
+    made = replace(plain, edited=replace(plain.edited, images=painted))
+    assert [one.flat for one in skills(made)] == [None, None]
