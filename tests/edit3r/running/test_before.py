@@ -46,23 +46,27 @@ def test_colours_before_are_those_of_the_unedited_photos():
         torch.testing.assert_close(found[-1], colours[0, -1])
 
 
-def test_what_two_photos_show_gets_its_colour_back_from_the_first_alone():
-    """A Gaussian of no view, of the edit's colour on both photos."""
+def before_of_one(photos, edited, grey):
+    """Colour before an edit of one Gaussian of no view, that is grey now and seen by two photos."""
     lens = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
     cameras = Cameras(torch.eye(4).repeat(1, 2, 1, 1), lens, (30, 40))
-    edited = torch.full((1, 2, 3, 30, 40), 0.5)
-    photos = edited + 0.05
     scene = Gaussians(
         torch.tensor([[[0.0, 0, 2]]]),
         torch.ones(1, 1, 3),
         torch.ones(1, 1, 4),
         torch.ones(1, 1),
-        colour_to_dc(torch.full((1, 1, 1, 3), 0.5)),
+        colour_to_dc(torch.full((1, 1, 1, 3), grey)),
     )
     depths = torch.full((1, 2, 1, 30, 40), 2.0)
     rendered = Rendering(edited, torch.ones_like(depths), depths)
     views = [Views(images, lens) for images in (photos, edited)]
-    found = colours_before(scene, cameras, *views, rendered)
+    return colours_before(scene, cameras, *views, rendered)
+
+
+def test_what_two_photos_show_gets_its_colour_back_from_the_first_alone():
+    """A Gaussian of no view, of the edit's colour on both photos."""
+    edited = torch.full((1, 2, 3, 30, 40), 0.5)
+    found = before_of_one(edited + 0.05, edited, 0.5)
     torch.testing.assert_close(found, torch.full((1, 3), 0.55))
 
 
@@ -90,20 +94,8 @@ def test_a_rim_of_both_colours_takes_that_of_the_photo_and_what_is_hidden_none()
 
 def test_what_took_the_colour_of_a_photo_is_left_alone_by_the_photos_after_it():
     """A rim on the first photo, whose colour then is like the edit on the second."""
-    lens = torch.tensor([[0.9, 0, 0.5], [0, 1.2, 0.5], [0, 0, 1]]).expand(1, 2, 3, 3)
-    cameras = Cameras(torch.eye(4).repeat(1, 2, 1, 1), lens, (30, 40))
     photos = torch.full((1, 2, 3, 30, 40), 0.2)
     edited = torch.full_like(photos, 1.0)
     photos[:, 1], edited[:, 1] = 0.9, 0.2
-    scene = Gaussians(
-        torch.tensor([[[0.0, 0, 2]]]),
-        torch.ones(1, 1, 3),
-        torch.ones(1, 1, 4),
-        torch.ones(1, 1),
-        colour_to_dc(torch.full((1, 1, 1, 3), 0.6)),
-    )
-    depths = torch.full((1, 2, 1, 30, 40), 2.0)
-    rendered = Rendering(edited, torch.ones_like(depths), depths)
-    views = [Views(images, lens) for images in (photos, edited)]
-    found = colours_before(scene, cameras, *views, rendered)
+    found = before_of_one(photos, edited, 0.6)
     torch.testing.assert_close(found, torch.full((1, 3), 0.2))
