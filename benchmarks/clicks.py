@@ -434,7 +434,7 @@ def line_on(truth, random):
 
 def anywhere(image, truth, segmenter, words, depth):
     """IoU after each of some first clicks anywhere on the object, always at the same places, and
-    the share of all scores that the reading taken has.
+    the share of all scores that the candidate taken has.
     """
     tensor = tensor_of(image)[None]
     found, shares = [], []
@@ -442,7 +442,7 @@ def anywhere(image, truth, segmenter, words, depth):
         selection = Selection(positive=((0, *place),), words=words)
         selected = select_masks(tensor, selection, segmenter, *depth)
         found.append(iou(selected.masks[0, 0].numpy() > 0.5, truth))
-        shares.append(selected.readings[0].score if selected.readings else 0.0)
+        shares.append(selected.candidates[0].score if selected.candidates else 0.0)
     return found, shares
 
 

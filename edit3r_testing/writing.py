@@ -12,7 +12,7 @@ import torch
 
 from edit3r.contract.interfaces import (
     NamedObjects,
-    OtherReadings,
+    OtherCandidates,
     SceneToWrite,
     SecondLook,
     Writer,
@@ -57,7 +57,7 @@ class WriterContract(Contract):
             photos=replace(scene.views, names=NAMES),
             edited=replace(negative, names=NAMES),
             masks=scene.objects[0, 0],
-            readings=(OtherReadings(scene.views.images[0, 0], NAMES[0], masks),),
+            candidates=(OtherCandidates(scene.views.images[0, 0], NAMES[0], masks),),
             rendered=rendered,
             title=TITLE,
             subtitle="a <subtitle>",

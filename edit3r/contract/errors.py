@@ -43,8 +43,8 @@ class PromptError(Edit3rError):
 class QuestionError(Edit3rError):
     """Nobody can tell surely enough which thing is meant; exit code 3. Nothing was edited.
 
-    `candidates` are what may be meant (`edit3r.contract.interfaces.Reading`), the likeliest first:
-    their masks on one photo, and the numbers that take them (`reading=`, --reading).
+    `candidates` are what may be meant (`edit3r.contract.interfaces.Candidate`), the likeliest
+    first: their masks on one photo, and the numbers that take them (`candidate=`, --candidate).
     """
 
     exit_code = 3

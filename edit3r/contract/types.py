@@ -403,9 +403,8 @@ class GivenScene(Tensors):
 
     gaussians: Gaussians  # in the frame of view 0
     cameras: Cameras  # of the pictures; that of view 0 is the identity
-    images: Float[
-        Tensor, "batch view 3 height width"
-    ]  # sRGB in [0, 1], over a background
+    # sRGB in [0, 1], over a background
+    images: Float[Tensor, "batch view 3 height width"]
     background: float  # grey behind it all, in [0, 1]
     # expected camera z of the pictures' pixels, 0 where nothing is
     depths: Float[Tensor, "batch view height width"]

@@ -23,9 +23,8 @@ class SelectionVerdict:
     label: SelectionLabel
     reason: str  # what was selected; of a question, how to answer it too
     confidence: float | None  # in [0, 1] that it is what was meant; None: it was given
-    candidates: tuple[
-        int, ...
-    ] = ()  # what `--reading` takes instead, the likeliest first
+    # what `--candidate` takes instead, the likeliest first
+    candidates: tuple[int, ...] = ()
 
     @property
     def short(self) -> str:

@@ -169,10 +169,10 @@ def check_selected(selector: Selector, views: Views, answer: Selected) -> None:
     _require(selector, told, promise)
     if answer.confidence is not None:
         _require_share(selector, "confidence", answer.confidence)
-    for one in answer.readings:
-        promise = f"return readings on views 0 to {views.count - 1}, got {one.view}"
+    for one in answer.candidates:
+        promise = f"return candidates on views 0 to {views.count - 1}, got {one.view}"
         _require(selector, 0 <= one.view < views.count, promise)
-        _require_share(selector, "a reading's score", one.score)
+        _require_share(selector, "a candidate's score", one.score)
 
 
 def check_edit_verdict(critic: Critic, answer: EditVerdict) -> None:

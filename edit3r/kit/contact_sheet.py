@@ -14,7 +14,7 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 from torch import Tensor
 
-from edit3r.contract.interfaces import OtherReadings
+from edit3r.contract.interfaces import OtherCandidates
 from edit3r.contract.types import Rendering, Views
 from edit3r.kit.photos.images import to_bytes
 
@@ -24,7 +24,7 @@ __all__ = [
     "images_of",
     "outlined",
     "outlined_views",
-    "with_readings",
+    "with_candidates",
 ]
 
 _PAPER = (250, 249, 247)
@@ -85,9 +85,11 @@ def draw_sheet(
     return sheet
 
 
-def with_readings(sheet: Image.Image, readings: Sequence[OtherReadings]) -> Image.Image:
+def with_candidates(
+    sheet: Image.Image, candidates: Sequence[OtherCandidates]
+) -> Image.Image:
     """The sheet with what else may be meant below it."""
-    for one in readings:
+    for one in candidates:
         columns = {
             caption: outlined(one.photo, mask)[None]
             for caption, mask in one.masks.items()

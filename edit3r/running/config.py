@@ -22,7 +22,7 @@ from edit3r.loading.registry import Registry
 DEFAULTS = read_yaml(Path(__file__).with_name("defaults.yaml"))
 
 MAX_PROMPT = 10_000  # characters: no instruction is longer, and reading it stays quick
-MAX_STEPS = 9  # from one reading of what was meant to the next
+MAX_STEPS = 9  # from one candidate to the next
 MAX_GROWTH = 200.0  # of an outline [pixels]; a sanity limit
 OWN_OUTPUTS = {
     "scene": ("scene.ply", "cameras.json"),
@@ -77,7 +77,7 @@ class RunConfig(Settings):
     guess: bool = False
     """go on with the likeliest candidate even where words hardly tell which thing is meant, instead
     of asking"""
-    reading: int = Field(1, ge=1, le=MAX_STEPS)
+    candidate: int = Field(1, ge=1, le=MAX_STEPS)
     """which candidate for the clicks, strokes, boxes or words is taken: 1 is the likeliest"""
     larger: int = Field(0, ge=-MAX_STEPS, le=MAX_STEPS)
     """take the next larger candidate; repeatable"""

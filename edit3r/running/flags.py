@@ -14,7 +14,7 @@ from edit3r.running.config import JobInputs, RunConfig
 INPUTS = {name: field.description for name, field in JobInputs.model_fields.items()}
 SHORT = {"reconstructor": "recon"}
 """Settings whose flag is not their own name."""
-OUTLINE = ("larger", "grow", "invert", "reading")
+OUTLINE = ("larger", "grow", "invert", "candidate")
 """Settings that `add_mark_flags` has flags for."""
 
 
@@ -50,8 +50,8 @@ def add_mark_flags(parser: argparse.ArgumentParser) -> None:
     add("--larger", action="append_const", const=1, help=larger)
     smaller = larger.replace("larger", "smaller")
     add("--smaller", action="append_const", const=-1, dest="larger", help=smaller)
-    reading = outline["reading"].description
-    add("--reading", metavar="N", type=int, help=f"{reading} (default 1)")
+    candidate = outline["candidate"].description
+    add("--candidate", metavar="N", type=int, help=f"{candidate} (default 1)")
     grow = outline["grow"].description
     add("--grow", metavar="PIXELS", type=float, help=grow)
     add(

@@ -16,7 +16,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.instructions import Instruction
-from edit3r.contract.interfaces import ASK, Geometry, Selected, Selection
+from edit3r.contract.interfaces import (
+    ASK,
+    Geometry,
+    Selected,
+    Selection,
+    candidate_flags,
+)
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
 from edit3r.kit.geometry.exposure import Exposure, ExposureOfEdit
@@ -126,7 +132,7 @@ class SelectedRegions:
     instructions: tuple[Instruction, ...] = ()
     # the things that were looked for, of the first scene
     selected: tuple[Selected, ...] = ()
-    # somebody saw the candidates and took one of them (`--reading`)
+    # somebody saw the candidates and took one of them (`--candidate`)
     chosen: bool = False
     # masks of what was named, in this run and before; of the first scene
     things: Mapping[str, Float[Tensor, "view height width"]] = field(
@@ -283,7 +289,7 @@ def verdict_on_selection(
     `exactly`: what else keeps some pixels as they are, such as masks that were handed over.
 
     The least confident one decides. A thing that was marked exactly, or taken as a numbered
-    candidate (`chosen`, `--reading`), is what was asked for: it has no confidence.
+    candidate (`chosen`, `--candidate`), is what was asked for: it has no confidence.
     """
     if chosen:
         things = [replace(one, confidence=None) for one in things]
@@ -297,11 +303,11 @@ def verdict_on_selection(
     confidence = _confidence(least)
     if least.is_sure:
         return SelectionVerdict("found", listed, confidence)
-    others = tuple(one.number for one in least.readings if one.number != least.taken)
+    others = tuple(one.number for one in least.candidates if one.number != least.taken)
     way = f"if it is another thing, {ASK}"
     if others:
-        numbers = " or ".join(map(str, others))
-        way = f"look at its outline on the sheet; --reading {numbers} takes another candidate"
+        flags = candidate_flags(others)
+        way = f"look at its outline on the sheet; {flags} takes another candidate"
     return SelectionVerdict("question", f"{listed}; {way}", confidence, others)
 
 

@@ -19,10 +19,10 @@ from edit3r.contract.component import component_name
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
     DRAWING,
+    Candidate,
     Editor,
-    OtherReadings,
+    OtherCandidates,
     Rasterizer,
-    Reading,
     Reconstructor,
     SceneToWrite,
     SecondLook,
@@ -39,7 +39,7 @@ from edit3r.kit.contact_sheet import (
     draw_sheet,
     images_of,
     outlined_views,
-    with_readings,
+    with_candidates,
 )
 from edit3r.kit.files.atomic import atomic_folder
 from edit3r.kit.geometry.harmonics import dc_to_colour
@@ -289,7 +289,7 @@ def _scene(result: RunResult, flight: Flight | None = None) -> SceneToWrite:
         photos=result.photos,
         edited=result.edited,
         masks=None if masks is None else masks[0],
-        readings=_other_readings(result.records.selection.selected, result.photos),
+        candidates=_other_candidates(result.records.selection.selected, result.photos),
         rendered=result.rendered,
         title=result.config.prompt,
         about=_about(result),
@@ -407,28 +407,28 @@ def preview_sheet(preview: Preview, prompt: str) -> Image.Image:
         title=prompt or "no prompt",
         subtitle=_preview_line(preview),
     )
-    readings = _other_readings(preview.selection.selected, photos)
-    return with_readings(sheet, readings)
+    candidates = _other_candidates(preview.selection.selected, photos)
+    return with_candidates(sheet, candidates)
 
 
-def _other_readings(
+def _other_candidates(
     things: Sequence[Selected], photos: Views
-) -> tuple[OtherReadings, ...]:
+) -> tuple[OtherCandidates, ...]:
     """What else words may mean, for those that were unsure."""
-    readings = []
+    candidates = []
     for selected in things:
-        if selected.is_sure or len(selected.readings) < 2:
+        if selected.is_sure or len(selected.candidates) < 2:
             continue
-        view = selected.readings[0].view
-        masks = {_chosen_by(one, selected): one.mask for one in selected.readings}
+        view = selected.candidates[0].view
+        masks = {_chosen_by(one, selected): one.mask for one in selected.candidates}
         photo = images_of(photos)[view]
-        readings.append(OtherReadings(photo, photos.names[view], masks))
-    return tuple(readings)
+        candidates.append(OtherCandidates(photo, photos.names[view], masks))
+    return tuple(candidates)
 
 
-def _chosen_by(reading: Reading, selected: Selected) -> str:
-    taken = " (taken)" if reading.number == selected.taken else ""
-    return f"--reading {reading.number}{taken}"
+def _chosen_by(candidate: Candidate, selected: Selected) -> str:
+    taken = " (taken)" if candidate.number == selected.taken else ""
+    return f"--candidate {candidate.number}{taken}"
 
 
 def _preview_line(preview: Preview) -> str:

@@ -31,7 +31,7 @@ class RunSettings(TypedDict, total=False):
     critic: Choice | Critic
     refiners: Sequence[Choice]
     guess: bool
-    reading: int
+    candidate: int
     larger: int
     grow: float
     invert: bool

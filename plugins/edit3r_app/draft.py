@@ -48,11 +48,11 @@ class Mark:
 
 @dataclass(frozen=True)
 class Step:
-    """One step from what the marks or the sentence select to another reading of it."""
+    """One step from what the marks or the sentence select to another candidate of it."""
 
-    kind: Literal["larger", "reading", "grow", "invert"]  # settings of a run
-    # 1 for a larger reading, -1 for a smaller one; of reading its number; of grow its pixels; of
-    # invert nothing
+    kind: Literal["larger", "candidate", "grow", "invert"]  # settings of a run
+    # 1 for a larger candidate, -1 for a smaller one; the number of a candidate; the pixels to grow
+    # by; of invert nothing
     value: Annotated[float, Field(ge=-MAX_GROWTH, le=MAX_GROWTH)] = 0.0
 
 
@@ -63,7 +63,7 @@ class Draft:
     marks: list[Mark | Step] = field(default_factory=list)
     undone: list[Mark | Step] = field(default_factory=list)  # the last taken back last
     words: str = ""  # name the thing where nothing is marked
-    chosen_for: str = ""  # the sentence for which the last reading was chosen
+    chosen_for: str = ""  # the sentence for which the last candidate was chosen
     # what was typed: the sentence, names of components, settings
     form: dict[str, Any] = field(default_factory=dict)
     # of a set of photos, for all edits of it: marks by the name that the user gave them
@@ -77,20 +77,20 @@ class Draft:
 
     @property
     def chose(self) -> bool:
-        """Whether somebody looked at the readings of what is meant now and chose one."""
-        if not self._steps("reading"):
+        """Whether somebody looked at the candidates of what is meant now and chose one."""
+        if not self._steps("candidate"):
             return False
         now = self.form.get("prompt", "")
         return self.selects or _things(now) == _things(self.chosen_for)
 
     @property
     def outline(self) -> dict[str, Any]:
-        """What the steps come to: the settings larger, reading, grow and invert of a run."""
+        """What the steps come to: the settings larger, candidate, grow and invert of a run."""
         larger = sum(int(value) for value in self._steps("larger"))
-        chosen = self._steps("reading")[-1] if self.chose else 1.0
+        chosen = self._steps("candidate")[-1] if self.chose else 1.0
         return {
             "larger": min(max(larger, -MAX_STEPS), MAX_STEPS),
-            "reading": int(min(max(chosen, 1), MAX_STEPS)),
+            "candidate": int(min(max(chosen, 1), MAX_STEPS)),
             "grow": [0.0, *self._steps("grow")][-1],
             "invert": len(self._steps("invert")) % 2 == 1,
         }
@@ -101,12 +101,12 @@ class Draft:
 
     def take(self, mark: Mark | Step) -> None:
         """Add a mark or a step; a further number of pixels replaces the one just given."""
-        replaced = mark.kind in ("grow", "reading")
+        replaced = mark.kind in ("grow", "candidate")
         if replaced and self.marks and self.marks[-1].kind == mark.kind:
             self.marks.pop()
         self.marks.append(mark)
         self.undone = []
-        if mark.kind == "reading":
+        if mark.kind == "candidate":
             self.chosen_for = self.form.get("prompt", "")
 
     def take_back(self) -> None:
@@ -124,7 +124,7 @@ class Draft:
     def selection(self, views: Views) -> Selection:
         """The marks on these views; those on photos that a run left out are passed over.
 
-        Of the steps it has the reading alone: outlines are moved and inverted by the run.
+        Of the steps it has the candidate alone: outlines are moved and inverted by the run.
         """
 
         def of(kind: str) -> Iterator[tuple[int, Mark]]:
@@ -146,7 +146,7 @@ class Draft:
             words=thing.name,
             qualifiers=thing.qualifiers,
             larger=self.outline["larger"],
-            reading=self.outline["reading"],
+            candidate=self.outline["candidate"],
         )
 
     def as_json(self) -> str:

@@ -52,7 +52,7 @@ EXPERT = (
     *("selector", "critic", "matcher", "rasterizer", "reader", "segmenter", "refiners"),
     *("device", "outputs", "export", "max_gaussians"),
 )
-"""Settings of the run that name parts of edit3r; `reading` has its place beside the outline."""
+"""Settings of the run that name parts of edit3r; `candidate` has its place beside the outline."""
 COSTS = {"": "a good middle", "best": "finer depth and more polishing; takes longer"}
 """Of the presets; the others differ in the photos' size, which is the app's own."""
 CHOICES = {
@@ -211,7 +211,7 @@ def run_settings(draft: Draft, registry: Registry) -> dict[str, Any]:
     steps = draft.outline.items()
     settings |= {key: value for key, value in steps if value != usual[key]}
     if draft.chose:
-        settings["reading"] = draft.outline["reading"]
+        settings["candidate"] = draft.outline["candidate"]
     if form.get("quality"):
         settings["quality"] = form["quality"]
     for kind in CHOSEN:

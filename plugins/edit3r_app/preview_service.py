@@ -22,7 +22,7 @@ from edit3r import Registry
 from edit3r.contract.component import Component
 from edit3r.contract.errors import Edit3rError, InputError, PromptError
 from edit3r.contract.instructions import Instruction
-from edit3r.contract.interfaces import Reading, SceneToWrite, Selected, Selection
+from edit3r.contract.interfaces import Candidate, SceneToWrite, Selected, Selection
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict
@@ -79,7 +79,8 @@ class DraftAnswer:
     # of what words found, in [0, 1]; None: it was marked
     confidence: float | None = None
     is_sure: bool = True  # False: the user is asked whether it is this one
-    readings: tuple[Reading, ...] = ()  # what else may be meant, the most likely first
+    # what else may be meant, the most likely first
+    candidates: tuple[Candidate, ...] = ()
     # the run that it asks for, and what it would select; None where something is missing
     job: RunJob | None = None
     found: Preview | None = None
@@ -134,7 +135,7 @@ class Pointing(Stage):
         return None
 
 
-class Candidates(Stage):
+class Suggestions(Stage):
     """What may be meant on one photo: a mark that takes it, and its mask."""
 
     def __init__(self, registry: Registry) -> None:
@@ -144,7 +145,7 @@ class Candidates(Stage):
         alone = session.views.select([session.place(name)])
         with as_in_a_run(session.cache), suppress(Edit3rError):
             found = usual_selector().select(alone, Selection())
-            return tuple((around(one.mask, name), one.mask) for one in found.readings)
+            return tuple((around(one.mask, name), one.mask) for one in found.candidates)
         return ()
 
 
@@ -234,7 +235,7 @@ class DraftSelection(Stage):
             found=found,
             confidence=min(confidences, default=look.confidence),
             is_sure=look.is_sure and all(one.is_sure for one in things),
-            readings=look.readings or _readings(things),
+            candidates=look.candidates or _candidates(things),
             is_quick=_all_quick(components),
         )
 
@@ -279,7 +280,7 @@ class Editing(Stage):
                 return None
             # outlines are moved already
             marks = Selection(masks={0: mask})
-            plain = {"larger": 0, "reading": 1, "grow": 0.0, "invert": False}
+            plain = {"larger": 0, "candidate": 1, "grow": 0.0, "invert": False}
             config = config.model_copy(update=plain)
         job = session.job(config, marks, [view])
         components = Components(config, self.registry, job)
@@ -302,7 +303,7 @@ class PreviewService:
         self.pointing = Pointing(self.registry)
         self.selecting = DraftSelection(self.registry)
         self.editing = Editing(self.registry, self.pointing)
-        self._candidates = Candidates(self.registry)
+        self._suggestions = Suggestions(self.registry)
         self._prepared = threading.Event()
 
     def prepare(self) -> None:
@@ -331,7 +332,7 @@ class PreviewService:
     def renew(self) -> None:
         """Answer anew from now on: other weights are on this machine."""
         self.registry.forget()
-        for one in (self.selecting, self.pointing, self.editing, self._candidates):
+        for one in (self.selecting, self.pointing, self.editing, self._suggestions):
             one.forget()
 
     def look(
@@ -411,25 +412,25 @@ class PreviewService:
                 return jpeg(edit.images[0, 0])
         return jpeg(torch.zeros(3, 1, 1))
 
-    def candidates(self, state: str, name: str) -> tuple[tuple[Mark, Tensor], ...]:
+    def suggestions(self, state: str, name: str) -> tuple[tuple[Mark, Tensor], ...]:
         """What may be meant on one photo: a mark that takes it, and its mask."""
-        return self._candidates.ask(self.sessions.open(state), name)
+        return self._suggestions.ask(self.sessions.open(state), name)
 
-    def candidate(self, state: str, name: str, number: int) -> bytes:
+    def suggestion(self, state: str, name: str, number: int) -> bytes:
         """JPEG of one of them."""
-        found = self.candidates(state, name)
+        found = self.suggestions(state, name)
         if not 0 <= number < len(found):
             raise InputError("there is no such picture.")
         session = self.sessions.open(state)
         image = session.views.images[0, session.place(name)]
         return picture(image, found[number][1])
 
-    def reading(self, state: str, draft: Draft, number: int) -> bytes:
-        """JPEG of a reading of what is selected, on the photo where it was found."""
+    def candidate(self, state: str, draft: Draft, number: int) -> bytes:
+        """JPEG of a candidate of what is selected, on the photo where it was found."""
         look = self.look(state, draft)
-        found = [one for one in look.readings if one.number == number]
+        found = [one for one in look.candidates if one.number == number]
         if not found:
-            raise InputError("there is no such reading of what is selected.")
+            raise InputError("there is no such candidate of what is selected.")
         return picture(look.views.images[0, found[0].view], found[0].mask)
 
     def edit_verdict(self, look: DraftAnswer) -> EditVerdict | None:
@@ -512,10 +513,10 @@ def _with_marks(
         masks=masks,
         confidence=selected.confidence,
         is_sure=selected.is_sure,
-        readings=selected.readings,
+        candidates=selected.candidates,
     )
 
 
-def _readings(things: Sequence[Selected]) -> tuple[Reading, ...]:
+def _candidates(things: Sequence[Selected]) -> tuple[Candidate, ...]:
     """What else words may mean, where they were unsure."""
-    return next((one.readings for one in things if one.readings), ())
+    return next((one.candidates for one in things if one.candidates), ())

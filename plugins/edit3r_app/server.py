@@ -170,7 +170,7 @@ class Answers:
             Route("/api/home", get(lambda: self.home())),
             Route("/api/scene/{scene}", get(studio.scene, "scene", at="")),
             Route("/api/look/{state}", get(studio.look, "state")),
-            Route("/api/candidates/{state}/{name}", get(studio.candidates, *PHOTO)),
+            Route("/api/suggestions/{state}/{name}", get(studio.suggestions, *PHOTO)),
             Route("/api/verdict/{state}", get(studio.verdict, "state")),
             Route("/api/settings/{state}", get(studio.settings, "state")),
             Route("/api/files/{run}", get(studio.files, "run")),
@@ -195,8 +195,8 @@ class Answers:
             Route("/overlay/{state}/{name}", self.overlay),
             Route("/pointed/{state}/{name}", self.pointed),
             Route("/edited/{state}/{name}", self.edited),
-            Route("/candidate/{state}/{name}/{number:int}", self.candidate),
-            Route("/reading/{state}/{number:int}", self.reading),
+            Route("/suggestion/{state}/{name}/{number:int}", self.suggestion),
+            Route("/candidate/{state}/{number:int}", self.candidate),
             Route("/image/{state}/{kind}/{name}", self.image),
             Route("/viewer/{run}", self.viewer),
             Route("/download/{run}/{what}", self.download),
@@ -214,7 +214,7 @@ class Answers:
         }
 
     def step(self, state: str, asked: dict[str, Any]) -> dict[str, Any]:
-        """The next larger reading for 1, else the next smaller one."""
+        """The next larger candidate for 1, else the next smaller one."""
         return self.studio.step(state, 1 if asked.get("value") == 1 else -1)
 
     def cancel(self, run: str, asked: dict[str, Any]) -> None:
@@ -310,11 +310,11 @@ class Answers:
         found = "found" in request.query_params
         return _jpeg(self.previews.edited(*self._drafted(request), found))
 
-    def candidate(self, request: Request) -> Response:
+    def suggestion(self, request: Request) -> Response:
         state, name = _named(request, *PHOTO)
         self.folder.path(state)
         return _jpeg(
-            self.previews.candidate(state, name, request.path_params["number"])
+            self.previews.suggestion(state, name, request.path_params["number"])
         )
 
     def pointed(self, request: Request) -> Response:
@@ -332,11 +332,11 @@ class Answers:
         line = (bool(mark) and not made_so) or "line" in request.query_params
         return _png(self.previews.pointed(state, draft, name, line=line))
 
-    def reading(self, request: Request) -> Response:
+    def candidate(self, request: Request) -> Response:
         state, number = request.path_params["state"], request.path_params["number"]
         self.folder.path(state)
         draft = read_draft(self.folder, state)
-        return _jpeg(self.previews.reading(state, draft, number))
+        return _jpeg(self.previews.candidate(state, draft, number))
 
     def _drafted(self, request: Request) -> tuple[str, Draft, str]:
         """The state, its draft and the photo that an address names."""

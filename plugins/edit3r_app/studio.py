@@ -217,7 +217,7 @@ class Studio:
         return self.folder.job(state).scene if self.folder.is_run(state) else state
 
     def step(self, state: str, value: int) -> dict[str, Any]:
-        """Take the next larger or smaller reading; one that shows nothing new is taken back."""
+        """Take the next larger or smaller candidate; one that shows nothing new is taken back."""
         before = read_draft(self.folder, state)
         drawn = self.change(state, {"do": "step", "value": ["larger", value]})
         after = read_draft(self.folder, state)
@@ -226,7 +226,7 @@ class Studio:
         if read_draft(self.folder, state) == after:  # meanwhile nothing else was said
             write_draft(self.folder, state, before)
         word = "larger" if value > 0 else "smaller"
-        raise InputError(f"there is no {word} reading of what is selected.")
+        raise InputError(f"there is no {word} candidate of what is selected.")
 
     def look(self, state: str) -> dict[str, Any]:
         """What the draft means: how the sentence is read, and what is selected."""
@@ -247,13 +247,13 @@ class Studio:
             "sure": look.is_sure,
             "selected": look.masks is not None,
             "runs": look.job is not None,
-            "readings": [one.number for one in look.readings],
+            "candidates": [one.number for one in look.candidates],
         }
 
-    def candidates(self, state: str, name: str) -> list[dict[str, Any]]:
+    def suggestions(self, state: str, name: str) -> list[dict[str, Any]]:
         """The marks that take what may be meant on a photo; pictures are asked for by number."""
         self._is_state(state)
-        return [asdict(mark) for mark, _ in self.previews.candidates(state, name)]
+        return [asdict(mark) for mark, _ in self.previews.suggestions(state, name)]
 
     def verdict(self, state: str) -> dict[str, str] | None:
         """What the 2D edit of a quick editor is worth; None of others."""

@@ -176,7 +176,7 @@ def _check_removal(
     which = "all" if bool(chosen.any()) else "none"
     raise InputError(
         f"in-place: {which} of the scene would be removed; click on one thing of it, or take "
-        "another candidate (--reading 2)."
+        "another candidate (--candidate 2)."
     )
 
 

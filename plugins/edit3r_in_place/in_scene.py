@@ -87,7 +87,7 @@ class InSceneSelector(Selector, StartsFromScene):
                 f"the {selection.words} is taken for a part of the scene; "
                 "'paint everything' is said of all of it",
             )
-            asked = replace(asked, reading=smaller)
+            asked = replace(asked, candidate=smaller)
             found = self.usual.select(views.select(looked_at), asked, part)
         masks = dict(zip(looked_at, found.masks[:, 0]))
         rasterizer = edit3r.default_registry().build_choice(
@@ -135,8 +135,8 @@ class InSceneSelector(Selector, StartsFromScene):
         masks: Float[Tensor, "view height width"],
     ) -> Selected:
         how = dict(zip(looked_at, found.how))
-        readings = tuple(
-            replace(one, view=looked_at[one.view]) for one in found.readings
+        candidates = tuple(
+            replace(one, view=looked_at[one.view]) for one in found.candidates
         )
         if selection.inverted:
             masks = 1 - masks
@@ -144,7 +144,7 @@ class InSceneSelector(Selector, StartsFromScene):
             found,
             masks=masks[:, None],
             how=tuple(how.get(view, "geometry") for view in range(len(masks))),
-            readings=readings,
+            candidates=candidates,
         )
 
 
@@ -215,17 +215,17 @@ def _part_of_scene(
     selection: Selection,
     alphas: Float[Tensor, "view height width"],
 ) -> int:
-    """The reading that takes what a click and a name mean, where the first is all of the scene.
+    """The candidate that takes what a click and a name mean, where the first is all of the scene.
 
     A thing that stands alone has the clearest outline there is; who names what is clicked on means
     one thing of several.
     """
-    left_open = selection.reading == 1 and not selection.larger and not found.fits
+    left_open = selection.candidate == 1 and not selection.larger and not found.fits
     if not (left_open and selection.words and selection.positive):
         return 1
     smaller = [
         one.number
-        for one in found.readings
+        for one in found.candidates
         if float((one.mask * alphas[one.view]).sum())
         < WHOLE * float(alphas[one.view].sum())
     ]

@@ -34,12 +34,10 @@ class Beside:
     # how unlike by the run's geometry (by the scene, where there is none), as a share of one flat
     # picture's; 1: no depth
     flat: Figures
-    reference: (
-        Figures  # how much more of the view half-way looks like no photo, in [-1, 1]
-    )
-    depths: (
-        float | None
-    )  # how far off the rasterizer's depths of the cheapest scene are [share]
+    # how much more of the view half-way looks like no photo, in [-1, 1]
+    reference: Figures
+    # how far off the rasterizer's depths of the cheapest scene are [share]
+    depths: float | None
 
 
 def beside(scene: SceneToJudge, unlike: Figures) -> Beside:

@@ -94,9 +94,8 @@ class EditTransport(nn.Module):
         value = value[:, None].expand(-1, HEADS, -1, -1)
         attended = F.scaled_dot_product_attention(query, key, value, scale=1.0)
         attended = attended[..., :channels].transpose(-1, -2)
-        attended = attended.unflatten(
-            -1, tokens.shape[-2:]
-        )  # [batch, head, channel, ...]
+        # [batch, head, channel, height, width]
+        attended = attended.unflatten(-1, tokens.shape[-2:])
         mixed = (self.head_mix(tokens).softmax(1)[:, :, None] * attended).sum(1)
         return CarriedEdit(
             maps=mixed[:, :CHANNELS],

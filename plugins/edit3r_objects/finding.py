@@ -137,7 +137,7 @@ def _selected(photo: Views, asked: Selection, selector: Selector) -> tuple[Mask,
     """What is selected on one photo, and how likely that is meant."""
     selected = asking.select(selector, photo, asked, None)
     mask = selected.masks[0, 0].numpy(force=True) > 0.5
-    return mask, selected.readings[0].score if selected.readings else 1.0
+    return mask, selected.candidates[0].score if selected.candidates else 1.0
 
 
 def _boxes(photo: Views, tools: Finders) -> tuple[Detection, ...]:

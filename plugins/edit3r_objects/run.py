@@ -282,7 +282,7 @@ def _masks(run: Run, args: argparse.Namespace, rasterizer: Rasterizer) -> Tensor
     marks = replace(
         texts.read(LoadedPhotos(views, earlier.files)),
         larger=sum(args.larger or ()),
-        reading=args.reading or 1,
+        candidate=args.candidate or 1,
         grow=args.grow or 0.0,
         inverted=bool(args.invert),
     )

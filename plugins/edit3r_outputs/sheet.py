@@ -9,7 +9,7 @@ from edit3r.kit.contact_sheet import (
     draw_sheet,
     images_of,
     outlined_views,
-    with_readings,
+    with_candidates,
 )
 from edit3r.kit.photos.images import save_pixels
 
@@ -34,5 +34,5 @@ class SheetWriter(Writer):
             title=scene.title or "no prompt",
             subtitle=scene.about,
         )
-        picture = np.asarray(with_readings(sheet, scene.readings))
+        picture = np.asarray(with_candidates(sheet, scene.candidates))
         save_pixels(picture, path, is_photo=False)

@@ -72,7 +72,7 @@ class MaskCommand(Command):
             {
                 name: value
                 for name, value in given_flags(args, RunConfig).items()
-                if name in ("larger", "reading", "grow", "invert")
+                if name in ("larger", "candidate", "grow", "invert")
             }
         )
         given = parse_assignments(args.set)
@@ -106,7 +106,7 @@ class MaskCommand(Command):
                 marks = replace(
                     texts.read(photos),
                     larger=outline.larger,
-                    reading=outline.reading,
+                    candidate=outline.candidate,
                     grow=outline.grow,
                     inverted=outline.invert,
                 )

@@ -77,12 +77,12 @@ class Answered:
     With `marks.larger` the answer, that many steps from the likeliest, is alone.
     """
 
-    readings: tuple[Proposal, ...]
+    candidates: tuple[Proposal, ...]
     confidence: float | None  # that the first is meant; None: nobody can tell
 
     @property
     def mask(self) -> Float[Tensor, "height width"]:
-        return self.readings[0].soft_mask
+        return self.candidates[0].soft_mask
 
 
 def answered(segmenter: Segmenter, image: Image, marks: Marks) -> Answered:

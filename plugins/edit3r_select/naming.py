@@ -13,10 +13,11 @@ from edit3r.contract.interfaces import (
     ASK,
     BACKGROUND,
     SURE,
+    Candidate,
     Proposal,
-    Reading,
     Segmenter,
     Selection,
+    candidate_flags,
 )
 from edit3r.contract.reporting import say, warn
 from edit3r.kit import asking
@@ -41,7 +42,7 @@ UNCONFIRMED = (
 )
 SAME_THING = 0.4  # overlap from which two findings are one thing
 SPANS = 0.7  # share of a side of a photo along which a thing goes on beyond it
-MAX_READINGS = 3  # that are shown
+MAX_CANDIDATES = 3  # that are shown
 
 Proposals = tuple[Proposal, ...]
 
@@ -70,7 +71,7 @@ def _named(photos: Photos, selection: Selection) -> Named:
     if not weighed.get(best):
         return _standing_out(photos, selection, first, known)
     named = _taken(photos, selection, best, weighed[best])
-    if selection.larger or selection.reading > 1:
+    if selection.larger or selection.candidate > 1:
         return named
     if _on_every_photo(selection, weighed[best], named, best):
         return _on_others(photos, selection, named, best)
@@ -259,22 +260,24 @@ def _taken(photos: Photos, selection: Selection, view: int, found: Proposals) ->
         say("selection.several", f"{len(picked)} {words} on photo {view + 1}")
     masks = [_stepped(photos, view, one, selection.larger) for one in picked]
     mask = torch.stack(masks).amax(0)
-    options: tuple[Reading, ...] = ()
+    options: tuple[Candidate, ...] = ()
     if confidence < SURE and not selection.larger:
         options = numbered(view, _options(photos, view, picked, found))
-        mask = taken_of(options, selection.reading).mask
-        flags = " or ".join(
-            f"--reading {its.number}" for its in options if its.mask is not mask
-        )
+        mask = taken_of(options, selection.candidate).mask
+        others = [its.number for its in options if its.mask is not mask]
         warnings.append(
             f"{named!r} was found on photo {view + 1} with a confidence of only {confidence:.0%}: "
-            f"look at its outline. To correct it{f', take {flags}, or' if flags else ':'} {ASK}."
+            f"look at its outline. To correct it{_taking(others)} {ASK}."
         )
     here = {view: OnPhoto(mask, "words")}
     return Named(here, confidence, least, options, tuple(warnings))
 
 
-def numbered(view: int, options: Iterable[tuple[Mask, float]]) -> tuple[Reading, ...]:
+def _taking(numbers: Sequence[int]) -> str:
+    return f", take {candidate_flags(numbers)}, or" if numbers else ":"
+
+
+def numbered(view: int, options: Iterable[tuple[Mask, float]]) -> tuple[Candidate, ...]:
     """What differs among masks and their scores, the likeliest first; one that shows nothing only
     where there is no other.
     """
@@ -285,13 +288,13 @@ def numbered(view: int, options: Iterable[tuple[Mask, float]]) -> tuple[Reading,
         if all(overlap(mask, other) < SAME for other, _ in kept):
             kept.append((mask, score))
     return tuple(
-        Reading(view, mask, float(score), number)
-        for number, (mask, score) in enumerate(kept[:MAX_READINGS], 1)
+        Candidate(view, mask, float(score), number)
+        for number, (mask, score) in enumerate(kept[:MAX_CANDIDATES], 1)
     )
 
 
-def taken_of(options: Sequence[Reading], wanted: int) -> Reading:
-    """The reading of that number; the last where there are fewer."""
+def taken_of(options: Sequence[Candidate], wanted: int) -> Candidate:
+    """The candidate of that number; the last where there are fewer."""
     return options[min(wanted, len(options)) - 1]
 
 
@@ -304,7 +307,7 @@ def _options(
     options += [(one.soft_mask, one.confidence) for one in found]
     if any(picked[0].box[2:]):
         box = Marks(box=_share_of(photos, picked[0]))
-        boxed = answered(photos.segmenter, photos.images[view], box).readings
+        boxed = answered(photos.segmenter, photos.images[view], box).candidates
         options += [(one.soft_mask, one.confidence * confidence) for one in boxed]
     return options
 
@@ -317,7 +320,7 @@ def _share_of(photos: Photos, one: Proposal) -> tuple[float, float, float, float
 
 
 def _stepped(photos: Photos, view: int, one: Proposal, larger: int) -> Mask:
-    """The mask of a named thing; a larger or smaller reading of its box where that is asked."""
+    """The mask of a named thing; a larger or smaller candidate of its box where that is asked."""
     if not larger:
         return one.soft_mask
     marks = Marks(box=_share_of(photos, one), larger=larger)
@@ -376,14 +379,14 @@ def _standing_out(
         for number, one in enumerate(rest, 1)
     ]
     options = numbered(view, [(first.soft_mask, sure), *others])
-    flags = " or ".join(f"--reading {one.number}" for one in options[1:])
+    numbers = [one.number for one in options[1:]]
     warning = (
         f"{why}; what stands out is taken, with a confidence of {sure:.0%} only: look at its "
-        f"outline. To correct it{f', take {flags}, or' if flags else ':'} {ASK}"
+        f"outline. To correct it{_taking(numbers)} {ASK}"
     )
     more = _more_words() if selection.words and not known else ""
     warning += f", or {more}." if more else "."
-    taken = taken_of(options, selection.reading)
+    taken = taken_of(options, selection.candidate)
     found = {view: OnPhoto(taken.mask, "guess")}
     knows_words = known or not selection.words
     return Named(found, sure, SURE, options, (warning,), knows_words=knows_words)

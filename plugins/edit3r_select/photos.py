@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import Geometry, Reading, Segmenter
+from edit3r.contract.interfaces import Candidate, Geometry, Segmenter
 from edit3r.kit.cache import fingerprint
 from edit3r.kit.geometry.warping import surfaces_apart
 
@@ -49,7 +49,7 @@ class Named:
     found: Found = field(default_factory=dict)
     confidence: float | None = None  # in [0, 1]; None: nothing was named
     least: float = 1.0  # confidence from which it is found on another photo too
-    readings: tuple[Reading, ...] = ()
+    candidates: tuple[Candidate, ...] = ()
     warnings: tuple[str, ...] = ()
     each: bool = False  # True: each photo shows its own, so that photos do not vote
     knows_words: bool = True  # False: nothing here knows the words

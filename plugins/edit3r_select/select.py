@@ -20,9 +20,9 @@ from edit3r.contract.interfaces import (
     BACKGROUND,
     SURE,
     Box,
+    Candidate,
     Geometry,
     Proposal,
-    Reading,
     Segmenter,
     Selected,
     Selection,
@@ -36,7 +36,7 @@ from edit3r_select.answering import answered
 from edit3r_select.carrying import agreed, carried
 from edit3r_select.marks import Marks, marks_on
 from edit3r_select.naming import (
-    MAX_READINGS,
+    MAX_CANDIDATES,
     SAME_THING,
     looked_up,
     named_again,
@@ -95,10 +95,11 @@ def select_masks(
         view: replace(one, mask=1 - one.mask) if all_else else one
         for view, one in named.found.items()
     }
-    sure, options, fits = [named.confidence], named.readings, None
+    sure, options, fits = [named.confidence], named.candidates, None
     for view in selection.views:
         found[view], told = _marked(photos, selection, found, view)
-        options = options or told.readings  # a photo that was marked before says which
+        # a photo that was marked before says which
+        options = options or told.candidates
         fits = told.fits if fits is None else fits
         sure.append(told.confidence)
     found |= carried(photos, found, set(range(len(images))) - set(found))
@@ -136,7 +137,7 @@ def select_masks(
         tuple(warnings),
         min((one for one in sure if one is not None), default=None),
         options,
-        selection.reading,
+        selection.candidate,
         fits=fits,
         knows_words=named.knows_words,
     )
@@ -188,7 +189,7 @@ class Described:
     """What clicks, strokes and a box mean on one photo."""
 
     mask: Mask
-    readings: tuple[Reading, ...] = ()  # what else they may mean
+    candidates: tuple[Candidate, ...] = ()  # what else they may mean
     confidence: float | None = None  # in [0, 1]; None: nobody can tell
     fits: bool | None = None  # as that of `Selected`
 
@@ -231,25 +232,27 @@ def _described(
     """The object that marks describe, what else they may mean, and how sure it is.
 
     A click says where, and words say how far: a click on a wheel beside the word "bike" means the
-    bike. What they name is a reading too, and comes before a larger one: a fox before the fox with
-    its plaque.
+    bike. What they name is a candidate too, and comes before a larger one: a fox before the fox
+    with its plaque.
     """
     image = photos.images[view]
     told = answered(photos.segmenter, image, marks)
     if marks.larger or marks.prior is not None:
         return Described(told.mask, (), told.confidence)
-    pairs = [(one.soft_mask, one.confidence) for one in told.readings[:MAX_READINGS]]
+    pairs = [
+        (one.soft_mask, one.confidence) for one in told.candidates[:MAX_CANDIDATES]
+    ]
     by_name, is_elsewhere = _named_at(photos, selection, view, marks)
     if by_name is None:
         options = numbered(view, pairs)
-        mask = taken_of(options, selection.reading).mask
+        mask = taken_of(options, selection.candidate).mask
         return Described(
             mask, options, told.confidence, False if is_elsewhere else None
         )
     named = by_name.soft_mask
     options = numbered(view, _with_named(pairs, named))
-    found = taken_of(options, selection.reading).mask
-    if overlap(found, named) >= SAME_THING or selection.reading > 1:
+    found = taken_of(options, selection.candidate).mask
+    if overlap(found, named) >= SAME_THING or selection.candidate > 1:
         is_own = overlap(found, told.mask) >= SAME
         sure = told.confidence if is_own else by_name.confidence
         fits = overlap(found, named) >= SAME_THING or None
@@ -286,7 +289,7 @@ def _named_at(
 def _with_named(
     options: list[tuple[Mask, float]], named: Mask
 ) -> list[tuple[Mask, float]]:
-    """Readings of a click, and what words name there as one more, as likely as the first; before
+    """Candidates of a click, and what words name there as one more, as likely as the first; before
     the first where it is a part of that.
     """
     alike = [one for one in options if overlap(named, one[0]) >= SAME]
@@ -326,16 +329,16 @@ def _final(photos: Photos, selection: Selection, mask: Mask, view: int) -> Mask:
 def _told(
     selection: Selection, count: int, how: Sequence[str], fits: bool | None
 ) -> list[str]:
-    """What went otherwise than was asked, where there are `count` readings."""
+    """What went otherwise than was asked, where there are `count` candidates."""
     told = []
     if fits is False:
         told.append(
             f"{selection.words!r} was found elsewhere, not where it is marked; what is marked is "
             "taken."
         )
-    if count and selection.reading > count:
+    if count and selection.candidate > count:
         told.append(
-            f"--reading {selection.reading}: there are {count}; the last one is taken."
+            f"--candidate {selection.candidate}: there are {count}; the last one is taken."
         )
     for view, one in enumerate(how):
         if one == "not found":

@@ -56,10 +56,11 @@ from edit3r.contract.interfaces.selection import (
     BACKGROUND as BACKGROUND,
     SURE as SURE,
     Box as Box,
-    Reading as Reading,
+    Candidate as Candidate,
     Selected as Selected,
     Selection as Selection,
     Selector as Selector,
+    candidate_flags as candidate_flags,
 )
 from edit3r.contract.interfaces.training import (
     Dataset as Dataset,
@@ -72,7 +73,7 @@ from edit3r.contract.interfaces.training import (
 from edit3r.contract.interfaces.writing import (
     DRAWING as DRAWING,
     NamedObjects as NamedObjects,
-    OtherReadings as OtherReadings,
+    OtherCandidates as OtherCandidates,
     SceneToWrite as SceneToWrite,
     SecondLook as SecondLook,
     Writer as Writer,

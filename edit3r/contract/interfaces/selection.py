@@ -32,6 +32,12 @@ ASK = "click on it (--point X,Y), or draw a box (--box) or a mask (--mask)"
 """What to do where nobody knows which thing is meant."""
 
 
+def candidate_flags(numbers: Sequence[int]) -> str:
+    """What takes one of these candidates on the command line: "--candidate 1, 2 or 3"."""
+    *first, last = map(str, numbers)
+    return "--candidate " + (f"{', '.join(first)} or {last}" if first else last)
+
+
 @dataclass(frozen=True)
 class Selection:
     """Everything a user marked; places are x (right) and y (down) in [0, 1] of a view."""
@@ -51,12 +57,11 @@ class Selection:
     # the object's name, such as "bike": looked for where nothing is marked; beside a click it
     # helps to tell the object from its parts
     words: str = ""
-    qualifiers: tuple[
-        str, ...
-    ] = ()  # which one of several: "left", "big", "red", "all"
+    # which one of several: "left", "big", "red", "all"
+    qualifiers: tuple[str, ...] = ()
     several: bool = False  # True: a plural, so every one that is found surely is taken
     # which candidate is taken: 1 is the likeliest, 2 the next
-    reading: int = 1
+    candidate: int = 1
     # above 0: so many steps to larger candidates ("the whole car"); below 0: to smaller ones
     larger: int = 0
     grow: float = 0.0  # pixels by which the outline moves outwards; inwards below 0
@@ -95,9 +100,9 @@ class Selection:
                 )
 
     def _check_numbers(self) -> None:
-        if not isinstance(self.reading, int) or self.reading < 1:
+        if not isinstance(self.candidate, int) or self.candidate < 1:
             raise InputError(
-                f"reading: got {self.reading!r}, expected 1 for the most likely, 2 for the next."
+                f"candidate: got {self.candidate!r}, expected 1 for the likeliest, 2 for the next."
             )
         if not isinstance(self.larger, int):
             raise InputError(f"larger: got {self.larger!r}, expected whole steps.")
@@ -159,15 +164,13 @@ class Selection:
 
 
 @dataclass(frozen=True)
-class Reading:
+class Candidate:
     """A candidate: one thing that the marks or words may mean, such as a wheel or the whole car."""
 
     view: int
     mask: Float[Tensor, "height width"]  # soft, in [0, 1], on that view
     score: float  # in [0, 1]: how likely this one is meant
-    number: (
-        int  # that takes it, as `Selection.reading` or --reading; 1 is the likeliest
-    )
+    number: int  # that takes it, as `Selection.candidate` or --candidate; 1 is the likeliest
 
 
 @dataclass(frozen=True)
@@ -183,8 +186,10 @@ class Selected:
     # in [0, 1]: how likely the right thing was found; None: it was marked exactly, or nobody knows
     confidence: float | None = None
     # all candidates, the one that was taken included; the likeliest first
-    readings: tuple[Reading, ...] = ()
-    taken: int = 1  # the number of the candidate that was taken
+    candidates: tuple[Candidate, ...] = ()
+    taken: int = (
+        1  # the number of the candidate that was taken; 0: none, where one is asked for
+    )
     called: str = ""  # the name that was asked for, such as "left cup"
     # True: what is marked has that name; False: the name was found elsewhere; None: not checked
     fits: bool | None = None
@@ -203,9 +208,9 @@ class Selected:
             self,
             masks=self.masks[list(indices)],
             how=tuple(self.how[view] for view in indices),
-            readings=tuple(
+            candidates=tuple(
                 replace(one, view=indices.index(one.view))
-                for one in self.readings
+                for one in self.candidates
                 if one.view in indices
             ),
         )

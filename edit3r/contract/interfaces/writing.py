@@ -36,7 +36,7 @@ class SecondLook:
 
 
 @dataclass(frozen=True)
-class OtherReadings:
+class OtherCandidates:
     """What else words or clicks may mean on one view, where that was unsure."""
 
     photo: Float[Tensor, "3 height width"]
@@ -54,7 +54,7 @@ class SceneToWrite:
     photos: Views | None = None  # what the cameras took
     edited: Views | None = None  # the photos after the 2D edit
     masks: Float[Tensor, "view height width"] | None = None  # what was to be edited
-    readings: tuple[OtherReadings, ...] = ()  # of the things that were unsure
+    candidates: tuple[OtherCandidates, ...] = ()  # of the things that were unsure
     rendered: Rendering | None = None  # the Gaussians from the input views
     title: str = ""  # the prompt of a run
     subtitle: str = ""  # a sentence for the reader of a page

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import (
+    Candidate,
     Matcher,
-    Reading,
     Segmenter,
     Selected,
     Selection,
@@ -35,11 +35,11 @@ _built: WeakKeyDictionary[Cache, tuple[str, Segmenter]] = WeakKeyDictionary()
 
 @dataclass(frozen=True, eq=False)
 class Selecting:
-    """What was selected on photos; of a batch, readings and confidences are the first scene's."""
+    """What was selected on photos; of a batch, candidates and confidences are the first scene's."""
 
     views: Views  # the photos
     masks: Float[Tensor, "batch view height width"]  # soft, in [0, 1]
-    readings: tuple[Reading, ...]  # what may be meant, smallest first
+    candidates: tuple[Candidate, ...]  # what may be meant, smallest first
     # in [0, 1]: that it is what was meant; None: marked exactly, or nobody can tell
     confidence: float | None
     is_sure: bool
@@ -94,7 +94,7 @@ def select_with(
     return Selecting(
         views,
         torch.stack([one.masks[:, 0] for one in scenes]),
-        tuple(sorted(first.readings, key=lambda one: float((one.mask > 0.5).sum()))),
+        tuple(sorted(first.candidates, key=lambda one: float((one.mask > 0.5).sum()))),
         first.confidence,
         first.is_sure,
         _why(views, first),

@@ -399,7 +399,7 @@ def _with_defaults(selection: Selection, defaults: Selection) -> Selection:
     """A selection with what the run says of outlines beside its own."""
     return replace(
         selection,
-        reading=max(selection.reading, defaults.reading),
+        candidate=max(selection.candidate, defaults.candidate),
         larger=selection.larger + defaults.larger,
         grow=selection.grow + defaults.grow,
         inverted=selection.inverted != defaults.inverted,

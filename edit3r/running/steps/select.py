@@ -17,6 +17,7 @@ from edit3r.contract.interfaces import (
     Geometry,
     Reconstructor,
     Selection,
+    candidate_flags,
 )
 from edit3r.contract.reporting import Report, collecting, stage, warn
 from edit3r.contract.types import Views
@@ -54,9 +55,10 @@ def require_known_words(inputs: Inputs, components: Components) -> None:
     """
     marked = inputs.marked is not None or inputs.masks is not None
     named = any(
-        instruction.target.scope == "named"
+        target.scope == "named"
         for task in components.tasks
-        for instruction in task.instructions
+        for one in task.instructions
+        for target in (one.target, *one.without)
     )
     if marked or not named or inputs.photos.count < 2 or _guesses(components):
         return
@@ -70,7 +72,7 @@ def require_known_words(inputs: Inputs, components: Components) -> None:
 def _guesses(components: Components) -> bool:
     """Whether the likeliest candidate, or a numbered one, is taken without asking."""
     config = components.config
-    return config.guess or "reading" in config.set_by_the_user()
+    return config.guess or "candidate" in config.set_by_the_user()
 
 
 def require_answer(
@@ -83,18 +85,23 @@ def require_answer(
         by_words = {"words", "guess"} & {*thing.how}
         confidence = 1.0 if thing.confidence is None else thing.confidence
         if not thing.knows_words or (by_words and confidence < ASKED):
-            numbers = " or ".join(f"--reading {one.number}" for one in thing.readings)
+            flags = candidate_flags([one.number for one in thing.candidates])
             hints = "".join(
                 asking.hint(components.reader, one) for one in selection.instructions
             )
             raise QuestionError(
                 f"which is the {thing.called or 'thing'}? The likeliest candidate has a confidence "
-                f"of {confidence:.0%}, so nothing was edited. Take one ({numbers}), {ASK}, "
+                f"of {confidence:.0%}, so nothing was edited. Take one ({flags}), {ASK}, "
                 "or fetch a detector that knows most words (edit3r weights get words); --guess "
                 f"takes the likeliest.{hints}",
-                thing.readings,
-                Preview(inputs, selection, None),
+                thing.candidates,
+                Preview(inputs, _none_taken(selection), None),
             )
+
+
+def _none_taken(selection: SelectedRegions) -> SelectedRegions:
+    things = tuple(replace(one, taken=0) for one in selection.selected)
+    return replace(selection, selected=things)
 
 
 def load(inputs: Inputs, components: Components) -> Inputs:
@@ -188,7 +195,7 @@ def _regions(
         regions=regions if instructions else None,
         instructions=scenes[0].instructions if instructions else (),
         selected=scenes[0].selected,
-        chosen="reading" in components.config.set_by_the_user(),
+        chosen="candidate" in components.config.set_by_the_user(),
         things=scenes[0].things,
     )
 
@@ -274,7 +281,7 @@ def _finder(
         geometry=of_scene,
         marked=inputs.marked,
         defaults=Selection(
-            reading=config.reading,
+            candidate=config.candidate,
             larger=config.larger,
             grow=config.grow,
             inverted=config.invert,

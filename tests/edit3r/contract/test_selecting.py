@@ -10,8 +10,8 @@ from edit3r.contract.interfaces import Selection
 @pytest.mark.parametrize(
     ("given", "told"),
     [
-        ({"reading": 0}, "reading: got 0"),
-        ({"reading": 1.5}, "reading: got 1.5"),
+        ({"candidate": 0}, "candidate: got 0"),
+        ({"candidate": 1.5}, "candidate: got 1.5"),
         ({"larger": 0.5}, "larger"),
         ({"grow": float("nan")}, "grow: got nan"),
         ({"grow": 1e9}, r"grow: got 1e\+09"),

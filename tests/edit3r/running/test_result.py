@@ -16,9 +16,9 @@ from edit3r.cli.main import main
 from edit3r.contract.errors import QuestionError
 from edit3r.contract.interfaces import (
     SUBJECT,
+    Candidate,
     MaskLogits,
     Proposal,
-    Reading,
     Reconstructor,
     Segmenter,
     Selected,
@@ -31,7 +31,7 @@ from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.kit.photos.images import save_image
 from edit3r.running import result as result_module
 from edit3r.running.config import USUAL_OUTPUTS, make_run_config
-from edit3r.running.result import _other_readings
+from edit3r.running.result import _other_candidates
 from edit3r.running.run_folder import RunFolder
 from edit3r.running.summary import answers, summary
 from edit3r_testing.scenes import photograph
@@ -364,7 +364,7 @@ def test_things_are_judged_and_drawn_on_the_photos_that_were_placed():
     assert result.photos.names == ("b", "c")
     (bear,) = result.records.selection.selected
     assert len(bear.masks) == len(bear.how) == 2
-    assert all(one.view in (0, 1) for one in bear.readings)
+    assert all(one.view in (0, 1) for one in bear.candidates)
     assert result.edit_verdict.measures["shared"] is not None
     # of the photo that was left out nothing is known
     assert [one is None for one in result.verdict.unlike_between] == [
@@ -382,7 +382,9 @@ def test_what_was_found_unsurely_is_a_question_with_candidates_and_no_doubt_of_t
     asked = {"segmenter": Doubting(), "recon": Wall(), "refine": 0, "gaussians": "all"}
     asked |= {"outputs": ["sheet"]}
     report = Report()
-    with pytest.raises(QuestionError, match=r"--reading 1 or .*--guess") as question:
+    with pytest.raises(
+        QuestionError, match=r"--candidate 1, 2 or 3.*--guess"
+    ) as question:
         edit3r.run(views, "paint the bear red", report=Report(), **asked)
     assert [one.number for one in question.value.candidates] == [1, 2, 3]
     doubtful = edit3r.run(
@@ -394,17 +396,18 @@ def test_what_was_found_unsurely_is_a_question_with_candidates_and_no_doubt_of_t
         0.165, abs=1e-3
     )
     assert asks.candidates == (2, 3) and "bear, confidence 17%" in asks.reason
-    assert "--reading 2" in asks.reason
+    assert "--candidate 2" in asks.reason
     sure = edit3r.run(views, "paint the bear red", **asked | {"segmenter": Sure()})
     assert sure.selection_verdict.confidence > asks.confidence + 0.2
     of_edits = [one.edit_verdict for one in (sure, doubtful)]
     assert of_edits[0].label == of_edits[1].label
     assert all("confidence" not in one.reason for one in of_edits)
     assert any(
-        "'bear' was found" in text and "--reading 2" in text for text in report.warnings
+        "'bear' was found" in text and "--candidate 2" in text
+        for text in report.warnings
     )
     second = edit3r.run(
-        views, "paint the bear red", reading=2, report=Report(), **asked
+        views, "paint the bear red", candidate=2, report=Report(), **asked
     )
     assert second.selection_verdict.confidence is None  # somebody took it
     left, right = (one.masks[0, 0].argmax(1).max() for one in (doubtful, second))
@@ -415,7 +418,7 @@ def test_what_was_found_unsurely_is_a_question_with_candidates_and_no_doubt_of_t
         Image.open(one.save(tmp_path / name) / "before_after.png").height
         for name, one in (("doubtful", doubtful), ("plain", plain))
     ]
-    assert heights[0] > heights[1] + 40  # readings below
+    assert heights[0] > heights[1] + 40  # candidates below
     said = answers(doubtful.records.selection, doubtful.edit_verdict)
     assert "if it is the right thing" in said[1]
 
@@ -434,23 +437,29 @@ class Unknowing(Doubting):
         return super().words(image, text) if text == SUBJECT else None
 
 
-def test_of_words_that_nothing_knows_is_asked_by_the_first_photo_alone():
+@pytest.mark.parametrize(
+    "sentence",
+    ["paint the plinth red", "everything but the plinth black and white"],
+)
+def test_of_words_that_nothing_knows_is_asked_by_the_first_photo_alone(sentence):
     views, segmenter = photograph(2, (48, 64)).views, Unknowing()
-    with pytest.raises(QuestionError, match="which is the plinth"):
-        edit3r.run(views, "paint the plinth red", segmenter=segmenter, recon=Wall())
+    with pytest.raises(QuestionError, match="which is the plinth") as question:
+        edit3r.run(views, sentence, segmenter=segmenter, recon=Wall())
     assert segmenter.asked == {float(views.images[0, 0].mean())}
+    (plinth,) = question.value.preview.selection.selected
+    assert plinth.taken == 0  # no candidate is drawn as the one that was taken
 
 
-def test_other_readings_are_drawn_on_the_photo_they_are_of_where_one_was_not_placed():
+def test_other_candidates_are_drawn_on_the_photo_they_are_of_where_one_was_not_placed():
     mask = torch.ones(4, 6)
     unsure = Selected(
         torch.ones(2, 1, 4, 6),
         ("words", "words"),
         confidence=0.2,
-        readings=(Reading(1, mask, 0.6, 1), Reading(1, mask, 0.4, 2)),
+        candidates=(Candidate(1, mask, 0.6, 1), Candidate(1, mask, 0.4, 2)),
     )
     photo = torch.rand(1, 1, 3, 4, 6)
     photos = Views(photo, torch.eye(3)[None, None], ("second",))
-    (drawn,) = _other_readings((unsure.select([1]),), photos)
+    (drawn,) = _other_candidates((unsure.select([1]),), photos)
     assert drawn.name == "second" and torch.equal(drawn.photo, photo[0, 0])
-    assert [*drawn.masks] == ["--reading 1 (taken)", "--reading 2"]
+    assert [*drawn.masks] == ["--candidate 1 (taken)", "--candidate 2"]

@@ -7,19 +7,24 @@ import pytest
 import torch
 
 from edit3r.contract.instructions import Colour, Instruction, Target
-from edit3r.contract.interfaces import Reading, Selected
+from edit3r.contract.interfaces import Candidate, Selected
 from edit3r.running.records import SelectedRegions, verdict_on_selection
 
 MASKS = torch.zeros(2, 1, 8, 8)
-OTHERS = tuple(Reading(0, MASKS[0, 0], 0.5, number) for number in (1, 2))
+OTHERS = tuple(Candidate(0, MASKS[0, 0], 0.5, number) for number in (1, 2))
 GIVEN = Selected(MASKS, ("given", "given"))
 SURE = Selected(MASKS, ("words", "geometry"), confidence=0.9, called="fox")
 UNSURE = Selected(
-    MASKS, ("words", "not found"), confidence=0.4, called="cup", readings=OTHERS
+    MASKS, ("words", "not found"), confidence=0.4, called="cup", candidates=OTHERS
 )
 GUESS = Selected(MASKS, ("guess", "geometry"), confidence=0.25)
 TAKEN = Selected(
-    MASKS, ("words", "geometry"), confidence=0.4, called="cup", readings=OTHERS, taken=2
+    MASKS,
+    ("words", "geometry"),
+    confidence=0.4,
+    called="cup",
+    candidates=OTHERS,
+    taken=2,
 )
 
 
@@ -29,7 +34,7 @@ TAKEN = Selected(
         ([GIVEN], "given", None, "what is marked"),
         ([SURE], "found", 0.9, "fox, confidence 90%"),
         ([GIVEN, SURE, UNSURE], "question", 0.4, "fox, confidence 90%; cup"),
-        ([UNSURE], "question", 0.4, "not found on photo 2; look.*--reading 2 takes"),
+        ([UNSURE], "question", 0.4, "not found on photo 2; look.*--candidate 2 takes"),
         (
             [SURE, GUESS],
             "question",

@@ -626,7 +626,7 @@ NOWHERE = (
     "/api/files/..",
     "/photo/.edit3r-app/0",
     "/pointed/a/0",
-    "/reading/a/1",
+    "/candidate/a/1",
     "/static/..%2Fguard.py",
     "/viewer/..",
     "/download/x/..%2Frun.json",

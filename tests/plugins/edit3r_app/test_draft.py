@@ -97,12 +97,12 @@ def test_steps_add_up_and_are_taken_back_one_by_one():
     draft.take(Step("invert"))
     draft.take(Step("grow", 1))
     draft.take(Step("grow", 12))  # typed on: one step
-    assert draft.outline == {"larger": -1, "reading": 1, "grow": 12, "invert": True}
+    assert draft.outline == {"larger": -1, "candidate": 1, "grow": 12, "invert": True}
     draft.take_back()
-    assert draft.outline == {"larger": -1, "reading": 1, "grow": 0, "invert": True}
+    assert draft.outline == {"larger": -1, "candidate": 1, "grow": 0, "invert": True}
     draft.take_back()
     draft.take_back()
-    assert draft.outline == {"larger": 0, "reading": 1, "grow": 0, "invert": False}
+    assert draft.outline == {"larger": 0, "candidate": 1, "grow": 0, "invert": False}
     draft.take_back()
     draft.take_back()
     draft.take_back()
@@ -146,9 +146,9 @@ def test_a_lasso_takes_what_it_goes_around_and_carves_it_away():
     assert found.removed[0][12, 28] == 1 and found.removed[0][28, 12] == 0
 
 
-def test_a_reading_is_chosen_for_the_things_of_its_sentence():
+def test_a_candidate_is_chosen_for_the_things_of_its_sentence():
     draft = Draft(form={"prompt": "paint the tractor red"})
-    draft.take(Step("reading", 2))
+    draft.take(Step("candidate", 2))
     for sentence, chose in (
         ("paint the tractor blue", True),
         ("paint the chair blue", False),
@@ -156,11 +156,11 @@ def test_a_reading_is_chosen_for_the_things_of_its_sentence():
     ):
         draft.form["prompt"] = sentence
         assert draft.chose == chose, sentence
-        assert draft.outline["reading"] == (2 if chose else 1)
+        assert draft.outline["candidate"] == (2 if chose else 1)
 
 
-def test_the_last_reading_that_was_picked_counts():
+def test_the_last_candidate_that_was_picked_counts():
     draft = Draft([Mark("add", "a", [(0.1, 0.2)])])
     for number in (2, 3):
-        draft.take(Step("reading", number))
-    assert len(draft.marks) == 2 and draft.outline["reading"] == 3
+        draft.take(Step("candidate", number))
+    assert len(draft.marks) == 2 and draft.outline["candidate"] == 3

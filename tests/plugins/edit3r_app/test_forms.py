@@ -130,11 +130,16 @@ def test_a_sentence_may_say_any_word():
 
 
 def test_steps_are_settings_of_the_run():
-    steps = [Step("larger", -1), Step("reading", 2), Step("grow", 2.5), Step("invert")]
+    steps = [
+        Step("larger", -1),
+        Step("candidate", 2),
+        Step("grow", 2.5),
+        Step("invert"),
+    ]
     config = make_run_config(run_settings(Draft(steps), REGISTRY))
-    assert (config.larger, config.reading) == (-1, 2)
+    assert (config.larger, config.candidate) == (-1, 2)
     assert (config.grow, config.invert) == (2.5, True)
-    assert "reading" not in run_settings(Draft([Step("invert")]), REGISTRY)
+    assert "candidate" not in run_settings(Draft([Step("invert")]), REGISTRY)
     # who is asked and takes the first has chosen it: the run does not ask again
-    chosen = make_run_config(run_settings(Draft([Step("reading", 1)]), REGISTRY))
-    assert "reading" in chosen.set_by_the_user()
+    chosen = make_run_config(run_settings(Draft([Step("candidate", 1)]), REGISTRY))
+    assert "candidate" in chosen.set_by_the_user()

@@ -136,7 +136,7 @@ def test_words_that_fail_lead_to_pointing_at_once(server, page_once):
         assert time.monotonic() - begun < 3.5, sentence  # 0.2 s of them are typing
         assert page.locator(".box").get_attribute("data-tool") == "point"
         all_can_be_read(page)
-    picture = page.locator(".question .reading").first
+    picture = page.locator(".question .candidate").first
     picture.wait_for()
     assert picture.locator("img").evaluate("(one) => one.decode().then(() => 1)")
     picture.click()  # it is taken

@@ -92,12 +92,14 @@ def test_a_click_gives_a_mask_on_every_photo(previews, scene):
         over.getchannel("A").getextrema()[0] < 10 < over.getchannel("A").getextrema()[1]
     )
     assert Image.open(io.BytesIO(previews.overlay(scene, Draft(), name))).size == (1, 1)
-    assert Image.open(io.BytesIO(previews.reading(scene, draft, 1))).size == photo.size
+    assert (
+        Image.open(io.BytesIO(previews.candidate(scene, draft, 1))).size == photo.size
+    )
     for asked in (previews.overlay, previews.pointed):
         with pytest.raises(InputError, match="no photo of that name"):
             asked(scene, draft, "../x")
-    with pytest.raises(InputError, match="no such reading"):
-        previews.reading(scene, draft, 9)
+    with pytest.raises(InputError, match="no such candidate"):
+        previews.candidate(scene, draft, 9)
 
 
 def test_the_segmenter_has_read_the_photos_before_the_first_click(folder, scene):
@@ -353,13 +355,15 @@ def test_steps_change_what_is_selected_on_every_photo(previews, scene):
     mark = click(previews, scene)
     plain = previews.look(scene, Draft([mark]))
     areas = plain.masks.sum((1, 2))
-    readings = [Draft([mark, *[Step("larger", way)] * 9]) for way in (-1, 1)]
-    smaller, larger = (previews.look(scene, one).masks.sum((1, 2)) for one in readings)
+    candidates = [Draft([mark, *[Step("larger", way)] * 9]) for way in (-1, 1)]
+    smaller, larger = (
+        previews.look(scene, one).masks.sum((1, 2)) for one in candidates
+    )
     assert (smaller <= areas).all() and (areas <= larger).all()
     assert (smaller < larger).all()
-    most = Draft([*readings[1].marks, Step("larger", 1)])
-    assert not previews.changes(scene, readings[1], most)
-    assert previews.changes(scene, *readings)
+    most = Draft([*candidates[1].marks, Step("larger", 1)])
+    assert not previews.changes(scene, candidates[1], most)
+    assert previews.changes(scene, *candidates)
 
     grown = previews.look(scene, Draft([mark, Step("grow", 3)]))
     assert (grown.masks.sum((1, 2)) > areas).all()

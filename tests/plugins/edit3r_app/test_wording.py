@@ -15,7 +15,7 @@ from edit3r import default_registry
             "'cup' is not known; click on it, or draw a box, use a segmenter that reads words.",
         ),
         (
-            "To correct it, take --reading 2 or --reading 3, or click on it.",
+            "To correct it, take --candidate 2 or --candidate 3, or click on it.",
             "To correct it, click on it.",
         ),
         (

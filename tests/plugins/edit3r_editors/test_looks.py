@@ -171,12 +171,11 @@ def test_words_that_nobody_knows_are_asked_about_with_a_sheet_and_three_ways_on(
 ):
     code, said = ended(flags, tmp_path, capsys)
     assert code == 3 and says in said and "nothing was edited" in said
-    assert all(way in said for way in ("--reading 1", "--point", "weights get words"))
+    assert all(way in said for way in ("--candidate 1", "--point", "weights get words"))
     assert [file.name for file in tmp_path.iterdir()] == ["out-question.png"]
     code, said = ended([*flags, "--guess"], tmp_path, capsys)
-    assert (
-        code != 3 and "nothing was edited" not in said
-    )  # at 64 pixels nothing matches
+    # at 64 pixels nothing matches
+    assert code != 3 and "nothing was edited" not in said
 
 
 def ended(flags, tmp_path, capsys):

@@ -146,7 +146,7 @@ def test_nearly_all_of_a_scene_is_not_removed(rasterizer):
     empty = (masks[0].amax(1) < 0.1).nonzero()[:, 0]
     top = int((masks[0].amax(1) >= 0.1).nonzero()[0])
     masks[:, : int(empty[empty > top][0])] = 0  # all but the fly
-    with pytest.raises(InputError, match=r"all of the scene.*--reading 2"):
+    with pytest.raises(InputError, match=r"all of the scene.*--candidate 2"):
         in_place(scene).edit_and_reconstruct(views, views, removal(masks))
 
 

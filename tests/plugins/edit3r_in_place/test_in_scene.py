@@ -9,7 +9,7 @@ from edit3r_in_place.in_scene import InSceneSelector, _part_of_scene
 
 import edit3r
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Reading, Selected, Selection
+from edit3r.contract.interfaces import Candidate, Selected, Selection
 from edit3r.contract.types import Views
 from edit3r.kit.scenes.scene_views import look_around, pictures_of
 from tests.plugins.scan import of_ball, scan
@@ -73,11 +73,13 @@ class AllOfIt(Asked):
     def select(self, views, selection, geometry=None):
         found = super().select(views, selection, geometry)
         masks = [torch.ones_like(found.masks[0, 0]), found.masks[0, 0]]
-        readings = tuple(Reading(0, mask, 0.5, k + 1) for k, mask in enumerate(masks))
-        taken = masks[min(selection.reading, 2) - 1] if selection.positive else None
+        candidates = tuple(
+            Candidate(0, mask, 0.5, k + 1) for k, mask in enumerate(masks)
+        )
+        taken = masks[min(selection.candidate, 2) - 1] if selection.positive else None
         if taken is None or views.count > 1:
             return found
-        return replace(found, masks=taken[None, None], readings=readings)
+        return replace(found, masks=taken[None, None], candidates=candidates)
 
 
 @pytest.mark.parametrize(("words", "share"), [("jacket", 0.3), ("", 0.9)])
@@ -142,7 +144,9 @@ def test_of_several_parts_of_the_scene_a_name_takes_the_likeliest(scene):
     found = Selected(
         whole[None, None],
         ("marked",),
-        readings=tuple(Reading(0, mask, 0.3, k + 1) for k, mask in enumerate(masks)),
+        candidates=tuple(
+            Candidate(0, mask, 0.3, k + 1) for k, mask in enumerate(masks)
+        ),
     )
     asked = replace(on_ball(scene), words="jacket")
     assert _part_of_scene(found, asked, scene.alphas[0, :1]) == 2

@@ -251,9 +251,8 @@ def test_what_tears_half_way_is_named_though_the_photos_show_it(good):
     aside = over(torch.full((1, 3, SIZE, SIZE), 0.4), RED, square(LEFTS[0] - 3)[None])
     assert measured(from_half_way(good, aside))["torn"] < 0.1
     whole = replace(torn_half_way(good), masks=None, regions=None)
-    assert (
-        measured(whole)["torn"] is None
-    )  # of a whole picture it is the scene's matter
+    # of a whole picture it is the scene's matter
+    assert measured(whole)["torn"] is None
 
 
 @pytest.mark.parametrize(

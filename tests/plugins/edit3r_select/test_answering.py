@@ -59,8 +59,8 @@ def told(logits, quality):
     return MaskLogits(torch.from_numpy(np.float32(logits)), torch.tensor(quality))
 
 
-def readings(segmenter, image, marks):
-    return answered(segmenter, image, marks).readings
+def candidates(segmenter, image, marks):
+    return answered(segmenter, image, marks).candidates
 
 
 def inside(found):
@@ -73,7 +73,7 @@ def overlap(one, other):
 
 def test_a_click_takes_the_mask_that_the_sum_prefers_and_shows_the_others(image):
     segmenter = Discs()
-    found = readings(segmenter, image, Marks(positive=(CENTRE,)))
+    found = candidates(segmenter, image, Marks(positive=(CENTRE,)))
     assert overlap(inside(found[0]), DISC) > 0.9
     assert len(found) == 3  # of the two that are alike only one
     assert sum(one.confidence for one in found) == pytest.approx(1)
@@ -102,7 +102,7 @@ def test_a_selection_is_as_sure_as_its_marks_and_exact_ones_say_nothing(image):
 def test_steps_go_through_the_candidates_by_size(image):
     segmenter = Discs()
     areas = [
-        inside(readings(segmenter, image, Marks((CENTRE,), larger=steps))[0]).sum()
+        inside(candidates(segmenter, image, Marks((CENTRE,), larger=steps))[0]).sum()
         for steps in (-1, 0, 1)
     ]
     assert areas == sorted(areas) and areas[0] < 0.5 * areas[1] < 0.4 * areas[2]
@@ -137,7 +137,7 @@ class FarBetterInTheMiddle(Plain):
 
 def test_a_first_click_is_asked_again_in_the_middle_of_what_it_found(image):
     network, rim = FarBetterInTheMiddle(), (0.37, 0.55)
-    found = readings(network, image, Marks(positive=(rim,)))
+    found = candidates(network, image, Marks(positive=(rim,)))
     assert overlap(inside(found[0]), DISC) > 0.95
     (first, _), (second, before) = network.asked
     assert first == [(rim, True)] and second[0] == (rim, True)
@@ -188,7 +188,7 @@ def test_a_further_click_changes_what_hangs_together_with_it(left, expected):
 def test_a_click_that_says_nothing_new_is_asked_about_only_once_it_is_disobeyed(image):
     network = OneBesideTheOther()
     marks = Marks(positive=((0.2, 0.5), (0.4, 0.2)), negative=((0.8, 0.5),))
-    mask = inside(readings(network, image, marks)[0])
+    mask = inside(candidates(network, image, marks)[0])
     assert (True, False) in network.asked  # the second click inside came with neither
     assert all(len(one) < 3 for one in network.asked)
     assert mask[:, :30].all() and not mask[:, 34:].any()
@@ -198,7 +198,7 @@ def test_a_click_that_says_what_is_known_changes_nothing(image):
     network = Discs()
     prior = torch.from_numpy(DISC).float()
     marks = Marks(positive=(CENTRE,), negative=((0.9, 0.9),), prior=prior)
-    mask = inside(readings(network, image, marks)[0])
+    mask = inside(candidates(network, image, marks)[0])
     assert not network.asked and overlap(mask, DISC) > 0.97
 
 
@@ -211,13 +211,13 @@ def test_a_click_that_says_what_is_known_changes_nothing(image):
 )
 def test_a_box_and_a_stroke_are_asked_first(image, marks, asked):
     network = Discs()
-    assert readings(network, image, marks)[0].area > 0
+    assert candidates(network, image, marks)[0].area > 0
     assert network.asked[:1] == asked
 
 
 def test_a_large_photo_is_answered_at_its_own_size(image):
     large = torch.nn.functional.interpolate(image[None], (960, 1280))[0]
-    found = readings(Discs(), large, Marks(positive=(CENTRE,)))[0]
+    found = candidates(Discs(), large, Marks(positive=(CENTRE,)))[0]
     assert found.soft_mask.shape == (960, 1280)
     assert found.area == pytest.approx(DISC.mean(), rel=0.05)
 
@@ -239,7 +239,7 @@ def test_what_stands_out_lies_where_it_is_salient_and_the_next_is_another_thing(
 
 def test_a_segmenter_with_one_poor_mask_is_no_surer_than_it_can_tell(image):
     found = answered(Plain(), image, Marks(positive=(CENTRE,)))
-    assert found.confidence is None and found.readings[0].area == 1
+    assert found.confidence is None and found.candidates[0].area == 1
 
 
 def test_where_nobody_tells_how_good_masks_are_what_is_salient_stands_out(image):

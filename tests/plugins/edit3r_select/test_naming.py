@@ -78,7 +78,7 @@ def test_the_surest_photo_is_taken_and_the_others_have_a_say(
     first, other, sees, view, confidence
 ):
     named = looked_up(photos(sees, first, other), Selection(words="box"))
-    assert named.readings[0].view == view
+    assert named.candidates[0].view == view
     assert named.confidence == pytest.approx(confidence)
 
 

@@ -153,9 +153,9 @@ def test_what_else_stands_out_is_a_candidate():
             return tuple(Proposal(square(row, 1)) for row in rows) or None
 
     found = select_masks(IMAGES, Selection(words="teapot"), Two())
-    assert [float(one.mask[3, 3]) for one in found.readings] == [1, 0]  # what differs
-    assert found.readings[1].score < found.readings[0].score == found.confidence
-    second = select_masks(IMAGES, Selection(words="teapot", reading=2), Two())
+    assert [float(one.mask[3, 3]) for one in found.candidates] == [1, 0]  # what differs
+    assert found.candidates[1].score < found.candidates[0].score == found.confidence
+    second = select_masks(IMAGES, Selection(words="teapot", candidate=2), Two())
     assert (inside(second, 0) == square(12, 1).bool()).all()
 
 
@@ -345,17 +345,17 @@ class Unsure(Squares):
         return answer(square(1, 1, 12), square(1, 1, 17), square(1, 1, 22))
 
 
-def test_what_words_found_unsurely_is_taken_and_told_with_other_readings():
+def test_what_words_found_unsurely_is_taken_and_told_with_other_candidates():
     found = select_masks(IMAGES, Selection(words="box"), Unsure())
     assert found.how[0] == "words" and found.confidence == 0.3 and not found.is_sure
     assert (inside(found, 0) == square(2, 2).bool()).all()
     assert (
         "confidence of only 30%" in found.warnings[0]
-        and "--reading 2" in found.warnings[0]
+        and "--candidate 2" in found.warnings[0]
     )
-    second = select_masks(IMAGES, Selection(words="box", reading=2), Unsure())
+    second = select_masks(IMAGES, Selection(words="box", candidate=2), Unsure())
     assert inside(second, 0).sum() >= 12 * 12
-    assert [one.number for one in second.readings] == [1, 2, 3]
+    assert [one.number for one in second.candidates] == [1, 2, 3]
 
 
 class Walkers(Squares):
@@ -456,9 +456,9 @@ def test_what_was_named_is_named_again_where_it_was_lost(words, how):
     assert found.how[1] == how and bool(inside(found, 1).any()) == bool(words)
 
 
-def test_a_reading_that_is_not_there_is_told_and_the_last_one_taken():
-    found = select_masks(IMAGES, Selection(words="box", reading=7), Unsure())
-    assert any("--reading 7: there are 3" in text for text in found.warnings)
+def test_a_candidate_that_is_not_there_is_told_and_the_last_one_taken():
+    found = select_masks(IMAGES, Selection(words="box", candidate=7), Unsure())
+    assert any("--candidate 7: there are 3" in text for text in found.warnings)
 
 
 class Whole(Squares):
@@ -518,7 +518,7 @@ def test_what_is_not_the_thing_leaves_it_what_words_found_or_what_stands_out(
     assert selected.how[0] == way and not inside(selected, 0)[5:7, 5:7].any()
 
 
-def test_what_the_words_name_is_one_more_reading_of_a_click():
+def test_what_the_words_name_is_one_more_candidate_of_a_click():
     class Smaller(Whole):
         """The word's own thing is a part of what the click takes."""
 
@@ -528,9 +528,9 @@ def test_what_the_words_name_is_one_more_reading_of_a_click():
     marks = Selection(positive=((0, 0.4, 0.4),), words="bike")
     selected = select_masks(IMAGES, marks, Smaller())
     assert (inside(selected, 0) == square(9, 12).bool()).all()
-    named = selected.readings[-1]
-    assert named.score == selected.readings[0].score
-    asked = select_masks(IMAGES, replace(marks, reading=named.number), Smaller())
+    named = selected.candidates[-1]
+    assert named.score == selected.candidates[0].score
+    asked = select_masks(IMAGES, replace(marks, candidate=named.number), Smaller())
     assert (inside(asked, 0) == square(9, 11).bool()).all()
 
 
@@ -541,7 +541,7 @@ def test_what_the_words_name_is_one_more_reading_of_a_click():
         (square(9, 12, 7), square(9, 12, 6)),  # a bear with its plinth, after the bear
     ],
 )
-def test_of_the_readings_of_a_click_a_name_takes_a_smaller_one_and_no_larger(
+def test_of_the_candidates_of_a_click_a_name_takes_a_smaller_one_and_no_larger(
     named, taken
 ):
     class Several(Whole):

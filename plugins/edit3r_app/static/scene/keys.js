@@ -21,7 +21,7 @@ export function keysOf(page, stage, toggleStrip) {
     "=": () => page.draft.larger(1),
     "-": () => page.draft.larger(-1),
     i: () => page.draft.change("step", ["invert", 0]),
-    w: () => page.look && page.look.readings.length > 1 && page.question.showOthers(),
+    w: () => page.look && page.look.candidates.length > 1 && page.question.showOthers(),
     c: () => page.verdicts.toggle(),
     h: () => page.drawers.toggle("history"),
     o: () => page.s.isRun && page.drawers.toggle("objects"),
@@ -72,7 +72,7 @@ export function keysOf(page, stage, toggleStrip) {
   stage.addEventListener(
     "wheel",
     (event) => {
-      // larger and smaller readings of what is selected
+      // larger and smaller candidates of what is selected
       if (document.body.dataset.view !== "photo" || event.ctrlKey) return;
       event.preventDefault();
       if (performance.now() - turned < 400 || !page.s.draft.selects) return;

@@ -16,9 +16,9 @@ export function questionOf(page) {
     const { look, s } = page;
     if (answered === look.version) return;
     const words = s.draft.form.prompt && !s.draft.selects;
-    if (look.readings.length > 1 && !look.sure) {
+    if (look.candidates.length > 1 && !look.sure) {
       show("Is it this one?");
-      if (words) ready("candidates");
+      if (words) ready("suggestions");
     } else if ((look.asks || !look.sure) && words) point("The words do not say what to change.");
     else close();
   }
@@ -33,7 +33,7 @@ export function questionOf(page) {
       "button",
       {
         type: "button",
-        class: "reading",
+        class: "candidate",
         "aria-pressed": String(taken),
         onclick,
         "aria-label": label,
@@ -52,16 +52,16 @@ export function questionOf(page) {
       }),
     );
   function show(text) {
-    const taken = page.s.draft.outline.reading,
-      others = page.look.readings;
+    const taken = page.s.draft.outline.candidate,
+      others = page.look.candidates;
     const word = (number) => (number === taken ? "Yes, this one" : "This one");
     const source = (number) =>
-      `${path("reading", page.state(), String(number))}?v=${page.look.version}`;
+      `${path("candidate", page.state(), String(number))}?v=${page.look.version}`;
     const one = (number) =>
       picture(
         source(number),
         word(number),
-        `${word(number)}: reading ${number} of ${others.length}`,
+        `${word(number)}: candidate ${number} of ${others.length}`,
         number === taken,
         () => pick(number),
       );
@@ -85,10 +85,10 @@ export function questionOf(page) {
       ending("One click anywhere on it is enough."),
     );
     ready("pointing");
-    const found = await ask("candidates", page.state(), name).catch(() => []);
+    const found = await ask("suggestions", page.state(), name).catch(() => []);
     const one = (mark, k) =>
       picture(
-        path("candidate", page.state(), name, String(k)),
+        path("suggestion", page.state(), name, String(k)),
         "This one",
         `this one: ${k + 1} of ${found.length}`,
         false,
@@ -107,8 +107,8 @@ export function questionOf(page) {
   async function pick(number) {
     close();
     // Who is asked and says yes has chosen, too.
-    if (number !== page.s.draft.outline.reading || !page.look.sure)
-      await page.draft.change("step", ["reading", number]);
+    if (number !== page.s.draft.outline.candidate || !page.look.sure)
+      await page.draft.change("step", ["candidate", number]);
   }
   return { node, draw, close, point, showOthers: () => show("Which one?") };
 }

@@ -106,8 +106,8 @@ export function toolsOf(page) {
         "what else may be meant",
         page.question.showOthers,
         "W",
-        look && look.readings.length > 1,
-        "there is one reading only",
+        look && look.candidates.length > 1,
+        "there is one candidate only",
       ),
       able(
         "invert",

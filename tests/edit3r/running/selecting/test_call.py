@@ -12,27 +12,27 @@ from edit3r_testing.scenes import photograph
 
 
 @pytest.mark.slow
-def test_masks_of_all_photos_come_at_their_size_with_readings_in_order_of_size():
+def test_masks_of_all_photos_come_at_their_size_with_candidates_in_order_of_size():
     views = photograph(2, (48, 64)).views
     click = Selection(positive=((0, 0.3, 0.55),))
     found = edit3r.select(views, click, segmenter={"name": "grabcut", "learned": False})
     assert found.masks.shape == (1, 2, 48, 64)
     assert found.is_sure and found.confidence is None and "marked" in found.why
-    areas = [float((one.mask > 0.5).sum()) for one in found.readings]
-    assert areas == sorted(areas) and {one.number for one in found.readings} >= {1}
-    assert abs(sum(one.score for one in found.readings)) <= 1.001
+    areas = [float((one.mask > 0.5).sum()) for one in found.candidates]
+    assert areas == sorted(areas) and {one.number for one in found.candidates} >= {1}
+    assert abs(sum(one.score for one in found.candidates)) <= 1.001
 
 
 @pytest.mark.slow
-def test_a_number_chooses_among_the_readings():
+def test_a_number_chooses_among_the_candidates():
     views = photograph(2, (48, 64)).views
     asked = {"positive": ((0, 0.3, 0.55),)}
     chosen = {"name": "grabcut", "learned": False}
     found = edit3r.select(views, Selection(**asked), segmenter=chosen)
-    by_number = {one.number: one.mask for one in found.readings}
+    by_number = {one.number: one.mask for one in found.candidates}
     for number, mask in by_number.items():
         again = edit3r.select(
-            views, Selection(**asked, reading=number), segmenter=chosen
+            views, Selection(**asked, candidate=number), segmenter=chosen
         )
         assert torch.equal(again.masks[0, 0] > 0.5, mask > 0.5)
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from edit3r.contract.errors import QuestionError
-from edit3r.contract.interfaces import Reading, Selected
+from edit3r.contract.interfaces import Candidate, Selected
 from edit3r.running.records import SelectedRegions
 from edit3r.running.steps.select import ASKED, require_answer
 
@@ -18,7 +18,7 @@ def asked_about(confidence):
         mask[None, None],
         ("words",),
         confidence=confidence,
-        readings=(Reading(0, mask, 0.5, 1),),
+        candidates=(Candidate(0, mask, 0.5, 1),),
     )
     config = SimpleNamespace(guess=False, set_by_the_user=dict)
     components = SimpleNamespace(config=config, reader=None)
