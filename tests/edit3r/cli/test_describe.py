@@ -143,6 +143,8 @@ def test_all_there_is_to_know_is_shown(local, capsys):
         assert words in said
     assert "runs on                 cuda" in said
     assert "--set editor.strength=0.25" in said
+    assert main(["describe", "backbone", "asymmetric-vit"]) == 0
+    assert "--set reconstructor.backbone." in capsys.readouterr().out
 
 
 def test_a_refiner_is_one_of_a_list_and_a_command_has_arguments(tmp_path, capsys):

@@ -1,7 +1,10 @@
 import subprocess
 import sys
 
-from edit3r.contract.reporting import peak_memory_mb
+import psutil
+import pytest
+
+from edit3r.contract.reporting import available_memory, peak_memory_mb
 
 
 def test_peak_memory_is_this_process_own():
@@ -15,3 +18,8 @@ def test_peak_memory_is_this_process_own():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout
     assert 5 < float(told) < 300 < peak_memory_mb()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not tell")
+def test_memory_that_is_free_is_told_in_bytes():
+    assert 0.5 < available_memory() / psutil.virtual_memory().available < 2

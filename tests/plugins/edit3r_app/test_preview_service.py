@@ -19,9 +19,10 @@ from edit3r_app.sessions import Sessions
 from PIL import Image
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Selected, Selector
+from edit3r.contract.interfaces import Reading, Selected, Selector
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
+from edit3r.contract.types import Views
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.loading.registry import default_registry
 from edit3r.running import CACHE
@@ -261,6 +262,35 @@ def test_words_that_nobody_knows_are_a_question(previews, scene):
     look = previews.look(scene, Draft(words="the frobnicator"))
     assert any("frobnicator" in one for one in look.messages)
     assert not look.is_sure and look.masks is not None
+
+
+@pytest.mark.parametrize("unsure", [None, 0, 1])
+def test_of_two_named_things_either_may_be_a_question(
+    previews, scene, monkeypatch, unsure
+):
+    mask = torch.ones(2, 1, 8, 8)
+    things = tuple(
+        Selected(mask, ("words",) * 2, confidence=0.1 if one == unsure else 1.0)
+        for one in range(2)
+    )
+    found = SimpleNamespace(selection=SimpleNamespace(masks=None, selected=things))
+    monkeypatch.setattr(preview_service, "preview", lambda *asked, **how: found)
+    previews.selecting.forget()
+    draft = Draft(form={"prompt": "make the sky warmer and the wall darker"})
+    assert previews.look(scene, draft).is_sure == (unsure is None)
+
+
+def test_a_reading_is_shown_on_the_photo_where_it_was_found(previews, monkeypatch):
+    images = torch.arange(2.0).view(1, 2, 1, 1, 1).expand(1, 2, 3, 8, 8)
+    readings = tuple(Reading(one, torch.ones(8, 8), 0.5, one + 1) for one in (0, 1))
+    views = Views(images, torch.eye(3).expand(1, 2, 3, 3))
+    look = preview_service.DraftAnswer(views, readings=readings)
+    monkeypatch.setattr(previews, "look", lambda *asked: look)
+    dark, light = (
+        np.median(Image.open(io.BytesIO(previews.reading("any", Draft(), number))))
+        for number in (1, 2)
+    )
+    assert dark < 100 < light
 
 
 def test_what_cannot_be_read_waits_for_no_search(previews, scene):

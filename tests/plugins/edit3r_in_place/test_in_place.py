@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_in_place.colours import shine_of
+from edit3r_in_place.colours import bounded, shine_of
 
 import edit3r
 from edit3r.contract.errors import InputError, PromptError
@@ -241,3 +241,24 @@ def test_shine_is_fitted_by_its_own_colour_into_the_wanted_one(rasterizer):
         shining, scene.cameras, wanted.images[0], inside, every, rasterizer
     )
     assert found[1, 0] > 0.7 and abs(found[0, 1]) < 0.1
+
+
+def test_a_colour_beyond_the_range_stays_there_and_goes_no_farther():
+    before = torch.tensor([[-0.2, 0.5, 1.3]])
+    assert torch.equal(bounded(before, 0 * before), 0 * before)
+    far = bounded(before, torch.tensor([[-1.0, 1.0, 1.0]]))
+    torch.testing.assert_close(before + far, torch.tensor([[-0.2, 1.0, 1.3]]))
+
+
+def test_behind_what_one_sees_through_the_background_is_no_shine(rasterizer):
+    """All becomes lighter, so that its shine, which shows from above, stays."""
+    thin = scan(1)
+    harmonics = thin.harmonics.clone()
+    harmonics[..., 1:, :] = 0
+    harmonics[..., 1, :] = 0.3
+    thin = replace(thin, opacities=0.4 * thin.opacities, harmonics=harmonics)
+    scene = seen(thin, rasterizer, count=4)
+    images = scene.images + 0.1 * scene.alphas[:, :, None]
+    made = in_place(scene)(Views(images, scene.cameras.intrinsics))
+    shine = made.gaussians.harmonics[0, :, 1]
+    torch.testing.assert_close(shine, harmonics[0, :, 1], atol=0.05, rtol=0)

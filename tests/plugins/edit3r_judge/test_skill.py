@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_judge.skill import FLOOR, skills
+from edit3r_judge.skill import FLOOR, _depths_of, skills
 
 from edit3r.contract.interfaces import SceneToJudge
 from edit3r.contract.interfaces.judging import HalfWay
-from edit3r.contract.types import Rendering
+from edit3r.contract.types import Cameras, Rendering
+from edit3r_testing import gaussian_cloud
 from edit3r_testing.broken import BrokenReconstructor
 from edit3r_testing.scenes import photograph, true_geometry
 
@@ -58,3 +59,13 @@ def test_where_an_edit_leaves_a_wall_alone_to_compare_no_depth_is_missed():
     painted = torch.where(balls > 0, 0.0, plain.photos.images)
     made = replace(plain, edited=replace(plain.edited, images=painted))
     assert [one.flat for one in skills(made)] == [None, None]
+
+
+def test_what_one_sees_through_is_no_surface():
+    """A faint Gaussian half-way to a solid one."""
+    two = gaussian_cloud(2)
+    means = torch.tensor([[[0.0, 0, 2], [0, 0, 1]]])
+    seen = replace(two, means=means, opacities=torch.tensor([[0.9, 0.1]]))
+    lens = torch.tensor([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])[None, None]
+    depths = _depths_of(seen, Cameras(torch.eye(4)[None, None], lens, (8, 8)), 0)
+    assert depths.max() == 2

@@ -65,6 +65,9 @@ def test_triangles_lie_on_the_surfaces_in_their_colours(scene):
         assert there.sum() >= 100
         assert np.quantile(abs(z[there] / depth - 1), 0.95) < 0.04
         assert abs(np.median(mesh.colours[there], 0) - colour).max() < 0.05
+    red = mesh.colours[:, 0] > mesh.colours[:, 2] + 0.1
+    # none of the wall, part of which another view hides behind the plate
+    assert z[red].max() < 0.9 * WALL
     assert mesh.faces.max() < len(mesh.vertices)
     covered = np.histogram2d(x / z, y / z, 20, [[-0.45, 0.45]] * 2)[0] > 0
     assert covered.mean() > 0.97

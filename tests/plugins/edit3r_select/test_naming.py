@@ -16,8 +16,8 @@ from edit3r.kit.geometry.cameras import pixel_grid
 
 
 def thing(confidence, row):
-    """A square of 4 pixels in an image of 16, at a row of four places."""
-    mask = torch.zeros(16, 16)
+    """A square of 4 pixels in an image of 16x32, at a row of four places."""
+    mask = torch.zeros(16, 32)
     mask[4 * row : 4 * row + 4, 4:8] = 1
     return Proposal(mask, confidence)
 
@@ -26,7 +26,7 @@ class Finds(Segmenter):
     """Finds on each photo, told by its brightness, what it was told to."""
 
     def __init__(self, *found):
-        self.found = found
+        self.found, self.box = found, None
 
     def words(self, image, text):
         if text == SUBJECT:
@@ -34,7 +34,8 @@ class Finds(Segmenter):
         return tuple(thing(*one) for one in self.found[int(image[0, 0, 0])])
 
     def masks(self, image, clicks, box=None, before=None):
-        return MaskLogits(torch.full((1, 16, 16), -4.0))
+        self.box = box
+        return MaskLogits(torch.full((1, 16, 32), -4.0))
 
 
 class FromOnePlace(Photos):
@@ -45,13 +46,13 @@ class FromOnePlace(Photos):
     def shared(self, view, source, tolerance=0.0):
         if self.sees is None:
             return None
-        same = torch.full((16, 16), self.sees)
-        return pixel_grid((16, 16), torch.zeros(1)), same
+        same = torch.full((16, 32), self.sees)
+        return pixel_grid((16, 32), torch.zeros(1)), same
 
 
 def photos(sees, *found):
     count = len(found)
-    images = torch.arange(count).view(count, 1, 1, 1).expand(count, 3, 16, 16).float()
+    images = torch.arange(count).view(count, 1, 1, 1).expand(count, 3, 16, 32).float()
     made = FromOnePlace(images, Finds(*found))
     object.__setattr__(made, "sees", sees)
     return made
@@ -130,3 +131,9 @@ def test_found_on_no_photo_what_stands_out_is_a_question():
     named = looked_up(photos(STILL, [(0.04, 0)], []), Selection(words="horse"))
     assert rows(named) == {0: 3} and named.confidence <= 0.25
     assert named.found[0].how == "guess"
+
+
+def test_more_or_less_of_a_named_thing_is_asked_of_the_box_around_it():
+    asked = photos(UNKNOWN, [(0.3, 1)])
+    looked_up(asked, Selection(words="box"))
+    assert asked.segmenter.box == (4 / 32, 4 / 16, 4 / 32, 4 / 16)
