@@ -19,7 +19,7 @@ from edit3r_app.sessions import Sessions
 from PIL import Image
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Reading, Selected, Selector
+from edit3r.contract.interfaces import Candidate, Selected, Selector
 from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import Views
@@ -280,14 +280,14 @@ def test_of_two_named_things_either_may_be_a_question(
     assert previews.look(scene, draft).is_sure == (unsure is None)
 
 
-def test_a_reading_is_shown_on_the_photo_where_it_was_found(previews, monkeypatch):
+def test_a_candidate_is_shown_on_the_photo_where_it_was_found(previews, monkeypatch):
     images = torch.arange(2.0).view(1, 2, 1, 1, 1).expand(1, 2, 3, 8, 8)
-    readings = tuple(Reading(one, torch.ones(8, 8), 0.5, one + 1) for one in (0, 1))
+    candidates = tuple(Candidate(one, torch.ones(8, 8), 0.5, one + 1) for one in (0, 1))
     views = Views(images, torch.eye(3).expand(1, 2, 3, 3))
-    look = preview_service.DraftAnswer(views, readings=readings)
+    look = preview_service.DraftAnswer(views, candidates=candidates)
     monkeypatch.setattr(previews, "look", lambda *asked: look)
     dark, light = (
-        np.median(Image.open(io.BytesIO(previews.reading("any", Draft(), number))))
+        np.median(Image.open(io.BytesIO(previews.candidate("any", Draft(), number))))
         for number in (1, 2)
     )
     assert dark < 100 < light
