@@ -204,7 +204,7 @@ def retouch() -> None:
         alone = torch.stack(
             [_alone(editor, *one) for one in zip(views.images[0], holes)]
         )
-        best, carried = behind(views, holes, truth, 0, 2)
+        best, carried, _ = behind(views, holes, truth, 0, 2)
         best = torch.stack(
             [_alone(editor, *one) for one in zip(best, holes & ~carried)]
         )

@@ -1,10 +1,11 @@
 """The editor `retouch`: takes away what is masked and shows what the other photos see behind it.
 
 What another photo sees is carried over by the matched geometry, which no editor of single pictures
-can do; only what no photo sees is invented, as a smooth surface between what surrounds it.
+can do; only what no photo sees is invented, from the patterns around it, once for all photos.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -39,6 +40,11 @@ NEAR = 0.1
 SURE = 0.5
 # of what another photo shows beside a hole: largest mean error, as a share of the contrast there
 MAX_ERROR_BESIDE = 0.3
+# of what is invented, by twelve cut holes: how much of its surroundings is copied from [its longer
+# sides]; wider, pieces of other things come in
+AROUND = 0.5
+SPECK = 8  # shorter side under which a piece is spanned smoothly [pixels]
+LARGEST = 128  # longer side at which a piece is filled, at most [pixels]
 NOISE = 0.01  # error that photos of one surface have anyway
 BESIDE = 0.06  # how far from a hole its surroundings reach [longer sides]
 STANDS = 0.05  # relative difference in depth within which things touch each other
@@ -110,11 +116,11 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
     ) -> Float[Tensor, "view 3 height width"]:
         """The images of one scene of the batch, with its holes filled."""
         images, hole = views.images[scene], holes[scene]
-        seen = torch.zeros_like(hole)
+        seen, hidden = torch.zeros_like(hole), None
         if geometry is not None:
             _tell_what_is_left(hole, geometry.depths[scene])
-            margin, known = self.settings.margin, geometry.calibrated(views)
-            images, seen = behind(known, hole, geometry, scene, margin)
+            margin, views = self.settings.margin, geometry.calibrated(views)
+            images, seen, hidden = behind(views, hole, geometry, scene, margin)
         shares = [
             round(float(s[h].float().mean()), 3) if h.any() else None
             for s, h in zip(seen, hole)
@@ -125,7 +131,12 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
                 "most of what is taken away hides what no other photo shows; what is behind it "
                 "is invented."
             )
-        return torch.stack([_inpainted(*one) for one in zip(images, hole & ~seen)])
+        unseen = hole & ~seen
+        if geometry is None or hidden is None:
+            return torch.stack([_inpainted(*one) for one in zip(images, unseen)])
+        placed = geometry.registered[scene].tolist()
+        lenses, poses = views.intrinsics[scene], geometry.c2w[scene]
+        return _invented(images, unseen, hidden, placed, lenses, poses)
 
     def _geometry(self, views: Views) -> Geometry | None:
         """Geometry of the photos; None where they cannot be placed."""
@@ -215,9 +226,13 @@ def behind(
     geometry: Geometry,
     scene: int,
     margin: int,
-) -> tuple[Float[Tensor, "view 3 height width"], Bool[Tensor, "view height width"]]:
-    """Images of one scene of the batch whose holes show what its other views see there, and where
-    that was so.
+) -> tuple[
+    Float[Tensor, "view 3 height width"],
+    Bool[Tensor, "view height width"],
+    Float[Tensor, "view height width"],
+]:
+    """Images of one scene of the batch whose holes show what its other views see there, where that
+    was so, and the depths of the surface behind (elsewhere, and without other views, as matched).
 
     The surface behind a hole is spanned between the depths measured around it and those that other
     views measured and carry into it. A view lends no pixels within `margin` of its own hole.
@@ -229,7 +244,7 @@ def behind(
     lent = dilate(holes.to(images), margin) == 0
     sure = lent & (geometry.confidence[scene] > SURE)
     points = unproject(depths, intrinsics, c2w)
-    filled, seen = images.clone(), torch.zeros_like(holes)
+    filled, seen, hidden = images.clone(), torch.zeros_like(holes), depths.clone()
     for view in range(len(images)):
         others = [o for o in range(len(images)) if o != view and placed[o]]
         if not (placed[view] and others and holes[view].any()):
@@ -243,9 +258,12 @@ def behind(
         inverse = _spanned(torch.where(hole, carried, known)).to(depths)
         # never before what is removed
         background = 1 / torch.minimum(inverse, 1 / depths[view]).clamp(min=1e-9)
-        hidden = unproject(background, lens, pose)
+        hidden[view] = torch.where(hole, background, depths[view])
+        surface = unproject(background, lens, pose)
         lenders = (
-            _lent(hidden, images[o], depths[o], sure[o], lent[o], intrinsics[o], c2w[o])
+            _lent(
+                surface, images[o], depths[o], sure[o], lent[o], intrinsics[o], c2w[o]
+            )
             for o in others
         )
         pixels, shown, agrees = (torch.stack(part) for part in zip(*lenders))
@@ -259,7 +277,36 @@ def behind(
         first = pixels.gather(0, best.expand(1, 3, -1, -1))[0]
         seen[view] = hole & trusted
         filled[view] = torch.where(seen[view], first, images[view])
-    return filled, seen
+    return filled, seen, hidden
+
+
+def _invented(
+    images: Float[Tensor, "view 3 height width"],
+    unseen: Bool[Tensor, "view height width"],
+    depths: Float[Tensor, "view height width"],
+    placed: Sequence[bool],
+    intrinsics: Float[Tensor, "view 3 3"],
+    c2w: Float[Tensor, "view 4 4"],
+) -> Float[Tensor, "view 3 height width"]:
+    """The images with what no photo saw: invented where most of it lies, and shown alike by all
+    others whose `depths` of what is behind agree.
+    """
+    filled, done = images.clone(), list[int]()
+    for view in unseen.flatten(1).sum(1).argsort(descending=True).tolist():
+        gap = unseen[view].clone()
+        points = unproject(depths[view], intrinsics[view], c2w[view]).flatten(0, 1)
+        for other in done if placed[view] else ():
+            grid, z = project(points, intrinsics[other], c2w[other])
+            grid, z = grid.view(*gap.shape, 2), z.view_as(gap)
+            maps = torch.stack((depths[other], unseen[other].to(z)))
+            surface, inside = warp(maps, grid, mode="nearest", padding="zeros")
+            same = gap & (inside > 0.5) & ((z / surface - 1).abs() < NEAR)
+            shown = warp(filled[other], grid)
+            filled[view] = torch.where(same, shown, filled[view])
+            gap &= ~same
+        filled[view] = _inpainted(filled[view], gap)
+        done += [view] * placed[view]
+    return filled
 
 
 def _lent(
@@ -347,9 +394,47 @@ def _membrane(
 def _inpainted(
     image: Float[Tensor, "3 height width"], hole: Bool[Tensor, "height width"]
 ) -> Float[Tensor, "3 height width"]:
-    """The image with the hole spanned from its surroundings."""
+    """The image with each piece of the hole filled by copies of what surrounds it, by OpenCV's
+    shift map (He and Sun, "Statistics of Patch Offsets for Image Completion", 2012); specks are
+    spanned smoothly.
+    """
     if not hole.any():
         return image
     known = torch.where(hole, 0.0, image + 1)  # 0 is unknown
-    filled = torch.stack([_spanned(one) for one in known]).to(image) - 1
-    return torch.where(hole, filled.clamp(0, 1), image)
+    smooth = torch.stack([_spanned(one) for one in known]).to(image) - 1
+    filled = torch.where(hole, smooth.clamp(0, 1), image)
+    picture = filled.permute(1, 2, 0).numpy(force=True).copy()
+    unknown = hole.numpy(force=True)
+    count, labels, boxes, _ = cv2.connectedComponentsWithStats(unknown.astype(np.uint8))
+    for label in range(1, count):
+        left, top, width, height, _ = boxes[label]
+        if min(width, height) < SPECK:
+            continue
+        margin = round(AROUND * max(width, height))
+        rows = slice(max(0, top - margin), top + height + margin)
+        columns = slice(max(0, left - margin), left + width + margin)
+        around = picture[rows, columns]
+        copied = _copied(around, unknown[rows, columns], max(width, height))
+        piece = labels[rows, columns] == label
+        around[piece] = copied[piece]
+    return torch.from_numpy(picture).permute(2, 0, 1).to(image)
+
+
+def _copied(
+    picture: Float[np.ndarray, "height width 3"],
+    hole: Bool[np.ndarray, "height width"],
+    side: int,
+) -> Float[np.ndarray, "height width 3"]:
+    """The picture with its hole, `side` pixels long, filled from the rest; large ones coarsely."""
+    scale = min(1.0, LARGEST / side)
+    size = [round(scale * length) for length in hole.shape[::-1]]
+    pixels = (255 * picture).round().astype(np.uint8)
+    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
+    open_ = cv2.resize(hole.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
+    colours = cv2.cvtColor(small, cv2.COLOR_RGB2Lab)
+    filled = np.zeros_like(colours)
+    known = 255 * (1 - open_)
+    cv2.xphoto.inpaint(colours, known, filled, cv2.xphoto.INPAINT_SHIFTMAP)
+    filled = cv2.cvtColor(filled, cv2.COLOR_Lab2RGB).astype(np.float32) / 255
+    large = cv2.resize(filled, hole.shape[::-1], interpolation=cv2.INTER_CUBIC)
+    return large.clip(0, 1)  # cubic goes beyond

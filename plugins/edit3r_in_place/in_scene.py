@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import torch
+import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
@@ -26,6 +27,7 @@ from edit3r.contract.interfaces import (
 from edit3r.contract.reporting import say
 from edit3r.contract.settings import PartChoice
 from edit3r.contract.types import GivenScene, Views
+from edit3r.kit.geometry.cameras import project_to_pixels
 from edit3r.kit.rendering import render_numbers
 from edit3r.running import usual_selector
 from edit3r_in_place.belonging import SHARE, Contribution, belonging, evidence
@@ -36,6 +38,8 @@ WORDS_ON = 3  # pictures on which words are looked for
 NEW = 0.15  # share of the thing in a picture that no other picture showed, for another look
 SAME = 0.55  # overlap from which a further look confirms what is expected
 SOLID = 0.2  # alpha from which a place is on the scene
+GAP = 0.1  # of a thing, through which what is behind shows [its widths]
+DEEP = 0.5  # how far behind its nearest surface a thing goes on [its widths]
 SMALLEST = 3e-4  # share of a picture under which a thing does not show
 CERTAIN = 0.9  # share of a thing's pixels around which it is clicked on
 WHOLE = (
@@ -156,10 +160,31 @@ class _Lifting:
     rasterizer: Rasterizer
 
     def evidence_of(self, masks: Mapping[int, Mask]) -> Contribution:
-        views = sorted(masks)
-        stacked = torch.stack([masks[view] for view in views])
-        cameras = self.scene.cameras.select(views)
-        return evidence(self.scene.gaussians, cameras, stacked, self.rasterizer)
+        """What pictures say of each Gaussian; nothing of those seen through gaps of the thing."""
+        gaussians, nothing = self.scene.gaussians, torch.zeros(())
+        told = Contribution(nothing, nothing)
+        for view, mask in masks.items():
+            camera = self.scene.cameras.select([view])
+            shown = evidence(gaussians, camera, mask[None], self.rasterizer)
+            front = ~self._is_behind(view, mask)
+            told = told + Contribution(shown.within * front, shown.total * front)
+        return told
+
+    def _is_behind(self, view: int, mask: Mask) -> Bool[Tensor, "gaussian"]:
+        """Which Gaussians lie far behind what a mask of a picture covers, as a lawn behind flowers
+        does that shows between their leaves.
+        """
+        camera, inside = self.scene.cameras.select([view]), mask > 0.5
+        means, width = self.scene.gaussians.means[0], float(inside.sum()) ** 0.5
+        depths = self.scene.depths[0, view]
+        depths = torch.where(inside & (depths > 0), depths, torch.inf)
+        gap = round(GAP * width)
+        nearest = -F.max_pool2d(-depths[None], 2 * gap + 1, 1, gap)[0]
+        lens, pose = camera.intrinsics[0, 0], camera.c2w[0, 0]
+        deepest = nearest * (1 + DEEP * width / (lens[0, 0] * inside.shape[1]))
+        deepest = torch.where(inside, deepest, torch.inf)
+        index, z, within = project_to_pixels(means, lens, pose, (*inside.shape,))
+        return within & (z > deepest.flatten()[index.clamp(0, inside.numel() - 1)])
 
     def next_view(
         self, share: Float[Tensor, "gaussian"], shown: Contribution, done: set[int]

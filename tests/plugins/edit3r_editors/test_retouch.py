@@ -4,7 +4,13 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_editors.retouch import RetouchEditor, _inpainted, _spanned, standing_on
+from edit3r_editors.retouch import (
+    RetouchEditor,
+    _inpainted,
+    _invented,
+    _spanned,
+    standing_on,
+)
 
 import edit3r
 from edit3r.contract.errors import InputError, MatchingError
@@ -148,6 +154,39 @@ def test_what_is_invented_has_no_streak_of_a_thing_that_touches_the_hole():
     filled = _inpainted(table, hole)
     assert torch.equal(filled[:, ~hole], table[:, ~hole])
     assert filled[:, 28:44, 20:44].max() < 0.5
+
+
+@pytest.mark.parametrize("longer", [96, 320])
+def test_a_hole_in_a_pattern_goes_on_with_the_pattern(longer):
+    """Those too that are filled at a smaller size."""
+    x = torch.arange(longer) * 60.0 / longer
+    stripes = (0.5 + 0.5 * torch.sin(x)).expand(3, longer, longer)
+    hole = torch.zeros(longer, longer, dtype=torch.bool)
+    middle = slice(longer // 4, 3 * longer // 4)
+    hole[middle, middle] = True
+    filled = _inpainted(torch.where(hole, 0.0, stripes), hole)
+    assert filled.min() >= 0 and filled.max() <= 1
+    assert (filled - stripes)[:, hole].abs().mean() < 0.15 < stripes.std() / 2
+
+
+def test_what_no_photo_sees_is_invented_once_for_all_photos():
+    """A wide board: what is behind it, on the wall, is the same in both photos."""
+    views, _, _, geometry = _scene()
+    depths, unseen = torch.full((2, SIZE, SIZE), WALL), torch.zeros(2, SIZE, SIZE) > 0
+    shift = 8  # pixels by which the second photo sees the wall aside
+    unseen[0, 20:44, 24:48] = True
+    unseen[1, 20:44, 24 - shift : 48 - shift] = True
+    lenses, poses = views.intrinsics[0], geometry.c2w[0].clone()
+    poses[1, 0, 3] = shift * WALL / (SIZE * lenses[0, 0, 0])
+    first, second = _invented(
+        views.images[0], unseen, depths, (True, True), lenses, poses
+    )
+    assert (first[:, unseen[0]] != views.images[0, 0][:, unseen[0]]).any()
+    apart = first[:, 20:44, 24:48] - second[:, 20:44, 24 - shift : 48 - shift]
+    assert apart.abs().mean() < 0.02
+    alone = _invented(views.images[0], unseen, depths, (True, False), lenses, poses)
+    apart = alone[0, :, 20:44, 24:48] - alone[1, :, 20:44, 24 - shift : 48 - shift]
+    assert apart.abs().mean() > 0.04
 
 
 def test_a_photo_without_any_measured_depth_is_still_filled():
