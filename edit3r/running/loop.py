@@ -11,6 +11,7 @@ from edit3r.kit.cache import Cache, using
 from edit3r.loading.registry import Registry, default_registry
 from edit3r.running.components import Components, undone, with_reader
 from edit3r.running.config import check_components
+from edit3r.running.hiding import hide, require_hidden_wholly
 from edit3r.running.job import RunJob
 from edit3r.running.records import (
     Inputs,
@@ -78,12 +79,13 @@ def _records(
     before, after = inputs.start.images, edited.views.images
     if on_edited is not None and not torch.equal(before, after):
         on_edited(edited.views)
-    corrected = correct_exposure(inputs, located, selection, edited, components)
-    reconstructed = reconstruct(
-        inputs, located, corrected, selection, edited, components
-    )
+    kept = hide(inputs, selection, edited, components)
+    corrected = correct_exposure(kept, located, selection, edited, components)
+    reconstructed = reconstruct(kept, located, corrected, selection, edited, components)
     placed = reconstructed.used
-    inputs, corrected = inputs.select(placed), corrected.select(placed)
+    # The edit is judged by what was there before.
+    inputs, kept = inputs.select(placed), kept.select(placed)
+    corrected = corrected.select(placed)
     selection, edited = selection.select(placed), edited.select(placed)
     gaussians = refine(corrected, reconstructed, components)
     judged = judge(
@@ -97,7 +99,7 @@ def _records(
         components,
     )
     return Records(
-        inputs,
+        kept,
         located,
         selection,
         edited,
@@ -127,6 +129,8 @@ def preview(
         used = as_many_as_fit(inputs.start, components.reconstructor)
         inputs, selection = inputs.select(used), selection.select(used)
         edited = edit(inputs, selection, components) if edits else None
+        if edited is not None:
+            inputs = hide(inputs, selection, edited, components)
     return Preview(inputs, selection, edited)
 
 
@@ -158,7 +162,7 @@ def _begin(job: RunJob, registry: Registry) -> tuple[Inputs, Components]:
     job = undone(with_reader(job, registry))
     components = Components(job.config, registry, job)
     # A sentence that nobody can carry out ends the run before photos are read.
-    _ = components.tasks
+    require_hidden_wholly(components)
     inputs = read(job, components.lens, lambda: components.rasterizer)
     if inputs.scene is not None:
         components.start_from(inputs.scene.views.scene)

@@ -188,7 +188,8 @@ class RunResult:
             things=self.records.selection.things,
             before=Reconstruction(self.gaussians, self.cameras),
         )
-        return EarlierRun(inputs, {"frames": self.config.frames, **chosen})
+        settings = {"frames": self.config.frames, **chosen}
+        return EarlierRun(inputs, settings, hid=bool(self.components.hiding))
 
     @in_usual_torch
     def view(self) -> Path:
@@ -342,7 +343,8 @@ def _good_views(result: RunResult) -> list[int]:
 def _write_rest(folder: RunFolder, result: RunResult, writers: list[Writer]) -> None:
     """Write the cache, images, masks and scene, then the files of the writers."""
     wanted = result.config.written
-    if "cache" in wanted:
+    # It holds features of the photos as they were.
+    if "cache" in wanted and not result.components.hiding:
         result.cache.save(folder.cache)
     if "images" in wanted:
         things = result.records.selection.things

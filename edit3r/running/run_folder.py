@@ -56,6 +56,7 @@ FRAME = (
     "the length unit is arbitrary"
 )
 CACHE = "cache"  # the folder of answers of slow stages, for further edits
+HIDDEN = "hidden"  # note in run.json: that the edit hid something for good
 VIEWS = "views"  # note in run.json with what the images do not hold: intrinsics and known poses
 THINGS = "things"  # note in run.json: names of the masks in the folders `masks/0`, `masks/1`...
 
@@ -68,10 +69,18 @@ class EarlierRun:
     inputs: Inputs
     # the frames, reconstructor and matcher, as a configuration holds them
     settings: Mapping[str, Any]
+    hid: bool = False  # it hid something for good
 
     def undone(self) -> "EarlierRun":
-        """What was before the last edit: the photos. Raises InputError for an edit of an edit."""
+        """What was before the last edit: the photos. Raises InputError for an edit of an edit, and
+        for one that hid something.
+        """
         inputs = self.inputs
+        if self.hid:
+            raise InputError(
+                "this edit hid something for good, and its folder does not hold what was there: "
+                "start again from the photos."
+            )
         count = len(inputs.prompts)
         if count > 1:
             raise InputError(
@@ -190,7 +199,8 @@ class RunFolder:
             kind: {"name": run[kind]["name"], **run[kind]["settings"]}
             for kind in ("reconstructor", "matcher")
         }
-        return EarlierRun(inputs, {"frames": int(run["frames"]), **chosen})
+        settings = {"frames": int(run["frames"]), **chosen}
+        return EarlierRun(inputs, settings, hid=notes.get(HIDDEN) is True)
 
     def _views(self, manifest: dict[str, Any]) -> tuple[Views, Views]:
         """The images of `inputs/` and `edited/` as views."""

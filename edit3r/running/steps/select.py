@@ -24,6 +24,7 @@ from edit3r.kit import asking
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.components import Components
 from edit3r.running.geometry import NOT_ASKED, GeometryAnswer, find_geometry
+from edit3r.running.hiding import covering, without_candidates
 from edit3r.running.records import Inputs, Located, Preview, SelectedRegions
 from edit3r.running.scene_input import SceneInput
 from edit3r.running.selecting.near_colour import near_colour
@@ -87,13 +88,14 @@ def require_answer(
             hints = "".join(
                 asking.hint(components.reader, one) for one in selection.instructions
             )
+            shown = without_candidates(inputs, selection, components)
             raise QuestionError(
                 f"which is the {thing.called or 'thing'}? The likeliest candidate has a confidence "
                 f"of {confidence:.0%}, so nothing was edited. Take one ({numbers}), {ASK}, "
                 "or fetch a detector that knows most words (edit3r weights get words); --guess "
                 f"takes the likeliest.{hints}",
                 thing.readings,
-                Preview(inputs, selection, None),
+                Preview(shown, selection, None),
             )
 
 
@@ -196,8 +198,10 @@ def _regions(
 def _widened(
     selection: SelectedRegions, inputs: Inputs, components: Components
 ) -> SelectedRegions:
-    """The selection with what editors have to change around the things, such as shadows."""
-    if selection.regions is None or selection.masks is None:
+    """The selection with what editors have to change around the things, such as shadows, and
+    what has to be hidden around them.
+    """
+    if selection.regions is None:
         return selection
     of_tasks = selection.regions.split(
         [len(task.instructions) for task in components.tasks]
@@ -208,6 +212,10 @@ def _widened(
             for task, region in zip(components.tasks, of_tasks)
         ]
     )
+    for hiding in components.hiding:
+        regions[hiding] = covering(regions[hiding])
+    if selection.masks is None:
+        return replace(selection, regions=regions)
     wide = torch.maximum(selection.masks, regions.amax(0))
     return replace(selection, regions=regions, masks=wide)
 
