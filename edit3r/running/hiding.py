@@ -28,8 +28,6 @@ Maps = Float[Tensor, "*batch height width"]
 
 def require_hidden_wholly(components: Components) -> None:
     """Raise, before any photo is read, for what would leave some of a hidden thing visible."""
-    if not components.hiding:
-        return
     if components.job.scene is not None:
         raise PromptError(
             "a thing of a given scene cannot be hidden for good, since its shape stays and so do "
@@ -62,8 +60,6 @@ def hide(
     """The inputs that show what the edit hides as little as the edited photos do; an earlier
     run's scene, which shows it, is forgotten.
     """
-    if not components.hiding:
-        return inputs
     _tell(inputs, selection, components)
     inside = _where(selection, inputs.start, components).any(0)[:, :, None]
 
@@ -76,12 +72,8 @@ def hide(
     return replace(inputs, photos=photos, start=start, before=None)
 
 
-def without_candidates(
-    inputs: Inputs, selection: SelectedRegions, components: Components
-) -> Inputs:
+def without_candidates(inputs: Inputs, selection: SelectedRegions) -> Inputs:
     """The inputs of a question, on whose sheet each candidate is a grey shape."""
-    if not components.hiding:
-        return inputs
     maps = torch.zeros_like(inputs.photos.images[0, :, 0])
     for selected in selection.selected:
         maps = torch.maximum(maps, selected.masks[:, 0])

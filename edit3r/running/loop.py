@@ -13,6 +13,7 @@ from edit3r.running.components import Components, undone, with_reader
 from edit3r.running.config import check_components
 from edit3r.running.hiding import hide, require_hidden_wholly
 from edit3r.running.job import RunJob
+from edit3r.running.measuring import measure
 from edit3r.running.records import (
     Inputs,
     Located,
@@ -79,7 +80,9 @@ def _records(
     before, after = inputs.start.images, edited.views.images
     if on_edited is not None and not torch.equal(before, after):
         on_edited(edited.views)
-    kept = hide(inputs, selection, edited, components)
+    kept = inputs
+    if components.hiding:
+        kept = hide(inputs, selection, edited, components)
     corrected = correct_exposure(kept, located, selection, edited, components)
     reconstructed = reconstruct(kept, located, corrected, selection, edited, components)
     placed = reconstructed.used
@@ -98,6 +101,9 @@ def _records(
         gaussians,
         components,
     )
+    if kept.length is not None:
+        refined = components.job.refine_poses
+        kept = measure(kept, kept.length, reconstructed, judged.rendered, refined)
     return Records(
         kept,
         located,
@@ -129,7 +135,7 @@ def preview(
         used = as_many_as_fit(inputs.start, components.reconstructor)
         inputs, selection = inputs.select(used), selection.select(used)
         edited = edit(inputs, selection, components) if edits else None
-        if edited is not None:
+        if edited is not None and components.hiding:
             inputs = hide(inputs, selection, edited, components)
     return Preview(inputs, selection, edited)
 
@@ -162,7 +168,8 @@ def _begin(job: RunJob, registry: Registry) -> tuple[Inputs, Components]:
     job = undone(with_reader(job, registry))
     components = Components(job.config, registry, job)
     # A sentence that nobody can carry out ends the run before photos are read.
-    require_hidden_wholly(components)
+    if components.hiding:
+        require_hidden_wholly(components)
     inputs = read(job, components.lens, lambda: components.rasterizer)
     if inputs.scene is not None:
         components.start_from(inputs.scene.views.scene)

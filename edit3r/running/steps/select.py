@@ -88,7 +88,9 @@ def require_answer(
             hints = "".join(
                 asking.hint(components.reader, one) for one in selection.instructions
             )
-            shown = without_candidates(inputs, selection, components)
+            shown = inputs
+            if components.hiding:
+                shown = without_candidates(inputs, selection)
             raise QuestionError(
                 f"which is the {thing.called or 'thing'}? The likeliest candidate has a confidence "
                 f"of {confidence:.0%}, so nothing was edited. Take one ({numbers}), {ASK}, "

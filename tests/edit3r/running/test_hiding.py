@@ -1,6 +1,7 @@
 """What a run hides is in no file that it leaves: each is opened and searched for it.
 
-What is hidden is a square of two colours that nothing else has, in cells of some pixels.
+What is hidden is a square of two colours that nothing else has, in cells of some pixels, of which
+the masks leave out a rim.
 """
 
 import base64
@@ -53,7 +54,8 @@ def photos(tmp_path_factory):
     for side, file in zip(("left", "right"), packaged_pair()[0]):
         photo = np.array(Image.open(file).convert("RGB").resize((222, 150)))
         mask = np.zeros(photo.shape[:2], np.uint8)
-        photo[square(side)], mask[square(side)] = texture, 255
+        photo[square(side)] = texture
+        mask[square(side)] = np.pad(np.full(texture[2:-2, 2:-2, 0].shape, 255), 2)
         Image.fromarray(photo).save(folder / f"{side}.png")
         Image.fromarray(mask).save(folder / f"{side}-mask.png")
     return folder
