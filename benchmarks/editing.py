@@ -65,9 +65,10 @@ def looks() -> None:
     scenes = [edit3r.load_views(pair, size=options.size) for pair in pairs]
     from edit3r_editors.looks import LOOKS
 
-    editors = {look: edit3r.build("editor", "looks", look=look) for look in LOOKS}
+    named = [look for look in LOOKS if not LOOKS[look].hides]
+    editors = {look: edit3r.build("editor", "looks", look=look) for look in named}
     rows: dict[str, list[list[float]]] = {
-        look: [] for look in [*LOOKS, " to ".join(WORST)]
+        look: [] for look in [*named, " to ".join(WORST)]
     }
     for views in scenes:
         drawn = {}

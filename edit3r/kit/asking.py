@@ -23,6 +23,7 @@ from edit3r.contract.interfaces import (
     FindsGeometry,
     GaussianHead,
     Geometry,
+    HidesThings,
     Loss,
     LossInputs,
     MaskLogits,
@@ -100,6 +101,13 @@ def after_undo(reader: Reader, prompt: str) -> str | None:
 def understands(editor: Editor, instruction: Instruction) -> bool:
     with errors_named_after(editor):
         return bool(editor.understands(instruction))
+
+
+def hides(editor: Editor, instruction: Instruction) -> bool:
+    if not isinstance(editor, HidesThings):
+        return False
+    with errors_named_after(editor):
+        return bool(editor.hides(instruction))
 
 
 def widened(

@@ -70,6 +70,12 @@ class Components:
         editor = self._build("editor")
         return tasks_for_editor(editor, prompt, self.reader, self._registry)
 
+    @cached_property
+    def hiding(self) -> tuple[int, ...]:
+        """Which instructions of all tasks hide their thing for good."""
+        asked = [(task.editor, one) for task in self.tasks for one in task.instructions]
+        return tuple(place for place, pair in enumerate(asked) if asking.hides(*pair))
+
     @property
     def editor(self) -> Editor:
         """The first editor, mostly the only one."""

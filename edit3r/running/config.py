@@ -105,6 +105,9 @@ class RunConfig(Settings):
     """longer side that photos are reduced to [pixels]"""
     fov: float | None = Field(None, gt=1, lt=170)
     """horizontal field of view [degrees] of photos that do not record it"""
+    measure: str | None = None
+    """a length that you know between two places of a photo, such as 1:120,80,1:400,80=1.2m (m, cm,
+    mm, ft, in): the scene is then in metres"""
     views: int | None = Field(None, ge=2)
     """use at most this many photos, those that together show most; default: all (of a video, 8
     frames); of a scene, so many pictures of it (default 8)"""

@@ -104,6 +104,8 @@ def tasks_without_editor(
                 break
         else:
             raise PromptError(_nobody(instruction, reader, registry))
+    # first: what is filled in from other photos must not bring back what is hidden there
+    chosen.sort(key=lambda pair: not asking.hides(built[pair[0]], pair[1]))
     _tell_left_out(instruction for _, instruction in chosen)
     tasks = []
     for name, group in groupby(chosen, key=lambda pair: pair[0]):

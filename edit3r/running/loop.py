@@ -11,7 +11,9 @@ from edit3r.kit.cache import Cache, using
 from edit3r.loading.registry import Registry, default_registry
 from edit3r.running.components import Components, undone, with_reader
 from edit3r.running.config import check_components
+from edit3r.running.hiding import hide, require_hidden_wholly
 from edit3r.running.job import RunJob
+from edit3r.running.measuring import measure
 from edit3r.running.records import (
     Inputs,
     Located,
@@ -78,12 +80,15 @@ def _records(
     before, after = inputs.start.images, edited.views.images
     if on_edited is not None and not torch.equal(before, after):
         on_edited(edited.views)
-    corrected = correct_exposure(inputs, located, selection, edited, components)
-    reconstructed = reconstruct(
-        inputs, located, corrected, selection, edited, components
-    )
+    kept = inputs
+    if components.hiding:
+        kept = hide(inputs, selection, edited, components)
+    corrected = correct_exposure(kept, located, selection, edited, components)
+    reconstructed = reconstruct(kept, located, corrected, selection, edited, components)
     placed = reconstructed.used
-    inputs, corrected = inputs.select(placed), corrected.select(placed)
+    # The edit is judged by what was there before.
+    inputs, kept = inputs.select(placed), kept.select(placed)
+    corrected = corrected.select(placed)
     selection, edited = selection.select(placed), edited.select(placed)
     gaussians = refine(corrected, reconstructed, components)
     judged = judge(
@@ -96,8 +101,11 @@ def _records(
         gaussians,
         components,
     )
+    if kept.length is not None:
+        refined = components.job.refine_poses
+        kept = measure(kept, kept.length, reconstructed, judged.rendered, refined)
     return Records(
-        inputs,
+        kept,
         located,
         selection,
         edited,
@@ -127,6 +135,8 @@ def preview(
         used = as_many_as_fit(inputs.start, components.reconstructor)
         inputs, selection = inputs.select(used), selection.select(used)
         edited = edit(inputs, selection, components) if edits else None
+        if edited is not None and components.hiding:
+            inputs = hide(inputs, selection, edited, components)
     return Preview(inputs, selection, edited)
 
 
@@ -158,7 +168,8 @@ def _begin(job: RunJob, registry: Registry) -> tuple[Inputs, Components]:
     job = undone(with_reader(job, registry))
     components = Components(job.config, registry, job)
     # A sentence that nobody can carry out ends the run before photos are read.
-    _ = components.tasks
+    if components.hiding:
+        require_hidden_wholly(components)
     inputs = read(job, components.lens, lambda: components.rasterizer)
     if inputs.scene is not None:
         components.start_from(inputs.scene.views.scene)

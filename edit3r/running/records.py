@@ -4,7 +4,8 @@
     Inputs -> Located -> Selected -> Edited -> Exposure -> Reconstructed -> Gaussians -> Judged
                          Regions     Photos    Corrected
 Views that a reconstructor does not take, or cannot place, leave the records by `select`. Lengths
-are in the run's own unit (`edit3r.running.scale`); what is written is in the given one.
+are in the run's own unit (`edit3r.running.scale`); what is written is in the given one, or in
+metres (`edit3r.running.measuring`).
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,7 +29,7 @@ from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
 from edit3r.kit.geometry.exposure import Exposure, ExposureOfEdit
 from edit3r.kit.photos.images import Photo
 from edit3r.running.geometry import NOT_ASKED, GeometryAnswer
-from edit3r.running.scale import GIVEN, Unit
+from edit3r.running.scale import GIVEN, KnownLength, Unit
 from edit3r.running.scene_input import SceneInput
 
 Masks = Float[Tensor, "batch view height width"]
@@ -62,6 +63,9 @@ class Inputs:
     before: Reconstruction | None = None  # an earlier run's scene
     scene: SceneInput | None = None  # the given one that the photos are pictures of
     unit: Unit = GIVEN  # what lengths were multiplied by
+    length: KnownLength | None = None  # between two places of the photos
+    # by what all lengths of the result are multiplied, so that they are in metres; 1: nobody knows
+    scale: float = 1.0
 
     def select(self, indices: list[int]) -> "Inputs":
         """The same with the views at `indices` only."""

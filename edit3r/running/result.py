@@ -52,12 +52,14 @@ from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.records import Inputs, Masks, Preview, Records, SelectedRegions
 from edit3r.running.run_folder import (
     GIVEN_SCENE,
+    METRIC_FRAME,
+    SCALE,
     VIEWS,
     EarlierRun,
     RunFolder,
     what_images_lack,
 )
-from edit3r.running.scale import Unit, has_given_poses
+from edit3r.running.scale import GIVEN, Unit, unit_of_scene
 from edit3r.running.scene_input import SceneInput
 
 OWN_FRAME = "that of the given scene; OpenCV axes in c2w; its own unit of length"
@@ -85,15 +87,17 @@ class RunResult:
 
     @cached_property
     def _of_photos(self) -> Unit:
-        """Back into the unit in which the photos' poses were given."""
-        return self.records.inputs.unit.back
+        """Back into the unit in which the photos' poses were given, or into metres."""
+        inputs = self.records.inputs
+        return inputs.unit.back.times(inputs.scale)
 
     @cached_property
     def _of_scene(self) -> Unit:
         """The same for the scene, if it was made on those poses, or from them."""
-        scene = self.records.reconstructed.reconstruction
-        stands = has_given_poses(scene, self.records.inputs.photos)
-        return self._of_photos.where(stands | self.components.job.refine_poses)
+        inputs, scene = self.records.inputs, self.records.reconstructed.reconstruction
+        refined = self.components.job.refine_poses
+        unit = unit_of_scene(scene, inputs.photos, inputs.unit, refined)
+        return unit.times(inputs.scale)
 
     @cached_property
     def photos(self) -> Views:
@@ -180,15 +184,21 @@ class RunResult:
                 ("matcher", self.config.matcher),
             )
         }
+        # without the known scale, which the further edit applies again
+        scale = self.records.inputs.scale
+        back = GIVEN.times(1 / scale)
+        before = Reconstruction(self.gaussians, self.cameras)
         inputs = Inputs(
-            photos=self.photos,
-            start=self.edited,
+            photos=back.views(self.photos),
+            start=back.views(self.edited),
             files=self.records.inputs.files,
             prompts=self.records.inputs.prompts,
             things=self.records.selection.things,
-            before=Reconstruction(self.gaussians, self.cameras),
+            before=back.reconstruction(before),
+            scale=scale,
         )
-        return EarlierRun(inputs, {"frames": self.config.frames, **chosen})
+        settings = {"frames": self.config.frames, **chosen}
+        return EarlierRun(inputs, settings, hid=bool(self.components.hiding))
 
     @in_usual_torch
     def view(self) -> Path:
@@ -260,6 +270,8 @@ def write_result(root: Path, result: RunResult) -> None:
             rest.result()
             note(VIEWS, what_images_lack(result.photos))
             note("edits", list(result.records.inputs.prompts))
+            if result.records.inputs.scale != 1:
+                note(SCALE, result.records.inputs.scale)
     folder.write_manifest(_facts(result))
 
 
@@ -342,7 +354,8 @@ def _good_views(result: RunResult) -> list[int]:
 def _write_rest(folder: RunFolder, result: RunResult, writers: list[Writer]) -> None:
     """Write the cache, images, masks and scene, then the files of the writers."""
     wanted = result.config.written
-    if "cache" in wanted:
+    # It holds features of the photos as they were.
+    if "cache" in wanted and not result.components.hiding:
         result.cache.save(folder.cache)
     if "images" in wanted:
         things = result.records.selection.things
@@ -475,9 +488,16 @@ def _facts(result: RunResult) -> dict[str, Any]:
         "harmonics_degree": result.gaussians.degree,
         "stages": report.stages,
         "warnings": report.warnings,
-        **({} if records.inputs.scene is None else {"frame": OWN_FRAME}),
+        **_frame(records.inputs),
         "notes": {k: v for k, v in report.notes.items() if k not in weights},
     }
+
+
+def _frame(inputs: Inputs) -> dict[str, str]:
+    """What run.json says of the frame, where it is not the usual one."""
+    if inputs.scene is not None:
+        return {"frame": OWN_FRAME}
+    return {} if inputs.scale == 1 else {"frame": METRIC_FRAME}
 
 
 def _plugins(component: Any) -> list[dict[str, Any]]:

@@ -6,6 +6,7 @@ stranger: names are checked, nothing in it is executed, and reading writes nothi
 """
 
 import json
+import math
 import os
 import shutil
 from collections.abc import Callable, Mapping, Sequence
@@ -46,6 +47,7 @@ from edit3r.kit.provenance import installed_versions, recorded
 from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
 from edit3r.kit.scenes.reading import load_scene
 from edit3r.running.records import READ_LENS, Inputs
+from edit3r.running.scale import GIVEN
 
 Read = TypeVar("Read")
 GIVEN_SCENE = "scene.file"  # note in run.json: the file of a given scene, as edited
@@ -55,7 +57,10 @@ FRAME = (
     "camera of view 0; OpenCV axes (x right, y down, z forward); c2w; "
     "the length unit is arbitrary"
 )
+METRIC_FRAME = FRAME.replace("the length unit is arbitrary", "in metres")
+SCALE = "scale"  # note in run.json: what all lengths were multiplied by, to be metres
 CACHE = "cache"  # the folder of answers of slow stages, for further edits
+HIDDEN = "hidden"  # note in run.json: that the edit hid something for good
 VIEWS = "views"  # note in run.json with what the images do not hold: intrinsics and known poses
 THINGS = "things"  # note in run.json: names of the masks in the folders `masks/0`, `masks/1`...
 
@@ -68,10 +73,18 @@ class EarlierRun:
     inputs: Inputs
     # the frames, reconstructor and matcher, as a configuration holds them
     settings: Mapping[str, Any]
+    hid: bool = False  # it hid something for good
 
     def undone(self) -> "EarlierRun":
-        """What was before the last edit: the photos. Raises InputError for an edit of an edit."""
+        """What was before the last edit: the photos. Raises InputError for an edit of an edit, and
+        for one that hid something.
+        """
         inputs = self.inputs
+        if self.hid:
+            raise InputError(
+                "this edit hid something for good, and its folder does not hold what was there: "
+                "start again from the photos."
+            )
         count = len(inputs.prompts)
         if count > 1:
             raise InputError(
@@ -178,19 +191,26 @@ class RunFolder:
                 f"cameras.json has {cameras.count} cameras, expected one for each of "
                 f"{photos.count} views"
             )
+        scale = float(notes.get(SCALE, 1.0))
+        if not 0 < scale < math.inf:
+            raise ValueError(f"the scale is {scale}, expected a number above 0")
+        back = GIVEN.times(1 / scale)
+        before = Reconstruction(load_scene(self._saved_scene), cameras)
         inputs = Inputs(
-            photos=photos,
-            start=edited,
+            photos=back.views(photos),
+            start=back.views(edited),
             files=_files(manifest, photos.count),
             prompts=tuple(str(prompt) for prompt in notes["edits"]),
             things=self._things(notes.get(THINGS, []), photos),
-            before=Reconstruction(load_scene(self._saved_scene), cameras),
+            before=back.reconstruction(before),
+            scale=scale,
         )
         chosen = {
             kind: {"name": run[kind]["name"], **run[kind]["settings"]}
             for kind in ("reconstructor", "matcher")
         }
-        return EarlierRun(inputs, {"frames": int(run["frames"]), **chosen})
+        settings = {"frames": int(run["frames"]), **chosen}
+        return EarlierRun(inputs, settings, hid=notes.get(HIDDEN) is True)
 
     def _views(self, manifest: dict[str, Any]) -> tuple[Views, Views]:
         """The images of `inputs/` and `edited/` as views."""

@@ -1,4 +1,4 @@
-"""The unit of length that a run with given poses works in.
+"""The unit of length that a run with given poses works in, and lengths that somebody knows.
 
 Camera files come in millimetres, kilometres or anything else; what follows (near planes, step
 sizes, prices) is made for scenes of ordinary size. So `read` brings the photos into a unit in which
@@ -15,10 +15,21 @@ from torch import Tensor
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.kit.geometry.cameras import relative_to_first, scale_poses
 
+Point = tuple[str, float, float]
+"""Name of a view, x and y [shares of the view]."""
 SAME_POSE = 1e-3
 """Most by which poses that were taken over differ from those that were given [mean distances]."""
 # factor of a unit; positions have limits of their own; a sanity limit
 LARGEST = 2.0**100
+
+
+@dataclass(frozen=True)
+class KnownLength:
+    """Two places, and how far apart they are."""
+
+    text: str  # as it was given
+    ends: tuple[Point, Point]
+    metres: float
 
 
 @dataclass(frozen=True)
@@ -31,6 +42,10 @@ class Unit:
     def back(self) -> "Unit":
         """The way back."""
         return Unit(1 / self.factor)
+
+    def times(self, factor: float) -> "Unit":
+        """The same with all lengths multiplied by `factor`, too."""
+        return Unit(self.factor * factor)
 
     def where(self, scenes: Bool[Tensor, "batch"]) -> "Unit":
         """The same for these scenes; the others keep their lengths."""
@@ -83,6 +98,15 @@ def own_unit(views: Views) -> Unit:
     known = (distances > 0) & distances.isfinite()
     nearest = torch.exp2(-distances.log2().round()).clamp(1 / LARGEST, LARGEST)
     return Unit(torch.where(known, nearest, 1.0))
+
+
+def unit_of_scene(
+    scene: Reconstruction, photos: Views, unit: Unit, refine_poses: bool
+) -> Unit:
+    """What brings a scene that was made in `unit` back into the unit of the given poses, if it was
+    made on those, or from them (`refine_poses`).
+    """
+    return unit.back.where(has_given_poses(scene, photos) | refine_poses)
 
 
 def has_given_poses(scene: Reconstruction, views: Views) -> Bool[Tensor, "batch"]:

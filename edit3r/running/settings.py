@@ -43,6 +43,7 @@ class RunSettings(TypedDict, total=False):
     up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None
     size: int
     fov: float
+    measure: str
     views: int
     device: str
     frames: int

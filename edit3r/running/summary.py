@@ -9,7 +9,15 @@ from edit3r.running.records import READ_LENS, SelectedRegions
 from edit3r.running.result import RunResult
 from edit3r.running.run_folder import RunFolder
 
-MAKES_NO_OTHER_SCENE = {"prompt", "seed", "frames", "outputs", "export", "guess"}
+MAKES_NO_OTHER_SCENE = {
+    "prompt",
+    "seed",
+    "frames",
+    "outputs",
+    "export",
+    "guess",
+    "measure",
+}
 """Settings that may differ from the defaults without the run being another kind of run."""
 
 # measured by `scenes.py dial`, at the default's size and at 1024 pixels

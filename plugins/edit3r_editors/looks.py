@@ -4,7 +4,8 @@ classical filters.
 Nothing here is generative: autumn turns green into orange, but no leaf falls; marble gets veins
 along the photo's own shades. A look changes each pixel by its own colour, or by a small
 neighbourhood, so that a surface looks alike in all views; no pattern depends on places in the
-picture, where it would swim over the surfaces.
+picture, where it would swim over the surfaces. Two looks are no decoration: they hide what is there
+for good (`hiding`).
 """
 
 import math
@@ -25,11 +26,12 @@ from torch import Tensor
 import edit3r
 from edit3r.contract.errors import PromptError, suggest
 from edit3r.contract.instructions import Instruction, Target
-from edit3r.contract.interfaces import Editor, EditsRegions
+from edit3r.contract.interfaces import Editor, EditsRegions, HidesThings
 from edit3r.contract.reporting import say
 from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.compute.layers import one_thread
 from edit3r.kit.files.configs import read_yaml
+from edit3r_editors.hiding import blurred, pixelated
 
 Images = Float[Tensor, "view 3 height width"]
 Grey = Float[Tensor, "view 1 height width"]
@@ -251,17 +253,22 @@ class Look(NamedTuple):
 
     words: tuple[str, ...]
     does: str
-    draw: Callable[[Images], Images]
+    # of one that hides, `draw(images, where)`: what it draws depends on all of the region
+    draw: Callable[..., Images]
+    hides: bool = False
 
 
 def _looks() -> dict[str, Look]:
     """The looks of `looks.yaml`: words, what it does, and a filter of this file with numbers."""
     drawn = autumn, winter, sketch, cartoon, watercolour, marble, wood, snow, metal
-    filters = {one.__name__: one for one in (graded, *drawn)}
+    hiding = blurred, pixelated
+    filters = {one.__name__: one for one in (graded, *drawn, *hiding)}
     looks = {}
     for name, look in read_yaml(Path(__file__).with_name("looks.yaml")).items():
-        draw = partial(filters[look.pop("draw", "graded")], **look.pop("with", {}))
-        looks[name] = Look(tuple(look["words"].split()), look["does"], draw)
+        draw = filters[look.pop("draw", "graded")]
+        filled = partial(draw, **look.pop("with", {}))
+        words = tuple(look["words"].split())
+        looks[name] = Look(words, look["does"], filled, draw in hiding)
     return looks
 
 
@@ -272,7 +279,7 @@ _NAMES = ("", *LOOKS)
 BY_WORD = {word: name for name, look in LOOKS.items() for word in look.words}
 
 
-class LooksEditor(Editor, EditsRegions):
+class LooksEditor(Editor, EditsRegions, HidesThings):
     """Gives photos, or things in them, one named look.
 
     Colour grading and classical filters, not a generative editor.
@@ -283,12 +290,23 @@ class LooksEditor(Editor, EditsRegions):
             "", description="the look; empty: the one that the prompt names"
         )
         strength: float = Field(1.0, ge=0, le=1)
-        """share of the look; 0 returns the photo"""
+        """share of the look; 0 returns the photo; blur and pixelate hide wholly or not at all"""
 
     settings: Settings
 
     def understands(self, instruction: Instruction) -> bool:
         return bool(self.settings.look) or look_of(instruction) != ""
+
+    def hides(self, instruction: Instruction) -> bool:
+        name = self.settings.look or look_of(instruction)
+        if not name or not LOOKS[name].hides:
+            return False
+        if self.settings.strength < 1:
+            raise PromptError(
+                f"{instruction.text!r} hides wholly or not at all, and editor.strength is "
+                f"{self.settings.strength:g}; leave it out."
+            )
+        return True
 
     def instruction_of_nothing(self) -> Instruction | None:
         if not self.settings.look:
@@ -312,12 +330,15 @@ class LooksEditor(Editor, EditsRegions):
                     f"are {listed}."
                 )
             say("look", f"{name}: {LOOKS[name].does}")
-            drawn = LOOKS[name].draw(photos).expand_as(photos).clamp(0, 1)
-            weight: float | Tensor = self.settings.strength
+            region = torch.ones_like(photos[:, 0])
             if request.regions is not None:
-                region = request.regions[number].flatten(0, 1)[:, None]
-                weight = weight * region.to(photos)
-            photos = torch.lerp(photos, drawn, torch.as_tensor(weight).to(photos))
+                region = request.regions[number].flatten(0, 1).to(photos)
+            if LOOKS[name].hides:
+                photos = LOOKS[name].draw(photos, region > 0)
+                continue
+            drawn = LOOKS[name].draw(photos).expand_as(photos).clamp(0, 1)
+            weight = self.settings.strength * region[:, None]
+            photos = torch.lerp(photos, drawn, weight)
         return replace(views, images=photos.view_as(views.images))
 
 

@@ -106,15 +106,18 @@ def _read_plain(tokens: list[str], clause: Clause) -> Clause:
     unsupported = _unsupported(tokens)
     if unsupported:
         return clause.not_understood(*unsupported)
-    removing = [i for i, token in enumerate(tokens) if token in WORDS.remove]
-    if removing and set(tokens[: removing[0]]) <= WORDS.fillers | WORDS.politeness:
-        return _read_removal(tokens[removing[0] + 1 :], clause)
+    verbs = WORDS.remove | WORDS.hide
+    acting = [i for i, token in enumerate(tokens) if token in verbs]
+    if acting and set(tokens[: acting[0]]) <= WORDS.fillers | WORDS.politeness:
+        return _read_verb(tokens[acting[0]], tokens[acting[0] + 1 :], clause)
     return _read_change(tokens, clause)
 
 
-def _read_removal(named: list[str], clause: Clause) -> Clause:
-    """A clause that takes a thing away, whose words stand after the verb."""
+def _read_verb(verb: str, named: list[str], clause: Clause) -> Clause:
+    """A clause that takes a thing away, or hides it; its words stand after the verb."""
     clause.action, clause.verb_first = "remove", True
+    if verb in WORDS.hide:
+        clause.action, clause.look = "look", verb
     clause.target = read_target(named)
     unclear = unclear_place(named)
     if clause.target.part is not None and "some" in named:  # "some of the red"

@@ -57,7 +57,7 @@ class GrammarReader(Reader):
 
     abilities = (
         "Say what it shall become: a colour, gold, wood, brighter, darker, warmer, black and "
-        "white, a look (autumn, a pencil sketch); or what to remove."
+        "white, a look (autumn, a pencil sketch); or what to remove, blur or pixelate."
     )
 
     def read(self, prompt: str) -> tuple[Instruction, ...]:
@@ -186,7 +186,7 @@ def _beside_colour(word: str, clause: list[str]) -> str:
 
 def _near(word: str) -> str:
     """Asks for words that are spelt nearly like one that nobody knows, colours first."""
-    verbs = WORDS.remove | WORDS.paint | WORDS.imperatives | WORDS.looks
+    verbs = WORDS.remove | WORDS.hide | WORDS.paint | WORDS.imperatives | WORDS.looks
     known = [*verbs, *ADJUSTMENTS, *TINTS]
     near = []
     if len(word) > SHORT:

@@ -39,6 +39,7 @@ class WordSets:
     not_drawn: frozenset[str]
     style: frozenset[str]
     remove: frozenset[str]
+    hide: frozenset[str]
     other: frozenset[str]
     ordinals: frozenset[str]
     unsupported: frozenset[str]
@@ -166,6 +167,7 @@ INSTEAD = {
 SPELLINGS = pairs_of(
     "color=colour colors=colours colored=coloured recolor=recolour recolored=recoloured gray=grey "
     "grayish=greyish watercolor=watercolour watercolours=watercolour watercolors=watercolour "
-    "center=centre rear=back blacken=black whiten=white repaint=paint teh=the plz=please pls=please"
+    "center=centre rear=back blacken=black whiten=white repaint=paint teh=the plz=please "
+    "pls=please blurry=blurred pixellate=pixelate pixelize=pixelate pixelise=pixelate"
 )
 """Words that mean another one."""

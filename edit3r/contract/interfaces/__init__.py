@@ -14,6 +14,7 @@ from edit3r.contract.interfaces.editing import (
     Editor as Editor,
     EditsRegions as EditsRegions,
     GivesAttention as GivesAttention,
+    HidesThings as HidesThings,
     StartsFromImages as StartsFromImages,
 )
 from edit3r.contract.interfaces.judging import (

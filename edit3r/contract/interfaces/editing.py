@@ -68,6 +68,20 @@ class ChangesShape:
     """
 
 
+class HidesThings(ABC):
+    """An editor that can hide what nobody shall see again, such as a face."""
+
+    @abstractmethod
+    def hides(self, instruction: Instruction) -> bool:
+        """Whether the instruction hides its thing for good.
+
+        The run then takes the edited pixels for the photo's own, in all that it keeps and writes,
+        and hands over a region with a hard outline, a few pixels wider than the thing. `edit` must
+        leave nothing of the region from which it could be reconstructed. Raises PromptError where
+        settings of the editor would leave some of it visible.
+        """
+
+
 class StartsFromImages(ABC):
     """An editor that can begin from other images than the photos (Instruct-NeRF2NeRF)."""
 

@@ -61,9 +61,9 @@ class MarkTexts:
                 f"--thing: expected at most {MAX_PROMPT} characters, got {len(self.thing)}."
             )
         frames = [photo.frame for photo in photos.photos]
-        positive = tuple(_point("--point", text, frames) for text in self.points)
+        positive = tuple(read_point("--point", text, frames) for text in self.points)
         negative = tuple(
-            _point("--not-point", text, frames) for text in self.not_points
+            read_point("--not-point", text, frames) for text in self.not_points
         )
         boxes = dict(_box("--box", text, frames) for text in self.boxes)
         masks = self._masks(photos)
@@ -109,7 +109,7 @@ class MarkTexts:
         return {view: read_mask(path, frames[view]) for view, path in found.items()}
 
 
-def _point(flag: str, text: str, frames: list[Frame]) -> tuple[int, float, float]:
+def read_point(flag: str, text: str, frames: list[Frame]) -> tuple[int, float, float]:
     """View, x and y [shares of the view] of `[N:]X,Y`."""
     view, numbers = _numbers(flag, text, frames, "X,Y")
     return (view, *_place(flag, text, _as_shares(numbers, frames[view]), view, frames))

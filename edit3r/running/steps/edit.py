@@ -45,7 +45,9 @@ def edit_alone(
         request = request_of(task, selection, config.seed, instructions)
         request = request.of_views(range(count))
         answer = asking.edit(task.editor, edited, request)
-        if config.moved_edits == "undo":
+        # Moving an edit back may carry the photo's own pixels into it.
+        hides = {*instructions} & {*components.hiding}
+        if config.moved_edits == "undo" and not hides:
             aligned = _in_place(edited, answer, request.masks)
             faults += aligned.faults
             moved += aligned.moved

@@ -22,6 +22,7 @@ from edit3r.kit.photos.coverage import (
 from edit3r.kit.photos.images import LoadedPhotos, find_photos, load_photos
 from edit3r.kit.photos.masks import read_mask
 from edit3r.running.job import RunJob
+from edit3r.running.measuring import with_known_length
 from edit3r.running.records import Inputs
 from edit3r.running.scale import has_given_poses, own_unit
 from edit3r.running.scene_input import SceneInput, read_scene
@@ -47,6 +48,8 @@ def read(
         if job.scene is not None:
             inputs = _read_scene(job, rasterizer())
             inputs = replace(inputs, prompts=(job.config.prompt,))
+            if job.config.measure is not None:
+                inputs = with_known_length(inputs, job.config.measure)
             return _with_marks(inputs, masks, job.components["reader"])
         if job.earlier is not None:
             inputs = job.earlier.inputs
@@ -63,6 +66,8 @@ def read(
                 inputs = _with_masks_of_cameras(inputs)
         inputs = replace(inputs, prompts=(*inputs.prompts, job.config.prompt))
         inputs = _with_marks(inputs, masks, job.components["reader"])
+        if job.config.measure is not None:
+            inputs = with_known_length(inputs, job.config.measure)
         return _in_own_unit(inputs)
 
 

@@ -235,7 +235,7 @@ def _before(
     )
     if not needed or components.changes_shape or not is_confined(masks):
         return None
-    if inputs.before is not None:  # an earlier run's
+    if components.edits_again:  # an earlier run's, unless it shows what is hidden
         return inputs.before
     recon, photos = components.reconstructor, corrected.photos
     if isinstance(recon, EditsViews):

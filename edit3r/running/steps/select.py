@@ -25,6 +25,7 @@ from edit3r.kit import asking
 from edit3r.kit.geometry.maps import dilate_softly
 from edit3r.running.components import Components
 from edit3r.running.geometry import NOT_ASKED, GeometryAnswer, find_geometry
+from edit3r.running.hiding import covering, without_candidates
 from edit3r.running.records import Inputs, Located, Preview, SelectedRegions
 from edit3r.running.scene_input import SceneInput
 from edit3r.running.selecting.near_colour import near_colour
@@ -89,13 +90,16 @@ def require_answer(
             hints = "".join(
                 asking.hint(components.reader, one) for one in selection.instructions
             )
+            shown = inputs
+            if components.hiding:
+                shown = without_candidates(inputs, selection)
             raise QuestionError(
                 f"which is the {thing.called or 'thing'}? The likeliest candidate has a confidence "
                 f"of {confidence:.0%}, so nothing was edited. Take one ({flags}), {ASK}, "
                 "or fetch a detector that knows most words (edit3r weights get words); --guess "
                 f"takes the likeliest.{hints}",
                 thing.candidates,
-                Preview(inputs, _none_taken(selection), None),
+                Preview(shown, _none_taken(selection), None),
             )
 
 
@@ -203,8 +207,10 @@ def _regions(
 def _widened(
     selection: SelectedRegions, inputs: Inputs, components: Components
 ) -> SelectedRegions:
-    """The selection with what editors have to change around the things, such as shadows."""
-    if selection.regions is None or selection.masks is None:
+    """The selection with what editors have to change around the things, such as shadows, and
+    what has to be hidden around them.
+    """
+    if selection.regions is None:
         return selection
     of_tasks = selection.regions.split(
         [len(task.instructions) for task in components.tasks]
@@ -215,6 +221,10 @@ def _widened(
             for task, region in zip(components.tasks, of_tasks)
         ]
     )
+    for hiding in components.hiding:
+        regions[hiding] = covering(regions[hiding])
+    if selection.masks is None:
+        return replace(selection, regions=regions)
     wide = torch.maximum(selection.masks, regions.amax(0))
     return replace(selection, regions=regions, masks=wide)
 

@@ -41,6 +41,11 @@ VIEWS = Views(
         ("turn the bear into marble", "marble"),
         ("make the bear wooden", "wood"),
         ("turn the bear into snow", "snow"),
+        ("blur the faces", "blur"),
+        ("blur out the man's face", "blur"),
+        ("make the number plate blurry", "blur"),
+        ("pixelate the number plate", "pixelate"),
+        ("I want the bear pixelated", "pixelate"),
         ("make it look like mars", ""),
         ("autumn or rather winter", ""),
         ("paint the bear red", ""),
@@ -78,7 +83,7 @@ def edited(prompt="", **settings) -> torch.Tensor:
     return build("editor", "looks", **settings).edit(VIEWS, request).images
 
 
-@pytest.mark.parametrize("look", LOOKS)
+@pytest.mark.parametrize("look", [one for one in LOOKS if not LOOKS[one].hides])
 def test_a_look_is_clearly_seen_and_alike_wherever_a_surface_lies_in_the_picture(look):
     """Cut the photo elsewhere, or mirror it, and every surface keeps its look."""
     drawn = edited(look=look)[0, 0]

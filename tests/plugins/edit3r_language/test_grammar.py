@@ -169,7 +169,7 @@ def test_a_sentence_is_read(sentence, reading):
         ("make the car glossy", "glossy"),
         ("replace the bike with a car", "replace"),
         ("make the chair the same as the table", "same"),
-        ("blur the background", "blur"),
+        ("sharpen the background", "sharpen"),
         ("rends le vélo rouge", "rends"),
         ("把自行车涂成红色", "把自行车涂成红色"),
     ],

@@ -21,7 +21,7 @@ def asked_about(confidence):
         candidates=(Candidate(0, mask, 0.5, 1),),
     )
     config = SimpleNamespace(guess=False, set_by_the_user=dict)
-    components = SimpleNamespace(config=config, reader=None)
+    components = SimpleNamespace(config=config, reader=None, hiding=())
     selection = SelectedRegions(selected=(found,))
     try:
         require_answer(SimpleNamespace(), selection, components)
