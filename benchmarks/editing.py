@@ -1,6 +1,6 @@
-"""What editors and methods that optimise do: looks, things taken away, fits.
+"""What editors and methods that optimise do: looks, styles, things taken away, fits.
 
-python benchmarks/editing.py looks|retouch|fits --help
+python benchmarks/editing.py looks|style|retouch|fits --help
 """
 
 import argparse
@@ -19,10 +19,12 @@ import edit3r
 from edit3r.contract.errors import MatchingError
 from edit3r.contract.interfaces import Geometry, SceneSample
 from edit3r.contract.types import EditRequest, Gaussians, Views
+from edit3r.kit.compute.lpips import lpips_distance
 from edit3r.kit.compute.metrics import psnr
 from edit3r.kit.geometry.cameras import project, unproject
 from edit3r.kit.geometry.maps import dilate
-from edit3r.kit.photos.images import find_photos, packaged_pair
+from edit3r.kit.geometry.warping import shared_surface, warp
+from edit3r.kit.photos.images import find_photos, packaged_pair, save_image
 from edit3r.kit.reconstructing import WithMatcher
 
 # ---- looks ----
@@ -37,6 +39,16 @@ def measure(views: Views, edited: torch.Tensor, seconds: float) -> list[float]:
         disagreement(views.images[0], edited[0]) or np.nan,
         seconds / views.count,
     ]
+
+
+def scenes_of(pairs: list[str], size: int) -> list[Views]:
+    """The packaged pair, and photos of folders."""
+    scenes = [packaged_pair()[0]]
+    for pair in pairs:
+        folder, _, numbers = pair.rpartition(":")
+        photos = find_photos([Path(folder)], 10_000)
+        scenes.append([photos[int(number)] for number in numbers.split(",")])
+    return [edit3r.load_views(scene, size=size) for scene in scenes]
 
 
 def looks() -> None:
@@ -57,12 +69,7 @@ def looks() -> None:
     parser.add_argument("pairs", nargs="*", metavar="FOLDER:FIRST,SECOND")
     parser.add_argument("--size", type=int, default=448)
     options = parser.parse_args()
-    pairs = [packaged_pair()[0]]
-    for pair in options.pairs:
-        folder, _, numbers = pair.rpartition(":")
-        photos = find_photos([Path(folder)], 10_000)
-        pairs.append([photos[int(number)] for number in numbers.split(",")])
-    scenes = [edit3r.load_views(pair, size=options.size) for pair in pairs]
+    scenes = scenes_of(options.pairs, options.size)
     from edit3r_editors.looks import LOOKS
 
     named = [look for look in LOOKS if not LOOKS[look].hides]
@@ -86,6 +93,60 @@ def looks() -> None:
         print(
             f"| {look} | {change:.3f} | {apart:.3f} | {apart / change:.2f} | {seconds:.2f} |"
         )
+
+
+# ---- style ----
+
+
+def style() -> None:
+    """Do two photos agree in the style of a picture as they do in a named look?
+
+        python benchmarks/editing.py style PICTURE ... --pairs FOLDER:FIRST,SECOND ...
+
+    A line an edit, over the packaged pair and those of folders: LPIPS between the first edited
+    photo and the second one laid on it where the geometry of the photos (matcher `classical`) says
+    that both show one surface (as a share of that; 0: alike), and processor seconds for one photo.
+    """
+    parser = argparse.ArgumentParser(
+        description=style.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("pictures", nargs="+", metavar="PICTURE")
+    parser.add_argument("--pairs", nargs="*", default=[], metavar="FOLDER:FIRST,SECOND")
+    parser.add_argument("--strokes", nargs="*", type=float, default=[0.0, 0.5, 1.0])
+    parser.add_argument("--size", type=int, default=384)
+    parser.add_argument("--out", type=Path, help="folder for the edited photos")
+    options = parser.parse_args()
+    editors = {
+        "the photos": edit3r.build("editor", "none"),
+        "looks: sketch": edit3r.build("editor", "looks", look="sketch"),
+    }
+    for picture in options.pictures:
+        for strokes in options.strokes:
+            settings = {"picture": picture, "strokes": strokes}
+            name = f"{Path(picture).stem}, strokes {strokes:g}"
+            editors[name] = edit3r.build("editor", "style", **settings)
+    rows: dict[str, list[list[float]]] = {name: [] for name in editors}
+    for number, views in enumerate(scenes_of(options.pairs, options.size)):
+        geometry = edit3r.build("matcher", "classical").match(views)
+        intrinsics = geometry.calibrated(views).intrinsics[0]
+        places, same = shared_surface(geometry.depths[0], intrinsics, geometry.c2w[0])
+        for name, editor in editors.items():
+            start = time.process_time()
+            first, second = editor.edit(views, EditRequest("")).images[0]
+            seconds = (time.process_time() - start) / views.count
+            laid = torch.where(same, warp(second, places), first)
+            pair = (image.permute(1, 2, 0).numpy() for image in (first, laid))
+            rows[name].append(
+                [lpips_distance(*pair) / float(same.float().mean()), seconds]
+            )
+            if options.out:
+                for view, image in enumerate((first, second)):
+                    save_image(image, options.out / f"{number} {name} {view}.png")
+    print("| edit | LPIPS of each pair | mean | CPU s |\n| --- | --- | --: | --: |")
+    for name, measured in rows.items():
+        apart, seconds = zip(*measured)
+        each = " ".join(f"{value:.3f}" for value in apart)
+        print(f"| {name} | {each} | {fmean(apart):.3f} | {fmean(seconds):.2f} |")
 
 
 # ---- retouch ----
@@ -360,4 +421,4 @@ def fits() -> None:
 
 
 if __name__ == "__main__":
-    run_benchmark(looks, retouch, fits)
+    run_benchmark(looks, style, retouch, fits)

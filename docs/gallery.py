@@ -1,9 +1,9 @@
 """A page of edited scenes that move, each with its command, its verdicts and its viewer.
 
-    python docs/gallery.py OUT [--data DIR] [--only NAME ...]
+    python docs/gallery.py OUT [--only NAME ...]          OUT/index.html is the page
+    python docs/gallery.py docs/scenes --pages            for docs/scenes.md: viewers alone
 
-OUT/index.html is the page. DIR holds photo sets, one folder a set, as the benchmarks use them;
-without it only the pair that ships is edited. The moving images of the README are from here.
+All are made from photos that ship. The moving images of the README are from here.
 """
 
 import argparse
@@ -19,7 +19,8 @@ from pathlib import Path
 import cv2
 from PIL import Image
 
-OPERA = ("soh_pair/images/000.jpg", "soh_pair/images/010.jpg")
+ROOT = Path(__file__).parents[1]
+OPERA = tuple(f"plugins/edit3r_app/made/opera_house_{number}.jpg" for number in (1, 2))
 WIDTH = 320  # of a moving image [pixels]
 MILLISECONDS = 70  # of one of its frames
 PAGE = """<!doctype html><meta charset="utf-8"><title>edit3r: edited scenes</title>
@@ -51,6 +52,7 @@ class Edit:
     prompt: str
     photos: tuple[str, ...] = ()  # none: the pair that ships
     more: str = ""  # other words of the command
+    on_site: bool = True  # False: it takes learned weights to be good
 
     @property
     def command(self) -> list[str]:
@@ -60,7 +62,7 @@ class Edit:
 
 EDITS = (
     Edit("blue", "paint the motorcycle blue"),
-    Edit("gold", "paint the tank gold", more="--point 0.55,0.41"),
+    Edit("gold", "paint the tank gold", more="--point 0.55,0.41", on_site=False),
     Edit("only-red", "everything but the motorcycle in black and white"),
     Edit("night", "make it night"),
     Edit("sketch", "make it a pencil sketch"),
@@ -72,35 +74,50 @@ EDITS = (
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("out", type=Path)
-    parser.add_argument("--data", type=Path, help="folder of photo sets")
     parser.add_argument("--only", nargs="*", default=[], help="names of scenes")
+    parser.add_argument(
+        "--pages", action="store_true", help="leave viewers, and what is said of each"
+    )
     args = parser.parse_args()
     args.out.mkdir(parents=True, exist_ok=True)
-    cards = []
+    shown = []
     for edit in EDITS:
         if (args.only and edit.name not in args.only) or (
-            edit.photos and not args.data
+            args.pages and not edit.on_site
         ):
             continue
-        folder = args.out.resolve() / edit.name
-        shutil.rmtree(folder, ignore_errors=True)
-        command = [sys.executable, "-m", *edit.command, "--out", str(folder), "--quiet"]
-        subprocess.run(command, cwd=args.data, check=True)
-        moving_image(folder / "video.webm", args.out / f"{edit.name}.webp")
-        run = json.loads((folder / "run.json").read_text())
-        shown = {
-            "name": edit.name,
-            "prompt": edit.prompt,
-            "selected": (run["selection_verdict"] or {"label": "all of it"})["label"],
-            "edit": run["edit_verdict"]["label"],
-            "scene": run["verdict"]["label"],
-            "command": shlex.join(edit.command),
-        }
-        cards.append(
-            CARD.format(**{key: html.escape(text) for key, text in shown.items()})
-        )
-        (args.out / "index.html").write_text(PAGE.format(cards="\n".join(cards)))
-        print(f"{edit.name}: edit {shown['edit']}, scene {shown['scene']}")
+        shown.append(made(edit, args.out.resolve() / edit.name, args.pages))
+        if args.pages:
+            text = json.dumps(shown, indent=1)
+            (args.out / "scenes.json").write_text(text + "\n", encoding="utf-8")
+        else:
+            cards = (
+                CARD.format(**{key: html.escape(text) for key, text in one.items()})
+                for one in shown
+            )
+            (args.out / "index.html").write_text(PAGE.format(cards="\n".join(cards)))
+        print("{name}: edit {edit}, scene {scene}".format(**shown[-1]))
+
+
+def made(edit: Edit, folder: Path, page_alone: bool) -> dict[str, str]:
+    """Run an edit; what its card says. The folder of the run stays, or its viewer beside it."""
+    shutil.rmtree(folder, ignore_errors=True)
+    command = [sys.executable, "-m", *edit.command, "--out", str(folder), "--quiet"]
+    subprocess.run(command, cwd=ROOT, check=True)
+    run = json.loads((folder / "run.json").read_text())
+    if page_alone:
+        shutil.move(folder / "viewer.html", folder.with_suffix(".html"))
+        shutil.rmtree(folder)
+    else:
+        moving_image(folder / "video.webm", folder.with_suffix(".webp"))
+    return {
+        "name": edit.name,
+        "prompt": edit.prompt,
+        "selected": (run["selection_verdict"] or {"label": "all of it"})["label"],
+        "edit": run["edit_verdict"]["label"],
+        "scene": run["verdict"]["label"],
+        "command": shlex.join(edit.command),
+    }
 
 
 def moving_image(video: Path, path: Path) -> None:

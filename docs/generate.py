@@ -393,9 +393,32 @@ def tried(kind: str, component: Component) -> str:
     return "a fake service" if component.needs_network else "tests"
 
 
+SCENES = DOCS / "scenes"
+SCENE = """## {prompt}
+
+<iframe src="{name}.html" title="{prompt}" loading="lazy" allowfullscreen
+ style="width: 100%; aspect-ratio: 3 / 2; border: 0; border-radius: 6px"></iframe>
+
+Selected: {selected}, edit: {edit}, scene: {scene}. [All of the window]({name}.html).
+
+```sh
+{command}
+```
+"""
+
+
+def scenes_part() -> str:
+    """The viewers that `python docs/gallery.py docs/scenes --pages` made."""
+    made = SCENES / "scenes.json"
+    if not made.is_file():
+        return "*They are not in this copy of the site.*"
+    shown = json.loads(made.read_text(encoding="utf-8"))
+    return "\n".join(SCENE.format(**one) for one in shown)
+
+
 def on_page_markdown(markdown, page, config, files):
-    """mkdocs hands over the text of a page: complete that of a plugin."""
-    return completed(markdown)
+    """mkdocs hands over the text of a page: complete that of a plugin, show what was made."""
+    return completed(markdown).replace("<!-- scenes -->", scenes_part())
 
 
 def on_files(files, config):

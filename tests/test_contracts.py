@@ -61,6 +61,7 @@ DECLARATION_ONLY: dict[tuple[str, str], str] = {
     ("detector", "coco"): "needs weights of 8 MB",
     ("editor", "folder"): "needs an edited picture of each view",
     ("editor", "command"): "needs a program",
+    ("editor", "style"): "needs weights of 3 MB and a picture",
     ("editor", "instruct-pix2pix"): "needs weights of 4 GB",
     ("editor", "diffusers"): "needs a class and weights",
     ("editor", "flux-kontext"): "needs weights of 34 GB",
@@ -96,6 +97,7 @@ PLUGIN_TESTS = Path(__file__).with_name("plugins")
 TRIED_IN: dict[tuple[str, ...], str] = {
     ("command",): "edit3r_editors/test_command.py",
     ("folder",): "edit3r_editors/test_folder.py",
+    ("style",): "edit3r_style/test_style.py",
     (
         "controlnet-depth",
         "diffusers",

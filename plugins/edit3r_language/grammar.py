@@ -87,7 +87,8 @@ class GrammarReader(Reader):
         return read_target(words.lower().split())
 
     def hint(self, instruction: Instruction) -> str:
-        hints = []
+        look = instruction.look.split()
+        hints = [f" {INSTEAD[word]}" for word in look if word in INSTEAD]
         for word in instruction.unread:
             if word in INSTEAD:
                 hints.append(f" {INSTEAD[word]}")

@@ -155,6 +155,10 @@ INSTEAD = {
     "pastel": "A shade needs a colour: pastel pink.",
     "corner": "Say which: the top right corner, the corner at the left.",
     **dict.fromkeys(
+        ("picture", "painting", "image", "photo", "artwork", "drawing"),
+        "The picture is given by --editor style --set editor.picture=FILE.",
+    ),
+    **dict.fromkeys(
         ("everything", "anything", "whatever", "stuff", "things"),
         "Name the things, or mark them by a click or a box.",
     ),
