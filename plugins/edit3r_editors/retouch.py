@@ -31,6 +31,7 @@ from edit3r.contract.types import EditRequest, Views
 from edit3r.kit.geometry.cameras import project, project_to_pixels, unproject
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.geometry.warping import warp
+from edit3r_editors.patterns import with_patterns
 
 # By eye, but for MAX_ERROR_BESIDE: docs/notes/recoloring.md.
 # relative difference in depth within which a surface is taken to be the one that is looked for
@@ -40,11 +41,6 @@ NEAR = 0.1
 SURE = 0.5
 # of what another photo shows beside a hole: largest mean error, as a share of the contrast there
 MAX_ERROR_BESIDE = 0.3
-# of what is invented, by twelve cut holes: how much of its surroundings is copied from [its longer
-# sides]; wider, pieces of other things come in
-AROUND = 0.5
-SPECK = 8  # shorter side under which a piece is spanned smoothly [pixels]
-LARGEST = 128  # longer side at which a piece is filled, at most [pixels]
 NOISE = 0.01  # error that photos of one surface have anyway
 BESIDE = 0.06  # how far from a hole its surroundings reach [longer sides]
 STANDS = 0.05  # relative difference in depth within which things touch each other
@@ -133,7 +129,7 @@ class RetouchEditor(Editor, ChangesShape, EditsRegions):
             )
         unseen = hole & ~seen
         if geometry is None or hidden is None:
-            return torch.stack([_inpainted(*one) for one in zip(images, unseen)])
+            return torch.stack([inpainted(*one) for one in zip(images, unseen)])
         placed = geometry.registered[scene].tolist()
         lenses, poses = views.intrinsics[scene], geometry.c2w[scene]
         return _invented(images, unseen, hidden, placed, lenses, poses)
@@ -207,7 +203,7 @@ def _shadow(
         return mask
     near = dilate(mask[None], reach)[0] > 0
     known = torch.where(near, torch.zeros_like(image), image.clamp(min=1e-3))
-    beyond = torch.stack([_spanned(one) for one in known.cpu()])
+    beyond = torch.stack([spanned(one) for one in known.cpu()])
     share = image / beyond.to(image).clamp(min=DARK)
     grey = share.amax(0) - share.amin(0) < MAX_TINT
     rows = mask.nonzero()[:, 0]
@@ -255,7 +251,7 @@ def behind(
         sources = torch.cat([points[o][sure[o]] for o in others])
         hole, lens, pose = holes[view], intrinsics[view], c2w[view]
         carried = _carried(sources, lens, pose, hole)
-        inverse = _spanned(torch.where(hole, carried, known)).to(depths)
+        inverse = spanned(torch.where(hole, carried, known)).to(depths)
         # never before what is removed
         background = 1 / torch.minimum(inverse, 1 / depths[view]).clamp(min=1e-9)
         hidden[view] = torch.where(hole, background, depths[view])
@@ -304,7 +300,7 @@ def _invented(
             shown = warp(filled[other], grid)
             filled[view] = torch.where(same, shown, filled[view])
             gap &= ~same
-        filled[view] = _inpainted(filled[view], gap)
+        filled[view] = inpainted(filled[view], gap)
         done += [view] * placed[view]
     return filled
 
@@ -369,7 +365,7 @@ def _carried(
     return torch.where(hole & clear, nearest, 0.0)
 
 
-def _spanned(values: Float[Tensor, "height width"]) -> Float[Tensor, "height width"]:
+def spanned(values: Float[Tensor, "height width"]) -> Float[Tensor, "height width"]:
     """The map, its zeros filled by a membrane that continues planes; on the CPU."""
     return torch.from_numpy(_membrane(values.numpy(force=True)))
 
@@ -391,50 +387,15 @@ def _membrane(
     return smooth
 
 
-def _inpainted(
+def inpainted(
     image: Float[Tensor, "3 height width"], hole: Bool[Tensor, "height width"]
 ) -> Float[Tensor, "3 height width"]:
-    """The image with each piece of the hole filled by copies of what surrounds it, by OpenCV's
-    shift map (He and Sun, "Statistics of Patch Offsets for Image Completion", 2012); specks are
-    spanned smoothly.
-    """
+    """The image with the hole spanned from its surroundings, and their patterns in it."""
     if not hole.any():
         return image
     known = torch.where(hole, 0.0, image + 1)  # 0 is unknown
-    smooth = torch.stack([_spanned(one) for one in known]).to(image) - 1
+    smooth = torch.stack([spanned(one) for one in known]).to(image) - 1
     filled = torch.where(hole, smooth.clamp(0, 1), image)
-    picture = filled.permute(1, 2, 0).numpy(force=True).copy()
-    unknown = hole.numpy(force=True)
-    count, labels, boxes, _ = cv2.connectedComponentsWithStats(unknown.astype(np.uint8))
-    for label in range(1, count):
-        left, top, width, height, _ = boxes[label]
-        if min(width, height) < SPECK:
-            continue
-        margin = round(AROUND * max(width, height))
-        rows = slice(max(0, top - margin), top + height + margin)
-        columns = slice(max(0, left - margin), left + width + margin)
-        around = picture[rows, columns]
-        copied = _copied(around, unknown[rows, columns], max(width, height))
-        piece = labels[rows, columns] == label
-        around[piece] = copied[piece]
-    return torch.from_numpy(picture).permute(2, 0, 1).to(image)
-
-
-def _copied(
-    picture: Float[np.ndarray, "height width 3"],
-    hole: Bool[np.ndarray, "height width"],
-    side: int,
-) -> Float[np.ndarray, "height width 3"]:
-    """The picture with its hole, `side` pixels long, filled from the rest; large ones coarsely."""
-    scale = min(1.0, LARGEST / side)
-    size = [round(scale * length) for length in hole.shape[::-1]]
-    pixels = (255 * picture).round().astype(np.uint8)
-    small = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-    open_ = cv2.resize(hole.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST)
-    colours = cv2.cvtColor(small, cv2.COLOR_RGB2Lab)
-    filled = np.zeros_like(colours)
-    known = 255 * (1 - open_)
-    cv2.xphoto.inpaint(colours, known, filled, cv2.xphoto.INPAINT_SHIFTMAP)
-    filled = cv2.cvtColor(filled, cv2.COLOR_Lab2RGB).astype(np.float32) / 255
-    large = cv2.resize(filled, hole.shape[::-1], interpolation=cv2.INTER_CUBIC)
-    return large.clip(0, 1)  # cubic goes beyond
+    picture = filled.permute(1, 2, 0).numpy(force=True)
+    patterned = torch.from_numpy(with_patterns(picture, hole.numpy(force=True)))
+    return torch.where(hole, patterned.permute(2, 0, 1).to(image), image)
