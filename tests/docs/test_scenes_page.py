@@ -62,6 +62,11 @@ def test_the_gallery_leaves_one_file_a_scene_and_what_is_said_of_it(copied):
     left = {file.name for file in (copied / "docs/scenes").iterdir()}
     assert len(names) == 6
     assert left == {"scenes.json", *(f"{name}.html" for name in names)}
+    said = json.loads((copied / "docs/scenes/scenes.json").read_text())
+    assert {one["name"] for one in said} == names
+    for one in said:
+        verdicts = (one["selected"], one["edit"], one["scene"])
+        assert verdicts == ("all of it", "doubtful", "good")
 
 
 def test_every_photo_of_the_site_ships():

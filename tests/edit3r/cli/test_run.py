@@ -195,7 +195,7 @@ def test_a_preview_is_an_image_and_replaces_no_photo(tmp_path, capsys, name, sai
 
 def test_a_preview_is_one_image_file_and_nothing_in_3d(posed_photos, tmp_path, capsys):
     photos = [str(path) for path in sorted(posed_photos.glob("?.png"))]
-    sheet = tmp_path / "preview.png"
+    sheet = tmp_path / "preview.PNG"
     words = ["--prompt", "make it darker", "--out", str(tmp_path / "out")]
     assert main(["run", *photos, *words, "--preview", str(sheet)]) == 0
     assert sheet.is_file() and not (tmp_path / "out").exists()

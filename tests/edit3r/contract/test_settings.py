@@ -3,7 +3,14 @@ from hypothesis import given, strategies as st
 from pydantic import Field
 
 from edit3r.contract.errors import InputError, SettingsError
-from edit3r.contract.settings import PartChoice, Settings, make_settings, merge
+from edit3r.contract.settings import (
+    USER_ONLY,
+    PartChoice,
+    Settings,
+    make_settings,
+    merge,
+    of_file,
+)
 from edit3r.kit.files.configs import find_config, parse_assignments, read_yaml
 
 
@@ -74,6 +81,21 @@ def test_a_long_value_is_not_repeated_whole_in_the_error():
     with pytest.raises(SettingsError) as error:
         make_settings(Sizes, {"size": "x" * 10_000}, where="run")
     assert len(str(error.value)) < 400
+
+
+class Programs(Settings):
+    one: str = Field("", json_schema_extra=USER_ONLY)
+    some: list[str] = Field([], json_schema_extra=USER_ONLY)
+
+
+@pytest.mark.parametrize("values", [{"one": "mark"}, {"some": ["mark"]}])
+def test_a_program_is_named_by_the_user_alone_in_lists_too(values):
+    made = make_settings(Programs, values, "editor")
+    assert made.model_dump(exclude_defaults=True) == values
+    with pytest.raises(SettingsError, match="a file may not give this setting"):
+        make_settings(Programs, of_file(values), "editor")
+    nothing = {name: type(value)() for name, value in values.items()}
+    make_settings(Programs, of_file(nothing), "editor")
 
 
 def test_later_layers_replace_leaves_and_keep_the_rest():

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from edit3r.kit.contact_sheet import draw_sheet
+from edit3r.contract.interfaces import OtherCandidates
+from edit3r.kit.contact_sheet import draw_sheet, with_candidates
 
 
 def flat(views, size, colour):
@@ -48,6 +49,18 @@ def test_any_prompt_fits(title):
 @pytest.mark.parametrize("size", [(1, 1), (1, 1000), (900, 2)])
 def test_extreme_shapes_are_drawn(size):
     assert drawn(2, size).width > 100
+
+
+def test_all_that_else_may_be_meant_is_shown_whole_below_a_narrow_sheet():
+    yellow = OtherCandidates(
+        flat(1, (64, 64), [1.0, 1.0, 0])[0],
+        "a",
+        {f"--candidate {number}": torch.zeros(64, 64) for number in range(2, 10)},
+    )
+    sheet = with_candidates(drawn(1, (256, 256)), [yellow])
+    shown = share(sheet, [255, 255, 0]) * sheet.width * sheet.height
+    assert shown == pytest.approx(8 * 256**2)
+    assert share(sheet, [255, 0, 0]) > 0
 
 
 def test_mismatched_counts_are_an_error():

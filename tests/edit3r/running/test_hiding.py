@@ -19,6 +19,8 @@ from PIL import Image
 
 from edit3r.cli.main import main
 from edit3r.contract.errors import QuestionError
+from edit3r.contract.interfaces import Candidate, Selected
+from edit3r.contract.types import Views
 from edit3r.kit.geometry.harmonics import dc_to_colour
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.scenes.ply import save_ply
@@ -26,8 +28,9 @@ from edit3r.kit.scenes.reading import load_scene
 from edit3r.loading.registry import default_registry
 from edit3r.running.components import Components, with_reader
 from edit3r.running.config import make_run_config
-from edit3r.running.hiding import covering
+from edit3r.running.hiding import covering, without_candidates
 from edit3r.running.job import RunJob
+from edit3r.running.records import Inputs, SelectedRegions
 from tests.plugins.scan import scan
 
 MAGENTA, GREEN = (1.0, 0.0, 1.0), (0.0, 1.0, 0.0)
@@ -227,6 +230,19 @@ def test_the_sheet_of_a_question_shows_candidates_as_grey_shapes(photos, tmp_pat
     words = ["run", *files, "--prompt", "blur the zorbic", "--out", str(out)]
     assert main(words) == QuestionError.exit_code
     assert told_by(tmp_path / "out-question.png") == 0
+
+
+def test_a_candidate_that_was_not_taken_is_a_grey_shape_too():
+    photos = Views(torch.zeros(1, 2, 3, 40, 60), torch.eye(3).expand(1, 2, 3, 3))
+    taken, other = torch.zeros(2, 1, 40, 60), torch.zeros(40, 60)
+    taken[0, 0, 5:10, 5:10], other[20:30, 40:50] = 1, 1
+    candidates = (Candidate(0, taken[0, 0], 0.6, 1), Candidate(1, other, 0.4, 2))
+    found = Selected(taken, ("guess", "geometry"), candidates=candidates)
+    asked = SelectedRegions(selected=(found,))
+    shown = without_candidates(Inputs(photos, photos), asked).photos.images
+    grey = shown[0, :, 0] == 0.5
+    assert grey[0, 5:10, 5:10].all() and grey[1, 20:30, 40:50].all()
+    assert not grey[0, 20:30, 40:50].any() and not grey[1, 5:10, 5:10].any()
 
 
 @pytest.mark.parametrize(

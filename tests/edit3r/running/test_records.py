@@ -2,7 +2,7 @@
 
 import torch
 
-from edit3r.contract.interfaces import Geometry
+from edit3r.contract.interfaces import Candidate, Geometry, Selected
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.exposure import Exposure, ExposureOfEdit
 from edit3r.running.geometry import GeometryAnswer
@@ -62,9 +62,21 @@ def test_what_was_located_of_some_views():
 
 
 def test_what_was_selected_and_edited_on_some_views():
+    candidates = tuple(
+        Candidate(view, MAPS[0, view], 0.5, 3 - view) for view in range(3)
+    )
+    found = Selected(
+        MAPS[0, :, None], ("words", "geometry", "marked"), (), 0.5, candidates
+    )
     some = SelectedRegions(
-        MAPS, MAPS[None].repeat(2, 1, 1, 1, 1), things={"bike": MAPS[0]}
+        MAPS,
+        MAPS[None].repeat(2, 1, 1, 1, 1),
+        selected=(found,),
+        things={"bike": MAPS[0]},
     ).select(KEPT)
+    (left,) = some.selected
+    assert left.how == ("words", "marked") and told(left.masks[None, :, 0]) == KEPT
+    assert [(one.view, one.number) for one in left.candidates] == [(0, 3), (1, 1)]
     assert told(some.masks) == told(some.regions[1]) == KEPT
     assert told(some.things["bike"][None]) == KEPT
     edited = EditedPhotos(VIEWS, ("a fault",)).select(KEPT)

@@ -15,6 +15,7 @@ from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.scenes.reading import load_scene
 from edit3r.kit.scenes.scene_views import BACKGROUND, look_around
+from edit3r.running.scene_input import read_scene
 from tests.plugins.scan import of_ball, scan
 
 QUICK = {"size": 48, "views": 4, "outputs": ("scene",)}
@@ -130,6 +131,16 @@ def test_cameras_beside_a_scene_are_used_and_come_back_in_its_own_frame(tmp_path
     told = json.loads((tmp_path / "out" / "cameras.json").read_text())
     for one, pose in zip(told, cameras.c2w[0]):
         assert torch.allclose(torch.tensor(one["c2w"]), pose, atol=1e-5)
+
+
+def test_a_camera_that_sees_nothing_of_the_scene_is_left_out_with_its_name(tmp_path):
+    save_ply(tmp_path / "scan.ply", scan())
+    rasterizer = edit3r.build("rasterizer", "numba")
+    cameras = look_around(scan(), rasterizer, count=3, size=(30, 40)).cameras
+    cameras.c2w[0, 1, :3, [0, 2]] *= -1  # looks away
+    names = ["a.png", "b.png", "c.png"]
+    write_cameras(tmp_path / "cameras.json", posed_cameras(cameras, names))
+    assert read_scene(tmp_path / "scan.ply", rasterizer).places.names == ("a", "c")
 
 
 def test_a_region_marked_on_a_picture_is_edited_from_the_command_line(tmp_path, capsys):

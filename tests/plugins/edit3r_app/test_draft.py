@@ -98,6 +98,9 @@ def test_steps_add_up_and_are_taken_back_one_by_one():
     draft.take(Step("grow", 1))
     draft.take(Step("grow", 12))  # typed on: one step
     assert draft.outline == {"larger": -1, "candidate": 1, "grow": 12, "invert": True}
+    draft.take(Step("invert"))
+    assert not draft.outline["invert"]
+    draft.take_back()
     draft.take_back()
     assert draft.outline == {"larger": -1, "candidate": 1, "grow": 0, "invert": True}
     draft.take_back()

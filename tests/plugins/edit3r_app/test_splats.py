@@ -1,5 +1,7 @@
 """A scene that is dropped: its pictures are what the page shows, and its own file is edited."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from edit3r_app import sessions, uploads
@@ -77,11 +79,13 @@ def test_a_stroke_over_the_page_lies_in_the_frame_of_the_file(dropped):
     rasterizer = edit3r.build("rasterizer", "auto")
     given = read_scene(file, rasterizer, cameras=cameras)
     stroke = {"right": [1, 0, 0], "down": [0, 1, 0], "forward": [0, 0, 1]}
-    own = _in_own_frame({**stroke, "centre": [0, 0, 0]}, given)
+    given = replace(given, views=replace(given.views, unit=2.0))
+    own = _in_own_frame({**stroke, "centre": [0.5, 0, 1]}, given)
     eye = given.places.cameras.c2w[0, 0].double()
     axes = torch.tensor([own[axis] for axis in stroke]).double().T
     assert torch.allclose(axes, eye[:3, :3], atol=1e-6)
-    assert torch.allclose(torch.tensor(own["centre"]).double(), eye[:3, 3], atol=1e-6)
+    centre = eye[:3, :3] @ torch.tensor([1.0, 0, 2]).double() + eye[:3, 3]
+    assert torch.allclose(torch.tensor(own["centre"]).double(), centre, atol=1e-6)
     assert _in_own_frame("none", given) == "none"  # refused where strokes are read
 
 

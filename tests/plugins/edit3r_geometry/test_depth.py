@@ -313,6 +313,7 @@ def test_what_hides_another_s_sky_is_moved_until_the_others_look_past_it(noise):
     guessed[:20, 30:40] = True
     shown = np.full(SIZE, 0.1, np.float32)
     shown[:30] = 0
+    shown[:, :10] = 0.1  # a wall, which is not to be hidden either
     moved = pull_forward(guess, guessed, picture, [(beside, shown)])
     assert (moved[~guessed] == 0.1).all()
     # A point leaves the neighbour's image on the left: x - 60 * 0.5 * inverse depth < 0.

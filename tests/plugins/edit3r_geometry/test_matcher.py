@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 from edit3r_geometry import matchers
+from edit3r_geometry.calibration import LensReading
 
 import edit3r
 from edit3r import Views
@@ -297,3 +298,21 @@ def test_a_lens_bends_where_that_is_strong_and_explains_what_is_off(
     found = matcher.lens(views)
     assert (found is not None) == bent
     assert not bent or found.distortion[0] == radial
+
+
+@pytest.mark.parametrize("alike", [None, (40.0, 80.0)])
+def test_a_lens_that_no_pair_tells_is_not_bent_by_all_photos_together(
+    plain, monkeypatch, alike
+):
+    asked = []
+
+    def register(*given, free_focal):
+        asked.append(free_focal)
+        raise MatchingError("seen enough")
+
+    monkeypatch.setattr(matchers, "register", register)
+    monkeypatch.setattr(matchers, "calibrate", lambda *_: LensReading(60.0, alike))
+    views = replace(photograph(3, (64, 80)).views, assumed=(True,) * 3)
+    with pytest.raises(MatchingError, match="seen enough"):
+        plain.match(views)
+    assert set(asked) == {alike is None}

@@ -123,6 +123,16 @@ def test_a_removed_thing_is_taken_out_and_the_rest_keeps_its_bits(rasterizer):
     assert torch.equal(made.gaussians.means, scene.gaussians.means[:, made.kept])
 
 
+def test_a_mask_that_covers_what_is_empty_too_removes_the_thing(rasterizer):
+    scene = seen(scan(), rasterizer)
+    views = Views(scene.images, scene.cameras.intrinsics)
+    wide = torch.maximum(red_pixels(scene), (scene.alphas[0] < 0.02).float())
+    recon = in_place(scene, fill=False)
+    made = recon.edit_and_reconstruct(views, views, removal(wide))
+    gone, stays = (of_ball(scene.gaussians, one) for one in (0, 1))
+    assert made.kept[gone].float().mean() < 0.1 < 0.9 < made.kept[stays].float().mean()
+
+
 def test_a_removal_that_nothing_places_is_refused(rasterizer):
     scene = seen(scan(), rasterizer, count=2)
     views = Views(scene.images, scene.cameras.intrinsics)

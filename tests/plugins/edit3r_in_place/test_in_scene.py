@@ -94,6 +94,13 @@ def test_a_name_beside_a_click_is_that_of_a_part_of_the_scene(
     assert (covered > share) == (not words)
 
 
+def test_candidates_are_of_the_picture_that_was_marked(scene, selector):
+    selector.usual = AllOfIt()
+    views = Views(scene.images, scene.cameras.intrinsics)
+    found = selector.select(views, on_ball(scene, 3))
+    assert [one.view for one in found.candidates] == [3, 3]
+
+
 def test_the_rest_is_selected_where_the_selection_is_inverted(scene, selector):
     views = Views(scene.images, scene.cameras.intrinsics)
     marks = on_ball(scene)

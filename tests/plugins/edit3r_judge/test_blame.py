@@ -1,9 +1,12 @@
 """A part that is broken makes the scene poor and is named; sound ones are not blamed."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 import torch
+from edit3r_judge import blame
+from edit3r_judge.skill import Skill
 
 import edit3r
 from edit3r.contract.interfaces import Matcher, Rasterizer, Refiner
@@ -70,6 +73,14 @@ def test_a_scene_whose_gaussians_come_from_no_view_is_told_by_what_it_shows(kind
     assert verdict_of(OfNobody()).label == "good"
     verdict = verdict_of(OfNobody(kind, KINDS[kind][-1]))
     assert (verdict.label, verdict.part) == ("poor", "reconstructor")
+
+
+def test_of_two_neighbours_of_a_photo_the_worse_counts(monkeypatch):
+    seen = [Skill(0, 6.0, 3.0, 8.0), Skill(0, 9.0, 9.0, None), Skill(1, 4.0, 4.0, 8.0)]
+    monkeypatch.setattr(blame, "skills", lambda scene: seen)
+    scene = SimpleNamespace(edited=SCENE.views, reference=None)
+    found = blame.beside(scene, [None, None])
+    assert (found.geometry, found.flat) == ([2.0, 1.0], [3 / 8, 0.5])
 
 
 class Alone(BrokenReconstructor):

@@ -306,6 +306,17 @@ def test_a_red_thing_in_the_shade_that_is_painted_red_came_all_the_way(good):
     assert measured(judged(edit, after=views(blue)))["as_asked"] < 0
 
 
+@pytest.mark.parametrize("amount", [-1.0, 1.0])
+def test_light_comes_as_far_as_it_changed_the_way_that_was_asked(good, amount):
+    change = (Change("brightness", amount=amount),)
+    asked = (Instruction("paint", Target("marked"), change),)
+    old, inside = good.before.images[0], good.masks[0][:, None] > 0
+    for way, share in ((amount, 1), (-amount, 0)):
+        new = torch.where(inside, old * (1 + 0.4 * way), old)
+        edit = judged(good, after=views(new), instructions=asked)
+        assert measured(edit)["as_asked"] == share
+
+
 def test_what_nobody_sees_does_not_speak_against_black_and_white(good):
     pale = 0.4 + 0.15 * (good.before.images - 0.4)
     left = pale + 0.6 * (pale.mean(2, keepdim=True) - pale)

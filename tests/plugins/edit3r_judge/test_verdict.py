@@ -84,10 +84,15 @@ def test_where_the_photos_are_not_to_blame_the_advice_is_about_what_is():
 
 
 @pytest.mark.parametrize(
-    ("psnr", "seen"), [(31, "as they are"), (24, "softer"), (19, "only roughly")]
+    ("psnr", "seen"),
+    [
+        ((31, 31, 31), "as they are"),
+        ((31, 23, 19), "softer"),
+        ((19, 19, 19), "only roughly"),
+    ],
 )
-def test_how_sharp_photos_are_is_said_in_words(psnr, seen):
-    reason = shown(EDITED, rendered(*[float(psnr)] * 3)).reason
+def test_how_sharp_photos_are_on_the_whole_is_said_in_words(psnr, seen):
+    reason = shown(EDITED, rendered(*psnr)).reason
     assert f"shows its photos {seen}" in reason and "dB" not in reason
 
 

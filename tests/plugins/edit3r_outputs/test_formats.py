@@ -351,6 +351,13 @@ def test_the_command_writes_beside_the_scene_and_never_over_it(tmp_path, capsys)
     assert load_ply(tmp_path / "back.ply").count == 400
 
 
+def test_of_a_compressed_ply_both_endings_are_replaced(tmp_path):
+    file = tmp_path / "scan.compressed.ply"
+    export_scene(file, scene(), "compressed-ply")
+    assert main(["export", str(file), "--to", "glb", "--quiet"]) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {file.name, "scan.glb"}
+
+
 def test_the_command_asks_for_one_format_where_one_file_is_named(tmp_path, capsys):
     save_ply(tmp_path / "scene.ply", scene(4, 0))
     assert (

@@ -31,6 +31,8 @@ def test_every_cue_is_one_number_a_mask_and_says_what_it_means():
 
 def test_what_fills_the_photo_touches_its_whole_border():
     assert CUES["border"](pool()).tolist()[:3] == [0, 0, 1]
+    halves = (COLUMNS < 60, COLUMNS >= 60, ROWS < 60, ROWS >= 60)
+    assert CUES["border"](pool(masks=halves)).tolist() == [0.5] * 4
 
 
 def test_sizes_and_overlaps_are_shares():

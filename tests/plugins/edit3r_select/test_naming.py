@@ -35,7 +35,7 @@ class Finds(Segmenter):
 
     def masks(self, image, clicks, box=None, before=None):
         self.box = box
-        return MaskLogits(torch.full((1, 16, 32), -4.0))
+        return MaskLogits(torch.full((1, 16, 32), 4.0))
 
 
 class FromOnePlace(Photos):
@@ -135,5 +135,8 @@ def test_found_on_no_photo_what_stands_out_is_a_question():
 
 def test_more_or_less_of_a_named_thing_is_asked_of_the_box_around_it():
     asked = photos(UNKNOWN, [(0.3, 1)])
-    looked_up(asked, Selection(words="box"))
+    named = looked_up(asked, Selection(words="box"))
     assert asked.segmenter.box == (4 / 32, 4 / 16, 4 / 32, 4 / 16)
+    first, other = named.candidates
+    assert first.score == pytest.approx(0.3)
+    assert other.mask.all() and other.score <= 0.3  # no surer than the thing

@@ -509,6 +509,11 @@ def test_words_say_how_far_goes_what_is_clicked_on_and_whether_they_fit(
     assert told == (fits is False)
 
 
+def test_of_two_marked_photos_the_first_says_whether_the_words_fit():
+    marks = Selection(positive=((0, 0.4, 0.4), (1, 0.7, 0.7)), words="bike")
+    assert select_masks(IMAGES, marks, Whole(0.9)).fits is True
+
+
 @pytest.mark.parametrize("words, way", [("bike", "words"), ("zorb", "guess")])
 def test_what_is_not_the_thing_leaves_it_what_words_found_or_what_stands_out(
     words, way

@@ -125,6 +125,14 @@ def test_another_look_is_that_of_the_picture_where_one_is_given(files):
     assert not editor.understands(instruction)
 
 
+def test_a_picture_without_a_sentence_is_the_style_of_all(files):
+    editor = edit3r.build("editor", "style", **files)
+    asked = editor.instruction_of_nothing()
+    assert editor.understands(asked) and asked.target.scope == "whole"
+    editor = edit3r.build("editor", "style", **{**files, "picture": ""})
+    assert editor.instruction_of_nothing() is None
+
+
 def test_without_a_picture_the_error_says_how_to_give_it(files):
     with pytest.raises(PromptError, match=r"--set editor\.picture=FILE"):
         edited(files, picture="")

@@ -86,7 +86,7 @@ def test_the_coordinates_of_a_map_come_back(tmp_path, form):
 def test_a_few_far_away_are_left_out_and_all_else_keeps_its_steps():
     made = scene(count=2000)
     means = made.means.clone()
-    means[0, 0] = 5e8
+    means[0, 0, 2] = 5e8
     made = replace(made, means=means)
     kept, placement = fitting(made, "spz")
     assert kept.count == 1999

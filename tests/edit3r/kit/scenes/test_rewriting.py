@@ -163,6 +163,26 @@ def test_an_spz_differs_in_the_colours_of_the_painted_alone(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["spz", "compressed-ply"])
+def test_the_shine_of_the_painted_is_changed_in_its_bytes_and_no_other(tmp_path, name):
+    made = scan(degree=1)
+    source = written(tmp_path, name, made)
+    read = load_scene(source)
+    nearest = torch.cdist(read.means[0], made.means[0]).argmin(1)
+    chosen = of_ball(made, 0)[nearest]
+    shine = np.array([[0, 1.0, 0], [1, 0, 0], [0, 0, 0.5]])
+    changed = source.with_name(f"new{source.name}")
+    changed.write_bytes(rewritten(source, painted(made.count, chosen, shine)))
+    found = load_scene(changed)
+    assert torch.equal(found.quats, read.quats)
+    old, new = read.harmonics[0, :, 1:], found.harmonics[0, :, 1:]
+    assert torch.equal(new[~chosen], old[~chosen])
+    expected = old[chosen] @ torch.tensor(shine).float().T
+    assert (new[chosen] - expected).abs().max() <= 8 / 255  # a step of a byte
+    assert expected.abs().max() > 0.1
+
+
+@pytest.mark.slow
 def test_a_splat_differs_in_the_colours_of_the_painted_alone(tmp_path):
     made = scan()
     source = written(tmp_path, "splat", made)
