@@ -71,6 +71,7 @@ ORDINARY_WORDS = {
         "points",
         "batch",
         "looks",
+        "style",  # of an HTML element
         "uncertainty",
         "weights",
     ),
