@@ -351,6 +351,7 @@ def test_the_command_writes_beside_the_scene_and_never_over_it(tmp_path, capsys)
     assert load_ply(tmp_path / "back.ply").count == 400
 
 
+@pytest.mark.slow
 def test_of_a_compressed_ply_both_endings_are_replaced(tmp_path):
     file = tmp_path / "scan.compressed.ply"
     export_scene(file, scene(), "compressed-ply")
