@@ -5,12 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 from edit3r_in_place.belonging import SHARE, belonging, evidence, with_specks
-from edit3r_in_place.in_scene import InSceneSelector, _part_of_scene
+from edit3r_in_place.in_scene import InSceneSelector, _Lifting, _part_of_scene
 
 import edit3r
 from edit3r.contract.errors import InputError
 from edit3r.contract.interfaces import Candidate, Selected, Selection
 from edit3r.contract.types import Views
+from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.scenes.scene_views import look_around, pictures_of
 from tests.plugins.scan import of_ball, scan
 
@@ -120,6 +121,19 @@ def test_what_no_picture_shows_belongs_to_what_is_nearest(scene):
     chosen = belonging(scene.gaussians, shown) > SHARE
     assert chosen[hidden].float().mean() > 0.8
     assert chosen[of_ball(scene.gaussians, 1)].float().mean() < 0.02
+
+
+def test_what_shows_beside_or_through_a_thing_far_behind_it_is_not_the_thing(scene):
+    """A mask that is two pixels too wide takes the ball, and little of the floor behind it."""
+    rasterizer = edit3r.build("rasterizer", "numba")
+    red, green, blue = scene.images[0, :1].unbind(1)
+    mask = ((red > 1.8 * green) & (red > 1.8 * blue)).float()
+    wide, camera = dilate(mask, 2), scene.cameras.select([0])
+    taken = _Lifting(scene, rasterizer).evidence_of({0: wide[0]}).within
+    plain = evidence(scene.gaussians, camera, wide, rasterizer).within
+    ball = of_ball(scene.gaussians, 0)
+    assert taken[ball].sum() > 0.9 * plain[ball].sum()
+    assert taken[~ball].sum() < 0.8 * plain[~ball].sum()
 
 
 def test_specks_of_a_thing_go_with_it_and_what_it_stands_on_stays(scene):
