@@ -68,7 +68,9 @@ def results(
         (column,) = read_columns([out / label])
         rows = [one.model_dump(exclude_none=True) for one in figures_of(column)]
         found = {"hardware": hardware, "measured": date.today(), "missing": ""}
-        content = make_settings(MethodResults, known[label] | found | {"rows": rows}, label)
+        content = make_settings(
+            MethodResults, known[label] | found | {"rows": rows}, label
+        )
         write_method_results(files[label], content)
         sheet = Image.open(out / label / "pictures/rooms-1-add.webp")
         sheet.thumbnail((PICTURE, PICTURE))

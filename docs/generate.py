@@ -398,7 +398,7 @@ def results_part(_: str) -> str:
     heads = [
         "method",
         "scene and edit",
-        "scene",
+        "verdict",
         *(title for title, _ in forms.values()),
     ]
     lines = [_row(heads), _row(["---"] * 3 + ["--:"] * len(forms))]
