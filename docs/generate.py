@@ -4,8 +4,9 @@ The reference (hooks, components with their settings, commands, Python) and, at 
 plugin's page, its example and what its contract asks are built with the site and never checked in:
 mkdocs calls `on_files` and `on_page_markdown`. Tables stand in their pages, between markers:
 
-    # rewrite the marked parts of docs/combinations.md, docs/files.md, docs/plugins/testing.md and
-    # docs/plugins/directory.md from what components declare and a benchmark measured
+    # rewrite the marked parts of docs/combinations.md, docs/files.md, docs/results.md,
+    # docs/plugins/testing.md and docs/plugins/directory.md from what components declare and
+    # benchmarks measured
     python docs/generate.py
     python docs/generate.py DIR        also write the reference pages into DIR
 """
@@ -237,6 +238,7 @@ def refreshed(page: str) -> str:
         "parts": parts_part,
         "writers": writers_part,
         "directory": directory_part,
+        "results": results_part,
     }
     return MARKED.sub(lambda m: m[1] + makers[m[2]](m[3]) + m[4], page)
 
@@ -379,6 +381,41 @@ def directory_part(kind: str) -> str:
     return "\n" + "\n".join(rows) + "\n\n"
 
 
+def results_part(_: str) -> str:
+    """A row a method and scene, then each method with its picture; those without figures last."""
+    from edit3r_bench.report import MEASURES
+    from edit3r_bench.results import SHOWN, read_method_results
+
+    methods = read_method_results(DOCS / "results")
+    measures = {
+        name.replace("-", "_"): (f"{name} {MEASURES[name].better}", MEASURES[name].form)
+        for name in SHOWN
+    }
+    forms = {"cpu_seconds": ("CPU s ↓", ".2f"), "memory_mb": ("MiB ↓", ".0f")}
+    forms |= {"gaussians": ("Gaussians", "d")} | measures
+    rows = [one for method in methods.values() for one in method.rows]
+    forms = {n: v for n, v in forms.items() if any(getattr(r, n) for r in rows)}
+    heads = [
+        "method",
+        "scene and edit",
+        "verdict",
+        *(title for title, _ in forms.values()),
+    ]
+    lines = [_row(heads), _row(["---"] * 3 + ["--:"] * len(forms))]
+    about = []
+    for name, method in sorted(methods.items(), key=lambda one: bool(one[1].missing)):
+        link = f"[{method.method}]({method.link})"
+        for row in method.rows:
+            values = [(getattr(row, name), form) for name, (_, form) in forms.items()]
+            cells = ["-" if v is None else format(v, form) for v, form in values]
+            lines.append(_row([link, row.scene, row.verdict, *cells]))
+        how = method.missing or f"{method.hardware}, {method.measured}"
+        about.append(f"- **{link}**: {method.about}; {how}.")
+        if (DOCS / f"results/{name}.webp").is_file():
+            about.append(f"\n    ![{method.method}](results/{name}.webp)\n")
+    return "\n" + "\n".join([*lines, "", *about]) + "\n\n"
+
+
 def tried(kind: str, component: Component) -> str:
     """What it ran with where most was real, in the words that stand above the tables."""
     found, key = measured(), {"reconstructor": "recon"}.get(kind, kind)
@@ -434,7 +471,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("reference", nargs="?", type=Path, help="folder of its pages")
     reference = parser.parse_args().reference
-    for page in ("combinations", "files", "plugins/testing", "plugins/directory"):
+    marked = ("combinations", "files", "results")
+    for page in (*marked, "plugins/testing", "plugins/directory"):
         path = DOCS / f"{page}.md"
         text = path.read_text(encoding="utf-8")
         path.write_text(refreshed(text), encoding="utf-8")

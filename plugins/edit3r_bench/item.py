@@ -43,6 +43,7 @@ class MethodOutput:
     cameras: Cameras  # batch 1, as rendered
     has_truth: bool  # whether the item's truth is what the editor was to show
     gaussians: int = 0
+    verdict: str = ""  # the run's label of the scene
     # the reference, and the held-back frames where poses are known, with the inputs permuted
     reordered: Images | None = None
 
@@ -118,6 +119,7 @@ class ItemRunner:
             cameras=cameras,
             has_truth=self.has_truth(item),
             gaussians=gaussians.count,
+            verdict=result.verdict.label,
         )
 
     def has_truth(self, item: LoadedItem) -> bool:

@@ -141,7 +141,13 @@ class BenchRun:
             return asdict(replace(result, metrics=metrics, failure=str(error)))
         metrics = measure(item, output, networks)
         save_sheet(self.out / "pictures" / f"{record.id}.webp", item, output)
-        facts = {"gaussians": output.gaussians, "warnings": report.warnings}
+        facts = {
+            "gaussians": output.gaussians,
+            "verdict": output.verdict,
+            # of the process, so of all methods and networks in it
+            "peak_memory_mb": max(stage.peak_memory_mb for stage in report.stages),
+            "warnings": report.warnings,
+        }
         timing = timing_of(report.stages, cold, item.inputs)
         return asdict(replace(result, metrics=metrics, timing=timing, facts=facts))
 
