@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from pydantic import Field
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 import edit3r
@@ -177,8 +178,10 @@ def _colours(
     depths: Float[Tensor, "view height width"],
     step: float,
 ) -> Float[Tensor, "vertex 3"]:
-    """The mean of what the views show of each vertex that lies on their surface."""
-    total = torch.full((len(vertices), 4), 1e-6)
+    """The mean of what the views show of each vertex that lies on their surface; of one that none
+    shows, that of the nearest.
+    """
+    total = torch.zeros(len(vertices), 4)
     for view, image in enumerate(images):
         maps = torch.cat((image, depths[view][None]))
         z, seen = _read(vertices[:, None], cameras.select([view]), maps)
@@ -187,4 +190,9 @@ def _colours(
         weight = (near & (seen[3] > 0))[:, 0].float()
         total[:, :3] += weight[:, None] * seen[:3, :, 0].T
         total[:, 3] += weight
-    return (total[:, :3] / total[:, 3:]).clamp(0, 1)
+    colours = (total[:, :3] / total[:, 3:].clamp(min=1)).clamp(0, 1)
+    shown = total[:, 3] > 0
+    if shown.any() and not shown.all():
+        _, nearest = cKDTree(vertices[shown].numpy()).query(vertices[~shown].numpy())
+        colours[~shown] = colours[shown][nearest]
+    return colours
