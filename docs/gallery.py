@@ -65,9 +65,9 @@ EDITS = (
     Edit("gold", "paint the tank gold", more="--point 0.55,0.41", on_site=False),
     Edit("only-red", "everything but the motorcycle in black and white"),
     Edit("night", "make it night"),
-    Edit("sketch", "make it a pencil sketch"),
+    Edit("sepia", "make it sepia"),
     Edit("pink-sky", "paint the sky pink", OPERA),
-    Edit("opera-sketch", "make it a pencil sketch", OPERA),
+    Edit("opera-night", "make it night", OPERA),
 )
 
 
