@@ -173,7 +173,10 @@ def check_replaceable(out: Path, overwrite: bool = False) -> None:
             f"{out}: a mount point cannot be replaced in one step; give --out a folder inside it."
         )
     is_run = (out / MARKER).is_file()
-    changed = [] if overwrite and is_run else _changed(out)
+    try:
+        changed = [] if overwrite and is_run else _changed(out)
+    except FileNotFoundError:  # another run puts its own there just now
+        return
     if changed and is_run:
         raise InputError(
             f"{out}: {changed[0]} was added or changed by hand after the earlier run; give --out "
