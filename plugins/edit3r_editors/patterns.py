@@ -36,9 +36,9 @@ def with_patterns(picture: Picture, hole: Where) -> Picture:
         scale = min(1.0, LARGEST / side)
         size = [round(scale * length) for length in piece.shape[::-1]]
         small = cv2.resize(around, size, interpolation=cv2.INTER_AREA)
-        open_ = hole[rows, columns].astype(np.uint8)
-        open_ = cv2.resize(open_, size, interpolation=cv2.INTER_NEAREST) > 0
-        filled = _copied(small, open_, COARSE * scale * side)
+        bits = hole[rows, columns].astype(np.uint8)
+        unknown = cv2.resize(bits, size, interpolation=cv2.INTER_NEAREST) > 0
+        filled = _copied(small, unknown, COARSE * scale * side)
         large = cv2.resize(filled, piece.shape[::-1], interpolation=cv2.INTER_CUBIC)
         around[piece] = large.clip(0, 1)[piece]  # cubic goes beyond
     return picture
