@@ -13,7 +13,7 @@ from statistics import fmean
 import numpy as np
 import torch
 from edit3r_diffusers.consistency import disagreement
-from edit3r_editors.retouch import behind, inpainted, spanned
+from edit3r_editors.retouch import behind, inpainted, smoothed
 from harness import Row, run_benchmark
 
 import edit3r
@@ -264,9 +264,9 @@ def retouch() -> None:
         retouched = editor.edit(views, EditRequest("", 0, holes[None].float())).images[
             0
         ]
-        alone = torch.stack([_smooth(*one) for one in zip(views.images[0], holes)])
+        alone = torch.stack([smoothed(*one) for one in zip(views.images[0], holes)])
         best, carried, _ = behind(views, holes, truth, 0, 2)
-        best = torch.stack([_smooth(*one) for one in zip(best, holes & ~carried)])
+        best = torch.stack([smoothed(*one) for one in zip(best, holes & ~carried)])
         rows.append([psnr_there(image, sample.edited_context, where)
                      for where in (seen, holes) for image in (alone, retouched, best)])  # fmt: skip
         rims.append(rim_errors(editor, views, changed, sample.edited_context))
@@ -322,7 +322,7 @@ def holes(
             reach = max(1.5 * radius, 32)
             place.append(slice(max(0, int(middle - reach)), int(middle + reach)))
         row, pictures = {"photo": f"{file.parent.name}/{file.name}"}, [image]
-        for name, fill in (("smooth", _smooth), ("retouch", inpainted)):
+        for name, fill in (("smooth", smoothed), ("retouch", inpainted)):
             start = time.process_time()
             filled = fill(torch.where(hole, 0.0, image), hole)
             spent = time.process_time() - start
@@ -335,11 +335,6 @@ def holes(
         if out:
             save_image(torch.cat(pictures, 2), out / f"{file.parent.name}.png")
         yield row
-
-
-def _smooth(image: torch.Tensor, hole: torch.Tensor) -> torch.Tensor:
-    known = torch.where(hole, 0.0, image + 1)
-    return torch.stack([spanned(one) for one in known]).clamp(1, 2) - 1
 
 
 # ---- fits ----

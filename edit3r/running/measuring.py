@@ -4,10 +4,12 @@ Photos alone tell no scale, and poses come in a unit that nobody names.
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
@@ -85,8 +87,10 @@ def measure(
     Raises InputError for a place where the scene has no surface.
     """
     cameras = reconstructed.cameras.at(inputs.photos.image_size)
+    images = [one.permute(1, 2, 0).cpu().numpy() for one in inputs.photos.images[0]]
+    skies = find_skies(images)
     first, second = (
-        _surface(length, which, inputs, rendered, cameras) for which in (0, 1)
+        _surface(length, which, inputs, skies, rendered, cameras) for which in (0, 1)
     )
     apart = float((first - second).norm())
     if not apart > 0:
@@ -111,6 +115,7 @@ def _surface(
     length: KnownLength,
     which: int,
     inputs: Inputs,
+    skies: Sequence[Bool[np.ndarray, "height width"]] | None,
     rendered: Rendering,
     cameras: Cameras,
 ) -> Float[Tensor, "3"]:
@@ -123,8 +128,6 @@ def _surface(
         )
     view, (height, width) = inputs.photos.names.index(name), inputs.photos.image_size
     row, column = min(int(y * height), height - 1), min(int(x * width), width - 1)
-    images = [one.permute(1, 2, 0).cpu().numpy() for one in inputs.photos.images[0]]
-    skies = find_skies(images)
     around = (
         slice(max(0, row - AROUND), row + AROUND + 1),
         slice(max(0, column - AROUND), column + AROUND + 1),

@@ -78,6 +78,18 @@ class Inputs:
             things={name: masks[indices] for name, masks in self.things.items()},
         )
 
+    def without_scale(self) -> "Inputs":
+        """A finished run's, in the unit before a known length; `scale` is kept, for the edit that
+        goes on from it.
+        """
+        back = GIVEN.times(1 / self.scale)
+        return replace(
+            self,
+            photos=back.views(self.photos),
+            start=back.views(self.start),
+            before=None if self.before is None else back.reconstruction(self.before),
+        )
+
     def to(self, device: torch.device | str) -> "Inputs":
         """The same with its tensors on `device`."""
         return replace(

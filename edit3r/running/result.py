@@ -59,7 +59,7 @@ from edit3r.running.run_folder import (
     RunFolder,
     what_images_lack,
 )
-from edit3r.running.scale import GIVEN, Unit, unit_of_scene
+from edit3r.running.scale import Unit, unit_of_scene
 from edit3r.running.scene_input import SceneInput
 
 OWN_FRAME = "that of the given scene; OpenCV axes in c2w; its own unit of length"
@@ -184,19 +184,15 @@ class RunResult:
                 ("matcher", self.config.matcher),
             )
         }
-        # without the known scale, which the further edit applies again
-        scale = self.records.inputs.scale
-        back = GIVEN.times(1 / scale)
-        before = Reconstruction(self.gaussians, self.cameras)
         inputs = Inputs(
-            photos=back.views(self.photos),
-            start=back.views(self.edited),
+            photos=self.photos,
+            start=self.edited,
             files=self.records.inputs.files,
             prompts=self.records.inputs.prompts,
             things=self.records.selection.things,
-            before=back.reconstruction(before),
-            scale=scale,
-        )
+            before=Reconstruction(self.gaussians, self.cameras),
+            scale=self.records.inputs.scale,
+        ).without_scale()
         settings = {"frames": self.config.frames, **chosen}
         return EarlierRun(inputs, settings, hid=bool(self.components.hiding))
 

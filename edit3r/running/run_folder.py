@@ -47,7 +47,6 @@ from edit3r.kit.provenance import installed_versions, recorded
 from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
 from edit3r.kit.scenes.reading import load_scene
 from edit3r.running.records import READ_LENS, Inputs
-from edit3r.running.scale import GIVEN
 
 Read = TypeVar("Read")
 GIVEN_SCENE = "scene.file"  # note in run.json: the file of a given scene, as edited
@@ -194,17 +193,15 @@ class RunFolder:
         scale = float(notes.get(SCALE, 1.0))
         if not 0 < scale < math.inf:
             raise ValueError(f"the scale is {scale}, expected a number above 0")
-        back = GIVEN.times(1 / scale)
-        before = Reconstruction(load_scene(self._saved_scene), cameras)
         inputs = Inputs(
-            photos=back.views(photos),
-            start=back.views(edited),
+            photos=photos,
+            start=edited,
             files=_files(manifest, photos.count),
             prompts=tuple(str(prompt) for prompt in notes["edits"]),
             things=self._things(notes.get(THINGS, []), photos),
-            before=back.reconstruction(before),
+            before=Reconstruction(load_scene(self._saved_scene), cameras),
             scale=scale,
-        )
+        ).without_scale()
         chosen = {
             kind: {"name": run[kind]["name"], **run[kind]["settings"]}
             for kind in ("reconstructor", "matcher")

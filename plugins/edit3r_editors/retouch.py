@@ -290,14 +290,13 @@ def _invented(
     filled, done = images.clone(), list[int]()
     for view in unseen.flatten(1).sum(1).argsort(descending=True).tolist():
         gap = unseen[view].clone()
-        points = unproject(depths[view], intrinsics[view], c2w[view]).flatten(0, 1)
+        points = unproject(depths[view], intrinsics[view], c2w[view])
         for other in done if placed[view] else ():
-            grid, z = project(points, intrinsics[other], c2w[other])
-            grid, z = grid.view(*gap.shape, 2), z.view_as(gap)
-            maps = torch.stack((depths[other], unseen[other].to(z)))
-            surface, inside = warp(maps, grid, mode="nearest", padding="zeros")
-            same = gap & (inside > 0.5) & ((z / surface - 1).abs() < NEAR)
-            shown = warp(filled[other], grid)
+            invented, lens, pose = unseen[other], intrinsics[other], c2w[other]
+            shown, _, agrees = _lent(
+                points, filled[other], depths[other], invented, invented, lens, pose
+            )
+            same = gap & agrees
             filled[view] = torch.where(same, shown, filled[view])
             gap &= ~same
         filled[view] = inpainted(filled[view], gap)
@@ -387,15 +386,21 @@ def _membrane(
     return smooth
 
 
+def smoothed(
+    image: Float[Tensor, "3 height width"], hole: Bool[Tensor, "height width"]
+) -> Float[Tensor, "3 height width"]:
+    """The image with the hole spanned from its surroundings."""
+    known = torch.where(hole, 0.0, image + 1)  # 0 is unknown
+    smooth = torch.stack([spanned(one) for one in known]).to(image) - 1
+    return torch.where(hole, smooth.clamp(0, 1), image)
+
+
 def inpainted(
     image: Float[Tensor, "3 height width"], hole: Bool[Tensor, "height width"]
 ) -> Float[Tensor, "3 height width"]:
     """The image with the hole spanned from its surroundings, and their patterns in it."""
     if not hole.any():
         return image
-    known = torch.where(hole, 0.0, image + 1)  # 0 is unknown
-    smooth = torch.stack([spanned(one) for one in known]).to(image) - 1
-    filled = torch.where(hole, smooth.clamp(0, 1), image)
-    picture = filled.permute(1, 2, 0).numpy(force=True)
+    picture = smoothed(image, hole).permute(1, 2, 0).numpy(force=True)
     patterned = torch.from_numpy(with_patterns(picture, hole.numpy(force=True)))
     return torch.where(hole, patterned.permute(2, 0, 1).to(image), image)

@@ -26,7 +26,7 @@ from edit3r.contract.weights import Weights
 from edit3r.kit.cache import fingerprint, recall
 from edit3r.kit.compute.perceptual import IMAGENET_MEAN, IMAGENET_STD
 from edit3r.kit.weights.find import at_hand, find
-from edit3r.kit.weights.load import foreign
+from edit3r.kit.weights.onnx import onnx_session, require_onnx_file, run_onnx
 from edit3r_segmenters import SMALL
 
 MEAN = np.float32(255 * np.array(IMAGENET_MEAN))
@@ -177,7 +177,7 @@ class SamOnnxSegmenter(Segmenter):
     def _read(self, image: Float[Tensor, "3 height width"]) -> tuple[str, Embedding]:
         """What the image is known by, and what the encoder reads of it."""
         # Files given by hand are part of the question.
-        _expect(self._encoder_file)
+        require_onnx_file(self._encoder_file)
         files = [str(self._encoder_file), self._encoder_file.stat().st_mtime_ns]
         key = fingerprint(image, files)
         compute = partial(self._encoded_once, key, image)
@@ -296,7 +296,7 @@ def _shares(height: int, width: int, whole: bool) -> tuple[float, float]:
 
 def _load(path: Path, outputs: Sequence[str] = ()) -> Any:
     """An ONNX file as a session on the CPU, with inner values named `outputs` as outputs."""
-    _expect(path)
+    require_onnx_file(path)
     content = path.read_bytes()
     session = _session(path, content)
     known = {one.name for one in session.get_outputs()}
@@ -304,37 +304,23 @@ def _load(path: Path, outputs: Sequence[str] = ()) -> Any:
     return _session(path, content + _declared(inner)) if inner else session
 
 
-def _expect(path: Path) -> None:
-    if not path.is_file():
-        raise InputError(f"{path}: is not there; expected an ONNX file.")
-
-
 def _session(path: Path, content: bytes) -> Any:
-    options = foreign("onnxruntime", "SessionOptions")()
-    options.intra_op_num_threads = torch.get_num_threads()
-    options.log_severity_level = 4  # what fails is raised as well
-    options.enable_mem_pattern = False  # a third less memory, and as fast
-    # Threads that wait for each other turn no circles: a third less of the processor.
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    try:
-        return foreign("onnxruntime", "InferenceSession")(
-            content, options, providers=["CPUExecutionProvider"]
-        )
-    except Exception as error:  # its errors have no class in common
-        raise InputError(
-            f"{path}: onnxruntime cannot load it ({_short(error)}); the file is damaged or of "
-            "another layout than the settings say."
-        ) from None
+    return onnx_session(
+        path,
+        content,
+        "the file is damaged or of another layout than the settings say.",
+    )
 
 
 def _run(session: Any, path: Path, outputs: list[str] | None, feeds: dict) -> list:
-    try:
-        return session.run(outputs, feeds)
-    except Exception as error:
-        raise InputError(
-            f"{path}: does not take what a SAM takes ({_short(error)}); the settings image_size, "
-            "masks_output and quality_output must fit the file."
-        ) from None
+    return run_onnx(
+        session,
+        path,
+        outputs,
+        feeds,
+        fault="does not take what a SAM takes",
+        advice="the settings image_size, masks_output and quality_output must fit the file.",
+    )
 
 
 def _declared(names: Sequence[str]) -> bytes:
@@ -356,7 +342,3 @@ def _field(number: int, content: bytes) -> bytes:
         length += bytes([left % 128 + 128])
         left //= 128
     return bytes([number << 3 | 2]) + length + bytes([left]) + content
-
-
-def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:200].rstrip(".")

@@ -29,27 +29,21 @@ from edit3r.kit.compute.layers import one_thread
 from edit3r.kit.files.names import expanded
 from edit3r.kit.photos.images import read_image
 from edit3r.kit.weights.find import find
-from edit3r.kit.weights.load import foreign
+from edit3r.kit.weights.onnx import onnx_session, require_onnx_file, run_onnx
 from edit3r_style import ANY_STYLE
 
 Pixels = Float[np.ndarray, "height width 3"]
 Vector = Float[np.ndarray, "1 1 1 style"]
 Function = Callable[[Float[np.ndarray, "pixel feature"]], Float[np.ndarray, "pixel 3"]]
 
-DRAWN, SEEN = (
-    384,
-    256,
-)  # sides of what the two networks take, fixed in their files [pixels]
+# sides of what the two networks take, fixed in their files [pixels]
+DRAWN, SEEN = 384, 256
 PICTURES = frozenset(("picture", "painting", "image", "photo", "artwork", "drawing"))
 """Words by which a sentence means the picture that is given with it."""
 
 # The numbers of this block: docs/notes/style.md.
-AROUND = (
-    1,
-    2,
-    4,
-    8,
-)  # blurs that tell what is around a pixel, where a side is DRAWN [pixels]
+# blurs that tell what is around a pixel, where a side is DRAWN [pixels]
+AROUND = (1, 2, 4, 8)
 WAVES = 256  # random cosines that the function is a sum of
 FREQUENCY = 1.5  # their standard deviation [radians over the range of a feature]
 DETAIL = 3.0  # how much more a difference of two blurs counts than a colour
@@ -227,34 +221,22 @@ def _answer(path: Path, picture: Pixels) -> Vector:
 
 def _network(path: Path) -> Callable[..., np.ndarray]:
     """The first output of an ONNX file as a function of its inputs; InputError for another file."""
-    if not path.is_file():
-        raise InputError(f"{path}: is not there; expected an ONNX file.")
-    options = foreign("onnxruntime", "SessionOptions")()
-    options.intra_op_num_threads = torch.get_num_threads()
-    options.log_severity_level = 4  # what fails is raised as well
-    try:
-        session = foreign("onnxruntime", "InferenceSession")(
-            path.read_bytes(), options, providers=["CPUExecutionProvider"]
-        )
-    except Exception as error:  # its errors have no class in common
-        raise InputError(
-            f"{path}: onnxruntime cannot load it ({_short(error)}); fetch it again with: "
-            f"{ANY_STYLE.get}."
-        ) from None
+    require_onnx_file(path)
+    session = onnx_session(
+        path, path.read_bytes(), f"fetch it again with: {ANY_STYLE.get}."
+    )
+    names = [one.name for one in session.get_inputs()]
 
     def answer(*values: np.ndarray) -> np.ndarray:
-        names = [one.name for one in session.get_inputs()]
-        try:
-            return session.run(None, dict(zip(names, values)))[0]
-        except Exception as error:
-            raise InputError(
-                f"{path}: is none of the two networks of {ANY_STYLE.name} ({_short(error)}); "
-                "expected a picture of 256 pixels to a style vector, and a photo of 384 and that "
-                "vector to a drawing."
-            ) from None
+        (first, *_) = run_onnx(
+            session,
+            path,
+            None,
+            dict(zip(names, values)),
+            fault=f"is none of the two networks of {ANY_STYLE.name}",
+            advice="expected a picture of 256 pixels to a style vector, and a photo of 384 and "
+            "that vector to a drawing.",
+        )
+        return first
 
     return answer
-
-
-def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]

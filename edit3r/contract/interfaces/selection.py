@@ -187,15 +187,13 @@ class Selected:
     confidence: float | None = None
     # all candidates, the one that was taken included; the likeliest first
     candidates: tuple[Candidate, ...] = ()
-    taken: int = (
-        1  # the number of the candidate that was taken; 0: none, where one is asked for
-    )
+    # the number of the candidate that was taken; 0: none, where one is asked for
+    taken: int = 1
     called: str = ""  # the name that was asked for, such as "left cup"
     # True: what is marked has that name; False: the name was found elsewhere; None: not checked
     fits: bool | None = None
-    knows_words: bool = (
-        True  # False: nothing here knows the words, so what stands out is taken
-    )
+    # False: nothing here knows the words, so what stands out is taken
+    knows_words: bool = True
 
     @property
     def is_sure(self) -> bool:
