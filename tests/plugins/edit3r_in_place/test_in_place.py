@@ -253,6 +253,7 @@ def test_shine_is_fitted_by_its_own_colour_into_the_wanted_one(rasterizer):
     assert found[1, 0] > 0.7 and abs(found[0, 1]) < 0.1
 
 
+@pytest.mark.slow
 def test_a_colour_beyond_the_range_stays_there_and_goes_no_farther():
     before = torch.tensor([[-0.2, 0.5, 1.3]])
     assert torch.equal(bounded(before, 0 * before), 0 * before)

@@ -158,6 +158,7 @@ def test_another_picture_gives_another_style(files):
     assert (edited(files) - edited(files, picture=other)).abs().mean() > 0.01
 
 
+@pytest.mark.slow
 def test_a_larger_photo_is_drawn_alike(files):
     larger = torch.nn.functional.interpolate(
         VIEWS.images[0], scale_factor=4, mode="bicubic"
