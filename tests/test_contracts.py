@@ -97,7 +97,7 @@ PLUGIN_TESTS = Path(__file__).with_name("plugins")
 TRIED_IN: dict[tuple[str, ...], str] = {
     ("command",): "edit3r_editors/test_command.py",
     ("folder",): "edit3r_editors/test_folder.py",
-    ("style",): "edit3r_style/test_style.py",
+    ("style",): "edit3r_editors/test_style.py",
     (
         "controlnet-depth",
         "diffusers",

@@ -20,9 +20,8 @@ from edit3r.contract.reporting import track
 from edit3r.kit.weights.find import at_hand, find
 from edit3r_geometry import ALIKED
 from edit3r_geometry.cameras import CalibratedImage, rays_through
-from edit3r_geometry.keypoints import Keypoints
+from edit3r_geometry.keypoints import Keypoints, without_standing
 from edit3r_geometry.relative_pose import Matches
-from edit3r_geometry.standing import without_standing
 
 # The numbers of this block: no figures kept.
 LEARNED = "ALIKED + LightGlue"

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 from edit3r.contract.instructions import Change
 from edit3r.kit.compute.colour_names import BASIC_COLOURS, TONES, read_colour
-from edit3r_language.nouns import is_noun, is_thing_too
+from edit3r_language.known_words import is_noun, is_thing_too
 from edit3r_language.paints import read_paint
 from edit3r_language.shades import read_taken
 from edit3r_language.vocabulary import ADJUSTMENTS, PROPERTIES, TINTS, WORDS, words_of

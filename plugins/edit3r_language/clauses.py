@@ -13,12 +13,11 @@ from edit3r_language.changes import (
     last_group,
     scaled,
 )
-from edit3r_language.nouns import is_noun
+from edit3r_language.known_words import is_known, is_noun, unknown_words, unread_of
 from edit3r_language.paints import read_paint
 from edit3r_language.places import read_region, unclear_place
 from edit3r_language.shades import read_taken
 from edit3r_language.targets import read_target
-from edit3r_language.unknown_words import is_known, unknown_words, unread_of
 from edit3r_language.vocabulary import ADJUSTMENTS, TINTS, WORDS
 
 

@@ -18,10 +18,9 @@ from edit3r.contract.instructions import Instruction, Target
 from edit3r.contract.interfaces import Reader
 from edit3r.kit.compute.colour_names import near_colours, read_colour
 from edit3r_language.clauses import Clause, asks_nothing, read_clause, read_kept
-from edit3r_language.nouns import is_plural, near_nouns
+from edit3r_language.known_words import is_known, is_plural, near_nouns
 from edit3r_language.targets import read_target
 from edit3r_language.together import instructions_of
-from edit3r_language.unknown_words import is_known
 from edit3r_language.vocabulary import (
     ADJUSTMENTS,
     INSTEAD,

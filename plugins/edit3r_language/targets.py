@@ -4,10 +4,9 @@ from dataclasses import replace
 
 from edit3r.contract.instructions import EVERY, Colour, Target
 from edit3r.kit.compute.colour_names import read_colour
-from edit3r_language.nouns import is_noun, is_plural, is_thing_too
+from edit3r_language.known_words import is_known, is_noun, is_plural, is_thing_too
 from edit3r_language.paints import LIGHT_WORDS
 from edit3r_language.places import read_region
-from edit3r_language.unknown_words import is_known
 from edit3r_language.vocabulary import WORDS
 
 _JOINING = WORDS.joining - {"at", "to", "next", "above", "below"}

@@ -6,7 +6,7 @@ from dataclasses import replace
 from edit3r.contract.errors import PromptError
 from edit3r.contract.instructions import EVERY, Instruction, Target
 from edit3r_language.clauses import Clause, blamed
-from edit3r_language.nouns import is_plural
+from edit3r_language.known_words import is_plural
 from edit3r_language.targets import read_target
 from edit3r_language.vocabulary import WORDS
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from edit3r_geometry.cameras import CalibratedImage
 from edit3r_geometry.features import FeatureSettings, find_features
-from edit3r_geometry.standing import MOVED, STILL, _still
+from edit3r_geometry.keypoints import MOVED, STILL, _still
 from PIL import Image, ImageDraw
 from skimage import data
 

@@ -30,7 +30,7 @@ from edit3r.kit.files.names import expanded
 from edit3r.kit.photos.images import read_image
 from edit3r.kit.weights.find import find
 from edit3r.kit.weights.onnx import onnx_session, require_onnx_file, run_onnx
-from edit3r_style import ANY_STYLE
+from edit3r_editors import ANY_STYLE
 
 Pixels = Float[np.ndarray, "height width 3"]
 Vector = Float[np.ndarray, "1 1 1 style"]
