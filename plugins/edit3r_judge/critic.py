@@ -68,6 +68,8 @@ def _praise(edit: EditToJudge, told: bool) -> str:
     """What was measured of an edit that nothing speaks against; not that it was what was meant."""
     where = "the whole picture" if edit.masks is None else "what was selected"
     shown = "" if edit.rendered is None else ", in 3D too"
+    if told and {one.action for one in edit.instructions} == {"remove"}:
+        return f"it is gone{shown}; look at what stands in its place, which no signal can judge"
     if not told:
         return f"{where} changed{shown}; whether as asked, no signal tells"
     return f"carried out as asked on {where}{shown}"

@@ -266,7 +266,7 @@ def rim(found: Pictures) -> float | None:
 
 @signal(
     "what was removed shines through, or left a blur: its place is only {:.0%} like what is around "
-    "it (--grow 4 takes more around it; another --editor invents what no photo shows)",
+    "it (--grow 4 takes more around it; another --editor may fill it better)",
     at_least=True,
     in_scene=True,
 )
