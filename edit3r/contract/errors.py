@@ -69,6 +69,14 @@ class RunError(Edit3rError):
     exit_code = 1
 
 
+def one_line(reason: object, most: int = 300) -> str:
+    """What an error of a library says, as a clause for a sentence: on one line of at most `most`
+    characters, without a full stop. An error that says nothing has the name of its type.
+    """
+    said = " ".join(str(reason).split())[:most].rstrip(".")
+    return said or type(reason).__name__
+
+
 def suggest(given: str, known: Iterable[str]) -> str:
     """' Did you mean X?' for a near miss, else ''."""
     near = difflib.get_close_matches(given, list(known), n=1, cutoff=0.6)

@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import fields, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from edit3r.contract.errors import SettingsError
+from edit3r.contract.errors import SettingsError, one_line
 
 if TYPE_CHECKING:
     import torch
@@ -103,7 +103,7 @@ def require_device(name: str, key: str = "--device") -> "torch.device":
         empty.cpu()  # raises on "meta", which holds no numbers
         return empty.device
     except (RuntimeError, AssertionError, NotImplementedError) as error:
-        reason = " ".join(str(error).split())[:200].rstrip(".")
+        reason = one_line(error, 200)
         way_out = f"{key} cpu" if key.startswith("--") else f"--set {key}=cpu"
         raise SettingsError(
             f"{key}: {name!r} cannot be used on this machine ({reason}); use {way_out}."

@@ -24,6 +24,7 @@ from typing import Any, TypeVar
 import torch
 from torch import Tensor
 
+from edit3r.contract.errors import one_line
 from edit3r.contract.reporting import note, warn
 from edit3r.kit.weights.find import at_hand
 from edit3r.version import __version__
@@ -94,8 +95,9 @@ class Cache:
                 raise ValueError("its checksum does not match")
             _unpack(tree, tensors)
         except Exception as error:  # safetensors has no error class of its own
-            reason = " ".join(str(error).split())
-            warn(f"{file}: cannot be read ({reason}); its content is computed again.")
+            warn(
+                f"{file}: cannot be read ({one_line(error)}); its content is computed again."
+            )
             return None
         return tree, tensors
 

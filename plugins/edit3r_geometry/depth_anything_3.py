@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 import edit3r
 from edit3r.contract import reporting
-from edit3r.contract.errors import InputError, MatchingError
+from edit3r.contract.errors import InputError, MatchingError, one_line
 from edit3r.contract.interfaces import Geometry, Matcher
 from edit3r.contract.types import Views
 from edit3r.contract.weights import Weights
@@ -130,9 +130,8 @@ def _load(model: str, weights: str) -> nn.Module:
             if lacking := [name for name in missing if "_aux" not in name]:
                 raise RuntimeError(f"it lacks {lacking[0]}")
         except (RuntimeError, safetensors.SafetensorError, OSError) as error:
-            reason = " ".join(str(error).split())[:200]
             raise InputError(
-                f"{file}: does not hold the weights of {model} ({reason})."
+                f"{file}: does not hold the weights of {model} ({one_line(error, 200)})."
             ) from None
         reporting.note(
             "matcher.weights",

@@ -15,7 +15,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 
-from edit3r.contract.errors import InputError, SettingsError
+from edit3r.contract.errors import InputError, SettingsError, one_line
 from edit3r.contract.reporting import say
 from edit3r.contract.settings import PartChoice
 from edit3r.kit.weights.files import weights_file
@@ -159,10 +159,9 @@ def _description(about: Mapping[str, str], path: Path) -> dict[str, Any]:
         }
         parts = {name: PartChoice.model_validate(described.pop(name)) for name in PARTS}
     except (ValueError, KeyError) as error:
-        reason = " ".join(str(error).split())[:300]
         raise InputError(
             f"{path}: its metadata do not name the parts it belongs to ({type(error).__name__}: "
-            f"{reason})."
+            f"{one_line(error)})."
         ) from None
     return {"parts": parts, **described}
 

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from edit3r.contract.errors import InputError, MissingDependencyError
+from edit3r.contract.errors import InputError, MissingDependencyError, one_line
 
 SUFFIXES = (".ckpt", ".pth", ".pt", ".safetensors")
 FILES = ["config.json", "model.safetensors"]
@@ -47,7 +47,7 @@ def download(source: str) -> Path:
         )
         return Path(folder)
     except Exception as error:  # many kinds: network, permission, missing revision
-        reason = " ".join(str(error).split())[:200]
         raise InputError(
-            f"{source}: could not be fetched from the hub ({type(error).__name__}: {reason})."
+            f"{source}: could not be fetched from the hub ({type(error).__name__}: "
+            f"{one_line(error, 200)})."
         ) from error

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from edit3r.contract.errors import InputError
+from edit3r.contract.errors import InputError, one_line
 from edit3r.kit.files.text import read_json
 
 DAMAGE = (
@@ -48,7 +48,7 @@ class TfjsGraph:
             )
         except DAMAGE as error:
             raise InputError(
-                f"{path}: is no whole graph of TensorFlow.js ({_short(error)})."
+                f"{path}: is no whole graph of TensorFlow.js ({one_line(error, 120)})."
             ) from None
         if unknown:
             raise InputError(
@@ -64,8 +64,8 @@ class TfjsGraph:
             return [known[name] for name in outputs]
         except DAMAGE as error:
             raise InputError(
-                f"{self.path}: does not compute {', '.join(outputs)} ({_short(error)}); it is "
-                "damaged or another network."
+                f"{self.path}: does not compute {', '.join(outputs)} ({one_line(error, 120)}); "
+                "it is damaged or another network."
             ) from None
 
     def _compute(self, wanted: str, known: dict[str, Any]) -> None:
@@ -173,7 +173,3 @@ OPERATIONS: dict[str, Callable[..., Any]] = {
     "Transpose": lambda _, x, order: x.permute(order.tolist()),
 }
 """What a node computes from its attributes and its inputs."""
-
-
-def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:120] or type(error).__name__

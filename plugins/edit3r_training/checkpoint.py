@@ -13,7 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from edit3r.contract.errors import InputError
+from edit3r.contract.errors import InputError, one_line
 from edit3r.kit.weights.files import whole_file
 
 LAST = "last.pt"
@@ -70,11 +70,10 @@ class TrainingState:
                 raise ValueError("its best score is not a number")
         # damaged numbers make whoever gets them raise what they like
         except Exception as error:
-            reason = " ".join(str(error).split())[:300] or type(error).__name__
             raise InputError(
-                f"{path}: made for another network or optimiser ({reason}); resume with the "
-                "configuration that it was "
-                "trained with, or start again with --overwrite instead of --resume."
+                f"{path}: made for another network or optimiser ({one_line(error)}); resume with "
+                "the configuration that it was trained with, or start again with --overwrite "
+                "instead of --resume."
             ) from None
         values = (*self.network.state_dict().values(), *self.average.values())
         if not all(bool(torch.isfinite(one).all()) for one in values):

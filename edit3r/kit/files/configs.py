@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from edit3r.contract.errors import InputError, SettingsError, suggest
+from edit3r.contract.errors import InputError, SettingsError, one_line, suggest
 from edit3r.contract.settings import merge, of_file, shortened
 
 
@@ -145,7 +145,7 @@ def parse_yaml(text: str) -> Any:
     except RecursionError:
         raise ValueError("it is nested too deeply") from None
     except (yaml.YAMLError, ValueError, OverflowError, TypeError) as error:
-        raise ValueError(" ".join(str(error).split())) from None
+        raise ValueError(one_line(error)) from None
 
 
 def _check_keys(keys: Iterable[yaml.Node]) -> None:

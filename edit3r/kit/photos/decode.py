@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 from PIL import ExifTags, Image, ImageCms, ImageOps, UnidentifiedImageError
 
-from edit3r.contract.errors import InputError, MissingDependencyError
+from edit3r.contract.errors import InputError, MissingDependencyError, one_line
 from edit3r.contract.reporting import warn
 from edit3r.kit.files.atomic import digest_of
 from edit3r.kit.photos.damage import damage_of
@@ -184,7 +184,7 @@ def decode(path: str | Path, enough: int | None = None) -> DecodedImage:
             raise
         except Exception as error:  # Pillow's decoders raise almost anything
             raise InputError(
-                f"{path}: the image is damaged or cut off ({_reason(error)}); copy it again."
+                f"{path}: the image is damaged or cut off ({one_line(error, 120)}); copy it again."
             ) from None
     return DecodedImage(upright, digest, alpha)
 
@@ -220,7 +220,7 @@ def _opened(path: Path) -> Iterator[tuple[Image.Image, BinaryIO]]:
             raise
         except Exception as error:  # a damaged header, see decode
             raise InputError(
-                f"{path}: the image is damaged ({_reason(error)}); copy it again."
+                f"{path}: the image is damaged ({one_line(error, 120)}); copy it again."
             ) from None
         with image:
             if image.format == "TIFF":
@@ -414,11 +414,6 @@ def _draft(image: Image.Image, enough: int | None) -> None:
     width, height = image.size
     share = enough / max(width, height)
     image.draft(None, (math.ceil(width * share), math.ceil(height * share)))
-
-
-def _reason(error: Exception) -> str:
-    text = " ".join(str(error).split())
-    return text[:120] or type(error).__name__
 
 
 # Pixels

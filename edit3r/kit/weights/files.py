@@ -8,7 +8,7 @@ import safetensors
 import safetensors.torch
 from torch import Tensor, nn
 
-from edit3r.contract.errors import InputError, RunError
+from edit3r.contract.errors import InputError, RunError, one_line
 from edit3r.kit.files.atomic import atomic_write
 
 WEIGHTS = "weights.safetensors"
@@ -52,9 +52,8 @@ def load_weights(network: nn.Module, path: str | Path) -> None:
             raise RuntimeError("it holds values that are not finite")
         network.load_state_dict(weights)
     except (safetensors.SafetensorError, RuntimeError, OSError) as error:
-        reason = " ".join(str(error).split())[:300]
         raise InputError(
-            f"{file}: these weights do not fit this network ({reason})."
+            f"{file}: these weights do not fit this network ({one_line(error)})."
         ) from None
 
 

@@ -22,6 +22,7 @@ from edit3r.contract.errors import (
     MissingDependencyError,
     RunError,
     is_out_of_memory,
+    one_line,
 )
 from edit3r.contract.torch_state import require_device
 from edit3r.contract.weights import Weights
@@ -60,7 +61,7 @@ def foreign(library: str, name: str) -> Any:
         with quiet():
             return getattr(importlib.import_module(library), name)
     except (ImportError, RuntimeError, OSError, AttributeError) as error:
-        reason = " ".join(str(error).split())[:300].rstrip(".")
+        reason = one_line(error)
         cure = f"pip install --upgrade {library}"
         if "torchvision" in reason or "torchvision" in str(error.__cause__):
             cure = (
@@ -174,7 +175,7 @@ def _check_folder(weights: ChosenWeights) -> None:
 
 def loading_error(error: Exception, cls: type, weights: ChosenWeights) -> Edit3rError:
     """The sentence for what `from_pretrained` raised."""
-    reason = " ".join(str(error).split())[:300].rstrip(".")
+    reason = one_line(error)
     model, key = weights.model, weights.key
     if "gated" in f"{type(error).__name__} {reason}".lower():
         return MissingDependencyError(

@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from edit3r.contract.errors import InputError
+from edit3r.contract.errors import InputError, one_line
 from edit3r.kit.weights.load import foreign
 
 
@@ -32,7 +32,7 @@ def onnx_session(path: Path, content: bytes, advice: str) -> Any:
         )
     except Exception as error:  # its errors have no class in common
         raise InputError(
-            f"{path}: onnxruntime cannot load it ({_short(error)}); {advice}"
+            f"{path}: onnxruntime cannot load it ({one_line(error, 200)}); {advice}"
         ) from None
 
 
@@ -51,8 +51,6 @@ def run_onnx(
     try:
         return session.run(outputs, inputs)
     except Exception as error:
-        raise InputError(f"{path}: {fault} ({_short(error)}); {advice}") from None
-
-
-def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:200].rstrip(".")
+        raise InputError(
+            f"{path}: {fault} ({one_line(error, 200)}); {advice}"
+        ) from None
