@@ -41,6 +41,10 @@ DRAWN, SEEN = 384, 256
 PICTURES = frozenset(("picture", "painting", "image", "photo", "artwork", "drawing"))
 """Words by which a sentence means the picture that is given with it."""
 
+NO_PICTURE = (
+    "needs the picture whose style is meant: --editor style --set editor.picture=FILE."
+)
+
 # The numbers of this block: docs/notes/style.md.
 # blurs that tell what is around a pixel, where a side is DRAWN [pixels]
 AROUND = (1, 2, 4, 8)
@@ -71,6 +75,9 @@ class StyleEditor(Editor, EditsRegions):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = settings
+        self._picture: Image.Image | None = None
+        file = settings.picture
+        self._picture = read_image(expanded(file)) if file else None
         if bool(settings.predict) != bool(settings.transform):
             raise InputError(
                 "style: give both files, predict and transform, or neither."
@@ -92,20 +99,16 @@ class StyleEditor(Editor, EditsRegions):
         return instruction.action == "look" and (named or bool(self.settings.picture))
 
     def instruction_of_nothing(self) -> Instruction | None:
-        if not self.settings.picture:
-            return None
         text = "in the style of the picture"
+        if self._picture is None:
+            raise PromptError(f"style {NO_PICTURE}")
         return Instruction("look", Target("whole"), look="picture", text=text)
 
     @one_thread()
     def edit(self, views: Views, request: EditRequest) -> Views:
-        if not self.settings.picture:
-            raise PromptError(
-                f"{request.prompt!r} needs the picture whose style is meant: give it by --editor "
-                "style --set editor.picture=FILE."
-            )
-        picture = read_image(expanded(self.settings.picture))
-        vector = _answer(self._predict, _square(picture))
+        if self._picture is None:
+            raise PromptError(f"{request.prompt!r} {NO_PICTURE}")
+        vector = _answer(self._predict, _square(self._picture))
         draw = _network(self._transform)
         styled = torch.stack(
             [self._scene(images, draw, vector, request.seed) for images in views.images]

@@ -57,7 +57,10 @@ class EditsRegions:
     """
 
     def instruction_of_nothing(self) -> Instruction | None:
-        """What an empty prompt asks of this editor; None where it needs a sentence."""
+        """What an empty prompt asks of this editor; None where it needs a sentence.
+
+        Raises PromptError where settings lack what it would ask.
+        """
         return None
 
 

@@ -129,13 +129,21 @@ def test_a_picture_without_a_sentence_is_the_style_of_all(files):
     editor = edit3r.build("editor", "style", **files)
     asked = editor.instruction_of_nothing()
     assert editor.understands(asked) and asked.target.scope == "whole"
-    editor = edit3r.build("editor", "style", **{**files, "picture": ""})
-    assert editor.instruction_of_nothing() is None
 
 
 def test_without_a_picture_the_error_says_how_to_give_it(files):
+    editor = edit3r.build("editor", "style", **{**files, "picture": ""})
+    with pytest.raises(PromptError, match=r"--set editor\.picture=FILE"):
+        editor.instruction_of_nothing()
     with pytest.raises(PromptError, match=r"--set editor\.picture=FILE"):
         edited(files, picture="")
+
+
+def test_a_picture_that_cannot_be_read_is_named_before_any_photo(files, tmp_path):
+    with pytest.raises(InputError, match=r"nowhere\.jpg"):
+        edit3r.build(
+            "editor", "style", **{**files, "picture": str(tmp_path / "nowhere.jpg")}
+        )
 
 
 def test_a_pattern_of_places_is_gone_and_comes_back_with_the_strokes(files):
