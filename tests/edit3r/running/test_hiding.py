@@ -8,6 +8,7 @@ import base64
 import io
 import json
 import re
+import shutil
 import zlib
 from pathlib import Path
 
@@ -15,6 +16,8 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from edit3r_app.downloads import downloads, prepared
+from edit3r_app.jobs import JobsFolder
 from PIL import Image
 
 from edit3r.cli.main import main
@@ -36,8 +39,9 @@ from tests.plugins.scan import scan
 MAGENTA, GREEN = (1.0, 0.0, 1.0), (0.0, 1.0, 0.0)
 CELL, CELLS, TOP = 3, 18, 60  # [pixels], cells along a side, rows above
 LEFT = {"left": 70, "right": 62}  # columns beside the square
-COLOURS = {".ply", ".glb"}
+COLOURS = {".ply", ".glb", ".sog", ".splat", ".spz"}
 TEXTS = {".json", ".edit3r-run"}
+POSES = {"cameras.bin", "images.bin"}
 
 
 def square(side):
@@ -93,7 +97,7 @@ def colours_in(file: Path) -> np.ndarray:
     """Every colour that a file holds, [colour, 3] in [0, 1]."""
     if file.suffix in (".png", ".jpg"):
         return np.array(Image.open(file).convert("RGB")).reshape(-1, 3) / 255
-    if file.suffix == ".webm":
+    if file.suffix in (".webm", ".mp4"):
         film, frames = cv2.VideoCapture(str(file)), []
         while (frame := film.read())[0]:
             frames.append(frame[1][..., ::-1].reshape(-1, 3) / 255)
@@ -102,7 +106,11 @@ def colours_in(file: Path) -> np.ndarray:
         return _in_page(file.read_text("utf-8"))
     if file.suffix in COLOURS:
         return _in_scene(file)
-    assert file.suffix in TEXTS or file.name in TEXTS, f"how is {file} read?"
+    if file.name == "points3D.bin":
+        return _in_points(file.read_bytes())
+    assert file.suffix in TEXTS or file.name in POSES or file.name in TEXTS, (
+        f"how is {file} read?"
+    )
     return np.zeros((0, 3))
 
 
@@ -119,6 +127,17 @@ def _in_page(text: str) -> np.ndarray:
     levels = np.concatenate((after, planes[17:20] + after), 1)
     found.append(meta["colourLow"] + meta["colourStep"] * levels.T)
     return np.concatenate(found)
+
+
+def _in_points(data: bytes) -> np.ndarray:
+    """Of COLMAP's points: number, place, colour, error and track of each."""
+    (count,), place = np.frombuffer(data, "<u8", 1), 8
+    found = np.zeros((count, 3))
+    for point in range(count):
+        found[point] = np.frombuffer(data, np.uint8, 3, place + 32) / 255
+        place += 51 + 8 * int(np.frombuffer(data, "<u8", 1, place + 43)[0])
+    assert place == len(data)
+    return found
 
 
 def _in_scene(file: Path) -> np.ndarray:
@@ -161,6 +180,25 @@ def test_the_search_finds_it_in_every_kind_of_file_of_another_run(ordinary, hidd
     assert {file.relative_to(hidden) for file in files_of(hidden)} == masks | {
         file.relative_to(ordinary) for file in kept
     }
+
+
+@pytest.mark.slow
+def test_no_download_of_the_app_shows_it(hidden, ordinary, tmp_path):
+    """Whatever its writers make of the run when asked; of another run, pictures and films do."""
+    made, folder = {}, JobsFolder(tmp_path / "jobs")
+    for name, run_folder in (("hidden", hidden), ("ordinary", ordinary)):
+        shutil.copytree(run_folder, folder.root / name)
+        made[name] = tmp_path / name
+        for what in downloads():
+            file = prepared(folder, name, what)
+            if file.suffix == ".zip":
+                shutil.unpack_archive(file, made[name] / what)
+            else:
+                (made[name] / what).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(file, made[name] / what)
+    assert [file for file in files_of(made["hidden"]) if told_by(file)] == []
+    told = {file.suffix for file in files_of(made["ordinary"]) if told_by(file)}
+    assert {".png", ".html", ".webm", *COLOURS} <= told
 
 
 @pytest.mark.slow
