@@ -50,6 +50,8 @@ def beside(scene: SceneToJudge, unlike: Figures) -> Beside:
                 worst[one.view] = max(worst[one.view] or 0.0, figure)
     reference, depths = unknown, None
     if scene.reference is not None:
+        if scene.first_half_way is not None:  # what refiners do to it is not its fault
+            unlike = unlike_between(replace(scene, half_way=scene.first_half_way))
         cheapest = replace(scene, half_way=scene.reference.half_way)
         reference = [
             None if own is None or least is None else own - least

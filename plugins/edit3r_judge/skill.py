@@ -34,6 +34,7 @@ from edit3r_judge.signals import blurred, lab, small
 MOST = 24.0  # difference of colours from which it is another thing [CIE Lab]
 FLOOR = 2.0  # that noise and light alone make [CIE Lab]
 FEW = 0.02  # share of the picture below which nothing is told
+BEHIND = 0.01  # relative depth from which a solid Gaussian stands behind a faint one
 SHOWN = 0.8  # opacity from which the scene shows a surface
 KEPT = 0.02  # difference of colours [sRGB] from which an edit changed a pixel
 OWN = 0.2  # share of a photo that its own Gaussians show, below which all are asked
@@ -186,17 +187,27 @@ def _where(inside: Bool[Tensor, "height width"], matches: Matches) -> Matches:
 def _depths_of(
     gaussians: Gaussians, cameras: Cameras, view: int
 ) -> Float[Tensor, "height width"]:
-    """Camera z of the nearest centre in and about each pixel of a photo; 0: there is none."""
+    """Camera z of the nearest centre in and about each pixel of a photo; 0: there is none, or it is
+    faint, as where another photo's Gaussians show what this one's do not.
+    """
     solid = gaussians.select(gaussians.opacities[0] > 0.5)
+    nearest, surface = (_nearest(one, cameras, view) for one in (gaussians, solid))
+    shown = surface.isfinite() & (surface <= (1 + BEHIND) * nearest)
+    return torch.where(shown, surface, 0.0)
+
+
+def _nearest(
+    gaussians: Gaussians, cameras: Cameras, view: int
+) -> Float[Tensor, "height width"]:
+    """Camera z of the nearest centre in and about each pixel of a photo; inf: there is none."""
     lens, c2w = cameras.intrinsics[0, view], cameras.c2w[0, view]
     size = cameras.image_size
-    pixel, depth, inside = project_to_pixels(solid.means[0], lens, c2w, size)
+    pixel, depth, inside = project_to_pixels(gaussians.means[0], lens, c2w, size)
     nearest = torch.full((size[0] * size[1],), torch.inf)
     nearest.scatter_reduce_(0, pixel[inside], depth[inside], "amin")
     nearest = nearest.view(size)
     about = -dilate(-nearest, 1)
-    nearest = torch.where(nearest.isfinite(), nearest, about)
-    return torch.where(nearest.isfinite(), nearest, 0.0)
+    return torch.where(nearest.isfinite(), nearest, about)
 
 
 def _places(

@@ -82,6 +82,8 @@ class SceneToJudge:
     lenses: tuple[float, float] | None = None
     edit: EditVerdict | None = None  # what is said of the edit in 2D
     half_way: HalfWay | None = None  # None: there is one photo alone
+    # the same before any refiner; None: nothing was refined, or there is no reference
+    first_half_way: HalfWay | None = None
     reference: Reference | None = (
         None  # None: the scene stands on no geometry of the run
     )

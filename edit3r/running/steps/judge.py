@@ -64,10 +64,13 @@ def judge(
         # Half-way between places around a scene is a place like any other.
         if cameras.count > 1 and inputs.scene is None:
             half = seen_half_way(components.rasterizer, gaussians, cameras)
-        reference = None
+        reference, first_half = None, None
         if located.geometry is not None and inputs.scene is None:
             used, drawn_by = reconstructed.used, components.rasterizer
             reference = _reference(located.geometry, used, edit.views, drawn_by)
+            before = reconstructed.reconstruction.gaussians
+            if half is not None and gaussians is not before:
+                first_half = seen_half_way(drawn_by, before, cameras)
         verdict = asking.judge_scene(
             components.critic,
             SceneToJudge(
@@ -84,6 +87,7 @@ def judge(
                 lenses=located.lenses,
                 edit=edit.verdict,
                 half_way=half,
+                first_half_way=first_half,
                 reference=reference,
                 components=_named(components),
             ),

@@ -150,6 +150,18 @@ def test_refiners_that_make_it_worse_are_named(monkeypatch):
     assert "the refiners Blurs made it worse" in verdict.reason
 
 
+def test_what_refiners_do_to_the_view_half_way_is_no_fault_of_the_reconstructor(
+    monkeypatch,
+):
+    from edit3r.running.components import Components
+
+    sharp = verdict_of()
+    monkeypatch.setattr(Components, "refiners", (Blurs(),))
+    blurred = verdict_of()
+    assert max(blurred.unlike_between) > 0.05 + max(sharp.unlike_between)
+    assert blurred.beside_reference == pytest.approx(sharp.beside_reference)
+
+
 def test_a_thing_that_is_flat_is_not_taken_for_a_scene_without_depth():
     """All on one plane: a homography is right there, and says nothing."""
     images = SCENE.views.images[:, :1].expand(-1, 2, -1, -1, -1).clone()

@@ -61,11 +61,14 @@ def test_where_an_edit_leaves_a_wall_alone_to_compare_no_depth_is_missed():
     assert [one.flat for one in skills(made)] == [None, None]
 
 
-def test_what_one_sees_through_is_no_surface():
-    """A faint Gaussian half-way to a solid one."""
+@pytest.mark.parametrize(
+    ("opacities", "depth"), [((0.9, 0.9), 1), ((0.9, 0.1), 0), ((0.1, 0.9), 1)]
+)
+def test_where_one_sees_through_what_is_in_front_no_surface_is_known(opacities, depth):
+    """Of a photo whose Gaussians are faint, others show it: what is behind them is no depth."""
     two = gaussian_cloud(2)
     means = torch.tensor([[[0.0, 0, 2], [0, 0, 1]]])
-    seen = replace(two, means=means, opacities=torch.tensor([[0.9, 0.1]]))
+    seen = replace(two, means=means, opacities=torch.tensor([opacities]))
     lens = torch.tensor([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])[None, None]
     depths = _depths_of(seen, Cameras(torch.eye(4)[None, None], lens, (8, 8)), 0)
-    assert depths.max() == 2
+    assert depths.max() == depth
