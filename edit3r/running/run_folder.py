@@ -47,6 +47,7 @@ from edit3r.kit.provenance import installed_versions, recorded
 from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
 from edit3r.kit.scenes.reading import load_scene
 from edit3r.running.records import READ_LENS, Inputs
+from edit3r.running.scale import Direction
 
 Read = TypeVar("Read")
 GIVEN_SCENE = "scene.file"  # note in run.json: the file of a given scene, as edited
@@ -58,6 +59,9 @@ FRAME = (
 )
 METRIC_FRAME = FRAME.replace("the length unit is arbitrary", "in metres")
 SCALE = "scale"  # note in run.json: what all lengths were multiplied by, to be metres
+TURNED = "turned about view 0's camera so that y points straight down; before that, "
+UP = "up"  # note in run.json: what pointed up before the scene was turned so that it is -y
+UPRIGHT = (0.0, -1.0, 0.0)  # what points up since
 CACHE = "cache"  # the folder of answers of slow stages, for further edits
 HIDDEN = "hidden"  # note in run.json: that the edit hid something for good
 VIEWS = "views"  # note in run.json with what the images do not hold: intrinsics and known poses
@@ -149,6 +153,15 @@ class RunFolder:
         given = self.given_scene()
         return self.scene if given is None else given[0]
 
+    @property
+    def up(self) -> Direction | None:
+        """What points up in the scene's file, where somebody told; None for no run's folder."""
+        try:
+            told = _direction(read_json(self.manifest)["notes"].get(UP))
+        except (OSError, ValueError, LookupError, TypeError, AttributeError):
+            return None
+        return None if told is None else UPRIGHT
+
     def read_views(self) -> tuple[Views, Views]:
         """The unedited and the edited views, without the scene."""
         return self._of_manifest(self._views)
@@ -201,7 +214,8 @@ class RunFolder:
             things=self._things(notes.get(THINGS, []), photos),
             before=Reconstruction(load_scene(self._saved_scene), cameras),
             scale=scale,
-        ).without_scale()
+            up=_direction(notes.get(UP)),
+        ).unmeasured()
         chosen = {
             kind: {"name": run[kind]["name"], **run[kind]["settings"]}
             for kind in ("reconstructor", "matcher")
@@ -346,6 +360,16 @@ def what_images_lack(views: Views) -> dict[str, Any]:
         "c2w": None if views.c2w is None else views.c2w[0].tolist(),
         "assumed": list(views.assumed),
     }
+
+
+def _direction(told: Any) -> Direction | None:
+    """A unit vector as run.json holds it. Raises ValueError for what is none."""
+    if told is None:
+        return None
+    x, y, z = (float(number) for number in told)
+    if abs(math.hypot(x, y, z) - 1) > 1e-3:
+        raise ValueError(f"up is {told}, expected a vector of length 1")
+    return x, y, z
 
 
 def _as_batch(

@@ -162,7 +162,11 @@ def _edited(
     if args.action == "copy":
         run = run.named(args.values[0], run.free)
         twin = edits.in_view_0(
-            scene, chosen, run.cameras, lambda one: edits.moved(one, chosen, numbers)
+            scene,
+            chosen,
+            run.cameras,
+            run.up,
+            lambda one: edits.moved(one, chosen, numbers),
         )
         index = torch.full_like(twin.objects, run.names[args.values[0]])
         both = Gaussians.cat([scene, replace(twin, object_index=index)])
@@ -174,7 +178,11 @@ def _edited(
     if args.action == "remove":
         return run.without(args.name, rest)
     own = edits.in_view_0(
-        scene, chosen, run.cameras, lambda one: _changed(one, chosen, args, numbers)
+        scene,
+        chosen,
+        run.cameras,
+        run.up,
+        lambda one: _changed(one, chosen, args, numbers),
     )
     return replace(run, gaussians=Gaussians.cat([rest, own]))
 

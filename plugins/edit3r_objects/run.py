@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r import default_registry
@@ -64,6 +64,12 @@ class Run:
     names: Mapping[str, int] = field(default_factory=dict)  # object_index by name
     edits: tuple[str, ...] = ()  # what was done to objects, in order
     guessed: int = 0  # Gaussians that the last action made where no photo sees
+
+    @property
+    def up(self) -> Float[Tensor, "3"] | None:
+        """What points up in the scene, where somebody told."""
+        told = RunFolder(self.root).up
+        return None if told is None else torch.tensor(told)
 
     @property
     def free(self) -> int:
@@ -307,6 +313,7 @@ def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None
     scene = SceneToWrite(
         run.gaussians,
         run.cameras,
+        up=RunFolder(before.root).up,
         names=tuple(run.views),
         title=run.edits[-1],
         objects=NamedObjects(run.names, GO_ON),
