@@ -63,26 +63,37 @@ def with_what_is_known(inputs: Inputs, config: RunConfig) -> Inputs:
 
 def _read_length(text: str, inputs: Inputs) -> KnownLength:
     places, _, told = text.rpartition("=")
-    found = re.fullmatch(r"([0-9.]+(?:e-?\d+)?)\s*([a-z]*)", told.strip().lower())
-    if places.count(",") != 3 or found is None:
+    if places.count(",") != 3:
         raise InputError(
             f"--measure {text}: expected {SHAPE}, two places and how far apart they are, such as "
             "1:120,80,1:400,80=1.2m."
         )
-    if found[2] not in METRES:
-        raise InputError(
-            f"--measure {text}: got the unit {found[2]!r}, expected one of {', '.join(METRES)}."
-        )
-    try:
-        metres = float(found[1]) * METRES[found[2]]
-    except ValueError:
-        metres = 0.0
-    if not 0 < metres < float("inf"):
-        raise InputError(f"--measure {text}: a length must be a number above 0.")
+    metres = read_metres(f"--measure {text}", told)
     first, second = _read_places("--measure", places, inputs)
     if first == second:
         raise InputError(f"--measure {text}: both places are the same; give two.")
     return KnownLength(text, (first, second), metres)
+
+
+def read_metres(asked: str, text: str) -> float:
+    """The metres of a length such as 69.4cm; raises InputError, which begins with what was
+    `asked`, for what is none.
+    """
+    found = re.fullmatch(r"([0-9.]+(?:e-?\d+)?)\s*([a-z]*)", text.strip().lower())
+    unit = "" if found is None else found[2]
+    if found is not None and unit not in METRES:
+        raise InputError(
+            f"{asked}: got the unit {unit!r}, expected one of {', '.join(METRES)}."
+        )
+    try:
+        metres = float(found[1]) * METRES[unit] if found is not None else 0.0
+    except ValueError:
+        metres = 0.0
+    if not 0 < metres < float("inf"):
+        raise InputError(
+            f"{asked}: a length must be a number above 0 and a unit, such as 1.2m."
+        )
+    return metres
 
 
 def _read_level(text: str, inputs: Inputs) -> KnownLevel:

@@ -309,6 +309,7 @@ def _scene(result: RunResult, flight: Flight | None = None) -> SceneToWrite:
         title=result.config.prompt,
         about=_about(result),
         up=None if result.records.inputs.up is None else UPRIGHT,
+        unit="" if result.records.inputs.scale == 1 else "m",
         second_look=partial(_look_before, result),
         render=render,
         frames=flight,

@@ -47,7 +47,8 @@ class SavedScene:
         """What the writer needs of the scene. Raises InputError for what is not there."""
         needed: dict[str, Any] = {name: getattr(self, name) for name in writer.needs}
         if "cameras" in needed:
-            needed |= {"names": self.names, "up": RunFolder(self.file.parent).up}
+            folder = RunFolder(self.file.parent)
+            needed |= {"names": self.names, "up": folder.up, "unit": folder.unit}
         return SceneToWrite(
             **{"title": self.stem, **needed, "gaussians": self.gaussians}
         )

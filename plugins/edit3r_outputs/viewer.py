@@ -78,6 +78,7 @@ def viewer_page(scene: SceneToWrite) -> str:
         "distance": distance,
         "depth": depth,
         "near": 1e-3 * distance,
+        "unit": scene.unit,
         "up": scene.up or up_direction(cameras.c2w[0]).tolist(),
         "views": _views(cameras, scene.names),
         "size": cameras.image_size,

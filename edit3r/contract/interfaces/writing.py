@@ -51,6 +51,7 @@ class SceneToWrite:
     gaussians: Gaussians
     cameras: Cameras | None = None  # of the input views, in the frame of the Gaussians
     up: tuple[float, float, float] | None = None  # in that frame, where somebody told
+    unit: str = ""  # of length: "m" where somebody told one
     names: tuple[str, ...] = ()  # of these views: file names without a suffix
     photos: Views | None = None  # what the cameras took
     edited: Views | None = None  # the photos after the 2D edit

@@ -16,10 +16,11 @@ import edit3r
 from edit3r.cli.main import main
 from edit3r.contract.interfaces import MaskLogits, SceneToWrite, Segmenter
 from edit3r.contract.types import Gaussians
+from edit3r.kit.photos.cameras import read_cameras
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.scenes.ply import load_ply, save_ply
 from edit3r.kit.scenes.reading import load_scene
-from edit3r.running import usual_selector
+from edit3r.running import RunFolder, usual_selector
 from edit3r_testing import CommandContract
 from tests.plugins.scan import scan
 
@@ -86,6 +87,52 @@ def test_removing_and_isolating_part_the_scene(made, capsys):
     assert only == (scene_of(made / "left").object_index == 0).sum()
     assert manifest_of(made / "without")["objects"] == {}
     assert (made / "without" / "before_after.png").is_file()
+
+
+def test_a_true_length_scales_the_scene_and_what_goes_on_from_it(made, capsys):
+    """Photos stay, since it looks as before; told again, the last length counts."""
+    before = scene_of(made / "run")
+    assert objects(made, f"run measure 4=200cm --out {made}/half") == 0
+    assert objects(made, f"half measure 2=4m --out {made}/whole") == 0
+    for name, factor in (("half", 0.5), ("whole", 1.0)):
+        scene, facts = scene_of(made / name), manifest_of(made / name)
+        torch.testing.assert_close(scene.means, factor * before.means)
+        torch.testing.assert_close(scene.scales, factor * before.scales)
+        assert facts["frame"].endswith("in metres")
+        assert facts["notes"]["scale"] == pytest.approx(factor)
+        cameras, first = (
+            read_cameras(made / one / "cameras.json") for one in (name, "run")
+        )
+        places = [[one.c2w[:3, 3] for one in each] for each in (cameras, first)]
+        assert np.allclose(places[0], factor * np.array(places[1]), atol=1e-6)
+        assert (made / name / "inputs").is_dir()
+        earlier = RunFolder(made / name).read().inputs
+        torch.testing.assert_close(earlier.before.gaussians.means, before.means)
+    page = (made / "half" / "viewer.html").read_text()
+    assert '"unit": "m"' in page
+
+
+@pytest.mark.parametrize(
+    ("told", "says"),
+    [
+        ("", "measure: give a length of the scene and the true one"),
+        ("1.2m", "expected a length of the scene, and how long it is in truth"),
+        ("0=1m", "expected a length of the scene, and how long it is in truth"),
+        ("nan=1m", "expected a length of the scene, and how long it is in truth"),
+        ("3=1", "got the unit '', expected one of m, cm, mm, ft, in"),
+        ("3=0m", "a length must be a number above 0"),
+    ],
+)
+def test_what_is_no_length_is_refused(made, capsys, told, says):
+    assert objects(made, f"run measure {told} --out {made}/none") == 2
+    assert says in capsys.readouterr().err
+    assert not (made / "none").exists()
+
+
+def test_a_scene_that_was_given_keeps_its_unit(made, capsys):
+    shutil.copy(made / "run" / "scene.ply", made / "scan.ply")
+    assert objects(made, f"scan.ply measure 3=1m --out {made}/none") == 2
+    assert "a given scene keeps its unit" in capsys.readouterr().err
 
 
 class Half(Segmenter):
