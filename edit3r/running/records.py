@@ -90,9 +90,8 @@ class Inputs:
         if before is not None:
             before = back.reconstruction(before)
         if before is not None and before.cameras is not None and self.up is not None:
-            c2w = relative_to_first(
-                before.cameras.c2w
-            )  # view 0 is exactly the identity
+            # view 0 is exactly the identity
+            c2w = relative_to_first(before.cameras.c2w)
             before = replace(before, cameras=replace(before.cameras, c2w=c2w))
         return replace(
             self,

@@ -50,8 +50,6 @@ class SceneToWrite:
 
     gaussians: Gaussians
     cameras: Cameras | None = None  # of the input views, in the frame of the Gaussians
-    up: tuple[float, float, float] | None = None  # in that frame, where somebody told
-    unit: str = ""  # of length: "m" where somebody told one
     names: tuple[str, ...] = ()  # of these views: file names without a suffix
     photos: Views | None = None  # what the cameras took
     edited: Views | None = None  # the photos after the 2D edit
@@ -67,6 +65,9 @@ class SceneToWrite:
     render: Callable[[Cameras], Rendering] | None = None
     # a flight around the scene, drawn frame by frame; only for a writer that `needs` it
     frames: Callable[[], Iterator[Frame]] | None = None
+    # what points up in the frame of the Gaussians, where somebody told
+    up: tuple[float, float, float] | None = None
+    unit: str = ""  # of length: "m" where somebody told one
 
 
 class Writer(Configured, ABC):

@@ -324,6 +324,8 @@ def test_what_goes_on_from_a_run_begins_in_its_own_frame_and_unit():
     written = GIVEN.times(3.0).upright(up).reconstruction(made)
     down = torch.tensor([0, 0.8, -0.6])  # of camera 0, which is tilted now
     torch.testing.assert_close(written.cameras.c2w[0, 0, :3, 1], down)
+    seen = written.gaussians.means @ written.cameras.c2w[0, 0, :3, :3] / 3
+    torch.testing.assert_close(seen, points)  # as before, from camera 0
     again = inputs(before=written, scale=3.0, up=up).unmeasured().before
     assert torch.equal(again.cameras.c2w[0, 0], torch.eye(4))
     torch.testing.assert_close(again.cameras.c2w, c2w)
