@@ -26,6 +26,7 @@ from .geometry import (
 )
 from .job import RunJob as RunJob, job_from as job_from
 from .loop import preview as preview, preview_photo as preview_photo, run as run
+from .measuring import read_metres as read_metres
 from .quality import (
     PRESETS as PRESETS,
     Expected as Expected,

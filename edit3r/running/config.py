@@ -111,8 +111,11 @@ class RunConfig(Settings):
     views: int | None = Field(None, ge=2)
     """use at most this many photos, those that together show most; default: all (of a video, 8
     frames); of a scene, so many pictures of it (default 8)"""
-    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None = None
-    """which axis of a given scene points up; default: as its floor tells, else -y"""
+    up: str | None = None
+    """what points up. Of photos: three places on a floor or a table, such as
+    1:120,380,1:400,350,1:300,420, or found (as the photos were held); files of the scene then stand
+    upright. Of a given scene: its axis +x, -x, +y, -y, +z or -z; default: as its floor tells, else
+    -y"""
     device: str = "cpu"
     """torch device of the learned parts, such as cpu or cuda"""
     frames: int = Field(36, ge=2, le=2000)

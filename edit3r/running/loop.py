@@ -101,9 +101,8 @@ def _records(
         gaussians,
         components,
     )
-    if kept.length is not None:
-        refined = components.job.refine_poses
-        kept = measure(kept, kept.length, reconstructed, judged.rendered, refined)
+    refined = components.job.refine_poses
+    kept = measure(kept, reconstructed, judged.rendered, refined)
     return Records(
         kept,
         located,

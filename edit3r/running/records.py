@@ -26,10 +26,11 @@ from edit3r.contract.interfaces import (
 )
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
+from edit3r.kit.geometry.cameras import relative_to_first
 from edit3r.kit.geometry.exposure import Exposure, ExposureOfEdit
 from edit3r.kit.photos.images import Photo
 from edit3r.running.geometry import NOT_ASKED, GeometryAnswer
-from edit3r.running.scale import GIVEN, KnownLength, Unit
+from edit3r.running.scale import GIVEN, Direction, KnownLength, KnownLevel, Unit
 from edit3r.running.scene_input import SceneInput
 
 Masks = Float[Tensor, "batch view height width"]
@@ -64,8 +65,11 @@ class Inputs:
     scene: SceneInput | None = None  # the given one that the photos are pictures of
     unit: Unit = GIVEN  # what lengths were multiplied by
     length: KnownLength | None = None  # between two places of the photos
+    level: KnownLevel | None = None  # places of the photos at one height
     # by what all lengths of the result are multiplied, so that they are in metres; 1: nobody knows
     scale: float = 1.0
+    # what points up in the frame of view 0: the result is turned so that it is -y; None: it is not
+    up: Direction | None = None
 
     def select(self, indices: list[int]) -> "Inputs":
         """The same with the views at `indices` only."""
@@ -78,16 +82,22 @@ class Inputs:
             things={name: masks[indices] for name, masks in self.things.items()},
         )
 
-    def without_scale(self) -> "Inputs":
-        """A finished run's, in the unit before a known length; `scale` is kept, for the edit that
-        goes on from it.
+    def unmeasured(self) -> "Inputs":
+        """A finished run's, in the unit and frame before a known length and a known up; these are
+        kept, for the edit that goes on from it.
         """
-        back = GIVEN.times(1 / self.scale)
+        back, before = GIVEN.times(self.scale).upright(self.up).back, self.before
+        if before is not None:
+            before = back.reconstruction(before)
+        if before is not None and before.cameras is not None and self.up is not None:
+            # view 0 is exactly the identity
+            c2w = relative_to_first(before.cameras.c2w)
+            before = replace(before, cameras=replace(before.cameras, c2w=c2w))
         return replace(
             self,
             photos=back.views(self.photos),
             start=back.views(self.start),
-            before=None if self.before is None else back.reconstruction(self.before),
+            before=before,
         )
 
     def to(self, device: torch.device | str) -> "Inputs":

@@ -51,9 +51,13 @@ from edit3r.running.components import Components
 from edit3r.running.config import DEFAULTS, RunConfig
 from edit3r.running.records import Inputs, Masks, Preview, Records, SelectedRegions
 from edit3r.running.run_folder import (
+    FRAME,
     GIVEN_SCENE,
     METRIC_FRAME,
     SCALE,
+    TURNED,
+    UP,
+    UPRIGHT,
     VIEWS,
     EarlierRun,
     RunFolder,
@@ -97,7 +101,7 @@ class RunResult:
         inputs, scene = self.records.inputs, self.records.reconstructed.reconstruction
         refined = self.components.job.refine_poses
         unit = unit_of_scene(scene, inputs.photos, inputs.unit, refined)
-        return unit.times(inputs.scale)
+        return unit.times(inputs.scale).upright(inputs.up)
 
     @cached_property
     def photos(self) -> Views:
@@ -116,7 +120,7 @@ class RunResult:
 
     @cached_property
     def gaussians(self) -> Gaussians:
-        """The edited scene, in the frame of view 0."""
+        """The edited scene, in the frame of view 0, or turned upright (`up`)."""
         return self._of_scene.gaussians(self.records.gaussians)
 
     @cached_property
@@ -192,7 +196,8 @@ class RunResult:
             things=self.records.selection.things,
             before=Reconstruction(self.gaussians, self.cameras),
             scale=self.records.inputs.scale,
-        ).without_scale()
+            up=self.records.inputs.up,
+        ).unmeasured()
         settings = {"frames": self.config.frames, **chosen}
         return EarlierRun(inputs, settings, hid=bool(self.components.hiding))
 
@@ -268,6 +273,8 @@ def write_result(root: Path, result: RunResult) -> None:
             note("edits", list(result.records.inputs.prompts))
             if result.records.inputs.scale != 1:
                 note(SCALE, result.records.inputs.scale)
+            if result.records.inputs.up is not None:
+                note(UP, result.records.inputs.up)
     folder.write_manifest(_facts(result))
 
 
@@ -301,6 +308,8 @@ def _scene(result: RunResult, flight: Flight | None = None) -> SceneToWrite:
         rendered=result.rendered,
         title=result.config.prompt,
         about=_about(result),
+        up=None if result.records.inputs.up is None else UPRIGHT,
+        unit="" if result.records.inputs.scale == 1 else "m",
         second_look=partial(_look_before, result),
         render=render,
         frames=flight,
@@ -493,7 +502,8 @@ def _frame(inputs: Inputs) -> dict[str, str]:
     """What run.json says of the frame, where it is not the usual one."""
     if inputs.scene is not None:
         return {"frame": OWN_FRAME}
-    return {} if inputs.scale == 1 else {"frame": METRIC_FRAME}
+    frame = FRAME if inputs.scale == 1 else METRIC_FRAME
+    return {"frame": frame if inputs.up is None else f"{TURNED}{frame}"}
 
 
 def _plugins(component: Any) -> list[dict[str, Any]]:

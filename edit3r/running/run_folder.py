@@ -12,6 +12,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -29,6 +30,7 @@ from edit3r.kit.contact_sheet import images_of
 from edit3r.kit.files.atomic import atomic_write
 from edit3r.kit.files.names import is_plain_name, unique_names
 from edit3r.kit.files.text import read_json
+from edit3r.kit.geometry.cameras import scale_poses
 from edit3r.kit.photos.cameras import (
     intrinsics_from_outside,
     pose_from_outside,
@@ -47,6 +49,7 @@ from edit3r.kit.provenance import installed_versions, recorded
 from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
 from edit3r.kit.scenes.reading import load_scene
 from edit3r.running.records import READ_LENS, Inputs
+from edit3r.running.scale import Direction
 
 Read = TypeVar("Read")
 GIVEN_SCENE = "scene.file"  # note in run.json: the file of a given scene, as edited
@@ -58,6 +61,9 @@ FRAME = (
 )
 METRIC_FRAME = FRAME.replace("the length unit is arbitrary", "in metres")
 SCALE = "scale"  # note in run.json: what all lengths were multiplied by, to be metres
+TURNED = "turned about view 0's camera so that y points straight down; before that, "
+UP = "up"  # note in run.json: what pointed up before the scene was turned so that it is -y
+UPRIGHT = (0.0, -1.0, 0.0)  # what points up since
 CACHE = "cache"  # the folder of answers of slow stages, for further edits
 HIDDEN = "hidden"  # note in run.json: that the edit hid something for good
 VIEWS = "views"  # note in run.json with what the images do not hold: intrinsics and known poses
@@ -133,9 +139,8 @@ class RunFolder:
 
     def given_scene(self) -> tuple[Path, Path] | None:
         """The scene and the cameras of a run that edited a given scene; None of another one."""
-        try:
-            name = read_json(self.manifest)["notes"][GIVEN_SCENE]
-        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        name = self._notes.get(GIVEN_SCENE)
+        if name is None:
             return None
         if not is_plain_name(name) or not (self.root / name).is_file():
             raise InputError(
@@ -148,6 +153,29 @@ class RunFolder:
         """The file of the scene, a given one in its own format."""
         given = self.given_scene()
         return self.scene if given is None else given[0]
+
+    @property
+    def up(self) -> Direction | None:
+        """What points up in the scene's file, where somebody told; None for no run's folder."""
+        try:
+            told = _direction(self._notes.get(UP))
+        except (ValueError, TypeError):
+            return None
+        return None if told is None else UPRIGHT
+
+    @property
+    def unit(self) -> str:
+        """Of lengths in the scene's file: m where somebody told one, else nothing."""
+        return "m" if SCALE in self._notes else ""
+
+    @property
+    def _notes(self) -> Mapping[str, Any]:
+        """Of run.json; none where it cannot be read."""
+        try:
+            notes = read_json(self.manifest)["notes"]
+        except (OSError, ValueError, LookupError, TypeError, RecursionError):
+            return {}
+        return notes if isinstance(notes, dict) else {}
 
     def read_views(self) -> tuple[Views, Views]:
         """The unedited and the edited views, without the scene."""
@@ -201,7 +229,8 @@ class RunFolder:
             things=self._things(notes.get(THINGS, []), photos),
             before=Reconstruction(load_scene(self._saved_scene), cameras),
             scale=scale,
-        ).without_scale()
+            up=_direction(notes.get(UP)),
+        ).unmeasured()
         chosen = {
             kind: {"name": run[kind]["name"], **run[kind]["settings"]}
             for kind in ("reconstructor", "matcher")
@@ -318,15 +347,23 @@ class RunFolder:
             partial.write_text(text + "\n", encoding="utf-8")
 
     def continue_from(
-        self, before: Path, folders: Sequence[str], content: Mapping[str, Any]
+        self,
+        before: Path,
+        folders: Sequence[str],
+        content: Mapping[str, Any],
+        factor: float = 1.0,
     ) -> None:
         """Write what stays true of the run in `before`: cameras, the `folders` of images that are
-        there, and run.json with this `content`; a given scene goes on as `scene.ply`.
+        there, and run.json with this `content`; a given scene goes on as `scene.ply`. With another
+        `factor` than 1 all lengths were multiplied by it, to be metres.
 
         The run may be a stranger's: what is a link there is not followed, and a linked folder left
         out.
         """
         shutil.copyfile(RunFolder(before).cameras, self.cameras)
+        if factor != 1:
+            scale = partial(self._in_metres, content, factor)
+            content = RunFolder(before)._of_manifest(lambda _: scale())
         for name in folders:
             source = before / name
             if source.is_dir() and not source.is_symlink():
@@ -337,6 +374,20 @@ class RunFolder:
         text = json.dumps(content, indent=2, ensure_ascii=False)
         self.manifest.write_text(text + "\n", encoding="utf-8")
 
+    def _in_metres(self, content: Mapping[str, Any], factor: float) -> dict[str, Any]:
+        """What run.json says once lengths are multiplied; those of the cameras' file are, too."""
+        cameras, posed = read_scene_cameras(self.cameras)
+        scaled = replace(cameras, c2w=scale_poses(cameras.c2w, factor))
+        write_cameras(self.cameras, posed_cameras(scaled, [one.file for one in posed]))
+        notes = dict(content["notes"])
+        notes[SCALE] = factor * float(notes.get(SCALE, 1.0))
+        if notes[VIEWS]["c2w"] is not None:
+            given = [pose_from_outside(c2w, "c2w") for c2w in notes[VIEWS]["c2w"]]
+            poses = scale_poses(torch.from_numpy(np.array(given)), factor)
+            notes[VIEWS] = {**notes[VIEWS], "c2w": poses.tolist()}
+        frame = METRIC_FRAME if UP not in notes else f"{TURNED}{METRIC_FRAME}"
+        return {**content, "frame": frame, "notes": notes}
+
 
 def what_images_lack(views: Views) -> dict[str, Any]:
     """What `RunFolder.read_views` needs beside the images, as JSON data; numbers stay exact."""
@@ -346,6 +397,16 @@ def what_images_lack(views: Views) -> dict[str, Any]:
         "c2w": None if views.c2w is None else views.c2w[0].tolist(),
         "assumed": list(views.assumed),
     }
+
+
+def _direction(told: Any) -> Direction | None:
+    """A unit vector as run.json holds it. Raises ValueError for what is none."""
+    if told is None:
+        return None
+    x, y, z = (float(number) for number in told)
+    if abs(math.hypot(x, y, z) - 1) > 1e-3:
+        raise ValueError(f"up is {told}, expected a vector of length 1")
+    return x, y, z
 
 
 def _as_batch(

@@ -1,4 +1,5 @@
-"""The unit of length that a run with given poses works in, and lengths that somebody knows.
+"""The unit of length that a run with given poses works in, and what somebody knows of lengths and
+heights.
 
 Camera files come in millimetres, kilometres or anything else; what follows (near planes, step
 sizes, prices) is made for scenes of ordinary size. So `read` brings the photos into a unit in which
@@ -13,10 +14,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
-from edit3r.kit.geometry.cameras import relative_to_first, scale_poses
+from edit3r.kit.geometry.cameras import relative_to_first, scale_poses, upright
+from edit3r.kit.scenes.axes import turned
 
 Point = tuple[str, float, float]
 """Name of a view, x and y [shares of the view]."""
+Direction = tuple[float, float, float]
+"""A unit vector in the frame of view 0."""
 SAME_POSE = 1e-3
 """Most by which poses that were taken over differ from those that were given [mean distances]."""
 # factor of a unit; positions have limits of their own; a sanity limit
@@ -33,23 +37,41 @@ class KnownLength:
 
 
 @dataclass(frozen=True)
+class KnownLevel:
+    """Three places that lie at one height; without them, how the photos were held tells it."""
+
+    text: str  # as it was given
+    places: tuple[Point, ...] = ()
+
+
+@dataclass(frozen=True)
 class Unit:
-    """What the lengths of each scene are multiplied by."""
+    """What the lengths of each scene are multiplied by, and how it is turned about view 0."""
 
     factor: Float[Tensor, "batch"]
+    turn: Float[Tensor, "3 3"] | None = (
+        None  # of the scene; poses of photos are not turned
+    )
 
     @property
     def back(self) -> "Unit":
         """The way back."""
-        return Unit(1 / self.factor)
+        return Unit(1 / self.factor, None if self.turn is None else self.turn.T)
 
     def times(self, factor: float) -> "Unit":
         """The same with all lengths multiplied by `factor`, too."""
-        return Unit(self.factor * factor)
+        return replace(self, factor=self.factor * factor)
+
+    def upright(self, up: Direction | None) -> "Unit":
+        """The same with the scene turned so that `up` is -y; None: as it stands."""
+        if up is None:
+            return self
+        eye = torch.eye(3, dtype=torch.float64)
+        return replace(self, turn=upright(eye.new_tensor(up), eye))
 
     def where(self, scenes: Bool[Tensor, "batch"]) -> "Unit":
         """The same for these scenes; the others keep their lengths."""
-        return Unit(torch.where(scenes, self.factor, 1.0))
+        return replace(self, factor=torch.where(scenes, self.factor, 1.0))
 
     def views(self, views: Views) -> Views:
         if views.c2w is None:
@@ -57,11 +79,15 @@ class Unit:
         return replace(views, c2w=self._poses(views.c2w))
 
     def cameras(self, cameras: Cameras) -> Cameras:
-        return replace(cameras, c2w=self._poses(cameras.c2w))
+        c2w = self._poses(cameras.c2w)
+        if self.turn is not None:
+            c2w[..., :3, :] = self.turn.to(c2w) @ c2w[..., :3, :]
+        return replace(cameras, c2w=c2w)
 
     def gaussians(self, gaussians: Gaussians) -> Gaussians:
         means, scales = self._times(gaussians.means), self._times(gaussians.scales)
-        return replace(gaussians, means=means, scales=scales)
+        scaled = replace(gaussians, means=means, scales=scales)
+        return scaled if self.turn is None else turned(scaled, self.turn)
 
     def rendering(self, rendering: Rendering) -> Rendering:
         depths = rendering.depths

@@ -25,6 +25,7 @@ from edit3r.kit.scenes.look import camera_file_of
 from edit3r.kit.scenes.reading import form_of, load_scene
 from edit3r.kit.scenes.rewriting import SceneChange, rewritten
 from edit3r.kit.scenes.scene_views import (
+    UPS,
     Places,
     SceneViews,
     as_given,
@@ -172,8 +173,14 @@ def read_scene(
     """The scene, and pictures of it from given cameras, those beside its file, or around it.
 
     `cameras` may be "none": not even those beside the file. Raises InputError for a file without
-    Gaussians, a scene too large for the memory, and cameras that see nothing of it.
+    Gaussians, a scene too large for the memory, an `up` that is no axis, and cameras that see
+    nothing of it.
     """
+    if up is not None and up not in UPS:
+        raise InputError(
+            f"--up {up}: a given scene keeps its axes; expected which of them points up, one of "
+            f"{', '.join(UPS)}."
+        )
     file = scene if isinstance(scene, Path) else None
     given = _checked(scene) if isinstance(scene, Gaussians) else load_scene(scene)
     _check_memory(given, NAME if file is None else str(file))

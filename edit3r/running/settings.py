@@ -40,7 +40,7 @@ class RunSettings(TypedDict, total=False):
     feather: float
     moved_edits: Literal["undo", "keep"]
     seed: int
-    up: Literal["+x", "-x", "+y", "-y", "+z", "-z"] | None
+    up: str
     size: int
     fov: float
     measure: str

@@ -17,6 +17,7 @@ MAKES_NO_OTHER_SCENE = {
     "export",
     "guess",
     "measure",
+    "up",
 }
 """Settings that may differ from the defaults without the run being another kind of run."""
 

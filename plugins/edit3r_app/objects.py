@@ -5,23 +5,27 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from edit3r.contract.errors import InputError
+from edit3r.running import read_metres
 from edit3r_app.jobs import JobsFolder, manifest_of
 
 NUMBERS = {"move": 3, "turn": 1, "scale": 1, "copy": 3}
 """How many numbers an action takes; the others take none."""
+MEASURE = "measure"
 TEXTS = {
     "recolor": "a colour, such as: dark green",
     "rename": "a new name",
     "copy": "a name for the copy",
+    MEASURE: "how long it is, such as: 69.4 cm",
 }
 MARKED = "add"  # takes what is marked on the photos
 DRAWN = {"cut": "remove what is drawn", "crop": "keep only what is drawn"}
 """Actions on what is drawn over the scene, which need no name."""
-NAMELESS = ("find", "clean", *DRAWN)
+NAMELESS = ("find", "clean", MEASURE, *DRAWN)
 IN_WORDS = {
     **DRAWN,
     "clean": "take out floaters",
     "find": "find the things",
+    MEASURE: "measure {text}",
     "add": "take hold of {name}",
     "remove": "remove {name}",
     "recolor": "paint {name} {text}",
@@ -73,6 +77,8 @@ def read_action(asked: dict[str, Any]) -> ObjectAction:
         )
     if found.action in TEXTS and not found.text.strip():
         raise InputError(f"say {TEXTS[found.action]}.")
+    if found.action == MEASURE:
+        read_metres("the true length", found.text.partition("=")[2])
     if len(found.numbers) != NUMBERS.get(found.action, 0):
         raise InputError("not something that can be done with a thing.")
     return found
@@ -86,7 +92,8 @@ def checked_words(words: tuple[str, ...]) -> tuple[str, ...]:
     takes = len(rest) - NUMBERS.get(action, 0)
     try:
         texts, numbers = rest[:takes], [float(one) for one in rest[takes:]]
-        asked = {"name": (texts or [""])[0], "text": (texts[1:] or [""])[0]}
+        name, text, *_ = ([""] * (action in NAMELESS)) + texts + ["", ""]
+        asked = {"name": name, "text": text}
         found = read_action({"action": action, "numbers": numbers, **asked})
         if len(found.call) == len(words):
             return found.call

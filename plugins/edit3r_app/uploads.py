@@ -24,7 +24,7 @@ from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.photos.coverage import VIDEO_SUFFIXES, take_frames, temporary_photos
 from edit3r.kit.photos.decode import READABLE, decode
 from edit3r.kit.photos.images import SUFFIXES, save_image
-from edit3r.running import SCENE_ENDINGS, SceneInput, make_run_config, read_scene
+from edit3r.running import SCENE_ENDINGS, SceneInput, read_scene
 from edit3r_app.jobs import SPLAT, JobsFolder
 
 DRAFT = ".upload-"  # how names of files begin that are still being received
@@ -147,7 +147,7 @@ def turn_upright(folder: JobsFolder, scene: str, up: str) -> None:
         raise InputError(
             f"{scene}: only a scene that nothing was made of can be turned."
         )
-    looked = _looked_at(splat[0], make_run_config({"up": up[:20]}).up)
+    looked = _looked_at(splat[0], up[:20])
     _keep_pictures(folder, scene, looked)
     _LOOKED[splat[0]] = looked
 

@@ -92,13 +92,17 @@ class Tools:
         marks: MarkArguments | None = None,
         earlier: str = "",
         guess: bool = False,
+        measure: str = "",
+        up: str = "",
     ) -> list:
         """Edit photos of one scene as a sentence says ("paint the bike red"), and make it 3D.
 
         Give two or more photos, or one splat file, or as `earlier` the name of a run that is edited
         again. What changes is the thing that the sentence names, or the marks. It takes some
         seconds a photo. Words that hardly tell which thing is meant are asked about; `guess` takes
-        the likeliest.
+        the likeliest. `measure` is a length that the user knows between two places, such as
+        `1:120,80,1:400,80=1.2m`: the scene is then in metres. `up` are three places on a floor or a
+        table, such as `1:120,380,1:400,350,1:300,420`: the scene then stands upright.
         """
         given = [f"--from={self._found(earlier)}"] if earlier else []
         given += self._photos(photos or [])
@@ -107,6 +111,8 @@ class Tools:
         given += marks.flags() if marks else []
         given += [f"--config={self.config}"] if self.config else []
         given += ["--guess"] if guess else []
+        given += [f"--measure={measure}"] if measure else []
+        given += [f"--up={up}"] if up else []
         words = ("run", *given, f"--prompt={prompt}", "--progress=json")
         async with self._turn(context):
             out = self._unused("edit")

@@ -20,8 +20,10 @@ DRAWN = ("cut", "crop")
 """Actions on what is drawn: away with it, or with all else."""
 NAMELESS = ("list", "find", "clean", *DRAWN)
 """Actions that take no name."""
+MEASURE = "measure"
+"""Takes a length in place of a name."""
 VALUES = {
-    **dict.fromkeys((*NAMELESS, "add", "remove", "isolate"), ""),
+    **dict.fromkeys((*NAMELESS, "add", "remove", "isolate", MEASURE), ""),
     "rename": "NEW_NAME",
     "recolor": "COLOUR",
     "move": "RIGHT UP NEARER",
@@ -45,7 +47,8 @@ class ObjectsCommand(Command):
         )
         about = (
             "what to do (default list); find: look for the things of the scene; clean: take out "
-            "floaters"
+            "floaters; measure: give the scene's unit, by a length in it (as the viewer measures) "
+            "and the true one, such as 3.58=69.4cm"
         )
         add("action", nargs="?", choices=VALUES, default="list", help=about)
         add("name", nargs="?", default="", metavar="NAME", help="of the object")
@@ -120,6 +123,11 @@ def _check_name(args: argparse.Namespace, usage: str) -> None:
     action = args.action
     if action in NAMELESS and args.name:
         raise SettingsError(f"{action} takes no name: {usage.replace(' NAME', '')}.")
+    if action == MEASURE and not args.name:
+        raise SettingsError(
+            "measure: give a length of the scene and the true one, such as edit3r objects RUN "
+            "measure 3.58=69.4cm."
+        )
     if action not in NAMELESS and not args.name:
         raise SettingsError(f"{action}: name the object: {usage}.")
     if action in DRAWN and not args.drawn:
@@ -139,12 +147,14 @@ def _edited(
     from edit3r.contract.types import Gaussians
     from edit3r_objects import edits
     from edit3r_objects.holes import without_object
-    from edit3r_objects.run import add_object
+    from edit3r_objects.run import add_object, in_metres
 
     done = " ".join((args.action, args.name, *args.values)).strip()
     run = replace(run, edits=(*run.edits, done))
     if args.action == "add":
         return add_object(run, args, rasterizer)
+    if args.action == MEASURE:
+        return in_metres(run, args.name)
     if args.action in NAMELESS:
         return _of_the_scene(run, args, rasterizer)
     scene = run.gaussians
@@ -162,7 +172,11 @@ def _edited(
     if args.action == "copy":
         run = run.named(args.values[0], run.free)
         twin = edits.in_view_0(
-            scene, chosen, run.cameras, lambda one: edits.moved(one, chosen, numbers)
+            scene,
+            chosen,
+            run.cameras,
+            run.up,
+            lambda one: edits.moved(one, chosen, numbers),
         )
         index = torch.full_like(twin.objects, run.names[args.values[0]])
         both = Gaussians.cat([scene, replace(twin, object_index=index)])
@@ -174,7 +188,11 @@ def _edited(
     if args.action == "remove":
         return run.without(args.name, rest)
     own = edits.in_view_0(
-        scene, chosen, run.cameras, lambda one: _changed(one, chosen, args, numbers)
+        scene,
+        chosen,
+        run.cameras,
+        run.up,
+        lambda one: _changed(one, chosen, args, numbers),
     )
     return replace(run, gaussians=Gaussians.cat([rest, own]))
 

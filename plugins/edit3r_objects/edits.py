@@ -11,7 +11,7 @@ from edit3r.contract.errors import PromptError
 from edit3r.contract.interfaces import Editor
 from edit3r.contract.types import Cameras, EditRequest, Gaussians, Views
 from edit3r.kit import asking
-from edit3r.kit.geometry.cameras import up_direction
+from edit3r.kit.geometry.cameras import up_direction, upright
 from edit3r.kit.geometry.harmonics import colour_to_dc, dc_to_colour, turn_harmonics
 from edit3r.kit.geometry.rotations import matrices_to_quats, quats_to_matrices
 from edit3r.kit.scenes.axes import turned as rotated
@@ -26,21 +26,19 @@ def in_view_0(
     gaussians: Gaussians,
     chosen: Chosen,
     cameras: Cameras,
+    up: Tensor | None,
     edit: Callable[[Gaussians], Gaussians],
 ) -> Gaussians:
     """The chosen Gaussians once edited in the frame of view 0, held upright where it is not the
-    scene's own, as that of a splat of another program.
+    scene's own, as that of a splat of another program; `up` is known, or how it was held tells it.
     """
     c2w = cameras.c2w[0]
     if torch.equal(c2w[0], torch.eye(4)):
         return edit(gaussians).select(chosen)
-    down = -up_direction(c2w)
-    right = torch.linalg.cross(down, c2w[0, :3, 2])
-    right = torch.nn.functional.normalize(right, dim=0)
-    axes = torch.stack((right, down, torch.linalg.cross(right, down)), 1)
+    turn = upright(up_direction(c2w) if up is None else up, c2w[0, :3, :3])
     eye = c2w[0, :3, 3]
     shifted = replace(gaussians, means=gaussians.means - eye)
-    own = rotated(edit(rotated(shifted, axes.T)).select(chosen), axes)
+    own = rotated(edit(rotated(shifted, turn)).select(chosen), turn.T)
     return replace(own, means=own.means + eye)
 
 

@@ -1,6 +1,7 @@
 """A run's folder as a scene with named objects: read, listed, written anew."""
 
 import argparse
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import count
@@ -8,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from edit3r import default_registry
@@ -25,6 +26,7 @@ from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.contact_sheet import draw_sheet
 from edit3r.kit.files.names import unique_names
 from edit3r.kit.files.text import read_json
+from edit3r.kit.geometry.cameras import scale_poses
 from edit3r.kit.photos.images import LoadedPhotos, save_image
 from edit3r.kit.rendering import render_each
 from edit3r.kit.scenes.files import scene_file
@@ -36,6 +38,7 @@ from edit3r.running import (
     MarkTexts,
     RunFolder,
     default_matcher,
+    read_metres,
     select_with,
     usual_selector,
 )
@@ -49,7 +52,7 @@ NEW = 0.5  # share of a found thing that no object has, for it to be one
 MAX_INDEX = 2**31 - 1  # of an object
 PHOTOS = ("inputs", "edited", "masks")  # true only while the scene looks as it did
 GO_ON = "edit3r objects {run} remove {name} --out {run}-without-{name}"
-LOOK_ALIKE = ("add", "find", "rename")  # actions that change no pixel
+LOOK_ALIKE = ("add", "find", "rename", "measure")  # actions that change no pixel
 
 
 @dataclass(frozen=True)
@@ -63,7 +66,14 @@ class Run:
     manifest: dict[str, Any]  # content of run.json
     names: Mapping[str, int] = field(default_factory=dict)  # object_index by name
     edits: tuple[str, ...] = ()  # what was done to objects, in order
+    factor: float = 1.0  # that the last action multiplied lengths by
     guessed: int = 0  # Gaussians that the last action made where no photo sees
+
+    @property
+    def up(self) -> Float[Tensor, "3"] | None:
+        """What points up in the scene, where somebody told."""
+        told = RunFolder(self.root).up
+        return None if told is None else torch.tensor(told)
 
     @property
     def free(self) -> int:
@@ -156,6 +166,36 @@ def _area(run: Run, name: str, view: int, rasterizer: Rasterizer) -> float:
     """How much of a view the object covers [pixels]."""
     covered = rasterizer.contributions(run.gaussians, run.cameras.select([view]))
     return float(covered[0, run.chosen(name)].sum())
+
+
+def in_metres(run: Run, told: str) -> Run:
+    """The run with all lengths multiplied so that one is as it is told: `3.58=69.4cm`.
+
+    Raises InputError for what tells no length, and for a scene whose unit is not ours to choose.
+    """
+    asked = f"measure {told}"
+    if "notes" not in run.manifest or RunFolder(run.root).given_scene() is not None:
+        raise InputError(
+            f"{asked}: a given scene keeps its unit; only scenes made of photos take one."
+        )
+    seen, _, true = told.partition("=")
+    try:
+        now = float(seen)
+    except ValueError:
+        now = 0.0
+    if not 0 < now < math.inf:
+        raise InputError(
+            f"{asked}: expected a length of the scene, and how long it is in truth, such as "
+            "3.58=69.4cm."
+        )
+    factor = read_metres(asked, true) / now
+    cameras = replace(run.cameras, c2w=scale_poses(run.cameras.c2w, factor))
+    gaussians = replace(
+        run.gaussians,
+        means=factor * run.gaussians.means,
+        scales=factor * run.gaussians.scales,
+    )
+    return replace(run, gaussians=gaussians, cameras=cameras, factor=factor)
 
 
 def add_object(run: Run, args: argparse.Namespace, rasterizer: Rasterizer) -> Run:
@@ -307,6 +347,8 @@ def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None
     scene = SceneToWrite(
         run.gaussians,
         run.cameras,
+        up=RunFolder(before.root).up,
+        unit="m" if run.factor != 1 else RunFolder(before.root).unit,
         names=tuple(run.views),
         title=run.edits[-1],
         objects=NamedObjects(run.names, GO_ON),
@@ -320,4 +362,5 @@ def write_run(root: Path, before: Run, run: Run, rasterizer: Rasterizer) -> None
         "edited_from": str(before.root),
     }
     stays_true = PHOTOS if run.edits[-1].split()[0] in LOOK_ALIKE else ()
-    folder.continue_from(before.root, stays_true, {**run.manifest, **facts})
+    content = {**run.manifest, **facts}
+    folder.continue_from(before.root, stays_true, content, run.factor)

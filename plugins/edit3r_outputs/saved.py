@@ -22,7 +22,7 @@ from edit3r.kit.photos.images import read_image
 from edit3r.kit.rendering import Flight, path_around, render_each
 from edit3r.kit.scenes.look import camera_file_of, look_at
 from edit3r.kit.scenes.reading import load_scene
-from edit3r.running import RunConfig
+from edit3r.running import RunConfig, RunFolder
 
 
 class SavedScene:
@@ -47,7 +47,8 @@ class SavedScene:
         """What the writer needs of the scene. Raises InputError for what is not there."""
         needed: dict[str, Any] = {name: getattr(self, name) for name in writer.needs}
         if "cameras" in needed:
-            needed["names"] = self.names
+            folder = RunFolder(self.file.parent)
+            needed |= {"names": self.names, "up": folder.up, "unit": folder.unit}
         return SceneToWrite(
             **{"title": self.stem, **needed, "gaussians": self.gaussians}
         )

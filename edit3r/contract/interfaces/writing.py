@@ -65,6 +65,9 @@ class SceneToWrite:
     render: Callable[[Cameras], Rendering] | None = None
     # a flight around the scene, drawn frame by frame; only for a writer that `needs` it
     frames: Callable[[], Iterator[Frame]] | None = None
+    # what points up in the frame of the Gaussians, where somebody told
+    up: tuple[float, float, float] | None = None
+    unit: str = ""  # of length: "m" where somebody told one
 
 
 class Writer(Configured, ABC):

@@ -213,6 +213,9 @@ TRUST_IN_MEAN = 0.03
 """How much the mean of the cameras' own ups counts beside their horizons. Chosen on sets of seven
 scenes (docs/notes/scenes.md); it decides alone where all cameras face the same way."""
 
+STEEP = 0.98
+"""Cosine from which a camera looks straight up or down; a matter of definition."""
+
 
 def quarter_turns(c2w: Float[Tensor, "view 4 4"]) -> Int[Tensor, "view"]:
     """Quarter turns, 0 to 3 anticlockwise, that bring each image the way round of most others."""
@@ -237,6 +240,17 @@ def up_direction(c2w: Float[Tensor, "view 4 4"]) -> Float[Tensor, "3"]:
     spread = across.T @ across / len(c2w) - TRUST_IN_MEAN * torch.outer(mean, mean)
     up = torch.linalg.eigh(spread).eigenvectors[:, 0]
     return up if up @ mean > 0 else -up
+
+
+def upright(
+    up: Float[Tensor, "3"], camera: Float[Tensor, "3 3"]
+) -> Float[Tensor, "3 3"]:
+    """The rotation after which `up` is -y, and the way that a camera (c2w) looks is ahead, in z."""
+    down, ahead = -up, camera[:, 2]
+    if (ahead @ up).abs() > STEEP:  # ahead is then where the top of the image is
+        ahead = (ahead @ up).sign() * camera[:, 1]
+    right = torch.nn.functional.normalize(torch.linalg.cross(down, ahead), dim=0)
+    return torch.stack((right, down, torch.linalg.cross(right, down)))
 
 
 def _ups_of_turned(c2w: Float[Tensor, "view 4 4"]) -> Float[Tensor, "view 4 3"]:

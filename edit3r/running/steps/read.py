@@ -22,7 +22,7 @@ from edit3r.kit.photos.coverage import (
 from edit3r.kit.photos.images import LoadedPhotos, find_photos, load_photos
 from edit3r.kit.photos.masks import read_mask
 from edit3r.running.job import RunJob
-from edit3r.running.measuring import with_known_length
+from edit3r.running.measuring import with_what_is_known
 from edit3r.running.records import Inputs
 from edit3r.running.scale import has_given_poses, own_unit
 from edit3r.running.scene_input import SceneInput, read_scene
@@ -48,8 +48,6 @@ def read(
         if job.scene is not None:
             inputs = _read_scene(job, rasterizer())
             inputs = replace(inputs, prompts=(job.config.prompt,))
-            if job.config.measure is not None:
-                inputs = with_known_length(inputs, job.config.measure)
             return _with_marks(inputs, masks, job.components["reader"])
         if job.earlier is not None:
             inputs = job.earlier.inputs
@@ -66,15 +64,18 @@ def read(
                 inputs = _with_masks_of_cameras(inputs)
         inputs = replace(inputs, prompts=(*inputs.prompts, job.config.prompt))
         inputs = _with_marks(inputs, masks, job.components["reader"])
-        if job.config.measure is not None:
-            inputs = with_known_length(inputs, job.config.measure)
-        return _in_own_unit(inputs)
+        return _in_own_unit(with_what_is_known(inputs, job.config))
 
 
 def _read_scene(job: RunJob, rasterizer: Rasterizer) -> Inputs:
     """Pictures of the given scene in place of photos."""
     config, scene = job.config, job.scene
     assert scene is not None
+    if config.measure is not None:
+        raise InputError(
+            f"--measure {config.measure}: a given scene keeps its unit; only scenes made of photos "
+            "take one."
+        )
     if not isinstance(scene, SceneInput):
         scene = read_scene(
             scene,

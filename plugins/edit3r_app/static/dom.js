@@ -46,6 +46,7 @@ const PATHS = {
   upright: "M12 20V5M6 11l6-6 6 6M5 21h14",
   which: "M4 4h7v7H4zM13 4h7v7h-7zM4 13h7v7H4zM13 13h7v7h-7z",
   clean: "M20 4l-8 8M12 12l-3-3-6 6 6 6 6-6zM6 18l3-3M9 21l3-3",
+  ruler: "M3 16L16 3l5 5L8 21zM7 12l2 2M10 9l3 3M13 6l2 2",
   keep: "M6 4h12v16l-6-4-6 4z",
   save: "M4 8h4l2-3h4l2 3h4v11H4zM12 10a3.5 3.5 0 1 0 .1 0",
   away: "M4 12a8 8 0 1 0 16 0 8 8 0 1 0-16 0M8 12h8",

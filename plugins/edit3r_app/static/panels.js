@@ -325,6 +325,7 @@ const KEYS = [
   ["/ · Enter", "to the sentence · Go"],
   ["M", "photos or 3D"],
   ["Alt and drag", "in 3D: draw a line over the thing"],
+  ["K in 3D", "measure between two places"],
   ["R · L in 3D", "choose points of the scene: hide, remove, keep, take"],
   ["C · B in 3D", "handle between before and after · switch"],
   ["arrows, W A S D in 3D", "turn and fly"],

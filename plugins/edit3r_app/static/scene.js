@@ -10,6 +10,7 @@ import { drawersOf } from "./scene/drawers.js";
 import { keysOf } from "./scene/keys.js";
 import { pictureOf } from "./scene/picture.js";
 import { questionOf } from "./scene/question.js";
+import { rulerOf } from "./scene/ruler.js";
 import { fullScreen, stageOf } from "./scene/stage.js";
 import { sculptOf } from "./scene/sculpt.js";
 import { newPage } from "./scene/state.js";
@@ -56,6 +57,7 @@ export function scenePage(root, scene, at, beside) {
   page.bar = barOf(page);
   page.adjust = adjustOf(page);
   page.sculpt = sculptOf(page);
+  page.ruler = rulerOf(page);
   page.verdicts = verdictsOf(page);
   page.tools = toolsOf(page);
   page.waiting = waitingOf(page);
@@ -93,7 +95,7 @@ export function scenePage(root, scene, at, beside) {
     el("span", { class: "by-mouse" }, "Drag to turn · wheel to zoom · right drag to shift · click to mark"),
     el("span", { class: "by-finger" }, "Drag to turn · pinch to zoom · two fingers shift · tap to mark"),
   );
-  const middle = el("div", { class: "middle" }, stage, gestures, over, page.adjust.node, page.sculpt.node, page.question.node);
+  const middle = el("div", { class: "middle" }, stage, gestures, over, page.adjust.node, page.sculpt.node, page.ruler.node, page.question.node);
   root.replaceChildren(top, el("main", {}, strip, middle, page.drawers.node), dock);
 
   // ---- following the server ----

@@ -17,15 +17,18 @@ import urllib.request
 import zipfile
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
+import numpy as np
 import pytest
 from edit3r_app.draft import read_draft
 from edit3r_app.jobs import JobsFolder
 
+from edit3r.cli.main import main
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.scenes.ply import load_ply, save_ply
+from tests.edit3r.running.test_measuring import BASELINE, baseline, truth
 from tests.plugins.scan import scan
 
-from ..looks import AXE_FILE, serious
+from ..looks import AXE_FILE, PHONE, WIDE, cut_off, serious
 from .conftest import Server
 
 pytestmark = pytest.mark.slow
@@ -452,6 +455,67 @@ class Proxy(BaseHTTPRequestHandler):
 
     def log_message(self, *_):
         pass
+
+
+ENDS = ((190, 300), (540, 150))  # of the packaged pair, on the left photo: far apart
+SURFACE = """([x, y]) => {
+  const {focal, principal} = pixels(lens), share = canvas.width / canvas.clientWidth;
+  const sight = [(x * lens.width - lens.cx) / lens.fx, (y * lens.height - lens.cy) / lens.fy];
+  measureTo(solid(...sight.map((at, k) => (focal[k] * at + principal[k]) / share)));
+}"""
+
+
+@pytest.mark.parametrize("size", [WIDE, PHONE], ids=["wide", "phone"])
+def test_a_length_that_is_typed_makes_the_scene_metric(server, tab, size):
+    """The calibrated pair's cameras stand 193 mm apart; told is the true length between two places
+    that its disparities give. A length that is none changes nothing, and Escape ends it.
+    """
+    run = server.folder / "bike"
+    if not run.exists():
+        words = ["run", "--editor", "none", "--outputs", "scene,images,viewer"]
+        assert main([*words, "--quiet", "--out", str(run)]) == 0
+    page = tab(size)
+    page.goto(f"{server.address}/s/bike")
+
+    def measure():
+        frame = page.frame_locator(".stage iframe")
+        frame.locator("body[data-drawn]").wait_for()
+        page.get_by_role("button", name="Ruler").click()
+        frame.locator("body.measuring").wait_for()
+        page.get_by_text("Click two places in the scene").wait_for()
+        scene_page = next(one for one in page.frames if "/viewer/" in one.url)
+        for x, y in ENDS:  # as a click there does
+            scene_page.evaluate(SURFACE, [(x + 0.5) / 741, (y + 0.5) / 500])
+        page.get_by_label("how long it is in truth").wait_for()
+        return page.locator("form.question strong").inner_text()
+
+    assert measure().endswith(" units in the scene")
+    assert cut_off(page, [".question", ".question small"]) == []
+    typed, use = (
+        page.get_by_label("how long it is in truth"),
+        page.get_by_text("Use it"),
+    )
+    typed.fill("3 yards")
+    use.click()
+    page.get_by_text("got the unit 'yards'").wait_for()
+    first, second = (truth(*place) for place in ENDS)
+    told = np.linalg.norm(first - second)
+    typed.fill(f"{100 * told:.2f} cm")
+    use.click()
+    page.wait_for_url("**at=**")
+    made = server.folder / page.url.partition("at=")[2]
+    assert baseline(made) == pytest.approx(BASELINE, rel=0.03)
+    length, unit = measure().split()[:2]
+    assert unit == "m" and float(length) == pytest.approx(told, rel=0.005)
+    page.keyboard.press("Escape")
+    page.locator("form.question").wait_for(state="hidden")
+    page.frame_locator(".stage iframe").locator("body:not(.measuring)").wait_for()
+    # the edit before is there again
+    page.get_by_role("button", name="Undo").locator("visible=true").click()
+    page.wait_for_url(lambda address: "at=" not in address or "bike-" not in address)
+    page.close()
+    asked = [one for one in tab.problems if "400" not in one]
+    assert asked == []
 
 
 class Stays(urllib.request.HTTPRedirectHandler):

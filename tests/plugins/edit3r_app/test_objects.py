@@ -1,5 +1,7 @@
 """Actions on objects as the page asks for them: checked, and put into words of a command line."""
 
+from dataclasses import replace
+
 import pytest
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.objects import objects_of, read_action
@@ -25,6 +27,7 @@ from edit3r.contract.errors import InputError
             {"action": "copy", "name": "cup", "text": "twin", "numbers": [1, 0, 0]},
             ("copy", "cup", "twin", "1", "0", "0"),
         ),
+        ({"action": "measure", "text": "3.5=69.4 cm"}, ("measure", "3.5=69.4 cm")),
     ],
 )
 def test_an_action_is_a_command_line_of_edit3r_objects(asked, call):
@@ -44,6 +47,9 @@ def test_an_action_is_a_command_line_of_edit3r_objects(asked, call):
         ({"action": "remove", "name": "c" * 99}, "not something"),
         ({"action": "remove", "name": " "}, "give the thing a name"),
         ({"action": "recolor", "name": "cup"}, "say a colour"),
+        ({"action": "measure"}, "say how long it is"),
+        ({"action": "measure", "text": "3.5="}, "the true length: a length must be"),
+        ({"action": "measure", "text": "3.5=3 yards"}, "got the unit 'yards'"),
     ],
 )
 def test_what_is_no_action_is_refused(asked, told):
@@ -60,6 +66,15 @@ def test_words_of_an_action_never_become_flags(tmp_path):
     assert command[:2] == ["objects", "--quiet"]
     assert command[-4:] == ["--", str(folder.root / "bike"), "remove", "overwrite"]
     assert command[command.index("--mask") + 1].endswith("000.png")
+
+
+def test_a_length_is_all_that_measuring_takes(tmp_path):
+    folder = JobsFolder(tmp_path)
+    (folder.root / "bike").mkdir()
+    job = AppJob("bike-1", "bike", parent="bike", object=("measure", "3.5=69.4 cm"))
+    assert command_of(folder, job)[-2:] == ["measure", "3.5=69.4 cm"]
+    with pytest.raises(InputError, match="not something"):
+        command_of(folder, replace(job, object=("measure", "3.5=69.4 cm", "more")))
 
 
 @pytest.mark.parametrize("content", ['{"objects": 5}', '{"objects": null}', "[", "{}"])

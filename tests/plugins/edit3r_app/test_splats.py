@@ -13,7 +13,7 @@ from edit3r_app.studio import _in_own_frame
 from edit3r_app.uploads import accept, looked_at, most_bytes, refuse_unwanted, remove
 
 import edit3r
-from edit3r.contract.errors import InputError, SettingsError
+from edit3r.contract.errors import InputError
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.running import read_scene
 from tests.plugins.scan import scan
@@ -66,7 +66,7 @@ def test_another_axis_upwards_turns_the_pictures_until_something_was_made(droppe
     assert folder.photos(scene)["place_1"].read_bytes() != first
     uploads.turn_upright(folder, scene, "-y")
     assert folder.photos(scene)["place_1"].read_bytes() == first
-    with pytest.raises(SettingsError, match="up"):
+    with pytest.raises(InputError, match="--up up: a given scene keeps its axes"):
         uploads.turn_upright(folder, scene, "up")
     other = folder.new_scene("photos")
     with pytest.raises(InputError, match="nothing was made of"):

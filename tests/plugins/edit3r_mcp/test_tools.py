@@ -3,6 +3,7 @@
 import base64
 import contextlib
 import io
+import json
 import os
 import shutil
 import sys
@@ -111,6 +112,17 @@ def test_a_run_is_looked_at_again_and_edited_again(edited, call, place):
     assert not failed and text.startswith("run: edit-2")
 
 
+def test_a_known_length_and_level_places_are_told(edited, call, place):
+    known = {"measure": "0.3,0.5,0.6,0.6=2m", "up": "0.3,0.9,0.7,0.95,0.5,0.8"}
+    text, _, failed = call(
+        "edit", prompt="make it colder", photos=["a.png", "b.png"], **known
+    )
+    assert not failed
+    run = text.split()[1]
+    about = json.loads((place / "work" / run / "run.json").read_text())
+    assert about["frame"].startswith("turned") and about["frame"].endswith("in metres")
+
+
 @pytest.mark.parametrize(
     ("form", "made"),
     [("ply", ".ply"), ("colmap", "-colmap"), ("viewer", "-viewer.html")],
@@ -141,6 +153,16 @@ def test_an_export_replaces_no_file(edited, call, place):
             "'exe': no form; there are colmap",
         ),
         ("select", {"photos": ["a.png"], "marks": {"points": ["9"]}}, "expected X,Y"),
+        (
+            "edit",
+            {"prompt": "warmer", "earlier": "edit-1", "up": "+z"},
+            "photos have no axes",
+        ),
+        (
+            "edit",
+            {"prompt": "warmer", "earlier": "edit-1", "measure": "9,9=2"},
+            "expected [N:]X,Y,[N:]X,Y=LENGTH",
+        ),
     ],
 )
 def test_an_error_is_one_sentence(edited, call, name, arguments, told):

@@ -19,7 +19,7 @@ from edit3r.contract.types import Gaussians
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.scenes.ply import load_ply, save_ply
 from edit3r.kit.scenes.reading import load_scene
-from edit3r.running import usual_selector
+from edit3r.running import RunFolder, usual_selector
 from edit3r_testing import CommandContract
 from tests.plugins.scan import scan
 
@@ -86,6 +86,53 @@ def test_removing_and_isolating_part_the_scene(made, capsys):
     assert only == (scene_of(made / "left").object_index == 0).sum()
     assert manifest_of(made / "without")["objects"] == {}
     assert (made / "without" / "before_after.png").is_file()
+
+
+def test_a_true_length_scales_the_scene_and_what_goes_on_from_it(made):
+    """Photos stay, since it looks as before; told again, the last length counts."""
+    run = made / "apart"
+    shutil.copytree(made / "run", run)
+    content = json.loads((run / "cameras.json").read_text())
+    content[1]["c2w"][0][3] = 0.5
+    (run / "cameras.json").write_text(json.dumps(content))
+    before = scene_of(run)
+    assert objects(made, f"apart measure 4=200cm --out {made}/half") == 0
+    assert objects(made, f"half measure 2=4m --out {made}/whole") == 0
+    for name, factor in (("half", 0.5), ("whole", 1.0)):
+        scene, facts = scene_of(made / name), manifest_of(made / name)
+        torch.testing.assert_close(scene.means, factor * before.means)
+        torch.testing.assert_close(scene.scales, factor * before.scales)
+        assert facts["frame"].endswith("in metres")
+        assert facts["notes"]["scale"] == pytest.approx(factor)
+        cameras = json.loads((made / name / "cameras.json").read_text())
+        assert cameras[1]["c2w"][0][3] == pytest.approx(0.5 * factor)
+        assert (made / name / "inputs").is_dir()
+        earlier = RunFolder(made / name).read().inputs
+        torch.testing.assert_close(earlier.before.gaussians.means, before.means)
+    assert '"unit": "m"' in (made / "half" / "viewer.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("told", "says"),
+    [
+        ("", "measure: give a length of the scene and the true one"),
+        ("1.2m", "expected a length of the scene, and how long it is in truth"),
+        ("0=1m", "expected a length of the scene, and how long it is in truth"),
+        ("nan=1m", "expected a length of the scene, and how long it is in truth"),
+        ("3=1", "got the unit '', expected one of m, cm, mm, ft, in"),
+        ("3=0m", "a length must be a number above 0"),
+    ],
+)
+def test_what_is_no_length_is_refused(made, capsys, told, says):
+    assert objects(made, f"run measure {told} --out {made}/none") == 2
+    assert says in capsys.readouterr().err
+    assert not (made / "none").exists()
+
+
+def test_a_scene_that_was_given_keeps_its_unit(made, capsys):
+    shutil.copy(made / "run" / "scene.ply", made / "scan.ply")
+    assert objects(made, f"scan.ply measure 3=1m --out {made}/none") == 2
+    assert "a given scene keeps its unit" in capsys.readouterr().err
 
 
 class Half(Segmenter):

@@ -7,6 +7,7 @@ import torch
 from edit3r_objects import edits
 
 from edit3r import Gaussians, build
+from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.harmonics import basis, colour_to_dc, dc_to_colour
 from edit3r.kit.geometry.rotations import covariances, quats_to_matrices
 
@@ -100,3 +101,22 @@ def test_paint_keeps_the_order_of_light_and_dark():
     assert (colours.sum(1).diff() > 0).all()
     higher = after.harmonics[0, CHOSEN, 1:]
     assert (higher == higher[..., :1]).all()
+
+
+def test_a_told_up_comes_before_how_the_photos_were_held():
+    """Both cameras of the upright scene look down; a thing still moves straight up."""
+    look_down = torch.eye(4).repeat(1, 2, 1, 1)
+    look_down[:, :, 1:3, 1:3] = torch.tensor([[0.8, 0.6], [-0.6, 0.8]])
+    lens = torch.eye(3).expand(1, 2, 3, 3)
+    before, up = scene(), torch.tensor([0.0, -1, 0])
+    cameras = Cameras(look_down, lens, (4, 4))
+
+    def raised(up):
+        lift = lambda one: edits.moved(one, CHOSEN, (0.0, 0.2, 0.0))  # noqa: E731
+        after = edits.in_view_0(before, CHOSEN, cameras, up, lift)
+        return (after.means - before.select(CHOSEN).means)[0, 0]
+
+    depth = before.means[0, :, 2].median()
+    expected = -0.2 * depth * torch.tensor([0.0, 1, 0])
+    torch.testing.assert_close(raised(up), expected, rtol=0, atol=1e-5)
+    assert abs(raised(None)[2]) > 0.1

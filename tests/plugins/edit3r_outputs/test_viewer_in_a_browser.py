@@ -14,7 +14,7 @@ from edit3r.contract.types import Cameras, Gaussians
 from edit3r.kit.geometry.harmonics import colour_to_dc
 from edit3r.loading.registry import build
 
-from ..looks import EVERY_LOOK, cut_off, id_of, serious
+from ..looks import EVERY_LOOK, PHONE, WIDE, cut_off, id_of, serious
 
 playwright = pytest.importorskip(
     "playwright.sync_api", reason="needs playwright: pip install playwright"
@@ -627,6 +627,56 @@ def test_a_scene_with_objects_and_long_names_can_be_read(
     page.locator("#hide").press("Enter")
     page.get_by_text("show all").wait_for()
     all_can_be_read(page)
+    page.close()
+
+
+@pytest.mark.parametrize(
+    ("look", "unit"), [(WIDE, ""), (PHONE, "m")], ids=["wide", "phone"]
+)
+def test_two_clicks_measure_and_escape_ends_it(browser, cameras, tmp_path, look, unit):
+    """A wall 2 ahead of the camera: the length is that of the places, wherever it is seen from."""
+    y, x = torch.meshgrid(
+        torch.linspace(-2, 2, 60), torch.linspace(-2, 2, 60), indexing="ij"
+    )
+    means = torch.stack((x, y, torch.full_like(x, 2)), -1).reshape(1, -1, 3)
+    count = means.shape[1]
+    wall = Gaussians(
+        means,
+        torch.tensor([0.06, 0.06, 0.001]).expand(1, count, 3),
+        torch.tensor([1.0, 0, 0, 0]).expand(1, count, 4),
+        torch.full((1, count), 0.9),
+        colour_to_dc(torch.rand(1, count, 1, 3)),
+    )
+    save_viewer(tmp_path / "v.html", wall, cameras, unit=unit)
+    page = browser.new_page(viewport={"width": look[0], "height": look[1]})
+    page.goto((tmp_path / "v.html").as_uri())
+    page.wait_for_selector("body[data-drawn]", timeout=60_000)
+    page.get_by_role("button", name="measure").click()
+    told = page.locator("#length")
+    assert told.inner_text() == "click two places of the scene"
+    at = page.evaluate(
+        """() => {
+          const {focal, principal} = pixels(lens), s = canvas.width / canvas.clientWidth;
+          const at = (x) => [(focal[0] * x / 2 + principal[0]) / s, principal[1] / s];
+          return [at(-0.2), at(0.2)];
+        }"""
+    )
+    for place in at:
+        page.mouse.click(*place)
+    page.wait_for_function("!told.textContent.startsWith('click')")
+    assert page.locator("#ruler").is_visible()
+    length, _, shown = told.inner_text().partition(" ")
+    assert float(length) == pytest.approx(0.4, rel=0.01)
+    assert shown == (unit or "units")
+    ends = "[...ruler.children[0].attributes].map((one) => Number(one.value))"
+    assert page.evaluate(ends) == pytest.approx([*at[0], *at[1]], abs=1)
+    assert cut_off(page, ["#length"]) == [] and serious(page) == []
+    page.keyboard.press("+")  # the line stays at its places
+    page.wait_for_function(f"Math.abs({ends}[0] - {at[0][0]}) > 1")
+    assert float(told.inner_text().split()[0]) == float(length)
+    page.keyboard.press("Escape")
+    page.wait_for_function("element('ruler').hasAttribute('hidden')")
+    assert told.is_hidden() and page.locator("body.measuring").count() == 0
     page.close()
 
 

@@ -23,6 +23,8 @@ export function keysOf(page, stage, toggleStrip) {
     i: () => page.draft.change("step", ["invert", 0]),
     w: () => page.look && page.look.candidates.length > 1 && page.question.showOthers(),
     c: () => page.verdicts.toggle(),
+    k: () => page.ruler.toggle(),
+    escape: back,
     h: () => page.drawers.toggle("history"),
     o: () => page.s.isRun && page.drawers.toggle("objects"),
     d: () => page.drawers.openFiles(),
@@ -49,12 +51,13 @@ export function keysOf(page, stage, toggleStrip) {
     else if (document.body.classList.contains("only-scene")) fullScreen();
     page.verdicts.close();
     page.question.close();
+    page.ruler.close();
   }
   addEventListener(
     "keydown",
     (event) => {
       if (!page.s || document.querySelector("dialog[open]")) return;
-      if (event.key === "Escape") return back();
+      if (event.key === "Escape") return press("escape");
       const typed = event.target.closest("input, textarea, select"),
         key = event.key.toLowerCase();
       if (typed) return;

@@ -16,6 +16,7 @@ const ACTIONS = {
   cut: ["Removing what is drawn", "What was drawn is removed."],
   crop: ["Removing all else", "All else is removed."],
   clean: ["Looking for floaters", "Floaters are taken out."],
+  measure: ["Bringing all lengths into metres", "All lengths are in metres."],
   find: ["Looking for things", "The things that were found are in the list."],
 };
 
@@ -38,7 +39,7 @@ export function thingsOf(page) {
     page.waiting.long("");
     if (page.gone()) return;
     if (!job) {
-      page.viewer.again();
+      if (name) page.viewer.again(); // a thing that was taken hold of goes back
       if (kept.drawer) page.drawers.draw();
       return;
     }

@@ -26,6 +26,7 @@ export function toolsOf(page) {
   function take(name, stays = false) {
     const draws = SCULPTS.includes(name) && page.s.isRun;
     if (page.s.byHand && !draws) return;
+    page.ruler.close();
     // points and draws on photos and in 3D; for the box the photos come first
     page.tool = name;
     if (name === "box" || (SCULPTS.includes(name) && !page.s.isRun)) page.view = "photo";
@@ -42,7 +43,7 @@ export function toolsOf(page) {
     draw();
   }
   const offered = ([name]) => !page.s.byHand || SCULPTS.includes(name);
-  const isTaken = (name) => page.tool === name && (page.view === "photo" || name === "point" || (name !== "box" && page.s.isRun));
+  const isTaken = (name) => page.tool === name && !page.ruler.is() && (page.view === "photo" || name === "point" || (name !== "box" && page.s.isRun));
   const pointers = () => [
     ...Object.entries(TOOLS).filter(offered).map(([name, [label, key]]) =>
       pressed(name, label.split(":")[0], isTaken(name), label, () => take(name), key),
@@ -74,16 +75,31 @@ export function toolsOf(page) {
   ];
   // In the bar above, on phones beside the tools.
   const above = el("span", { class: "back wide-only" });
-  const clean = () =>
-    page.s.isRun && page.view === "3d"
-      ? tool(
-          "clean",
-          "Clean",
-          "take out floaters: points that hang in front of everything the photos show",
-          () => page.things.shape("clean", ""),
-          "",
-        )
-      : "";
+  const ofScene = () => [
+    ...(page.s.isRun && page.view === "3d"
+      ? [
+          tool(
+            "clean",
+            "Clean",
+            "take out floaters: points that hang in front of everything the photos show",
+            () => page.things.shape("clean", ""),
+            "",
+          ),
+        ]
+      : []),
+    ...(page.ruler.can()
+      ? [
+          pressed(
+            "ruler",
+            "Ruler",
+            page.ruler.is(),
+            "ruler: how far apart two places of the scene are",
+            () => page.ruler.toggle(),
+            "K",
+          ),
+        ]
+      : []),
+  ];
   function back(more = {}) {
     const { undo, redo, canUndo, canRedo } = page.draft;
     const nothing = "there is nothing to take back";
@@ -133,10 +149,11 @@ export function toolsOf(page) {
     const small = back({ class: "icon tool small-only" });
     above.replaceChildren(...back());
     page.sculpt.draw();
-    if (page.s.byHand) return node.replaceChildren(...pointers(), clean(), ...small);
+    page.ruler.draw();
+    if (page.s.byHand) return node.replaceChildren(...pointers(), ...ofScene(), ...small);
     const active = document.activeElement;
     const focused = active && node.contains(active) ? [...node.children].indexOf(active) : -1;
-    node.replaceChildren(...pointers(), clean(), ...small, gap(), ...ofSelection());
+    node.replaceChildren(...pointers(), ...ofScene(), ...small, gap(), ...ofSelection());
     if (focused >= 0) node.children[focused]?.focus();
     page.picture.box.dataset.tool = page.tool;
   }

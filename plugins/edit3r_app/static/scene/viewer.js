@@ -3,7 +3,7 @@ import { go, sceneAddress } from "../address.js";
 import { path } from "../api.js";
 import { button, el, toast } from "../dom.js";
 
-const OF_PAGE = ["f", "h", "i", "l", "m", "n", "o", "v", "x", "/", "?", "[", "]"]; // keys that 3D leaves to the page
+const OF_PAGE = ["escape", "f", "h", "i", "k", "l", "m", "n", "o", "v", "x", "/", "?", "[", "]"]; // keys that 3D leaves to the page
 const UNTOLD = 5000; // [ms]
 const ERASER = 0.015; // radius of a line that takes away, of the photo's longer side
 let looked = { scene: "", camera: null }; // where a scene was looked at last: its other states are seen from there
@@ -28,6 +28,7 @@ export function viewerOf(page, stage) {
         });
         post({ selected: [...tints.values()] });
         page.sculpt.restore();
+        page.ruler.ask();
         setTimeout(seen, UNTOLD); // pages of older runs do not tell
       },
     });
@@ -100,6 +101,7 @@ export function viewerOf(page, stage) {
       }
       if (message.drawn) seen();
       if (message.stroke) page.sculpt.stroke(message.stroke, message.minus);
+      if (message.measured) page.ruler.measured(message.measured);
       if (message.pointed !== undefined) pointed(message);
       if (message.rests !== undefined) rested(message);
       if (message.object)

@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from edit3r.kit.geometry.cameras import quarter_turns, up_direction
+from edit3r.kit.geometry.cameras import quarter_turns, up_direction, upright
 
 
 def camera(pan, tilt, roll=0.0):
@@ -53,3 +53,14 @@ def test_one_image_on_its_side_does_not_tilt_the_scene_and_is_found(roll):
 
 def test_images_held_every_way_round_go_by_the_first():
     assert off([camera(0, 0), camera(0, 0, 180)]) < 1e-3
+
+
+@pytest.mark.parametrize("tilt", [-90, -40, 0, 40, 90])
+def test_upright_is_a_rotation_that_keeps_the_camera_s_heading(tilt):
+    """Of a camera that looks straight down or up, the top of its image says where ahead is."""
+    c2w = camera(30, tilt)[:3, :3]
+    rotation = upright(c2w.new_tensor([0, -1, 0]), c2w)
+    assert torch.det(rotation) == pytest.approx(1)
+    torch.testing.assert_close(rotation[1], c2w.new_tensor([0, 1, 0]))
+    ahead = rotation @ camera(30, 0)[:3, 2]
+    torch.testing.assert_close(ahead, c2w.new_tensor([0, 0, 1]))
