@@ -65,9 +65,8 @@ class Verdict:
     # how much more of the view half-way looks like no photo than of the cheapest scene of that
     # geometry, one Gaussian a pixel, in [-1, 1]; None: not known
     beside_reference: tuple[float | None, ...] = ()
-    part: Part | None = (
-        None  # that is to blame; None: the scene is good, or nobody knows
-    )
+    # that is to blame; None: the scene is good, or nobody knows
+    part: Part | None = None
 
 
 @dataclass(frozen=True)

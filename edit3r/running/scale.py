@@ -49,9 +49,8 @@ class Unit:
     """What the lengths of each scene are multiplied by, and how it is turned about view 0."""
 
     factor: Float[Tensor, "batch"]
-    turn: Float[Tensor, "3 3"] | None = (
-        None  # of the scene; poses of photos are not turned
-    )
+    # of the scene; poses of photos are not turned
+    turn: Float[Tensor, "3 3"] | None = None
 
     @property
     def back(self) -> "Unit":

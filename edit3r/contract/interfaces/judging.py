@@ -84,9 +84,8 @@ class SceneToJudge:
     half_way: HalfWay | None = None  # None: there is one photo alone
     # the same before any refiner; None: nothing was refined, or there is no reference
     first_half_way: HalfWay | None = None
-    reference: Reference | None = (
-        None  # None: the scene stands on no geometry of the run
-    )
+    # None: the scene stands on no geometry of the run
+    reference: Reference | None = None
     # names of the run's components by kind, such as "reconstructor"; who read the geometry is the
     # "geometry"
     components: Mapping[str, str] = field(default_factory=dict)

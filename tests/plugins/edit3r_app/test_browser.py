@@ -292,6 +292,12 @@ def test_marks_by_stroke_box_keys_and_two_tabs(server, tab):
     other = tab()  # what one tab marks another shows
     other.goto(address)
     other.locator(".chip", has_text="what you marked").wait_for()
+    for width in (390, 744, 900, 1100, 1280):  # tablets are between phones and desks
+        page.set_viewport_size({"width": width, "height": 800})
+        go, said = (
+            page.locator(f".bar {one}").bounding_box() for one in (".primary", "input")
+        )
+        assert go["x"] + go["width"] <= width and said["width"] > 120
     page.locator(".chip").click()
     kinds([])
     other.locator(".chip", has_text="nothing marked").wait_for()
