@@ -101,8 +101,9 @@ def _records(
         gaussians,
         components,
     )
-    refined = components.job.refine_poses
-    kept = measure(kept, reconstructed, judged.rendered, refined)
+    if kept.length is not None or kept.level is not None:
+        refined = components.job.refine_poses
+        kept = measure(kept, reconstructed, judged.rendered, refined)
     return Records(
         kept,
         located,

@@ -147,8 +147,6 @@ def measure(
 
     Raises InputError for a place where the scene has no surface.
     """
-    if inputs.length is None and inputs.level is None:
-        return inputs
     surfaces = _Surfaces(inputs, reconstructed.cameras, rendered)
     if inputs.length is not None:
         scene = reconstructed.reconstruction

@@ -64,7 +64,9 @@ def read(
                 inputs = _with_masks_of_cameras(inputs)
         inputs = replace(inputs, prompts=(*inputs.prompts, job.config.prompt))
         inputs = _with_marks(inputs, masks, job.components["reader"])
-        return _in_own_unit(with_what_is_known(inputs, job.config))
+        if job.config.measure is not None or job.config.up is not None:
+            inputs = with_what_is_known(inputs, job.config)
+        return _in_own_unit(inputs)
 
 
 def _read_scene(job: RunJob, rasterizer: Rasterizer) -> Inputs:
