@@ -66,6 +66,8 @@ class WriterContract(Contract):
             objects=NamedObjects({"a ball": 0}, "edit3r objects {run} remove {name}"),
             render=render,
             frames=lambda: (to_bytes(image) for image in rendered.images[0]),
+            up=(0.0, -1.0, 0.0),
+            unit="m",
         )
 
     @contextmanager
