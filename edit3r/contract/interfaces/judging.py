@@ -33,7 +33,8 @@ class Reference:
 
     first: Rendering  # from the place of the first placed photo, smaller than it
     depths: Float[Tensor, "height width"]  # what the geometry says of it: camera z
-    half_way: HalfWay | None  # None: there is one photo alone
+    # from eight places at most; None: there is one photo alone
+    half_way: HalfWay | None
 
 
 @dataclass(frozen=True, repr=False)
@@ -82,7 +83,7 @@ class SceneToJudge:
     lenses: tuple[float, float] | None = None
     edit: EditVerdict | None = None  # what is said of the edit in 2D
     half_way: HalfWay | None = None  # None: there is one photo alone
-    # the same before any refiner; None: nothing was refined, or there is no reference
+    # from the reference's places, before any refiner; None: as `half_way`, or there is no reference
     first_half_way: HalfWay | None = None
     # None: the scene stands on no geometry of the run
     reference: Reference | None = None

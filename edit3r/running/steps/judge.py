@@ -39,6 +39,8 @@ from edit3r.running.records import (
 from edit3r.running.scene_input import SceneInput
 
 HALF_WAY_SIZE = 256  # longer side [pixels]: critics look at no finer pictures
+# places from which a reference is looked at: all Gaussians of all photos are drawn from each
+MOST_PLACES = 8
 # standard deviation of the reference's Gaussians [pixels]: no gaps, no blur; by eye
 FOOTPRINT = 0.6
 
@@ -69,8 +71,9 @@ def judge(
             used, drawn_by = reconstructed.used, components.rasterizer
             reference = _reference(located.geometry, used, edit.views, drawn_by)
             before = reconstructed.reconstruction.gaussians
-            if half is not None and gaussians is not before:
-                first_half = seen_half_way(drawn_by, before, cameras)
+            same = gaussians is before
+            if half is not None and not (same and len(half.pairs) <= MOST_PLACES):
+                first_half = seen_half_way(drawn_by, before, cameras, MOST_PLACES)
         verdict = asking.judge_scene(
             components.critic,
             SceneToJudge(
@@ -155,10 +158,13 @@ def _reference(
     scales = pixel_scales(depths, views.intrinsics, FOOTPRINT)
     opacities = torch.full_like(depths, 0.95)
     pixels = pixels_to_gaussians(views.images, depths, cameras, scales, opacities)
+    half = None
+    if len(used) > 1:
+        half = seen_half_way(rasterizer, pixels, cameras, MOST_PLACES)
     return Reference(
         first=asking.render(rasterizer, pixels.from_view(0), cameras.select([0])),
         depths=depths[0, 0],
-        half_way=seen_half_way(rasterizer, pixels, cameras) if len(used) > 1 else None,
+        half_way=half,
     )
 
 
@@ -201,9 +207,17 @@ def _edit_verdict(
 
 
 def seen_half_way(
-    rasterizer: Rasterizer, gaussians: Gaussians, cameras: Cameras
+    rasterizer: Rasterizer,
+    gaussians: Gaussians,
+    cameras: Cameras,
+    most: int | None = None,
 ) -> HalfWay:
-    """One scene (batch 1) from half-way between each photo and its nearest one."""
+    """One scene (batch 1) from half-way between each photo and its nearest one; of more than `most`
+    such places, evenly chosen ones.
+    """
     between, pairs = half_way(cameras.at(_small(cameras.image_size)))
+    if most is not None and len(pairs) > most:
+        chosen = torch.linspace(0, len(pairs) - 1, most).round().long().tolist()
+        between, pairs = between.select(chosen), tuple(pairs[one] for one in chosen)
     rendered = render_each(rasterizer, gaussians, between, "look between the photos")
     return HalfWay(rendered, between, pairs)

@@ -162,6 +162,20 @@ def test_what_refiners_do_to_the_view_half_way_is_no_fault_of_the_reconstructor(
     assert blurred.beside_reference == pytest.approx(sharp.beside_reference)
 
 
+def test_of_many_photos_scene_and_reference_are_looked_at_from_the_same_eight_places():
+    verdict = edit3r.run(
+        photograph(14, (48, 64)).views,
+        editor="none",
+        recon=BrokenReconstructor(),
+        matcher=Knows(),
+        report=Report(),
+        **PLAIN,
+    ).verdict
+    told = [one for one in verdict.beside_reference if one is not None]
+    assert len(told) < 14 and None not in verdict.unlike_between
+    assert told == pytest.approx([0] * len(told), abs=1e-6)
+
+
 def test_a_thing_that_is_flat_is_not_taken_for_a_scene_without_depth():
     """All on one plane: a homography is right there, and says nothing."""
     images = SCENE.views.images[:, :1].expand(-1, 2, -1, -1, -1).clone()
