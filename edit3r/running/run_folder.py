@@ -12,7 +12,6 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -362,8 +361,8 @@ class RunFolder:
         """
         shutil.copyfile(RunFolder(before).cameras, self.cameras)
         if factor != 1:
-            scale = partial(self._in_metres, content, factor)
-            content = RunFolder(before)._of_manifest(lambda _: scale())
+            earlier = RunFolder(before)  # whose manifest is named where it is damaged
+            content = earlier._of_manifest(lambda _: self._in_metres(content, factor))
         for name in folders:
             source = before / name
             if source.is_dir() and not source.is_symlink():

@@ -71,8 +71,9 @@ def judge(
             used, drawn_by = reconstructed.used, components.rasterizer
             reference = _reference(located.geometry, used, edit.views, drawn_by)
             before = reconstructed.reconstruction.gaussians
-            same = gaussians is before
-            if half is not None and not (same and len(half.pairs) <= MOST_PLACES):
+            if half is not None and (
+                gaussians is not before or len(half.pairs) > MOST_PLACES
+            ):
                 first_half = seen_half_way(drawn_by, before, cameras, MOST_PLACES)
         verdict = asking.judge_scene(
             components.critic,
