@@ -111,6 +111,8 @@ def browser():
 @pytest.fixture
 def tab(browser, server):
     """A new tab that notes every console error and every request to elsewhere."""
+    if server.process.poll() is not None:
+        server.start()  # a test killed it and failed
     context = browser.new_context(accept_downloads=True)
     context.set_default_timeout(PATIENCE)
     context.add_init_script(SHIFTED)

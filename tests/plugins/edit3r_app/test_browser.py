@@ -336,7 +336,7 @@ def test_an_edit_outlives_a_server_that_is_killed(server, tab):
             break
         time.sleep(0.1)
     server.kill(signal.SIGKILL)
-    page.get_by_text("does not answer").wait_for()
+    page.get_by_text("does not answer").first.wait_for()
     server.start()
     page.locator(".stage iframe").wait_for()  # without a reload
 
