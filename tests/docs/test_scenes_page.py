@@ -90,6 +90,8 @@ def test_the_site_builds_without_complaint_and_all_six_scenes_are_drawn(copied):
         page.goto((copied / "site/scenes/index.html").as_uri())
         frames = page.locator("iframe")
         assert frames.count() == 6
+        page.locator("iframe[src]").first.wait_for()
+        assert page.locator("iframe[src]").count() == 1  # the one that is looked at
         for number in range(6):
             frames.nth(number).scroll_into_view_if_needed()
             inside = frames.nth(number).content_frame
