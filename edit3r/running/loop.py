@@ -103,7 +103,8 @@ def _records(
     )
     if kept.length is not None or kept.level is not None:
         refined = components.job.refine_poses
-        kept = measure(kept, reconstructed, judged.rendered, refined)
+        geometry = located.select(placed).to_build_on
+        kept = measure(kept, geometry, reconstructed, judged.rendered, refined)
     return Records(
         kept,
         located,

@@ -15,7 +15,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.errors import InputError
-from edit3r.contract.reporting import note, say
+from edit3r.contract.interfaces import Geometry
+from edit3r.contract.reporting import note, say, warn
 from edit3r.contract.types import Cameras, Rendering
 from edit3r.kit.compute.sky import find_skies
 from edit3r.kit.geometry.cameras import unproject, up_direction
@@ -42,6 +43,8 @@ LEAST_HEIGHT = 0.02
 of a hundredth in depth would turn it by half a right angle."""
 AROUND = 2
 """[pixels] around a place, of which it has the median surface. By eye."""
+MEASURED = 0.5
+"""Confidence from which a depth was measured, as `Geometry` says."""
 SOLID = 0.5
 """Opacity from which a pixel shows a surface; a matter of definition."""
 
@@ -139,15 +142,17 @@ def _require_triangle(text: str, places: Float[Tensor, "3 3"]) -> Float[Tensor, 
 @torch.no_grad()
 def measure(
     inputs: Inputs,
+    geometry: Geometry | None,
     reconstructed: Reconstructed,
     rendered: Rendering,
     refine_poses: bool,
 ) -> Inputs:
     """The inputs with the scale and the up that what is known tells of the finished scene.
 
-    Raises InputError for a place where the scene has no surface.
+    Raises InputError for a place where the scene has no surface; warns of one whose depth the
+    `geometry` only guessed.
     """
-    surfaces = _Surfaces(inputs, reconstructed.cameras, rendered)
+    surfaces = _Surfaces(inputs, geometry, reconstructed.cameras, rendered)
     if inputs.length is not None:
         scene = reconstructed.reconstruction
         unit = unit_of_scene(scene, inputs.photos, inputs.unit, refine_poses)
@@ -203,8 +208,15 @@ def _up(level: KnownLevel, surfaces: "_Surfaces", cameras: Cameras) -> Direction
 class _Surfaces:
     """The surfaces that the finished scene has where somebody points."""
 
-    def __init__(self, inputs: Inputs, cameras: Cameras, rendered: Rendering) -> None:
-        self.photos = inputs.photos
+    def __init__(
+        self,
+        inputs: Inputs,
+        geometry: Geometry | None,
+        cameras: Cameras,
+        rendered: Rendering,
+    ) -> None:
+        self.photos, size = inputs.photos, inputs.photos.image_size
+        self.geometry = None if geometry is None else geometry.at(size)
         self.cameras = cameras.at(inputs.photos.image_size)
         self.rendered = rendered
         images = [one.permute(1, 2, 0).cpu().numpy() for one in self.photos.images[0]]
@@ -237,6 +249,13 @@ class _Surfaces:
             raise InputError(
                 f"{called} shows {what}; choose one on a thing near the cameras."
             )
+        if self.geometry is not None:
+            sure = self.geometry.confidence[0, view][around] >= MEASURED
+            if sure.float().mean() < SOLID:
+                warn(
+                    f"{called} is seen by one photo alone, which leaves its depth to a guess; "
+                    "choose one that two photos show."
+                )
         depth = depths[solid].median().expand(height, width)
         cameras = self.cameras
         points = unproject(depth, cameras.intrinsics[0, view], cameras.c2w[0, view])

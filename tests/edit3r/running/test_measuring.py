@@ -4,6 +4,7 @@ of what goes on from them, and not of what cannot have one.
 
 import json
 import math
+import warnings
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -15,6 +16,7 @@ import torch
 import edit3r
 from edit3r.cli.main import main
 from edit3r.contract.errors import InputError
+from edit3r.contract.interfaces import Geometry
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.kit.geometry.cameras import pixel_rays
 from edit3r.kit.scenes.reading import load_scene
@@ -204,7 +206,15 @@ def test_units_are_read(unit, metres):
     assert known.ends[1] == ("a", pytest.approx(50 / 60), pytest.approx(10 / 40))
 
 
-def asked(text, unit=GIVEN, poses=None, flag="measure", down=0, **changed):
+def asked(
+    text,
+    unit=GIVEN,
+    poses=None,
+    flag="measure",
+    down=0,
+    geometry=None,
+    **changed,
+):
     """What is known of a wall 2 before both cameras; view b is 1 to the right."""
     given = inputs(unit=unit, **changed)
     if poses is not None:
@@ -231,7 +241,7 @@ def asked(text, unit=GIVEN, poses=None, flag="measure", down=0, **changed):
     made = SimpleNamespace(
         reconstruction=Reconstruction(None, cameras), cameras=cameras
     )
-    return measure(known, made, rendered, False)
+    return measure(known, geometry, made, rendered, False)
 
 
 def test_two_places_may_be_on_two_photos():
@@ -296,7 +306,20 @@ def test_a_photo_that_is_left_out_tells_no_length():
         reconstruction=Reconstruction(None, cameras), cameras=cameras
     )
     with pytest.raises(InputError, match="second place is on b, which is no part"):
-        measure(known, made, rendered, False)
+        measure(known, None, made, rendered, False)
+
+
+def test_a_place_whose_depth_was_guessed_is_warned_of():
+    confidence = torch.ones(1, 2, 40, 60)
+    confidence[0, 0, :, 30:] = 0.4  # the right half of photo a
+    placed = torch.ones(1, 2, dtype=torch.bool)
+    poses = torch.eye(4).repeat(1, 2, 1, 1)
+    geometry = Geometry(poses, torch.ones(1, 2, 40, 60), confidence, placed)
+    with pytest.warns(UserWarning, match="second place is seen by one photo alone"):
+        asked("1:0.25,0.5,1:0.75,0.5=1m", geometry=geometry)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        asked("1:0.25,0.5,2:0.75,0.5=1m", geometry=geometry)
 
 
 def test_python_takes_the_same_words():
