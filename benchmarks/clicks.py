@@ -22,8 +22,8 @@ import torch
 from edit3r_select.marks import marks_on
 from edit3r_select.obeying import points_of, seen_elsewhere
 from edit3r_select.photos import Photos
+from edit3r_select.ranking import CueWeights
 from edit3r_select.select import select_masks
-from edit3r_select.sum import CueWeights
 from harness import run_benchmark
 from PIL import Image, ImageDraw
 
@@ -86,7 +86,7 @@ def marks() -> None:
     and what stands there is not measured again: a command that was stopped goes on. With --cache
     depth and what the encoder read are kept, so that a second measurement is quicker. --strokes
     measures strokes alone, in a fifth of the time. With --left-out each object is measured by
-    weights that saw nothing of its scene (`select_sum.py --left-out`).
+    weights that saw nothing of its scene (`ranking.py --left-out`).
     """
     args = parsed()
     segmenter = build("segmenter", args.segmenter, **parse_assignments(args.set))

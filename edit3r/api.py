@@ -26,7 +26,7 @@ from edit3r.loading.registry import Registry
 from edit3r.running.config import DEFAULTS, PART_KEYS, make_run_config
 from edit3r.running.given import check_cameras, check_views, checked_masks
 from edit3r.running.job import RunJob, inherited, scene_among, with_cameras
-from edit3r.running.loop import run as run_job
+from edit3r.running.pipeline import run as run_job
 from edit3r.running.result import RunResult
 from edit3r.running.run_folder import EarlierRun, RunFolder
 from edit3r.running.selecting.marks import MarkTexts

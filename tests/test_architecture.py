@@ -342,12 +342,13 @@ def test_plugins_use_promised_names_only():
 STEPS = "edit3r.running.steps"
 
 
-def test_nothing_but_the_loop_assembles_a_run():
+def test_nothing_but_the_pipeline_assembles_a_run():
     """Every door (command line, Python, batch, app) builds a RunJob and calls `run`."""
     wrong = [
         str(arrow)
         for arrow in arrows()
-        if arrow.target.startswith(STEPS) and arrow.source.name != "edit3r.running.loop"
+        if arrow.target.startswith(STEPS)
+        and arrow.source.name != "edit3r.running.pipeline"
     ]
     assert not wrong, "\n".join(wrong)
 

@@ -120,7 +120,7 @@ class RunCommand(Command):
             from edit3r.kit.files.atomic import check_new_file
             from edit3r.kit.photos.images import save_pixels
             from edit3r.loading.registry import default_registry
-            from edit3r.running.loop import preview
+            from edit3r.running.pipeline import preview
             from edit3r.running.result import preview_sheet
             from edit3r.running.summary import answers
 
@@ -150,7 +150,7 @@ class RunCommand(Command):
         ):
             from edit3r.kit.files.atomic import atomic_folder, check_apart
             from edit3r.loading.registry import default_registry
-            from edit3r.running.loop import run
+            from edit3r.running.pipeline import run
             from edit3r.running.result import write_result
 
             check_apart(args.out, *map(Path, (*args.photos, *args.mask)))

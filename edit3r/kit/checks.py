@@ -252,9 +252,9 @@ def check_geometry(matcher: Any, views: Views, answer: Geometry) -> None:
         focal = answer.intrinsics.diagonal(dim1=-2, dim2=-1)
         promise = f"return focal lengths above 0, got {float(focal.amin()):.4g}"
         _require(matcher, bool((focal > 0).all()), promise)
-    pair = isinstance(answer.lenses, tuple) and len(answer.lenses) == 2
-    promise = f"return lenses as two angles, or None, got {answer.lenses!r}"
-    _require(matcher, pair or answer.lenses is None, promise)
+    pair = isinstance(answer.fov_range, tuple) and len(answer.fov_range) == 2
+    promise = f"return fov_range as two angles, or None, got {answer.fov_range!r}"
+    _require(matcher, pair or answer.fov_range is None, promise)
 
 
 def _require_poses(

@@ -25,8 +25,8 @@ from .geometry import (
     geometry_of as geometry_of,
 )
 from .job import RunJob as RunJob, job_from as job_from
-from .loop import preview as preview, preview_photo as preview_photo, run as run
 from .measuring import read_metres as read_metres
+from .pipeline import preview as preview, preview_photo as preview_photo, run as run
 from .quality import (
     PRESETS as PRESETS,
     Expected as Expected,

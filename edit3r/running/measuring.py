@@ -23,14 +23,14 @@ from edit3r.kit.geometry.cameras import unproject, up_direction
 from edit3r.kit.photos.framing import Frame
 from edit3r.running.config import RunConfig
 from edit3r.running.records import Inputs, Reconstructed
-from edit3r.running.scale import (
+from edit3r.running.selecting.marks import read_point
+from edit3r.running.unit import (
     Direction,
     KnownLength,
     KnownLevel,
     Point,
     unit_of_scene,
 )
-from edit3r.running.selecting.marks import read_point
 
 METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048, "in": 0.0254}
 """By unit."""

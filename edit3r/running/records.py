@@ -4,11 +4,11 @@
     Inputs -> Located -> Selected -> Edited -> Exposure -> Reconstructed -> Gaussians -> Judged
                          Regions     Photos    Corrected
 Views that a reconstructor does not take, or cannot place, leave the records by `select`. Lengths
-are in the run's own unit (`edit3r.running.scale`); what is written is in the given one, or in
+are in the run's own unit (`edit3r.running.unit`); what is written is in the given one, or in
 metres (`edit3r.running.measuring`).
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import TypeGuard
 
@@ -17,21 +17,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from edit3r.contract.instructions import Instruction
-from edit3r.contract.interfaces import (
-    ASK,
-    Geometry,
-    Selected,
-    Selection,
-    candidate_flags,
-)
+from edit3r.contract.interfaces import Geometry, Selected, Selection
 from edit3r.contract.types import Cameras, Gaussians, Reconstruction, Rendering, Views
 from edit3r.contract.verdicts import EditVerdict, SelectionVerdict, Verdict
 from edit3r.kit.geometry.cameras import relative_to_first
 from edit3r.kit.geometry.exposure import Exposure, ExposureOfEdit
 from edit3r.kit.photos.images import Photo
 from edit3r.running.geometry import NOT_ASKED, GeometryAnswer
-from edit3r.running.scale import GIVEN, Direction, KnownLength, KnownLevel, Unit
 from edit3r.running.scene_input import SceneInput
+from edit3r.running.selecting.verdict import MARKED, verdict_on_selection
+from edit3r.running.unit import GIVEN, Direction, KnownLength, KnownLevel, Unit
 
 Masks = Float[Tensor, "batch view height width"]
 """In [0, 1]; 1: may change."""
@@ -122,7 +117,7 @@ class Located:
     # nobody knows the lens, and all that the photos share lies on one plane
     flat: bool = False
     # fields of view [degrees] that explain the photos alike, where they do not tell their lens
-    lenses: tuple[float, float] | None = None
+    fov_range: tuple[float, float] | None = None
     # how the photos' colours become the first one's; None: they are taken as they are
     exposure: Exposure | None = None
 
@@ -299,61 +294,3 @@ def known_cameras(reconstruction: Reconstruction) -> Cameras:
 
 def _of_views(maps: Tensor | None, indices: list[int]) -> Tensor | None:
     return None if maps is None else maps[:, indices]
-
-
-# The first of the three answers at the end of a run
-
-MARKED = "what is marked"
-GUESS = "guess"  # of `Selected.how`: nobody said what is meant
-
-
-def verdict_on_selection(
-    things: Sequence[Selected], exactly: str = "", chosen: bool = False
-) -> SelectionVerdict | None:
-    """What is said of all things that were looked for; None where none was.
-
-    `exactly`: what else keeps some pixels as they are, such as masks that were handed over.
-
-    The least confident one decides. A thing that was marked exactly, or taken as a numbered
-    candidate (`chosen`, `--candidate`), is what was asked for: it has no confidence.
-    """
-    if chosen:
-        things = [replace(one, confidence=None) for one in things]
-    if not things:
-        return SelectionVerdict("given", exactly, None) if exactly else None
-    listed = "; ".join(dict.fromkeys(_in_words(one) for one in things))
-    open_ones = [one for one in things if _confidence(one) is not None]
-    if not open_ones:
-        return SelectionVerdict("given", listed, None)
-    least = min(open_ones, key=lambda one: _confidence(one) or 0.0)
-    confidence = _confidence(least)
-    if least.is_sure:
-        return SelectionVerdict("found", listed, confidence)
-    others = tuple(one.number for one in least.candidates if one.number != least.taken)
-    way = f"if it is another thing, {ASK}"
-    if others:
-        flags = candidate_flags(others)
-        way = f"look at its outline on the sheet; {flags} takes another candidate"
-    return SelectionVerdict("question", f"{listed}; {way}", confidence, others)
-
-
-def _confidence(one: Selected) -> float | None:
-    """None for what somebody took after a look at the candidates, too."""
-    return None if one.taken > 1 else one.confidence
-
-
-def _in_words(one: Selected) -> str:
-    """A thing as people say it, how confidently it was found, and the photos that lack it."""
-    name = one.called or MARKED
-    confidence = _confidence(one)
-    # words find where nothing else says where; clicks beside the thing then say what it is not
-    is_marked = "marked" in one.how and "words" not in one.how
-    if one.called and is_marked and not one.fits:
-        why = "was not checked" if one.fits is None else "was found elsewhere"
-        name = f"{MARKED} ({one.called!r} {why})"
-    if GUESS in one.how:
-        name = ": ".join(filter(None, (one.called, "what stands out most")))
-    if confidence is not None:
-        name = f"{name}, confidence {confidence:.0%}"
-    lost = [str(view + 1) for view, how in enumerate(one.how) if how == "not found"]
-    return f"{name}, not found on photo {' and '.join(lost)}" if lost else name

@@ -63,8 +63,8 @@ from edit3r.running.run_folder import (
     RunFolder,
     what_images_lack,
 )
-from edit3r.running.scale import Unit, unit_of_scene
 from edit3r.running.scene_input import SceneInput
+from edit3r.running.unit import Unit, unit_of_scene
 
 OWN_FRAME = "that of the given scene; OpenCV axes in c2w; its own unit of length"
 """What run.json says of the frame of a given scene and its cameras."""
@@ -411,8 +411,8 @@ def _about(result: RunResult) -> str:
 
 
 def preview_sheet(preview: Preview, prompt: str) -> Image.Image:
-    """The sheet of what `edit3r.running.loop.preview` returns: photos with the outline of what is
-    selected, and the 2D edit.
+    """The sheet of what `edit3r.running.pipeline.preview` returns: photos with the outline of what
+    is selected, and the 2D edit.
     """
     photos, masks = preview.inputs.photos, preview.selection.masks
     outlined = outlined_views(images_of(photos), None if masks is None else masks[0])

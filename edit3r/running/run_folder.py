@@ -48,7 +48,7 @@ from edit3r.kit.provenance import installed_versions, recorded
 from edit3r.kit.scenes.ply import VIEWER_DEGREE, save_ply
 from edit3r.kit.scenes.reading import load_scene
 from edit3r.running.records import READ_LENS, Inputs
-from edit3r.running.scale import Direction
+from edit3r.running.unit import Direction
 
 Read = TypeVar("Read")
 GIVEN_SCENE = "scene.file"  # note in run.json: the file of a given scene, as edited

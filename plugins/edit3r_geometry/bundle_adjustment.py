@@ -82,7 +82,7 @@ def adjust(
         ).solve()
         poses = _poses_of(scene, placed, poses)
         zoom *= float(
-            scene.cameras[placed[0] + 1].params[0] / zoomed[placed[0]].intrinsics[0, 0]
+            scene.cameras[placed[0] + 1].params[0] / zoomed[placed[0]].K[0, 0]
         )
     if not 1 / MOST_ZOOM < zoom < MOST_ZOOM:
         return adjust(images, keypoints, matches, start, threshold)
@@ -169,7 +169,7 @@ def _scene(
     scene = pycolmap.Reconstruction()
     for view, pose in poses.items():
         height, width = images[view].size
-        k = images[view].intrinsics
+        k = images[view].K
         number = 1 + (min(poses) if one_lens else view)
         named, lens = (
             (model, [k[0, 0]]) if one_lens else ("PINHOLE", [k[0, 0], k[1, 1]])
@@ -191,8 +191,7 @@ def _scene(
         own = np.flatnonzero((sightings[:, view] >= 0) & np.isfinite(points[:, 0]))
         seen = pose.apply(points[own])
         off = np.linalg.norm(
-            project(seen, images[view].intrinsics)
-            - keypoints[view][sightings[own, view]],
+            project(seen, images[view].K) - keypoints[view][sightings[own, view]],
             axis=1,
         )
         near[own, view] = (seen[:, 2] > 0) & (off < limit)
@@ -220,9 +219,7 @@ def _points(
     poses: dict[int, Pose],
 ) -> Float[np.ndarray, "track 3"]:
     """Each track's point, of the two views that see it from most different sides; NaN: none."""
-    rays = {
-        view: rays_through(keypoints[view], images[view].intrinsics) for view in poses
-    }
+    rays = {view: rays_through(keypoints[view], images[view].K) for view in poses}
     widest = np.full(len(sightings), MIN_PARALLAX)
     points = np.full((len(sightings), 3), np.nan)
     for a, b in combinations(sorted(poses), 2):

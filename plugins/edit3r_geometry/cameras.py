@@ -17,7 +17,7 @@ class CalibratedImage:
     """An image with the intrinsics of its camera."""
 
     pixels: Float[np.ndarray, "height width 3"]  # sRGB in [0, 1], float32
-    intrinsics: Float[np.ndarray, "3 3"]  # in pixels
+    K: Float[np.ndarray, "3 3"]  # intrinsics in pixels
 
     @property
     def size(self) -> tuple[int, int]:
@@ -39,24 +39,22 @@ class CalibratedImage:
         stretch = np.array([[size[0] / width], [size[1] / height], [1.0]])
         return CalibratedImage(
             cv2.resize(self.pixels, size, interpolation=cv2.INTER_AREA),
-            self.intrinsics * stretch,
+            self.K * stretch,
         )
 
     @property
     def fov(self) -> float:
         """Field of view across the longer side [degrees]."""
-        return float(
-            np.degrees(2 * np.arctan(0.5 * max(self.size) / self.intrinsics[0, 0]))
-        )
+        return float(np.degrees(2 * np.arctan(0.5 * max(self.size) / self.K[0, 0])))
 
     def without_pixels(self) -> "CalibratedImage":
         """The image black, in next to no memory: what is kept of it is its size."""
         black = np.broadcast_to(np.float32(0), self.pixels.shape)
-        return CalibratedImage(black, self.intrinsics)
+        return CalibratedImage(black, self.K)
 
     def with_fov(self, fov: float) -> "CalibratedImage":
         """The image as if taken with a field of view of `fov` [degrees] across its longer side."""
-        intrinsics = self.intrinsics.copy()
+        intrinsics = self.K.copy()
         intrinsics[0, 0] = intrinsics[1, 1] = (
             0.5 * max(self.size) / np.tan(np.radians(fov) / 2)
         )
@@ -64,9 +62,7 @@ class CalibratedImage:
 
     def zoomed(self, factor: float) -> "CalibratedImage":
         """The image as if taken with focal lengths `factor` times as long."""
-        return CalibratedImage(
-            self.pixels, self.intrinsics * np.array([[factor, factor, 1.0]])
-        )
+        return CalibratedImage(self.pixels, self.K * np.array([[factor, factor, 1.0]]))
 
 
 def calibrated_images(views: Views, scene: int) -> list[CalibratedImage]:

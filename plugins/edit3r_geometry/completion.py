@@ -42,12 +42,10 @@ def confirmed(
 ) -> Bool[np.ndarray, "height width"]:
     """Pixels of depth `inverse` where the neighbour, by its `other`, measured the same surface."""
     points = neighbour.pose.apply(
-        pixel_rays(reference.intrinsics, reference.size) / inverse[..., None]
+        pixel_rays(reference.K, reference.size) / inverse[..., None]
     )
     depth = points[..., 2]
-    pixels = project(points, neighbour.image.intrinsics).astype(
-        np.float32
-    ) - np.float32(0.5)
+    pixels = project(points, neighbour.image.K).astype(np.float32) - np.float32(0.5)
     # -1 is read outside the neighbour's image.
     seen = cv2.remap(  # type: ignore[call-overload]  # pairs need no second map
         other.inverse,
@@ -178,7 +176,7 @@ def pull_forward(
     (0: sky, negative: nothing is known). A guess stays where it is if no place is free.
     """
     row, column = np.nonzero(guessed)
-    rays = pixel_rays(reference.intrinsics, reference.size)[row, column]
+    rays = pixel_rays(reference.K, reference.size)[row, column]
     depth = 1 / inverse[row, column]
     hides_sky = np.zeros(len(row), bool)
     for neighbour, shown in others:
@@ -206,7 +204,7 @@ def _shown_behind(
     shows nothing, or nothing behind them.
     """
     there = neighbour.pose.apply(points)
-    pixels = np.floor(project(there, neighbour.image.intrinsics))
+    pixels = np.floor(project(there, neighbour.image.K))
     height, width = shown.shape
     inside = ((pixels >= 0) & (pixels < (width, height))).all(1)
     seen = np.full(len(points), -1, np.float32)

@@ -127,9 +127,9 @@ class FoundFeatures:
             for side, view in enumerate((a, b))
         )
         rays_a, rays_b = (
-            rays_through(own, image.intrinsics) for own, image in zip(points, pair)
+            rays_through(own, image.K) for own, image in zip(points, pair)
         )
-        focals = [image.intrinsics[axis, axis] for image in pair for axis in (0, 1)]
+        focals = [image.K[axis, axis] for image in pair for axis in (0, 1)]
         height, width = images[b].size
         # A band of two pixels along the longest possible line, over the image's area.
         chance = 2 * np.hypot(height, width) / (height * width)

@@ -96,7 +96,7 @@ class ClassicalMatcher(_RememberingMatcher):
             self._match_scene(views, corrected, scene)
             for scene in range(views.images.shape[0])
         ]
-        *measured, lenses, told = zip(*scenes)
+        *measured, fov_ranges, told = zip(*scenes)
         known = not self._reads_fov(views)
         c2w, depths, confidence, registered, intrinsics = (
             torch.stack(field).to(views.images.device) for field in measured
@@ -107,7 +107,7 @@ class ClassicalMatcher(_RememberingMatcher):
             confidence,
             registered,
             None if known else intrinsics,
-            next(filter(None, lenses), None),
+            next(filter(None, fov_ranges), None),
             next(filter(None, told), None) if known else None,
         )
 
@@ -149,7 +149,7 @@ class ClassicalMatcher(_RememberingMatcher):
         self, views: Views, corrected: Views, scene: int
     ) -> tuple[Any, ...]:
         """Fields of `Geometry` of one scene: poses, depths, confidence, registered flags,
-        intrinsics, lenses, and the field of view that the matches tell.
+        intrinsics, fields of view that explain the photos alike, and the one that the matches tell.
         """
         unknown = self._reads_fov(views)
         found = _registered(_Asked.of(self, views, scene))
@@ -179,7 +179,7 @@ class ClassicalMatcher(_RememberingMatcher):
             confidence,
             torch.from_numpy(registration.registered),
             intrinsics,
-            found.lenses,
+            found.fov_range,
             found.told,
         )
 
@@ -189,7 +189,7 @@ class ClassicalMatcher(_RememberingMatcher):
         features = find_features(images, self.settings)
         found = self._attempt(views, images, features)
         # Of three photos and more, bundle adjustment settles the lens.
-        if len(images) == 2 and isinstance(found, _Registered) and found.lenses:
+        if len(images) == 2 and isinstance(found, _Registered) and found.fov_range:
             helped = with_learned(features, images, self.settings)
             if helped is not features:
                 again = self._attempt(views, images, helped)
@@ -220,11 +220,11 @@ class ClassicalMatcher(_RememberingMatcher):
         unknown = self._reads_fov(views)
         pairs = {(a, b): features.matches(images, a, b) for a, b in features.indices}
         asked = images, pairs, chosen.threshold, chosen.seed
-        told, lenses = None, None
+        told, fov_range = None, None
         if unknown:
             reading = calibrate(*asked)
             if reading is not None:
-                told, lenses = reading.fov, reading.alike
+                told, fov_range = reading.fov, reading.alike
                 images = [image.with_fov(told) for image in images]
         else:
             told = contradiction(*asked)
@@ -236,12 +236,12 @@ class ClassicalMatcher(_RememberingMatcher):
                 chosen.threshold,
                 chosen.seed,
                 # Where the matches of each pair tell no lens, all views' together bend it away.
-                free_focal=unknown and lenses is None,
+                free_focal=unknown and fov_range is None,
             )
         except MatchingError as error:
             return error
         zoomed = tuple(image.zoomed(registration.zoom) for image in images)
-        return _Registered(zoomed, features, registration, told, lenses)
+        return _Registered(zoomed, features, registration, told, fov_range)
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ class _Registered:
     registration: Registration
     told: float | None  # field of view that the matches tell [degrees]
     # the narrowest and widest that explain them alike, where these are far apart
-    lenses: tuple[float, float] | None = None
+    fov_range: tuple[float, float] | None = None
 
     def without_pixels(self) -> "_Registered":
         """The same without what was compared, which of many photos is most of it."""
@@ -266,7 +266,7 @@ class _Registered:
     def normalised(self, size: tuple[int, int]) -> Float[Tensor, "view 3 3"]:
         """The intrinsics as shares of the photos' (height, width)."""
         return from_pixels(
-            torch.from_numpy(np.stack([image.intrinsics for image in self.images])),
+            torch.from_numpy(np.stack([image.K for image in self.images])),
             size,
         )
 

@@ -57,10 +57,10 @@ def plane_inverse_depths(
     At most `limit`; the motion is the median over the image of the neighbour that moves most.
     """
     far, near = inverse_range
-    rays = pixel_rays(reference.intrinsics, reference.size)[::16, ::16].reshape(-1, 3)
+    rays = pixel_rays(reference.K, reference.size)[::16, ::16].reshape(-1, 3)
     motions = []
     for neighbour in neighbours:
-        intrinsics = neighbour.image.intrinsics
+        intrinsics = neighbour.image.K
         start, end = (
             project(neighbour.pose.apply(rays / inverse), intrinsics)
             for inverse in (far, near)
@@ -104,7 +104,7 @@ def _add_costs(
     grey = np.ascontiguousarray(reference.grey)
     statistics = [_statistics(grey, radius) for radius in (SMALL, LARGE)]
     block = np.empty((BLOCK, *reference.size), np.float32)
-    to_rays = np.linalg.inv(reference.intrinsics)
+    to_rays = np.linalg.inv(reference.K)
     everywhere = np.ones(neighbour.image.size, np.uint8)
     for start in range(0, len(inverse_depths), BLOCK):
         for slot, inverse_depth in enumerate(inverse_depths[start : start + BLOCK]):
@@ -137,7 +137,7 @@ def _homography(
     motion = neighbour.pose.rotation + np.outer(
         neighbour.pose.translation, (0, 0, inverse_depth)
     )
-    homography = neighbour.image.intrinsics @ motion @ to_rays
+    homography = neighbour.image.K @ motion @ to_rays
     return FROM_CENTRES @ homography @ TO_CENTRES
 
 

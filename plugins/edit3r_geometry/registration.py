@@ -331,7 +331,7 @@ class _IncrementalRegistration:
         """PnP with RANSAC, refined on its inliers; None when too few points agree."""
         if len(indices) < MIN_INLIERS:
             return None
-        intrinsics = self.images[view].intrinsics
+        intrinsics = self.images[view].K
         pixels = self.features.keypoints[view].points[indices]
         threshold = 2 * self.threshold * max(self.images[view].size) / 256
         cv2.setRNGSeed(self.seed)

@@ -20,8 +20,8 @@ def register_critics():
 def register_commands():
     return [
         Component(
-            "judge",
-            "edit3r_judge.fit:JudgeCommand",
+            "fit-verdict",
+            "edit3r_judge.fit:FitVerdictCommand",
             "fit the limits of the verdict to edits of which it is known whether they are good",
         )
     ]

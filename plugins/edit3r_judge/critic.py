@@ -83,8 +83,8 @@ def doubt_of(scene: SceneToJudge) -> Doubt | None:
         return Doubt(clause, "editor")
     if scene.flat:
         return Doubt(FLAT, "photos")
-    if scene.lenses is not None:
-        return Doubt(UNSURE_LENS.format(*scene.lenses), "photos")
+    if scene.fov_range is not None:
+        return Doubt(UNSURE_LENS.format(*scene.fov_range), "photos")
     if measures.get("moved"):
         return Doubt(MOVED, "editor", best="good")
     return None

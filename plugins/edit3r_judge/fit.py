@@ -1,4 +1,4 @@
-"""`edit3r judge --fit ROWS`: the limits of the signals, from what is known to be good and bad.
+"""`edit3r fit-verdict ROWS`: the limits of the signals, from what is known to be good and bad.
 
 A row of ROWS (JSON lines) is an edit (`python benchmarks/verdict.py edits`): its `place`, its
 `fault` (the signal that names it; null: none), its `kind` and its `figures`; a scene
@@ -34,17 +34,17 @@ Limits = Mapping[str, Any]
 Outcomes = Iterator[tuple[str, bool]]
 
 
-class JudgeCommand(Command):
+class FitVerdictCommand(Command):
     """Fit the limits of the verdict to edits of which it is known whether they are good."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         known = "edits, or scenes, of which it is known whether they are good, one JSON object each"
-        parser.add_argument("--fit", required=True, metavar="ROWS", help=known)
+        parser.add_argument("rows", metavar="ROWS", help=known)
         text = "write the limits into the package"
         parser.add_argument("--write", action="store_true", help=text)
 
     def main(self, args: argparse.Namespace) -> int:
-        what, rows = read_rows(args.fit)
+        what, rows = read_rows(args.rows)
         fit, outcomes = WAYS[what]
         places = sorted({row["place"] for row in rows})
         never = places[::NEVER]

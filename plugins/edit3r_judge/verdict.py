@@ -2,7 +2,7 @@
 
 Half-way between photos it shows what was guessed, or what looks like no photo, where it does not
 hold: the sum of both shares in the worst view, and how many photos are left out, give the label. A
-part that is broken (`faults.py`) makes it `poor`, and photos that do not look like themselves make
+part that is broken (`blame.py`) makes it `poor`, and photos that do not look like themselves make
 it `failed`. Limits stand in `fitted.yaml`. See docs/notes/verdict.md.
 """
 

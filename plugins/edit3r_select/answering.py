@@ -16,7 +16,7 @@ from edit3r.kit import asking
 from edit3r.kit.compute.outlines import soft_edged
 from edit3r_select.cues import Asked, Box, Click, Place, Pool, pixel
 from edit3r_select.marks import Marks
-from edit3r_select.sum import (
+from edit3r_select.ranking import (
     SURE,
     Chosen,
     CueWeights,

@@ -28,7 +28,7 @@ from edit3r_select.answering import Image, answered, standing_out, subject_of
 from edit3r_select.marks import Marks
 from edit3r_select.obeying import MEASURED
 from edit3r_select.photos import Mask, Named, OnPhoto, Photos, overlap
-from edit3r_select.sum import SAME
+from edit3r_select.ranking import SAME
 from edit3r_select.which import pick
 
 ASKED = 3  # photos on which an unsure word is looked for, at most

@@ -1,7 +1,7 @@
 """The selector `by-segmenter`: marks and words on some photos, and what they mean on all.
 
-On each photo a sum of cues says which mask is meant (`sum.py`). A photo without marks is told by
-the scene's geometry what others show, else by the segmenter, if it follows objects.
+On each photo a sum of cues says which mask is meant (`ranking.py`). A photo without marks is told
+by the scene's geometry what others show, else by the segmenter, if it follows objects.
 """
 
 from collections.abc import Sequence
@@ -45,7 +45,7 @@ from edit3r_select.naming import (
 )
 from edit3r_select.obeying import Point, obeyed, points_of, seen_elsewhere
 from edit3r_select.photos import Found, Mask, Named, OnPhoto, Photos, clean, overlap
-from edit3r_select.sum import SAME
+from edit3r_select.ranking import SAME
 
 INSIDE = 0.95  # share of a part that lies inside of its whole, at least
 CLICKED_SURE = 0.25  # confidence of words that a click lies on, from which they say how far it goes

@@ -56,7 +56,11 @@ def register_losses() -> list[Component]:
     return [
         _loss("mse", "MseLoss", "low-frequency mean squared error of renderings"),
         _loss("center", "CenterLoss", "smooth L1 of centres to the reference's"),
-        _loss("point-distillation", "PointsLoss", "the same, each in its own unit"),
+        _loss(
+            "point-distillation",
+            "PointDistillationLoss",
+            "the same, each in its own unit",
+        ),
         _loss("geometry", "GeometryLoss", "Chamfer-L1 between the views' centres"),
         _loss(
             "perceptual",

@@ -70,7 +70,7 @@ class CenterLoss(Loss):
         return F.smooth_l1_loss(ours, theirs, beta=self.settings.beta)
 
 
-class PointsLoss(Loss):
+class PointDistillationLoss(Loss):
     """Mean distance of every centre to its reference, each cloud in the unit of its own mean
     distance from view 0.
 

@@ -2,8 +2,8 @@
 recoloured everywhere.
 
 A step draws a batch, edits it (`asymmetric_inputs`), simulates what a matcher would say of it
-(`simulated_matching`), reconstructs, and compares: pixel by pixel at every step (`pixel_losses`),
-rendered at every `render_every`-th.
+(`simulated_matching`), reconstructs, and compares: pixel by pixel at every step
+(`gaussian_errors`), rendered at every `render_every`-th.
 
 With nothing edited, novel views alone rendered and `unit: baseline` it is the first stage too,
 NoPoSplat's training.
@@ -31,13 +31,13 @@ from edit3r.kit import asking
 from edit3r.kit.reconstructing import WithMatcher
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import TrainingBatch, Unit, make_batch
-from edit3r_training.loop import LoopSettings, Recipe, StepLoss, train
-from edit3r_training.pixel_losses import (
+from edit3r_training.gaussian_errors import (
     colour_error,
     depth_error,
     opacity_error,
     pixel_maps,
 )
+from edit3r_training.loop import LoopSettings, Recipe, StepLoss, train
 from edit3r_training.processes import Processes
 from edit3r_training.schedule import batch_indices, step_generator
 from edit3r_training.simulated_matching import (

@@ -15,7 +15,7 @@ from edit3r.kit.photos.images import save_image
 from edit3r.kit.reconstructing import WithMatcher
 from edit3r_training.asymmetric_inputs import RegimeShares
 from edit3r_training.batches import Match, TrainingBatch, Unit, make_batch
-from edit3r_training.pixel_losses import (
+from edit3r_training.gaussian_errors import (
     PixelMaps,
     colour_error,
     depth_error,

@@ -36,12 +36,12 @@ from edit3r.contract.interfaces.reconstruction import (
     Reconstructor as Reconstructor,
     StartsFromScene as StartsFromScene,
 )
-from edit3r.contract.interfaces.rendering import (
+from edit3r.contract.interfaces.refining import (
     ComparesWithBefore as ComparesWithBefore,
-    Rasterizer as Rasterizer,
     RefineInputs as RefineInputs,
     Refiner as Refiner,
 )
+from edit3r.contract.interfaces.rendering import Rasterizer as Rasterizer
 from edit3r.contract.interfaces.segmentation import (
     SUBJECT as SUBJECT,
     Click as Click,

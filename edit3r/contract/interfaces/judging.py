@@ -80,7 +80,7 @@ class SceneToJudge:
     # nobody knows the lens, and all that the photos share lies on one plane
     flat: bool = False
     # fields of view [degrees] that explain the photos alike, where they do not tell their lens
-    lenses: tuple[float, float] | None = None
+    fov_range: tuple[float, float] | None = None
     edit: EditVerdict | None = None  # what is said of the edit in 2D
     half_way: HalfWay | None = None  # None: there is one photo alone
     # from the reference's places, before any refiner; None: as `half_way`, or there is no reference

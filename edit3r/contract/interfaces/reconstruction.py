@@ -112,10 +112,10 @@ class Geometry(Tensors):
     intrinsics: Float[Tensor, "batch view 3 3"] | None = None
     # where the photos do not tell their lens: the narrowest and the widest field of view across the
     # longer side that explain them alike [degrees]
-    lenses: tuple[float, float] | None = None
+    fov_range: tuple[float, float] | None = None
     # the field of view that photos tell where it surely is not the one that they came with
     # [degrees, across the longer side]
-    contradicts: float | None = None
+    contradicting_fov: float | None = None
 
     @property
     def measured(self) -> Float[Tensor, "batch view"]:

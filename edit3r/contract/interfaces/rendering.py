@@ -1,8 +1,8 @@
-"""Rasterizers, and the refiners that use them."""
+"""Rasterizers."""
 
 import functools
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -12,7 +12,7 @@ from torch import Tensor
 from edit3r.contract.component import Configured
 from edit3r.contract.errors import InputError
 from edit3r.contract.torch_state import Function, in_usual_torch
-from edit3r.contract.types import DC, Cameras, Gaussians, Rendering, Views
+from edit3r.contract.types import DC, Cameras, Gaussians, Rendering
 
 OFF = 0.01
 """How far what must be 0 or 1 in a camera may be off. A sanity limit."""
@@ -111,34 +111,3 @@ class Rasterizer(Configured, ABC):
                 gradient = torch.autograd.grad(counted.sum(), grey)[0]
                 total += gradient[:, :, 0, :channels]
         return (total / DC).view(*total.shape[:2], *maps)
-
-
-@dataclass(frozen=True)
-class RefineInputs:
-    """All that a refiner may look at beside the Gaussians."""
-
-    cameras: Cameras  # poses of all input views
-    # images that show the edit; the first `views.count` cameras are theirs
-    views: Views
-    rasterizer: Rasterizer
-    # in [0, 1], one for each camera; 1: may change; None: everything may
-    masks: Float[Tensor, "batch camera height width"] | None = None
-    before: Gaussians | None = None  # the scene before the edit, where it is known
-    seed: int = 0
-
-    @property
-    def confined(self) -> bool:
-        """Whether some pixels must stay as they were before the edit."""
-        return self.masks is not None and not bool((self.masks > 0).all())
-
-
-class Refiner(Configured, ABC):
-    """One step after reconstruction: fewer or sharper Gaussians, or some kept as they were."""
-
-    @abstractmethod
-    def __call__(self, gaussians: Gaussians, inputs: RefineInputs) -> Gaussians:
-        """Return the refined Gaussians, in the same frame."""
-
-
-class ComparesWithBefore:
-    """A refiner that needs `inputs.before`; without it the pipeline leaves the refiner out."""

@@ -3,6 +3,6 @@
     read --> locate ---> select --> edit --> reconstruct --> refine --> judge
     photos   geometry    masks      edited   Gaussians       Gaussians  verdicts
 
-`edit3r.running.loop` is the loop over them. `read` begins, with the job alone; the others get the
-components of the run as `Components`. One file each, named after its step.
+`edit3r.running.pipeline` takes one after the other. `read` begins, with the job alone; the others
+get the components of the run as `Components`. One file each, named after its step.
 """

@@ -88,7 +88,7 @@ def judge(
                 rendered=rendered,
                 measured=reconstructed.reconstruction.measured,
                 flat=located.flat,
-                lenses=located.lenses,
+                fov_range=located.fov_range,
                 edit=edit.verdict,
                 half_way=half,
                 first_half_way=first_half,

@@ -42,13 +42,13 @@ def locate(inputs: Inputs, components: Components) -> tuple[Inputs, Located]:
         inputs, answer = _fitting(inputs, components)
         photos, geometry = inputs.photos, answer.required()
         flat = any(photos.assumed) and lies_flat(geometry, photos)
-        lenses = _note_lens(inputs, geometry)
+        fov_range = _note_lens(inputs, geometry)
         exposure = _exposure(photos, geometry, components)
         corrected, source = None, components.geometry_source
         if exposure is not None and isinstance(source, MatchesCorrected):
             shown = replace(photos, images=exposure.to_reference(photos.images))
             corrected = find_geometry(source, photos, shown).required()
-        return inputs, Located(answer, corrected, flat, lenses, exposure)
+        return inputs, Located(answer, corrected, flat, fov_range, exposure)
 
 
 @torch.no_grad()
@@ -91,7 +91,7 @@ def _fitting(inputs: Inputs, components: Components) -> tuple[Inputs, GeometryAn
     source = components.geometry_source
     answer = find_geometry(source, inputs.photos)
     if not _by_exif(inputs) or (
-        answer.geometry is not None and not answer.geometry.contradicts
+        answer.geometry is not None and not answer.geometry.contradicting_fov
     ):
         return inputs, answer
     unknown = (True,) * inputs.photos.count
@@ -125,10 +125,10 @@ def _note_lens(inputs: Inputs, geometry: Geometry | None) -> tuple[float, float]
         fov = field_of_view(geometry.calibrated(photos))
         sources = [f"{READ_LENS}: {fov:.1f} degrees across the longer side"]
     note("lens.source", list(dict.fromkeys(sources)))
-    if geometry is None or geometry.lenses is None:
+    if geometry is None or geometry.fov_range is None:
         return None
-    note("lens.alike", [round(fov, 1) for fov in geometry.lenses])
-    return geometry.lenses
+    note("lens.alike", [round(fov, 1) for fov in geometry.fov_range])
+    return geometry.fov_range
 
 
 def _exposure(

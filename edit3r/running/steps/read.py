@@ -24,9 +24,9 @@ from edit3r.kit.photos.masks import read_mask
 from edit3r.running.job import RunJob
 from edit3r.running.measuring import with_what_is_known
 from edit3r.running.records import Inputs
-from edit3r.running.scale import has_given_poses, own_unit
 from edit3r.running.scene_input import SceneInput, read_scene
 from edit3r.running.selecting.marks import MarkTexts
+from edit3r.running.unit import has_given_poses, own_unit
 
 _MOST_OF_A_THING = 0.5
 """Share of the photos [mean of the masks] above which masks are of no thing."""

@@ -142,7 +142,7 @@ LENS = SCENE.views.intrinsics
         (seen(c2w=true_geometry().c2w.roll(1, 1)), "in the frame of view 0"),
         (seen(intrinsics=0 * LENS), "must return focal lengths above 0"),
         (seen(intrinsics=LENS[:, :1]), "must return intrinsics of shape"),
-        (seen(lenses=5), "must return lenses as two angles"),
+        (seen(fov_range=5), "must return fov_range as two angles"),
         (ValueError("no luck"), "raised ValueError: no luck"),
         (None, "must return edit3r.contract.interfaces.Geometry, got NoneType"),
         (

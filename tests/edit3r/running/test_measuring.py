@@ -25,8 +25,8 @@ from edit3r.running.job import RunJob
 from edit3r.running.measuring import METRES, measure, with_what_is_known
 from edit3r.running.records import Inputs
 from edit3r.running.run_folder import RunFolder
-from edit3r.running.scale import GIVEN, Unit
 from edit3r.running.steps.read import read
+from edit3r.running.unit import GIVEN, Unit
 
 # of the packaged pair, Middlebury 2014: https://vision.middlebury.edu/stereo/data/scenes2014
 BASELINE, FOCAL, CENTRE, OFFSET = 0.193001, 994.978, (311.193, 254.877), 31.086

@@ -27,7 +27,7 @@ from edit3r.kit.rendering import render_each
 from edit3r.loading.registry import build
 from edit3r.running.config import DEFAULTS, make_run_config
 from edit3r.running.job import JobInputs, job_from
-from edit3r.running.loop import preview
+from edit3r.running.pipeline import preview
 from edit3r.running.result import _scene
 from edit3r.running.steps.reconstruct import _grid
 from edit3r_testing import photograph

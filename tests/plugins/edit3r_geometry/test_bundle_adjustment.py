@@ -167,7 +167,7 @@ def test_a_focal_length_that_runs_away_is_left_as_it_was(scene):
 @pytest.mark.parametrize("radial", [-0.12, 0.0, 0.06])
 def test_the_distortion_of_one_lens_is_read_and_none_is_made_up(scene, radial):
     images, keypoints, matches, true = scene
-    k, rng = images[0].intrinsics, np.random.default_rng(8)
+    k, rng = images[0].K, np.random.default_rng(8)
     rays = [(points - k[:2, 2]) / FOCAL for points in keypoints]
     bent = [
         FOCAL * ray * (1 + radial * (ray**2).sum(1, keepdims=True)) + k[:2, 2]
@@ -264,7 +264,7 @@ def test_learned_matches_that_agree_but_whose_depths_jump_are_not_believed(surfa
     """
     images, (first, second) = surface
     rng = np.random.default_rng(5)
-    k = images[0].intrinsics
+    k = images[0].K
     jumping = project(
         ASIDE.apply(rays_through(first, k) * rng.uniform(3, 8, (len(first), 1))), k
     )
@@ -330,12 +330,10 @@ def test_a_pair_that_the_other_photos_contradict_is_refused(scene):
         cv2.Rodrigues(np.array([0.0, 0.5, 0.0]))[0], np.array([-1.0, 0.2, 0.1])
     )
     rays, rng = (
-        rays_through(keypoints[0], images[0].intrinsics),
+        rays_through(keypoints[0], images[0].K),
         np.random.default_rng(3),
     )
-    moved = project(
-        wrong.apply(rays * rng.uniform(4, 8, (POINTS, 1))), images[0].intrinsics
-    )
+    moved = project(wrong.apply(rays * rng.uniform(4, 8, (POINTS, 1))), images[0].K)
     more = Keypoints(moved, np.zeros((POINTS, 128), np.float32))
     third = keys[2].followed_by(more)
     found = FoundFeatures(

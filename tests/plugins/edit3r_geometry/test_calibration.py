@@ -135,7 +135,7 @@ def test_the_matcher_reads_it_only_where_nobody_knows_the_lens(make_room):
     matcher = ClassicalMatcher(ClassicalMatcher.Settings(working_size=96, planes=24))
     with pytest.warns(UserWarning, match="not the 77 that were given"):
         believed = matcher.match(replace(pair.views, intrinsics=wrong))
-    assert believed.intrinsics is None and believed.contradicts < 65
+    assert believed.intrinsics is None and believed.contradicting_fov < 65
     assert (
         matcher.match(
             replace(pair.views, intrinsics=wrong, assumed=(True, False))

@@ -19,7 +19,7 @@ BLACK = EditVerdict("doubtful", "it is black", {"faults": ["a black picture"]})
 @pytest.mark.parametrize(
     "changes, said",
     [
-        ({"lenses": (31.0, 75.2)}, "from 31 to 75 degrees.*--fov"),
+        ({"fov_range": (31.0, 75.2)}, "from 31 to 75 degrees.*--fov"),
         ({"flat": True}, "one plane.*--fov"),
         ({"edit": BLACK}, "2D edits do not show"),
     ],

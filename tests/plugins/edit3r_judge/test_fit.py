@@ -1,4 +1,4 @@
-"""`edit3r judge --fit`: limits lie between good and bad; a place is judged without itself."""
+"""`edit3r fit-verdict`: limits lie between good and bad; a place is judged without itself."""
 
 import argparse
 import json
@@ -6,7 +6,7 @@ import json
 import pytest
 from edit3r_judge import fit
 from edit3r_judge.fit import (
-    JudgeCommand,
+    FitVerdictCommand,
     between,
     limits_of_edits,
     limits_of_parts,
@@ -49,7 +49,10 @@ def test_good_and_bad_count_alike_however_many_there_are():
 def test_the_report_says_what_is_named_where_nothing_was_fitted(tmp_path, capsys):
     path = tmp_path / "rows.jsonl"
     path.write_text("\n".join(map(json.dumps, rows())))
-    assert JudgeCommand(None).main(argparse.Namespace(fit=str(path), write=False)) == 0
+    assert (
+        FitVerdictCommand(None).main(argparse.Namespace(rows=str(path), write=False))
+        == 0
+    )
     said = capsys.readouterr().out
     words = " ".join(said.split())
     assert "never fitted on: p0, p3 called good 2 of 2 (100.0%)" in words
@@ -85,7 +88,10 @@ def test_scenes_are_reported_without_their_place_and_by_all(tmp_path, capsys):
     path = tmp_path / "rows.jsonl"
     kind = {"place": "b", "label": "poor", "figures": {"half_way": 0.1}}
     path.write_text("\n".join(map(json.dumps, [*SCENES, kind])))
-    assert JudgeCommand(None).main(argparse.Namespace(fit=str(path), write=False)) == 0
+    assert (
+        FitVerdictCommand(None).main(argparse.Namespace(rows=str(path), write=False))
+        == 0
+    )
     said = capsys.readouterr().out
     assert said.startswith("7 scenes, each by limits without its place")
     words = " ".join(said.split())
@@ -132,7 +138,10 @@ def test_a_broken_part_is_told_by_the_signal_of_its_kind(tmp_path, capsys):
     path = tmp_path / "rows.jsonl"
     rows = [row for place in "abcd" for row in parts(place)]
     path.write_text("\n".join(map(json.dumps, rows)))
-    assert JudgeCommand(None).main(argparse.Namespace(fit=str(path), write=False)) == 0
+    assert (
+        FitVerdictCommand(None).main(argparse.Namespace(rows=str(path), write=False))
+        == 0
+    )
     said = " ".join(capsys.readouterr().out.split())
     assert "broken ones told 8 of 8 (100.0%)" in said
     assert "sound ones not blamed 2 of 2 (100.0%)" in said

@@ -7,7 +7,7 @@ from edit3r_training.losses import (
     ClipLoss,
     GeometryLoss,
     MseLoss,
-    PointsLoss,
+    PointDistillationLoss,
     chamfer_l1,
     pairwise_chamfer,
 )
@@ -64,12 +64,14 @@ def test_beta_is_the_distance_at_which_the_square_of_centres_turns_linear(beta, 
 def test_points_are_compared_in_each_cloud_s_own_unit_and_outliers_left_out():
     torch.manual_seed(0)
     reference = torch.rand(1, 100, 3) + 1
-    loss = lambda means, **settings: PointsLoss(PointsLoss.Settings(**settings))(  # noqa: E731
-        LossInputs(
-            gaussians=_gaussians(means, [0] * 100),
-            reference=_gaussians(reference, [0] * 100),
+
+    def loss(means, **settings):
+        predicted, frozen = (_gaussians(one, [0] * 100) for one in (means, reference))
+        asked = PointDistillationLoss.Settings(**settings)
+        return PointDistillationLoss(asked)(
+            LossInputs(gaussians=predicted, reference=frozen)
         )
-    )
+
     assert loss(7 * reference) == pytest.approx(0, abs=1e-6)
     farthest = reference.norm(dim=-1).argmax()
     moved = reference.clone()
@@ -97,7 +99,7 @@ def test_points_of_no_size_have_a_finite_distance_and_gradient(means):
     for start in (means, means + 1):
         moved = start.clone().requires_grad_()
         ours = _gaussians(moved, [0] * means.shape[1])
-        value = PointsLoss(PointsLoss.Settings())(
+        value = PointDistillationLoss(PointDistillationLoss.Settings())(
             LossInputs(gaussians=ours, reference=reference)
         )
         value.backward()
@@ -111,7 +113,7 @@ def test_as_many_points_are_left_out_at_either_end():
     moved = z.clone()
     moved[0, [0, 9], 0] = 100
     moved[0, 0, 2], moved[0, 9, 2] = 0, 0
-    loss = PointsLoss(PointsLoss.Settings(outliers=0.1))
+    loss = PointDistillationLoss(PointDistillationLoss.Settings(outliers=0.1))
     reference, ours = (_gaussians(means, [0] * 10) for means in (z, moved))
     value = float(loss(LossInputs(gaussians=ours, reference=reference)))
     units = [float(m.norm(dim=-1).mean()) for m in (z, moved)]

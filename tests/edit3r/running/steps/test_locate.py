@@ -53,7 +53,7 @@ EXIF = "EXIF 35 mm equivalent (26 mm)"
 READ = geometry(intrinsics=K)
 
 
-@pytest.mark.parametrize("known", [None, geometry(contradicts=30.0)])
+@pytest.mark.parametrize("known", [None, geometry(contradicting_fov=30.0)])
 def test_exif_that_does_not_fit_the_photos_is_not_believed(known):
     inputs, _, notes = located(EXIF, known, READ)
     assert inputs.photos.assumed == inputs.start.assumed == (True, True)
@@ -64,7 +64,7 @@ def test_exif_that_does_not_fit_the_photos_is_not_believed(known):
     "source, known, unknown",
     [
         (EXIF, geometry(), READ),  # it fits
-        ("--fov 60", geometry(contradicts=30.0), READ),  # the user knows
+        ("--fov 60", geometry(contradicting_fov=30.0), READ),  # the user knows
     ],
 )
 def test_else_it_is(source, known, unknown):
@@ -87,9 +87,9 @@ def test_a_single_pass_asks_nobody_for_geometry_and_says_the_lens_that_it_is_giv
 
 
 def test_fields_that_explain_the_photos_alike_go_on_to_the_verdict():
-    unsure = replace(READ, lenses=(30.0, 55.0))
-    _, found, notes = located(EXIF, geometry(contradicts=30.0), unsure)
-    assert found.lenses == (30.0, 55.0) and notes["lens.alike"] == [30.0, 55.0]
+    unsure = replace(READ, fov_range=(30.0, 55.0))
+    _, found, notes = located(EXIF, geometry(contradicting_fov=30.0), unsure)
+    assert found.fov_range == (30.0, 55.0) and notes["lens.alike"] == [30.0, 55.0]
 
 
 @pytest.mark.parametrize("assumed", [(True, True), (True, False), ()])

@@ -1,7 +1,7 @@
 """Fits the weights of `edit3r_select` and measures them on scenes left out.
 
     python benchmarks/outlines.py ELSEWHERE
-    python benchmarks/select_sum.py DATA ELSEWHERE --kept ROWS.pkl [--write] [--never-fitted]
+    python benchmarks/ranking.py DATA ELSEWHERE --kept ROWS.pkl [--write] [--never-fitted]
         [--left-out FITS.json] [--cache FOLDER]
 
 Objects are those of `clicks.json`, `outlines.json` and `elsewhere.json`; outlines of two photos
@@ -53,7 +53,14 @@ from edit3r_select.answering import (
 from edit3r_select.carrying import expected_on
 from edit3r_select.cues import CUES, Asked, Pool, table
 from edit3r_select.photos import OnPhoto, Photos
-from edit3r_select.sum import CERTAINTY, FITTED, CueWeights, choose, confidence, lead
+from edit3r_select.ranking import (
+    CERTAINTY,
+    FITTED,
+    CueWeights,
+    choose,
+    confidence,
+    lead,
+)
 from PIL import Image
 from scipy.optimize import minimize
 
@@ -527,7 +534,7 @@ def entries(fits: Fits, scene: str | None) -> dict[str, dict]:
 HEAD = """\
 # What multiplies each cue of `cues.py`, by the kind of marks; and what tells, as
 # the exponent of a logistic, whether the first mask is right. Fitted by
-#     python benchmarks/select_sum.py DATA ELSEWHERE --kept ROWS.pkl --write
+#     python benchmarks/ranking.py DATA ELSEWHERE --kept ROWS.pkl --write
 """
 
 

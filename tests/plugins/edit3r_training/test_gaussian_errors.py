@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 import torch
 from edit3r_training.batches import TrainingBatch
-from edit3r_training.pixel_losses import (
+from edit3r_training.gaussian_errors import (
     PixelMaps,
     colour_error,
     depth_error,

@@ -5,7 +5,7 @@ import pytest
 import yaml
 from edit3r_select.answering import gathered, selected
 from edit3r_select.cues import CUES, Asked, Pool
-from edit3r_select.sum import ALONE, FITTED, CueWeights, choose, fitted, lead
+from edit3r_select.ranking import ALONE, FITTED, CueWeights, choose, fitted, lead
 
 SIDE = 100
 ROWS, COLUMNS = np.indices((SIDE, SIDE))
@@ -112,5 +112,5 @@ def test_fitted_weights_are_of_known_cues(kind):
 
 
 def test_the_file_says_how_it_was_made():
-    assert "benchmarks/select_sum.py" in FITTED.read_text()
+    assert "benchmarks/ranking.py" in FITTED.read_text()
     assert set(yaml.safe_load(FITTED.read_text())) == set(KINDS)

@@ -26,8 +26,8 @@ from edit3r.running.records import (
     SelectedRegions,
 )
 from edit3r.running.result import RunResult
-from edit3r.running.scale import has_given_poses, own_unit
 from edit3r.running.steps.read import _in_own_unit
+from edit3r.running.unit import has_given_poses, own_unit
 
 pytestmark = pytest.mark.slow
 

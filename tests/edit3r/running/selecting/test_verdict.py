@@ -8,7 +8,8 @@ import torch
 
 from edit3r.contract.instructions import Colour, Instruction, Target
 from edit3r.contract.interfaces import Candidate, Selected
-from edit3r.running.records import SelectedRegions, verdict_on_selection
+from edit3r.running.records import SelectedRegions
+from edit3r.running.selecting.verdict import verdict_on_selection
 
 MASKS = torch.zeros(2, 1, 8, 8)
 OTHERS = tuple(Candidate(0, MASKS[0, 0], 0.5, number) for number in (1, 2))

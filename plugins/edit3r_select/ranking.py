@@ -19,7 +19,7 @@ ALONE = 4.0
 """Lead of a mask that no other one contests, and the longest that tells more."""
 DOT = 0.008
 """Radius of the dot that makes a mask obey a click [longer sides]."""
-SURE = 4.0
+DOT_LOGIT = 4.0
 """Its logit."""
 NOTICED = 1.15
 """Ratio of two areas from which one mask is larger than the other."""
@@ -117,7 +117,9 @@ def obeying(pool: Pool, logits: np.ndarray) -> np.ndarray:
     for place, wanted in pool.asked.clicks:
         row, column = pixel(place, pool.size)
         if (obeyed[row, column] > 0) != wanted:
-            cv2.circle(obeyed, (column, row), radius, SURE if wanted else -SURE, -1)
+            cv2.circle(
+                obeyed, (column, row), radius, DOT_LOGIT if wanted else -DOT_LOGIT, -1
+            )
     return obeyed
 
 

@@ -13,10 +13,10 @@ ROOT = Path(__file__).parents[2]
 @pytest.fixture
 def bench(monkeypatch):
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
-    monkeypatch.delitem(sys.modules, "select_sum", raising=False)
-    import select_sum
+    monkeypatch.delitem(sys.modules, "ranking", raising=False)
+    import ranking
 
-    return select_sum
+    return ranking
 
 
 def things_by(bench, scene, cue, count=40, never_fitted=False):
