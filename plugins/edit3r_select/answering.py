@@ -17,7 +17,7 @@ from edit3r.kit.compute.outlines import soft_edged
 from edit3r_select.cues import Asked, Box, Click, Place, Pool, pixel
 from edit3r_select.marks import Marks
 from edit3r_select.ranking import (
-    SURE,
+    GIVEN_LOGIT,
     Chosen,
     CueWeights,
     MaskCandidate,
@@ -177,7 +177,10 @@ def gathered(size: Size, asked: Asked, ask: AnswersMarks) -> Pool:
     if asked.kind == "stroke":
         answers.append(ask([drawn[len(drawn) // 2]]))
     if asked.expected is not None:
-        given = np.where(asked.expected, SURE, -SURE)[None], np.array([UNTOLD])
+        given = (
+            np.where(asked.expected, GIVEN_LOGIT, -GIVEN_LOGIT)[None],
+            np.array([UNTOLD]),
+        )
         answers += [ask(clicks), ask(clicks[:1]), given]
     if asked.kind == "more" and before is not None:
         answers.append(ask(clicks, asked.box, before))
@@ -304,7 +307,7 @@ def _shares(chosen: Chosen) -> Iterator[float]:
 
 def _as_logits(mask: Tensor, size: Size) -> np.ndarray:
     values = cv2.resize(mask.float().numpy(force=True), size[::-1])
-    return np.where(values > 0.5, SURE, -SURE).astype(np.float32)
+    return np.where(values > 0.5, GIVEN_LOGIT, -GIVEN_LOGIT).astype(np.float32)
 
 
 def _as_proposal(image: Image, one: MaskCandidate, confidence: float) -> Proposal:

@@ -19,8 +19,8 @@ ALONE = 4.0
 """Lead of a mask that no other one contests, and the longest that tells more."""
 DOT = 0.008
 """Radius of the dot that makes a mask obey a click [longer sides]."""
-DOT_LOGIT = 4.0
-"""Its logit."""
+GIVEN_LOGIT = 4.0
+"""Logit of a pixel that is given, as by a click; of what is surely outside its negative."""
 NOTICED = 1.15
 """Ratio of two areas from which one mask is larger than the other."""
 CERTAINTY = ("lead", "quality", "stability", "constant")
@@ -118,7 +118,11 @@ def obeying(pool: Pool, logits: np.ndarray) -> np.ndarray:
         row, column = pixel(place, pool.size)
         if (obeyed[row, column] > 0) != wanted:
             cv2.circle(
-                obeyed, (column, row), radius, DOT_LOGIT if wanted else -DOT_LOGIT, -1
+                obeyed,
+                (column, row),
+                radius,
+                GIVEN_LOGIT if wanted else -GIVEN_LOGIT,
+                -1,
             )
     return obeyed
 
