@@ -100,7 +100,10 @@ def scenes_of(files: Sequence[Path]) -> dict[str, SceneToJudge]:
                 first=drawn,
                 rendered=drawn,
                 half_way=seen_half_way(
-                    made.rasterizer, answer.gaussians, answer.cameras
+                    made.rasterizer,
+                    answer.gaussians,
+                    answer.cameras,
+                    sound.half_way.photos,
                 ),
             )
     return found

@@ -353,6 +353,9 @@ def unlike_either(
     Each pixel is compared where optical flow finds it in the photos: a thing that is torn or
     dissolved is found in none, one that lies a little aside is.
     """
+    if between.photos is not None:  # a brighter one would look like another thing
+        in_one_light = lab(between.photos.images[0])
+        photos = {view: in_one_light[view] for view in photos}
     for pair, shown in zip(between.pairs, lab(between.rendered.images[0])):
         if not {*pair} <= {*photos} or min(shown.shape[1:]) < FEW:
             continue

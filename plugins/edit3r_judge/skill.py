@@ -26,6 +26,7 @@ from edit3r.kit.geometry.cameras import (
     project_to_pixels,
     unproject,
 )
+from edit3r.kit.geometry.exposure import estimate_exposure
 from edit3r.kit.geometry.maps import dilate, size_of
 from edit3r.kit.geometry.warping import warp
 from edit3r_judge.signals import blurred, lab, small
@@ -100,7 +101,7 @@ class _Photos:
     def __init__(self, scene: SceneToJudge) -> None:
         used = [view for view, there in enumerate(scene.placed) if there]
         views = scene.photos.scene(0).select(used)
-        self.pictures = blurred(lab(views.images[0]), 1)
+        self.pictures = blurred(lab(_in_one_light(scene, used)), 1)
         self.size = size_of(self.pictures)
         sift = cv2.SIFT_create(2000, contrastThreshold=0.015)  # type: ignore[attr-defined]
         light = (2.55 * self.pictures[:, 0].clamp(0, 100)).byte().numpy()
@@ -168,6 +169,18 @@ class _Photos:
         off = (laid - self.pictures[view]).norm(dim=0).clamp(max=MOST)
         off[~_within(places)] = MOST
         return float(off[where].mean())
+
+
+def _in_one_light(
+    scene: SceneToJudge, used: list[int]
+) -> Float[Tensor, "view 3 height width"]:
+    """The photos in the exposure of the first one: else a brighter one looks like another thing."""
+    views = scene.photos.scene(0).select(used)
+    if scene.geometry is None:
+        return views.images[0]
+    geometry = scene.geometry.scene(0).select(used)
+    light = estimate_exposure(geometry.calibrated(views), geometry)
+    return (views.images if light is None else light.to_reference(views.images))[0]
 
 
 def _within(places: Places) -> Bool[Tensor, "height width"]:

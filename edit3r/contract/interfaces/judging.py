@@ -23,6 +23,8 @@ class HalfWay:
     cameras: Cameras  # batch 1
     # between which two placed photos each camera stands
     pairs: tuple[tuple[int, int], ...]
+    # the edited photos in the exposure that the scene has; None: as they are
+    photos: Views | None = None
 
 
 @dataclass(frozen=True, repr=False)

@@ -65,16 +65,20 @@ def judge(
         cameras, half = reconstructed.cameras.at(size), None
         # Half-way between places around a scene is a place like any other.
         if cameras.count > 1 and inputs.scene is None:
-            half = seen_half_way(components.rasterizer, gaussians, cameras)
+            half = seen_half_way(
+                components.rasterizer, gaussians, cameras, corrected.edited
+            )
         reference, first_half = None, None
         if located.geometry is not None and inputs.scene is None:
             used, drawn_by = reconstructed.used, components.rasterizer
-            reference = _reference(located.geometry, used, edit.views, drawn_by)
+            reference = _reference(located.geometry, used, corrected.edited, drawn_by)
             before = reconstructed.reconstruction.gaussians
             if half is not None and (
                 gaussians is not before or len(half.pairs) > MOST_PLACES
             ):
-                first_half = seen_half_way(drawn_by, before, cameras, MOST_PLACES)
+                first_half = seen_half_way(
+                    drawn_by, before, cameras, corrected.edited, MOST_PLACES
+                )
         verdict = asking.judge_scene(
             components.critic,
             SceneToJudge(
@@ -161,7 +165,7 @@ def _reference(
     pixels = pixels_to_gaussians(views.images, depths, cameras, scales, opacities)
     half = None
     if len(used) > 1:
-        half = seen_half_way(rasterizer, pixels, cameras, MOST_PLACES)
+        half = seen_half_way(rasterizer, pixels, cameras, edited, MOST_PLACES)
     return Reference(
         first=asking.render(rasterizer, pixels.from_view(0), cameras.select([0])),
         depths=depths[0, 0],
@@ -211,14 +215,15 @@ def seen_half_way(
     rasterizer: Rasterizer,
     gaussians: Gaussians,
     cameras: Cameras,
+    photos: Views | None = None,
     most: int | None = None,
 ) -> HalfWay:
-    """One scene (batch 1) from half-way between each photo and its nearest one; of more than `most`
-    such places, evenly chosen ones.
+    """One scene (batch 1) from half-way between each of its `photos` and the nearest one; of more
+    than `most` such places, evenly chosen ones.
     """
     between, pairs = half_way(cameras.at(_small(cameras.image_size)))
     if most is not None and len(pairs) > most:
         chosen = torch.linspace(0, len(pairs) - 1, most).round().long().tolist()
         between, pairs = between.select(chosen), tuple(pairs[one] for one in chosen)
     rendered = render_each(rasterizer, gaussians, between, "look between the photos")
-    return HalfWay(rendered, between, pairs)
+    return HalfWay(rendered, between, pairs, photos)
