@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 from edit3r.contract.interfaces import SceneToJudge
 from edit3r.contract.verdicts import Label, Part
 from edit3r_judge.signals import fitted_limits, unlike_between
-from edit3r_judge.skill import SHOWN, skills
+from edit3r_judge.skill import SHOWN, skills, unchanged
 
+MOSTLY = 0.5  # share of the photos left as it was, from which nothing else is looked at
 WRONG_DEPTHS = 0.1  # by which a sound rasterizer's depths are never off [share]
 Figures = Sequence[float | None]
 
@@ -40,8 +41,8 @@ class Beside:
     depths: float | None
 
 
-def beside(scene: SceneToJudge, unlike: Figures) -> Beside:
-    """`unlike` is what looks like no photo half-way, for each placed photo."""
+def beside(scene: SceneToJudge) -> Beside:
+    """Nothing is known of a photo that stands alone."""
     unknown: Figures = [None] * scene.edited.count
     geometry, flat = list(unknown), list(unknown)
     for one in skills(scene):
@@ -50,12 +51,16 @@ def beside(scene: SceneToJudge, unlike: Figures) -> Beside:
                 worst[one.view] = max(worst[one.view] or 0.0, figure)
     reference, depths = unknown, None
     if scene.reference is not None:
-        if scene.first_half_way is not None:  # what refiners do to it is not its fault
-            unlike = unlike_between(replace(scene, half_way=scene.first_half_way))
-        cheapest = replace(scene, half_way=scene.reference.half_way)
+        # neither what refiners nor what the editor did to it is its fault
+        before, same = scene.first_half_way or scene.half_way, unchanged(scene)
+        where = same if float(same.float().mean()) > MOSTLY else None
+        own, least = (
+            unlike_between(replace(scene, half_way=one), where)
+            for one in (before, scene.reference.half_way)
+        )
         reference = [
-            None if own is None or least is None else own - least
-            for own, least in zip(unlike, unlike_between(cheapest))
+            None if mine is None or theirs is None else mine - theirs
+            for mine, theirs in zip(own, least)
         ]
         shown = scene.reference.first
         seen = (shown.alphas > SHOWN)[0, 0, 0]

@@ -369,13 +369,20 @@ def unlike_either(
             yield pair, float((off / wholly).clamp(max=1)[thing > 0.5].mean())
 
 
-def unlike_between(scene: SceneToJudge) -> list[float | None]:
-    """For each placed photo how much of the view half-way to its nearest looks like neither."""
+def unlike_between(
+    scene: SceneToJudge, where: Bool[Tensor, "view h w"] | None = None
+) -> list[float | None]:
+    """For each placed photo how much of the view half-way to its nearest looks like neither.
+
+    `where`: of what the photos show there alone, as small as critics look; None: everywhere.
+    """
     photos = dict(enumerate(lab(scene.edited.images[0])))
     shares: list[float | None] = [None] * len(photos)
     if scene.half_way is not None:
-        all_ = {view: torch.ones_like(one[0]) > 0 for view, one in photos.items()}
-        for pair, share in unlike_either(scene.half_way, photos, all_, CLEAR, 2):
+        masks = {view: torch.ones_like(one[0]) > 0 for view, one in photos.items()}
+        if where is not None:
+            masks = dict(enumerate(where))
+        for pair, share in unlike_either(scene.half_way, photos, masks, CLEAR, 2):
             for view in pair:
                 shares[view] = max(shares[view] or 0.0, share)
     return shares

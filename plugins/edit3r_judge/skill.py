@@ -106,9 +106,7 @@ class _Photos:
         sift = cv2.SIFT_create(2000, contrastThreshold=0.015)  # type: ignore[attr-defined]
         light = (2.55 * self.pictures[:, 0].clamp(0, 100)).byte().numpy()
         self.marks = [sift.detectAndCompute(one, None) for one in light]
-        edited = scene.edited.scene(0).images[0]
-        changed = (edited - views.images[0]).abs().amax(1, keepdim=True)
-        self.same = (small(changed) < KEPT)[:, 0]
+        self.same = unchanged(scene)
         self.cameras = scene.cameras.at(self.size)
         self.depths = _sampled(scene.first.depths[0, :, 0], self.size)
         self.depths[small(scene.first.alphas[0, :, 0]) < SHOWN] = 0
@@ -169,6 +167,13 @@ class _Photos:
         off = (laid - self.pictures[view]).norm(dim=0).clamp(max=MOST)
         off[~_within(places)] = MOST
         return float(off[where].mean())
+
+
+def unchanged(scene: SceneToJudge) -> Bool[Tensor, "view h w"]:
+    """Pixels of the placed photos that the edit left as they were, as small as critics look."""
+    photos = scene.photos.images[0, list(scene.placed)]
+    changed = (scene.edited.images[0] - photos).abs().amax(1, keepdim=True)
+    return (small(changed) < KEPT)[:, 0]
 
 
 def _in_one_light(

@@ -44,7 +44,7 @@ def judge(
     filled = unknown if measured is None else (1 - measured.amin(0)).tolist()
     between = unknown if guessed is None else guessed.amax(0).tolist()
     unlike = unlike_between(scene)
-    cheapest = beside(scene, unlike)
+    cheapest = beside(scene)
     worse = max(one - other for one, other in zip(before, psnr))
     doubt = broken_part(scene, cheapest, worse) or doubt
     label, reason, part = _label(scene, before, psnr, between, unlike, doubt)

@@ -79,7 +79,7 @@ def test_of_two_neighbours_of_a_photo_the_worse_counts(monkeypatch):
     seen = [Skill(0, 6.0, 3.0, 8.0), Skill(0, 9.0, 9.0, None), Skill(1, 4.0, 4.0, 8.0)]
     monkeypatch.setattr(blame, "skills", lambda scene: seen)
     scene = SimpleNamespace(edited=SCENE.views, reference=None)
-    found = blame.beside(scene, [None, None])
+    found = blame.beside(scene)
     assert (found.geometry, found.flat) == ([2.0, 1.0], [3 / 8, 0.5])
 
 

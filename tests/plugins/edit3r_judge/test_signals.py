@@ -209,6 +209,21 @@ def torn_half_way(edit):
     return from_half_way(edit, images)
 
 
+def test_half_way_is_compared_in_the_light_that_the_scene_has(good):
+    """The scene is half as bright as the photos; told so, nothing is torn."""
+    edit = whole_half_way(good)
+    rendered = edit.half_way.rendered
+    dark = replace(rendered, images=rendered.images / 2)
+    as_taken = replace(edit.half_way, rendered=dark)
+    photos = replace(edit.after, images=edit.after.images / 2)
+    in_its_light = replace(as_taken, photos=photos)
+    told, untold = (
+        measured(replace(edit, half_way=one))["torn"]
+        for one in (in_its_light, as_taken)
+    )
+    assert told < 0.05 < 0.3 < untold
+
+
 FAULTS = {
     "unchanged": half_done,
     "outside": leaked,

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 import torch
-from edit3r_judge.skill import FLOOR, _depths_of, skills
+from edit3r_judge.signals import unlike_between
+from edit3r_judge.skill import FLOOR, _depths_of, skills, unchanged
 
 from edit3r.contract.interfaces import SceneToJudge
 from edit3r.contract.interfaces.judging import HalfWay
@@ -50,6 +51,34 @@ def test_one_flat_picture_explains_a_neighbour_worse_than_depth_from_either_side
         assert one.scene < FLOOR + 1 and one.geometry < FLOOR + 1
         assert one.flat > one.geometry
     assert both[0].flat == pytest.approx(both[1].flat, rel=0.4)
+
+
+def test_a_photo_taken_darker_is_the_same_place_in_one_light():
+    plain = scene()
+    images = plain.photos.images.clone()
+    images[:, 1] *= 0.5
+    darker = replace(plain.photos, images=images)
+    for one, as_bright in zip(
+        skills(replace(plain, photos=darker, edited=darker)), skills(plain)
+    ):
+        assert one.beside_flat == pytest.approx(as_bright.beside_flat, abs=0.1)
+        assert one.geometry < FLOOR + 2
+
+
+def test_what_no_photo_shows_half_way_is_asked_of_the_places_that_are_named():
+    plain = scene()
+    images = plain.photos.images[:, :1].clone()
+    images[..., :128] = torch.rand(3, 192, 128, generator=torch.Generator())
+    shown = replace(plain.half_way.rendered, images=images)
+    spoilt = replace(plain, half_way=replace(plain.half_way, rendered=shown))
+    right = torch.zeros(2, *SIZE, dtype=torch.bool)
+    right[..., 140:] = True
+    assert max(unlike_between(spoilt)) > 0.3
+    assert max(unlike_between(spoilt, right)) < 0.1
+    images = torch.cat((images, plain.photos.images[:, 1:]), 1)
+    kept = unchanged(replace(plain, edited=replace(plain.edited, images=images)))
+    assert kept[1].all() and kept[0, :, 128:].all()
+    assert kept[0, :, :128].float().mean() < 0.1
 
 
 def test_where_an_edit_leaves_a_wall_alone_to_compare_no_depth_is_missed():
