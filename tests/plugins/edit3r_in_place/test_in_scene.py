@@ -15,6 +15,8 @@ from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.scenes.scene_views import look_around, pictures_of
 from tests.plugins.scan import of_ball, scan
 
+SIZE = (56, 72)
+
 
 class Asked:
     """The usual selector, which takes what is red on the pictures it is shown."""
@@ -32,7 +34,7 @@ class Asked:
 @pytest.fixture(scope="module")
 def scene():
     rasterizer = edit3r.build("rasterizer", "numba")
-    places = look_around(scan(), rasterizer, count=8, size=(64, 64))
+    places = look_around(scan(), rasterizer, count=8, size=SIZE)
     return pictures_of(scan(), places, rasterizer).scene
 
 
@@ -46,8 +48,10 @@ def selector(scene):
 def on_ball(scene, view=0):
     """A click on the red ball of a picture."""
     red, green, _ = scene.images[0, view].unbind(0)
-    row, column = divmod(int((red - green).argmax()), 64)
-    return Selection(positive=((view, (column + 0.5) / 64, (row + 0.5) / 64),))
+    height, width = SIZE
+    row, column = divmod(int((red - green).argmax()), width)
+    place = (column + 0.5) / width, (row + 0.5) / height
+    return Selection(positive=((view, *place),))
 
 
 def test_one_click_selects_the_thing_on_all_pictures_and_few_are_looked_at(
@@ -159,7 +163,7 @@ def test_without_a_scene_the_usual_selector_answers():
 
 
 def test_of_several_parts_of_the_scene_a_name_takes_the_likeliest(scene):
-    whole, part = torch.ones(64, 64), torch.zeros(64, 64)
+    whole, part = torch.ones(SIZE), torch.zeros(SIZE)
     part[20:40, 20:40] = 1
     masks = (whole, part, 0.5 * part)
     found = Selected(
