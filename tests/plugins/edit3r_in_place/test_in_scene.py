@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_in_place import in_scene
 from edit3r_in_place.belonging import SHARE, belonging, evidence, with_specks
 from edit3r_in_place.in_scene import InSceneSelector, _Lifting, _part_of_scene
 
 import edit3r
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Candidate, Selected, Selection
+from edit3r.contract.interfaces import Candidate, Geometry, Selected, Selection
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.scenes.scene_views import look_around, pictures_of
@@ -190,3 +191,71 @@ def test_a_speck_is_what_most_of_its_neighbours_do_not_count_itself(around, take
     chosen[9:] = True
     grown = with_specks(replace(plain, means=means[None]), chosen)
     assert bool(grown[0]) == taken
+
+
+@pytest.mark.parametrize(
+    ("count", "taken"), [(2, [0, 1]), (4, [0, 1, 2]), (8, [0, 3, 6]), (10, [0, 3, 6])]
+)
+def test_the_pictures_on_which_words_are_looked_for_are_far_apart(count, taken):
+    assert in_scene._spread(count, 3) == taken
+
+
+def test_marks_of_all_kinds_and_geometry_go_with_their_pictures():
+    mask = torch.rand(6, 8)
+    marks = Selection(
+        positive=((5, 0.1, 0.2), (2, 0.3, 0.4)),
+        negative=((2, 0.5, 0.6),),
+        strokes=((5, ((0.1, 0.2), (0.3, 0.4))),),
+        regions=((2, (0.1, 0.2, 0.3, 0.4)),),
+        boxes={5: (0.1, 0.2, 0.3, 0.4)},
+        added={2: mask},
+        removed={5: mask},
+        masks={2: 1 - mask},
+    )
+    there = in_scene._renumbered(marks, {2: 0, 5: 1})
+    assert there.positive == ((1, 0.1, 0.2), (0, 0.3, 0.4))
+    assert there.negative == ((0, 0.5, 0.6),)
+    assert (there.strokes[0][0], there.regions[0][0]) == (1, 0)
+    assert [list(getattr(there, name)) for name in ("boxes", "added")] == [[1], [0]]
+    assert [list(getattr(there, name)) for name in ("removed", "masks")] == [[1], [0]]
+    assert in_scene._renumbered(there, {0: 2, 1: 5}) == marks
+    numbers = torch.arange(6.0)[None, :, None, None].expand(1, 6, 4, 4)
+    lens, depths = numbers[..., :3, :3] + 10, numbers + 20
+    known = Geometry(numbers, depths, 0.01 * numbers, numbers[..., 0, 0] > 2, lens)
+    part = in_scene._of_views(known, [5, 2])
+    for name in ("c2w", "depths", "confidence", "registered", "intrinsics"):
+        assert torch.equal(getattr(part, name), getattr(known, name)[:, [5, 2]])
+
+
+def test_a_further_look_clicks_the_innermost_place_and_boxes_all_of_the_thing():
+    expected = torch.zeros(20, 40)
+    expected[3:14, 6:31] = 0.6  # it shows, and is surely there in a part
+    expected[5:10, 24:29] = 0.95
+    assert in_scene._inner(expected) == [(26.5 / 40, 7.5 / 20)]
+    assert in_scene._box_of(expected) == (6 / 40, 3 / 20, 25 / 40, 11 / 20)
+    faint = expected.clamp(max=0.85)
+    ((x, y),) = in_scene._inner(faint)
+    assert y == 8.5 / 20 and 11 / 40 < x < 26 / 40
+    assert in_scene._box_of(0 * expected)[2:] == (1 / 40, 1 / 20)
+
+
+@pytest.mark.parametrize("kind", ["click", "stroke"])
+def test_a_mark_at_the_edge_or_of_a_picture_that_is_not_there_is_let_through(
+    scene, kind
+):
+    alphas = torch.zeros_like(scene.alphas)
+    alphas[0, 1, -1, -1] = in_scene.SOLID
+    there = replace(scene, alphas=alphas)
+
+    def checked(view, x, y):
+        marks = (
+            {"positive": ((view, x, y),)}
+            if kind == "click"
+            else {"strokes": ((view, ((x, y), (0.0, 0.0))),)}
+        )
+        in_scene._check_places(Selection(**marks), there)
+
+    checked(1, 1.0, 1.0)
+    checked(len(alphas[0]), 0.5, 0.5)
+    with pytest.raises(InputError, match="picture 2 lies on nothing"):
+        checked(1, 1.0, 0.5)
