@@ -125,7 +125,7 @@ def test_a_box_holds_a_pixel_at_least(photos):
         (1 / 80, 1 / 60)
     )
     for size in ("0.9,9", "9,0.9"):
-        with pytest.raises(InputError, match="contains no pixel of photo 2 .*80 x 60"):
+        with pytest.raises(InputError, match=r"contains no pixel of photo 2 .*80 x 60"):
             read(photos, "--box", f"2:20,30,{size}")
     with pytest.raises(InputError, match="at least 0"):
         read(photos, "--box", "20,30,9,-9")
@@ -143,7 +143,9 @@ def test_marks_are_on_what_is_used_of_their_own_photo(tmp_path):
     boxes = read(cropped, "--box", "20,16.5,40,13.5", "--box", "2:0,15,50,15").boxes
     assert boxes[0] == pytest.approx((0.25, 0.25, 0.5, 0.25))
     assert boxes[1] == pytest.approx((0, 0.25, 0.5, 0.25))
-    with pytest.raises(InputError, match="x from 6 to 94 and y from 0 to 60 of its 100"):
+    with pytest.raises(
+        InputError, match="x from 6 to 94 and y from 0 to 60 of its 100"
+    ):
         read(cropped, "--point", "2:5,30")
 
 
