@@ -58,9 +58,8 @@ def on_ball(scene, view=0):
 def test_one_click_selects_the_thing_on_all_pictures_and_few_are_looked_at(
     scene, selector
 ):
-    found = selector.select(
-        Views(scene.images, scene.cameras.intrinsics), on_ball(scene)
-    )
+    views = Views(scene.images, scene.cameras.intrinsics)
+    found = selector.select(views, on_ball(scene, 3))
     red, green, blue = scene.images[0].unbind(1)
     true = (red > 1.8 * green) & (red > 1.8 * blue)
     masks = found.masks[:, 0] > 0.5
@@ -69,7 +68,8 @@ def test_one_click_selects_the_thing_on_all_pictures_and_few_are_looked_at(
     overlaps = both / either
     assert overlaps.min() > 0.75
     assert sum(selector.usual.pictures) <= 3
-    assert found.how.count("geometry") == 7
+    assert found.how == ("geometry",) * 3 + ("marked",) + ("geometry",) * 4
+    assert torch.equal(found.masks[3, 0], true[3].float())  # obeyed to the pixel
     assert found.confidence == 0.8
 
 
@@ -237,6 +237,28 @@ def test_a_further_look_clicks_the_innermost_place_and_boxes_all_of_the_thing():
     ((x, y),) = in_scene._inner(faint)
     assert y == 8.5 / 20 and 11 / 40 < x < 26 / 40
     assert in_scene._box_of(0 * expected)[2:] == (1 / 40, 1 / 20)
+
+
+@pytest.mark.parametrize(("shared", "other", "same"), [(11, 0, True), (12, 2, False)])
+def test_a_further_look_that_finds_something_else_is_not_taken(
+    selector, shared, other, same
+):
+    """Of 20 pixels that are expected 11 are enough, not 12 of 22."""
+    expected = torch.zeros(10, 30)
+    expected[4, 5:25] = 0.9
+    mask = torch.zeros(10, 30)
+    mask[4, 5 : 5 + shared] = mask[7, :other] = 1
+    asked = []
+
+    def select(views, marks, geometry):
+        asked.append(marks)
+        return Selected(mask[None, None], ("marked",))
+
+    selector.usual.select = select
+    view = Views(torch.rand(1, 1, 3, 10, 30), torch.eye(3).expand(1, 1, 3, 3))
+    found = selector._look_again(view, Selection(), expected)
+    assert found is None if not same else torch.equal(found, mask)
+    assert asked[0].boxes == {0: (5 / 30, 4 / 10, 20 / 30, 1 / 10)}
 
 
 @pytest.mark.parametrize("kind", ["click", "stroke"])
