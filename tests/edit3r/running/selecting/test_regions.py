@@ -109,7 +109,7 @@ CLICK = Selection(positive=((0, 0.2, 0.5),))
         ("make everything darker", EVERYWHERE),
         ("paint everything except the door red", IN_RIGHT),
         ("paint the right half red", [False] * 8 + [True] * 8),
-        ("paint all halfs red".replace("halfs", "half"), EVERYWHERE),
+        ("paint all half red", EVERYWHERE),
         ("make the background darker, but not the door", IN_RIGHT),
     ],
 )
