@@ -52,8 +52,8 @@ class SceneRunner:
     """
 
     out: Path
-    plugins: tuple[str, ...] = ()
-    overwrite: bool = False
+    plugins: tuple[str, ...]
+    overwrite: bool
 
     @cached_property
     def registry(self) -> Registry:

@@ -11,6 +11,7 @@ import torch
 
 import edit3r
 from edit3r.contract.types import Gaussians
+from edit3r.kit.children import PYTHON
 from edit3r.kit.photos.images import packaged_pair
 from edit3r.kit.scenes.ply import save_ply
 from edit3r.kit.workers import Workers, run_resumable
@@ -85,6 +86,15 @@ def test_a_command_imports_nothing_from_the_folder_it_is_started_in(trapped, com
     assert done.returncode == expected, done.stderr
     if command is weights:
         assert "pip could not fetch" in done.stderr
+
+
+@needs_safe_path
+def test_a_process_finds_what_the_user_put_on_the_path(tmp_path):
+    (tmp_path / "mine.py").touch()
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    assert (
+        subprocess.run([*PYTHON, "-c", "import mine"], env=environment).returncode == 0
+    )
 
 
 def starts_a_script(folder):

@@ -7,8 +7,15 @@ from concurrent.futures import Future, ThreadPoolExecutor, wait
 import pytest
 
 from edit3r.contract.errors import InputError, RunError
-from edit3r.kit.worker_pool import InProcesses, Task
-from edit3r.kit.workers import Workers, append_row, read_rows, repair, run_resumable
+from edit3r.kit.worker_pool import InProcesses, Task, WorkerDied
+from edit3r.kit.workers import (
+    Workers,
+    _Shift,
+    append_row,
+    read_rows,
+    repair,
+    run_resumable,
+)
 
 JOBS = {"a": {"value": 1}, "b": {"value": 2}, "c": {"value": 3}}
 
@@ -75,6 +82,47 @@ def test_a_worker_that_dies_is_the_row_of_its_job_alone_where_it_may(path):
             "process" in rows[key] and rows[key]["process"] != os.getpid()
             for key in "ac"
         )
+
+
+class Mortal:
+    """A pool without processes, whose workers die of job b."""
+
+    def __init__(self, tries):
+        self.tries, self.given = tries, []
+
+    def start(self):
+        return object(), None
+
+    def give(self, worker, job):
+        self.given.append(job[0])
+        return job[0]
+
+    def first(self, tickets, any_ready):
+        return tickets[0]
+
+    def answer(self, ticket):
+        if ticket == "b":
+            raise WorkerDied
+        return ticket, JOBS[ticket]
+
+
+@pytest.mark.parametrize("may_die", [True, False])
+@pytest.mark.parametrize("tries", [1, 2])
+def test_a_job_of_which_workers_die_is_tried_so_often_and_alike_jobs_follow_each_other(
+    tries, may_die
+):
+    pool, rows = Mortal(tries), []
+    shift = _Shift(
+        pool, JOBS.items(), Workers(1, may_die=may_die), lambda job: job["value"] % 2
+    )
+    try:
+        while shift.hand_out():
+            rows.append(shift.next_row())
+    except RunError as error:
+        assert not may_die and "What is done is kept" in str(error)
+        rows.append(("b", None))
+    assert pool.given == ["a", "c"] + ["b"] * tries
+    assert [row[0] for row in rows if row] == ["a", "c", "b"]
 
 
 def test_an_answer_is_taken_while_another_is_waited_for():

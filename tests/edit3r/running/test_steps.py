@@ -481,6 +481,9 @@ def test_refiners_are_applied_in_the_order_of_the_list_with_the_shorthands_first
         {"gaussians": 5, **DEFAULTS["shorthands"]["gaussians_before_refine"]},
     )
     assert listed == [fewer, ("refine", {"steps": 3}), ("keep-outside-mask", {})]
+    both = {"refiners": ["keep-outside-mask"], "gaussians": 5, "refine": 3}
+    names = [choice.name for choice in make_run_config(both).all_refiners()]
+    assert names == ["simplify", "refine", "keep-outside-mask"]
 
 
 def test_stages_are_timed_in_order(views):

@@ -17,15 +17,22 @@ KEY = {"r": EYE, "t": [0, 0, 0], "K": [0.9, 1.2, 0.5, 0.5], "zoom": 1}
 
 
 def test_a_flight_passes_every_view_and_rests_at_its_ends():
-    keys = read_keys([KEY, {**KEY, "t": [1, 0, 0]}, {**KEY, "t": [1, 0, 2]}])
+    aside = {"r": [[0, 0, 1], [0, 1, 0], [-1, 0, 0]], "t": [1, 0, 0]}
+    aside["K"] = [1.1, 1.4, 0.45, 0.52]
+    keys = read_keys([KEY, aside, {**KEY, "t": [1, 0, 2]}])
     path = path_along(keys, (60, 80))
     assert isinstance(path, Cameras) and path.count == 2 * PER_LEG + 1
     places = path.c2w[0, :, :3, 3]
     for step, key in ((0, keys[0]), (PER_LEG, keys[1]), (2 * PER_LEG, keys[2])):
         assert torch.allclose(places[step], torch.tensor(key.t).float(), atol=1e-5)
+        axes = torch.tensor(key.r).float().T  # right, down and forward are columns
+        assert torch.allclose(path.c2w[0, step, :3, :3], axes, atol=1e-5)
+        fx, fy, cx, cy = key.K
+        lens = torch.tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+        assert torch.allclose(path.intrinsics[0, step], lens)
     paces = (places[1:] - places[:-1]).norm(dim=-1)
     assert paces[0] < 0.1 * paces[PER_LEG // 2]
-    assert torch.allclose(path.intrinsics[0, 5, 0], torch.tensor([0.9, 0, 0.5]))
+    assert torch.allclose(path.intrinsics[0, PER_LEG // 2, 0, 0], torch.tensor(1.0))
 
 
 def test_axes_of_a_viewer_that_are_nearly_right_become_a_rotation():

@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from edit3r_app import forms
 from edit3r_app.draft import Draft, Step
 from edit3r_app.forms import (
     CHOSEN,
@@ -16,6 +17,7 @@ from edit3r_app.forms import (
 
 from edit3r.contract.errors import SettingsError
 from edit3r.contract.settings import is_user_only
+from edit3r.loading.describe import SettingLine
 from edit3r.loading.registry import default_registry
 from edit3r.running.config import RunConfig, make_run_config
 
@@ -52,6 +54,26 @@ def test_settings_are_switches_selects_sliders_and_numbers():
     assert (kinds["strength"], kinds["frames"]) == ("slider", "number")
     assert fields["run", "seed"]["max"] is None  # no limit that anybody meets
     assert fields["run", "fov"]["unit"] == "degrees"
+
+
+@pytest.mark.parametrize(
+    ("type", "range", "default", "kind", "limits"),
+    [
+        ("int", "≥ 2, ≤ 1002", 5, "slider", (2, 1002, 1)),
+        ("int", "≥ 2, ≤ 1003", 5, "number", (2, 1003, 1)),
+        ("int or null", "> 2, < 9", None, "number", (2, 9, 1)),
+        ("float", "> 0.5, < 10.5", 1.5, "slider", (0.5, 10.5, 0.01)),
+        ("float", "≥ 0.5", 1.5, "number", (0.5, None, 0.01)),
+        ("int", "≥ 0, ≤ 1e6", 5, "number", (0, 1e6, 1)),
+        ("int", "≥ 0, ≤ 1000001", 5, "number", (0, None, 1)),
+    ],
+)
+def test_a_number_is_a_slider_where_its_steps_are_few(
+    type, range, default, kind, limits
+):
+    field = forms._field(SettingLine("count", type, range, default, "How many."), {})
+    assert field["kind"] == kind
+    assert tuple(field[name] for name in ("min", "max", "step")) == limits
 
 
 def test_what_was_set_beside_the_sentence_is_told_in_words():

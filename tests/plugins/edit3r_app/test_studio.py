@@ -3,15 +3,17 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+import torch
 from edit3r_app import uploads
 from edit3r_app.draft import read_draft
 from edit3r_app.drawing import Drawing
 from edit3r_app.jobs import AppJob, JobsFolder
 from edit3r_app.preview_service import PreviewService
 from edit3r_app.runner import Runner
-from edit3r_app.studio import Studio
+from edit3r_app.studio import PREVIEW, Studio, _in_own_frame, verdicts
 from PIL import Image
 
 from edit3r.contract.errors import InputError
@@ -144,9 +146,62 @@ def test_a_thing_is_taken_of_a_scene_only_and_its_edit_is_a_state_of_its_own(
     assert job.prompt == "remove bike"
     told = studio.scene(scene, run)  # without photos, it is shown by what was rendered
     assert told["byHand"] and told["photos"] == ["left"]
-    assert told["objects"] == ["bike"] and told["reading"]["geometry"]
+    assert told["objects"] == ["bike"]
+    assert told["reading"]["geometry"] and told["reading"]["placed"]
 
 
 def test_no_edit_without_a_sentence(studio, scene):
     with pytest.raises(InputError, match="such as: paint it golden"):
         studio.go(scene, "", "")
+
+
+def test_a_stroke_over_a_scene_that_was_given_comes_into_the_frame_of_its_file():
+    """View 0 looks along x from (5, 6, 7), and its unit is half as long."""
+    c2w = torch.tensor([[0.0, 0, 1, 5], [0, 1, 0, 6], [-1, 0, 0, 7], [0, 0, 0, 1]])
+    given = SimpleNamespace(views=SimpleNamespace(c2w=c2w, unit=2.0))
+    stroke = {"right": [1, 0, 0], "down": [0, 1, 0], "forward": [0, 0, 1]}
+    moved = _in_own_frame({**stroke, "centre": [1, 2, 3], "size": 4}, given)
+    assert moved == {
+        "right": [0, 0, -1],
+        "down": [0, 1, 0],
+        "forward": [1, 0, 0],
+        "centre": [3 * 2 + 5, 2 * 2 + 6, -1 * 2 + 7],
+        "size": 4,
+    }
+    for wrong in (None, stroke, {**stroke, "centre": "x"}):
+        assert _in_own_frame(wrong, given) is wrong
+
+
+def test_a_run_has_its_own_answers_and_one_that_is_made_those_of_its_preview(tmp_path):
+    folder = JobsFolder(tmp_path)
+    beside, run = folder.private / "jar" / PREVIEW, tmp_path / "jar"
+    answers = {"verdict": {"label": "good", "reason": "r" * 2000}}
+    edited = {"selection_verdict": {"label": "found"}, "edit_verdict": None}
+    for place, manifest in (
+        (beside, {"verdict": {"label": "x"}}),
+        (run, answers | edited),
+    ):
+        place.mkdir(parents=True)
+        assert [one["on"] for one in verdicts(folder, "jar")] == ["scene"] * (
+            place == run
+        )
+        (place / "run.json").write_text(json.dumps(manifest))
+    selected, scene = verdicts(folder, "jar")
+    assert selected == {"on": "selected", "label": "found", "reason": ""}
+    assert (scene["on"], scene["label"], scene["reason"]) == (
+        "scene",
+        "good",
+        "r" * 1000,
+    )
+
+
+def test_a_scene_goes_with_its_edits_and_another_stays(studio, scene):
+    other = studio.folder.new_scene("other")
+    run = studio.folder.new_job(AppJob("", scene)).name
+    (studio.folder.root / run).mkdir()
+    (studio.folder.root / run / "run.json").write_text("{}")
+    studio.delete(scene)
+    left = studio.folder.scenes()
+    assert other in left and not {scene, run} & set(left)
+    with pytest.raises(InputError, match="no scene of that name"):
+        studio.delete(scene)

@@ -12,7 +12,7 @@ from edit3r.kit.workers import Progress, read_rows
 
 
 def manifest(folder, edit_verdict):
-    verdict = {"label": "good", "reason": "all fits", "input_psnr": [30.0, None]}
+    verdict = {"label": "good", "reason": "all fits", "input_psnr": [30.0, None, 20.0]}
     written = {
         "verdict": verdict,
         "edit_verdict": edit_verdict,
@@ -34,7 +34,7 @@ def test_the_table_shows_the_verdict_on_the_edit_and_why_it_is_doubtful(tmp_path
 
 def test_a_run_without_an_edit_has_no_verdict_on_one(tmp_path):
     line = _table([manifest(tmp_path, None)]).splitlines()[-1]
-    assert line == "| one | found 90% |  | good | all fits | 30.0 | 5 |"
+    assert line == "| one | found 90% |  | good | all fits | 25.0 | 5 |"
 
 
 @pytest.mark.parametrize(

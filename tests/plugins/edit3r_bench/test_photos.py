@@ -279,7 +279,7 @@ def test_a_language_model_proposes_and_nonsense_is_left_out(folder, detector, se
         {"type": "Rotate", "prompt": "rotate the cup", "object": "cup"},
         "paint it",
     ]
-    FakeModel.answer = f"Sure! ```json\n{json.dumps(proposals)}\n```"
+    FakeModel.answer = f"Sure! ```json\n{json.dumps(proposals)}```"
     build(folder, *detector, *server)
     edits = read_vetting(folder.parent / "bench.vetting.yaml")["garden"]
     asked = [edit for edit in edits if edit.source == "tiny"]

@@ -94,9 +94,9 @@ def test_any_class_is_driven_by_its_name_and_the_arguments_of_its_call(tiny, two
             {
                 "pipeline": "Flux2KleinPipeline",
                 "model": "a/b",
-                "arguments": {"colour": 1},
+                "arguments": {"height": 64, "zoom": 1},
             },
-            r"editor\.arguments\.colour: Flux2KleinPipeline has no argument colour",
+            r"editor\.arguments\.zoom: Flux2KleinPipeline has no argument zoom",
         ),
     ],
 )

@@ -1,3 +1,4 @@
+import math
 from functools import partial
 
 import cv2
@@ -10,6 +11,8 @@ from edit3r_geometry.relative_pose import (
     _settled,
     agreeing,
     estimate_pose,
+    log_chance,
+    log_false_alarms,
     refine,
     sampson_errors,
     sharp_support,
@@ -122,6 +125,15 @@ def test_random_matches_do_not_count_as_a_pose(seed):
     )
     found = estimate_pose(Matches(a, b, FOCAL, CHANCE), threshold=1.0, seed=0)
     assert found is None or found.log_false_alarms > -6
+
+
+def test_alarms_and_chance_are_counted_in_tens():
+    """0.2^4 * 10 * 7 * C(12, 9) * C(9, 5) five-point models; C(12, 9) * 0.2^9 matches."""
+    models = 10 * 7 * math.comb(12, 9) * math.comb(9, 5) * 0.2**4
+    assert log_false_alarms(12, 9, 0.2) == pytest.approx(math.log10(models))
+    assert log_false_alarms(12, 5, 0.2) == math.inf > log_false_alarms(12, 6, 0.2)
+    chance = math.log10(math.comb(12, 9) * 0.2**9)
+    assert log_chance(12, 9, 0.2) == pytest.approx(chance)
 
 
 def test_matches_said_to_be_inexact_move_the_pose_less(pose):

@@ -4,16 +4,19 @@ from dataclasses import replace
 
 import pytest
 import torch
+from edit3r_in_place import in_scene
 from edit3r_in_place.belonging import SHARE, belonging, evidence, with_specks
 from edit3r_in_place.in_scene import InSceneSelector, _Lifting, _part_of_scene
 
 import edit3r
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Candidate, Selected, Selection
+from edit3r.contract.interfaces import Candidate, Geometry, Selected, Selection
 from edit3r.contract.types import Views
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.scenes.scene_views import look_around, pictures_of
 from tests.plugins.scan import of_ball, scan
+
+SIZE = (56, 72)
 
 
 class Asked:
@@ -32,7 +35,7 @@ class Asked:
 @pytest.fixture(scope="module")
 def scene():
     rasterizer = edit3r.build("rasterizer", "numba")
-    places = look_around(scan(), rasterizer, count=8, size=(64, 64))
+    places = look_around(scan(), rasterizer, count=8, size=SIZE)
     return pictures_of(scan(), places, rasterizer).scene
 
 
@@ -46,16 +49,17 @@ def selector(scene):
 def on_ball(scene, view=0):
     """A click on the red ball of a picture."""
     red, green, _ = scene.images[0, view].unbind(0)
-    row, column = divmod(int((red - green).argmax()), 64)
-    return Selection(positive=((view, (column + 0.5) / 64, (row + 0.5) / 64),))
+    height, width = SIZE
+    row, column = divmod(int((red - green).argmax()), width)
+    place = (column + 0.5) / width, (row + 0.5) / height
+    return Selection(positive=((view, *place),))
 
 
 def test_one_click_selects_the_thing_on_all_pictures_and_few_are_looked_at(
     scene, selector
 ):
-    found = selector.select(
-        Views(scene.images, scene.cameras.intrinsics), on_ball(scene)
-    )
+    views = Views(scene.images, scene.cameras.intrinsics)
+    found = selector.select(views, on_ball(scene, 3))
     red, green, blue = scene.images[0].unbind(1)
     true = (red > 1.8 * green) & (red > 1.8 * blue)
     masks = found.masks[:, 0] > 0.5
@@ -64,7 +68,8 @@ def test_one_click_selects_the_thing_on_all_pictures_and_few_are_looked_at(
     overlaps = both / either
     assert overlaps.min() > 0.75
     assert sum(selector.usual.pictures) <= 3
-    assert found.how.count("geometry") == 7
+    assert found.how == ("geometry",) * 3 + ("marked",) + ("geometry",) * 4
+    assert torch.equal(found.masks[3, 0], true[3].float())  # obeyed to the pixel
     assert found.confidence == 0.8
 
 
@@ -159,7 +164,7 @@ def test_without_a_scene_the_usual_selector_answers():
 
 
 def test_of_several_parts_of_the_scene_a_name_takes_the_likeliest(scene):
-    whole, part = torch.ones(64, 64), torch.zeros(64, 64)
+    whole, part = torch.ones(SIZE), torch.zeros(SIZE)
     part[20:40, 20:40] = 1
     masks = (whole, part, 0.5 * part)
     found = Selected(
@@ -186,3 +191,93 @@ def test_a_speck_is_what_most_of_its_neighbours_do_not_count_itself(around, take
     chosen[9:] = True
     grown = with_specks(replace(plain, means=means[None]), chosen)
     assert bool(grown[0]) == taken
+
+
+@pytest.mark.parametrize(
+    ("count", "taken"), [(2, [0, 1]), (4, [0, 1, 2]), (8, [0, 3, 6]), (10, [0, 3, 6])]
+)
+def test_the_pictures_on_which_words_are_looked_for_are_far_apart(count, taken):
+    assert in_scene._spread(count, 3) == taken
+
+
+def test_marks_of_all_kinds_and_geometry_go_with_their_pictures():
+    mask = torch.rand(6, 8)
+    marks = Selection(
+        positive=((5, 0.1, 0.2), (2, 0.3, 0.4)),
+        negative=((2, 0.5, 0.6),),
+        strokes=((5, ((0.1, 0.2), (0.3, 0.4))),),
+        regions=((2, (0.1, 0.2, 0.3, 0.4)),),
+        boxes={5: (0.1, 0.2, 0.3, 0.4)},
+        added={2: mask},
+        removed={5: mask},
+        masks={2: 1 - mask},
+    )
+    there = in_scene._renumbered(marks, {2: 0, 5: 1})
+    assert there.positive == ((1, 0.1, 0.2), (0, 0.3, 0.4))
+    assert there.negative == ((0, 0.5, 0.6),)
+    assert (there.strokes[0][0], there.regions[0][0]) == (1, 0)
+    assert [list(getattr(there, name)) for name in ("boxes", "added")] == [[1], [0]]
+    assert [list(getattr(there, name)) for name in ("removed", "masks")] == [[1], [0]]
+    assert in_scene._renumbered(there, {0: 2, 1: 5}) == marks
+    numbers = torch.arange(6.0)[None, :, None, None].expand(1, 6, 4, 4)
+    lens, depths = numbers[..., :3, :3] + 10, numbers + 20
+    known = Geometry(numbers, depths, 0.01 * numbers, numbers[..., 0, 0] > 2, lens)
+    part = in_scene._of_views(known, [5, 2])
+    for name in ("c2w", "depths", "confidence", "registered", "intrinsics"):
+        assert torch.equal(getattr(part, name), getattr(known, name)[:, [5, 2]])
+
+
+def test_a_further_look_clicks_the_innermost_place_and_boxes_all_of_the_thing():
+    expected = torch.zeros(20, 40)
+    expected[3:14, 6:31] = 0.6  # it shows, and is surely there in a part
+    expected[5:10, 24:29] = 0.95
+    assert in_scene._inner(expected) == [(26.5 / 40, 7.5 / 20)]
+    assert in_scene._box_of(expected) == (6 / 40, 3 / 20, 25 / 40, 11 / 20)
+    faint = expected.clamp(max=0.85)
+    ((x, y),) = in_scene._inner(faint)
+    assert y == 8.5 / 20 and 11 / 40 < x < 26 / 40
+    assert in_scene._box_of(0 * expected)[2:] == (1 / 40, 1 / 20)
+
+
+@pytest.mark.parametrize(("shared", "other", "same"), [(11, 0, True), (12, 2, False)])
+def test_a_further_look_that_finds_something_else_is_not_taken(
+    selector, shared, other, same
+):
+    """Of 20 pixels that are expected 11 are enough, not 12 of 22."""
+    expected = torch.zeros(10, 30)
+    expected[4, 5:25] = 0.9
+    mask = torch.zeros(10, 30)
+    mask[4, 5 : 5 + shared] = mask[7, :other] = 1
+    asked = []
+
+    def select(views, marks, geometry):
+        asked.append(marks)
+        return Selected(mask[None, None], ("marked",))
+
+    selector.usual.select = select
+    view = Views(torch.rand(1, 1, 3, 10, 30), torch.eye(3).expand(1, 1, 3, 3))
+    found = selector._look_again(view, Selection(), expected)
+    assert found is None if not same else torch.equal(found, mask)
+    assert asked[0].boxes == {0: (5 / 30, 4 / 10, 20 / 30, 1 / 10)}
+
+
+@pytest.mark.parametrize("kind", ["click", "stroke"])
+def test_a_mark_at_the_edge_or_of_a_picture_that_is_not_there_is_let_through(
+    scene, kind
+):
+    alphas = torch.zeros_like(scene.alphas)
+    alphas[0, 1, -1, -1] = in_scene.SOLID
+    there = replace(scene, alphas=alphas)
+
+    def checked(view, x, y):
+        marks = (
+            {"positive": ((view, x, y),)}
+            if kind == "click"
+            else {"strokes": ((view, ((x, y), (0.0, 0.0))),)}
+        )
+        in_scene._check_places(Selection(**marks), there)
+
+    checked(1, 1.0, 1.0)
+    checked(len(alphas[0]), 0.5, 0.5)
+    with pytest.raises(InputError, match="picture 2 lies on nothing"):
+        checked(1, 1.0, 0.5)

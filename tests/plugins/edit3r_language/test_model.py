@@ -1,6 +1,7 @@
 """Readers by a language model, against a service of the test and a tiny network."""
 
 import json
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -177,6 +178,12 @@ def test_a_model_of_this_machine_is_asked_and_read(saying):
 def test_a_random_model_says_nothing_that_can_be_used(saying):
     with pytest.raises(RunError, match="gave no instructions for 'male die Wand rot'"):
         local(saying(), max_tokens=5, attempts=1).read(SENTENCE)
+
+
+def test_without_a_form_of_its_own_a_model_is_given_all_of_the_talk_line_by_line():
+    talk = [{"role": role, "content": role.upper()} for role in ("system", "user")]
+    text = _as_text(SimpleNamespace(chat_template=None), talk)
+    assert text == "system: SYSTEM\nuser: USER\nassistant: "
 
 
 def test_a_folder_without_a_model_is_told_by_its_setting(tmp_path):

@@ -327,6 +327,11 @@ def test_the_command_writes_beside_the_scene_and_never_over_it(tmp_path, capsys)
         "scene.spz",
         "scene.glb",
     }
+    assert capsys.readouterr().out == ""
+    assert main(["export", str(tmp_path), "--to", "spz", "glb", "--overwrite"]) == 0
+    told = capsys.readouterr().out
+    for file in (tmp_path / "scene.spz", tmp_path / "scene.glb"):
+        assert f"wrote {file} ({file.stat().st_size / 1e6:.1f} MB)" in told
     assert (
         main(["export", str(tmp_path), "--to", "spz"]) == 2
         and "already exists" in capsys.readouterr().err

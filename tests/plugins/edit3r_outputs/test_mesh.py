@@ -14,7 +14,7 @@ from edit3r.contract.errors import InputError
 from edit3r.kit.photos.cameras import posed_cameras, write_cameras
 from edit3r.kit.rendering import render_each
 
-SIZE = 64
+SIZE = (64, 80)
 PLATE, WALL = 1.0, 2.0  # depths
 RED, BLUE = (0.8, 0.1, 0.1), (0.1, 0.1, 0.8)
 RASTERIZER = build("rasterizer", "torch")
@@ -22,7 +22,7 @@ RASTERIZER = build("rasterizer", "torch")
 
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
-    monkeypatch.setattr(module, "CELLS", (48, 48, 40))
+    monkeypatch.setattr(module, "CELLS", (48, 56, 40))
 
 
 def plane(half, depth, count, colour):
@@ -47,7 +47,7 @@ def scene():
     c2w = torch.eye(4).repeat(1, 3, 1, 1)
     c2w[0, :, 0, 3] = torch.tensor([0.0, 0.1, -0.1])
     lens = torch.tensor([[1.0, 0, 0.5], [0, 1, 0.5], [0, 0, 1]]).repeat(1, 3, 1, 1)
-    return Gaussians.cat(parts), Cameras(c2w, lens, (SIZE, SIZE))
+    return Gaussians.cat(parts), Cameras(c2w, lens, SIZE)
 
 
 def seen(gaussians, cameras):
@@ -72,6 +72,23 @@ def test_triangles_lie_on_the_surfaces_in_their_colours(scene):
     assert mesh.faces.max() < len(mesh.vertices)
     covered = np.histogram2d(x / z, y / z, 20, [[-0.45, 0.45]] * 2)[0] > 0
     assert covered.mean() > 0.97
+
+
+def test_distances_are_in_steps_of_the_grid_and_add_up_over_the_views(scene):
+    """On the middle ray of a wall at depth 2, which the second view sees from 3."""
+    cameras = scene[1].select([0, 1])
+    cameras.c2w[0, 1] = torch.eye(4)
+    cameras.c2w[0, 1, 2, 3] = -1
+    depths = torch.tensor([2.0, 3.0])[:, None, None].expand(2, *SIZE)
+    rays = torch.tensor([[[0.0, 0, 1], [9, 0, 1]]])  # the second leaves the pictures
+    frustum = module.Frustum(rays, torch.zeros(3), torch.linspace(0.2, 0.8, 31))
+    total, weight = module._distances(frustum, cameras, depths)
+    inverse = frustum.inverse_depths
+    steps = torch.stack((inverse - 1 / 2, 1 / (1 / inverse + 1) - 1 / 3)) / 0.02
+    known = steps > -module.REACH
+    expected = (steps.clamp(max=module.REACH) * known).sum(0)
+    torch.testing.assert_close(total[0, 0], expected, atol=1e-3, rtol=1e-3)
+    assert torch.equal(weight[0, 0], known.sum(0).float()) and not weight[0, 1].any()
 
 
 def test_a_scene_that_is_turned_with_its_cameras_makes_the_same_mesh(scene):

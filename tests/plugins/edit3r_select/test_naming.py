@@ -1,12 +1,24 @@
 """Words are looked up where they are found most surely, and each photo keeps what it finds."""
 
+from dataclasses import replace
+
 import pytest
 import torch
-from edit3r_select.naming import SURER, UNCONFIRMED, looked_up
-from edit3r_select.photos import Photos
+from edit3r_select.naming import (
+    ALSO,
+    SPANS,
+    SURER,
+    UNCONFIRMED,
+    _on_every_photo,
+    looked_up,
+    numbered,
+    taken_of,
+)
+from edit3r_select.photos import Named, OnPhoto, Photos
 
 from edit3r.contract.interfaces import (
     SUBJECT,
+    SURE,
     MaskLogits,
     Proposal,
     Segmenter,
@@ -140,3 +152,58 @@ def test_more_or_less_of_a_named_thing_is_asked_of_the_box_around_it():
     first, other = named.candidates
     assert first.score == pytest.approx(0.3)
     assert other.mask.all() and other.score <= 0.3  # no surer than the thing
+
+
+def test_candidates_differ_show_something_and_are_three_at_most():
+    def bar(start, stop=None):
+        mask = torch.zeros(4, 12)
+        mask[1, start : stop or start + 2] = 1
+        return mask
+
+    shown = [bar(0), bar(0, 0), bar(0), bar(2), bar(4), bar(6)]
+    options = numbered(2, [(mask, 0.9 - 0.1 * n) for n, mask in enumerate(shown)])
+    assert [(one.view, one.number) for one in options] == [(2, 1), (2, 2), (2, 3)]
+    assert all(torch.equal(options[n].mask, shown[k]) for n, k in enumerate((0, 3, 4)))
+    assert [one.score for one in options] == pytest.approx([0.9, 0.6, 0.5])
+    assert [taken_of(options, wanted).number for wanted in (1, 2, 3, 9)] == [1, 2, 3, 3]
+    assert len(numbered(0, [(bar(0, 0), 0.5), (bar(0, 0), 0.4)])) == 1
+
+
+def test_all_of_a_plural_are_taken_on_every_photo():
+    first, other = [(0.9, 0), (ALSO, 2), (ALSO - 0.1, 3)], [(0.8, 1)]
+    asked = photos(UNKNOWN, first, other)
+    named = looked_up(asked, Selection(words="horse", several=True))
+    assert named.each and named.confidence == 0.9
+    expected = [thing(1, 0).soft_mask + thing(1, 2).soft_mask, thing(1, 1).soft_mask]
+    for view, mask in enumerate(expected):
+        assert torch.equal(named.found[view].mask, mask)
+    one = looked_up(asked, Selection(words="horse"))
+    assert one.confidence == 0.45, "nothing says which of the two is meant"
+
+
+@pytest.mark.parametrize("side", ["top", "bottom", "left", "right"])
+@pytest.mark.parametrize(("share", "goes_on"), [(SPANS, False), (SPANS + 0.1, True)])
+def test_what_goes_on_beyond_the_border_is_looked_for_on_each_photo(
+    side, share, goes_on
+):
+    mask = torch.zeros(10, 20)
+    rows = slice(0, 1) if side == "top" else slice(9, 10)
+    columns = slice(0, 1) if side == "left" else slice(19, 20)
+    if side in ("top", "bottom"):
+        mask[rows, : round(20 * share)] = 1
+    else:
+        mask[: round(10 * share), columns] = 1
+    found = (Proposal(mask, 0.9),)
+    named = Named({1: OnPhoto(mask, "words")}, 0.9, 0.9)
+    table = Selection(words="table")
+    assert _on_every_photo(table, found, named, 1) == goes_on
+    unsure = replace(named, confidence=SURE - 0.01)
+    assert not _on_every_photo(table, found, unsure, 1)
+
+
+def test_an_unsure_word_is_looked_for_on_three_photos():
+    first, later = [(0.3, 0)], [(0.9, 1)]
+    named = looked_up(photos(UNKNOWN, first, [], [], later), Selection(words="box"))
+    assert list(named.found) == [0]
+    named = looked_up(photos(UNKNOWN, first, [], later, []), Selection(words="box"))
+    assert rows(named) == {0: 0, 2: 1}

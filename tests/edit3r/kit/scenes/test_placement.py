@@ -86,11 +86,13 @@ def test_the_coordinates_of_a_map_come_back(tmp_path, form):
 def test_a_few_far_away_are_left_out_and_all_else_keeps_its_steps():
     made = scene(count=2000)
     means = made.means.clone()
-    means[0, 0, 2] = 5e8
-    made = replace(made, means=means)
-    kept, placement = fitting(made, "spz")
-    assert kept.count == 1999
+    means[0, :9, 2] = 5e8
+    kept, placement = fitting(replace(made, means=means), "spz")
+    assert torch.equal(kept.means, made.means[:, 9:])
     assert placement == FilePlacement()
+    means[0, :11, 2] = 5e8  # more than 0.5 % on one side
+    with pytest.raises(InputError, match="cannot hold this scene"):
+        fitting(replace(made, means=means), "spz")
 
 
 def test_what_nobody_sees_stays_where_nothing_is_left_out():

@@ -367,17 +367,17 @@ def test_text_that_is_cut_off_or_no_number_is_one_sentence(tmp_path, end, told):
     assert told in complain(tmp_path / "a.ply")
 
 
-def without(path, *names, colours=()):
-    """The scene's file without some properties, and with others of bytes."""
+def without(path, *names, colours=(), kind="u1"):
+    """The scene's file without some properties, and with others: as bytes 100, 150, 200."""
     header = read_header(path)
     table = header.read_vertices()
     kept = [name for name in header.names if name not in names]
-    kinds = [(name, "<f4") for name in kept] + [(name, "u1") for name in colours]
+    kinds = [(name, "<f4") for name in kept] + [(name, kind) for name in colours]
     new = np.zeros(len(table), kinds)
     for name in kept:
         new[name] = table[name]
     for level, name in enumerate(colours):
-        new[name] = 100 + 50 * level
+        new[name] = (100 + 50 * level) / (1 if kind == "u1" else 255)
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(new)}"]
     lines += [f"property {'float' if k == '<f4' else 'uchar'} {n}" for n, k in kinds]
     head = "\n".join([*lines, "end_header", ""]).encode()
@@ -451,10 +451,11 @@ def test_sizes_that_cannot_be_logarithms_are_lengths(tmp_path, unit):
     assert "cannot be logarithms" in report.warnings[0]
 
 
-def test_colours_stand_in_for_harmonics(tmp_path):
+@pytest.mark.parametrize("kind", ["u1", "<f4"])
+def test_colours_stand_in_for_harmonics(tmp_path, kind):
     save_ply(tmp_path / "a.ply", scene(degree=0))
     plain = ("f_dc_0", "f_dc_1", "f_dc_2")
-    without(tmp_path / "a.ply", *plain, colours=("red", "green", "blue"))
+    without(tmp_path / "a.ply", *plain, colours=("red", "green", "blue"), kind=kind)
     colours = dc_to_colour(load_ply(tmp_path / "a.ply").harmonics[0, 0, 0])
     np.testing.assert_allclose(colours, np.array([100, 150, 200]) / 255, atol=1e-6)
 

@@ -1,11 +1,13 @@
 """`edit3r.select`: masks of all photos from marks on one, without a run."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 import edit3r
 from edit3r.contract.errors import InputError
-from edit3r.contract.interfaces import Selection
+from edit3r.contract.interfaces import Candidate, Selected, Selection, Selector
 from edit3r.contract.types import Views
 from edit3r.running.selecting import call
 from edit3r_testing.scenes import photograph
@@ -45,6 +47,36 @@ def test_what_one_call_found_is_kept_for_the_next():
         edit3r.select(views, Selection(positive=((0, 0.3, 0.55),)), cache=cache)
     computed = cache.computed.count("match")
     assert computed <= 1 and cache.reused.count("match") == computed
+
+
+class Bright(Selector):
+    """What is brighter than the half; the candidates are the halves, the larger one first."""
+
+    def select(self, views, selection, geometry=None):
+        masks = (views.images[0].mean(1, keepdim=True) > 0.5).float()
+        left = torch.ones(masks.shape[2:])
+        left[:, 5:] = 0
+        parts = (Candidate(1, left, 0.7, 1), Candidate(1, 1 - left, 0.2, 2))
+        mean = float(masks.mean())
+        ways = ("marked", "geometry", "not found")
+        return Selected(masks, ways, ("dark",), confidence=mean, candidates=parts)
+
+
+def test_of_a_batch_each_scene_has_its_masks_and_the_first_one_tells_the_rest():
+    images = torch.rand(2, 3, 3, 6, 8)
+    images[:, 2] = 0
+    views = Views(images, torch.eye(3).expand(2, 3, 3, 3), ("a", "b", "c"))
+    marks = Selection(positive=((0, 0.5, 0.5),))
+    found = call.select_with(views, marks, Bright(), None)
+    assert torch.equal(found.masks, (images.mean(2) > 0.5).float())
+    assert [one.number for one in found.candidates] == [2, 1]  # 18 pixels, 30
+    assert found.confidence == float(found.masks[0].mean())
+    assert found.why == (
+        f"a: marked, b: geometry, c: not found; confidence {found.confidence:.0%}"
+    )
+    assert (found.how[2], found.warnings) == ("not found", ("dark",))
+    unnamed = call.select_with(replace(views, names=()), marks, Bright(), None)
+    assert unnamed.why.startswith("1: marked, 2: geometry, 3: not")
 
 
 def test_a_further_call_with_the_same_cache_builds_a_segmenter_only_for_other_settings():

@@ -47,10 +47,10 @@ def test_pixels_and_shares_mean_the_same_place(photos):
 
 def test_a_number_names_the_photo(photos):
     marked = read(
-        photos, "--point", "2:20,30", "--not-point", "8,6", "--box", "2:8,6,40,30"
+        photos, "--point", "2:20,30", "--not-point", "8,6", "--box", "2:8,12,40,15"
     )
     assert marked.positive == ((1, 0.25, 0.5),) and marked.negative == ((0, 0.1, 0.1),)
-    assert marked.boxes[1] == pytest.approx((0.1, 0.1, 0.5, 0.5))
+    assert marked.boxes[1] == pytest.approx((0.1, 0.2, 0.5, 0.25))
 
 
 def test_a_stroke_is_a_line_of_places(photos):
@@ -63,9 +63,9 @@ def test_a_stroke_is_a_line_of_places(photos):
 
 
 def test_a_region_is_a_box_of_its_own_kind(photos):
-    marked = read(photos, "--region", "2:8,6,40,30")
+    marked = read(photos, "--region", "2:8,12,40,15")
     ((view, box),) = marked.regions
-    assert view == 1 and box == pytest.approx((0.1, 0.1, 0.5, 0.5))
+    assert view == 1 and box == pytest.approx((0.1, 0.2, 0.5, 0.25))
     assert not marked.boxes and marked.says_where and marked.views == (1,)
     with pytest.raises(InputError, match="--region"):
         read(photos, "--region", "1,2,3")
@@ -113,9 +113,40 @@ def test_words_are_no_book(photos):
 
 
 def test_a_box_is_cut_to_the_photo(photos):
-    assert read(photos, "--box", "40,30,99,99").boxes[0] == pytest.approx(
-        (0.5, 0.5, 0.5, 0.5)
+    for box, cut in {
+        "40,15,99,99": (0.5, 0.25, 0.5, 0.75),
+        "-9,-9,29,54": (0, 0, 0.25, 0.75),
+    }.items():
+        assert read(photos, f"--box={box}").boxes[0] == pytest.approx(cut)
+
+
+def test_a_box_holds_a_pixel_at_least(photos):
+    assert read(photos, "--box", "20,30,1,1").boxes[0][2:] == pytest.approx(
+        (1 / 80, 1 / 60)
     )
+    for size in ("0.9,9", "9,0.9"):
+        with pytest.raises(InputError, match=r"contains no pixel of photo 2 .*80 x 60"):
+            read(photos, "--box", f"2:20,30,{size}")
+    with pytest.raises(InputError, match="at least 0"):
+        read(photos, "--box", "20,30,9,-9")
+
+
+@pytest.mark.filterwarnings("ignore:.*cropped")
+def test_marks_are_on_what_is_used_of_their_own_photo(tmp_path):
+    """Of 80 x 60 and 100 x 60 pixels the middle 80 x 54 and 88.9 x 60 are used."""
+    for name, width in (("left", 80), ("right", 100)):
+        Image.new("RGB", (width, 60)).save(tmp_path / f"{name}.png")
+    cropped = load_photos([tmp_path / "left.png", tmp_path / "right.png"])
+    points = read(cropped, "--point", "20,16.5", "--not-point", "2:0.5,0.25")
+    assert points.positive[0] == pytest.approx((0, 0.25, 0.25))
+    assert points.negative[0] == pytest.approx((1, 0.5, 0.25))
+    boxes = read(cropped, "--box", "20,16.5,40,13.5", "--box", "2:0,15,50,15").boxes
+    assert boxes[0] == pytest.approx((0.25, 0.25, 0.5, 0.25))
+    assert boxes[1] == pytest.approx((0, 0.25, 0.5, 0.25))
+    with pytest.raises(
+        InputError, match="x from 6 to 94 and y from 0 to 60 of its 100"
+    ):
+        read(cropped, "--point", "2:5,30")
 
 
 def test_places_and_masks_on_photos_of_a_bent_lens_follow_them(tmp_path):

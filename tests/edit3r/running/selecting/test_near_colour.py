@@ -15,8 +15,10 @@ def found(*pieces):
     image = torch.tensor(GREY)[:, None, None].repeat(1, 40, 80)
     for first, count, colour in pieces:
         image[:, 10:30, first : first + count] = torch.tensor(colour)[:, None, None]
-    near = near_colour(torch.ones(1, 40, 80), image[None], Colour("red", RED))
-    return near[0, 20] > 0.5
+    pair = torch.stack((image.flip(-1), image))  # views that differ
+    near = near_colour(torch.ones(2, 40, 80), pair, Colour("red", RED)) > 0.5
+    assert torch.equal(near[0], near[1].flip(-1))
+    return near[1, 20]
 
 
 def test_shade_at_the_rim_of_what_has_the_colour_has_it_too():

@@ -18,11 +18,16 @@ from edit3r.contract.reporting import Report, collecting
 from edit3r.contract.types import Views
 from edit3r.running import usual_selector
 from edit3r.running.editors import read
-from edit3r.running.selecting.regions import MARKED, RegionFinder, _without_rims
+from edit3r.running.selecting.regions import (
+    MARKED,
+    RegionFinder,
+    _beneath,
+    _median_colour,
+    _without_rims,
+)
 
 HEIGHT, WIDTH = 12, 16
-LEFT = slice(0, WIDTH // 2)
-RIGHT = slice(WIDTH // 2, None)
+LEFT, RIGHT = slice(0, 7), slice(7, None)
 
 
 class Halves(Segmenter):
@@ -86,12 +91,12 @@ def finder(marked=None, segmenter=None, known=None, **defaults):
 
 
 def columns(mask) -> list[bool]:
-    """Which columns of the first view are in a mask."""
-    return (mask[0] > 0.5).all(0).tolist()
+    """Which columns of both views are in a mask."""
+    return (mask > 0.5).all(0).all(0).tolist()
 
 
-IN_LEFT = [True] * 8 + [False] * 8
-IN_RIGHT = [False] * 8 + [True] * 8
+IN_LEFT = [True] * 7 + [False] * 9
+IN_RIGHT = [False] * 7 + [True] * 9
 EVERYWHERE = [True] * 16
 CLICK = Selection(positive=((0, 0.2, 0.5),))
 
@@ -103,8 +108,8 @@ CLICK = Selection(positive=((0, 0.2, 0.5),))
         ("make it darker", EVERYWHERE),
         ("make everything darker", EVERYWHERE),
         ("paint everything except the door red", IN_RIGHT),
-        ("paint the right half red", IN_RIGHT),
-        ("paint all halfs red".replace("halfs", "half"), EVERYWHERE),
+        ("paint the right half red", [False] * 8 + [True] * 8),
+        ("paint all half red", EVERYWHERE),
         ("make the background darker, but not the door", IN_RIGHT),
     ],
 )
@@ -204,7 +209,7 @@ def test_only_pixels_near_a_colour_are_meant(near, third):
 
 def test_the_red_parts_of_a_thing_are_inside_it():
     assert columns(regions("make the red parts of the door blue")[0]) == [
-        5 <= column < 8 for column in range(WIDTH)
+        5 <= column < 7 for column in range(WIDTH)
     ]
 
 
@@ -242,16 +247,16 @@ def test_names_of_what_was_marked_and_found_are_kept_the_newest_last():
 def test_inverted_is_all_else_and_a_grown_outline_moves():
     assert columns(regions("paint the door red", inverted=True)[0]) == IN_RIGHT
     grown = columns(regions("paint the door red", grow=2.0)[0])
-    assert grown == [True] * 10 + [False] * 6
+    assert grown == [True] * 9 + [False] * 7
     shrunk = columns(regions("paint the door red", grow=-1.0)[0])
-    assert shrunk == [True] * 7 + [False] * 9
+    assert shrunk == [True] * 6 + [False] * 10
 
 
 # ---- places, colours of other things, and what earlier runs named ----
 
 
 def test_a_place_of_the_picture_is_its_box():
-    assert columns(regions("brighten the left half")[0]) == IN_LEFT
+    assert columns(regions("brighten the left half")[0]) == [True] * 8 + [False] * 8
     third = regions("darken the lower third of the picture")[0][0]
     assert third.mean(1).tolist() == [0.0] * 8 + [1.0] * 4
 
@@ -406,3 +411,22 @@ def test_all_else_of_all_else_is_the_thing():
     assert torch.equal(regions("paint it red", all_else, inverted=True), thing)
     other = regions("paint it red", marked=all_else)
     assert columns(other[0]) != columns(thing[0])
+
+
+def test_beneath_a_thing_is_a_strip_under_where_it_stands_not_under_its_snout():
+    """Of a picture 100 rows high: the thing ends at row 59, its snout at row 39."""
+    masks = torch.zeros(2, 100, 40)
+    masks[1, 20:60, 5:15] = masks[1, 30:40, 15:20] = 1
+    expected = torch.zeros(100, 40)
+    expected[61:65, 5:15] = 1
+    assert torch.equal(_beneath(masks)[1], expected)
+
+
+def test_a_colour_is_the_median_of_all_photos_that_show_the_thing():
+    images = torch.rand(2, 3, 4, 5)
+    mask = torch.zeros(2, 4, 5)
+    mask[0, 1, 2:4] = mask[1, 3, 0] = 1
+    seen = torch.stack((images[0, :, 1, 2], images[0, :, 1, 3], images[1, :, 3, 0]))
+    assert _median_colour(images, mask) == tuple(seen.median(0).values.tolist())
+    with pytest.raises(InputError, match="shows on no photo"):
+        _median_colour(images, 0 * mask)
