@@ -14,7 +14,7 @@ from edit3r.cli.main import main
 from edit3r.contract.errors import RunError
 from edit3r.kit.photos.cameras import posed_cameras, read_cameras, write_cameras
 from edit3r.kit.photos.images import save_image
-from edit3r.running import loop
+from edit3r.running import pipeline
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +127,7 @@ def test_edits_outlive_a_step_that_fails_after_them(tmp_path, capsys, monkeypatc
         raise RunError("the card is gone.")
 
     with monkeypatch.context() as patch:
-        patch.setattr(loop, "reconstruct", broken)
+        patch.setattr(pipeline, "reconstruct", broken)
         options = ["--prompt", "make everything grey", "--out", str(tmp_path / "out")]
         assert main([*asked, *options]) == 1
     kept = tmp_path / "out-edits"
@@ -145,7 +145,7 @@ def test_nothing_is_kept_of_a_run_that_edited_nothing(tmp_path, monkeypatch):
     def broken(*_):
         raise RunError("the card is gone.")
 
-    monkeypatch.setattr(loop, "reconstruct", broken)
+    monkeypatch.setattr(pipeline, "reconstruct", broken)
     asked = ["run", "--size", "128", "--editor", "none"]
     assert main([*asked, "--out", str(tmp_path / "out")]) == 1
     assert not list(tmp_path.iterdir())
