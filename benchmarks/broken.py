@@ -88,10 +88,11 @@ def scenes_of(files: Sequence[Path]) -> dict[str, SceneToJudge]:
     found = {"default": scene}
     sound, made = shown(recon=BrokenReconstructor(), matcher=known)
     draw = functools.partial(render_each, made.rasterizer, text="")
+    given = sound.half_way.photos  # in one light, as a reconstructor is handed them
     for kind, strengths in {"sound": (0.0,), **KINDS}.items():
         for strength in strengths:
             broken = BrokenReconstructor(kind, strength)
-            answer = broken(sound.edited, sound.photos, sound.geometry)
+            answer = broken(given, sound.photos, sound.geometry)
             drawn = draw(answer.gaussians, answer.cameras)
             found[f"{kind} {strength:.3g}"] = replace(
                 sound,
@@ -103,7 +104,7 @@ def scenes_of(files: Sequence[Path]) -> dict[str, SceneToJudge]:
                     made.rasterizer,
                     answer.gaussians,
                     answer.cameras,
-                    sound.half_way.photos,
+                    given,
                 ),
             )
     return found
