@@ -3,7 +3,7 @@
 `reconstructor` has the reconstructors `edit3r` and `noposplat`: a backbone, a head, and one of two
 forms. `matched_form`, with the small network whose weights ship, carries edits between views over
 matched geometry: `small_backbone` and `small_head`, whose trained parts are in `edit_fusion` and
-whose rules are in `colour_maps`, `edited_views`, `colour_function` and `disagreement`.
+whose rules are in `edited_views`, `colour_function` and `disagreement`.
 `single_pass`, with the full network, finds geometry by itself: `view_fitting`, then `backbone` (of
 blocks in `transformer`) and `dpt_head`, whose raw maps become Gaussians in `gaussian_adapter`.
 

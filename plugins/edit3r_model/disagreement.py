@@ -6,8 +6,7 @@ from torch import Tensor
 
 from edit3r.kit.geometry.maps import dilate
 from edit3r.kit.geometry.warping import SAME_SURFACE, warp
-from edit3r_model.colour_function import EXPLAINED, change_by_shared_function
-from edit3r_model.colour_maps import blur_maps
+from edit3r_model.colour_function import EXPLAINED, blur_maps, change_by_shared_function
 from edit3r_model.edited_views import ALIKE, CHANGE, EditedViews, Maps
 
 Pair = Float[Tensor, "batch 2 3 height width"]

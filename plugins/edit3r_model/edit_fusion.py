@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from edit3r.kit.compute.layers import Conv2d, bilinear
 from edit3r.kit.geometry.cameras import pixel_grid
-from edit3r_model.colour_maps import CHANNELS, change_of
+from edit3r_model.colour_function import CHANNELS, change_of
 from edit3r_model.small_backbone import (
     STRIDE,
     UPSAMPLING,

@@ -26,7 +26,7 @@ from edit3r.kit.compute.layers import bilinear, guided_upsample
 from edit3r.kit.geometry.cameras import pixel_scales, pixels_to_gaussians
 from edit3r.kit.geometry.maps import resize, size_of
 from edit3r.kit.geometry.warping import contradicted, find_correspondences, warp
-from edit3r_model.colour_maps import CHANNELS, blur_maps, change_of, fit_colour_maps
+from edit3r_model.colour_function import CHANNELS, blur_maps, change_of, fit_colour_maps
 from edit3r_model.disagreement import (
     edits_conflict,
     edits_disagree,
