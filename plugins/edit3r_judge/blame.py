@@ -13,7 +13,7 @@ from edit3r.contract.verdicts import Label, Part
 from edit3r_judge.signals import fitted_limits, unlike_between
 from edit3r_judge.skill import SHOWN, skills, unchanged
 
-MOSTLY = 0.5  # share of the photos left as it was, from which nothing else is looked at
+MOSTLY = 0.5  # share of the photos left as it was, from which the rest is not looked at; by hand
 WRONG_DEPTHS = 0.1  # by which a sound rasterizer's depths are never off [share]
 Figures = Sequence[float | None]
 

@@ -18,8 +18,8 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from edit3r.contract.interfaces import SceneToJudge
-from edit3r.contract.types import Cameras, Gaussians
+from edit3r.contract.interfaces import Geometry, SceneToJudge
+from edit3r.contract.types import Cameras, Gaussians, Views
 from edit3r.kit.geometry.cameras import (
     pixel_grid,
     project,
@@ -101,7 +101,10 @@ class _Photos:
     def __init__(self, scene: SceneToJudge) -> None:
         used = [view for view, there in enumerate(scene.placed) if there]
         views = scene.photos.scene(0).select(used)
-        self.pictures = blurred(lab(_in_one_light(scene, used)), 1)
+        geometry = scene.geometry
+        if geometry is not None:
+            geometry = geometry.scene(0).select(used)
+        self.pictures = blurred(lab(_in_one_light(views, geometry)), 1)
         self.size = size_of(self.pictures)
         sift = cv2.SIFT_create(2000, contrastThreshold=0.015)  # type: ignore[attr-defined]
         light = (2.55 * self.pictures[:, 0].clamp(0, 100)).byte().numpy()
@@ -116,15 +119,10 @@ class _Photos:
                 self.depths[view] = own
         self._found: dict[tuple[int, int], Matches] = {}
         self.geometry = None
-        if scene.geometry is not None:
-            one = scene.geometry.scene(0).at(self.size)
-            lenses = (
-                views.intrinsics if one.intrinsics is None else one.intrinsics[:, used]
-            )
-            self.geometry = (
-                one.depths[0, used],
-                Cameras(one.c2w[:, used], lenses, self.size),
-            )
+        if geometry is not None:
+            lenses = geometry.calibrated(views).intrinsics
+            cameras = Cameras(geometry.c2w, lenses, self.size)
+            self.geometry = geometry.at(self.size).depths[0], cameras
 
     def skill(self, view: int, other: int) -> Skill | None:
         """How well each way lays photo `other` onto photo `view`; None: they share too little."""
@@ -177,13 +175,11 @@ def unchanged(scene: SceneToJudge) -> Bool[Tensor, "view h w"]:
 
 
 def _in_one_light(
-    scene: SceneToJudge, used: list[int]
+    views: Views, geometry: Geometry | None
 ) -> Float[Tensor, "view 3 height width"]:
     """The photos in the exposure of the first one: else a brighter one looks like another thing."""
-    views = scene.photos.scene(0).select(used)
-    if scene.geometry is None:
+    if geometry is None:
         return views.images[0]
-    geometry = scene.geometry.scene(0).select(used)
     light = estimate_exposure(geometry.calibrated(views), geometry)
     return (views.images if light is None else light.to_reference(views.images))[0]
 
