@@ -164,7 +164,7 @@ def _places(
 ) -> tuple[Float[np.ndarray, "point 2"], Float[np.ndarray, "point 2"]]:
     """Where the measured points of `view` lie in it, and in `other` [long sides]."""
     lens = geometry.calibrated(views).intrinsics
-    measured = geometry.confidence[0, view] >= 0.5
+    measured = geometry.is_measured[0, view]
     depths = geometry.depths[0, view]
     points = unproject(depths, lens[0, view], geometry.c2w[0, view])[measured]
     there, _ = project(points, lens[0, other], geometry.c2w[0, other])

@@ -43,8 +43,6 @@ LEAST_HEIGHT = 0.02
 of a hundredth in depth would turn it by half a right angle."""
 AROUND = 2
 """[pixels] around a place, of which it has the median surface. By eye."""
-MEASURED = 0.5
-"""Confidence from which a depth was measured, as `Geometry` says."""
 SOLID = 0.5
 """Opacity from which a pixel shows a surface; a matter of definition."""
 
@@ -250,8 +248,8 @@ class _Surfaces:
                 f"{called} shows {what}; choose one on a thing near the cameras."
             )
         if self.geometry is not None:
-            sure = self.geometry.confidence[0, view][around] >= MEASURED
-            if sure.float().mean() < SOLID:
+            measured = self.geometry.is_measured[0, view][around]
+            if measured.float().mean() < SOLID:
                 warn(
                     f"{called} is seen by one photo alone, which leaves its depth to a guess; "
                     "choose one that two photos show."

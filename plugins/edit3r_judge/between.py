@@ -50,7 +50,7 @@ def _of_scene(
     lenses, size = views.intrinsics[scene, placed], views.image_size
     c2w, depths = geometry.c2w[scene, placed], geometry.depths[scene, placed]
     colours = views.images[scene, placed].permute(0, 2, 3, 1).flatten(1, 2)
-    measured = geometry.confidence[scene, placed].flatten(1) >= 0.5
+    measured = geometry.is_measured[scene, placed].flatten(1)
     points = unproject(depths, lenses, c2w).flatten(1, 2)
     near = nearest_views(c2w[None], depths[None], NEAR_VIEWS)
     cameras, pairs = half_way(Cameras(c2w[None], lenses[None], size))

@@ -14,7 +14,6 @@ from edit3r.kit import asking
 from edit3r.kit.geometry.warping import nearest_views, warp
 from edit3r_select.answering import answered
 from edit3r_select.marks import Marks
-from edit3r_select.obeying import MEASURED
 from edit3r_select.photos import Found, Mask, OnPhoto, Photos, clean
 
 # of an object's pixels that must lie in another photo for geometry to say where it is there
@@ -144,7 +143,7 @@ def _said(
     assert photos.geometry is not None
     if surface is None:
         return mask, torch.zeros_like(mask, dtype=torch.bool)
-    (grid, same), sure = surface, photos.geometry.confidence[0] >= MEASURED
+    (grid, same), sure = surface, photos.geometry.is_measured[0]
     layers = torch.stack((mask, sure[other].to(mask)))
     moved, measured = warp(layers, grid, padding="zeros")
     return moved, same & sure[view] & (measured > SURELY)

@@ -26,7 +26,6 @@ from edit3r.kit.segmenting import automatic_masks
 from edit3r.kit.weights.find import at_hand
 from edit3r_select.answering import Image, answered, standing_out, subject_of
 from edit3r_select.marks import Marks
-from edit3r_select.obeying import MEASURED
 from edit3r_select.photos import Mask, Named, OnPhoto, Photos, overlap
 from edit3r_select.ranking import SAME
 from edit3r_select.which import pick
@@ -150,7 +149,7 @@ def _guessed(photos: Photos, named: Named) -> bool:
     """
     if photos.geometry is None:
         return False
-    sure = photos.geometry.confidence[0] >= MEASURED
+    sure = photos.geometry.is_measured[0]
     shares = [
         float(sure[view][one.inside].double().mean())
         for view, one in named.found.items()

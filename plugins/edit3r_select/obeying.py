@@ -15,7 +15,6 @@ from edit3r_select.marks import Marks
 from edit3r_select.photos import SAME_SURFACE, Mask, Photos
 
 DOT = 0.006  # radius of what a mark is worth where nothing follows it [longer sides]
-MEASURED = 0.5  # confidence from which a depth was measured
 
 
 @dataclass(frozen=True)
@@ -55,7 +54,7 @@ def seen_elsewhere(
     grid = pixel_grid((height, width), like=depths)
     for point in points:
         row, column = point.pixel((height, width))
-        if geometry.confidence[0, source, row, column] < MEASURED:
+        if not geometry.is_measured[0, source, row, column]:
             continue
         world = unproject(depths[source], lenses[0, source], c2w[source])[row, column]
         aside = grid.new_tensor(point.place) - grid[row, column]

@@ -118,9 +118,14 @@ class Geometry(Tensors):
     contradicting_fov: float | None = None
 
     @property
+    def is_measured(self) -> Bool[Tensor, "batch view height width"]:
+        """Pixels whose depth was measured, not filled in."""
+        return self.confidence >= 0.5
+
+    @property
     def measured(self) -> Float[Tensor, "batch view"]:
-        """Share of each view's pixels whose depth was measured, not filled in."""
-        return (self.confidence >= 0.5).to(self.depths.dtype).mean((2, 3))
+        """Share of each view's pixels whose depth was measured."""
+        return self.is_measured.to(self.depths.dtype).mean((2, 3))
 
     def calibrated(self, views: Views) -> Views:
         """`views` with the intrinsics that this geometry was read with."""

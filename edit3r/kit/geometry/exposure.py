@@ -297,7 +297,7 @@ def _of_both(
     grid, same = shared_surface(
         geometry.depths[scene, pair], intrinsics, geometry.c2w[scene, pair]
     )
-    sure = (geometry.confidence[scene, pair, None] >= 0.5).to(maps)
+    sure = geometry.is_measured[scene, pair, None].to(maps)
     own, other = maps[scene, pair]
     seen = warp(torch.cat((other[None], sure[1:]), 1), grid[None])[0]
     same = same & (sure[0, 0] > 0) & (seen[-1] > 0.99)
