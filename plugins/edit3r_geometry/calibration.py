@@ -22,6 +22,7 @@ from edit3r_geometry.relative_pose import (
     agreeing,
     quick_pose,
     refine,
+    rough_pose,
     sharp_support,
 )
 
@@ -258,8 +259,12 @@ class _FocalSearch:
         """What was assumed, then all fields of view from narrow to wide."""
         tried = [self.assumed, *(self.log_focal(fov) for fov in FIELDS_OF_VIEW)]
         trials = {log_focal: self.with_new_poses(log_focal) for log_focal in tried}
-        # A robust estimate may miss the motion at one focal length and find it at the next: each
-        # tries its neighbours', on the way to the widest and back.
+        # Quick estimates may all miss the motion; a surer one is asked once. Each focal length
+        # tries its neighbours' motions, on the way to the widest and back.
+        surer = (rough_pose(pair, self.threshold, self.seed) for pair in self.pairs)
+        trials[self.assumed] = trials[self.assumed].or_better(
+            self._trial(self.assumed, tuple(surer))
+        )
         order = sorted(trials)
         for way in (order, order[::-1]):
             for before, log_focal in pairwise(way):

@@ -5,8 +5,9 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from edit3r_geometry import calibration
 from edit3r_geometry.calibration import USUAL_FOV, calibrate, contradiction
-from edit3r_geometry.cameras import CalibratedImage, rays_through
+from edit3r_geometry.cameras import CalibratedImage, Pose, rays_through
 from edit3r_geometry.matchers import ClassicalMatcher
 from edit3r_geometry.relative_pose import Matches
 
@@ -52,6 +53,13 @@ def reading(found, threshold=1.0, **options):
 def read(found, threshold=1.0, **options):
     told = reading(found, threshold, **options)
     return None if told is None else told.fov
+
+
+def test_a_motion_that_every_quick_estimate_misses_is_found(monkeypatch):
+    away = Pose(cv2.Rodrigues(np.array((0, 0, 1.0)))[0], np.array((0, 0, 1.0)))
+    monkeypatch.setattr(calibration, "quick_pose", lambda *_: away)
+    found = read(matches(90, (0.05, 0.35, 0.02), (-1, 0.1, 0.3)))
+    assert found == pytest.approx(90, abs=4)
 
 
 @pytest.mark.slow
