@@ -8,8 +8,8 @@ whose rules are in `edited_views`, `colour_function` and `disagreement`.
 blocks in `transformer`) and `dpt_head`, whose raw maps become Gaussians in `gaussian_adapter`.
 
 `network` gives the parts their weights, which `checkpoints`, `official_checkpoints` and `hub` read;
-`engine` chooses the precision and brings loaded layers into it (`int8_layers`); `memory` has the
-limits. Written from a description of the published network; no code of that family is used.
+`engine` chooses the precision and brings loaded layers into it; `memory` has the limits. Written
+from a description of the published network; no code of that family is used.
 """
 
 from edit3r import Component, hookimpl

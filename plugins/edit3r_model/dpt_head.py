@@ -240,7 +240,7 @@ class DptTrunk(nn.Module):
     def forward(self, maps: list[Maps]) -> Maps:
         """`maps` are the token levels on the patch grid, finest use first."""
         rows, columns = maps[0].shape[-2:]
-        # May differ from the backbone's; of int8 the deconvolutions alone have parameters.
+        # May differ from the backbone's.
         dtype = next(self.reassemble.parameters()).dtype
         layers = [
             project(reassemble(level.to(dtype)))

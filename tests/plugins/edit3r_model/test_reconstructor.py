@@ -160,7 +160,7 @@ def test_parts_that_do_not_go_together_are_an_error(registry):
     with pytest.raises(
         SettingsError, match=r"reconstructor\.precision: applies only to"
     ):
-        small(precision="int8")
+        small(precision="bfloat16")
     unet = build("backbone", "matched-unet", width=8)
     assert type(unet) is MatchedUNet
     with pytest.raises(InputError, match="matched-unet needs geometry"):
