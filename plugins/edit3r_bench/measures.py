@@ -53,15 +53,12 @@ METRICS = _read_measures()
 """The measures of the main table, in the order of reports."""
 
 BY_REGION = {
-    f"{name}-in-{region}{frames}": METRICS[name]
+    f"{name}-in-{region}": METRICS[name]
     for name in ("psnr", "ssim", "lpips", "perceptual")
-    for frames in ("", "-inputs")
     for region in metrics.REGIONS
-    if (name, region, frames) != ("psnr", "edit", "")
+    if (name, region) != ("psnr", "edit")
 }
-"""The measures against the truth by region: at held-back views, and at those that the method was
-given.
-"""
+"""The measures against the truth by region."""
 
 # The numbers of this block: no figures kept.
 # Change of the 2D edit below which the editor did nothing [sRGB, low-passed]
@@ -238,22 +235,20 @@ def _by_clip(item: LoadedItem, output: MethodOutput, clip: ClipSimilarity) -> Fo
 def _against_truth(
     item: LoadedItem, shown: Images, distances: Mapping[str, Any]
 ) -> Found:
-    """Means over the held-back frames, which the method was not given; by region of the inputs."""
+    """Means over the held-back frames, which the method was not given."""
     assert item.truth is not None  # asked before
-    images, truth = _array(shown), _array(item.truth)
-    photos = _array(item.photos.images[0])
-    inside = np.ones(truth.shape[:3]) if item.masks is None else _array(item.masks)
     held = slice(item.inputs, None)
-    values = _distances(images[held], truth[held], None, distances)
-    values["edit-uptake"] = metrics.edit_uptake(
-        images[held], photos[held], truth[held], inside[held]
+    images, truth, photos = (
+        _array(own[held]) for own in (shown, item.truth, item.photos.images[0])
     )
-    parts = {"": held, "-inputs": slice(item.inputs)}
+    inside = np.ones(truth.shape[:3])
+    if item.masks is not None:
+        inside = _array(item.masks[held])
+    values = _distances(images, truth, None, distances)
+    values["edit-uptake"] = metrics.edit_uptake(images, photos, truth, inside)
     for region, covered in metrics.regions(inside).items():
-        for frames, part in parts.items():
-            own = _distances(images[part], truth[part], covered[part], distances)
-            for name, value in own.items():
-                values[f"{name}-in-{region}{frames}"] = value
+        own = _distances(images, truth, covered, distances)
+        values |= {f"{name}-in-{region}": value for name, value in own.items()}
     return values
 
 

@@ -3,6 +3,7 @@ looks like.
 """
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -20,6 +21,7 @@ from edit3r.contract.settings import Count, Index, Share
 from edit3r.contract.types import Cameras
 from edit3r.kit.geometry.cameras import relative_to_first
 from edit3r.kit.geometry.maps import size_of
+from edit3r.kit.photos.posed_folder import PosedPhoto
 from edit3r_training.spans import CountSpan, Span
 
 Images = Float[Tensor, "view 3 height width"]
@@ -129,6 +131,16 @@ class DrawnPhotos:
     intrinsics: Float[Tensor, "view 3 3"]  # normalised
     masks: Float[Tensor, "object view height width"] | None = None
     edited: Images | None = None
+
+    @staticmethod
+    def of(scene: str, photos: Sequence[PosedPhoto], **more: Any) -> "DrawnPhotos":
+        """The photos, with `more` of what is known of them."""
+        images, lenses, poses = (
+            torch.from_numpy(np.stack([getattr(photo, name) for photo in photos]))
+            for name in ("image", "intrinsics", "c2w")
+        )
+        images = images.permute(0, 3, 1, 2).contiguous()
+        return DrawnPhotos(scene, images, poses, lenses.float(), **more)
 
     def check(self, settings: PhotoSettings) -> None:
         """Raise InputError for cameras that stand too near or too far apart, and for wide lenses.
