@@ -15,7 +15,7 @@ from edit3r.contract.types import RENDERED
 from edit3r.kit.checks import require_gives
 from edit3r.kit.command.results import grouped, markdown_table
 from edit3r.kit.reconstructing import WithMatcher
-from edit3r_measure.evaluate import PARTS, Evaluation
+from edit3r_measure.evaluate_options import PARTS, Evaluation
 from edit3r_measure.novel_view import (
     Measure,
     SceneScore,
