@@ -92,17 +92,10 @@ def test_depths_are_those_in_the_predicted_cameras_or_else_in_the_true_ones():
 
 
 def _batch(source: Views, truth: torch.Tensor, depths: torch.Tensor) -> TrainingBatch:
-    cameras = CAMERAS.select([0])
-    return TrainingBatch(
-        source=source,
-        edited=source,
-        truth=truth,
-        target=truth[:, :0],
-        context_cameras=CAMERAS,
-        target_cameras=cameras,
-        depths=depths,
-        geometry=None,
-    )
+    images = {"source": source, "edited": source, "truth": truth}
+    cameras = {"context_cameras": CAMERAS, "target_cameras": CAMERAS.select([0])}
+    rest = {"target": truth[:, :0], "depths": depths, "geometry": None}
+    return TrainingBatch(**images, **cameras, **rest)
 
 
 @pytest.mark.parametrize(("off", "error"), [(0.02, 0.004), (0.3, 0.275)])
